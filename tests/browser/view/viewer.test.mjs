@@ -141,7 +141,7 @@ describe('viewer', () => {
     const { page, context } = await openPage(suite.browser);
     await page.goto(`${suite.server.url}/view/none`);
     await page.locator('#failure').waitFor();
-    assert.match(await page.locator('#failure-text').textContent(), /There is no \/v1\/photos\/none\/atlas/);
+    assert.match(await page.locator('#failure-text').textContent(), /There is no photo at this address/);
     await context.close();
   });
 });

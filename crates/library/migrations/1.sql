@@ -1,0 +1,107 @@
+-- Columns are TEXT, BIGINT and DOUBLE PRECISION alone, which SQLite and PostgreSQL both have. Times are milliseconds since 1970 by the database's clock.
+
+CREATE TABLE secrets (
+    name TEXT PRIMARY KEY,
+    value TEXT NOT NULL
+);
+
+-- A row to lock while an owner's quota is counted.
+CREATE TABLE owners (
+    owner TEXT PRIMARY KEY,
+    created_at BIGINT NOT NULL
+);
+
+CREATE TABLE keys (
+    hash TEXT PRIMARY KEY,
+    name TEXT NOT NULL,
+    owner TEXT NOT NULL REFERENCES owners (owner),
+    scopes TEXT NOT NULL,
+    created_at BIGINT NOT NULL,
+    expires_at BIGINT
+);
+
+CREATE TABLE sessions (
+    hash TEXT PRIMARY KEY,
+    owner TEXT NOT NULL REFERENCES owners (owner),
+    key_hash TEXT REFERENCES keys (hash) ON DELETE CASCADE,
+    created_at BIGINT NOT NULL,
+    expires_at BIGINT NOT NULL
+);
+CREATE INDEX sessions_by_key ON sessions (key_hash);
+
+CREATE TABLE photos (
+    id TEXT PRIMARY KEY,
+    owner TEXT REFERENCES owners (owner),
+    accepted_at BIGINT NOT NULL,
+    viewed_at BIGINT NOT NULL,
+    class BIGINT NOT NULL,
+    title TEXT,
+    options TEXT NOT NULL,
+    settings TEXT NOT NULL,
+    settings_version BIGINT NOT NULL,
+    link_generation BIGINT NOT NULL,
+    state TEXT NOT NULL,
+    version BIGINT NOT NULL,
+    finished_at BIGINT,
+    details TEXT,
+    problem TEXT,
+    blobs TEXT NOT NULL,
+    bytes BIGINT NOT NULL
+);
+CREATE INDEX photos_by_age ON photos (accepted_at, id);
+-- with the bytes, so that a quota is counted within the index
+CREATE INDEX photos_by_owner ON photos (owner, accepted_at, id, bytes);
+CREATE INDEX photos_by_state ON photos (state, accepted_at, id);
+
+-- Room that an upload in parts takes before it is a photo.
+CREATE TABLE reservations (
+    id TEXT PRIMARY KEY,
+    owner TEXT NOT NULL REFERENCES owners (owner),
+    bytes BIGINT NOT NULL,
+    expires_at BIGINT NOT NULL
+);
+CREATE INDEX reservations_by_owner ON reservations (owner);
+
+-- Everything that takes time. What is made of a photo leaves its result there; an export keeps its row and its result here.
+CREATE TABLE jobs (
+    id TEXT PRIMARY KEY,
+    kind TEXT NOT NULL,
+    photo TEXT NOT NULL REFERENCES photos (id) ON DELETE CASCADE,
+    version BIGINT NOT NULL,
+    class BIGINT NOT NULL,
+    owner TEXT,
+    address TEXT,
+    payload TEXT NOT NULL,
+    state TEXT NOT NULL,
+    turn BIGINT NOT NULL,
+    created_at BIGINT NOT NULL,
+    run_after BIGINT NOT NULL,
+    started_at BIGINT,
+    lease_until BIGINT,
+    lease_token TEXT,
+    attempts BIGINT NOT NULL,
+    faults BIGINT NOT NULL,
+    progress TEXT,
+    problem TEXT,
+    result TEXT,
+    bytes BIGINT NOT NULL,
+    used_at BIGINT NOT NULL
+);
+CREATE INDEX jobs_by_turn ON jobs (state, class, turn, created_at, id);
+CREATE INDEX jobs_by_photo ON jobs (photo);
+
+-- What has become of jobs, for metrics and for how long a wait is likely to be.
+CREATE TABLE outcomes (
+    kind TEXT PRIMARY KEY,
+    mean_ms DOUBLE PRECISION NOT NULL,
+    finished BIGINT NOT NULL,
+    failed BIGINT NOT NULL,
+    died BIGINT NOT NULL
+);
+
+CREATE TABLE rooms (
+    name TEXT PRIMARY KEY,
+    origin TEXT NOT NULL,
+    epoch BIGINT NOT NULL,
+    lease_until BIGINT NOT NULL
+);

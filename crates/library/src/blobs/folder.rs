@@ -1,0 +1,272 @@
+//! Blobs in a folder of this machine.
+//!
+//! A blob is written beside its place, synced, and renamed into it; then the folder is synced. What a crash leaves half written has a name that is
+//! nobody's, and goes when the folder is opened again.
+
+use std::fmt::Debug;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::UNIX_EPOCH;
+
+use bytes::Bytes;
+
+use super::{Listed, Source, Write};
+use crate::error::{LibraryError, Result};
+use crate::names::Millis;
+
+/// Folder of what is being written.
+const INCOMING: &str = "incoming";
+
+/// Room of a disk that uploads may not take, so that what was accepted can be finished.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reserve {
+    /// Bytes; of a disk smaller than twenty times as much, a twentieth of it.
+    pub bytes: u64,
+    /// Files; of a disk with place for less than a hundred times as many, a hundredth of them.
+    pub files: u64,
+}
+
+impl Default for Reserve {
+    fn default() -> Self {
+        Self { bytes: 64 << 20, files: 1024 }
+    }
+}
+
+/// What a file system has left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Room {
+    pub bytes: u64,
+    pub all_bytes: u64,
+    pub files: u64,
+    /// 0 where the number of files has no limit of its own.
+    pub all_files: u64,
+}
+
+impl Room {
+    fn has(&self, bytes: u64, reserve: Reserve) -> bool {
+        let is_low = self.all_files > 0 && self.files < reserve.files.min(self.all_files / 100);
+        !is_low && self.bytes.saturating_sub(bytes) >= reserve.bytes.min(self.all_bytes / 20)
+    }
+}
+
+/// What a folder of blobs does with files, as a seam for tests: the disk, or one that forgets what was not synced.
+pub(crate) trait Files: Debug + Send + Sync + 'static {
+    fn create_dir(&self, path: &Path) -> io::Result<()>;
+    /// Writes a whole file and syncs it.
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    fn sync(&self, path: &Path) -> io::Result<()>;
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    /// Makes durable what was made, renamed and removed within a folder.
+    fn sync_dir(&self, path: &Path) -> io::Result<()>;
+    fn read(&self, path: &Path, range: Option<Range<u64>>) -> io::Result<Vec<u8>>;
+    fn remove(&self, path: &Path) -> io::Result<()>;
+    /// The files of a folder by their own names.
+    fn list(&self, path: &Path) -> io::Result<Vec<Listed>>;
+    /// None where the system does not tell.
+    fn room(&self, path: &Path) -> Option<Room>;
+}
+
+/// The file system.
+#[derive(Debug)]
+pub(crate) struct Disk;
+
+impl Files for Disk {
+    fn create_dir(&self, path: &Path) -> io::Result<()> {
+        let mut builder = fs::DirBuilder::new();
+        builder.recursive(true);
+        #[cfg(unix)]
+        std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+        builder.create(path)
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let mut options = OpenOptions::new();
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        let mut file = options.create(true).truncate(true).write(true).open(path)?;
+        file.write_all(bytes)?;
+        file.sync_all()
+    }
+
+    fn sync(&self, path: &Path) -> io::Result<()> {
+        // for writing, as some systems want it
+        OpenOptions::new().write(true).open(path)?.sync_all()
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+        // directories cannot be opened as files elsewhere
+        if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
+    }
+
+    fn read(&self, path: &Path, range: Option<Range<u64>>) -> io::Result<Vec<u8>> {
+        let Some(range) = range else { return fs::read(path) };
+        let mut file = File::open(path)?;
+        file.seek(SeekFrom::Start(range.start))?;
+        let mut bytes = Vec::new();
+        file.take(range.end.saturating_sub(range.start)).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        fs::remove_file(path)
+    }
+
+    fn list(&self, path: &Path) -> io::Result<Vec<Listed>> {
+        let mut all = Vec::new();
+        for entry in fs::read_dir(path)? {
+            let entry = entry?;
+            match entry.metadata() {
+                Ok(of) if of.is_file() => {
+                    let written_at = of.modified()?.duration_since(UNIX_EPOCH).map_or(0, |age| age.as_millis() as Millis);
+                    all.push(Listed { name: entry.file_name().to_string_lossy().into_owned(), bytes: of.len(), written_at });
+                }
+                Ok(_) => {}
+                // deleted meanwhile
+                Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+                Err(e) => return Err(e),
+            }
+        }
+        Ok(all)
+    }
+
+    #[cfg(unix)]
+    fn room(&self, path: &Path) -> Option<Room> {
+        let of = rustix::fs::statvfs(path).ok()?;
+        let bytes = |blocks: u64| blocks.saturating_mul(of.f_frsize);
+        Some(Room { bytes: bytes(of.f_bavail), all_bytes: bytes(of.f_blocks), files: of.f_favail, all_files: of.f_files })
+    }
+
+    #[cfg(not(unix))]
+    fn room(&self, _: &Path) -> Option<Room> {
+        None
+    }
+}
+
+/// Makes a folder that is its owner's alone to read, with those above it.
+pub(crate) fn create_private(path: &Path) -> Result<()> {
+    Disk.create_dir(path).map_err(|e| LibraryError::Invalid(format!("the folder {} cannot be made: {e}", path.display())))
+}
+
+/// A folder of blobs.
+#[derive(Clone, Debug)]
+pub(super) struct Folder {
+    files: Arc<dyn Files>,
+    root: PathBuf,
+    reserve: Reserve,
+}
+
+impl Folder {
+    pub fn open(root: &Path, reserve: Reserve) -> Result<Self> {
+        Self::open_in(Arc::new(Disk), root, reserve)
+    }
+
+    pub fn open_in(files: Arc<dyn Files>, root: &Path, reserve: Reserve) -> Result<Self> {
+        let folder = Self { files, root: root.to_owned(), reserve };
+        folder.prepare().map_err(|e| LibraryError::Invalid(format!("the folder {} cannot be written: {e}", root.display())))?;
+        Ok(folder)
+    }
+
+    /// Makes the folders that are missing.
+    fn prepare(&self) -> io::Result<()> {
+        for prefix in super::prefixes().chain([INCOMING.to_owned(), super::PROBE.to_owned()]) {
+            self.files.create_dir(&self.root.join(prefix))?;
+        }
+        self.files.sync_dir(&self.root)?;
+        self.root.parent().map_or(Ok(()), |above| self.files.sync_dir(above))
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.root.join(name)
+    }
+
+    pub fn room_for(&self, bytes: u64) -> Result<()> {
+        match self.files.room(&self.root) {
+            Some(room) if !room.has(bytes, self.reserve) => Err(LibraryError::StorageFull),
+            _ => Ok(()),
+        }
+    }
+
+    /// Does `work` on a thread that may block.
+    async fn blocking<T: Send + 'static>(&self, work: impl FnOnce(&Self) -> io::Result<T> + Send + 'static) -> Result<T> {
+        let folder = self.clone();
+        let done = tokio::task::spawn_blocking(move || work(&folder)).await;
+        done.map_err(|e| LibraryError::Internal(e.to_string()))?.map_err(|e| match e.kind() {
+            io::ErrorKind::NotFound => LibraryError::NotFound("blob"),
+            _ => LibraryError::blobs(&e),
+        })
+    }
+
+    pub async fn put_all(&self, writes: Vec<Write>) -> Result<()> {
+        self.blocking(move |folder| folder.write_all(&writes)).await
+    }
+
+    fn write_all(&self, writes: &[Write]) -> io::Result<()> {
+        let mut folders: Vec<PathBuf> = Vec::new();
+        for write in writes {
+            let place = self.path(&write.name);
+            self.write_one(write, &place)?;
+            folders.extend(place.parent().map(Path::to_owned));
+        }
+        folders.sort_unstable();
+        folders.dedup();
+        folders.iter().try_for_each(|folder| self.files.sync_dir(folder))
+    }
+
+    fn write_one(&self, write: &Write, place: &Path) -> io::Result<()> {
+        match &write.source {
+            Source::Bytes(bytes) => {
+                let fresh = self.root.join(INCOMING).join(write.name.replace('/', "-"));
+                let written = self.files.write(&fresh, bytes).and_then(|()| self.files.rename(&fresh, place));
+                if written.is_err() {
+                    // what filled the disk must not keep it full
+                    let _ = self.files.remove(&fresh);
+                }
+                written
+            }
+            Source::File(path) => self.files.sync(path).and_then(|()| self.files.rename(path, place)),
+        }
+    }
+
+    pub async fn get(&self, name: &str, range: Option<Range<u64>>) -> Result<Bytes> {
+        let path = self.path(name);
+        self.blocking(move |folder| folder.files.read(&path, range)).await.map(Bytes::from)
+    }
+
+    pub async fn delete(&self, name: &str) -> Result<()> {
+        let path = self.path(name);
+        match self.blocking(move |folder| folder.files.remove(&path)).await {
+            Err(LibraryError::NotFound(_)) => Ok(()),
+            done => done,
+        }
+    }
+
+    pub async fn list(&self, prefix: &str) -> Result<Vec<Listed>> {
+        let folder = prefix.to_owned();
+        let listed = self.blocking(move |this| this.files.list(&this.root.join(&folder))).await?;
+        Ok(listed.into_iter().map(|file| Listed { name: format!("{prefix}/{}", file.name), ..file }).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_keeps_its_reserve_of_bytes_and_files() {
+        const MUCH: u64 = 1 << 40;
+        let reserve = Reserve::default();
+        let has = |bytes, all_bytes, files, all_files| Room { bytes, all_bytes, files, all_files }.has(10, reserve);
+        assert!(has(reserve.bytes + 10, MUCH, reserve.files, MUCH));
+        assert!(!has(reserve.bytes + 9, MUCH, MUCH, MUCH), "bytes");
+        assert!(!has(MUCH, MUCH, reserve.files - 1, MUCH), "files");
+        assert!(has((5 << 20) + 10, 100 << 20, 100, 10_000) && !has(5 << 20, 100 << 20, 100, 10_000), "a small disk");
+        assert!(has(MUCH, MUCH, 0, 0), "a system that does not limit files");
+    }
+}

@@ -1,0 +1,261 @@
+//! Contents: large, written once, never changed. They lie in a folder of this machine or in an object store, of which nothing is asked but put,
+//! range get, delete and list.
+//!
+//! A blob's name has its photo, what it is, the begin of its digest, and a number that no other writing has. So a name that no row refers to after a
+//! day can never be referred to again, and `gc` may delete it without asking anybody.
+
+mod folder;
+mod objects;
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use bytes::Bytes;
+
+pub use folder::Reserve;
+pub(crate) use folder::create_private;
+#[cfg(test)]
+pub(crate) use folder::{Disk, Files, Room};
+
+use crate::error::{LibraryError, Result};
+use crate::names::{Digest, Millis, PhotoId, hex, random};
+use crate::photo::{Blob, Blobs, Part};
+use folder::Folder;
+use objects::Objects;
+
+/// Hex digits of the digest within a name.
+const DIGITS: usize = 16;
+/// Folder of the names that the probe writes.
+const PROBE: &str = "probe";
+
+/// A content on its way into the store.
+#[derive(Debug)]
+pub struct Content {
+    source: Source,
+    bytes: u64,
+    digest: Digest,
+}
+
+#[derive(Debug)]
+pub(crate) enum Source {
+    Bytes(Bytes),
+    /// A file within [`Library::incoming`](crate::Library::incoming), which is moved.
+    File(PathBuf),
+}
+
+impl Content {
+    /// Of bytes.
+    #[must_use]
+    pub fn of_bytes(bytes: impl Into<Bytes>) -> Self {
+        let bytes = bytes.into();
+        Self { bytes: bytes.len() as u64, digest: Digest::of(&bytes), source: Source::Bytes(bytes) }
+    }
+
+    /// Of a file within [`Library::incoming`](crate::Library::incoming), of which size and digest were taken as it was written. The file is gone
+    /// once the content is stored.
+    #[must_use]
+    pub const fn of_file(path: PathBuf, bytes: u64, digest: Digest) -> Self {
+        Self { source: Source::File(path), bytes, digest }
+    }
+
+    /// Its size in bytes.
+    #[must_use]
+    pub const fn len(&self) -> u64 {
+        self.bytes
+    }
+
+    /// True where it has no byte.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.bytes == 0
+    }
+
+    /// Its digest.
+    #[must_use]
+    pub const fn digest(&self) -> &Digest {
+        &self.digest
+    }
+}
+
+/// Contents of a photo on their way into the store.
+pub type Contents = BTreeMap<Part, Content>;
+
+/// A blob that is being written.
+pub(crate) struct Write {
+    pub name: String,
+    pub source: Source,
+}
+
+/// A blob as the store lists it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Listed {
+    pub name: String,
+    pub bytes: u64,
+    /// By the store's own clock.
+    pub written_at: Millis,
+}
+
+/// Where contents lie.
+#[derive(Clone, Debug)]
+pub struct BlobStore(Place);
+
+#[derive(Clone, Debug)]
+enum Place {
+    Folder(Folder),
+    Objects(Objects),
+}
+
+impl BlobStore {
+    /// A folder, which is made where it is missing.
+    pub(crate) fn folder(path: &Path, reserve: Reserve) -> Result<Self> {
+        Folder::open(path, reserve).map(|folder| Self(Place::Folder(folder)))
+    }
+
+    /// The same of other files than the disk's.
+    #[cfg(test)]
+    pub(crate) fn folder_of(files: std::sync::Arc<dyn Files>, path: &Path) -> Result<Self> {
+        Folder::open_in(files, path, Reserve::default()).map(|folder| Self(Place::Folder(folder)))
+    }
+
+    /// The same of an S3 server with a bucket `photos`.
+    #[cfg(test)]
+    pub(crate) fn s3_at(addr: std::net::SocketAddr) -> Self {
+        Self(Place::Objects(Objects::s3_at(addr)))
+    }
+
+    /// A bucket and a prefix: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or `az://CONTAINER/PREFIX`. Endpoint, region and credentials come from the
+    /// usual variables of the environment.
+    pub(crate) fn objects(url: &str) -> Result<Self> {
+        Objects::open(url).map(|objects| Self(Place::Objects(objects)))
+    }
+
+    /// Writes, reads and deletes a blob.
+    ///
+    /// # Errors
+    /// What the store refuses.
+    pub async fn probe(&self) -> Result<()> {
+        let name = format!("{PROBE}/{}", hex(&random::<8>()?));
+        let written = Bytes::from_static(b"tmpi");
+        self.put_all(vec![Write { name: name.clone(), source: Source::Bytes(written.clone()) }]).await?;
+        let read = self.get(&name, Some(0..written.len() as u64)).await;
+        self.delete(&name).await?;
+        if read? == written { Ok(()) } else { Err(LibraryError::Invalid("the blob store gives other bytes than were written".into())) }
+    }
+
+    /// Refuses where the disk has no more than its reserve beside so many bytes.
+    ///
+    /// # Errors
+    /// [`LibraryError::StorageFull`].
+    pub fn room_for(&self, bytes: u64) -> Result<()> {
+        match &self.0 {
+            Place::Folder(folder) => folder.room_for(bytes),
+            Place::Objects(_) => Ok(()),
+        }
+    }
+
+    /// Stores contents of a photo; all are durable when this returns. Where it fails some may be there, which nobody refers to.
+    pub(crate) async fn store(&self, photo: PhotoId, contents: Contents) -> Result<Blobs> {
+        self.room_for(contents.values().map(Content::len).sum())?;
+        let (mut blobs, mut writes) = (Blobs::new(), Vec::new());
+        for (part, content) in contents {
+            let name = name(photo, part, &content.digest)?;
+            writes.push(Write { name: name.clone(), source: content.source });
+            blobs.insert(part, Blob { name, bytes: content.bytes, digest: content.digest });
+        }
+        self.put_all(writes).await?;
+        Ok(blobs)
+    }
+
+    async fn put_all(&self, writes: Vec<Write>) -> Result<()> {
+        match &self.0 {
+            Place::Folder(folder) => folder.put_all(writes).await,
+            Place::Objects(objects) => objects.put_all(writes).await,
+        }
+    }
+
+    async fn get(&self, name: &str, range: Option<Range<u64>>) -> Result<Bytes> {
+        match &self.0 {
+            Place::Folder(folder) => folder.get(name, range).await,
+            Place::Objects(objects) => objects.get(name, range).await,
+        }
+    }
+
+    /// A range of a blob's bytes.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`] where it is missing, [`LibraryError::Unavailable`].
+    pub async fn read_range(&self, blob: &Blob, range: Range<u64>) -> Result<Bytes> {
+        self.get(&blob.name, Some(range.start.min(blob.bytes)..range.end.min(blob.bytes))).await
+    }
+
+    /// A whole blob, held against its size and digest.
+    ///
+    /// # Errors
+    /// [`LibraryError::Damaged`], [`LibraryError::Unavailable`].
+    pub async fn read(&self, part: Part, blob: &Blob) -> Result<Bytes> {
+        let damaged = |detail: String| LibraryError::Damaged { part, detail };
+        let bytes = match self.get(&blob.name, None).await {
+            Err(LibraryError::NotFound(_)) => return Err(damaged("it is missing".into())),
+            read => read?,
+        };
+        if bytes.len() as u64 != blob.bytes {
+            return Err(damaged(format!("it has {} bytes, and {} were written", bytes.len(), blob.bytes)));
+        }
+        if Digest::of(&bytes) == blob.digest { Ok(bytes) } else { Err(damaged("it is not what was written".into())) }
+    }
+
+    /// The file of a blob, where blobs are files of this machine.
+    #[must_use]
+    pub fn path(&self, blob: &Blob) -> Option<PathBuf> {
+        match &self.0 {
+            Place::Folder(folder) => Some(folder.path(&blob.name)),
+            Place::Objects(_) => None,
+        }
+    }
+
+    pub(crate) async fn delete(&self, name: &str) -> Result<()> {
+        match &self.0 {
+            Place::Folder(folder) => folder.delete(name).await,
+            Place::Objects(objects) => objects.delete(name).await,
+        }
+    }
+
+    /// Deletes what no row refers to any more. What cannot be deleted now `gc` finds later.
+    pub(crate) async fn discard(&self, names: impl IntoIterator<Item = String>) {
+        for name in names {
+            if let Err(error) = self.delete(&name).await {
+                tracing::warn!(name, %error, "a blob is left for gc");
+            }
+        }
+    }
+
+    /// Blobs whose names begin with `prefix`, a folder: those of photos whose ids begin so.
+    pub(crate) async fn list(&self, prefix: &str) -> Result<Vec<Listed>> {
+        match &self.0 {
+            Place::Folder(folder) => folder.list(prefix).await,
+            Place::Objects(objects) => objects.list(prefix).await,
+        }
+    }
+
+    /// The time by the store's own clock.
+    pub(crate) async fn now(&self) -> Result<Millis> {
+        let name = format!("{PROBE}/{}", hex(&random::<8>()?));
+        self.put_all(vec![Write { name: name.clone(), source: Source::Bytes(Bytes::from_static(b"now")) }]).await?;
+        let listed = self.list(PROBE).await;
+        self.delete(&name).await?;
+        let written = listed?.into_iter().find(|listed| listed.name == name).map(|listed| listed.written_at);
+        written.ok_or_else(|| LibraryError::Invalid("the blob store does not list what was written".into()))
+    }
+}
+
+/// Folders of names: the first two digits of photos' ids.
+pub(crate) fn prefixes() -> impl Iterator<Item = String> {
+    (0..=u8::MAX).map(|byte| hex(&[byte]))
+}
+
+fn name(photo: PhotoId, part: Part, digest: &Digest) -> Result<String> {
+    let id = photo.to_string();
+    let digest = digest.as_str().get(..DIGITS).unwrap_or_default();
+    Ok(format!("{}/{id}-{part}-{digest}-{}", id.get(..2).unwrap_or_default(), hex(&random::<8>()?)))
+}

@@ -1,0 +1,176 @@
+//! Blobs in an object store: S3 and what speaks like it, Google Cloud Storage, Azure.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures_util::TryStreamExt as _;
+use object_store::aws::AmazonS3Builder;
+use object_store::azure::MicrosoftAzureBuilder;
+use object_store::gcp::GoogleCloudStorageBuilder;
+use object_store::path::Path;
+use object_store::{BackoffConfig, ClientOptions, Error, ObjectStore, ObjectStoreExt as _, RetryConfig};
+
+use super::{Listed, Source, Write};
+use crate::error::{LibraryError, Result, Service};
+
+/// Longest that a request is tried again: callers know what to do without the store.
+const RETRY: Duration = Duration::from_secs(3);
+/// Longest that a request, and a connection, may take.
+const REQUEST: Duration = Duration::from_mins(1);
+const CONNECT: Duration = Duration::from_secs(3);
+
+/// A bucket under a prefix.
+#[derive(Clone, Debug)]
+pub(super) struct Objects {
+    store: Arc<dyn ObjectStore>,
+    prefix: String,
+}
+
+/// What makes a store of a builder.
+type Built = object_store::Result<Arc<dyn ObjectStore>>;
+
+/// How a store is asked; without TLS where `plain`.
+fn client(plain: bool) -> ClientOptions {
+    ClientOptions::new().with_timeout(REQUEST).with_connect_timeout(CONNECT).with_allow_http(plain)
+}
+
+fn retry() -> RetryConfig {
+    let backoff = BackoffConfig { init_backoff: Duration::from_millis(100), max_backoff: Duration::from_secs(1), base: 2.0 };
+    RetryConfig { backoff, max_retries: 5, retry_timeout: RETRY }
+}
+
+fn s3(builder: AmazonS3Builder, plain: bool) -> Built {
+    Ok(Arc::new(builder.with_client_options(client(plain)).with_retry(retry()).build()?))
+}
+
+impl Objects {
+    pub fn open(url: &str) -> Result<Self> {
+        let invalid = |reason: String| LibraryError::Invalid(format!("the blob store {url}: {reason}"));
+        let unknown = || invalid("must be s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX".into());
+        let (scheme, place) = url.split_once("://").ok_or_else(unknown)?;
+        let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
+        let plain = |names: &[&str]| names.iter().find_map(|name| std::env::var(name).ok()).is_some_and(|e| e.starts_with("http:"));
+        let store = || -> Option<Built> {
+            Some(match scheme {
+                "s3" => s3(AmazonS3Builder::from_env().with_bucket_name(bucket), plain(&["AWS_ENDPOINT_URL", "AWS_ENDPOINT"])),
+                "gs" => {
+                    let builder = GoogleCloudStorageBuilder::from_env().with_bucket_name(bucket);
+                    let builder = builder.with_client_options(client(plain(&["GOOGLE_BASE_URL"]))).with_retry(retry());
+                    builder.build().map(|store| Arc::new(store) as _)
+                }
+                "az" => {
+                    let builder = MicrosoftAzureBuilder::from_env().with_container_name(bucket);
+                    let options = client(plain(&["AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"]));
+                    builder.with_client_options(options).with_retry(retry()).build().map(|store| Arc::new(store) as _)
+                }
+                _ => return None,
+            })
+        };
+        // what else is built in may ask for another kind of TLS; a second call changes nothing
+        let _ = rustls::crypto::ring::default_provider().install_default();
+        let store = store().ok_or_else(unknown)?.map_err(|e| invalid(e.to_string()))?;
+        Ok(Self { store, prefix: prefix.trim_matches('/').to_owned() })
+    }
+
+    /// An S3 server of a test, with a bucket `photos`.
+    #[cfg(test)]
+    pub fn s3_at(addr: std::net::SocketAddr) -> Self {
+        let _ = rustls::crypto::ring::default_provider().install_default();
+        let builder = AmazonS3Builder::new().with_bucket_name("photos").with_endpoint(format!("http://{addr}"));
+        let builder = builder.with_region("us-east-1").with_access_key_id("test").with_secret_access_key("test");
+        Self { store: s3(builder, true).unwrap(), prefix: "library".into() }
+    }
+
+    /// One in memory.
+    #[cfg(test)]
+    pub fn in_memory() -> Self {
+        Self { store: Arc::new(object_store::memory::InMemory::new()), prefix: "a/b".into() }
+    }
+
+    fn path(&self, name: &str) -> Path {
+        Path::from(format!("{}/{name}", self.prefix))
+    }
+
+    pub async fn put_all(&self, writes: Vec<Write>) -> Result<()> {
+        for Write { name, source } in writes {
+            let bytes = match &source {
+                Source::Bytes(bytes) => bytes.clone(),
+                Source::File(path) => tokio::fs::read(path).await.map_err(|e| LibraryError::blobs(&e))?.into(),
+            };
+            self.store.put(&self.path(&name), bytes.into()).await.map_err(problem)?;
+            if let Source::File(path) = source {
+                // it is stored: what is left of it here takes room, and no more
+                let _ = tokio::fs::remove_file(path).await;
+            }
+        }
+        Ok(())
+    }
+
+    pub async fn get(&self, name: &str, range: Option<Range<u64>>) -> Result<Bytes> {
+        let path = self.path(name);
+        match range {
+            Some(range) if range.is_empty() => Ok(Bytes::new()),
+            Some(range) => self.store.get_range(&path, range).await.map_err(problem),
+            None => self.store.get(&path).await.map_err(problem)?.bytes().await.map_err(problem),
+        }
+    }
+
+    pub async fn delete(&self, name: &str) -> Result<()> {
+        match self.store.delete(&self.path(name)).await.map_err(problem) {
+            Err(LibraryError::NotFound(_)) => Ok(()),
+            done => done,
+        }
+    }
+
+    pub async fn list(&self, prefix: &str) -> Result<Vec<Listed>> {
+        let (folder, cut) = (self.path(prefix), self.path("").as_ref().len() + 1);
+        let of = |meta: object_store::ObjectMeta| Listed {
+            name: meta.location.as_ref().get(cut..).unwrap_or_default().to_owned(),
+            bytes: meta.size,
+            written_at: meta.last_modified.timestamp_millis(),
+        };
+        self.store.list(Some(&folder)).map_ok(of).try_collect().await.map_err(problem)
+    }
+}
+
+/// That an object is missing says something of it; that its bucket is says nothing.
+#[allow(clippy::needless_pass_by_value, reason = "it is what map_err gives")]
+fn problem(error: Error) -> LibraryError {
+    let told = format!("{error:?}");
+    let no_bucket = ["NoSuchBucket", "The specified bucket does not exist", "ContainerNotFound", "ContainerBeingDeleted"];
+    match error {
+        Error::NotFound { .. } if !no_bucket.iter().any(|word| told.contains(word)) => LibraryError::NotFound("blob"),
+        _ => LibraryError::Unavailable { service: Service::Blobs, reason: error.to_string() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn objects_are_put_read_listed_and_deleted() {
+        let objects = Objects::in_memory();
+        let put = |name: &str| objects.put_all(vec![Write { name: name.to_owned(), source: Source::Bytes(Bytes::from_static(b"bytes")) }]);
+        put("ab/one").await.unwrap();
+        put("ac/two").await.unwrap();
+        assert_eq!(objects.get("ab/one", None).await.unwrap(), "bytes");
+        assert_eq!(objects.get("ab/one", Some(1..3)).await.unwrap(), "yt");
+        assert_eq!(objects.get("ab/one", Some(5..5)).await.unwrap(), "");
+        let names = |listed: Vec<Listed>| listed.into_iter().map(|l| (l.name, l.bytes)).collect::<Vec<_>>();
+        assert_eq!(names(objects.list("ab").await.unwrap()), [("ab/one".to_owned(), 5)]);
+        objects.delete("ab/one").await.unwrap();
+        objects.delete("ab/one").await.unwrap();
+        assert!(matches!(objects.get("ab/one", None).await, Err(LibraryError::NotFound(_))));
+    }
+
+    #[test]
+    fn other_urls_are_refused_with_what_they_must_be() {
+        for url in ["", "s3:/x", "ftp://x/y", "file:///x"] {
+            let told = Objects::open(url).unwrap_err().to_string();
+            assert!(told.contains("s3://BUCKET/PREFIX"), "{told}");
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! API keys, and the sessions of people's browsers. Both are kept as hashes: a secret is 256 random bits, so one SHA-256 of it is enough.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use sqlx::Row as _;
+use sqlx::any::AnyRow;
+
+use crate::error::{LibraryError, Result};
+use crate::events::Event;
+use crate::names::{Digest, Millis, Owner, hex, random};
+use crate::{Library, millis};
+
+/// What a key begins with.
+pub const KEY_PREFIX: &str = "tmpi_k_";
+/// What a session's cookie begins with.
+pub const SESSION_PREFIX: &str = "tmpi_s_";
+/// Longest name of a key.
+const MOST_NAME: usize = 64;
+/// Hex digits of a key's hash by which it is told from others of its name.
+const ID_DIGITS: usize = 8;
+
+/// What a key is good for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scope {
+    /// Upload photos, change and delete one's own.
+    Upload,
+    /// List and read one's own photos.
+    Read,
+    /// Read the server's metrics.
+    Metrics,
+    /// Everything, with everybody's photos.
+    Admin,
+}
+
+impl Scope {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Upload, Self::Read, Self::Metrics, Self::Admin];
+
+    /// As on the command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Upload => "upload",
+            Self::Read => "read",
+            Self::Metrics => "metrics",
+            Self::Admin => "admin",
+        }
+    }
+}
+
+/// A key, without its secret.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Key {
+    /// By what it is told from others of its name: eight hex digits.
+    pub id: String,
+    /// Its name.
+    pub name: String,
+    /// Whose photos it is for: keys of one name have the same.
+    pub owner: Owner,
+    /// What it is good for.
+    pub scopes: Vec<Scope>,
+    /// When it was made.
+    pub created_at: Millis,
+    /// When it ends; never where there is none.
+    pub expires_at: Option<Millis>,
+    hash: String,
+}
+
+impl Key {
+    /// Whether it has a scope; `Admin` has all.
+    #[must_use]
+    pub fn may(&self, scope: Scope) -> bool {
+        self.scopes.contains(&scope) || self.scopes.contains(&Scope::Admin)
+    }
+
+    fn from_row(row: &AnyRow) -> Result<Self> {
+        let (hash, scopes, owner): (String, String, String) = (row.try_get("hash")?, row.try_get("scopes")?, row.try_get("owner")?);
+        let scope = |name: &str| Scope::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| LibraryError::stored("scope", name));
+        Ok(Self {
+            id: hash.get(..ID_DIGITS).unwrap_or_default().to_owned(),
+            name: row.try_get("name")?,
+            owner: Owner::from_column(owner),
+            scopes: scopes.split(',').filter(|name| !name.is_empty()).map(scope).collect::<Result<_>>()?,
+            created_at: row.try_get("created_at")?,
+            expires_at: row.try_get("expires_at")?,
+            hash,
+        })
+    }
+}
+
+/// A key that was made just now.
+#[derive(Clone, Debug)]
+pub struct NewKey {
+    /// The key.
+    pub key: Key,
+    /// Its secret, which is kept nowhere.
+    pub secret: String,
+}
+
+/// Who a browser is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Session {
+    /// Whose photos it sees as its own.
+    pub owner: Owner,
+    /// The key that somebody signed in with; without one the session may do what its owner may.
+    pub key: Option<Key>,
+    /// When it ends.
+    pub expires_at: Millis,
+}
+
+fn hash(secret: &str) -> String {
+    Digest::of(secret.as_bytes()).as_str().to_owned()
+}
+
+fn is_name(name: &str) -> bool {
+    !name.is_empty() && name.len() <= MOST_NAME && name.bytes().all(|b| b.is_ascii_alphanumeric() || b".-_".contains(&b))
+}
+
+impl Library {
+    /// Makes a key of a name.
+    ///
+    /// # Errors
+    /// [`LibraryError::Invalid`] where the name is none, [`LibraryError::Unavailable`].
+    pub async fn add_key(&self, name: &str, scopes: &[Scope], lasts: Option<Duration>) -> Result<NewKey> {
+        if !is_name(name) {
+            return Err(LibraryError::Invalid("a name has 1 to 64 letters, digits, dots, - and _".into()));
+        }
+        let secret = format!("{KEY_PREFIX}{}", hex(&random::<32>()?));
+        let mut scopes = scopes.to_vec();
+        scopes.sort_unstable();
+        scopes.dedup();
+        let owner = Owner::of_keys(name);
+        let mut tx = self.database().write().await?;
+        tx.lock_owner(owner.as_str()).await?;
+        let insert = "INSERT INTO keys (hash, name, owner, scopes, created_at, expires_at) VALUES ($1, $2, $3, $4, $5, $6) RETURNING *";
+        let names: Vec<&str> = scopes.iter().map(|scope| scope.name()).collect();
+        let insert = sqlx::query(insert).bind(hash(&secret)).bind(name.to_owned()).bind(owner.as_str().to_owned()).bind(names.join(","));
+        let insert = insert.bind(tx.now).bind(lasts.map(|lasts| tx.now + millis(lasts)));
+        let key = Key::from_row(&insert.fetch_one(tx.on()).await?)?;
+        tx.commit().await?;
+        Ok(NewKey { key, secret })
+    }
+
+    /// The key of a secret, where its time is not over.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`]: nobody is let in then.
+    pub async fn find_key(&self, secret: &str) -> Result<Option<Key>> {
+        self.key_of_hash(hash(secret)).await
+    }
+
+    /// True where a key that was found before would be found again.
+    ///
+    /// # Errors
+    /// As [`Library::find_key`].
+    pub async fn is_still_good(&self, key: &Key) -> Result<bool> {
+        Ok(self.key_of_hash(key.hash.clone()).await?.is_some())
+    }
+
+    async fn key_of_hash(&self, hash: String) -> Result<Option<Key>> {
+        let now = self.now().await?;
+        let select = sqlx::query("SELECT * FROM keys WHERE hash = $1 AND (expires_at IS NULL OR expires_at > $2)").bind(hash).bind(now);
+        select.fetch_optional(self.database().reader()).await?.map(|row| Key::from_row(&row)).transpose()
+    }
+
+    /// All keys, by name and age.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn keys(&self) -> Result<Vec<Key>> {
+        let rows = sqlx::query("SELECT * FROM keys ORDER BY name, created_at").fetch_all(self.database().reader()).await?;
+        rows.iter().map(Key::from_row).collect()
+    }
+
+    /// Removes all keys of a name, or the one with an id, with the sessions that they opened; tells how many keys.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn remove_keys(&self, name: &str, id: Option<&str>) -> Result<u64> {
+        let mut tx = self.database().write().await?;
+        let delete = sqlx::query("DELETE FROM keys WHERE name = $1 AND ($2 = '' OR SUBSTR(hash, 1, 8) = $2)");
+        let removed = delete.bind(name.to_owned()).bind(id.unwrap_or_default().to_owned()).execute(tx.on()).await?.rows_affected();
+        if removed == 0 {
+            return Err(LibraryError::NotFound("key"));
+        }
+        tx.tell(Event::Revoked);
+        tx.commit().await?;
+        Ok(removed)
+    }
+
+    /// Opens a session of a browser; gives what its cookie is to have, which is kept nowhere.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`] where the key was removed meanwhile, [`LibraryError::Unavailable`].
+    pub async fn open_session(&self, owner: &Owner, key: Option<&Key>, lasts: Duration) -> Result<String> {
+        let secret = format!("{SESSION_PREFIX}{}", hex(&random::<32>()?));
+        let mut tx = self.database().write().await?;
+        tx.lock_owner(owner.as_str()).await?;
+        if let Some(key) = key {
+            let select = sqlx::query("SELECT hash FROM keys WHERE hash = $1").bind(key.hash.clone());
+            select.fetch_optional(tx.on()).await?.ok_or(LibraryError::NotFound("key"))?;
+        }
+        let insert = "INSERT INTO sessions (hash, owner, key_hash, created_at, expires_at) VALUES ($1, $2, $3, $4, $5)";
+        let insert = sqlx::query(insert).bind(hash(&secret)).bind(owner.as_str().to_owned()).bind(key.map(|key| key.hash.clone()));
+        insert.bind(tx.now).bind(tx.now + millis(lasts)).execute(tx.on()).await?;
+        tx.commit().await?;
+        Ok(secret)
+    }
+
+    /// The session of a cookie, where neither its time nor that of its key is over.
+    ///
+    /// # Errors
+    /// As [`Library::find_key`].
+    pub async fn find_session(&self, secret: &str) -> Result<Option<Session>> {
+        let now = self.now().await?;
+        let select = sqlx::query("SELECT owner, key_hash, expires_at FROM sessions WHERE hash = $1 AND expires_at > $2");
+        let Some(row) = select.bind(hash(secret)).bind(now).fetch_optional(self.database().reader()).await? else { return Ok(None) };
+        let key = match row.try_get::<Option<String>, _>("key_hash")? {
+            Some(hash) => match self.key_of_hash(hash).await? {
+                None => return Ok(None),
+                key => key,
+            },
+            None => None,
+        };
+        Ok(Some(Session { owner: Owner::from_column(row.try_get("owner")?), key, expires_at: row.try_get("expires_at")? }))
+    }
+
+    /// Ends a session.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn end_session(&self, secret: &str) -> Result<()> {
+        self.end("DELETE FROM sessions WHERE hash = $1", hash(secret)).await
+    }
+
+    /// Ends all sessions of an owner.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn end_sessions(&self, owner: &Owner) -> Result<()> {
+        self.end("DELETE FROM sessions WHERE owner = $1", owner.as_str().to_owned()).await
+    }
+
+    async fn end(&self, delete: &'static str, of: String) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        if sqlx::query(delete).bind(of).execute(tx.on()).await?.rows_affected() > 0 {
+            tx.tell(Event::Revoked);
+        }
+        tx.commit().await
+    }
+}

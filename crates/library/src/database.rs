@@ -1,0 +1,258 @@
+//! SQLite or PostgreSQL: one schema, one text of SQL.
+//!
+//! Statements keep to what both understand. What differs is here: how a transaction begins, how a row is locked, and what the time is.
+
+use std::path::Path;
+use std::time::Duration;
+
+use sqlx::any::{AnyPoolOptions, install_default_drivers};
+use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor as _, Row as _, Transaction};
+
+use crate::error::{LibraryError, Result};
+use crate::events::{CHANNEL, Event, Events};
+use crate::names::{Millis, PhotoId};
+
+/// Each runs once, in this order.
+const MIGRATIONS: [&str; 1] = [include_str!("../migrations/1.sql")];
+/// Connections that read, and those of a PostgreSQL node.
+const READERS: u32 = 4;
+const CONNECTIONS: u32 = 10;
+/// Longest wait for a connection, or for another process that writes.
+const WAIT: Duration = Duration::from_secs(10);
+
+/// Advisory locks of PostgreSQL, by what they are for. SQLite has one writer.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Lock {
+    Migrations = 0x746d_7069,
+    Queue,
+    Secret,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Sqlite,
+    Postgres,
+}
+
+/// Connections to the database.
+#[derive(Clone, Debug)]
+pub(crate) struct Database {
+    kind: Kind,
+    writer: AnyPool,
+    reader: AnyPool,
+    events: Events,
+    /// Milliseconds by which a test has the database's clock jump.
+    #[cfg(test)]
+    pub skew: std::sync::Arc<std::sync::atomic::AtomicI64>,
+}
+
+/// Percent-encodes what a path may not have within a URL.
+fn url_of(path: &Path) -> Result<String> {
+    let text = path.to_str().ok_or_else(|| LibraryError::Invalid(format!("{} is not UTF-8", path.display())))?;
+    let encoded: String = text
+        .bytes()
+        .map(|b| if b.is_ascii_alphanumeric() || b"/._-~\\:".contains(&b) { char::from(b).to_string() } else { format!("%{b:02X}") })
+        .collect();
+    Ok(format!("sqlite://{encoded}?mode=rwc"))
+}
+
+/// One connection that writes, and some that read while it does.
+async fn sqlite(path: &Path) -> Result<(AnyPool, AnyPool)> {
+    let url = url_of(path)?;
+    let pool = |connections: u32, more: &'static str| {
+        let options = AnyPoolOptions::new().max_connections(connections).acquire_timeout(WAIT);
+        // a connection of this process does not go stale
+        options.test_before_acquire(false).idle_timeout(None).max_lifetime(None).after_connect(move |connection, _| {
+            Box::pin(async move {
+                let busy = WAIT.as_millis();
+                let pragmas = format!(
+                    "PRAGMA busy_timeout = {busy}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON; {more}"
+                );
+                connection.execute(sqlx::raw_sql(AssertSqlSafe(pragmas))).await.map(drop)
+            })
+        })
+    };
+    let writer = pool(1, "").connect(&url).await?;
+    let reader = pool(READERS, "PRAGMA query_only = ON").connect(&url).await?;
+    Ok((writer, reader))
+}
+
+impl Database {
+    /// Opens SQLite at `path`.
+    pub async fn sqlite(path: &Path) -> Result<Self> {
+        install_default_drivers();
+        let (writer, reader) = sqlite(path).await?;
+        Self::ready(Kind::Sqlite, writer, reader, Events::open(None).await?).await
+    }
+
+    /// Opens PostgreSQL at `url`.
+    pub async fn postgres(url: &str) -> Result<Self> {
+        install_default_drivers();
+        let pool = AnyPoolOptions::new().max_connections(CONNECTIONS).acquire_timeout(WAIT).connect(url).await?;
+        Self::ready(Kind::Postgres, pool.clone(), pool, Events::open(Some(url)).await?).await
+    }
+
+    async fn ready(kind: Kind, writer: AnyPool, reader: AnyPool, events: Events) -> Result<Self> {
+        #[cfg(test)]
+        let skew = std::sync::Arc::default();
+        #[cfg(test)]
+        let database = Self { kind, writer, reader, events, skew };
+        #[cfg(not(test))]
+        let database = Self { kind, writer, reader, events };
+        database.migrate().await?;
+        Ok(database)
+    }
+
+    /// Brings the schema up to date, one node at a time.
+    async fn migrate(&self) -> Result<()> {
+        let begin = if self.kind == Kind::Sqlite { "BEGIN EXCLUSIVE" } else { "BEGIN" };
+        let mut transaction = self.writer.begin_with(begin).await?;
+        if self.kind == Kind::Postgres {
+            sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(Lock::Migrations as i64).execute(&mut *transaction).await?;
+        }
+        transaction.execute(sqlx::raw_sql("CREATE TABLE IF NOT EXISTS migrations (version BIGINT PRIMARY KEY)")).await?;
+        let row = sqlx::query("SELECT COALESCE(MAX(version), 0) AS version FROM migrations").fetch_one(&mut *transaction).await?;
+        let version = row.try_get::<i64, _>("version")? as usize;
+        if version > MIGRATIONS.len() {
+            let known = MIGRATIONS.len();
+            return Err(LibraryError::Invalid(format!("the database has schema {version}, and this program knows none after {known}")));
+        }
+        for (n, migration) in MIGRATIONS.into_iter().enumerate().skip(version) {
+            transaction.execute(sqlx::raw_sql(migration)).await?;
+            sqlx::query("INSERT INTO migrations (version) VALUES ($1)").bind(n as i64 + 1).execute(&mut *transaction).await?;
+        }
+        Ok(transaction.commit().await?)
+    }
+
+    /// For statements that only read.
+    pub const fn reader(&self) -> &AnyPool {
+        &self.reader
+    }
+
+    pub const fn events(&self) -> &Events {
+        &self.events
+    }
+
+    /// The database's time.
+    pub async fn now(&self) -> Result<Millis> {
+        Ok(self.skewed(sqlx::query(self.clock()).fetch_one(&self.reader).await?.try_get("now")?))
+    }
+
+    const fn clock(&self) -> &'static str {
+        match self.kind {
+            Kind::Sqlite => "SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER) AS now",
+            Kind::Postgres => "SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT) AS now",
+        }
+    }
+
+    #[cfg(test)]
+    fn skewed(&self, now: Millis) -> Millis {
+        now + self.skew.load(std::sync::atomic::Ordering::SeqCst)
+    }
+
+    #[cfg(not(test))]
+    #[allow(clippy::unused_self, reason = "a test has the clock jump")]
+    const fn skewed(&self, now: Millis) -> Millis {
+        now
+    }
+
+    /// Begins a transaction that may write. It is rolled back where it is dropped.
+    pub async fn write(&self) -> Result<Tx> {
+        let begin = if self.kind == Kind::Sqlite { "BEGIN IMMEDIATE" } else { "BEGIN" };
+        let mut inner = self.writer.begin_with(begin).await?;
+        let now = sqlx::query(self.clock()).fetch_one(&mut *inner).await?.try_get("now")?;
+        Ok(Tx { inner, now: self.skewed(now), database: self.clone(), events: Vec::new() })
+    }
+
+    /// Tells of what changes no row.
+    pub async fn tell(&self, event: Event) -> Result<()> {
+        if self.kind == Kind::Postgres {
+            sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(Events::payload(&event)?).execute(&self.writer).await?;
+        }
+        self.events.committed(vec![event]);
+        Ok(())
+    }
+
+    /// Closes all connections.
+    pub async fn close(&self) {
+        self.reader.close().await;
+        self.writer.close().await;
+    }
+}
+
+/// A transaction.
+#[derive(Debug)]
+pub(crate) struct Tx {
+    inner: Transaction<'static, Any>,
+    /// When it began.
+    pub now: Millis,
+    database: Database,
+    events: Vec<Event>,
+}
+
+impl Tx {
+    /// What statements run on.
+    pub fn on(&mut self) -> &mut AnyConnection {
+        &mut self.inner
+    }
+
+    /// True where `FOR UPDATE SKIP LOCKED` is understood, and needed.
+    pub fn has_row_locks(&self) -> bool {
+        self.database.kind == Kind::Postgres
+    }
+
+    /// Holds one of the locks until the end. SQLite's writer is alone anyway.
+    pub async fn lock(&mut self, lock: Lock) -> Result<()> {
+        if self.has_row_locks() {
+            sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(lock as i64).execute(self.on()).await?;
+        }
+        Ok(())
+    }
+
+    /// Locks the rows of a photo's jobs, in the order in which all do.
+    pub async fn lock_jobs(&mut self, photo: PhotoId) -> Result<()> {
+        if self.has_row_locks() {
+            let select = sqlx::query("SELECT id FROM jobs WHERE photo = $1 ORDER BY id FOR UPDATE").bind(photo.to_string());
+            select.fetch_all(self.on()).await?;
+        }
+        Ok(())
+    }
+
+    /// Locks the row of a photo. Rows of jobs are locked before those of photos.
+    pub async fn lock_photo(&mut self, id: &str) -> Result<()> {
+        if self.has_row_locks() {
+            sqlx::query("SELECT id FROM photos WHERE id = $1 FOR UPDATE").bind(id).fetch_optional(self.on()).await?;
+        }
+        Ok(())
+    }
+
+    /// Makes the row of an owner where there is none, and locks it.
+    pub async fn lock_owner(&mut self, owner: &str) -> Result<()> {
+        let (text, now) = (owner.to_owned(), self.now);
+        let insert = sqlx::query("INSERT INTO owners (owner, created_at) VALUES ($1, $2) ON CONFLICT (owner) DO NOTHING");
+        insert.bind(text).bind(now).execute(self.on()).await?;
+        if self.has_row_locks() {
+            sqlx::query("SELECT owner FROM owners WHERE owner = $1 FOR UPDATE").bind(owner).fetch_optional(self.on()).await?;
+        }
+        Ok(())
+    }
+
+    /// Has an event told once this is committed.
+    pub fn tell(&mut self, event: Event) {
+        self.events.push(event);
+    }
+
+    /// Commits, and tells the events.
+    pub async fn commit(mut self) -> Result<()> {
+        let events = std::mem::take(&mut self.events);
+        if self.has_row_locks() {
+            for event in &events {
+                let payload = Events::payload(event)?;
+                sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(payload).execute(self.on()).await?;
+            }
+        }
+        self.inner.commit().await?;
+        self.database.events.committed(events);
+        Ok(())
+    }
+}

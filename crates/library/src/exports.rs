@@ -1,0 +1,175 @@
+//! Files to download that are written as jobs, and kept until nobody fetches them any more.
+
+use serde_json::Value;
+use sqlx::{AssertSqlSafe, Row as _};
+
+use crate::Library;
+use crate::accept::photo_in;
+use crate::blobs::{Content, Contents};
+use crate::database::Tx;
+use crate::error::{LibraryError, Result};
+use crate::events::Event;
+use crate::jobs::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
+use crate::leases::{Lease, count};
+use crate::names::PhotoId;
+use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
+
+/// An export weighs at least this share of the room of all, so that their number is bounded too.
+const MOST_EXPORTS: u64 = 1024;
+
+/// A file that somebody wants of a photo.
+#[derive(Clone, Debug)]
+pub struct Order<'a> {
+    /// The photo, as the caller read it; it is done.
+    pub photo: &'a Photo,
+    /// Name among the files of this photo: the same parameters have the same.
+    pub key: &'a str,
+    /// [`Kind::Export`] or [`Kind::Film`].
+    pub kind: Kind,
+    /// What the worker is to write.
+    pub payload: Value,
+    /// How urgent it is.
+    pub class: Class,
+    /// Who asks.
+    pub asker: &'a Asker,
+}
+
+/// An order that was taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ordered {
+    /// Its job.
+    pub job: Job,
+    /// False where the file is there, or on its way.
+    pub new: bool,
+}
+
+impl Library {
+    /// Has a file of a photo written, unless it is there or on its way. One that failed is tried again.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotReady`] where the photo is not done, [`LibraryError::Changed`] where it was made again meanwhile, [`LibraryError::QueueFull`].
+    pub async fn order(&self, order: &Order<'_>) -> Result<Ordered> {
+        match self.job(order.kind, order.photo.id, Some(order.key)).await {
+            Ok(job) if job.state != JobState::Failed && job.version == order.photo.version => return Ok(Ordered { job, new: false }),
+            Ok(_) | Err(LibraryError::NotFound(_)) => {}
+            Err(error) => return Err(error),
+        }
+        let mut tx = self.database().write().await?;
+        let photo = photo_in(&mut tx, order.photo.id).await?;
+        if photo.version != order.photo.version {
+            return Err(LibraryError::Changed);
+        }
+        if photo.state != PhotoState::Done {
+            return Err(LibraryError::NotReady);
+        }
+        let (kind, class, asker) = (order.kind, order.class, order.asker);
+        let job = NewJob { kind, photo: photo.id, version: photo.version, key: Some(order.key), class, asker };
+        match self.enqueue(&mut tx, &job, &order.payload).await {
+            Ok(job) => {
+                tx.tell(Event::Photo(photo.id));
+                tx.commit().await?;
+                Ok(Ordered { job, new: true })
+            }
+            // a twin was quicker
+            Err(LibraryError::NotReady) => {
+                drop(tx);
+                Ok(Ordered { job: self.job(order.kind, photo.id, Some(order.key)).await?, new: false })
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Keeps the file that was written. Those that were not fetched for longest make room for it.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], after which nothing is left of the file; [`LibraryError::Invalid`] where it is larger than all exports may be;
+    /// [`LibraryError::StorageFull`], [`LibraryError::Unavailable`].
+    pub async fn finish_export(&self, lease: &Lease, file: Content) -> Result<Job> {
+        let (bytes, most) = (file.len(), self.limits().exports_bytes);
+        if bytes > most {
+            return Err(LibraryError::Invalid(format!("the file has {bytes} bytes, and {most} is the limit of all exports")));
+        }
+        let stored = self.blobs().store(lease.job.photo, Contents::from([(Part::Export, file)])).await?;
+        let Some(blob) = stored.into_values().next() else { return Err(LibraryError::NotFound("blob")) };
+        match self.keep_export(lease, &blob).await {
+            Ok((job, gone)) => {
+                self.blobs().discard(gone).await;
+                Ok(job)
+            }
+            Err(LibraryError::LeaseLost) => {
+                self.blobs().discard([blob.name]).await;
+                Err(LibraryError::LeaseLost)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    async fn keep_export(&self, lease: &Lease, blob: &Blob) -> Result<(Job, Vec<String>)> {
+        let mut tx = self.database().write().await?;
+        let update = format!(
+            "UPDATE jobs SET state = 'done', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = NULL, result = $1,
+             bytes = $2, used_at = $3 WHERE id = $4 AND lease_token = $5 RETURNING {COLUMNS}"
+        );
+        let update = sqlx::query(AssertSqlSafe(update)).bind(to_json(blob)?).bind(blob.bytes as i64).bind(tx.now);
+        let row = update.bind(lease.job.id.clone()).bind(lease.token()).fetch_optional(tx.on()).await?;
+        let job = Job::from_row(&row.ok_or(LibraryError::LeaseLost)?)?;
+        let gone = self.trim(&mut tx, &job.id).await?;
+        count(&mut tx, &job, Some(lease.age())).await?;
+        tx.tell(Event::Photo(job.photo));
+        tx.commit().await?;
+        Ok((job, gone))
+    }
+
+    /// Removes exports that were not fetched for longest until the rest, with the one of `id`, fits.
+    async fn trim(&self, tx: &mut Tx, id: &str) -> Result<Vec<String>> {
+        let most = self.limits().exports_bytes;
+        let select =
+            sqlx::query("SELECT id, bytes FROM jobs WHERE state = 'done' ORDER BY CASE WHEN id = $1 THEN 0 ELSE 1 END, used_at DESC, id");
+        let (mut all, mut gone) = (0_u64, Vec::new());
+        for row in select.bind(id.to_owned()).fetch_all(tx.on()).await? {
+            all += (row.try_get::<i64, _>("bytes")? as u64).max(most / MOST_EXPORTS);
+            if all > most {
+                let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND state = 'done' RETURNING result");
+                let deleted = delete.bind(row.try_get::<String, _>("id")?).fetch_all(tx.on()).await?;
+                gone.extend(names_of(&deleted)?);
+            }
+        }
+        Ok(gone)
+    }
+
+    /// Says that a file was fetched: it is kept for as long again.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn fetched(&self, job: &Job) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2").bind(tx.now).bind(job.id.clone()).execute(tx.on()).await?;
+        tx.commit().await
+    }
+
+    /// Ends an export that waits or is being written, or forgets one that is; false where there is none.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn cancel(&self, photo: PhotoId, key: &str) -> Result<bool> {
+        let mut tx = self.database().write().await?;
+        let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 RETURNING result").bind(id_of(Kind::Export, photo, Some(key)));
+        let deleted = delete.fetch_all(tx.on()).await?;
+        tx.tell(Event::Photo(photo));
+        tx.commit().await?;
+        self.blobs().discard(names_of(&deleted)?).await;
+        Ok(!deleted.is_empty())
+    }
+}
+
+/// Removes the exports of a photo; gives the names of their files.
+pub(crate) async fn remove_of(tx: &mut Tx, photo: PhotoId) -> Result<Vec<String>> {
+    let delete = sqlx::query("DELETE FROM jobs WHERE photo = $1 AND kind IN ('export', 'film') RETURNING result");
+    names_of(&delete.bind(photo.to_string()).fetch_all(tx.on()).await?)
+}
+
+/// Names of the files that deleted jobs had.
+pub(crate) fn names_of(deleted: &[sqlx::any::AnyRow]) -> Result<Vec<String>> {
+    let files: Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
+    Ok(files?.into_iter().flatten().map(|blob| blob.name).collect())
+}

@@ -1,0 +1,335 @@
+//! The queue: one for everything that takes time.
+//!
+//! A job that is entered gets a turn: the next one of its owner, or of its address where nobody was asked who they are, and at least that of the job
+//! that is next. Jobs are taken by class, turn and age, so that of two owners one's hundred jobs do not delay the other's first.
+
+use std::net::{IpAddr, Ipv6Addr};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sqlx::any::AnyRow;
+use sqlx::{AssertSqlSafe, Row as _};
+
+use crate::Library;
+use crate::database::{Lock, Tx};
+use crate::error::{LibraryError, Result, Share};
+use crate::names::{Millis, Owner, PhotoId};
+use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, to_json};
+
+/// Guess of how long a job takes before one was measured.
+const FIRST_GUESS: Duration = Duration::from_secs(5);
+/// Longest time after which a caller is told to come back.
+const MOST_RETRY: Duration = Duration::from_mins(2);
+
+/// What a job does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// Makes a photo.
+    Make,
+    /// Writes a file to download.
+    Export,
+    /// Draws a film to download.
+    Film,
+    /// Holds a photo's contents against their digests.
+    Check,
+}
+
+impl Kind {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Make, Self::Export, Self::Film, Self::Check];
+
+    /// As in the database and in metrics.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Make => "make",
+            Self::Export => "export",
+            Self::Film => "film",
+            Self::Check => "check",
+        }
+    }
+
+    /// Kinds that share places with this one; none where there are as many places as photos.
+    const fn beside(self) -> Option<[Self; 2]> {
+        match self {
+            Self::Make => Some([Self::Make, Self::Make]),
+            Self::Export | Self::Film => Some([Self::Export, Self::Film]),
+            Self::Check => None,
+        }
+    }
+
+    pub(crate) fn of_name(name: &str) -> Result<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| LibraryError::stored("kind", name))
+    }
+}
+
+/// How a job fares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum JobState {
+    /// It waits.
+    Queued,
+    /// A worker has it.
+    Working,
+    /// Its file is there.
+    Done,
+    /// It could not be done.
+    Failed,
+}
+
+impl JobState {
+    pub(crate) const ALL: [Self; 4] = [Self::Queued, Self::Working, Self::Done, Self::Failed];
+
+    /// As in the database.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Working => "working",
+            Self::Done => "done",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// Who asks for something: places in the queue are counted by both.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Asker {
+    /// Who they are, where they were asked.
+    pub owner: Option<Owner>,
+    /// Where they come from, where that tells clients apart. It is forgotten once the job is done.
+    pub address: Option<IpAddr>,
+}
+
+impl Asker {
+    /// The network that stands for all of one customer: 64 bits of IPv6.
+    fn network(&self) -> Option<String> {
+        self.address.map(|address| match address.to_canonical() {
+            IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).to_string(),
+            IpAddr::V4(v4) => v4.to_string(),
+        })
+    }
+}
+
+/// A job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Job {
+    /// Its id, which says what it is of.
+    pub id: String,
+    /// What it does.
+    pub kind: Kind,
+    /// Of which photo.
+    pub photo: PhotoId,
+    /// Of which version of the photo.
+    pub version: i64,
+    /// How urgent it is.
+    pub class: Class,
+    /// What it is to do in detail, as the caller entered it.
+    pub payload: Value,
+    /// How it fares.
+    pub state: JobState,
+    /// Workers that it took down.
+    pub attempts: i64,
+    /// How far it was when its lease was last renewed.
+    pub progress: Option<Value>,
+    /// Why it failed; or while it waits, what of the server kept it from being done.
+    pub problem: Option<Problem>,
+    /// The file that it wrote.
+    pub result: Option<Blob>,
+    /// When it was entered.
+    pub created_at: Millis,
+    /// When a worker took it.
+    pub started_at: Option<Millis>,
+    /// When its file was written or fetched last.
+    pub used_at: Millis,
+}
+
+/// Columns of [`Job`].
+pub(crate) const COLUMNS: &str =
+    "id, kind, photo, version, class, payload, state, attempts, progress, problem, result, created_at, started_at, used_at";
+
+impl Job {
+    /// Name of an export among those of its photo.
+    #[must_use]
+    pub fn key(&self) -> Option<&str> {
+        self.id.splitn(3, '/').nth(2)
+    }
+
+    pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
+        let (kind, state, photo): (String, String, String) = (row.try_get("kind")?, row.try_get("state")?, row.try_get("photo")?);
+        let state = JobState::ALL.into_iter().find(|known| known.name() == state).ok_or_else(|| LibraryError::stored("state", &state))?;
+        Ok(Self {
+            id: row.try_get("id")?,
+            kind: Kind::of_name(&kind)?,
+            photo: photo.parse().map_err(|e| LibraryError::stored("photo", e))?,
+            version: row.try_get("version")?,
+            class: class_of(row)?,
+            payload: json(row, "payload")?,
+            state,
+            attempts: row.try_get("attempts")?,
+            progress: optional_json(row, "progress")?,
+            problem: optional_json(row, "problem")?,
+            result: optional_json(row, "result")?,
+            created_at: row.try_get("created_at")?,
+            started_at: row.try_get("started_at")?,
+            used_at: row.try_get("used_at")?,
+        })
+    }
+}
+
+/// Where a job stands in the queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Position {
+    /// Jobs of its kind that are taken before it.
+    pub ahead: u64,
+    /// How long that is likely to take.
+    pub wait: Duration,
+}
+
+/// A job to be entered.
+pub(crate) struct NewJob<'a> {
+    pub kind: Kind,
+    pub photo: PhotoId,
+    pub version: i64,
+    /// Name of an export.
+    pub key: Option<&'a str>,
+    pub class: Class,
+    pub asker: &'a Asker,
+}
+
+/// Id of a job.
+pub(crate) fn id_of(kind: Kind, photo: PhotoId, key: Option<&str>) -> String {
+    match (kind, key) {
+        (Kind::Export | Kind::Film, Some(key)) => format!("export/{photo}/{key}"),
+        _ => format!("{}/{photo}", kind.name()),
+    }
+}
+
+impl Library {
+    /// Enters a job where there is a place for it. One of the same id that has ended makes way.
+    pub(crate) async fn enqueue(&self, tx: &mut Tx, job: &NewJob<'_>, payload: &Value) -> Result<Job> {
+        // until the end of this transaction nobody else counts places or gives turns
+        tx.lock(Lock::Queue).await?;
+        self.check_places(tx, job).await?;
+        let id = id_of(job.kind, job.photo, job.key);
+        let ended = "DELETE FROM jobs WHERE id = $1 AND state IN ('done', 'failed')";
+        sqlx::query(ended).bind(id.clone()).execute(tx.on()).await?;
+        let (owner, address) = (job.asker.owner.as_ref().map(|o| o.as_str().to_owned()), job.asker.network());
+        let turn = turn(tx, job.class, owner.as_deref().or(address.as_deref()).unwrap_or_default()).await?;
+        let insert = format!(
+            "INSERT INTO jobs (id, kind, photo, version, class, owner, address, payload, state, turn, created_at, run_after, attempts, faults,
+             bytes, used_at) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, 'queued', $9, $10, $10, 0, 0, 0, $10) ON CONFLICT (id) DO NOTHING
+             RETURNING {COLUMNS}"
+        );
+        let insert = sqlx::query(AssertSqlSafe(insert)).bind(id).bind(job.kind.name()).bind(job.photo.to_string()).bind(job.version);
+        let insert = insert.bind(job.class.rank()).bind(owner).bind(address).bind(to_json(payload)?).bind(turn).bind(tx.now);
+        let row = insert.fetch_optional(tx.on()).await?;
+        Job::from_row(&row.ok_or(LibraryError::NotReady)?)
+    }
+
+    /// Refuses where no place is free, or who asks has half of them.
+    async fn check_places(&self, tx: &mut Tx, job: &NewJob<'_>) -> Result<()> {
+        let Some([one, other]) = job.kind.beside() else { return Ok(()) };
+        let all = if job.kind == Kind::Make { self.limits().queue } else { self.limits().exports };
+        let count = "SELECT COUNT(*) AS waiting,
+            CAST(COALESCE(SUM(CASE WHEN owner = $3 THEN 1 ELSE 0 END), 0) AS BIGINT) AS of_owner,
+            CAST(COALESCE(SUM(CASE WHEN address = $4 THEN 1 ELSE 0 END), 0) AS BIGINT) AS of_address
+            FROM jobs WHERE state = 'queued' AND kind IN ($1, $2)";
+        let count = sqlx::query(count).bind(one.name()).bind(other.name());
+        let count = count.bind(job.asker.owner.as_ref().map(|o| o.as_str().to_owned())).bind(job.asker.network());
+        let row = count.fetch_one(tx.on()).await?;
+        let half = all.div_ceil(2);
+        for (share, column, places) in
+            [(Share::All, "waiting", all), (Share::Owner, "of_owner", half), (Share::Address, "of_address", half)]
+        {
+            let waiting = row.try_get::<i64, _>(column)? as u64;
+            if waiting >= places {
+                let retry_after = wait(tx, job.kind, waiting).await?.clamp(Duration::from_secs(1), MOST_RETRY);
+                return Err(LibraryError::QueueFull { waiting, places, share, retry_after });
+            }
+        }
+        Ok(())
+    }
+
+    /// Where a job stands; none where it does not wait.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn position(&self, kind: Kind, photo: PhotoId, key: Option<&str>) -> Result<Option<Position>> {
+        let ahead = "SELECT (SELECT COUNT(*) FROM jobs o WHERE o.state = 'queued' AND o.kind = j.kind
+                AND (o.class, o.turn, o.created_at, o.id) < (j.class, j.turn, j.created_at, j.id)) AS ahead
+            FROM jobs j WHERE j.id = $1 AND j.state = 'queued'";
+        let row = sqlx::query(ahead).bind(id_of(kind, photo, key)).fetch_optional(self.database().reader()).await?;
+        let Some(row) = row else { return Ok(None) };
+        let ahead = row.try_get::<i64, _>("ahead")? as u64;
+        let rate = sqlx::query(RATE).bind(kind.name()).fetch_one(self.database().reader()).await?;
+        Ok(Some(Position { ahead, wait: wait_of(&rate, ahead + 1)? }))
+    }
+
+    /// A job of a photo; of exports the one of this key.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`].
+    pub async fn job(&self, kind: Kind, photo: PhotoId, key: Option<&str>) -> Result<Job> {
+        let select = format!("SELECT {COLUMNS} FROM jobs WHERE id = $1");
+        let select = sqlx::query(AssertSqlSafe(select)).bind(id_of(kind, photo, key));
+        let row = select.fetch_optional(self.database().reader()).await?;
+        Job::from_row(&row.ok_or(LibraryError::NotFound("job"))?)
+    }
+
+    /// Has a photo's contents held against their digests once there is time. Nothing happens where that waits already.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn order_check(&self, photo: PhotoId) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        let version = crate::accept::photo_in(&mut tx, photo).await?.version;
+        let job = NewJob { kind: Kind::Check, photo, version, key: None, class: Class::Batch, asker: &Asker::default() };
+        match self.enqueue(&mut tx, &job, &Value::Null).await {
+            Ok(_) => tx.commit().await,
+            Err(LibraryError::NotReady) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+/// The turn of a new job: behind those of who asks, and not before the job that is next.
+async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
+    let turn = "SELECT COALESCE(
+        (SELECT MAX(turn) + 1 FROM jobs WHERE state = 'queued' AND class = $1 AND COALESCE(owner, address, '') = $2),
+        (SELECT MIN(turn) FROM jobs WHERE state = 'queued' AND class = $1), 0) AS turn";
+    let row = sqlx::query(turn).bind(class.rank()).bind(party.to_owned()).fetch_one(tx.on()).await?;
+    Ok(row.try_get("turn")?)
+}
+
+/// How long jobs of a kind take, and how many are being done.
+const RATE: &str = "SELECT (SELECT mean_ms FROM outcomes WHERE kind = $1 AND finished > 0) AS mean_ms,
+    (SELECT COUNT(*) FROM jobs WHERE state = 'working' AND kind = $1) AS working";
+
+async fn wait(tx: &mut Tx, kind: Kind, jobs: u64) -> Result<Duration> {
+    let row = sqlx::query(RATE).bind(kind.name()).fetch_one(tx.on()).await?;
+    wait_of(&row, jobs)
+}
+
+fn wait_of(rate: &AnyRow, jobs: u64) -> Result<Duration> {
+    let mean: Option<f64> = rate.try_get("mean_ms")?;
+    let mean = mean.map_or(FIRST_GUESS.as_secs_f64(), |ms| ms / 1000.0);
+    let working = rate.try_get::<i64, _>("working")?.max(1) as f64;
+    Ok(Duration::try_from_secs_f64(mean * jobs as f64 / working).unwrap_or(MOST_RETRY))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ipv6_network_is_one_address() {
+        let network = |text: &str| Asker { owner: None, address: Some(text.parse().unwrap()) }.network();
+        assert_eq!(network("2001:db8::1"), network("2001:db8::2"));
+        assert_ne!(network("2001:db8::1"), network("2001:db8:0:1::1"));
+        assert_eq!(network("::ffff:192.0.2.1"), network("192.0.2.1"));
+        assert_ne!(network("192.0.2.1"), network("192.0.2.2"));
+    }
+}

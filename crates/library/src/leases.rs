@@ -1,0 +1,402 @@
+//! Workers take jobs and hold them by leases.
+//!
+//! A lease ends in the database's time. Whoever finishes a job shows the lease's token within the transaction that keeps the result: a second result
+//! finds the token gone and is discarded. A worker of this process keeps its lease however the clock jumps, as this process counts by its own steady
+//! clock how long its leases last.
+
+use std::collections::HashMap;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use sqlx::{AssertSqlSafe, Row as _};
+
+use crate::accept::{names_of, photo_in};
+use crate::blobs::Contents;
+use crate::database::Tx;
+use crate::error::{LibraryError, Result};
+use crate::events::Event;
+use crate::jobs::{COLUMNS, Job, Kind};
+use crate::names::{Millis, hex, random};
+use crate::photo::{self, Blobs, Photo, PhotoState, Problem, bytes_of, to_json};
+use crate::{Library, exports, millis};
+
+/// Longest lease: one that ends later was given before the clock was put back.
+const MOST_LEASE: Duration = Duration::from_mins(10);
+/// Pause after the first fault of the server, doubled with each further one, and the longest.
+const BACK_OFF: Duration = Duration::from_millis(500);
+const MOST_BACK_OFF: Duration = Duration::from_mins(1);
+/// Of so many jobs one is taken by the opposite order of classes, so that none waits for ever.
+const OTHER_WAY: u64 = 4;
+/// Pause between two looks for a job where no event tells of one.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Tokens of this process's leases, and until when they last by its own clock.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Held(Arc<Mutex<HashMap<String, Instant>>>);
+
+impl Held {
+    fn hold(&self, token: &str, lasts: Duration) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(token.to_owned(), Instant::now() + lasts);
+    }
+
+    fn has(&self, token: &str) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get(token).is_some_and(|until| Instant::now() < *until)
+    }
+}
+
+/// A job that is a worker's. Dropped unfinished, it is somebody else's once its time is over.
+#[derive(Debug)]
+pub struct Lease {
+    /// The job.
+    pub job: Job,
+    /// The photo as it was when the job was taken.
+    pub photo: Photo,
+    token: String,
+    lasts: Duration,
+    taken: Instant,
+    held: Held,
+}
+
+impl Drop for Lease {
+    fn drop(&mut self) {
+        self.held.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.token);
+    }
+}
+
+/// A job whose lease is over.
+struct Over {
+    job: Job,
+    token: String,
+}
+
+/// What a worker made of a photo.
+#[derive(Debug)]
+pub struct Made {
+    /// Container, disparity, thumbnail and report.
+    pub contents: Contents,
+    /// What it tells of them, a JSON object: width, height.
+    pub details: Value,
+}
+
+/// Why a worker gives a job back.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Retry {
+    /// The job took down the process that did it. It fails once that has happened too often.
+    Died(String),
+    /// The server is at fault: its disk, its store, its memory. The job waits, longer each time.
+    Fault(String),
+    /// The worker stops in good order.
+    Stopping,
+}
+
+impl Library {
+    /// Takes the next job of these kinds, for `lasts`; none where none is to be done now.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn take(&self, kinds: &[Kind], lasts: Duration) -> Result<Option<Lease>> {
+        let lasts = lasts.min(MOST_LEASE);
+        let mut tx = self.database().write().await?;
+        let over = self.over(&mut tx).await?;
+        if !over.is_empty() {
+            tx.commit().await?;
+            self.take_back(over).await?;
+            tx = self.database().write().await?;
+        }
+        let Some(id) = self.choose(&mut tx, kinds).await? else {
+            tx.commit().await?;
+            return Ok(None);
+        };
+        let token = hex(&random::<16>()?);
+        let update = format!(
+            "UPDATE jobs SET state = 'working', lease_token = $1, lease_until = $2, started_at = $3, problem = NULL WHERE id = $4 RETURNING {COLUMNS}"
+        );
+        let update = sqlx::query(AssertSqlSafe(update)).bind(token.clone()).bind(tx.now + millis(lasts)).bind(tx.now).bind(id);
+        let job = Job::from_row(&update.fetch_one(tx.on()).await?)?;
+        if job.kind == Kind::Make {
+            set_state(&mut tx, &job, PhotoState::Working).await?;
+        }
+        // not locked: whoever makes it again waits for the locks of its jobs
+        let photo = self.read_photo(tx.on(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
+        tx.tell(Event::Photo(job.photo));
+        // before others can see it
+        self.0.held.hold(&token, lasts);
+        let lease = Lease { job, photo, token, lasts, taken: Instant::now(), held: self.0.held.clone() };
+        tx.commit().await?;
+        self.0.taken.fetch_add(1, Ordering::Relaxed);
+        Ok(Some(lease))
+    }
+
+    /// The same, but waits for a job. Ends only by an error, or with the caller.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn next(&self, kinds: &[Kind], lasts: Duration) -> Result<Lease> {
+        let mut events = self.subscribe();
+        loop {
+            if let Some(lease) = self.take(kinds, lasts).await? {
+                return Ok(lease);
+            }
+            let news = async { while matches!(events.next().await, Some(Event::Progress { .. } | Event::Revoked)) {} };
+            // jobs that wait for their time, and those of workers that have died, come without an event
+            let _ = tokio::time::timeout(LOOK, news).await;
+        }
+    }
+
+    /// Jobs whose leases are over: their workers have died.
+    async fn over(&self, tx: &mut Tx) -> Result<Vec<Over>> {
+        let over = format!("SELECT {COLUMNS}, lease_token FROM jobs WHERE state = 'working' AND (lease_until <= $1 OR lease_until > $2)");
+        let over = sqlx::query(AssertSqlSafe(over)).bind(tx.now).bind(tx.now + millis(MOST_LEASE));
+        let mut jobs = Vec::new();
+        for row in over.fetch_all(tx.on()).await? {
+            let token: String = row.try_get("lease_token")?;
+            if !self.0.held.has(&token) {
+                jobs.push(Over { job: Job::from_row(&row)?, token });
+            }
+        }
+        Ok(jobs)
+    }
+
+    /// Puts jobs of dead workers back, each by itself: nobody holds the rows of two.
+    async fn take_back(&self, jobs: Vec<Over>) -> Result<()> {
+        for Over { job, token } in jobs {
+            let mut tx = self.database().write().await?;
+            let why = Retry::Died("its worker does not answer any more".into());
+            match self.put_back(&mut tx, &job, &token, &why).await {
+                Ok(()) => tx.commit().await?,
+                // another node was quicker, or the worker is
+                Err(LibraryError::LeaseLost) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    /// The next job to be taken; its row is locked.
+    async fn choose(&self, tx: &mut Tx, kinds: &[Kind]) -> Result<Option<String>> {
+        let Some(first) = kinds.first() else { return Ok(None) };
+        let other_way = self.0.taken.load(Ordering::Relaxed) % OTHER_WAY == OTHER_WAY - 1;
+        let lock = if tx.has_row_locks() { "FOR UPDATE SKIP LOCKED" } else { "" };
+        let order = if other_way { "class DESC" } else { "class" };
+        let select = format!(
+            "SELECT id FROM jobs WHERE state = 'queued' AND kind IN ($1, $2, $3, $4) AND (run_after <= $5 OR run_after > $6)
+             ORDER BY {order}, turn, created_at, id LIMIT 1 {lock}"
+        );
+        let mut select = sqlx::query(AssertSqlSafe(select));
+        for n in 0..Kind::ALL.len() {
+            select = select.bind(kinds.get(n).unwrap_or(first).name());
+        }
+        let row = select.bind(tx.now).bind(tx.now + millis(MOST_BACK_OFF)).fetch_optional(tx.on()).await?;
+        Ok(row.map(|row| row.try_get("id")).transpose()?)
+    }
+
+    /// Keeps a lease for as long again, and what the worker says of how far it is.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`]: nobody wants the result any more, or somebody else makes it.
+    pub async fn renew(&self, lease: &Lease, progress: Option<&Value>) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        let progress = progress.map(to_json).transpose()?;
+        let update = "UPDATE jobs SET lease_until = $1, progress = COALESCE($2, progress) WHERE id = $3 AND lease_token = $4";
+        let update = sqlx::query(update).bind(tx.now + millis(lease.lasts)).bind(progress);
+        let renewed = update.bind(lease.job.id.clone()).bind(lease.token.clone()).execute(tx.on()).await?;
+        if renewed.rows_affected() == 0 {
+            return Err(LibraryError::LeaseLost);
+        }
+        self.0.held.hold(&lease.token, lease.lasts);
+        tx.commit().await
+    }
+
+    /// Tells whoever follows the photo how far its worker is; nothing is written.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn tell_progress(&self, lease: &Lease, progress: Value) -> Result<()> {
+        self.database().tell(Event::Progress { photo: lease.job.photo, progress }).await
+    }
+
+    /// Keeps what was made of a photo: it is done.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], after which nothing is left of what was made; [`LibraryError::StorageFull`] and [`LibraryError::Unavailable`], after
+    /// which the lease still holds.
+    pub async fn finish(&self, lease: &Lease, made: Made) -> Result<Photo> {
+        let blobs = self.blobs().store(lease.job.photo, made.contents).await?;
+        let written = names_of(&blobs);
+        match self.keep(lease, &made.details, blobs).await {
+            Ok((photo, replaced)) => {
+                self.blobs().discard(replaced).await;
+                Ok(photo)
+            }
+            Err(LibraryError::LeaseLost) => {
+                self.blobs().discard(written).await;
+                Err(LibraryError::LeaseLost)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    async fn keep(&self, lease: &Lease, details: &Value, blobs: Blobs) -> Result<(Photo, Vec<String>)> {
+        let mut tx = self.database().write().await?;
+        tx.lock_jobs(lease.job.photo).await?;
+        end(&mut tx, lease).await?;
+        let before = photo_in(&mut tx, lease.job.photo).await?;
+        let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
+        all.extend(blobs);
+        let update = format!(
+            "UPDATE photos SET state = $1, blobs = $2, bytes = $3, details = $4, problem = NULL, finished_at = $5 WHERE id = $6 RETURNING {}",
+            photo::COLUMNS
+        );
+        let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Done.name()).bind(to_json(&all)?).bind(bytes_of(&all));
+        let update = update.bind(to_json(details)?).bind(tx.now).bind(lease.job.photo.to_string());
+        let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
+        // files of the version before
+        let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
+        replaced.extend(names_of(&old));
+        count(&mut tx, &lease.job, Some(lease.age())).await?;
+        tx.tell(Event::Photo(lease.job.photo));
+        tx.commit().await?;
+        Ok((photo, replaced))
+    }
+
+    /// The job cannot be done, and the photo or what was asked for is at fault: nothing follows.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
+    pub async fn fail(&self, lease: &Lease, problem: &Problem) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        self.fail_in(&mut tx, &lease.job, &lease.token, problem).await?;
+        tx.commit().await
+    }
+
+    async fn fail_in(&self, tx: &mut Tx, job: &Job, token: &str, problem: &Problem) -> Result<()> {
+        let text = to_json(problem)?;
+        let end = match job.kind {
+            Kind::Make | Kind::Check => "DELETE FROM jobs WHERE id = $1 AND lease_token = $2",
+            Kind::Export | Kind::Film => {
+                "UPDATE jobs SET state = 'failed', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = $3, used_at = $4
+                 WHERE id = $1 AND lease_token = $2"
+            }
+        };
+        let mut query = sqlx::query(end).bind(job.id.clone()).bind(token.to_owned());
+        if matches!(job.kind, Kind::Export | Kind::Film) {
+            query = query.bind(text.clone()).bind(tx.now);
+        }
+        if query.execute(tx.on()).await?.rows_affected() == 0 {
+            return Err(LibraryError::LeaseLost);
+        }
+        if job.kind == Kind::Make {
+            let update = "UPDATE photos SET state = $1, problem = $2, finished_at = $3 WHERE id = $4";
+            let update = sqlx::query(update).bind(PhotoState::Failed.name()).bind(text).bind(tx.now);
+            update.bind(job.photo.to_string()).execute(tx.on()).await?;
+        }
+        count(tx, job, None).await?;
+        tx.tell(Event::Photo(job.photo));
+        Ok(())
+    }
+
+    /// Gives a job back, which is tried again.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
+    pub async fn retry(&self, lease: &Lease, why: &Retry) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        self.put_back(&mut tx, &lease.job, &lease.token, why).await?;
+        tx.commit().await
+    }
+
+    async fn put_back(&self, tx: &mut Tx, job: &Job, token: &str, why: &Retry) -> Result<()> {
+        let (died, fault, problem) = match why {
+            Retry::Died(reason) => (1_i64, 0_i64, Some(Problem::new("died", reason))),
+            Retry::Fault(reason) => (0, 1, Some(Problem::new("fault", reason))),
+            Retry::Stopping => (0, 0, None),
+        };
+        if died == 1 && job.attempts + 1 >= self.limits().attempts {
+            let times = job.attempts + 1;
+            let problem = Problem::new("gave-up", format!("it took down the process that worked on it {times} times"));
+            self.fail_in(tx, job, token, &problem).await?;
+            return count_death(tx, job.kind).await;
+        }
+        let update =
+            "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until = NULL, attempts = attempts + $1, faults = faults + $2,
+            problem = $3 WHERE id = $4 AND lease_token = $5 RETURNING faults, attempts";
+        let update = sqlx::query(update).bind(died).bind(fault).bind(problem.as_ref().map(to_json).transpose()?);
+        let row = update.bind(job.id.clone()).bind(token.to_owned()).fetch_optional(tx.on()).await?.ok_or(LibraryError::LeaseLost)?;
+        let faults = if fault == 1 { row.try_get("faults")? } else { died * row.try_get::<i64, _>("attempts")? };
+        let after = tx.now + back_off(faults);
+        sqlx::query("UPDATE jobs SET run_after = $1 WHERE id = $2").bind(after).bind(job.id.clone()).execute(tx.on()).await?;
+        if job.kind == Kind::Make {
+            set_state(tx, job, PhotoState::Queued).await?;
+        }
+        if died == 1 {
+            count_death(tx, job.kind).await?;
+        }
+        tx.tell(Event::Photo(job.photo));
+        Ok(())
+    }
+
+    /// Holds the contents of a check's photo against their digests, and ends the check. A damaged photo is taken out of service.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
+    pub async fn finish_check(&self, lease: &Lease) -> Result<()> {
+        let damage = self.verify(&lease.photo).await?;
+        let mut tx = self.database().write().await?;
+        end(&mut tx, lease).await?;
+        count(&mut tx, &lease.job, Some(lease.age())).await?;
+        tx.commit().await?;
+        self.take_out(&lease.photo, &damage).await
+    }
+}
+
+fn back_off(faults: i64) -> Millis {
+    if faults == 0 {
+        return 0;
+    }
+    millis(BACK_OFF.saturating_mul(1 << (faults - 1).clamp(0, 16)).min(MOST_BACK_OFF))
+}
+
+/// Ends a job that leaves nothing; its row is gone.
+async fn end(tx: &mut Tx, lease: &Lease) -> Result<()> {
+    let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(lease.job.id.clone()).bind(lease.token.clone());
+    if delete.execute(tx.on()).await?.rows_affected() == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
+}
+
+impl Lease {
+    /// What an `UPDATE` of the job's row must find.
+    pub(crate) fn token(&self) -> String {
+        self.token.clone()
+    }
+
+    /// How long the job has taken, by this process's own clock.
+    pub(crate) fn age(&self) -> Millis {
+        millis(self.taken.elapsed())
+    }
+}
+
+async fn set_state(tx: &mut Tx, job: &Job, state: PhotoState) -> Result<()> {
+    let update = sqlx::query("UPDATE photos SET state = $1 WHERE id = $2").bind(state.name()).bind(job.photo.to_string());
+    update.execute(tx.on()).await?;
+    Ok(())
+}
+
+/// Counts how a job ended: after so many milliseconds, or without a result.
+pub(crate) async fn count(tx: &mut Tx, job: &Job, took: Option<Millis>) -> Result<()> {
+    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, $2, $3, $4, 0) ON CONFLICT (kind) DO UPDATE SET
+        mean_ms = CASE WHEN excluded.finished = 0 THEN outcomes.mean_ms WHEN outcomes.finished = 0 THEN excluded.mean_ms
+            ELSE 0.8 * outcomes.mean_ms + 0.2 * excluded.mean_ms END,
+        finished = outcomes.finished + excluded.finished, failed = outcomes.failed + excluded.failed";
+    let finished = i64::from(took.is_some());
+    let insert = sqlx::query(insert).bind(job.kind.name()).bind(took.unwrap_or_default() as f64).bind(finished).bind(1 - finished);
+    insert.execute(tx.on()).await?;
+    Ok(())
+}
+
+async fn count_death(tx: &mut Tx, kind: Kind) -> Result<()> {
+    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, 0, 0, 0, 1)
+        ON CONFLICT (kind) DO UPDATE SET died = outcomes.died + 1";
+    sqlx::query(insert).bind(kind.name()).execute(tx.on()).await?;
+    Ok(())
+}

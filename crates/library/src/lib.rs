@@ -1,0 +1,262 @@
+//! What a server keeps: photos and their jobs, owners and their keys, links, rooms.
+//!
+//! One library is SQLite and a folder on one machine, or PostgreSQL and an object store of many. Rows say what is; contents lie in the blob store.
+//! A content is written before the row that refers to it and deleted after it, so that a crash leaves at most a content that nobody refers to, which
+//! [`Library::gc`] removes after a day. Everything that takes time is a [`Job`] with a [`Lease`] in the database's time.
+//!
+//! There is no HTTP here and no pixel.
+
+mod accept;
+mod blobs;
+mod credentials;
+mod database;
+mod error;
+mod events;
+mod exports;
+mod jobs;
+mod leases;
+mod links;
+mod names;
+mod photo;
+mod photos;
+mod quota;
+mod retention;
+mod rooms;
+mod statistics;
+#[cfg(test)]
+mod tests;
+mod upkeep;
+
+use std::collections::HashSet;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+pub use accept::{Accepted, Outcome, Upload};
+pub use blobs::{BlobStore, Content, Contents, Reserve};
+pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
+pub use error::{LibraryError, Quota, Result, Service, Share};
+pub use events::{Event, Subscription};
+pub use exports::{Order, Ordered};
+pub use jobs::{Asker, Job, JobState, Kind, Position};
+pub use leases::{Lease, Made, Retry};
+pub use links::{Grant, Link, Secret, Subject};
+pub use names::{Digest, IdError, Millis, Owner, PhotoId, hex};
+pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
+pub use photos::{Cursor, Filter, Page};
+pub use retention::Swept;
+pub use rooms::{Claim, Origin};
+pub use statistics::{OutcomeCounts, Statistics};
+pub use upkeep::{Collected, Damage};
+
+use database::Database;
+use leases::Held;
+use retention::TrustedClock;
+
+/// How old a reading of the database's clock may be before it is read again. In between this process's steady clock counts on.
+const CLOCK: Duration = Duration::from_secs(5);
+
+/// What bounds a library.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Photos that may wait; of these an owner and an address may each have half.
+    pub queue: u64,
+    /// Exports and films that may wait; likewise.
+    pub exports: u64,
+    /// Workers that a photo may take down before it fails.
+    pub attempts: i64,
+    /// Photos that an owner may have.
+    pub quota_photos: Option<u64>,
+    /// Bytes that an owner's photos may take with their results.
+    pub quota_bytes: Option<u64>,
+    /// Age at which a photo is deleted.
+    pub retain: Option<Duration>,
+    /// Bytes that all photos may take: beyond these the one that nobody has looked at for longest is deleted.
+    pub retain_bytes: Option<u64>,
+    /// How long an export is kept that nobody fetches.
+    pub exports_for: Duration,
+    /// Bytes that all exports may take.
+    pub exports_bytes: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            queue: 64,
+            exports: 8,
+            attempts: 3,
+            quota_photos: None,
+            quota_bytes: None,
+            retain: None,
+            retain_bytes: None,
+            exports_for: Duration::from_hours(1),
+            exports_bytes: 1 << 30,
+        }
+    }
+}
+
+/// Where a library is.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Config {
+    /// Folder of this node. It has the database and the blobs where nothing else is named, and uploads on their way in.
+    pub data: PathBuf,
+    /// `postgres://…`; else SQLite within `data`.
+    pub database: Option<String>,
+    /// `s3://…`, `gs://…` or `az://…`; else a folder within `data`.
+    pub blobs: Option<String>,
+    /// What bounds it.
+    pub limits: Limits,
+    /// Room that is kept free on the disk of a folder of blobs.
+    pub reserve: Reserve,
+}
+
+impl fmt::Debug for Config {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // the URL of the database may have a password
+        f.debug_struct("Config").field("data", &self.data).field("blobs", &self.blobs).field("limits", &self.limits).finish_non_exhaustive()
+    }
+}
+
+impl Config {
+    /// All within a folder.
+    #[must_use]
+    pub fn of_folder(data: &Path) -> Self {
+        Self { data: data.to_owned(), database: None, blobs: None, limits: Limits::default(), reserve: Reserve::default() }
+    }
+}
+
+/// Photos, jobs, owners, keys and rooms. A clone is another handle of the same.
+#[derive(Clone, Debug)]
+pub struct Library(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    database: Database,
+    blobs: BlobStore,
+    limits: Limits,
+    secret: Secret,
+    incoming: PathBuf,
+    held: Held,
+    /// Jobs that were taken here.
+    taken: AtomicU64,
+    /// Photos that were looked at since that was written down.
+    viewed: Mutex<HashSet<PhotoId>>,
+    clock: Mutex<Option<(Instant, Millis)>>,
+    trusted: Mutex<Option<TrustedClock>>,
+}
+
+impl Library {
+    /// Opens a library, makes what is missing, and brings its schema up to date.
+    ///
+    /// # Errors
+    /// The database or the blob store cannot be reached or written.
+    pub async fn open(config: Config) -> Result<Self> {
+        blobs::create_private(&config.data)?;
+        let blobs = match &config.blobs {
+            Some(url) => BlobStore::objects(url)?,
+            None => BlobStore::folder(&config.data.join("blobs"), config.reserve)?,
+        };
+        let database = match &config.database {
+            Some(url) => Database::postgres(url).await?,
+            None => Database::sqlite(&config.data.join("library.db")).await?,
+        };
+        blobs.probe().await?;
+        Self::of(database, blobs, config).await
+    }
+
+    async fn of(database: Database, blobs: BlobStore, config: Config) -> Result<Self> {
+        // beside the blobs where these are files, which are moved there
+        let incoming = config.data.join("blobs").join("incoming");
+        blobs::create_private(&incoming)?;
+        let secret = links::secret(&database).await?;
+        Ok(Self(Arc::new(Inner {
+            database,
+            blobs,
+            limits: config.limits,
+            secret,
+            incoming,
+            held: Held::default(),
+            taken: AtomicU64::new(0),
+            viewed: Mutex::default(),
+            clock: Mutex::default(),
+            trusted: Mutex::default(),
+        })))
+    }
+
+    fn database(&self) -> &Database {
+        &self.0.database
+    }
+
+    /// Where contents lie.
+    #[must_use]
+    pub fn blobs(&self) -> &BlobStore {
+        &self.0.blobs
+    }
+
+    /// What bounds this library.
+    #[must_use]
+    pub fn limits(&self) -> &Limits {
+        &self.0.limits
+    }
+
+    /// Makes ids and signs links.
+    #[must_use]
+    pub fn secret(&self) -> &Secret {
+        &self.0.secret
+    }
+
+    /// Folder for uploads that are written while they come in; see [`Content::of_file`].
+    #[must_use]
+    pub fn incoming(&self) -> &Path {
+        &self.0.incoming
+    }
+
+    /// Receives events from now on.
+    #[must_use]
+    pub fn subscribe(&self) -> Subscription {
+        self.database().events().subscribe()
+    }
+
+    /// What a worker said last of a photo that it makes, as far as this node has heard.
+    #[must_use]
+    pub fn progress_of(&self, photo: PhotoId) -> Option<Value> {
+        self.database().events().progress(photo)
+    }
+
+    /// The database's time, as it was read a moment ago.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn now(&self) -> Result<Millis> {
+        let known = *self.0.clock.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((at, now)) = known.filter(|(at, _)| at.elapsed() < CLOCK) {
+            return Ok(now + millis(at.elapsed()));
+        }
+        let now = self.database().now().await?;
+        *self.0.clock.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), now));
+        Ok(now)
+    }
+
+    /// Looks whether the database and the blob store can be written, and the disk has room beyond its reserve.
+    ///
+    /// # Errors
+    /// What stands against it.
+    pub async fn check(&self) -> Result<()> {
+        self.database().write().await?.commit().await?;
+        self.blobs().room_for(0)?;
+        self.blobs().probe().await
+    }
+
+    /// Closes the connections to the database. Other handles of this library fail from then on.
+    pub async fn close(&self) {
+        self.database().close().await;
+    }
+}
+
+const fn millis(time: Duration) -> Millis {
+    time.as_millis() as Millis
+}

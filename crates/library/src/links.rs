@@ -1,0 +1,191 @@
+//! Links that let others in: signed, so that none is stored. A photo's are signed over its generation, which its owner raises to take them back.
+
+use std::fmt;
+use std::str::FromStr;
+
+use hmac::{Hmac, KeyInit as _, Mac as _};
+use sha2::Sha256;
+use sqlx::Row as _;
+
+use crate::database::{Database, Lock};
+use crate::error::{LibraryError, Result};
+use crate::names::{Millis, Owner, PhotoId, hex, random, unhex};
+use crate::photo::Photo;
+
+/// Bytes of the secret and of a signature.
+const BYTES: usize = 32;
+
+/// What a link allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grant {
+    /// See a photo.
+    View,
+    /// See and change a photo.
+    Edit,
+    /// Publish in a room.
+    Publish,
+    /// Watch a room.
+    Watch,
+}
+
+impl Grant {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::View => "view",
+            Self::Edit => "edit",
+            Self::Publish => "publish",
+            Self::Watch => "watch",
+        }
+    }
+}
+
+/// What a link leads to.
+#[derive(Clone, Copy, Debug)]
+pub enum Subject<'a> {
+    /// This upload of a photo, until its links are taken back.
+    Photo(&'a Photo),
+    /// A room of this name.
+    Room(&'a str),
+}
+
+impl Subject<'_> {
+    fn seal(&self) -> String {
+        match self {
+            Self::Photo(photo) => {
+                let owner = photo.owner.as_ref().map_or("-", Owner::as_str);
+                format!("photo {} {owner} {} {}", photo.id, photo.accepted_at, photo.link_generation)
+            }
+            Self::Room(name) => format!("room {name}"),
+        }
+    }
+}
+
+/// When a link ends, and its signature.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Link {
+    /// Seconds since 1970.
+    pub expires: u64,
+    signature: [u8; BYTES],
+}
+
+impl Link {
+    /// 64 hex digits.
+    #[must_use]
+    pub fn signature(&self) -> String {
+        hex(&self.signature)
+    }
+}
+
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}", self.expires, self.signature())
+    }
+}
+
+impl FromStr for Link {
+    type Err = LibraryError;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let read = |text: &str| {
+            let (expires, signature) = text.split_once('.')?;
+            Some(Self { expires: expires.parse().ok()?, signature: unhex(signature)? })
+        };
+        read(text).ok_or_else(|| LibraryError::Invalid("this is no link".into()))
+    }
+}
+
+/// What ids and links are made with; whoever has it can make them.
+#[derive(Clone)]
+pub struct Secret([u8; BYTES]);
+
+impl fmt::Debug for Secret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Secret")
+    }
+}
+
+impl Secret {
+    /// An HMAC-SHA-256 over `parts`, each with its length before it, for one purpose alone.
+    fn mac(&self, purpose: &str, parts: &[&[u8]]) -> Hmac<Sha256> {
+        // RFC 2104 fills a key up to a block with zeros
+        let mut block = [0; 64];
+        block[..BYTES].copy_from_slice(&self.0);
+        let mut mac = Hmac::<Sha256>::new(&block.into());
+        for part in [purpose.as_bytes()].iter().chain(parts) {
+            mac.update(&(part.len() as u64).to_le_bytes());
+            mac.update(part);
+        }
+        mac
+    }
+
+    /// Id of an owner's photo, where `content` says what it is made of: nobody else can tell from the content what its id is. Without an owner the
+    /// content is the id.
+    #[must_use]
+    pub fn photo_id(&self, owner: Option<&Owner>, content: PhotoId) -> PhotoId {
+        let Some(owner) = owner else { return content };
+        let mac = self.mac("tmpi id 2", &[owner.as_str().as_bytes(), content.to_string().as_bytes()]).finalize().into_bytes();
+        let mut id = [0; 16];
+        id.copy_from_slice(&mac[..16]);
+        PhotoId::from_bytes(id)
+    }
+
+    fn of_link(&self, grant: Grant, subject: Subject<'_>, expires: u64) -> Hmac<Sha256> {
+        self.mac("tmpi link 3", &[grant.name().as_bytes(), subject.seal().as_bytes(), &expires.to_le_bytes()])
+    }
+
+    /// A link that is good until `expires`, in seconds since 1970; for ever with [`u64::MAX`].
+    #[must_use]
+    pub fn sign(&self, grant: Grant, subject: Subject<'_>, expires: u64) -> Link {
+        Link { expires, signature: self.of_link(grant, subject, expires).finalize().into_bytes().into() }
+    }
+
+    /// Whether a link allows that at `now`. How long this takes does not depend on how much of the signature is right.
+    #[must_use]
+    pub fn allows(&self, grant: Grant, subject: Subject<'_>, link: &Link, now: Millis) -> bool {
+        let in_time = (now.max(0) as u64) / 1000 < link.expires;
+        self.of_link(grant, subject, link.expires).verify_slice(&link.signature).is_ok() && in_time
+    }
+}
+
+/// The secret of all nodes of a database; made where there is none.
+pub(crate) async fn secret(database: &Database) -> Result<Secret> {
+    let mut tx = database.write().await?;
+    tx.lock(Lock::Secret).await?;
+    let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ('links', $1) ON CONFLICT (name) DO NOTHING");
+    insert.bind(hex(&random::<BYTES>()?)).execute(tx.on()).await?;
+    let text: String = sqlx::query("SELECT value FROM secrets WHERE name = 'links'").fetch_one(tx.on()).await?.try_get("value")?;
+    tx.commit().await?;
+    unhex(&text).map(Secret).ok_or_else(|| LibraryError::Internal("the secret of links is not one".into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_is_good_for_its_grant_subject_and_time_alone() {
+        let secret = Secret([7; BYTES]);
+        let attic = Subject::Room("attic");
+        let link = secret.sign(Grant::Watch, attic, 1000);
+        assert!(secret.allows(Grant::Watch, attic, &link, 999_999));
+        assert!(!secret.allows(Grant::Watch, attic, &link, 1_000_000), "too late");
+        assert!(!secret.allows(Grant::Publish, attic, &link, 0), "another grant");
+        assert!(!secret.allows(Grant::Watch, Subject::Room("cellar"), &link, 0), "another room");
+        assert!(!secret.allows(Grant::Watch, attic, &Link { expires: 1001, ..link.clone() }, 0), "a later end");
+        assert!(!Secret([8; BYTES]).allows(Grant::Watch, attic, &link, 0), "another library");
+        assert_eq!(link.to_string().parse::<Link>().unwrap(), link);
+        for wrong in ["", ".", "1000", "1000.", "x.00", &format!("{link}0"), &link.to_string()[..link.to_string().len() - 1]] {
+            assert!(wrong.parse::<Link>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn ids_differ_by_owner_and_library() {
+        let content = PhotoId::from_bytes([1; 16]);
+        let (one, other) = (Secret([7; BYTES]), Secret([8; BYTES]));
+        let (a, b) = (Owner::of_secret("a"), Owner::of_secret("b"));
+        let ids = [one.photo_id(Some(&a), content), one.photo_id(Some(&b), content), other.photo_id(Some(&a), content), content];
+        assert!(ids.iter().enumerate().all(|(i, x)| !ids[..i].contains(x)), "{ids:?}");
+        assert_eq!(one.photo_id(None, content), content);
+    }
+}

@@ -1,0 +1,279 @@
+//! A photo as the database has it.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sqlx::Row as _;
+use sqlx::any::AnyRow;
+
+use crate::error::{LibraryError, Result};
+use crate::names::{Digest, Millis, Owner, PhotoId};
+
+/// How a photo fares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PhotoState {
+    /// It waits for a worker.
+    Queued,
+    /// A worker has it.
+    Working,
+    /// Its results are there.
+    Done,
+    /// It could not be made.
+    Failed,
+    /// Its results are no longer as they were written.
+    Damaged,
+}
+
+impl PhotoState {
+    pub(crate) const ALL: [Self; 5] = [Self::Queued, Self::Working, Self::Done, Self::Failed, Self::Damaged];
+
+    /// As in the database and in metrics.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Working => "working",
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Damaged => "damaged",
+        }
+    }
+
+    /// True where nothing follows by itself.
+    #[must_use]
+    pub const fn is_final(self) -> bool {
+        matches!(self, Self::Done | Self::Failed | Self::Damaged)
+    }
+}
+
+/// How urgent a job is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Class {
+    /// Somebody waits for it.
+    #[default]
+    Interactive,
+    /// One of many.
+    Batch,
+}
+
+impl Class {
+    pub(crate) const ALL: [Self; 2] = [Self::Interactive, Self::Batch];
+
+    /// As in forms and metrics.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Interactive => "interactive",
+            Self::Batch => "batch",
+        }
+    }
+
+    pub(crate) const fn rank(self) -> i64 {
+        self as i64
+    }
+}
+
+/// A content that belongs to a photo.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Part {
+    /// The photo as uploaded.
+    Upload,
+    /// The depth map that came with it.
+    Depth,
+    /// The touch-up, JSON.
+    Strokes,
+    /// The container.
+    Container,
+    /// Disparity as used, 16-bit grey PNG.
+    Disparity,
+    /// Small JPEG.
+    Thumbnail,
+    /// Report of the making, JSON.
+    Report,
+    /// A file to download.
+    Export,
+}
+
+impl Part {
+    /// As in the names of blobs.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Upload => "upload",
+            Self::Depth => "depth",
+            Self::Strokes => "strokes",
+            Self::Container => "container",
+            Self::Disparity => "disparity",
+            Self::Thumbnail => "thumbnail",
+            Self::Report => "report",
+            Self::Export => "export",
+        }
+    }
+
+    /// True for what a worker makes of a photo.
+    #[must_use]
+    pub const fn is_result(self) -> bool {
+        matches!(self, Self::Container | Self::Disparity | Self::Thumbnail | Self::Report)
+    }
+}
+
+impl fmt::Display for Part {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A content in the blob store, as a row refers to it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Blob {
+    /// Name in the store.
+    pub name: String,
+    /// Its size.
+    pub bytes: u64,
+    /// Its SHA-256.
+    pub digest: Digest,
+}
+
+/// Why something failed, as its owner reads it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Problem {
+    /// Kind that stays the same, such as `gave-up`.
+    pub kind: String,
+    /// What is wrong with this very photo.
+    pub detail: String,
+    /// Field or option that is at fault.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub field: Option<String>,
+}
+
+impl Problem {
+    /// One that no field is at fault of.
+    #[must_use]
+    pub fn new(kind: &str, detail: impl Into<String>) -> Self {
+        Self { kind: kind.to_owned(), detail: detail.into(), field: None }
+    }
+}
+
+/// Contents of a photo by what they are.
+pub type Blobs = BTreeMap<Part, Blob>;
+
+/// A photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Photo {
+    /// Its id.
+    pub id: PhotoId,
+    /// Whose it is; none where nobody was asked who they are.
+    pub owner: Option<Owner>,
+    /// When it was accepted.
+    pub accepted_at: Millis,
+    /// When somebody looked at it last, or it was accepted.
+    pub viewed_at: Millis,
+    /// How urgent its making is.
+    pub class: Class,
+    /// Options as text, all of them.
+    pub options: BTreeMap<String, String>,
+    /// What its owner wants of viewers: a JSON object that the caller understands.
+    pub settings: Value,
+    /// Grows by one with each change of the settings.
+    pub settings_version: i64,
+    /// Grows by one when the owner takes links back; these are signed over it.
+    pub link_generation: i64,
+    /// How it fares.
+    pub state: PhotoState,
+    /// Grows by one whenever it is to be made again. Results of an older version stay until the new ones are there.
+    pub version: i64,
+    /// When it came into its final state.
+    pub finished_at: Option<Millis>,
+    /// What its worker tells of the results, a JSON object: width, height.
+    pub details: Option<Value>,
+    /// Why it failed or is damaged.
+    pub problem: Option<Problem>,
+    /// Its contents.
+    pub blobs: Blobs,
+    /// Bytes of all its contents, as quotas count them.
+    pub bytes: u64,
+}
+
+/// Columns of [`Photo`].
+pub(crate) const COLUMNS: &str = "id, owner, accepted_at, viewed_at, class, options, settings, settings_version, link_generation, state, version, finished_at, details, problem, blobs, bytes";
+
+impl Photo {
+    /// A content of it.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`].
+    pub fn blob(&self, part: Part) -> Result<&Blob> {
+        self.blobs.get(&part).ok_or(LibraryError::NotFound(part.name()))
+    }
+
+    /// Title of its settings.
+    #[must_use]
+    pub fn title(&self) -> Option<&str> {
+        title_of(&self.settings)
+    }
+
+    pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
+        let id: String = row.try_get("id")?;
+        let owner: Option<String> = row.try_get("owner")?;
+        Ok(Self {
+            id: id.parse().map_err(|e| LibraryError::stored("id", e))?,
+            owner: owner.map(Owner::from_column),
+            accepted_at: row.try_get("accepted_at")?,
+            viewed_at: row.try_get("viewed_at")?,
+            class: class_of(row)?,
+            options: json(row, "options")?,
+            settings: json(row, "settings")?,
+            settings_version: row.try_get("settings_version")?,
+            link_generation: row.try_get("link_generation")?,
+            state: state_of(row)?,
+            version: row.try_get("version")?,
+            finished_at: row.try_get("finished_at")?,
+            details: optional_json(row, "details")?,
+            problem: optional_json(row, "problem")?,
+            blobs: json(row, "blobs")?,
+            bytes: row.try_get::<i64, _>("bytes")? as u64,
+        })
+    }
+}
+
+pub(crate) fn title_of(settings: &Value) -> Option<&str> {
+    settings.get("title").and_then(Value::as_str)
+}
+
+pub(crate) fn bytes_of(blobs: &Blobs) -> i64 {
+    blobs.values().map(|blob| blob.bytes).sum::<u64>() as i64
+}
+
+pub(crate) fn state_of(row: &AnyRow) -> Result<PhotoState> {
+    let name: String = row.try_get("state")?;
+    let state = PhotoState::ALL.into_iter().find(|state| state.name() == name);
+    state.ok_or_else(|| LibraryError::stored("state", &name))
+}
+
+pub(crate) fn class_of(row: &AnyRow) -> Result<Class> {
+    let rank: i64 = row.try_get("class")?;
+    Class::ALL.into_iter().find(|class| class.rank() == rank).ok_or_else(|| LibraryError::stored("class", rank))
+}
+
+/// A JSON column.
+pub(crate) fn json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> Result<T> {
+    let text: String = row.try_get(column)?;
+    serde_json::from_str(&text).map_err(|e| LibraryError::stored(column, e))
+}
+
+/// A JSON column that may be null.
+pub(crate) fn optional_json<T: DeserializeOwned>(row: &AnyRow, column: &str) -> Result<Option<T>> {
+    let text: Option<String> = row.try_get(column)?;
+    text.map(|text| serde_json::from_str(&text).map_err(|e| LibraryError::stored(column, e))).transpose()
+}
+
+/// The text of a JSON column.
+pub(crate) fn to_json<T: Serialize>(value: &T) -> Result<String> {
+    serde_json::to_string(value).map_err(|e| LibraryError::Internal(e.to_string()))
+}

@@ -1,0 +1,225 @@
+//! Photos as they are read, listed, changed and deleted.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::PoisonError;
+
+use serde_json::Value;
+use sqlx::{Any, AssertSqlSafe, Executor};
+
+use crate::accept::photo_in;
+use crate::error::{LibraryError, Result};
+use crate::events::Event;
+use crate::exports::names_of;
+use crate::names::{Millis, Owner, PhotoId};
+use crate::photo::{COLUMNS, Photo, PhotoState, Problem, title_of, to_json};
+use crate::{Library, accept};
+
+/// Which photos are listed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Filter {
+    /// Those of one owner; else of all.
+    pub owner: Option<Owner>,
+    /// Those in one state.
+    pub state: Option<PhotoState>,
+    /// Those whose titles contain this, whatever the case of ASCII letters.
+    pub title: Option<String>,
+}
+
+/// A place in the list. It stays where it is while photos come and go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cursor {
+    accepted_at: Millis,
+    id: PhotoId,
+}
+
+impl From<&Photo> for Cursor {
+    fn from(photo: &Photo) -> Self {
+        Self { accepted_at: photo.accepted_at, id: photo.id }
+    }
+}
+
+impl fmt::Display for Cursor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}-{}", self.accepted_at, self.id)
+    }
+}
+
+impl FromStr for Cursor {
+    type Err = LibraryError;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let read = |text: &str| {
+            let (accepted_at, id) = text.split_once('-')?;
+            Some(Self { accepted_at: accepted_at.parse().ok()?, id: id.parse().ok()? })
+        };
+        read(text).ok_or_else(|| LibraryError::Invalid(format!("{text:?} is no place in the list")))
+    }
+}
+
+/// A page of the list, newest first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Page {
+    /// Its photos.
+    pub photos: Vec<Photo>,
+    /// Where the next page begins; none on the last one.
+    pub next: Option<Cursor>,
+}
+
+impl Library {
+    pub(crate) async fn read_photo<'c>(&self, on: impl Executor<'c, Database = Any>, id: PhotoId) -> Result<Option<Photo>> {
+        let select = sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM photos WHERE id = $1"))).bind(id.to_string());
+        select.fetch_optional(on).await?.map(|row| Photo::from_row(&row)).transpose()
+    }
+
+    /// A photo; none where there is none.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn find(&self, id: PhotoId) -> Result<Option<Photo>> {
+        self.read_photo(self.database().reader(), id).await
+    }
+
+    /// A photo.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn get(&self, id: PhotoId) -> Result<Photo> {
+        self.find(id).await?.ok_or(LibraryError::NotFound("photo"))
+    }
+
+    /// At most `limit` photos behind `after`, newest first.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn list(&self, filter: &Filter, after: Option<Cursor>, limit: usize) -> Result<Page> {
+        let mut conditions = vec!["(accepted_at, id) < ($1, $2)".to_owned()];
+        let mut texts = Vec::new();
+        let mut add = |condition: &str, text: String| {
+            texts.push(text);
+            conditions.push(condition.replace('?', &format!("${}", texts.len() + 3)));
+        };
+        if let Some(owner) = &filter.owner {
+            add("owner = ?", owner.as_str().to_owned());
+        }
+        if let Some(state) = filter.state {
+            add("state = ?", state.name().to_owned());
+        }
+        if let Some(title) = &filter.title {
+            let escaped = title.to_ascii_lowercase().replace('!', "!!").replace('%', "!%").replace('_', "!_");
+            add("LOWER(title) LIKE ? ESCAPE '!'", format!("%{escaped}%"));
+        }
+        let conditions = conditions.join(" AND ");
+        let select = format!("SELECT {COLUMNS} FROM photos WHERE {conditions} ORDER BY accepted_at DESC, id DESC LIMIT $3");
+        let (at, id) = after.map_or((Millis::MAX, String::new()), |after| (after.accepted_at, after.id.to_string()));
+        let mut select = sqlx::query(AssertSqlSafe(select)).bind(at).bind(id).bind(limit as i64 + 1);
+        for text in texts {
+            select = select.bind(text);
+        }
+        let rows = select.fetch_all(self.database().reader()).await?;
+        let photos: Vec<Photo> = rows.iter().take(limit).map(Photo::from_row).collect::<Result<_>>()?;
+        let next = photos.last().filter(|_| rows.len() > limit).map(Cursor::from);
+        Ok(Page { photos, next })
+    }
+
+    /// Sets what a photo's owner wants of viewers, a JSON object, where it is still as the caller `seen` it.
+    ///
+    /// # Errors
+    /// [`LibraryError::Changed`], [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn set_settings(&self, seen: &Photo, settings: &Value) -> Result<Photo> {
+        let mut tx = self.database().write().await?;
+        let before = photo_in(&mut tx, seen.id).await?;
+        if before.settings_version != seen.settings_version || before.accepted_at != seen.accepted_at {
+            return Err(LibraryError::Changed);
+        }
+        let update = "UPDATE photos SET settings = $1, title = $2, settings_version = settings_version + 1 WHERE id = $3";
+        let update = sqlx::query(update).bind(to_json(settings)?).bind(title_of(settings).map(str::to_owned)).bind(seen.id.to_string());
+        update.execute(tx.on()).await?;
+        tx.tell(Event::Photo(seen.id));
+        tx.commit().await?;
+        Ok(Photo { settings: settings.clone(), settings_version: before.settings_version + 1, ..before })
+    }
+
+    /// Takes back all links to a photo that were signed so far.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn revoke_links(&self, id: PhotoId) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        let update = sqlx::query("UPDATE photos SET link_generation = link_generation + 1 WHERE id = $1").bind(id.to_string());
+        if update.execute(tx.on()).await?.rows_affected() == 0 {
+            return Err(LibraryError::NotFound("photo"));
+        }
+        tx.tell(Event::Photo(id));
+        tx.tell(Event::Revoked);
+        tx.commit().await
+    }
+
+    /// Deletes a photo with all that belongs to it, whatever it is at; false where there is none. With `accepted_at` only the upload that was
+    /// accepted then.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn delete(&self, id: PhotoId, accepted_at: Option<Millis>) -> Result<bool> {
+        let mut tx = self.database().write().await?;
+        tx.lock_jobs(id).await?;
+        let photo = match photo_in(&mut tx, id).await {
+            Ok(photo) if accepted_at.is_none_or(|at| at == photo.accepted_at) => photo,
+            Ok(_) | Err(LibraryError::NotFound(_)) => return Ok(false),
+            Err(error) => return Err(error),
+        };
+        let jobs = sqlx::query("DELETE FROM jobs WHERE photo = $1 RETURNING result").bind(id.to_string());
+        let mut names = names_of(&jobs.fetch_all(tx.on()).await?)?;
+        sqlx::query("DELETE FROM photos WHERE id = $1").bind(id.to_string()).execute(tx.on()).await?;
+        tx.tell(Event::Deleted(id));
+        tx.commit().await?;
+        names.extend(accept::names_of(&photo.blobs));
+        self.blobs().discard(names).await;
+        Ok(true)
+    }
+
+    /// Says that somebody looked at a photo. It is written down by [`Library::note_views`].
+    pub fn viewed(&self, id: PhotoId) {
+        self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner).insert(id);
+    }
+
+    /// Writes down which photos were looked at since the last time. [`Library::sweep`] does it, too.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn note_views(&self) -> Result<()> {
+        let viewed = std::mem::take(&mut *self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner));
+        if viewed.is_empty() {
+            return Ok(());
+        }
+        let mut tx = self.database().write().await?;
+        let mut ids: Vec<PhotoId> = viewed.into_iter().collect();
+        // two nodes lock rows in one order
+        ids.sort_unstable();
+        for id in ids {
+            let update = sqlx::query("UPDATE photos SET viewed_at = $1 WHERE id = $2 AND viewed_at < $1").bind(tx.now).bind(id.to_string());
+            update.execute(tx.on()).await?;
+        }
+        tx.commit().await
+    }
+
+    /// Takes a finished photo out of service, as `detail` says what of it is no longer as it was written; false where it was made again or deleted
+    /// meanwhile. The same upload heals it.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn mark_damaged(&self, seen: &Photo, detail: &str) -> Result<bool> {
+        let mut tx = self.database().write().await?;
+        let problem = Problem::new("damaged", format!("{detail}: upload the photo again, and it is made anew"));
+        let update =
+            "UPDATE photos SET state = 'damaged', problem = $1, finished_at = $2 WHERE id = $3 AND version = $4 AND state = 'done'";
+        let update = sqlx::query(update).bind(to_json(&problem)?).bind(tx.now).bind(seen.id.to_string()).bind(seen.version);
+        let marked = update.execute(tx.on()).await?.rows_affected() > 0;
+        if marked {
+            tracing::error!(id = %seen.id, detail, "a photo is damaged");
+            tx.tell(Event::Photo(seen.id));
+        }
+        tx.commit().await?;
+        Ok(marked)
+    }
+}

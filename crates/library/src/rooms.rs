@@ -1,0 +1,87 @@
+//! Which node has which room.
+
+use std::time::Duration;
+
+use sqlx::Row as _;
+
+use crate::error::{LibraryError, Result};
+use crate::{Library, millis};
+
+/// Longest lease of a room: one that ends later was given before the clock was put back.
+const MOST_LEASE: Duration = Duration::from_mins(1);
+
+/// How a node takes a room that another one has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Claim {
+    /// Only once the other's lease is over.
+    IfFree,
+    /// At once: its publisher has come here.
+    TakeOver,
+}
+
+/// The node that has a room.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Origin {
+    /// Address at which other nodes subscribe to it.
+    pub address: String,
+    /// Grows by one whenever the room changes hands: the higher one counts.
+    pub epoch: i64,
+}
+
+impl Library {
+    /// Takes a room for the node at `address`, for `lasts`.
+    ///
+    /// # Errors
+    /// [`LibraryError::RoomTaken`], [`LibraryError::Unavailable`].
+    pub async fn claim_room(&self, room: &str, address: &str, claim: Claim, lasts: Duration) -> Result<Origin> {
+        let mut tx = self.database().write().await?;
+        let insert = "INSERT INTO rooms (name, origin, epoch, lease_until) VALUES ($1, $2, 1, $3) ON CONFLICT (name) DO UPDATE SET
+            origin = excluded.origin, epoch = rooms.epoch + 1, lease_until = excluded.lease_until
+            WHERE rooms.lease_until <= $4 OR rooms.lease_until > $5 OR rooms.origin = excluded.origin OR $6 = 1 RETURNING epoch";
+        let ends = tx.now + millis(lasts.min(MOST_LEASE));
+        let insert = sqlx::query(insert).bind(room.to_owned()).bind(address.to_owned()).bind(ends).bind(tx.now);
+        let insert = insert.bind(tx.now + millis(MOST_LEASE)).bind(i64::from(claim == Claim::TakeOver));
+        let Some(row) = insert.fetch_optional(tx.on()).await? else {
+            let select = sqlx::query("SELECT origin FROM rooms WHERE name = $1").bind(room.to_owned());
+            return Err(LibraryError::RoomTaken { origin: select.fetch_one(tx.on()).await?.try_get("origin")? });
+        };
+        tx.commit().await?;
+        Ok(Origin { address: address.to_owned(), epoch: row.try_get("epoch")? })
+    }
+
+    /// Keeps a room for as long again.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`] where another node has taken it, [`LibraryError::Unavailable`].
+    pub async fn renew_room(&self, room: &str, origin: &Origin, lasts: Duration) -> Result<()> {
+        self.set_room(room, origin, millis(lasts.min(MOST_LEASE))).await
+    }
+
+    /// Gives a room back: it is free at once.
+    ///
+    /// # Errors
+    /// As [`Library::renew_room`].
+    pub async fn release_room(&self, room: &str, origin: &Origin) -> Result<()> {
+        self.set_room(room, origin, 0).await
+    }
+
+    async fn set_room(&self, room: &str, origin: &Origin, lasts: i64) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        let update = sqlx::query("UPDATE rooms SET lease_until = $1 WHERE name = $2 AND epoch = $3").bind(tx.now + lasts);
+        if update.bind(room.to_owned()).bind(origin.epoch).execute(tx.on()).await?.rows_affected() == 0 {
+            return Err(LibraryError::LeaseLost);
+        }
+        tx.commit().await
+    }
+
+    /// The node that has a room; none where nobody has.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn room(&self, room: &str) -> Result<Option<Origin>> {
+        let now = self.database().now().await?;
+        let select = sqlx::query("SELECT origin, epoch FROM rooms WHERE name = $1 AND lease_until > $2").bind(room.to_owned()).bind(now);
+        let row = select.fetch_optional(self.database().reader()).await?;
+        row.map(|row| Ok(Origin { address: row.try_get("origin")?, epoch: row.try_get("epoch")? })).transpose()
+    }
+}

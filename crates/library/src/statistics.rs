@@ -1,0 +1,93 @@
+//! Counts for health and metrics, of all nodes together.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use sqlx::Row as _;
+use sqlx::any::AnyRow;
+
+use crate::error::Result;
+use crate::jobs::{JobState, Kind};
+use crate::photo::{Class, PhotoState, class_of, state_of};
+use crate::{Library, LibraryError};
+
+/// How jobs of a kind ended since the library was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OutcomeCounts {
+    /// Those that were done.
+    pub finished: u64,
+    /// Those that could not be done.
+    pub failed: u64,
+    /// Workers that died on one.
+    pub died: u64,
+    /// How long one takes, in milliseconds: a mean in which later ones weigh more.
+    pub mean_ms: f64,
+}
+
+/// Counts.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Statistics {
+    /// Photos by state.
+    pub photos: BTreeMap<PhotoState, u64>,
+    /// Bytes of photos with their results.
+    pub bytes: u64,
+    /// Jobs that wait, by kind and class.
+    pub waiting: BTreeMap<(Kind, Class), u64>,
+    /// Jobs that are being done, by kind.
+    pub working: BTreeMap<Kind, u64>,
+    /// Exports that are there, and their bytes.
+    pub exports: u64,
+    /// Bytes of exports.
+    pub exports_bytes: u64,
+    /// How long the job that waits longest has waited.
+    pub longest_wait: Duration,
+    /// What has become of jobs, by kind.
+    pub outcomes: BTreeMap<Kind, OutcomeCounts>,
+}
+
+fn number(row: &AnyRow, column: &str) -> Result<u64> {
+    Ok(row.try_get::<i64, _>(column)?.max(0) as u64)
+}
+
+impl Library {
+    /// Counts of photos and jobs.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn statistics(&self) -> Result<Statistics> {
+        let reader = self.database().reader();
+        let mut statistics = Statistics::default();
+        for row in sqlx::query("SELECT state, COUNT(*) AS n FROM photos GROUP BY state").fetch_all(reader).await? {
+            statistics.photos.insert(state_of(&row)?, number(&row, "n")?);
+        }
+        let bytes = sqlx::query("SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) AS bytes FROM photos").fetch_one(reader).await?;
+        statistics.bytes = number(&bytes, "bytes")?;
+        let jobs = "SELECT kind, class, state, COUNT(*) AS n, CAST(SUM(bytes) AS BIGINT) AS bytes, MIN(created_at) AS oldest FROM jobs
+            GROUP BY kind, class, state";
+        let now = self.now().await?;
+        for row in sqlx::query(jobs).fetch_all(reader).await? {
+            let (kind, state): (String, String) = (row.try_get("kind")?, row.try_get("state")?);
+            let (kind, n) = (Kind::of_name(&kind)?, number(&row, "n")?);
+            match JobState::ALL.into_iter().find(|known| known.name() == state) {
+                Some(JobState::Queued) => {
+                    *statistics.waiting.entry((kind, class_of(&row)?)).or_default() += n;
+                    let waited = (now - row.try_get::<i64, _>("oldest")?).max(0) as u64;
+                    statistics.longest_wait = statistics.longest_wait.max(Duration::from_millis(waited));
+                }
+                Some(JobState::Working) => *statistics.working.entry(kind).or_default() += n,
+                Some(JobState::Done) => {
+                    statistics.exports += n;
+                    statistics.exports_bytes += number(&row, "bytes")?;
+                }
+                Some(JobState::Failed) => {}
+                None => return Err(LibraryError::stored("state", state)),
+            }
+        }
+        for row in sqlx::query("SELECT kind, finished, failed, died, mean_ms FROM outcomes").fetch_all(reader).await? {
+            let kind: String = row.try_get("kind")?;
+            let (finished, failed, died) = (number(&row, "finished")?, number(&row, "failed")?, number(&row, "died")?);
+            statistics.outcomes.insert(Kind::of_name(&kind)?, OutcomeCounts { finished, failed, died, mean_ms: row.try_get("mean_ms")? });
+        }
+        Ok(statistics)
+    }
+}

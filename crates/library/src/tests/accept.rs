@@ -1,0 +1,173 @@
+use super::*;
+
+on_both! {
+    an_upload_is_accepted_once_and_known_after,
+    of_twins_at_a_time_one_is_new,
+    a_failed_photo_is_tried_again_and_a_damaged_one_healed,
+    a_photo_made_again_keeps_its_results_until_then,
+    no_more_photos_get_in_than_the_quota_allows,
+    no_more_bytes_get_in_than_the_quota_allows,
+    a_reservation_counts_until_it_is_a_photo,
+    a_full_queue_and_a_greedy_owner_are_refused,
+    a_settings_change_needs_the_version_it_saw,
+}
+
+async fn an_upload_is_accepted_once_and_known_after(bed: Bed) {
+    let library = bed.node().await;
+    let first = library.accept(upload(1, owner("ann"))).await.unwrap();
+    assert_eq!((first.outcome, first.photo.state, first.photo.bytes), (Outcome::New, PhotoState::Queued, 7));
+    assert_eq!(first.photo.title(), Some("Photo 1"));
+    assert_eq!(library.accept(upload(1, owner("ann"))).await.unwrap().outcome, Outcome::Known);
+    let photo = make_next(&library).await;
+    assert_eq!((photo.state, photo.details.clone().unwrap()["width"].as_i64()), (PhotoState::Done, Some(640)));
+    assert_eq!(library.accept(upload(1, owner("ann"))).await.unwrap().outcome, Outcome::Known);
+    assert_eq!(library.get(photo.id).await.unwrap(), photo);
+    let container = library.blobs().read(Part::Container, photo.blob(Part::Container).unwrap()).await.unwrap();
+    assert_eq!(container, "made of photo 1");
+    assert_eq!(library.blobs().read_range(photo.blob(Part::Container).unwrap(), 8..13).await.unwrap(), "photo");
+    assert_eq!(bed.blobs(&library).await.len(), 3);
+}
+
+async fn of_twins_at_a_time_one_is_new(bed: Bed) {
+    let nodes = [bed.node().await, bed.node().await];
+    let twins = (0..16).map(|n| {
+        let node = nodes[n % 2].clone();
+        tokio::spawn(async move { node.accept(photo(1)).await.unwrap().outcome })
+    });
+    let mut new = 0;
+    for twin in twins.collect::<Vec<_>>() {
+        new += u32::from(twin.await.unwrap() == Outcome::New);
+    }
+    assert_eq!(new, 1);
+    assert_eq!(bed.blobs(&nodes[0]).await.len(), 1, "what twins wrote is deleted");
+    make_next(&nodes[1]).await;
+    assert!(nodes[0].take(&Kind::ALL, LEASE).await.unwrap().is_none());
+}
+
+async fn a_failed_photo_is_tried_again_and_a_damaged_one_healed(bed: Bed) {
+    let library = bed.node().await;
+    library.accept(photo(1)).await.unwrap();
+    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let problem = Problem::new("lost", "the upload is damaged");
+    library.fail(&lease, &problem).await.unwrap();
+    assert_eq!(library.get(lease.photo.id).await.unwrap().problem, Some(problem));
+    assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Retried);
+    let photo_done = make_next(&library).await;
+    assert_eq!(bed.blobs(&library).await.len(), 3, "the upload of before is deleted");
+    // nobody has noticed the damage
+    let container = library.blobs().path(photo_done.blob(Part::Container).unwrap()).unwrap();
+    std::fs::write(&container, b"made of photo 2").unwrap();
+    assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Healed);
+    let healed = make_next(&library).await;
+    assert_eq!((healed.state, healed.version), (PhotoState::Done, 3));
+    assert!(library.verify(&healed).await.unwrap().is_empty() && !container.exists());
+    // somebody has
+    assert!(library.mark_damaged(&healed, "container is damaged").await.unwrap());
+    assert!(!library.mark_damaged(&healed, "once more").await.unwrap());
+    assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Healed);
+}
+
+async fn a_photo_made_again_keeps_its_results_until_then(bed: Bed) {
+    let library = bed.node().await;
+    let before = done(&library, 1, owner("ann")).await;
+    let strokes = || Content::of_bytes(b"[]".as_slice());
+    let again = library.touch_up(&before, strokes(), &owner("ann")).await.unwrap();
+    assert_eq!((again.state, again.version), (PhotoState::Queued, 2));
+    assert!(again.blobs.contains_key(&Part::Strokes) && again.blobs[&Part::Container] == before.blobs[&Part::Container]);
+    assert!(matches!(library.touch_up(&before, strokes(), &owner("ann")).await, Err(LibraryError::NotReady)));
+    let after = make_next(&library).await;
+    assert_ne!(after.blobs[&Part::Container].name, before.blobs[&Part::Container].name);
+    assert!(matches!(library.make_again(&before, Class::Batch, &owner("ann")).await, Err(LibraryError::Changed)), "a version ago");
+    assert_eq!(bed.blobs(&library).await.len(), 4);
+    library.make_again(&after, Class::Batch, &owner("ann")).await.unwrap();
+    assert_eq!(make_next(&library).await.version, 3);
+}
+
+/// How many of 16 uploads, at two nodes at a time, get in.
+async fn taken(bed: &Bed, limits: &Limits) -> usize {
+    let nodes = [bed.node_with(limits.clone()).await, bed.node_with(limits.clone()).await];
+    let uploads: Vec<_> = (0..16)
+        .map(|n| {
+            let node = nodes[n as usize % 2].clone();
+            tokio::spawn(async move { node.accept(upload(10 + n, owner("ann"))).await })
+        })
+        .collect();
+    let mut taken = 0;
+    for upload in uploads {
+        match upload.await.unwrap() {
+            Ok(_) => taken += 1,
+            Err(LibraryError::QuotaExceeded { .. }) => {}
+            Err(error) => panic!("{error}"),
+        }
+    }
+    assert_eq!(bed.blobs(&nodes[0]).await.len(), taken, "what is refused is deleted");
+    nodes[0].accept(upload(99, owner("bob"))).await.unwrap();
+    let mut local = upload(98, Asker { owner: Some(Owner::local_user()), address: None });
+    local.id = PhotoId::from_bytes([9; 16]);
+    nodes[0].accept(local).await.unwrap();
+    taken
+}
+
+async fn no_more_photos_get_in_than_the_quota_allows(bed: Bed) {
+    assert_eq!(taken(&bed, &Limits { quota_photos: Some(5), ..Limits::default() }).await, 5);
+}
+
+async fn no_more_bytes_get_in_than_the_quota_allows(bed: Bed) {
+    // each has 8
+    assert_eq!(taken(&bed, &Limits { quota_bytes: Some(47), ..Limits::default() }).await, 5);
+}
+
+async fn a_reservation_counts_until_it_is_a_photo(bed: Bed) {
+    let library = bed.node_with(Limits { quota_bytes: Some(20), ..Limits::default() }).await;
+    let ann = owner("ann").owner.unwrap();
+    let hour = Duration::from_hours(1);
+    library.reserve("one", &ann, 15, hour).await.unwrap();
+    assert!(matches!(
+        library.reserve("two", &ann, 6, hour).await,
+        Err(LibraryError::QuotaExceeded { quota: Quota::Bytes, used: 15, asked: 6, limit: 20 })
+    ));
+    library.reserve("one", &ann, 20, hour).await.unwrap();
+    assert!(library.check_quota(&ann, 1, None).await.is_err() && library.check_quota(&ann, 20, Some("one")).await.is_ok());
+    assert!(library.accept(upload(1, owner("ann"))).await.is_err());
+    library.accept(Upload { reservation: Some("one".into()), ..upload(1, owner("ann")) }).await.unwrap();
+    assert!(library.check_quota(&ann, 13, None).await.is_ok() && library.check_quota(&ann, 14, None).await.is_err(), "a photo of 7");
+    library.reserve("two", &ann, 13, hour).await.unwrap();
+    library.release_reservation("two").await.unwrap();
+    library.reserve("three", &ann, 13, Duration::from_secs(1)).await.unwrap();
+    bed.jump(1_000);
+    library.0.clock.lock().unwrap().take();
+    assert!(library.check_quota(&ann, 13, None).await.is_ok(), "its time is over");
+}
+
+async fn a_full_queue_and_a_greedy_owner_are_refused(bed: Bed) {
+    let library = bed.node_with(Limits { queue: 4, ..Limits::default() }).await;
+    let share = |answer: Result<Accepted>| match answer {
+        Err(LibraryError::QueueFull { share, retry_after, .. }) => {
+            assert!((1..=120).contains(&retry_after.as_secs()), "{retry_after:?}");
+            Some(share)
+        }
+        answer => answer.map(|_| None).unwrap(),
+    };
+    let mut answers = Vec::new();
+    for (n, asker) in
+        [owner("ann"), owner("ann"), owner("ann"), address("192.0.2.1"), address("192.0.2.1"), address("192.0.2.1")].into_iter().enumerate()
+    {
+        answers.push(share(library.accept(upload(n as u32, asker)).await));
+    }
+    assert_eq!(answers, [None, None, Some(Share::Owner), None, None, Some(Share::All)]);
+    make_next(&library).await;
+    assert_eq!(share(library.accept(upload(7, address("192.0.2.1"))).await), Some(Share::Address));
+    assert_eq!(share(library.accept(upload(7, owner("bob"))).await), None);
+    assert_eq!(bed.blobs(&library).await.len(), 5 + 2, "what is refused is deleted");
+}
+
+async fn a_settings_change_needs_the_version_it_saw(bed: Bed) {
+    let library = bed.node().await;
+    let seen = library.accept(photo(1)).await.unwrap().photo;
+    let changed = library.set_settings(&seen, &json!({"title": "Attic"})).await.unwrap();
+    assert_eq!((changed.title(), changed.settings_version), (Some("Attic"), 2));
+    assert!(matches!(library.set_settings(&seen, &json!({})).await, Err(LibraryError::Changed)));
+    assert_eq!(library.get(seen.id).await.unwrap(), changed);
+    library.delete(seen.id, None).await.unwrap();
+    assert!(matches!(library.set_settings(&changed, &json!({})).await, Err(LibraryError::NotFound(_))));
+}

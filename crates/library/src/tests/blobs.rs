@@ -1,0 +1,91 @@
+use super::*;
+
+on_both! {
+    gc_deletes_what_nobody_refers_to_for_a_day,
+    fsck_finds_what_is_missing_short_and_changed,
+}
+
+async fn gc_deletes_what_nobody_refers_to_for_a_day(bed: Bed) {
+    let library = bed.node().await;
+    let photo = done(&library, 1, owner("ann")).await;
+    let asker = owner("ann");
+    let order = Order { photo: &photo, key: "a", kind: Kind::Film, payload: json!({}), class: Class::Interactive, asker: &asker };
+    library.order(&order).await.unwrap();
+    let lease = library.take(&[Kind::Film], LEASE).await.unwrap().unwrap();
+    library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
+    let orphan = |n: u8| Contents::from([(Part::Upload, Content::of_bytes(vec![n; 9]))]);
+    let old = library.blobs().store(photo.id, orphan(1)).await.unwrap().remove(&Part::Upload).unwrap();
+    library.blobs().store(PhotoId::from_bytes([0; 16]), orphan(2)).await.unwrap();
+    let long_ago = std::time::SystemTime::now() - Duration::from_hours(25);
+    let file = std::fs::File::options().write(true).open(library.blobs().path(&old).unwrap()).unwrap();
+    file.set_modified(long_ago).unwrap();
+    assert_eq!(library.gc().await.unwrap(), Collected { blobs: 1, bytes: 9 });
+    assert_eq!(bed.blobs(&library).await.len(), 3 + 1 + 1);
+    assert_eq!(library.gc_older_than(Duration::ZERO).await.unwrap(), Collected { blobs: 1, bytes: 9 });
+    assert!(library.verify(&library.get(photo.id).await.unwrap()).await.unwrap().is_empty());
+    assert_eq!(library.fsck().await.unwrap(), []);
+}
+
+async fn fsck_finds_what_is_missing_short_and_changed(bed: Bed) {
+    let library = bed.node().await;
+    let mut photos = Vec::new();
+    for n in 0..4 {
+        photos.push(done(&library, n, owner(&n.to_string())).await);
+    }
+    let path = |n: usize, part| library.blobs().path(photos[n].blob(part).unwrap()).unwrap();
+    std::fs::remove_file(path(0, Part::Container)).unwrap();
+    std::fs::write(path(1, Part::Report), b"").unwrap();
+    std::fs::write(path(2, Part::Container), b"made of photo x").unwrap();
+    std::fs::remove_file(path(3, Part::Upload)).unwrap();
+    let mut found = library.fsck().await.unwrap();
+    found.sort_by_key(|damage| photos.iter().position(|photo| photo.id == damage.photo));
+    let told: Vec<String> = found.iter().map(ToString::to_string).collect();
+    assert_eq!(
+        told,
+        [
+            "container is damaged: it is missing",
+            "report is damaged: it has 0 bytes, and 2 were written",
+            "container is damaged: it is not what was written",
+            "upload is damaged: it is missing"
+        ]
+    );
+    let mut states = Vec::new();
+    for photo in &photos {
+        states.push(library.get(photo.id).await.unwrap().state);
+    }
+    assert_eq!(states, [PhotoState::Damaged, PhotoState::Damaged, PhotoState::Damaged, PhotoState::Done], "it can be served");
+}
+
+#[tokio::test]
+async fn an_upload_that_was_written_as_it_came_is_moved() {
+    let bed = Bed::sqlite();
+    let library = bed.node().await;
+    let path = library.incoming().join("upload");
+    std::fs::write(&path, bytes(1)).unwrap();
+    let content = Content::of_file(path.clone(), 7, Digest::of(&bytes(1)));
+    let accepted = library.accept(Upload { photo: content, ..photo(1) }).await.unwrap().photo;
+    assert!(!path.exists() && library.verify(&accepted).await.unwrap().is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn photos_live_and_die_in_an_object_store() {
+    let Some(engine) = tokio::task::spawn_blocking(tmpi_testing::Engine::s3).await.unwrap() else { return };
+    let bed = Bed::sqlite();
+    let library = bed.node_of(BlobStore::s3_at(engine.addr), Limits::default()).await;
+    library.check().await.unwrap();
+    let photo = done(&library, 1, owner("ann")).await;
+    assert!(library.verify(&photo).await.unwrap().is_empty());
+    let container = photo.blob(Part::Container).unwrap();
+    assert_eq!(library.blobs().read_range(container, 8..13).await.unwrap(), "photo");
+    assert!(library.blobs().read_range(container, 99..200).await.unwrap().is_empty() && library.blobs().path(container).is_none());
+    library.blobs().store(photo.id, Contents::from([(Part::Report, Content::of_bytes(b"x".as_slice()))])).await.unwrap();
+    assert_eq!(library.gc().await.unwrap(), Collected::default(), "not yet a day old");
+    assert_eq!(library.gc_older_than(Duration::ZERO).await.unwrap(), Collected { blobs: 1, bytes: 1 });
+    library.blobs().delete(&container.name).await.unwrap();
+    assert_eq!(library.fsck().await.unwrap()[0].to_string(), "container is damaged: it is missing");
+    library.delete(photo.id, None).await.unwrap();
+    assert!(bed.blobs(&library).await.is_empty());
+    drop(engine);
+    let away = library.accept(super::photo(2)).await;
+    assert!(matches!(away, Err(LibraryError::Unavailable { service: Service::Blobs, .. })), "{away:?}");
+}

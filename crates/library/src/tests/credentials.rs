@@ -1,0 +1,59 @@
+use super::*;
+
+on_both! {
+    keys_come_end_and_are_removed,
+    sessions_end_with_their_time_and_their_key,
+}
+
+fn later(bed: &Bed, library: &Library, by: Duration) {
+    bed.jump(by.as_millis() as i64);
+    library.0.clock.lock().unwrap().take();
+}
+
+async fn keys_come_end_and_are_removed(bed: Bed) {
+    let (library, other) = (bed.node().await, bed.node().await);
+    let day = Duration::from_hours(24);
+    let one = library.add_key("site", &[Scope::Upload, Scope::Read, Scope::Read], None).await.unwrap();
+    let two = library.add_key("site", &[Scope::Metrics], Some(day)).await.unwrap();
+    let found = other.find_key(&one.secret).await.unwrap().unwrap();
+    assert_eq!(found, one.key);
+    assert_eq!((found.owner, found.scopes), (two.key.owner.clone(), vec![Scope::Upload, Scope::Read]));
+    assert!(two.key.may(Scope::Metrics) && !two.key.may(Scope::Read));
+    assert!(library.find_key(&one.secret[..one.secret.len() - 1]).await.unwrap().is_none());
+    assert_eq!(library.keys().await.unwrap().len(), 2);
+    later(&bed, &library, day);
+    assert!(!library.is_still_good(&two.key).await.unwrap() && library.is_still_good(&one.key).await.unwrap());
+    let mut events = library.subscribe();
+    assert_eq!(library.remove_keys("site", Some(&one.key.id)).await.unwrap(), 1);
+    assert_eq!(events.next().await, Some(Event::Revoked));
+    assert!(other.find_key(&one.secret).await.unwrap().is_none());
+    assert!(matches!(library.remove_keys("sites", None).await, Err(LibraryError::NotFound("key"))));
+    assert_eq!(library.remove_keys("site", None).await.unwrap(), 1);
+    for name in ["", "a b", "ä", &"x".repeat(65)] {
+        assert!(matches!(library.add_key(name, &[], None).await, Err(LibraryError::Invalid(_))), "{name}");
+    }
+}
+
+async fn sessions_end_with_their_time_and_their_key(bed: Bed) {
+    let library = bed.node().await;
+    let (ann, hour) = (Owner::of_secret("ann"), Duration::from_hours(1));
+    let mine = library.open_session(&ann, None, hour).await.unwrap();
+    assert_eq!(library.find_session(&mine).await.unwrap().unwrap().owner, ann);
+    let key = library.add_key("bob", &[Scope::Admin], Some(hour * 2)).await.unwrap().key;
+    let by_key = library.open_session(&key.owner, Some(&key), hour * 9).await.unwrap();
+    assert!(library.find_session(&by_key).await.unwrap().unwrap().key.unwrap().may(Scope::Upload));
+    later(&bed, &library, hour);
+    assert!(library.find_session(&mine).await.unwrap().is_none() && library.find_session(&by_key).await.unwrap().is_some());
+    later(&bed, &library, hour);
+    assert!(library.find_session(&by_key).await.unwrap().is_none(), "its key's time is over");
+    let key = library.add_key("bob", &[Scope::Read], None).await.unwrap().key;
+    let by_key = library.open_session(&key.owner, Some(&key), hour).await.unwrap();
+    library.remove_keys("bob", Some(&key.id)).await.unwrap();
+    assert!(library.find_session(&by_key).await.unwrap().is_none(), "its key is gone");
+    assert!(matches!(library.open_session(&key.owner, Some(&key), hour).await, Err(LibraryError::NotFound("key"))));
+    let all = [library.open_session(&ann, None, hour).await.unwrap(), library.open_session(&ann, None, hour).await.unwrap()];
+    library.end_session(&all[0]).await.unwrap();
+    assert!(library.find_session(&all[0]).await.unwrap().is_none() && library.find_session(&all[1]).await.unwrap().is_some());
+    library.end_sessions(&ann).await.unwrap();
+    assert!(library.find_session(&all[1]).await.unwrap().is_none());
+}

@@ -1,0 +1,44 @@
+use super::*;
+
+on_both! {
+    a_photo_is_followed_from_its_acceptance_to_its_end,
+}
+
+/// The next event of a photo that is not about something else.
+async fn next(events: &mut Subscription) -> Event {
+    tokio::time::timeout(Duration::from_secs(30), events.next()).await.unwrap().unwrap()
+}
+
+async fn a_photo_is_followed_from_its_acceptance_to_its_end(bed: Bed) {
+    let worker = bed.node().await;
+    // with PostgreSQL another node hears it all
+    let node = if bed.url.is_some() { bed.node().await } else { worker.clone() };
+    let mut events = node.subscribe();
+    let id = worker.accept(photo(1)).await.unwrap().photo.id;
+    assert_eq!(next(&mut events).await, Event::Photo(id));
+    let lease = worker.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    assert_eq!(next(&mut events).await, Event::Photo(id));
+    let progress = json!({"stage": "depth", "step": 2});
+    worker.tell_progress(&lease, progress.clone()).await.unwrap();
+    assert_eq!(next(&mut events).await, Event::Progress { photo: id, progress: progress.clone() });
+    assert_eq!(node.progress_of(id), Some(progress.clone()), "who comes late is told the last");
+    worker.renew(&lease, Some(&progress)).await.unwrap();
+    assert_eq!(node.job(Kind::Make, id, None).await.unwrap().progress, Some(progress));
+    worker.finish(&lease, made(&worker, &lease).await).await.unwrap();
+    assert_eq!(next(&mut events).await, Event::Photo(id));
+    assert_eq!((node.progress_of(id), node.get(id).await.unwrap().state), (None, PhotoState::Done));
+    worker.delete(id, None).await.unwrap();
+    assert_eq!(next(&mut events).await, Event::Deleted(id));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_connection_is_a_gap_after_which_events_come_again() {
+    let Some(bed) = Bed::postgres().await else { return };
+    let (node, other) = (bed.node().await, bed.node().await);
+    let mut events = node.subscribe();
+    let cut = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = current_database() AND query LIKE 'LISTEN%'";
+    sqlx::query(cut).execute(other.database().reader()).await.unwrap();
+    assert_eq!(next(&mut events).await, Event::Gap);
+    let id = other.accept(photo(1)).await.unwrap().photo.id;
+    while next(&mut events).await != Event::Photo(id) {}
+}

@@ -1,0 +1,92 @@
+use super::*;
+
+on_both! {
+    an_export_is_written_once_and_kept,
+    an_export_of_another_version_goes,
+    a_failed_export_is_tried_again,
+    exports_have_places_and_room_of_their_own,
+}
+
+async fn order(library: &Library, photo: &Photo, key: &str, asker: &Asker) -> Result<Ordered> {
+    let payload = json!({"format": key});
+    library.order(&Order { photo, key, kind: Kind::Export, payload, class: Class::Batch, asker }).await
+}
+
+async fn write_next(library: &Library, file: &[u8]) -> Job {
+    let lease = library.take(&[Kind::Export, Kind::Film], LEASE).await.unwrap().unwrap();
+    library.finish_export(&lease, Content::of_bytes(file.to_vec())).await.unwrap()
+}
+
+async fn an_export_is_written_once_and_kept(bed: Bed) {
+    let (library, other) = (bed.node().await, bed.node().await);
+    let photo = done(&library, 1, owner("ann")).await;
+    let (ann, bob) = (owner("ann"), owner("bob"));
+    let (one, two) = tokio::join!(order(&library, &photo, "zip", &ann), order(&other, &photo, "zip", &bob));
+    assert_eq!(u8::from(one.unwrap().new) + u8::from(two.unwrap().new), 1);
+    let written = write_next(&other, b"file").await;
+    assert_eq!((written.key(), written.payload["format"].as_str()), (Some("zip"), Some("zip")));
+    assert!(library.take(&[Kind::Export], LEASE).await.unwrap().is_none());
+    let there = order(&library, &photo, "zip", &owner("ann")).await.unwrap();
+    assert!(!there.new && there.job.state == JobState::Done);
+    let file = library.blobs().read(Part::Export, there.job.result.as_ref().unwrap()).await.unwrap();
+    assert_eq!(file, "file");
+    assert!(library.cancel(photo.id, "zip").await.unwrap() && !library.cancel(photo.id, "zip").await.unwrap());
+    assert_eq!(bed.blobs(&library).await.len(), 3);
+}
+
+async fn an_export_of_another_version_goes(bed: Bed) {
+    let library = bed.node().await;
+    let before = done(&library, 1, owner("ann")).await;
+    order(&library, &before, "zip", &owner("ann")).await.unwrap();
+    write_next(&library, b"file").await;
+    order(&library, &before, "glb", &owner("ann")).await.unwrap();
+    let late = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
+    let queued = library.make_again(&before, Class::Interactive, &owner("ann")).await.unwrap();
+    assert!(matches!(order(&library, &queued, "html", &owner("ann")).await, Err(LibraryError::NotReady)));
+    let after = make_next(&library).await;
+    assert!(matches!(library.renew(&late, None).await, Err(LibraryError::LeaseLost)));
+    assert!(matches!(library.job(Kind::Export, before.id, Some("zip")).await, Err(LibraryError::NotFound(_))));
+    assert_eq!(bed.blobs(&library).await.len(), 3, "its file is deleted");
+    assert!(matches!(order(&library, &before, "zip", &owner("ann")).await, Err(LibraryError::Changed)));
+    assert!(order(&library, &after, "zip", &owner("ann")).await.unwrap().new);
+}
+
+async fn a_failed_export_is_tried_again(bed: Bed) {
+    let library = bed.node_with(Limits { attempts: 1, ..Limits::default() }).await;
+    let photo = done(&library, 1, owner("ann")).await;
+    order(&library, &photo, "zip", &owner("ann")).await.unwrap();
+    let lease = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
+    library.retry(&lease, &Retry::Died("signal 9".into())).await.unwrap();
+    let failed = library.job(Kind::Export, photo.id, Some("zip")).await.unwrap();
+    assert_eq!((failed.state, failed.problem.unwrap().kind.as_str()), (JobState::Failed, "gave-up"));
+    assert_eq!(library.get(photo.id).await.unwrap().state, PhotoState::Done, "the photo is not at fault");
+    assert!(order(&library, &photo, "zip", &owner("ann")).await.unwrap().new);
+    assert_eq!(write_next(&library, b"file").await.attempts, 0);
+}
+
+async fn exports_have_places_and_room_of_their_own(bed: Bed) {
+    let library = bed.node_with(Limits { exports: 4, exports_bytes: 10, ..Limits::default() }).await;
+    let photo = done(&library, 1, owner("ann")).await;
+    for (key, is_taken) in [("a", true), ("b", true), ("c", false)] {
+        assert_eq!(order(&library, &photo, key, &owner("ann")).await.is_ok(), is_taken, "half of the places: {key}");
+    }
+    let lease = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
+    assert!(matches!(library.finish_export(&lease, Content::of_bytes(vec![0; 11])).await, Err(LibraryError::Invalid(_))));
+    library.finish_export(&lease, Content::of_bytes(vec![0; 4])).await.unwrap();
+    bed.jump(10);
+    write_next(&library, &[1; 4]).await;
+    bed.jump(10);
+    let a = library.job(Kind::Export, photo.id, Some("a")).await.unwrap();
+    library.fetched(&a).await.unwrap();
+    order(&library, &photo, "c", &owner("ann")).await.unwrap();
+    bed.jump(10);
+    write_next(&library, &[2; 4]).await;
+    let mut there = String::new();
+    for key in ["a", "b", "c"] {
+        if library.job(Kind::Export, photo.id, Some(key)).await.is_ok() {
+            there.push_str(key);
+        }
+    }
+    assert_eq!(there, "ac", "the one that was not fetched for longest makes room");
+    assert_eq!(bed.blobs(&library).await.len(), 3 + 2);
+}

@@ -1,0 +1,197 @@
+//! One suite for both databases. PostgreSQL's half is skipped, and says so, where PostgreSQL is not installed.
+
+mod accept;
+mod blobs;
+mod crash;
+mod credentials;
+mod events;
+mod exports;
+mod files;
+mod photos;
+#[cfg(unix)]
+mod postgres;
+mod queue;
+mod retention;
+mod rooms;
+mod schema;
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::net::IpAddr;
+use std::path::Path;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use serde_json::json;
+
+use crate::database::Database;
+use crate::*;
+
+/// A lease that ends only where a test has the clock jump.
+pub const LEASE: Duration = Duration::from_mins(1);
+
+/// Defines each test for SQLite and for PostgreSQL.
+macro_rules! on_both {
+    ($($name:ident),* $(,)?) => {
+        mod sqlite {
+            $(#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+            async fn $name() {
+                super::$name(crate::tests::Bed::sqlite()).await;
+            })*
+        }
+        mod postgres {
+            $(#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+            async fn $name() {
+                if let Some(bed) = crate::tests::Bed::postgres().await {
+                    super::$name(bed).await;
+                }
+            })*
+        }
+    };
+}
+pub(crate) use on_both;
+
+/// An empty database and an empty folder of blobs, of which a test opens as many nodes as it wants.
+pub struct Bed {
+    dir: tempfile::TempDir,
+    pub url: Option<String>,
+    clock: Arc<AtomicI64>,
+}
+
+impl Bed {
+    pub fn sqlite() -> Self {
+        Self { dir: tempfile::tempdir().unwrap(), url: None, clock: Arc::default() }
+    }
+
+    pub async fn postgres() -> Option<Self> {
+        #[cfg(unix)]
+        let url = postgres::database().await;
+        #[cfg(not(unix))]
+        let url = {
+            eprintln!("skipped, no postgres: tests start it on Unix alone");
+            None
+        };
+        url.map(|url| Self { url: Some(url), ..Self::sqlite() })
+    }
+
+    pub fn path(&self) -> &Path {
+        self.dir.path()
+    }
+
+    /// A node.
+    pub async fn node(&self) -> Library {
+        self.node_with(Limits::default()).await
+    }
+
+    pub async fn node_with(&self, limits: Limits) -> Library {
+        let blobs = BlobStore::folder(&self.path().join("blobs"), Reserve { bytes: 0, files: 0 }).unwrap();
+        self.node_of(blobs, limits).await
+    }
+
+    pub async fn node_of(&self, blobs: BlobStore, limits: Limits) -> Library {
+        let mut database = match &self.url {
+            Some(url) => Database::postgres(url).await.unwrap(),
+            None => Database::sqlite(&self.path().join("library.db")).await.unwrap(),
+        };
+        database.skew = Arc::clone(&self.clock);
+        Library::of(database, blobs, Config { limits, ..Config::of_folder(self.path()) }).await.unwrap()
+    }
+
+    /// Has the database's clock jump.
+    pub fn jump(&self, by: i64) {
+        self.clock.fetch_add(by, Ordering::SeqCst);
+    }
+
+    /// Names of all blobs that are there.
+    pub async fn blobs(&self, library: &Library) -> Vec<String> {
+        let mut all = Vec::new();
+        for prefix in crate::blobs::prefixes() {
+            all.extend(library.blobs().list(&prefix).await.unwrap().into_iter().map(|blob| blob.name));
+        }
+        all
+    }
+}
+
+/// Who comes from an address of their own.
+pub fn owner(name: &str) -> Asker {
+    Asker { owner: Some(Owner::of_secret(name)), address: None }
+}
+
+pub fn address(text: &str) -> Asker {
+    Asker { owner: None, address: Some(text.parse::<IpAddr>().unwrap()) }
+}
+
+/// The bytes of the `n`th photo.
+pub fn bytes(n: u32) -> Vec<u8> {
+    format!("photo {n}").into_bytes()
+}
+
+/// An upload of the `n`th photo.
+pub fn upload(n: u32, asker: Asker) -> Upload {
+    let photo = Content::of_bytes(bytes(n));
+    let content = PhotoId::of_content(photo.digest(), None, "", asker.owner.as_ref().map_or("", Owner::as_str));
+    Upload {
+        id: content,
+        asker,
+        class: Class::Interactive,
+        options: BTreeMap::from([("quality".to_owned(), "80".to_owned())]),
+        settings: json!({"title": format!("Photo {n}")}),
+        photo,
+        depth: None,
+        reservation: None,
+    }
+}
+
+/// The same of nobody.
+pub fn photo(n: u32) -> Upload {
+    upload(n, Asker::default())
+}
+
+/// What a worker makes of a photo whose bytes it reads.
+pub async fn made(library: &Library, lease: &Lease) -> Made {
+    let read = library.blobs().read(Part::Upload, lease.photo.blob(Part::Upload).unwrap()).await.unwrap();
+    let container = [b"made of ".as_slice(), &read].concat();
+    let report = Content::of_bytes(b"{}".as_slice());
+    let contents = Contents::from([(Part::Container, Content::of_bytes(container)), (Part::Report, report)]);
+    Made { contents, details: json!({"width": 640, "height": 480}) }
+}
+
+/// Makes the next photo.
+pub async fn make_next(library: &Library) -> Photo {
+    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    library.finish(&lease, made(library, &lease).await).await.unwrap()
+}
+
+/// Accepts and makes the `n`th photo.
+pub async fn done(library: &Library, n: u32, asker: Asker) -> Photo {
+    library.accept(upload(n, asker)).await.unwrap();
+    make_next(library).await
+}
+
+/// A future that is dropped after so many polls, as one is whose process is killed; none where it was.
+pub struct Cut<F> {
+    future: Option<Pin<Box<F>>>,
+    polls: u32,
+}
+
+pub fn cut<F: Future>(future: F, polls: u32) -> Cut<F> {
+    Cut { future: Some(Box::pin(future)), polls }
+}
+
+impl<F: Future> Future for Cut<F> {
+    type Output = Option<F::Output>;
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
+        if self.polls == 0 {
+            self.future = None;
+        }
+        self.polls = self.polls.saturating_sub(1);
+        match &mut self.future {
+            Some(future) => future.as_mut().poll(context).map(Some),
+            None => Poll::Ready(None),
+        }
+    }
+}

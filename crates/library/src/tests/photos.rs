@@ -1,0 +1,126 @@
+use std::collections::BTreeSet;
+
+use super::*;
+
+on_both! {
+    pages_are_newest_first_by_owner_state_and_title,
+    pages_stay_in_place_while_photos_come_and_go,
+    deleting_leaves_neither_rows_nor_blobs,
+    taking_links_back_ends_those_of_before,
+    statistics_count_all,
+}
+
+/// All pages of a list.
+async fn all(library: &Library, filter: &Filter, limit: usize) -> Vec<Photo> {
+    let (mut photos, mut after) = (Vec::new(), None);
+    loop {
+        let page = library.list(filter, after, limit).await.unwrap();
+        assert!(page.photos.len() == limit || page.next.is_none());
+        photos.extend(page.photos);
+        after = match page.next {
+            // as it goes through an address
+            Some(next) => Some(next.to_string().parse().unwrap()),
+            None => return photos,
+        };
+    }
+}
+
+async fn pages_are_newest_first_by_owner_state_and_title(bed: Bed) {
+    let library = bed.node().await;
+    for n in 0..20 {
+        library.accept(upload(n, owner(if n % 3 == 0 { "ann" } else { "bob" }))).await.unwrap();
+    }
+    make_next(&library).await;
+    for limit in [1, 3, 7, 100] {
+        let photos = all(&library, &Filter::default(), limit).await;
+        assert!(photos.len() == 20 && photos.windows(2).all(|two| (two[0].accepted_at, two[0].id) > (two[1].accepted_at, two[1].id)));
+        let of_ann = Filter { owner: owner("ann").owner, ..Filter::default() };
+        let theirs: Vec<_> = photos.iter().filter(|photo| photo.owner == of_ann.owner).cloned().collect();
+        assert_eq!(all(&library, &of_ann, limit).await, theirs, "{limit}");
+        assert_eq!(theirs.len(), 7);
+    }
+    let is_done = Filter { state: Some(PhotoState::Done), ..Filter::default() };
+    assert_eq!(all(&library, &is_done, 9).await.len(), 1);
+    let titled = |title: &str| Filter { title: Some(title.to_owned()), ..Filter::default() };
+    assert_eq!(all(&library, &titled("PHOTO 1"), 9).await.len(), 11);
+    assert_eq!(all(&library, &titled("photo%"), 9).await.len(), 0, "a character like others");
+    assert_eq!(all(&library, &Filter { owner: owner("nobody").owner, ..Filter::default() }, 9).await.len(), 0);
+}
+
+async fn pages_stay_in_place_while_photos_come_and_go(bed: Bed) {
+    let library = bed.node_with(Limits { queue: 1000, ..Limits::default() }).await;
+    let mut there = BTreeSet::new();
+    for n in 0..60 {
+        there.insert(library.accept(photo(n)).await.unwrap().photo.id);
+    }
+    let (mut seen, mut after, mut n) = (Vec::new(), None, 100);
+    loop {
+        let page = library.list(&Filter::default(), after, 7).await.unwrap();
+        seen.extend(page.photos.iter().map(|photo| photo.id));
+        let Some(next) = page.next else { break };
+        after = Some(next);
+        library.accept(photo(n)).await.unwrap();
+        // also the one that the next page begins behind
+        let gone = page.photos.last().unwrap().id;
+        library.delete(gone, None).await.unwrap();
+        n += 1;
+    }
+    assert_eq!(seen.len(), 60);
+    assert_eq!(seen.into_iter().collect::<BTreeSet<_>>(), there, "each once, and none that came later");
+}
+
+async fn deleting_leaves_neither_rows_nor_blobs(bed: Bed) {
+    let library = bed.node().await;
+    let photo = done(&library, 1, owner("ann")).await;
+    let (payload, asker) = (json!({"format": "zip"}), owner("ann"));
+    for key in ["a", "b"] {
+        let order = Order { photo: &photo, key, kind: Kind::Export, payload: payload.clone(), class: Class::Batch, asker: &asker };
+        library.order(&order).await.unwrap();
+    }
+    let lease = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
+    library.finish_export(&lease, Content::of_bytes(b"file".as_slice())).await.unwrap();
+    let late = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
+    assert_eq!(bed.blobs(&library).await.len(), 4);
+    assert!(library.delete(photo.id, None).await.unwrap());
+    assert!(bed.blobs(&library).await.is_empty());
+    assert!(matches!(library.get(photo.id).await, Err(LibraryError::NotFound("photo"))));
+    assert!(matches!(library.job(Kind::Export, photo.id, Some("a")).await, Err(LibraryError::NotFound("job"))));
+    assert!(matches!(library.finish_export(&late, Content::of_bytes(b"file".as_slice())).await, Err(LibraryError::LeaseLost)));
+    assert!(bed.blobs(&library).await.is_empty());
+    assert_eq!(library.accept(upload(1, owner("ann"))).await.unwrap().outcome, Outcome::New);
+}
+
+async fn taking_links_back_ends_those_of_before(bed: Bed) {
+    let library = bed.node().await;
+    let before = library.accept(upload(1, owner("ann"))).await.unwrap().photo;
+    let secret = bed.node().await.secret().clone();
+    let link = secret.sign(Grant::View, Subject::Photo(&before), u64::MAX);
+    let allows = |grant, photo: &Photo| library.secret().allows(grant, Subject::Photo(photo), &link, photo.accepted_at);
+    assert!(allows(Grant::View, &before) && !allows(Grant::Edit, &before), "by any node");
+    library.revoke_links(before.id).await.unwrap();
+    let after = library.get(before.id).await.unwrap();
+    assert!(!allows(Grant::View, &after));
+    library.delete(before.id, None).await.unwrap();
+    bed.jump(1);
+    let again = library.accept(upload(1, owner("ann"))).await.unwrap().photo;
+    assert!(!allows(Grant::View, &again), "another upload of it");
+    assert!(matches!(library.revoke_links(PhotoId::from_bytes([0; 16])).await, Err(LibraryError::NotFound(_))));
+}
+
+async fn statistics_count_all(bed: Bed) {
+    let library = bed.node().await;
+    let bytes: u64 = [done(&library, 1, owner("a")).await.bytes, done(&library, 2, owner("b")).await.bytes].iter().sum();
+    library.accept(photo(3)).await.unwrap();
+    library.accept(Upload { class: Class::Batch, ..photo(4) }).await.unwrap();
+    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    bed.jump(5_000);
+    library.0.clock.lock().unwrap().take();
+    let statistics = library.statistics().await.unwrap();
+    let photos = [(PhotoState::Queued, 1), (PhotoState::Working, 1), (PhotoState::Done, 2)];
+    assert_eq!(statistics.photos.into_iter().collect::<Vec<_>>(), photos);
+    assert_eq!(statistics.bytes, bytes + 14);
+    assert_eq!(statistics.waiting.into_iter().collect::<Vec<_>>(), [((Kind::Make, Class::Batch), 1)]);
+    assert_eq!((statistics.working[&Kind::Make], statistics.outcomes[&Kind::Make].finished), (1, 2));
+    assert!(statistics.longest_wait >= Duration::from_secs(5), "{:?}", statistics.longest_wait);
+    drop(lease);
+}

@@ -1,0 +1,252 @@
+use std::collections::BTreeSet;
+
+use super::*;
+
+/// A day in milliseconds.
+const DAY: i64 = 86_400_000;
+
+on_both! {
+    many_workers_make_a_photo_once,
+    two_owners_take_turns,
+    what_somebody_waits_for_comes_first_but_not_always,
+    a_dead_workers_job_is_taken_again_and_its_result_discarded,
+    a_worker_keeps_its_lease_however_the_clock_jumps,
+    a_photo_that_takes_down_its_workers_fails,
+    a_fault_of_the_server_only_costs_time,
+    a_position_counts_what_comes_before,
+    a_deleted_photos_worker_loses_its_lease,
+    a_check_takes_a_damaged_photo_out_of_service,
+    waiting_workers_hear_of_a_job,
+}
+
+async fn many_workers_make_a_photo_once(bed: Bed) {
+    let nodes = [bed.node().await, bed.node().await];
+    nodes[0].accept(photo(1)).await.unwrap();
+    let workers: Vec<_> = (0..16)
+        .map(|n| {
+            let node = nodes[n % 2].clone();
+            tokio::spawn(async move {
+                let lease = node.take(&[Kind::Make], LEASE).await.unwrap()?;
+                Some(node.finish(&lease, made(&node, &lease).await).await.unwrap())
+            })
+        })
+        .collect();
+    let mut photos = Vec::new();
+    for worker in workers {
+        photos.extend(worker.await.unwrap());
+    }
+    assert_eq!(photos.len(), 1);
+    let made = nodes[1].statistics().await.unwrap().outcomes[&Kind::Make];
+    assert_eq!((made.finished, made.failed, made.died), (1, 0, 0));
+}
+
+async fn two_owners_take_turns(bed: Bed) {
+    let library = bed.node().await;
+    for n in 0..10 {
+        library.accept(upload(n, owner("ann"))).await.unwrap();
+    }
+    let mut order = String::new();
+    for n in 10..13 {
+        for asker in [owner("bob"), address("192.0.2.1")] {
+            bed.jump(1);
+            library.accept(upload(n, asker)).await.unwrap();
+        }
+    }
+    for _ in 0..9 {
+        let photo = make_next(&library).await;
+        order.push(match photo.owner {
+            Some(of) if of == Owner::of_secret("ann") => 'a',
+            Some(_) => 'b',
+            None => 'n',
+        });
+    }
+    assert_eq!(order, "abnabnabn");
+    bed.jump(1);
+    library.accept(upload(20, owner("bob"))).await.unwrap();
+    make_next(&library).await;
+    assert_eq!(make_next(&library).await.owner, owner("bob").owner, "behind one of the other's seven");
+}
+
+async fn what_somebody_waits_for_comes_first_but_not_always(bed: Bed) {
+    let library = bed.node().await;
+    for n in 0..6 {
+        let class = if n % 2 == 0 { Class::Batch } else { Class::Interactive };
+        library.accept(Upload { class, ..upload(n, owner(&n.to_string())) }).await.unwrap();
+    }
+    let mut order = String::new();
+    for _ in 0..6 {
+        order.push_str(&make_next(&library).await.class.name()[..1]);
+    }
+    assert_eq!(order, "iiibbb");
+    for n in 10..18 {
+        let class = if n < 12 { Class::Batch } else { Class::Interactive };
+        library.accept(Upload { class, ..upload(n, owner(&n.to_string())) }).await.unwrap();
+    }
+    let mut order = String::new();
+    for _ in 0..8 {
+        order.push_str(&make_next(&library).await.class.name()[..1]);
+    }
+    assert_eq!(order, "ibiiibii", "each fourth is taken the other way");
+}
+
+async fn a_dead_workers_job_is_taken_again_and_its_result_discarded(bed: Bed) {
+    let (slow, other) = (bed.node().await, bed.node().await);
+    slow.accept(photo(1)).await.unwrap();
+    let late = slow.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    assert!(other.take(&[Kind::Make], LEASE).await.unwrap().is_none());
+    bed.jump(61_000);
+    assert!(other.take(&[Kind::Make], LEASE).await.unwrap().is_none(), "it is put back for a moment");
+    bed.jump(1_000);
+    let lease = other.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    assert_eq!(lease.job.attempts, 1);
+    assert!(matches!(slow.renew(&late, None).await, Err(LibraryError::LeaseLost)));
+    assert!(matches!(slow.finish(&late, made(&slow, &late).await).await, Err(LibraryError::LeaseLost)), "before the other has finished");
+    let photo = other.finish(&lease, made(&other, &lease).await).await.unwrap();
+    assert!(matches!(slow.finish(&late, made(&slow, &late).await).await, Err(LibraryError::LeaseLost)), "and after");
+    assert!(matches!(slow.fail(&late, &Problem::new("x", "y")).await, Err(LibraryError::LeaseLost)));
+    assert!(matches!(slow.retry(&late, &Retry::Stopping).await, Err(LibraryError::LeaseLost)));
+    assert_eq!(slow.get(photo.id).await.unwrap(), photo);
+    assert_eq!(bed.blobs(&slow).await.len(), 3, "the late results are deleted");
+}
+
+async fn a_worker_keeps_its_lease_however_the_clock_jumps(bed: Bed) {
+    for jump in [DAY, -DAY] {
+        let library = bed.node().await;
+        let n = if jump > 0 { 1 } else { 2 };
+        library.accept(photo(n)).await.unwrap();
+        let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+        bed.jump(jump);
+        assert!(library.take(&[Kind::Make], LEASE).await.unwrap().is_none(), "{jump}");
+        library.renew(&lease, Some(&json!({"stage": "depth"}))).await.unwrap();
+        library.finish(&lease, made(&library, &lease).await).await.unwrap();
+        // once its process is gone, the job is others' however far ahead the lease seems to end
+        library.accept(photo(10 + n)).await.unwrap();
+        drop(library.take(&[Kind::Make], LEASE).await.unwrap().unwrap());
+        bed.jump(jump);
+        library.take(&[Kind::Make], LEASE).await.unwrap();
+        bed.jump(1_000);
+        let again = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+        assert_eq!(again.job.attempts, 1, "{jump}");
+        // and what waits for its time is not forgotten
+        library.retry(&again, &Retry::Fault("the disk is full".into())).await.unwrap();
+        bed.jump(jump);
+        make_next(&library).await;
+    }
+}
+
+async fn a_photo_that_takes_down_its_workers_fails(bed: Bed) {
+    let library = bed.node_with(Limits { attempts: 3, ..Limits::default() }).await;
+    let id = library.accept(photo(1)).await.unwrap().photo.id;
+    for died in 1..=3 {
+        let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+        assert_eq!(lease.job.attempts, died - 1);
+        if died == 2 {
+            // the whole process, this time
+            drop(lease);
+            bed.jump(61_000);
+            library.take(&[Kind::Make], LEASE).await.unwrap();
+        } else {
+            library.retry(&lease, &Retry::Died("signal 9".into())).await.unwrap();
+        }
+        bed.jump(10_000);
+    }
+    let photo = library.get(id).await.unwrap();
+    assert_eq!((photo.state, photo.problem.unwrap().kind.as_str()), (PhotoState::Failed, "gave-up"));
+    assert!(library.take(&[Kind::Make], LEASE).await.unwrap().is_none());
+    let made = library.statistics().await.unwrap().outcomes[&Kind::Make];
+    assert_eq!((made.finished, made.failed, made.died), (0, 1, 3));
+}
+
+async fn a_fault_of_the_server_only_costs_time(bed: Bed) {
+    let library = bed.node().await;
+    let id = library.accept(photo(1)).await.unwrap().photo.id;
+    let mut lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let mut pauses = Vec::new();
+    for _ in 0..9 {
+        library.retry(&lease, &Retry::Fault("no memory".into())).await.unwrap();
+        assert_eq!(library.job(Kind::Make, id, None).await.unwrap().problem, Some(Problem::new("fault", "no memory")));
+        let mut pause = 0;
+        lease = loop {
+            bed.jump(250);
+            pause += 250;
+            if let Some(lease) = library.take(&[Kind::Make], LEASE).await.unwrap() {
+                break lease;
+            }
+        };
+        pauses.push(pause);
+    }
+    // the database's own clock runs on meanwhile
+    let doubled = [500, 1_000, 2_000, 4_000, 8_000, 16_000, 32_000, 60_000, 60_000];
+    assert!(pauses.iter().zip(doubled).all(|(is, most)| (most / 2..=most).contains(is)), "{pauses:?}");
+    assert_eq!((lease.job.attempts, lease.job.problem.clone()), (0, None));
+    library.retry(&lease, &Retry::Stopping).await.unwrap();
+    make_next(&library).await;
+}
+
+async fn a_position_counts_what_comes_before(bed: Bed) {
+    let library = bed.node().await;
+    let mut ids = Vec::new();
+    for (n, asker) in [owner("ann"), owner("ann"), owner("bob")].into_iter().enumerate() {
+        ids.push(library.accept(upload(n as u32, asker)).await.unwrap().photo.id);
+    }
+    let mut ahead = Vec::new();
+    for id in &ids {
+        let position = library.position(Kind::Make, *id, None).await.unwrap().unwrap();
+        assert!(position.wait > Duration::ZERO);
+        ahead.push(position.ahead);
+    }
+    assert_eq!(ahead, [0, 2, 1], "the other's first comes before one's second");
+    make_next(&library).await;
+    assert!(library.position(Kind::Make, ids[0], None).await.unwrap().is_none());
+    assert_eq!(library.position(Kind::Make, ids[1], None).await.unwrap().unwrap().ahead, 1);
+}
+
+async fn a_deleted_photos_worker_loses_its_lease(bed: Bed) {
+    let library = bed.node().await;
+    library.accept(photo(1)).await.unwrap();
+    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let result = made(&library, &lease).await;
+    assert!(!library.delete(lease.photo.id, Some(lease.photo.accepted_at + 1)).await.unwrap(), "another upload");
+    assert!(library.delete(lease.photo.id, Some(lease.photo.accepted_at)).await.unwrap());
+    assert!(matches!(library.finish(&lease, result).await, Err(LibraryError::LeaseLost)));
+    assert!(bed.blobs(&library).await.is_empty() && !library.delete(lease.photo.id, None).await.unwrap());
+}
+
+async fn a_check_takes_a_damaged_photo_out_of_service(bed: Bed) {
+    let library = bed.node().await;
+    let (good, bad) = (done(&library, 1, owner("a")).await, done(&library, 2, owner("b")).await);
+    std::fs::remove_file(library.blobs().path(bad.blob(Part::Container).unwrap()).unwrap()).unwrap();
+    for photo in [&good, &bad] {
+        library.order_check(photo.id).await.unwrap();
+        library.order_check(photo.id).await.unwrap();
+    }
+    while let Some(lease) = library.take(&[Kind::Check], LEASE).await.unwrap() {
+        library.finish_check(&lease).await.unwrap();
+    }
+    assert_eq!(library.get(good.id).await.unwrap().state, PhotoState::Done);
+    let bad = library.get(bad.id).await.unwrap();
+    assert_eq!(bad.state, PhotoState::Damaged);
+    assert!(bad.problem.unwrap().detail.starts_with("container is damaged: it is missing"));
+}
+
+async fn waiting_workers_hear_of_a_job(bed: Bed) {
+    let (node, worker) = (bed.node().await, bed.node().await);
+    let workers: Vec<_> = (0..3)
+        .map(|_| {
+            let worker = worker.clone();
+            tokio::spawn(async move {
+                let lease = worker.next(&[Kind::Make], LEASE).await.unwrap();
+                worker.finish(&lease, made(&worker, &lease).await).await.unwrap().id
+            })
+        })
+        .collect();
+    let mut accepted = BTreeSet::new();
+    for n in 0..3 {
+        accepted.insert(node.accept(photo(n)).await.unwrap().photo.id);
+    }
+    let mut finished = BTreeSet::new();
+    for worker in workers {
+        finished.insert(worker.await.unwrap());
+    }
+    assert_eq!(finished, accepted);
+}

@@ -1,0 +1,47 @@
+use super::*;
+
+on_both! {
+    a_room_has_one_origin_and_a_higher_epoch_each_time,
+    of_nodes_that_claim_a_room_at_a_time_one_has_it,
+}
+
+const SECONDS: Duration = Duration::from_secs(5);
+
+async fn a_room_has_one_origin_and_a_higher_epoch_each_time(bed: Bed) {
+    let (one, two) = (bed.node().await, bed.node().await);
+    assert_eq!(one.room("attic").await.unwrap(), None);
+    let first = one.claim_room("attic", "one:8080", Claim::IfFree, SECONDS).await.unwrap();
+    assert_eq!((first.epoch, two.room("attic").await.unwrap()), (1, Some(first.clone())));
+    let refused = two.claim_room("attic", "two:8080", Claim::IfFree, SECONDS).await;
+    assert!(matches!(refused, Err(LibraryError::RoomTaken { origin }) if origin == "one:8080"));
+    bed.jump(4_000);
+    one.renew_room("attic", &first, SECONDS).await.unwrap();
+    bed.jump(4_000);
+    assert!(two.room("attic").await.unwrap().is_some());
+    bed.jump(1_001);
+    assert_eq!(two.room("attic").await.unwrap(), None, "its node has died");
+    let second = two.claim_room("attic", "two:8080", Claim::IfFree, SECONDS).await.unwrap();
+    assert_eq!(second.epoch, 2);
+    assert!(matches!(one.renew_room("attic", &first, SECONDS).await, Err(LibraryError::LeaseLost)));
+    // the publisher reconnects elsewhere before the lease is over
+    let third = one.claim_room("attic", "one:8080", Claim::TakeOver, SECONDS).await.unwrap();
+    assert_eq!((third.epoch, one.room("attic").await.unwrap()), (3, Some(third.clone())));
+    one.release_room("attic", &third).await.unwrap();
+    assert_eq!(two.room("attic").await.unwrap(), None);
+    assert_eq!(two.claim_room("attic", "two:8080", Claim::IfFree, SECONDS).await.unwrap().epoch, 4);
+}
+
+async fn of_nodes_that_claim_a_room_at_a_time_one_has_it(bed: Bed) {
+    let nodes = [bed.node().await, bed.node().await];
+    let claims: Vec<_> = (0..12)
+        .map(|n| {
+            let node = nodes[n % 2].clone();
+            tokio::spawn(async move { node.claim_room("attic", &format!("{n}"), Claim::IfFree, SECONDS).await })
+        })
+        .collect();
+    let mut won = Vec::new();
+    for claim in claims {
+        won.extend(claim.await.unwrap().ok());
+    }
+    assert_eq!((won.len(), won.first()), (1, nodes[0].room("attic").await.unwrap().as_ref()));
+}

@@ -1,0 +1,138 @@
+//! Whether what the rows refer to is there, and what nobody refers to goes.
+
+use std::collections::HashSet;
+use std::fmt;
+use std::time::Duration;
+
+use crate::Library;
+use crate::blobs::prefixes;
+use crate::error::{LibraryError, Result};
+use crate::exports::names_of;
+use crate::millis;
+use crate::names::PhotoId;
+use crate::photo::{Blobs, Part, Photo, PhotoState, json};
+use crate::photos::Filter;
+
+/// Age at which a blob that nobody refers to is deleted: by then whoever wrote it has referred to it, or has died.
+const ORPHAN: Duration = Duration::from_hours(24);
+/// Photos that are looked at at a time.
+const PART: usize = 100;
+
+/// What `gc` found and deleted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Collected {
+    /// Blobs that nobody refers to.
+    pub blobs: u64,
+    /// Their bytes.
+    pub bytes: u64,
+}
+
+/// A content that is not as it was written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Damage {
+    /// Of which photo.
+    pub photo: PhotoId,
+    /// Which content.
+    pub part: Part,
+    /// What is wrong with it.
+    pub detail: String,
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} is damaged: {}", self.part, self.detail)
+    }
+}
+
+impl Library {
+    /// Deletes blobs that nobody has referred to for a day, by the store's own clock.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`]; what was deleted so far is gone.
+    pub async fn gc(&self) -> Result<Collected> {
+        self.gc_older_than(ORPHAN).await
+    }
+
+    pub(crate) async fn gc_older_than(&self, age: Duration) -> Result<Collected> {
+        let before = self.blobs().now().await?.saturating_sub(millis(age));
+        let mut collected = Collected::default();
+        for prefix in prefixes().chain(["incoming".to_owned(), "probe".to_owned()]) {
+            // first the store, then the rows: what is written meanwhile is not in the list
+            let mut old = self.blobs().list(&prefix).await?;
+            old.retain(|blob| blob.written_at <= before);
+            if old.is_empty() {
+                continue;
+            }
+            let known = self.referred(&prefix).await?;
+            for blob in old.into_iter().filter(|blob| !known.contains(&blob.name)) {
+                self.blobs().delete(&blob.name).await?;
+                collected.blobs += 1;
+                collected.bytes += blob.bytes;
+            }
+        }
+        Ok(collected)
+    }
+
+    /// Names that rows of photos refer to whose ids begin with `prefix`.
+    async fn referred(&self, prefix: &str) -> Result<HashSet<String>> {
+        // behind all hex digits
+        let end = format!("{prefix}g");
+        let mut names = HashSet::new();
+        let photos = sqlx::query("SELECT blobs FROM photos WHERE id >= $1 AND id < $2").bind(prefix.to_owned()).bind(end.clone());
+        for row in photos.fetch_all(self.database().reader()).await? {
+            names.extend(json::<Blobs>(&row, "blobs")?.into_values().map(|blob| blob.name));
+        }
+        let jobs = sqlx::query("SELECT result FROM jobs WHERE photo >= $1 AND photo < $2 AND result IS NOT NULL")
+            .bind(prefix.to_owned())
+            .bind(end);
+        names.extend(names_of(&jobs.fetch_all(self.database().reader()).await?)?);
+        Ok(names)
+    }
+
+    /// Holds the contents of a photo against their sizes and digests.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`]: it cannot be told now.
+    pub async fn verify(&self, photo: &Photo) -> Result<Vec<Damage>> {
+        let mut all = Vec::new();
+        for (part, blob) in &photo.blobs {
+            match self.blobs().read(*part, blob).await {
+                Ok(_) => {}
+                Err(LibraryError::Damaged { part, detail }) => all.push(Damage { photo: photo.id, part, detail }),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(all)
+    }
+
+    /// Holds the contents of all photos against their sizes and digests. Photos whose results are damaged are taken out of service.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn fsck(&self) -> Result<Vec<Damage>> {
+        let (mut all, mut after) = (Vec::new(), None);
+        loop {
+            let page = self.list(&Filter::default(), after, PART).await?;
+            for photo in &page.photos {
+                let found = self.verify(photo).await?;
+                self.take_out(photo, &found).await?;
+                // what was deleted or made again while it was read is not damaged
+                if !found.is_empty() && self.find(photo.id).await?.is_some_and(|now| now.blobs == photo.blobs) {
+                    all.extend(found);
+                }
+            }
+            after = page.next;
+            if after.is_none() {
+                return Ok(all);
+            }
+        }
+    }
+
+    /// Takes a photo out of service where one of its results is damaged.
+    pub(crate) async fn take_out(&self, photo: &Photo, found: &[Damage]) -> Result<()> {
+        match found.iter().find(|damage| damage.part.is_result()) {
+            Some(damage) if photo.state == PhotoState::Done => self.mark_damaged(photo, &damage.to_string()).await.map(drop),
+            _ => Ok(()),
+        }
+    }
+}
