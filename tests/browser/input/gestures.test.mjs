@@ -132,12 +132,16 @@ describe('gestures', () => {
     const raw = () => page.evaluate(() => ({ ...document.querySelector('tmpi-viewer').viewer.motion.raw }));
     const scrolls = async (what) => {
       const before = await raw();
-      await page.evaluate(() => (window.scrolled = new Promise((resume) => addEventListener('scrollend', resume, { once: true }))));
       await drag([6, -100], [150, 130]);
       await page.waitForFunction(() => scrollY > 40, null, { timeout: 5000 }).catch(() => assert.fail(`${what} the page does not scroll`));
       assert.deepEqual(await raw(), before, `${what} the camera stays`);
-      // the page goes on for a while
-      await page.evaluate(() => window.scrolled);
+      // the page goes on for a while: it has stopped once it stands still for ten frames
+      await page.evaluate(() => Object.assign(window, { lastY: -1, still: 0 }));
+      await page.waitForFunction(() => {
+        window.still = window.lastY === scrollY ? window.still + 1 : 0;
+        window.lastY = scrollY;
+        return window.still > 10;
+      });
       await page.evaluate(() => scrollTo(0, 0));
     };
     await scrolls('with all of the photo in sight');
