@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-use crate::command::{Fault, Profile, built, output, root, run, run_quietly, say};
+use crate::command::{Fault, Profile, built, data, output, root, run, run_quietly, say};
 use crate::{runtime, skipped, tools};
 
 /// What the training tests import beyond Python's standard library.
