@@ -26,6 +26,8 @@ pub fn training() -> Result<(), Fault> {
     tests
         .args(["-m", "unittest", "discover", "--start-directory", "tests", "--top-level-directory", "."])
         .current_dir(root().join("training"));
+    // absolute: the tests run in another folder than the caller
+    tests.env("TMPI_DATA", data());
     run(tests)
 }
 
