@@ -147,7 +147,7 @@ impl Client {
     /// A link by which others can read a photo for `seconds`, 1 to 31 622 400, or as long as is usual; and one by which they can change it.
     ///
     /// # Errors
-    /// [`Error`]; status 400 for `seconds` where the server asks nobody who they are: links do not end there.
+    /// [`Error`]; status 400 for `seconds` where the server has no authentication: its links have no end.
     pub async fn link(&self, id: &str, seconds: Option<u64>) -> Result<Link, Error> {
         let query = seconds.map(|seconds| format!("?seconds={seconds}")).unwrap_or_default();
         self.ask(Call::new(Method::POST, part(id, &format!("/links{query}")))).await?.json()

@@ -146,7 +146,7 @@ impl Library {
     /// The key of a secret, where its time is not over.
     ///
     /// # Errors
-    /// [`LibraryError::Unavailable`]: nobody is let in then.
+    /// [`LibraryError::Unavailable`]: the caller must refuse access.
     pub async fn find_key(&self, secret: &str) -> Result<Option<Key>> {
         self.key_of_hash(hash(secret)).await
     }
