@@ -38,11 +38,15 @@ struct Counts {
 ///
 /// `cargo clippy` would compile all dependencies a second time, because it only checks them.
 pub fn build() -> Result<(), Fault> {
-    programs().map(drop)
+    programs()?;
+    // programs of their own for browser tests, not test programs as above
+    let mut command = cargo(&["build", "--workspace", "--examples", "--profile", Profile::Checks.name()]);
+    lint(&mut command);
+    run(command)
 }
 
 fn programs() -> Result<Vec<TestProgram>, Fault> {
-    let mut command = cargo(&["test", "--workspace", "--all-targets", "--no-run", "--message-format=json-render-diagnostics"]);
+    let mut command = cargo(&["test", "--workspace", "--lib", "--bins", "--tests", "--benches", "--no-run", "--message-format=json-render-diagnostics"]);
     command.args(["--profile", Profile::Checks.name()]);
     lint(&mut command);
     command.stdout(Stdio::piped());

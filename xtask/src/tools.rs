@@ -16,7 +16,7 @@ const S3_FOLDER: &str = ".tmpi/s3-server";
 /// Its packages with their versions.
 const S3_PACKAGES: &str = "xtask/s3-server.txt";
 /// Names in `TMPI_REQUIRE` (`crates/testing`) of everything that this module installs, and of ONNX Runtime.
-const INSTALLED: &str = "gpu,onnx,ffmpeg,nats,s3";
+const INSTALLED: &str = "gpu,onnx,ffmpeg,nats,s3,postgres";
 
 /// Set by `--skip-missing`: nothing is installed, and tests that miss something are skipped.
 static SKIP_MISSING: AtomicBool = AtomicBool::new(false);
@@ -27,13 +27,14 @@ struct DebianPackage {
     is_there: fn() -> bool,
 }
 
-const DEBIAN: [DebianPackage; 6] = [
+const DEBIAN: [DebianPackage; 7] = [
     DebianPackage { name: "chromium", is_there: || chromium().is_some() },
     // draws without a graphics card, for WebGPU in the browser and for the `gpu` backend
     DebianPackage { name: "mesa-vulkan-drivers", is_there: || cfg!(not(target_os = "linux")) || has_software_vulkan() },
     DebianPackage { name: "nodejs", is_there: || output("node", &["--version"]).is_some() },
     DebianPackage { name: "npm", is_there: || which("npm").is_some() || output("npm", &["--version"]).is_some() },
     DebianPackage { name: "nats-server", is_there: nats_is_there },
+    DebianPackage { name: "postgresql", is_there: postgres_is_there },
     DebianPackage { name: "ffmpeg", is_there: || output("ffmpeg", &["-version"]).is_some() },
 ];
 
@@ -115,6 +116,12 @@ fn chromium() -> Option<String> {
 fn which(name: &str) -> Option<String> {
     let path = std::env::var_os("PATH")?;
     std::env::split_paths(&path).map(|p| p.join(name)).find(|p| p.is_file()).map(|p| p.to_string_lossy().into_owned())
+}
+
+/// Debian keeps the programs of each version out of the path.
+fn postgres_is_there() -> bool {
+    let versions = fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
+    which("initdb").is_some() || versions.into_iter().any(|v| v.path().join("bin/initdb").is_file())
 }
 
 fn has_software_vulkan() -> bool {
