@@ -325,6 +325,8 @@ const GERMAN = {
   'The connection broke. Trying again…': 'Die Verbindung ist abgerissen. Neuer Versuch …',
   'The live picture has ended. It goes on by itself when it is back.':
     'Das Live-Bild ist zu Ende. Kommt es wieder, geht es von selbst weiter.',
+  'The live picture has ended: {0}. It goes on by itself when it is back.':
+    'Das Live-Bild ist zu Ende: {0}. Kommt es wieder, geht es von selbst weiter.',
   'The picture has no depth yet.': 'Das Bild hat noch keine Tiefe.',
   'The picture is held up.': 'Das Bild stockt.',
   'The server cannot be reached. Trying again…': 'Der Server ist nicht erreichbar. Neuer Versuch …',
@@ -332,6 +334,7 @@ const GERMAN = {
   'There is no such camera.': 'Diese Kamera gibt es nicht.',
   'There is no such room on this server.': 'Diesen Raum gibt es auf diesem Server nicht.',
   'This browser cannot decode the video of this room.': 'Dieser Browser kann das Video dieses Raums nicht dekodieren.',
+  'This browser cannot show the video of this room: {0}': 'Dieser Browser kann das Video dieses Raums nicht zeigen: {0}',
   'This browser shows the video without depth.': 'Dieser Browser zeigt das Video ohne Tiefe.',
   'This room needs a link with a token that is still good. Ask who sent you here for a new one.':
     'Dieser Raum braucht einen Link mit gültiger Marke. Bitte um einen neuen bitten, wer ihn geschickt hat.',
