@@ -40,7 +40,7 @@ function waiting(state) {
 function failure(state, reason) {
   switch (state) {
     case 'refused':
-      return t('This room needs a link with a token that is still good. Ask who sent you here for a new one.');
+      return t('To watch this room you need a link that has not ended. Ask the person who sent you the link for a new one.');
     case 'none':
       return t('There is no such room on this server.');
     default:
