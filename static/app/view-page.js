@@ -151,7 +151,8 @@ async function start() {
 /** @param {string} message */
 async function waitOrFail(message) {
   const photo = await getPhoto(id).catch(() => null);
-  if (!photo) return fail(t('There is no photo at this address, or only its owner can see it. Ask the person who sent you the link for a new one.'));
+  if (!photo)
+    return fail(t('There is no photo at this address, or only its owner can see it. Ask the person who sent you the link for a new one.'));
   if (!isUnderWay(photo)) return fail(message);
   followPhoto(id, {
     queued: (position) => showLoading(queueText(position)),

@@ -287,7 +287,8 @@ const GERMAN = {
   'Camera {0}': 'Kamera {0}',
   'Another program uses the camera.': 'Ein anderes Programm benutzt die Kamera.',
   'Back to the camera’s own view (0)': 'Zurück zur Sicht der Kamera (0)',
-  'Behind the camera · frames a second · data rate · how many watch': 'Hinter der Kamera · Bilder je Sekunde · Datenrate · wie viele zusehen',
+  'Behind the camera · frames a second · data rate · how many watch':
+    'Hinter der Kamera · Bilder je Sekunde · Datenrate · wie viele zusehen',
   'Connecting…': 'Verbindet …',
   'Go live': 'Live gehen',
   'Go live with your camera': 'Mit der Kamera live gehen',

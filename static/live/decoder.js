@@ -11,7 +11,7 @@ const [NUMBERS, DATA, TILES, LAYERS, CELLS, MESSAGE] = [2, 3, 4, 5, 6, 7];
 /** Numbers of a layer, and count of layers of a tile that has those of before. */
 const COLUMNS = 9;
 const AS_BEFORE = 2 ** 32 - 1;
-/** Matrices of ITU-T H.273 by their numbers, as browsers name them. @type {Record<number, VideoMatrixCoefficients>} */
+/** Matrices of ITU-T H.273 by their numbers, as browsers name them. @type {Record<number, string>} */
 const MATRICES = Object.freeze({ 1: 'bt709', 6: 'smpte170m', 9: 'bt2020-ncl' });
 /** How frames are handed over, by the numbers of `Pixels`. */
 export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
@@ -20,7 +20,7 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
  * What a publisher or the server says first: codec strings of WebCodecs, empty where there is no sound.
  * @typedef {{kind: 'hello', head: SceneHead, codec: string, sound: string, rate: number, channels: number, epoch: number}} Hello
  */
-/** @typedef {{matrix: VideoMatrixCoefficients, fullRange: boolean}} Colour how the samples of a video are to be read */
+/** @typedef {{matrix: string, fullRange: boolean}} Colour how the samples of a video are to be read */
 /** @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, colour: Colour, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock; its temporal layer */
 /** @typedef {{kind: 'sound', time: number, data: Uint8Array<ArrayBuffer>}} Sound */
 /** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles were taken over already */

@@ -72,8 +72,7 @@ export class Pictures {
     const told = JSON.stringify(colour) ?? '';
     if (told === this.#colour && this.#decoder?.state === 'configured') return;
     this.#colour = told;
-    /** @type {VideoColorSpaceInit | undefined} */
-    const colorSpace = colour && { primaries: 'bt709', transfer: 'bt709', ...colour };
+    const colorSpace = /** @type {any} */ (colour && { primaries: 'bt709', transfer: 'bt709', ...colour });
     this.#decoder?.configure({ codec: this.#codec, optimizeForLatency: true, ...(colorSpace && { colorSpace }) });
   }
 

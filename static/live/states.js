@@ -44,7 +44,9 @@ function failure(state, reason) {
     case 'none':
       return t('There is no such room on this server.');
     default:
-      return reason ? t('This browser cannot show the video of this room: {0}', reason) : t('This browser cannot decode the video of this room.');
+      return reason
+        ? t('This browser cannot show the video of this room: {0}', reason)
+        : t('This browser cannot decode the video of this room.');
   }
 }
 
@@ -55,7 +57,8 @@ function failure(state, reason) {
  */
 export function saying({ state, reason }) {
   if (FAILURES.has(state)) return { over: true, text: failure(state, reason) };
-  if (state === 'ended' && reason) return { over: false, text: t('The live picture has ended: {0}. It goes on by itself when it is back.', reason) };
+  if (state === 'ended' && reason)
+    return { over: false, text: t('The live picture has ended: {0}. It goes on by itself when it is back.', reason) };
   if (reason) return { over: true, text: t('The server says: {0}', reason) };
   return { over: false, text: waiting(state) };
 }

@@ -312,9 +312,14 @@ class Room {
     const now = performance.now();
     if (!this.#failures++) this.#failing = now;
     this.#lastPicture = now;
-    if (this.#failures < FAILURES || now - this.#failing < FAILING_MS) return this.#connection.start();
+    if (this.#failures < FAILURES || now - this.#failing < FAILING_MS) this.#connection.start();
+    else this.#over(error.message);
+  }
+
+  /** @param {string} reason why this browser shows nothing */
+  #over(reason) {
     this.#connection.stop();
-    this.#say('unsupported', error.message);
+    this.#say('unsupported', reason);
   }
 
   /** @param {number} frame that came last with its tiles */
@@ -485,7 +490,7 @@ class Room {
     const now = performance.now();
     if (this.#state === 'live' && !this.#hidden && now - this.#lastFrame > STALLED_MS) this.#say('stalled');
     if (this.#waits || this.#hidden || this.#state !== 'live') this.#lastPicture = now;
-    else if (now - this.#lastPicture > SILENT_MS) this.#fail(new Error('The browser’s decoder gives no picture.'));
+    else if (now - this.#lastPicture > SILENT_MS) this.#over('its decoder gives no picture');
     if (!this.#hidden && !this.#watched.flat && this.#underWay.age(now) > UNSEEN_MS) this.again();
     const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
     [this.#measured.frames, this.#measured.bytes] = [0, 0];
