@@ -40,7 +40,7 @@ pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), here: &Here)
 
 /// Whether a publisher that is sent away for that reason may try again: a camera that paused may go on.
 fn may_come_back(reason: &str) -> bool {
-    reason == STOPS || reason == UNKNOWN || reason.starts_with(SILENT)
+    reason == STOPS || reason == UNKNOWN || reason.starts_with(SILENT) || reason.starts_with(BROKE)
 }
 
 const STOPS: &str = "the server stops";
@@ -49,6 +49,7 @@ const SENT_AWAY: &str = "the publisher was sent away";
 /// Why a second publisher is sent away.
 pub(crate) const TAKEN: &str = "someone publishes in this room";
 const SILENT: &str = "nothing came for";
+const BROKE: &str = "the connection broke";
 const BIDIRECTIONAL: &str =
     "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
 const UNKNOWN: &str = "another node had this room when the others were last heard";
@@ -59,6 +60,7 @@ async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: 
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
     // before the room is taken: nobody watches who would have to be told
     checked(hello.clone(), &here.rooms.config)?;
+    video::decoder(&hello.codec, (hello.width, hello.height)).map_err(|e| e.to_string())?;
     let floor = room.take().ok_or(TAKEN)?;
     // given back however this ends
     let _seat = Seat(&room);
@@ -228,7 +230,7 @@ async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, St
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
             Some(Ok(Message::Text(_))) => Err("messages are binary".into()),
             Some(Ok(Message::Close(_))) | None => Ok(None),
-            Some(Err(error)) => Err(format!("the connection broke: {error}")),
+            Some(Err(error)) => Err(format!("{BROKE}: {error}")),
         };
     }
 }
@@ -326,6 +328,6 @@ impl Frames {
     async fn credit(&mut self, socket: &mut WebSocket, frames: u32, key: bool) -> Result<(), String> {
         self.allowed += frames;
         let bytes: Bytes = write(Kind::Credit(Credit { frames, key }));
-        socket.send(Message::Binary(bytes)).await.map_err(|e| format!("the connection broke: {e}"))
+        socket.send(Message::Binary(bytes)).await.map_err(|e| format!("{BROKE}: {e}"))
     }
 }
