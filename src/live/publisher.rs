@@ -184,7 +184,9 @@ async fn published(
             Some(Kind::Bye(_)) => return Ok(Gone::Said),
             Some(Kind::Video(video)) => {
                 frames.check(&video)?;
-                if video.key && let Some(hello) = show.resized(&video.data)? {
+                if video.key
+                    && let Some(hello) = show.resized(&video.data)?
+                {
                     // the threads of before end with what they have, and tell of it
                     show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
                 }
