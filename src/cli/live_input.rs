@@ -273,10 +273,14 @@ mod tests {
 
     #[test]
     fn video_that_browsers_take_is_passed_on_and_any_other_encoded_with_a_notice() {
-        let copied = plan(&h264(r#","has_b_frames":0"#), SOUND_TOO, &[]).expect("a plan");
+        let upright = r#","has_b_frames":0,"sample_aspect_ratio":"1:1","side_data_list":[{"displaymatrix":"\n0: 65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"},{}]"#;
+        let copied = plan(&h264(upright), SOUND_TOO, &[]).expect("a plan");
         assert!(args(&copied, None).contains("-c:v copy") && copied.notices.is_empty() && !copied.sound);
         let streams = [
             (h264(r#","has_b_frames":2"#), "B-frames"),
+            (h264(r#","side_data_list":[{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}]"#), "turned"),
+            (h264(r#","side_data_list":[{"displaymatrix":"\n0: -65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"}]"#), "turned"),
+            (h264(r#","sample_aspect_ratio":"4:3""#), "square"),
             (r#"{"codec_type":"video","codec_name":"hevc","pix_fmt":"yuv420p"}"#.into(), "hevc"),
             (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv422p10le"}"#.into(), "yuv422p10le"),
             (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv420p","field_order":"tt"}"#.into(), "interlaced"),

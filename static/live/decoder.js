@@ -21,7 +21,7 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
  * @typedef {{kind: 'hello', head: SceneHead, codec: string, sound: string, rate: number, channels: number, epoch: number}} Hello
  */
 /** @typedef {{matrix: string, fullRange: boolean}} Colour how the samples of a video are to be read */
-/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, colour: Colour, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock; its temporal layer */
+/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, colour: Colour, shown: DOMRectInit, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock; its temporal layer; the part of the coded picture that is shown */
 /** @typedef {{kind: 'sound', time: number, data: Uint8Array<ArrayBuffer>}} Sound */
 /** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles were taken over already */
 /**
@@ -76,7 +76,8 @@ export class RoomDecoder {
     }
     if (kind === 2) {
       const colour = { matrix: MATRICES[n[4]] ?? 'bt709', fullRange: n[5] === 1 };
-      return { kind: 'video', frame: n[0], time: n[1], key: n[2] === 1, layer: n[3], colour, data: this.#copy(DATA) };
+      const shown = { x: n[6], y: n[7], width: n[8], height: n[9] };
+      return { kind: 'video', frame: n[0], time: n[1], key: n[2] === 1, layer: n[3], colour, shown, data: this.#copy(DATA) };
     }
     if (kind === 3 || kind === 4) return { kind: 'tiles', frame: n[0], changed: n[1] };
     if (kind === 5) return { kind: 'sound', time: n[0], data: this.#copy(DATA) };

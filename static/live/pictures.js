@@ -9,8 +9,22 @@ const END = new Uint8Array([0xff, 0xd9]);
 /** Without a duration one browser takes its decoder for too slow, µs. */
 const DURATION = 33_333;
 
-/** @typedef {{frame: number, time: number, arrived: number}} Taken a frame's number, when it was taken (µs, the publisher's clock) and when it came (ms) */
+/** @typedef {{frame: number, time: number, arrived: number, shown?: DOMRectInit}} Taken a frame's number, when it was taken (µs, the publisher's clock) when it came (ms), and the part of it that is shown */
 /** @typedef {Taken & {picture: VideoFrame | ImageBitmap, ms: number}} Decoded and how long decoding took */
+
+/**
+ * The part of a picture that is shown, where a browser leaves what is to be cut off: Chromium's H.264 in software begins with the first row and column.
+ * @param {VideoFrame} picture
+ * @param {DOMRectInit} [shown]
+ */
+function cut(picture, shown = {}) {
+  const { visibleRect: seen, codedWidth, codedHeight, timestamp } = picture;
+  const { x = 0, y = 0, width = 0, height = 0 } = shown;
+  if (!seen || seen.x || seen.y || (!x && !y) || x + width > codedWidth || y + height > codedHeight) return picture;
+  const part = new VideoFrame(picture, { visibleRect: shown, timestamp, displayWidth: width, displayHeight: height });
+  picture.close();
+  return part;
+}
 
 /** Why a browser shows no video. */
 export class NoDecoder extends Error {}
@@ -57,7 +71,7 @@ export class Pictures {
         const taken = this.#under.get(picture.timestamp);
         if (!taken || this.#closed) return picture.close();
         this.#under.delete(picture.timestamp);
-        done({ ...taken, picture, ms: performance.now() - taken.began });
+        done({ ...taken, picture: cut(picture, taken.shown), ms: performance.now() - taken.began });
       },
       error: (error) => this.#fail(error),
     });
@@ -80,8 +94,8 @@ export class Pictures {
    * @param {Video} video
    * @param {number} arrived
    */
-  decode({ frame, time, key, colour, data }, arrived) {
-    const taken = { frame, time, arrived, began: performance.now() };
+  decode({ frame, time, key, colour, shown, data }, arrived) {
+    const taken = { frame, time, arrived, shown, began: performance.now() };
     if (!this.#decoder) {
       this.#jpeg(data, taken);
       return;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use prost::bytes::Bytes;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
-use tmpi_core::live::{Changes, Colour, I420, Layers, Model, VERSION, When, key_frame, read, to_rgb, write};
+use tmpi_core::live::{Changes, Colour, I420, KeyFrame, Layers, Model, VERSION, When, key_frame, read, to_rgb, write};
 use tmpi_core::{Class, Photo};
 
 /// What can be read out.
@@ -43,8 +43,17 @@ pub enum Pixels {
     Rgba = 2,
 }
 
-/// Changes of colours that are remembered: frames are shown later than they come.
-const COLOURS: usize = 8;
+/// Changes of what key frames say that are remembered: frames are shown later than they come.
+const REMEMBERED: usize = 8;
+
+/// What a key frame says: colours, and columns and rows that are cut off to the left and above.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Said {
+    colour: Colour,
+    left: u32,
+    top: u32,
+}
+
 /// A tile that has the layers of before.
 const AS_BEFORE: u32 = u32::MAX;
 
@@ -56,8 +65,8 @@ pub struct Decoder {
     /// Size of the room's frames, and their codec.
     size: (u32, u32),
     codec: String,
-    /// Colours of the video from a frame on, by its number; of the last key frames that changed them.
-    colours: VecDeque<(u64, Colour)>,
+    /// What key frames said of those from a frame on, by its number; the last that changed it.
+    said_by: VecDeque<(u64, Said)>,
     /// Bits of the sizes, camera and view box that HELLO said.
     said: [u64; 11],
     /// Tiles that came since the layers were made last.
@@ -102,9 +111,10 @@ impl Decoder {
                     self.key(frame, &data);
                 }
                 self.data = data;
-                let Colour { matrix, full_range } = self.colour_of(frame);
-                let colour = [f64::from(matrix.number()), f64::from(u8::from(full_range))];
-                Ok(self.told(2, &[&[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)][..], &colour].concat()))
+                let Said { colour: Colour { matrix, full_range }, left, top } = self.said_of(frame);
+                let (width, height) = self.size;
+                let said = [matrix.number().into(), u8::from(full_range).into(), left.into(), top.into(), width.into(), height.into()];
+                Ok(self.told(2, &[&[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)][..], &said].concat()))
             }
             Kind::Geometry(tiles) => self.take(3, &tiles),
             Kind::Snapshot(tiles) => self.take(4, &tiles),
@@ -128,21 +138,22 @@ impl Decoder {
         }
     }
 
-    /// Takes over what a key frame says of colours; what it says wrongly its decoder tells.
+    /// Takes over what a key frame says; what it says wrongly its decoder tells.
     fn key(&mut self, frame: u64, data: &[u8]) {
-        let Ok(Some(key)) = key_frame(&self.codec, data) else { return };
-        if self.colours.back().is_none_or(|&(_, colour)| colour != key.colour) {
-            self.colours.push_back((frame, key.colour));
+        let Ok(Some(KeyFrame { colour, left, top, .. })) = key_frame(&self.codec, data) else { return };
+        let said = Said { colour, left, top };
+        if self.said_by.back().is_none_or(|&(_, before)| before != said) {
+            self.said_by.push_back((frame, said));
         }
-        if self.colours.len() > COLOURS {
-            self.colours.pop_front();
+        if self.said_by.len() > REMEMBERED {
+            self.said_by.pop_front();
         }
     }
 
-    /// Colours of a frame's video.
-    fn colour_of(&self, frame: u64) -> Colour {
-        let since = self.colours.iter().rev().find(|(first, _)| *first <= frame);
-        since.map(|(_, colour)| *colour).unwrap_or_default()
+    /// What is said of a frame.
+    fn said_of(&self, frame: u64) -> Said {
+        let since = self.said_by.iter().rev().find(|(first, _)| *first <= frame);
+        since.map(|(_, said)| *said).unwrap_or_default()
     }
 
     fn told(&mut self, kind: i32, numbers: &[f64]) -> i32 {
@@ -162,7 +173,7 @@ impl Decoder {
             (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
-        self.colours.clear();
+        self.said_by.clear();
         self.codec.clone_from(&h.codec);
         self.tiles_of = None;
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
@@ -193,7 +204,7 @@ impl Decoder {
             return Err(format!("a frame of {} bytes where {want} make one", bytes.len()));
         }
         let (y, rest) = bytes.split_at(area);
-        let colour = self.colour_of(number);
+        let colour = self.said_of(number).colour;
         let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v }, colour);
         self.taken = Duration::from_micros(time);
         self.number = number;

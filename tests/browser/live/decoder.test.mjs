@@ -95,6 +95,8 @@ describe('the decoder of rooms', () => {
     const data = Uint8Array.of(0, 0, 1, 0x65, 7);
     const time = 1_790_000_000_123_456;
     const colour = { matrix: 'bt709', fullRange: false };
+    // as the last HELLO said
+    const shown = { x: 0, y: 0, width: head.width, height: head.height };
     assert.deepEqual(decoder.read(decoder.writeVideo({ frame: 77, time, key: true, data })), {
       kind: 'video',
       frame: 77,
@@ -102,12 +104,13 @@ describe('the decoder of rooms', () => {
       key: true,
       layer: 0,
       colour,
+      shown,
       data,
     });
     for (const layer of [1, 2, 300]) {
       const video = { frame: 78, time, key: false, layer, data };
       const message = decoder.writeVideo(video);
-      assert.deepEqual(decoder.read(message), { kind: 'video', colour, ...video });
+      assert.deepEqual(decoder.read(message), { kind: 'video', colour, shown, ...video });
       // `video` (2) is there once, with all of it
       assert.deepEqual([...message.subarray(0, 2)], [(2 << 3) | 2, message.length - 2]);
     }

@@ -9,6 +9,7 @@ import { launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs'
 import { program, startServer } from '../support/program.mjs';
 import { STILL } from '../support/room.mjs';
 import { skip } from '../support/skip.mjs';
+import { until } from '../support/until.mjs';
 
 /** Likeness from which on a page shows what ffmpeg does, but for the rounding of two decoders and of what is soft, dB. */
 const SAME_DB = 36;
@@ -89,7 +90,14 @@ describe('streams', () => {
   async function likeness(page, { pixels, width, height }) {
     await page.waitForFunction(([w, h]) => window.viewer?.head?.width === w && window.viewer.head.height === h, [width, height]);
     await waitForMode(page, 'gpu');
-    return psnr(await pixelsAt(page, {}, width, height), pixels);
+    let same = 0;
+    // after a change of the size the picture of before is there until the next one
+    await until(async () => {
+      const before = same;
+      same = psnr(await pixelsAt(page, {}, width, height), pixels);
+      return same > ANEW_DB && same <= before + 0.5;
+    }).catch(() => {});
+    return same;
   }
 
   const KINDS = [
