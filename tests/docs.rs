@@ -9,7 +9,8 @@ use std::process::Command;
 use tmpi_testing::Need;
 
 /// Pages outside `docs`.
-const OTHERS: [&str; 6] = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "docker/README.md", "training/README.md", "tests/load/README.md"];
+const OTHERS: [&str; 6] =
+    ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "docker/README.md", "training/README.md", "tests/load/README.md"];
 /// Marks the code block that follows as one that runs, in a folder with `photo.jpg`.
 const RUNS: &str = "<!-- runs -->";
 
