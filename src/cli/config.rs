@@ -145,8 +145,29 @@ fn read(file: &Path) -> Result<Table, String> {
     if length > LONGEST {
         return Err(format!("{length} bytes, over {LONGEST}"));
     }
-    let text = std::fs::read_to_string(file).map_err(|e| e.to_string())?;
+    parse(&std::fs::read_to_string(file).map_err(|e| e.to_string())?)
+}
+
+fn parse(text: &str) -> Result<Table, String> {
     text.parse::<Table>().map_err(|e| e.to_string().trim_end().to_owned())
+}
+
+/// Reads the text of a file, and what it says of options: each value is refused with a reason, or is so many texts of the command line.
+pub(crate) fn fuzz(text: &str) {
+    static SERVE: std::sync::OnceLock<Command> = std::sync::OnceLock::new();
+    let command = SERVE.get_or_init(|| ServeArgs::augment_args(Command::new(COMMANDS[0])));
+    match parse(text) {
+        Err(why) => assert!(!why.is_empty()),
+        Ok(table) => {
+            for (key, value) in table {
+                let Some(option) = setting(command, &key) else { continue };
+                match values(option, &value) {
+                    Err(why) => assert!(!why.is_empty()),
+                    Ok(values) => values.iter().for_each(|value| drop(literal(value, option))),
+                }
+            }
+        }
+    }
 }
 
 /// What a value of a file is on the command line; a switch has no value there.

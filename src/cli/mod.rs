@@ -4,7 +4,7 @@ mod batch;
 mod better;
 mod bounds;
 mod clients;
-mod config;
+pub(crate) mod config;
 mod depth;
 mod export;
 mod files;

@@ -94,7 +94,7 @@ pub fn install(packages: &[&str]) -> Result<(), Fault> {
     let apt = |args: &[&str]| {
         let mut command = Command::new("apt-get");
         command.env("DEBIAN_FRONTEND", "noninteractive").args(["-qq", "--yes"]).args(args);
-        run_quietly(command)
+        run_quietly(command).map(drop)
     };
     apt(&["update"])?;
     apt(&[["install", "--no-install-recommends"].as_slice(), packages].concat())
@@ -160,7 +160,7 @@ fn clean_install(folder_name: &str) -> Result<(), Fault> {
     say(&format!("installing the packages of {folder_name}"));
     let mut command = npm(folder_name);
     command.args(["ci", "--silent", "--no-audit", "--no-fund"]).env("PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD", "1");
-    run_quietly(command)
+    run_quietly(command).map(drop)
 }
 
 /// Installs moto, an S3 server, below the root where there is none.
