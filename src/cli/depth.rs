@@ -6,7 +6,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::flags::DepthFlags;
-use super::progress::Bars;
+use super::progress::{Bars, DepthAlone};
 use super::{Usage, files, result};
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::depth::to_png;
@@ -53,7 +53,7 @@ pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
         let photo = photo::decode(&bytes, &limits, args.flags.max_size).with_context(|| name.clone())?.photo;
         models.depth.raw(&photo).with_context(|| name.clone())?
     } else {
-        let bar = Bars::new(args.quiet).bar(&name);
+        let bar = DepthAlone(Bars::new(args.quiet).bar(&name));
         // Planes come after disparity and have no part in it: as few and as plain as can be
         let options = Options {
             planes: PlaneCount::Fixed(1),

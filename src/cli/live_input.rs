@@ -17,8 +17,10 @@ const ENCODERS: [(&str, &[&str]); 4] = [
 ];
 /// The encoder of sound.
 const OPUS: &str = "libopus";
-/// Frames that are encoded here have sides of 1280 pixels at most, both even.
-const SCALE: &str = "scale=w='min(iw,1280)':h='min(ih,1280)':force_original_aspect_ratio=decrease:force_divisible_by=2";
+/// Frames that are encoded here are whole, their pixels are square, their sides 1280 pixels at most and even, their colours BT.709 in the usual range.
+const FILTERS: &str = "yadif=deint=interlaced,scale='iw*if(gt(sar,0),sar,1)':ih,setsar=1,\
+    scale=w='min(iw,1280)':h='min(ih,1280)':force_original_aspect_ratio=decrease:force_divisible_by=2:out_color_matrix=bt709:out_range=tv,\
+    setparams=colorspace=bt709:range=tv";
 /// Frames from one key frame to the next: who comes late or lost something waits for no more than these.
 const GROUP: &str = "60";
 
@@ -26,10 +28,12 @@ const GROUP: &str = "60";
 pub(super) const SOUND: (u32, u32) = (48_000, 1);
 
 /// Where frames come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Origin<'a> {
     /// A file or an address, as `ffmpeg -i` takes it.
     Address(&'a str),
+    /// A file of H.264, and how many frames of it make a second.
+    Stream(&'a str, f64),
     /// A camera of this machine; the system's first one where it has no name.
     Camera(Option<&'a str>),
 }
@@ -72,6 +76,25 @@ struct Stream {
     field_order: String,
     /// Frames by which the order of decoding and that of showing differ: B-frames, or P-frames that were put in another order.
     has_b_frames: u32,
+    /// Width of a pixel by its height, `4:3`.
+    sample_aspect_ratio: String,
+    side_data_list: Vec<SideData>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct SideData {
+    /// How pictures are to be turned and mirrored: lines of three numbers, each behind its address.
+    displaymatrix: String,
+}
+
+impl SideData {
+    /// Whether pictures are to be shown otherwise than they come.
+    fn turns(&self) -> bool {
+        let rows: Vec<Vec<i64>> = self.displaymatrix.lines().map(|line| line.split_whitespace().filter_map(|n| n.parse().ok()).collect()).collect();
+        let numbers: Vec<i64> = rows.into_iter().filter(|row| row.len() == 3).flatten().collect();
+        matches!(numbers[..], [a, b, _, c, d, ..] if a <= 0 || b != 0 || c != 0 || d <= 0)
+    }
 }
 
 impl Probed {
@@ -86,6 +109,12 @@ impl Probed {
         }
         if !matches!(video.pix_fmt.as_str(), "" | "yuv420p" | "yuvj420p") {
             return Some(format!("its pixels are {}", video.pix_fmt));
+        }
+        if video.side_data_list.iter().any(SideData::turns) {
+            return Some("its frames are to be turned".into());
+        }
+        if !matches!(video.sample_aspect_ratio.as_str(), "" | "N/A" | "0:1" | "1:1") {
+            return Some("its pixels are not square".into());
         }
         let whole = matches!(video.field_order.as_str(), "" | "progressive" | "unknown");
         (!whole).then(|| "it is interlaced".into())
@@ -105,7 +134,7 @@ impl Plan {
         let input = input(origin, std::env::consts::OS)?;
         // what a camera gives is taken as it is asked for: it cannot be opened twice, and few have H.264 and sound
         let probed = match origin {
-            Origin::Address(source) => probe(source)?,
+            Origin::Address(source) | Origin::Stream(source, _) => probe(source)?,
             Origin::Camera(_) => {
                 Some(Probed { streams: vec![Stream { codec_type: "video".into(), codec_name: "a camera's".into(), ..Stream::default() }] })
             }
@@ -121,7 +150,7 @@ impl Plan {
             None => command.args(["-c:v", "copy", "-bsf:v", "h264_mp4toannexb"]),
             Some(encoder) => {
                 let how = ENCODERS.iter().find(|(name, _)| *name == encoder).map_or(&[][..], |(_, how)| how);
-                command.args(["-vf", SCALE, "-pix_fmt", "yuv420p", "-c:v", encoder]).args(how).args(["-bf", "0", "-g", GROUP])
+                command.args(["-vf", FILTERS, "-pix_fmt", "yuv420p", "-c:v", encoder]).args(how).args(["-bf", "0", "-g", GROUP])
             }
         };
         command.args(["-f", "h264", "-"]);
@@ -140,6 +169,7 @@ fn input(origin: Origin<'_>, system: &str) -> anyhow::Result<Vec<String>> {
     let args = |args: &[&str]| args.iter().map(|a| (*a).to_owned()).collect();
     Ok(match origin {
         Origin::Address(source) if is_paced(source) => args(&["-i", source]),
+        Origin::Stream(file, rate) => args(&["-re", "-framerate", &rate.to_string(), "-f", "h264", "-i", file]),
         Origin::Address(source) => args(&["-re", "-i", source]),
         Origin::Camera(name) => match (system, name) {
             ("linux", name) => args(&["-f", "v4l2", "-i", name.unwrap_or("/dev/video0")]),
@@ -203,7 +233,7 @@ fn printed(command: &mut Command) -> anyhow::Result<Option<Vec<u8>>> {
 }
 
 fn probe(source: &str) -> anyhow::Result<Option<Probed>> {
-    let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames";
+    let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames,sample_aspect_ratio:stream_side_data=displaymatrix";
     let text = printed(Command::new("ffprobe").args(["-loglevel", "error", "-of", "json", "-show_entries", entries, "-i", source]))?;
     text.map(|text| serde_json::from_slice(&text).context("what ffprobe says")).transpose()
 }

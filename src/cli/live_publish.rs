@@ -1,5 +1,6 @@
 //! `tmpi live publish`.
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -12,14 +13,15 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self as message, Depth, Hello, Video};
 use tmpi_core::live::{VERSION, read, write};
 use tmpi_live::units::codec;
-use tmpi_live::video::{self, JPEG};
+use tmpi_live::video::{self, JPEG, VideoError};
 use tmpi_pipeline::depth::DepthKind;
 
 use super::live_client::{Addresses, Socket, Unreached, micros};
 use super::live_input::{Origin, SOUND, Wanted};
+use super::live_program::is_live;
 use super::live_sound::Sound;
 use super::live_source::{Frame, Source};
-use super::result;
+use super::{note, result};
 use crate::live::TAKEN;
 
 /// Time for which a frame waits for the server's leave to send it, before it is left out.
@@ -79,7 +81,7 @@ fn hello(source: &Source, first: &Frame, fov_x: Option<f64>, sound: bool) -> any
         Source::Folder(..) => JPEG.to_owned(),
         _ => codec(&first.data).context("the stream does not begin with a key frame")?,
     };
-    let (width, height) = video::size(&codec, &first.data)?;
+    let (width, height) = video::size(&codec, &first.data)?.context("the stream does not say how large its pictures are")?;
     let hello = Hello { version: VERSION, codec, width, height, fov_x: fov_x.unwrap_or(0.0), ..Hello::default() };
     Ok(if sound { Hello { sound: "opus".into(), sound_rate: SOUND.0, sound_channels: SOUND.1, ..hello } } else { hello })
 }
@@ -92,16 +94,44 @@ pub(super) fn publish(args: &PublishArgs) -> anyhow::Result<()> {
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(publishing(args))
 }
 
+/// Whether a source is a file of H.264, which is read without ffmpeg.
+fn is_stream(source: &str) -> bool {
+    let path = Path::new(source);
+    path.extension().is_some_and(|e| e == "h264" || e == "264") && !path.is_dir() && !is_live(source)
+}
+
+/// A source, its first frame and what is said of it.
+struct Opened {
+    source: Source,
+    sound: Option<Sound>,
+    first: Frame,
+    hello: Hello,
+}
+
+async fn open(origin: Origin<'_>, args: &PublishArgs, wanted: Wanted) -> anyhow::Result<Opened> {
+    let (mut source, sound) = Source::open(origin, args.depth_kind, wanted).await?;
+    let first = source.next().await?.context("there is no frame")?;
+    let hello = hello(&source, &first, args.fov_x, sound.is_some())?;
+    Ok(Opened { source, sound, first, hello })
+}
+
 async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
     let origin = match (&args.camera, &args.source) {
         (Some(name), _) => Origin::Camera(Some(name.as_str()).filter(|name| !name.is_empty())),
+        (None, Some(source)) if is_stream(source) => Origin::Stream(source, args.rate),
         (None, Some(source)) => Origin::Address(source),
         (None, None) => return Err(super::Usage("a folder, a file, an address or --camera".into()).into()),
     };
     let wanted = Wanted { transcode: args.transcode, sound: !args.no_sound };
-    let (mut source, sound) = Source::open(origin, args.depth_kind, wanted).await?;
-    let first = source.next().await?.context("there is no frame")?;
-    let hello = hello(&source, &first, args.fov_x, sound.is_some())?;
+    let opened = match open(origin, args, wanted).await {
+        // what looks right from outside may not be: then as with what does not
+        Err(error) if !wanted.transcode && matches!(error.downcast_ref(), Some(VideoError::Unsupported(_))) => {
+            note(&format!("tmpi live publish: the video is encoded anew: {error}"));
+            open(origin, args, Wanted { transcode: true, ..wanted }).await?
+        }
+        opened => opened?,
+    };
+    let Opened { source, sound, first, hello } = opened;
     let start = Instant::now();
     let mut sender = Sender {
         source,

@@ -6,8 +6,8 @@ use anyhow::{Context as _, bail};
 use bytes::Bytes;
 
 use tmpi_live::depth;
-use tmpi_live::units::{Splitter, Unit};
-use tmpi_live::video::{self, JPEG};
+use tmpi_live::units::{Splitter, Unit, is_bidirectional};
+use tmpi_live::video::{self, JPEG, VideoError};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
 use super::live_input::{Origin, Plan, Wanted};
@@ -39,9 +39,12 @@ impl Source {
     /// # Errors
     /// There is no such file, or no frame in it; ffmpeg cannot read it.
     pub(super) async fn open(origin: Origin<'_>, depth: DepthKind, wanted: Wanted) -> anyhow::Result<(Self, Option<Sound>)> {
-        if let Origin::Address(source) = origin
-            && let Some(files) = Self::files(source, depth)?
-        {
+        let files = match origin {
+            Origin::Address(source) if Path::new(source).is_dir() => Some(Self::folder(Path::new(source), depth)?),
+            Origin::Stream(file, _) if !wanted.transcode => Some(Self::stream(Path::new(file))?),
+            _ => None,
+        };
+        if let Some(files) = files {
             return Ok((files, None));
         }
         let plan = Plan::new(origin, wanted)?;
@@ -52,28 +55,32 @@ impl Source {
         Ok((Self::Program(program), sound))
     }
 
-    /// What is read without a program: a folder, or a stream of H.264.
-    fn files(source: &str, depth: DepthKind) -> anyhow::Result<Option<Self>> {
-        let path = Path::new(source);
-        if path.is_dir() {
-            let mut files: Vec<PathBuf> = std::fs::read_dir(path)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
-            files.retain(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("jpg") || e.eq_ignore_ascii_case("jpeg")));
-            files.sort();
-            if files.is_empty() {
-                bail!("{source} holds no JPEG file");
-            }
-            return Ok(Some(Self::Folder(files, 0, depth)));
+    /// JPEG files of a folder.
+    fn folder(folder: &Path, depth: DepthKind) -> anyhow::Result<Self> {
+        let mut files: Vec<PathBuf> = std::fs::read_dir(folder)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
+        files.retain(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("jpg") || e.eq_ignore_ascii_case("jpeg")));
+        files.sort();
+        if files.is_empty() {
+            bail!("{} holds no JPEG file", folder.display());
         }
-        if path.extension().is_some_and(|e| e == "h264" || e == "264") {
-            let mut splitter = Splitter::default();
-            let mut units = Vec::new();
-            for piece in std::fs::read(path).with_context(|| source.to_owned())?.chunks(1 << 16) {
-                units.extend(splitter.push(piece)?);
-            }
-            units.extend(splitter.finish());
-            return Ok(Some(Self::Units(units, 0)));
+        Ok(Self::Folder(files, 0, depth))
+    }
+
+    /// A stream of H.264 that rooms take as it is.
+    ///
+    /// # Errors
+    /// [`VideoError::Unsupported`] where they do not.
+    fn stream(file: &Path) -> anyhow::Result<Self> {
+        let mut splitter = Splitter::default();
+        let mut units = Vec::new();
+        for piece in std::fs::read(file).with_context(|| file.display().to_string())?.chunks(1 << 16) {
+            units.extend(splitter.push(piece)?);
         }
-        Ok(None)
+        units.extend(splitter.finish());
+        if units.iter().any(|unit| is_bidirectional(&unit.data)) {
+            return Err(VideoError::Unsupported("its frames do not come in the order in which they are shown (B-frames)".into()).into());
+        }
+        Ok(Self::Units(units, 0))
     }
 
     /// Whether frames come when they come.
@@ -116,7 +123,7 @@ impl Source {
 /// Packs the depth map that lies beside a frame.
 fn measured(file: &Path, kind: DepthKind, frame: &[u8]) -> anyhow::Result<Bytes> {
     let name = || file.display().to_string();
-    let (width, height) = video::size(JPEG, frame)?;
+    let (width, height) = video::size(JPEG, frame)?.with_context(name)?;
     let limits = tmpi_pipeline::photo::Limits::default();
     let (map, _) = maps::from_map(&std::fs::read(file).with_context(name)?, kind, &limits, width, height).with_context(name)?;
     Ok(depth::pack(&map)?.into())
@@ -127,7 +134,7 @@ mod tests {
     use std::process::Command;
     use std::time::Duration;
 
-    use tmpi_live::units::{codec, is_bidirectional};
+    use tmpi_live::units::codec;
     use tmpi_testing::Need;
     use tokio::time::timeout;
 

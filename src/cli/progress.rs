@@ -73,7 +73,19 @@ impl Sink for Bar {
             bar.set_position(step.saturating_sub(1).into());
             bar.set_message(words(stage));
         } else if !self.quiet {
-            note(&format!("{}: {} ({step}/{steps}, {:.1} s)", self.name, words(stage), elapsed_ms / 1e3));
+            note(&format!("{}: {} ({:.1} s)", self.name, words(stage), elapsed_ms / 1e3));
+        }
+    }
+}
+
+/// Tells of the stages that make a depth map, and of none that follow.
+pub(super) struct DepthAlone(pub(super) Bar);
+
+impl Sink for DepthAlone {
+    fn progress(&self, message: &Progress) {
+        const STAGES: [&str; 4] = ["photo", "depth", "denoise", "snap"];
+        if let Some(at) = STAGES.iter().position(|stage| *stage == message.stage) {
+            self.0.progress(&Progress { step: at as u32 + 1, steps: STAGES.len() as u32, ..*message });
         }
     }
 }

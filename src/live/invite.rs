@@ -26,6 +26,9 @@ pub(super) struct RoomState {
     full: bool,
     /// Whoever asked may publish.
     may_publish: bool,
+    /// Why the last publisher has gone, for some seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ended: Option<String>,
 }
 
 /// State of a room.
@@ -53,8 +56,9 @@ pub(super) async fn state(
     here.check(&name, Role::Watch, &uri, &headers)?;
     let may_publish = here.check(&name, Role::Publish, &uri, &headers).is_ok();
     let room = here.rooms.get(&name);
+    let ended = room.as_ref().and_then(|room| room.farewell());
     let (publishing, viewers, full) = room.map_or((false, 0, false), |room| (room.is_publishing(), room.everyone(), room.is_full()));
-    Ok(Json(RoomState { publishing: publishing || here.rooms.is_elsewhere(&name), viewers, full, may_publish }))
+    Ok(Json(RoomState { publishing: publishing || here.rooms.is_elsewhere(&name), viewers, full, may_publish, ended }))
 }
 
 /// A token for who watches.

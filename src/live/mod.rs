@@ -68,6 +68,8 @@ const FASTEST: Duration = Duration::from_micros(8_333);
 const KEYS: Duration = Duration::from_secs(1);
 /// Frames in a row that cannot be decoded before the publisher is sent away.
 const BROKEN: u32 = 30;
+/// The same where none could be decoded yet.
+const BROKEN_FIRST: u32 = 10;
 /// Panics in a row of what makes geometry before the publisher is sent away.
 const PANICS: u32 = 10;
 /// Bytes of a name.

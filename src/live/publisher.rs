@@ -11,6 +11,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout_at
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
+use tmpi_live::video::VideoError;
 use tmpi_live::{Geometry, Settings, units, video};
 
 use super::nodes::Refused;
@@ -18,8 +19,9 @@ use super::ring::What;
 use super::room::Room;
 use super::routes::Here;
 use super::sound::Allowance;
+use super::viewer::GONE;
 use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
+use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
@@ -33,12 +35,17 @@ pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), here: &Here)
         Err(reason) => reason,
     };
     tracing::info!(reason, "a publisher is sent away");
-    // a camera that paused may go on
-    let again = reason == STOPS || reason == UNKNOWN || reason.starts_with(SILENT);
-    send_away(socket, Bye { again, reason }).await;
+    send_away(socket, Bye { again: may_come_back(&reason), reason }).await;
+}
+
+/// Whether a publisher that is sent away for that reason may try again: a camera that paused may go on.
+fn may_come_back(reason: &str) -> bool {
+    reason == STOPS || reason == UNKNOWN || reason.starts_with(SILENT)
 }
 
 const STOPS: &str = "the server stops";
+/// What viewers are told of a publisher that is sent away, before the reason.
+const SENT_AWAY: &str = "the publisher was sent away";
 /// Why a second publisher is sent away.
 pub(crate) const TAKEN: &str = "someone publishes in this room";
 const SILENT: &str = "nothing came for";
@@ -48,34 +55,102 @@ const UNKNOWN: &str = "another node had this room when the others were last hear
 
 /// Publishes; ends without a reason where the publisher has gone by itself.
 async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: &Here) -> Result<(), String> {
-    let Here { rooms, stop, .. } = here;
-    let (room, config) = (&room, &rooms.config);
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
-    let (settings, hello) = checked(hello, config)?;
-    let size = (hello.width, hello.height);
-    let h264 = hello.codec.starts_with("avc1.");
-    let decoder = video::decoder(&hello.codec, size).map_err(|e| e.to_string())?;
-    let clock = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64);
+    // before the room is taken: nobody watches who would have to be told
+    checked(hello.clone(), &here.rooms.config)?;
     let floor = room.take().ok_or(TAKEN)?;
     // given back however this ends
-    let _seat = Seat(room);
+    let _seat = Seat(&room);
+    let ended = published(socket, (name, &room), hello, floor, here).await;
+    match &ended {
+        Ok(Gone::Said) => room.end(GONE),
+        Err(reason) if reason != TAKEN && !may_come_back(reason) => room.end(&format!("{SENT_AWAY}: {reason}")),
+        Ok(Gone::Lost) | Err(_) => {}
+    }
+    ended.map(drop)
+}
+
+/// Microseconds since 1970.
+fn micros() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64)
+}
+
+/// How a publisher has gone by itself.
+enum Gone {
+    /// It said so.
+    Said,
+    /// Its connection has broken: it may come back.
+    Lost,
+}
+
+/// What a publisher shows from one size of its pictures to the next.
+struct Show {
+    epoch: u64,
+    hello: Hello,
+    worker: Worker,
+}
+
+impl Show {
+    /// Begins a room's epoch, `least` or more, with pictures as `hello` says; `done` is told of each frame.
+    fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<Decoded>) -> Result<Self, String> {
+        let (settings, hello) = checked(hello, config)?;
+        let decoder = video::decoder(&hello.codec, (hello.width, hello.height)).map_err(|e| e.to_string())?;
+        let clock = micros();
+        let epoch = room.publish(hello.clone(), clock, least);
+        let models = config.models.clone();
+        let geometry = move || Geometry::new(models.clone(), settings.clone());
+        let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
+        Ok(Self { epoch, hello, worker })
+    }
+
+    /// What the publisher says from a key frame on whose pictures have another size; none where they have not.
+    ///
+    /// # Errors
+    /// The server cannot decode them.
+    fn resized(&self, data: &[u8]) -> Result<Option<Hello>, String> {
+        let Hello { codec, width, height, fov_x, .. } = &self.hello;
+        let size = match video::size(codec, data) {
+            Ok(Some(size)) if size != (*width, *height) => size,
+            Err(VideoError::Unsupported(why)) => return Err(why),
+            // what cannot be read is told by the decoder
+            Ok(_) | Err(_) => return Ok(None),
+        };
+        let codec = units::codec(data).filter(|_| codec.starts_with("avc1.")).unwrap_or_else(|| codec.clone());
+        let fov_x = turned(*fov_x, (*width, *height), size);
+        Ok(Some(Hello { codec, width: size.0, height: size.1, fov_x, ..self.hello.clone() }))
+    }
+}
+
+/// Horizontal field of view of a camera, degrees, whose pictures have another size: along their longer side it stays what it was.
+fn turned(fov_x: f64, before: (u32, u32), now: (u32, u32)) -> f64 {
+    let [before, now] = [before, now].map(|(width, height)| f64::from(width) / f64::from(width.max(height)));
+    if fov_x == 0.0 { fov_x } else { 2.0 * ((fov_x.to_radians() / 2.0).tan() * now / before).atan().to_degrees() }
+}
+
+/// Hands on what a publisher sends, which has the room.
+async fn published(
+    socket: &mut WebSocket,
+    (name, room): (&str, &Arc<Room>),
+    hello: Hello,
+    floor: u64,
+    here: &Here,
+) -> Result<Gone, String> {
+    let Here { rooms, stop, .. } = here;
     let claim = rooms.claim(name, floor).await.map_err(|refused| match refused {
         Refused::Taken => TAKEN,
         Refused::Unknown => UNKNOWN,
     })?;
+    let (done, mut decoded) = mpsc::channel(16);
     // by the clock: addresses of groups of pictures are no others' after a restart
-    let epoch = room.publish(hello, clock, claim.as_ref().map_or(clock / 1000, |c| c.epoch));
+    let least = claim.as_ref().map_or(micros() / 1000, |c| c.epoch);
+    let mut show = Show::begin(room, hello, least, &rooms.config, done.clone())?;
     let evicted = claim.as_ref().map(|c| c.evicted.clone()).unwrap_or_default();
     let _forwarded = claim.map(|mut claim| {
         claim.forward(room);
         claim
     });
-    let models = config.models.clone();
-    let geometry = move || Geometry::new(models.clone(), settings.clone());
-    let (done, mut decoded) = mpsc::channel(16);
-    let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
-    let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: Instant::now(), broken: 0 };
+    let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: Instant::now(), broken: 0, seen: false };
     let (mut depth, mut sounds) = (None, Allowance::new(Instant::now()));
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -103,17 +178,22 @@ async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: 
         let came = Instant::now();
         silent = came + SILENCE;
         match message {
-            None | Some(Kind::Bye(_)) => return Ok(()),
+            None => return Ok(Gone::Lost),
+            Some(Kind::Bye(_)) => return Ok(Gone::Said),
             Some(Kind::Video(video)) => {
                 frames.check(&video)?;
-                if h264 && units::is_bidirectional(&video.data) {
+                if video.key && let Some(hello) = show.resized(&video.data)? {
+                    // the threads of before end with what they have, and tell of it
+                    show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
+                }
+                if show.hello.codec.starts_with("avc1.") && units::is_bidirectional(&video.data) {
                     return Err(BIDIRECTIONAL.into());
                 }
                 let (frame, data) = (video.frame, video.data.clone());
                 let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };
-                room.push(epoch, what, write(Kind::Video(video)));
+                room.push(show.epoch, what, write(Kind::Video(video)));
                 room.count(|s| s.forward_ms = came.elapsed().as_secs_f64() * 1e3);
-                if !worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
+                if !show.worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
                     return Err("more frames came than can be decoded".into());
                 }
             }
@@ -123,7 +203,7 @@ async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: 
             }
             Some(Kind::Sound(sound)) if sound.data.len() <= rooms.bounds.sound => {
                 sounds.take(sound.data.len(), came)?;
-                room.push(epoch, What::Sound, write(Kind::Sound(sound)));
+                room.push(show.epoch, What::Sound, write(Kind::Sound(sound)));
             }
             Some(_) => return Err("a message that publishers do not send".into()),
         }
@@ -190,6 +270,8 @@ struct Frames {
     due: Instant,
     /// Frames in a row that could not be decoded.
     broken: u32,
+    /// A frame was decoded.
+    seen: bool,
 }
 
 impl Frames {
@@ -222,12 +304,16 @@ impl Frames {
     }
 
     async fn decoded(&mut self, socket: &mut WebSocket, outcome: Decoded) -> Result<(), String> {
-        if outcome == Decoded::Panics {
-            return Err(format!("geometry failed {PANICS} times in a row"));
-        }
-        self.broken = if outcome == Decoded::Broken { self.broken + 1 } else { 0 };
-        if self.broken >= BROKEN {
-            return Err(format!("{BROKEN} frames in a row cannot be decoded"));
+        self.broken = if outcome == Decoded::Picture { 0 } else { self.broken + 1 };
+        self.seen |= outcome == Decoded::Picture;
+        match outcome {
+            Decoded::Panics => return Err(format!("geometry failed {PANICS} times in a row")),
+            // damage can look like it, but not in the first frame
+            Decoded::Unsupported(why) if !self.seen || self.broken >= BROKEN => return Err(why),
+            Decoded::Broken(why) if self.broken >= BROKEN || (!self.seen && self.broken >= BROKEN_FIRST) => {
+                return Err(format!("{} frames in a row cannot be decoded: {why}", self.broken));
+            }
+            _ => {}
         }
         // a few may come together, but not for long
         self.due = (self.due + FASTEST).max(Instant::now().checked_sub(Duration::from_millis(100)).unwrap_or(self.due));

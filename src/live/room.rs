@@ -44,6 +44,8 @@ struct State {
     taken: bool,
     publishing: bool,
     closed: bool,
+    /// Why the publisher is gone for good; none while one is here or may come back.
+    farewell: Option<String>,
     viewers: usize,
     /// Viewers that other nodes have.
     elsewhere: u32,
@@ -69,7 +71,7 @@ pub enum Next {
     Tiles,
     /// Wait for a change.
     Wait,
-    /// The room is no more.
+    /// The room is no more, or its publisher is gone for good.
     Closed,
 }
 
@@ -127,7 +129,7 @@ impl Room {
     /// The publisher that took the room says `hello`; gives its epoch, `least` or more.
     pub fn publish(&self, mut hello: Hello, clock: u64, least: u64) -> u64 {
         let mut state = self.lock();
-        (state.publishing, state.followed) = (true, false);
+        (state.publishing, state.followed, state.farewell) = (true, false, None);
         state.epoch = least.max(state.epoch + 1);
         (hello.epoch, hello.clock) = (state.epoch, clock);
         state.begin(hello, None);
@@ -135,6 +137,17 @@ impl Room {
         drop(state);
         self.changed();
         epoch
+    }
+
+    /// The publisher is gone for good: who watches is told why.
+    pub fn end(&self, why: &str) {
+        self.lock().farewell = Some(why.to_owned());
+        self.changed();
+    }
+
+    /// Why the publisher is gone for good.
+    pub fn farewell(&self) -> Option<String> {
+        self.lock().farewell.clone()
     }
 
     /// The publisher has gone.
@@ -334,7 +347,7 @@ impl Room {
     pub fn next(&self, viewer: &mut Viewer) -> Next {
         let mut state = self.lock();
         let now = Instant::now();
-        if state.closed {
+        if state.closed || state.farewell.is_some() {
             return Next::Closed;
         }
         let Some(hello) = state.hello.clone() else { return Next::Wait };

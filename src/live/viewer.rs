@@ -20,6 +20,8 @@ use super::{HEARTBEAT, send_away};
 
 /// Why a viewer finds no place.
 pub const FULL: &str = "as many watch the room as may";
+/// Why a viewer is sent away where the publisher has gone by itself.
+pub const GONE: &str = "the publisher has gone";
 /// Words that a viewer may say at once, and seconds for each one after that.
 const WORDS: u32 = 20;
 const WORD: f64 = 0.5;
@@ -74,7 +76,10 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                     return End::Gone;
                 }
             }
-            Next::Closed => return End::Bye(Bye { reason: "the publisher has gone".into(), again: true }),
+            Next::Closed => {
+                let reason = room.farewell().unwrap_or_else(|| GONE.into());
+                return End::Bye(Bye { reason, again: true });
+            }
             Next::Wait => tokio::select! {
                 changed = changes.changed() => {
                     if changed.is_err() {

@@ -13,7 +13,7 @@ use tokio::sync::mpsc;
 
 use tmpi_core::live::wire;
 use tmpi_core::{DisparityMap, Photo};
-use tmpi_live::video::Decoder;
+use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{Frame, Geometry, depth};
 
 use super::PANICS;
@@ -35,12 +35,14 @@ pub struct Coded {
 }
 
 /// What became of a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decoded {
     /// It was decoded.
     Picture,
-    /// It was not: it is damaged, or what it refers to was.
-    Broken,
+    /// It was not, and why: it is damaged, or what it refers to was.
+    Broken(String),
+    /// It uses what the decoder does not know, and what that is.
+    Unsupported(String),
     /// Whichever it was: what makes geometry panics again and again.
     Panics,
 }
@@ -99,8 +101,11 @@ impl Worker {
                         Decoded::Picture
                     }
                     Err(error) => {
-                        tracing::debug!(error, frame, "decoding a frame");
-                        Decoded::Broken
+                        tracing::debug!(%error, frame, "decoding a frame");
+                        match error {
+                            VideoError::Unsupported(what) => Decoded::Unsupported(what),
+                            error => Decoded::Broken(error.to_string()),
+                        }
                     }
                 };
                 if done.blocking_send(outcome).is_err() {
@@ -152,9 +157,10 @@ impl Slot {
 }
 
 /// A frame's picture and measured depth; none where it holds no picture.
-fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, String> {
-    let Some(photo) = decoder.decode(data).map_err(|e| e.to_string())? else { return Ok(None) };
-    let depth = packed.map(|packed| depth::unpack(packed, photo.width, photo.height)).transpose().map_err(|e| e.to_string())?;
+fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, VideoError> {
+    let Some(photo) = decoder.decode(data)? else { return Ok(None) };
+    let depth = packed.map(|packed| depth::unpack(packed, photo.width, photo.height)).transpose();
+    let depth = depth.map_err(|e| VideoError::Broken(e.to_string()))?;
     Ok(Some((photo, depth)))
 }
 

@@ -40,14 +40,14 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
         "depth-kind" => options.depth_kind = choice::<DepthKind>(&name, value)?,
         "fov-x" => options.fov_x = Some(number(&name, value)?),
         "max-error" => options.max_error = number(&name, value)?,
-        "max-size" => options.max_size = Some(whole(&name, value)?),
+        "max-size" => options.max_size = Some(whole(&name, value, "of pixels")?),
         "photo-depth" => options.photo_depth = choice::<Switch>(&name, value)?,
         "plane-method" => options.plane_method = choice::<PlaneMethod>(&name, value)?,
-        "planes" => options.planes = if value == "auto" { PlaneCount::Auto } else { PlaneCount::Fixed(whole(&name, value)?) },
-        "quality" => options.quality = whole(&name, value)?,
+        "planes" => options.planes = if value == "auto" { PlaneCount::Auto } else { PlaneCount::Fixed(whole(&name, value, "from 1 to 64, or auto")?) },
+        "quality" => options.quality = whole(&name, value, "from 1 to 100")?,
         "refine" => options.refine = choice::<Switch>(&name, value)?,
         "snap" => options.snap = choice::<Switch>(&name, value)?,
-        "tile" => options.tile = if value == "full" { TileSize::Full } else { TileSize::Pixels(whole(&name, value)?) },
+        "tile" => options.tile = if value == "full" { TileSize::Full } else { TileSize::Pixels(whole(&name, value, "of pixels, or full")?) },
         "view-box" => options.view_box = view_box(&name, value)?,
         _ => return Ok(false),
     }
@@ -140,8 +140,9 @@ fn number(name: &str, value: &str) -> Result<f64, Problem> {
     }
 }
 
-fn whole<T: std::str::FromStr>(name: &str, value: &str) -> Result<T, Problem> {
-    value.parse().map_err(|_| Problem::parameter(name, format!("must be a whole number in range, not {value:?}")))
+/// A whole number; `which` says of which kind or range.
+fn whole<T: std::str::FromStr>(name: &str, value: &str, which: &str) -> Result<T, Problem> {
+    value.parse().map_err(|_| Problem::parameter(name, format!("must be a whole number {which}, not {value:?}")))
 }
 
 fn view_box(name: &str, value: &str) -> Result<ViewBox, Problem> {

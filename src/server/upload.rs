@@ -212,7 +212,10 @@ fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Pr
     let Parts { mut incoming, photo, depth, chosen } = parts;
     let Chosen { options, class, settings: told, of_file, .. } = chosen;
     let settings = Settings { title: told.title.clone().or(of_file), ..told.clone() };
-    let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
+    let photo = photo.ok_or_else(|| Problem::parameter("photo", "is missing, or its file is empty"))?;
+    if photo.bytes == 0 {
+        return Err(Problem::parameter("photo", "is empty"));
+    }
     let text = options::to_text(&options);
     let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text), app.jobs.maker.identity());
     let id = app.guard.as_ref().zip(owner.as_ref()).map_or(id, |(guard, owner)| guard.id(owner, id));

@@ -1,6 +1,7 @@
 // Where the depth of a photo comes from, in words.
 
 import { t } from '../i18n/messages.js';
+import { decimal } from '../i18n/text.js';
 
 /** @typedef {{depth_model: string, stages: {name: string, ms: number}[], input: {depth?: {stretched: boolean} | null, depth_problem?: string | null}}} Report */
 
@@ -38,7 +39,7 @@ export function depthSource(report) {
   else if (model === 'carried') parts.push(t('Depth: as the photo brought it along.'));
   else {
     const ms = stages?.find((stage) => stage.name === 'depth')?.ms ?? 0;
-    parts.push(t('Depth: estimated by {0} in {1} s.', t(networkName(model)), (ms / 1000).toFixed(ms < 995 ? 2 : 1)));
+    parts.push(t('Depth: estimated by {0} in {1} s.', t(networkName(model)), decimal(ms / 1000, ms < 995 ? 2 : 1)));
   }
   if (input?.depth?.stretched) parts.push(t('The map has another shape than the photo and was stretched.'));
   if (input?.depth_problem) parts.push(t('The photo’s own depth was left out: {0}', input.depth_problem));

@@ -21,8 +21,8 @@ export function open({ id, viewer, name, file, visibility, changed }) {
   const pieces = element(
     'div',
     '',
-    ...(isLoopback() ? [element('p', '', t('This address works on this machine alone; others need the server’s own name.'))] : []),
-    piece(t('In a frame'), t('Needs no script of yours.'), code.frame),
+    ...(isLoopback() ? [element('p', '', t('This address works only on this machine. Others need the server’s name.'))] : []),
+    piece(t('In a frame'), t('Needs no script.'), code.frame),
     piece(t('As an element'), t('With attributes, methods and events.'), code.element),
   );
   // what shows nothing is not there to be copied

@@ -64,7 +64,7 @@ export function endingLink(id, links, title, hash = '') {
     }),
   );
   show(links);
-  const local = isLoopback() ? [element('p', '', t('This address works on this machine alone; others need the server’s own name.'))] : [];
+  const local = isLoopback() ? [element('p', '', t('This address works only on this machine. Others need the server’s name.'))] : [];
   const parts = [said, ...local, element('div', 'fields', element('label', '', t('How long it is good'), time)), ...link.parts];
   return { text: link.text, parts, renew };
 }

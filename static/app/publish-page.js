@@ -139,7 +139,7 @@ async function share() {
     until
       ? t('It is good until {0}.', moment(until))
       : t('Rooms of this server are for this machine alone: it has no key to let others in.'),
-    ...(until && isLoopback() ? [t('This address works on this machine alone; others need the server’s own name.')] : []),
+    ...(until && isLoopback() ? [t('This address works only on this machine. Others need the server’s name.')] : []),
   ];
   $('link-note').textContent = notes.join(' ');
   $('share').hidden = false;
@@ -158,7 +158,7 @@ async function check() {
   if (asked !== room) return;
   if (state === 'none') return stay(t('There is no such room on this server.'));
   if (state === 'refused' || (state !== 'away' && !mayPublish))
-    return stay(t('Going live here needs a link with a token that is still good. Ask who sent you here for a new one.'));
+    return stay(t('To go live here you need an invitation that has not ended. Ask the person who sent you the link for a new one.'));
   if (!navigator.mediaDevices?.getUserMedia) return stay(t('The camera needs an address with https.'));
   say(publishing ? t('Somebody is live in this room already. Give yours another name.') : beforehand);
   await listCameras();

@@ -1,7 +1,7 @@
 // The page of one photo.
 
 import { t, translatePage } from '../i18n/messages.js';
-import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
+import { decimal, formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
 import { hasHeadset } from '../input/xr.js';
 import { settingsOf } from '../view/settings.js';
@@ -61,7 +61,7 @@ function readout() {
   $('facts').textContent = [
     ...(head ? [`${head.width} × ${head.height}`] : []),
     ...(state.bytes ? [formatBytes(state.bytes)] : []),
-    ...(state.ms === null ? [] : [`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`]),
+    ...(state.ms === null ? [] : [`${state.ms < 9.95 ? decimal(state.ms, 1) : Math.round(state.ms)} ms`]),
   ].join(' · ');
 }
 
@@ -151,7 +151,8 @@ async function start() {
 /** @param {string} message */
 async function waitOrFail(message) {
   const photo = await getPhoto(id).catch(() => null);
-  if (!photo) return fail(t('There is no photo at this address, or only its owner can see it. Ask who sent you here for another link.'));
+  if (!photo)
+    return fail(t('There is no photo at this address, or only its owner can see it. Ask the person who sent you the link for a new one.'));
   if (!isUnderWay(photo)) return fail(message);
   followPhoto(id, {
     queued: (position) => showLoading(queueText(position)),

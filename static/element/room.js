@@ -40,6 +40,7 @@ export class Room {
   #gone = new AbortController();
   /** As the worker says it (live/connection.js), and `live`, `stalled` or `ended`. */
   state = 'connecting';
+  #reason = '';
 
   /**
    * @param {HTMLElement} stage that the picture is put into
@@ -142,7 +143,7 @@ export class Room {
 
   /** @param {import('../live/states.js').Told} told */
   #onState(told) {
-    this.state = told.state;
+    [this.state, this.#reason] = [told.state, told.reason];
     this.#say();
     this.#element.fire('state', told);
     const { over, text } = saying(told);
@@ -154,7 +155,7 @@ export class Room {
 
   /** Says what keeps the picture away, or that it stands still. */
   #say() {
-    const { over, text } = saying({ state: this.state, reason: '' });
+    const { over, text } = saying({ state: this.state, reason: this.#reason });
     const seen = this.#shown && this.state === 'live';
     this.#note.textContent = over ? '' : !seen ? text : this.#early ? t('The picture has no depth yet.') : '';
   }

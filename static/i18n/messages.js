@@ -114,7 +114,6 @@ const GERMAN = {
   '{0} of {1} ready': '{0} von {1} fertig',
   '{0} photos deleted': '{0} Fotos gelöscht',
   'Good: for screens of any size': 'Gut: für jeden Bildschirm',
-  'Link to this very view': 'Link zu genau dieser Sicht',
   'Link to this view': 'Link zu dieser Sicht',
   'Link to this view copied': 'Link zu dieser Sicht kopiert',
   Loading: 'Lädt',
@@ -188,8 +187,8 @@ const GERMAN = {
   'Dolly zoom: back, with the lens': 'Dolly-Zoom: zurück, mit dem Objektiv',
   'Zoom: into the nearest thing': 'Zoom: ins Nächste hinein',
   'Not saved yet: that is in the settings’ menu.': 'Noch nicht gespeichert: Das geht im Menü „Vorgaben“.',
-  'There is no photo at this address, or only its owner can see it. Ask who sent you here for another link.':
-    'Unter dieser Adresse ist kein Foto, oder nur sein Besitzer kann es sehen. Bitten Sie um einen anderen Link, wer Sie hierher geschickt hat.',
+  'There is no photo at this address, or only its owner can see it. Ask the person who sent you the link for a new one.':
+    'Unter dieser Adresse ist kein Foto, oder nur sein Besitzer kann es sehen. Fragen Sie nach einem neuen Link, wo Sie diesen herhaben.',
   'Tilt to look around': 'Neigen und umsehen',
   'Drag to look around; pinch or tap twice to come closer.': 'Ziehen, um sich umzusehen; spreizen oder doppelt tippen, um näher zu kommen.',
   'Nothing here – tmpi': 'Hier ist nichts – tmpi',
@@ -264,7 +263,7 @@ const GERMAN = {
   'Longer side': 'Längere Seite',
   'Make it': 'Erstellen',
   Movement: 'Bewegung',
-  'Needs no script of yours.': 'Braucht kein eigenes Skript.',
+  'Needs no script.': 'Braucht kein eigenes Skript.',
   'Opens from disk, without a server or a network.': 'Öffnet sich von der Platte, ohne Server und Netz.',
   'Progress of the film': 'Fortschritt des Films',
   'Put it on a page': 'Auf eine Seite setzen',
@@ -273,8 +272,8 @@ const GERMAN = {
   'Send…': 'Senden …',
   'The depth map (.png)': 'Die Tiefenkarte (.png)',
   'The film': 'Der Film',
-  'This address works on this machine alone; others need the server’s own name.':
-    'Diese Adresse gilt nur auf diesem Rechner; andere brauchen den Namen des Servers.',
+  'This address works only on this machine. Others need the server’s name.':
+    'Diese Adresse gilt nur auf diesem Rechner. Andere brauchen den Namen des Servers.',
   'Two views side by side (.jpg)': 'Zwei Sichten nebeneinander (.jpg)',
   Wigglegram: 'Wackelbild',
   'With attributes, methods and events.': 'Mit Attributen, Methoden und Ereignissen.',
@@ -288,13 +287,14 @@ const GERMAN = {
   'Camera {0}': 'Kamera {0}',
   'Another program uses the camera.': 'Ein anderes Programm benutzt die Kamera.',
   'Back to the camera’s own view (0)': 'Zurück zur Sicht der Kamera (0)',
-  'Behind the camera · frames a second · data rate · who watch': 'Hinter der Kamera · Bilder je Sekunde · Datenrate · wie viele zusehen',
+  'Behind the camera · frames a second · data rate · how many watch':
+    'Hinter der Kamera · Bilder je Sekunde · Datenrate · wie viele zusehen',
   'Connecting…': 'Verbindet …',
   'Go live': 'Live gehen',
   'Go live with your camera': 'Mit der Kamera live gehen',
   'Go live: {0}': 'Live gehen: {0}',
-  'Going live here needs a link with a token that is still good. Ask who sent you here for a new one.':
-    'Um hier live zu gehen, braucht es einen Link mit gültiger Marke. Bitte um einen neuen bitten, wer ihn geschickt hat.',
+  'To go live here you need an invitation that has not ended. Ask the person who sent you the link for a new one.':
+    'Um hier live zu gehen, brauchen Sie eine Einladung, die noch gilt. Fragen Sie nach einem neuen Link, wo Sie diesen herhaben.',
   'As many watch as there are places for. It is tried again by itself.':
     'Alle Plätze zum Zusehen sind belegt. Ein neuer Versuch kommt von selbst.',
   'It ended: {0}': 'Zu Ende: {0}',
@@ -325,6 +325,8 @@ const GERMAN = {
   'The connection broke. Trying again…': 'Die Verbindung ist abgerissen. Neuer Versuch …',
   'The live picture has ended. It goes on by itself when it is back.':
     'Das Live-Bild ist zu Ende. Kommt es wieder, geht es von selbst weiter.',
+  'The live picture has ended: {0}. It goes on by itself when it is back.':
+    'Das Live-Bild ist zu Ende: {0}. Kommt es wieder, geht es von selbst weiter.',
   'The picture has no depth yet.': 'Das Bild hat noch keine Tiefe.',
   'The picture is held up.': 'Das Bild stockt.',
   'The server cannot be reached. Trying again…': 'Der Server ist nicht erreichbar. Neuer Versuch …',
@@ -332,11 +334,12 @@ const GERMAN = {
   'There is no such camera.': 'Diese Kamera gibt es nicht.',
   'There is no such room on this server.': 'Diesen Raum gibt es auf diesem Server nicht.',
   'This browser cannot decode the video of this room.': 'Dieser Browser kann das Video dieses Raums nicht dekodieren.',
+  'This browser cannot show the video of this room: {0}': 'Dieser Browser kann das Video dieses Raums nicht zeigen: {0}',
   'This browser shows the video without depth.': 'Dieser Browser zeigt das Video ohne Tiefe.',
-  'This room needs a link with a token that is still good. Ask who sent you here for a new one.':
-    'Dieser Raum braucht einen Link mit gültiger Marke. Bitte um einen neuen bitten, wer ihn geschickt hat.',
+  'To watch this room you need a link that has not ended. Ask the person who sent you the link for a new one.':
+    'Um hier zuzusehen, brauchen Sie einen Link, der noch gilt. Fragen Sie nach einem neuen, wo Sie diesen herhaben.',
   'What your camera sees': 'Was die Kamera sieht',
-  'Who has this link can watch': 'Wer diesen Link hat, kann zusehen',
+  'Anyone with this link can watch': 'Wer diesen Link hat, kann zusehen',
   'With sound': 'Mit Ton',
   'You are live, without sound: the microphone does not work.': 'Sie sind live, ohne Ton: Das Mikrofon geht nicht.',
   'You are live.': 'Sie sind live.',

@@ -1,5 +1,16 @@
 // Numbers and names as people read them.
+import { german } from './element.js';
 import { t } from './messages.js';
+
+/**
+ * A number with so many decimals, in the page's language.
+ * @param {number} value
+ * @param {number} digits
+ */
+export function decimal(value, digits) {
+  const text = value.toFixed(digits);
+  return german ? text.replace('.', ',') : text;
+}
 
 /**
  * Bytes, as 3.1 MB.
@@ -14,7 +25,7 @@ export function formatBytes(bytes) {
     value /= 1000;
     unit++;
   }
-  return `${value < 9.95 ? value.toFixed(1) : Math.round(value)} ${units[unit]}`;
+  return `${value < 9.95 ? decimal(value, 1) : Math.round(value)} ${units[unit]}`;
 }
 
 /**

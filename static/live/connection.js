@@ -48,17 +48,17 @@ export function openSocket(address, what, token) {
  * What the server says of a room.
  * @param {string} address
  * @param {string} token
- * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number, full: boolean}>}
+ * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number, full: boolean, ended: string}>} `ended`: why the last publisher has gone
  */
 export async function look(address, token) {
-  const found = { mayPublish: false, publishing: false, viewers: 0, full: false };
+  const found = { mayPublish: false, publishing: false, viewers: 0, full: false, ended: '' };
   try {
     const response = await fetch(address, { headers: headersOf(token), signal: AbortSignal.timeout(ANSWER_MS) });
     if (response.status === 403 || response.status === 401) return { ...found, state: 'refused' };
     if (response.status === 404) return { ...found, state: 'none' };
     if (!response.ok) return { ...found, state: 'away' };
-    const { publishing, viewers, full = false, may_publish: mayPublish } = await response.json();
-    return { state: publishing ? 'open' : 'waiting', publishing, viewers, full, mayPublish };
+    const { publishing, viewers, full = false, may_publish: mayPublish, ended = '' } = await response.json();
+    return { state: publishing ? 'open' : 'waiting', publishing, viewers, full, mayPublish, ended };
   } catch {
     return { ...found, state: 'away' };
   }
@@ -80,7 +80,7 @@ export class Connection {
 
   /**
    * @param {{address: string, token: string}} room
-   * @param {{message: (bytes: Uint8Array<ArrayBuffer>) => void, state: (state: State) => void}} on
+   * @param {{message: (bytes: Uint8Array<ArrayBuffer>) => void, state: (state: State, ended: string) => void}} on
    */
   constructor(room, on) {
     this.#room = room;
@@ -91,11 +91,11 @@ export class Connection {
   async start() {
     this.stop();
     const run = this.#run;
-    const { state, full } = await look(this.#room.address, this.#room.token);
+    const { state, full, ended } = await look(this.#room.address, this.#room.token);
     if (run !== this.#run) return;
     if (state === 'open' && full) return this.#wait();
     if (state !== 'open') {
-      this.#on.state(state);
+      this.#on.state(state, ended);
       if (state === 'waiting') this.#again(LOOK_MS);
       else if (state === 'away') this.#later();
       return;
@@ -141,7 +141,7 @@ export class Connection {
 
   /** Waits for a place. */
   #wait() {
-    this.#on.state('full');
+    this.#on.state('full', '');
     this.#again(FULL_MS[Math.min(this.#crowded++, FULL_MS.length - 1)]);
   }
 

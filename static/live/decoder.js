@@ -11,6 +11,8 @@ const [NUMBERS, DATA, TILES, LAYERS, CELLS, MESSAGE] = [2, 3, 4, 5, 6, 7];
 /** Numbers of a layer, and count of layers of a tile that has those of before. */
 const COLUMNS = 9;
 const AS_BEFORE = 2 ** 32 - 1;
+/** Matrices of ITU-T H.273 by their numbers, as browsers name them. @type {Record<number, string>} */
+const MATRICES = Object.freeze({ 1: 'bt709', 6: 'smpte170m', 9: 'bt2020-ncl' });
 /** How frames are handed over, by the numbers of `Pixels`. */
 export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
 
@@ -18,7 +20,8 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
  * What a publisher or the server says first: codec strings of WebCodecs, empty where there is no sound.
  * @typedef {{kind: 'hello', head: SceneHead, codec: string, sound: string, rate: number, channels: number, epoch: number}} Hello
  */
-/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock; its temporal layer */
+/** @typedef {{matrix: string, fullRange: boolean}} Colour how the samples of a video are to be read */
+/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, colour: Colour, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock; its temporal layer */
 /** @typedef {{kind: 'sound', time: number, data: Uint8Array<ArrayBuffer>}} Sound */
 /** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles were taken over already */
 /**
@@ -71,7 +74,10 @@ export class RoomDecoder {
       const head = { width, height, tileSize, tileStride, intrinsics: { fx, fy, cx, cy }, viewBox: { x, y, z } };
       return { kind: 'hello', head, codec, sound, rate, channels, epoch };
     }
-    if (kind === 2) return { kind: 'video', frame: n[0], time: n[1], key: n[2] === 1, layer: n[3], data: this.#copy(DATA) };
+    if (kind === 2) {
+      const colour = { matrix: MATRICES[n[4]] ?? 'bt709', fullRange: n[5] === 1 };
+      return { kind: 'video', frame: n[0], time: n[1], key: n[2] === 1, layer: n[3], colour, data: this.#copy(DATA) };
+    }
     if (kind === 3 || kind === 4) return { kind: 'tiles', frame: n[0], changed: n[1] };
     if (kind === 5) return { kind: 'sound', time: n[0], data: this.#copy(DATA) };
     if (kind === 6) {

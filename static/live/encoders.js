@@ -63,6 +63,8 @@ class Browser {
   #encoder;
   /** @type {number[]} */
   #under = [];
+  /** @type {OffscreenCanvas | null} */
+  #canvas = null;
 
   /**
    * @param {VideoEncoderConfig} config
@@ -95,11 +97,26 @@ class Browser {
    * @param {boolean} key
    */
   encode(frame, time, key) {
-    const timed = new VideoFrame(pictureOf(frame), { timestamp: time });
+    const timed = new VideoFrame(this.#upright(frame), { timestamp: time });
     frame.close();
     this.#under.push(time);
     this.#encoder.encode(timed, { keyFrame: key });
     timed.close();
+  }
+
+  /**
+   * What is drawn of a frame, upright: encoders pass over that a camera says how its picture is to be turned.
+   * @param {Frame} frame
+   * @returns {CanvasImageSource}
+   */
+  #upright(frame) {
+    const picture = pictureOf(frame);
+    const { rotation = 0, flip = false } = /** @type {{rotation?: number, flip?: boolean}} */ (picture);
+    if (!rotation && !flip) return picture;
+    const { displayWidth: width, displayHeight: height } = frame;
+    if (this.#canvas?.width !== width || this.#canvas.height !== height) this.#canvas = new OffscreenCanvas(width, height);
+    this.#canvas.getContext('2d')?.drawImage(picture, 0, 0, width, height);
+    return this.#canvas;
   }
 
   close() {

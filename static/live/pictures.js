@@ -1,6 +1,6 @@
 // Decodes the frames of a room by the browser's own decoders.
 
-/** @import { Video } from './decoder.js' */
+/** @import { Colour, Video } from './decoder.js' */
 
 /** Codec string of frames that are JPEG files. */
 export const JPEG = 'jpeg';
@@ -24,6 +24,8 @@ export class Pictures {
   /** @type {Map<number, Taken & {began: number}>} */
   #under = new Map();
   #closed = false;
+  /** As the decoder was told last, as text. */
+  #colour = '';
 
   /**
    * @param {string} codec
@@ -59,14 +61,26 @@ export class Pictures {
       },
       error: (error) => this.#fail(error),
     });
-    this.#decoder.configure({ codec, optimizeForLatency: true });
+    this.#configure();
+  }
+
+  /**
+   * Some browsers take colours from here alone, and others that they have not been told for BT.709.
+   * @param {Colour} [colour] of the frames that follow
+   */
+  #configure(colour) {
+    const told = JSON.stringify(colour) ?? '';
+    if (told === this.#colour && this.#decoder?.state === 'configured') return;
+    this.#colour = told;
+    const colorSpace = /** @type {any} */ (colour && { primaries: 'bt709', transfer: 'bt709', ...colour });
+    this.#decoder?.configure({ codec: this.#codec, optimizeForLatency: true, ...(colorSpace && { colorSpace }) });
   }
 
   /**
    * @param {Video} video
    * @param {number} arrived
    */
-  decode({ frame, time, key, data }, arrived) {
+  decode({ frame, time, key, colour, data }, arrived) {
     const taken = { frame, time, arrived, began: performance.now() };
     if (!this.#decoder) {
       this.#jpeg(data, taken);
@@ -76,6 +90,7 @@ export class Pictures {
     for (const [at, { frame: old }] of this.#under) if (old < frame - 120) this.#under.delete(at);
     this.#under.set(frame, taken);
     try {
+      if (key) this.#configure(colour);
       this.#decoder.decode(new EncodedVideoChunk({ type: key ? 'key' : 'delta', timestamp: frame, duration: DURATION, data }));
     } catch (error) {
       this.#fail(error);

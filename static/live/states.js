@@ -33,15 +33,20 @@ function waiting(state) {
   }
 }
 
-/** @param {string} state one of `FAILURES` */
-function failure(state) {
+/**
+ * @param {string} state one of `FAILURES`
+ * @param {string} reason
+ */
+function failure(state, reason) {
   switch (state) {
     case 'refused':
-      return t('This room needs a link with a token that is still good. Ask who sent you here for a new one.');
+      return t('To watch this room you need a link that has not ended. Ask the person who sent you the link for a new one.');
     case 'none':
       return t('There is no such room on this server.');
     default:
-      return t('This browser cannot decode the video of this room.');
+      return reason
+        ? t('This browser cannot show the video of this room: {0}', reason)
+        : t('This browser cannot decode the video of this room.');
   }
 }
 
@@ -51,7 +56,9 @@ function failure(state) {
  * @returns {{over: boolean, text: string}}
  */
 export function saying({ state, reason }) {
-  if (FAILURES.has(state)) return { over: true, text: failure(state) };
+  if (FAILURES.has(state)) return { over: true, text: failure(state, reason) };
+  if (state === 'ended' && reason)
+    return { over: false, text: t('The live picture has ended: {0}. It goes on by itself when it is back.', reason) };
   if (reason) return { over: true, text: t('The server says: {0}', reason) };
   return { over: false, text: waiting(state) };
 }

@@ -41,11 +41,24 @@ const DEPTH_MS = 1500;
 const COPY_MS = 500;
 /** What GEOMETRY and SNAPSHOT begin with (protobuf's fields 3 and 4). */
 const TILES = [(3 << 3) | 2, (4 << 3) | 2];
+/** Frames in a row of which no picture can be had, each on a connection of its own, and time that it has to go on, ms, before it is over. */
+const FAILURES = 4;
+const FAILING_MS = 5000;
+/** Time in which frames come and the browser’s decoder gives no picture, ms: it gives none. */
+const SILENT_MS = 10_000;
+/** What the server says of a publisher that it has sent away, before the reason. */
+const SENT_AWAY = /^the publisher was sent away: /;
 /** Weight of the newest in what is smoothed. */
 const WEIGHT = 0.1;
 
 /** Now in ms, by a clock that others on the machine have, too. */
 const clock = () => performance.timeOrigin + performance.now();
+
+/**
+ * Why a publisher was sent away, empty where it has gone by itself.
+ * @param {string} words of the server
+ */
+const sentAway = (words) => (SENT_AWAY.test(words) ? words.replace(SENT_AWAY, '') : '');
 
 class Room {
   #decoder;
@@ -93,6 +106,13 @@ class Room {
   /** @type {Statistics | null} */
   #statistics = null;
   #state = '';
+  #reason = '';
+  /** Frames in a row of which no picture could be had. */
+  #failures = 0;
+  /** When the first of them was. */
+  #failing = 0;
+  /** When a frame was decoded last, or nobody waited for one. */
+  #lastPicture = 0;
   #sound = new SoundDecoder();
 
   /**
@@ -104,7 +124,10 @@ class Room {
     this.#watched = watched;
     this.#connection = new Connection(watched, {
       message: (bytes) => this.#take(bytes),
-      state: (state) => this.#say(state === 'waiting' && this.#hello ? 'ended' : state),
+      state: (state, ended) => {
+        const reason = sentAway(ended);
+        this.#say(state === 'waiting' && (this.#hello || reason) ? 'ended' : state, reason);
+      },
     });
     this.#say('connecting');
     this.#connection.start();
@@ -123,7 +146,7 @@ class Room {
     this.#waits = true;
     this.#drop();
     this.#due = Infinity;
-    this.#lastFrame = performance.now();
+    this.#lastFrame = this.#lastPicture = performance.now();
     // tiles that came are not sent again
     this.#playOut.hurry();
     this.#jitter = new Jitter();
@@ -164,8 +187,9 @@ class Room {
    * @param {string} [reason]
    */
   #say(state, reason = '') {
-    if (state === this.#state && !reason) return;
-    this.#state = state;
+    // why it has ended is said once, and stays until something else is
+    if (state === this.#state && (!reason || reason === this.#reason)) return;
+    [this.#state, this.#reason] = [state, reason];
     postMessage({ type: 'state', state, reason });
   }
 
@@ -195,7 +219,7 @@ class Room {
     else if (message.kind === 'statistics') this.#statistics = message;
     else if (message.kind === 'bye') {
       if (this.#connection.full(message.reason)) return;
-      if (message.again) return this.#say('ended');
+      if (message.again) return this.#say('ended', sentAway(message.reason));
       this.#connection.stop();
       this.#say('away', message.reason);
     }
@@ -206,6 +230,8 @@ class Room {
     if (this.#hidden) this.#connection.send(SOUND_ALONE);
     const before = this.#hello;
     this.#hello = hello;
+    if (before?.epoch !== hello.epoch) this.#failures = 0;
+    this.#lastPicture = performance.now();
     this.#waits = true;
     [this.#hold, this.#jitter] = [new Hold(), new Jitter()];
     this.#playOut.clear();
@@ -225,10 +251,7 @@ class Room {
       const pictures = await Pictures.of(
         hello.codec,
         (decoded) => this.#decoded(decoded),
-        (error) => {
-          console.warn(error.message);
-          this.#connection.start();
-        },
+        (error) => this.#fail(error),
       );
       if (this.#hello !== hello) return pictures.close();
       this.#pictures = pictures;
@@ -280,6 +303,25 @@ class Room {
     this.#pictures?.decode(video, arrived);
   }
 
+  /**
+   * A frame gave no picture. The next connection begins with a key frame, but where that does not help either it is over.
+   * @param {Error} error
+   */
+  #fail(error) {
+    console.warn(error.message);
+    const now = performance.now();
+    if (!this.#failures++) this.#failing = now;
+    this.#lastPicture = now;
+    if (this.#failures < FAILURES || now - this.#failing < FAILING_MS) this.#connection.start();
+    else this.#over(error.message);
+  }
+
+  /** @param {string} reason why this browser shows nothing */
+  #over(reason) {
+    this.#connection.stop();
+    this.#say('unsupported', reason);
+  }
+
   /** @param {number} frame that came last with its tiles */
   #tiles(frame) {
     this.#hold.tiles(frame, performance.now());
@@ -289,6 +331,7 @@ class Room {
 
   /** @param {Decoded} decoded */
   #decoded(decoded) {
+    this.#lastPicture = performance.now();
     this.#measured.video += (decoded.ms - this.#measured.video) * WEIGHT;
     // one that is held for its tiles has had its time
     if (this.#next && !this.#busy && this.#free && !this.#hidden) {
@@ -342,6 +385,7 @@ class Room {
         this.#measured.copy += (performance.now() - started - this.#measured.copy) * WEIGHT;
         started = performance.now();
         this.#decoder.frame(format, bytes, next);
+        this.#failures = 0;
         this.#shown = next;
       }
       if (this.#compose(head, started)) this.#depthless = 0;
@@ -350,8 +394,7 @@ class Room {
         plain = null;
       }
     } catch (error) {
-      console.error(error.message);
-      this.#connection.start();
+      if (this.#hello.head === head) this.#fail(error);
     } finally {
       plain?.close();
       this.#busy = false;
@@ -419,6 +462,7 @@ class Room {
 
   /** @param {Decoded} next */
   #flat(next) {
+    this.#failures = 0;
     this.#next = null;
     this.#shown = next;
     this.#picture(next.picture, false);
@@ -443,8 +487,11 @@ class Room {
   }
 
   #tell() {
-    if (this.#state === 'live' && !this.#hidden && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
-    if (!this.#hidden && !this.#watched.flat && this.#underWay.age(performance.now()) > UNSEEN_MS) this.again();
+    const now = performance.now();
+    if (this.#state === 'live' && !this.#hidden && now - this.#lastFrame > STALLED_MS) this.#say('stalled');
+    if (this.#waits || this.#hidden || this.#state !== 'live') this.#lastPicture = now;
+    else if (now - this.#lastPicture > SILENT_MS) this.#over('its decoder gives no picture');
+    if (!this.#hidden && !this.#watched.flat && this.#underWay.age(now) > UNSEEN_MS) this.again();
     const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
     [this.#measured.frames, this.#measured.bytes] = [0, 0];
     const seconds = TELL_MS / 1000;

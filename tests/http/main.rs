@@ -27,6 +27,7 @@ mod live;
 mod live_access;
 mod live_faults;
 mod live_hostile;
+mod live_streams;
 mod manage;
 mod manners;
 mod matrix;

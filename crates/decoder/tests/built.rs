@@ -23,7 +23,7 @@ const SOURCES: [&str; 12] = [
 ];
 const TESTS: [&str; 3] = ["tests.rs", "fixtures.rs", "fuzzing.rs"];
 /// Packages whose code is in them.
-const PACKAGES: [&str; 3] = ["prost", "ruzstd", "thiserror"];
+const PACKAGES: [&str; 4] = ["h264-reader", "prost", "ruzstd", "thiserror"];
 
 fn files(path: &Path, found: &mut Vec<PathBuf>) {
     if path.is_dir() {

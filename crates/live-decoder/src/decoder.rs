@@ -1,11 +1,12 @@
 //! What an instance holds, and what its functions do.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use prost::bytes::Bytes;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
-use tmpi_core::live::{Changes, I420, Layers, Model, VERSION, When, read, to_rgb, write};
+use tmpi_core::live::{Changes, Colour, I420, Layers, Model, VERSION, When, key_frame, read, to_rgb, write};
 use tmpi_core::{Class, Photo};
 
 /// What can be read out.
@@ -42,6 +43,8 @@ pub enum Pixels {
     Rgba = 2,
 }
 
+/// Changes of colours that are remembered: frames are shown later than they come.
+const COLOURS: usize = 8;
 /// A tile that has the layers of before.
 const AS_BEFORE: u32 = u32::MAX;
 
@@ -50,8 +53,11 @@ const AS_BEFORE: u32 = u32::MAX;
 pub struct Decoder {
     input: Vec<u8>,
     model: Option<Model>,
-    /// Size of the room's frames.
+    /// Size of the room's frames, and their codec.
     size: (u32, u32),
+    codec: String,
+    /// Colours of the video from a frame on, by its number; of the last key frames that changed them.
+    colours: VecDeque<(u64, Colour)>,
     /// Bits of the sizes, camera and view box that HELLO said.
     said: [u64; 11],
     /// Tiles that came since the layers were made last.
@@ -92,8 +98,13 @@ impl Decoder {
         match kind {
             Kind::Hello(hello) => self.hello(&hello),
             Kind::Video(Video { frame, time, key, layer, data }) => {
+                if key {
+                    self.key(frame, &data);
+                }
                 self.data = data;
-                Ok(self.told(2, &[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)]))
+                let Colour { matrix, full_range } = self.colour_of(frame);
+                let colour = [f64::from(matrix.number()), f64::from(u8::from(full_range))];
+                Ok(self.told(2, &[&[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)][..], &colour].concat()))
             }
             Kind::Geometry(tiles) => self.take(3, &tiles),
             Kind::Snapshot(tiles) => self.take(4, &tiles),
@@ -117,6 +128,23 @@ impl Decoder {
         }
     }
 
+    /// Takes over what a key frame says of colours; what it says wrongly its decoder tells.
+    fn key(&mut self, frame: u64, data: &[u8]) {
+        let Ok(Some(key)) = key_frame(&self.codec, data) else { return };
+        if self.colours.back().is_none_or(|&(_, colour)| colour != key.colour) {
+            self.colours.push_back((frame, key.colour));
+        }
+        if self.colours.len() > COLOURS {
+            self.colours.pop_front();
+        }
+    }
+
+    /// Colours of a frame's video.
+    fn colour_of(&self, frame: u64) -> Colour {
+        let since = self.colours.iter().rev().find(|(first, _)| *first <= frame);
+        since.map(|(_, colour)| *colour).unwrap_or_default()
+    }
+
     fn told(&mut self, kind: i32, numbers: &[f64]) -> i32 {
         self.numbers = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
         kind
@@ -134,6 +162,8 @@ impl Decoder {
             (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
+        self.colours.clear();
+        self.codec.clone_from(&h.codec);
         self.tiles_of = None;
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
         Ok(self.told(1, &[&said[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
@@ -163,7 +193,8 @@ impl Decoder {
             return Err(format!("a frame of {} bytes where {want} make one", bytes.len()));
         }
         let (y, rest) = bytes.split_at(area);
-        let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v });
+        let colour = self.colour_of(number);
+        let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v }, colour);
         self.taken = Duration::from_micros(time);
         self.number = number;
         self.frame = match format {

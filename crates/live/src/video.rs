@@ -4,7 +4,8 @@ mod vp9;
 
 use tmpi_core::Photo;
 use tmpi_core::container::PhotoFormat;
-pub use tmpi_core::live::{I420, to_rgb};
+use tmpi_core::live::{KeyFrame, KeyFrameError, key_frame};
+pub use tmpi_core::live::{Colour, I420, to_rgb};
 use tmpi_pipeline::photo::{self, Limits};
 
 /// Codec string of frames that are JPEG files.
@@ -22,6 +23,9 @@ pub enum VideoError {
     /// The bytes are damaged, or use what the decoder does not know; it goes on with the next key frame.
     #[error("video: {0}")]
     Broken(String),
+    /// The stream uses what the decoder does not know; the text says what, and what to do.
+    #[error("{0}")]
+    Unsupported(String),
     /// The frame is not of the size that the publisher said.
     #[error("a frame of {0}×{1}, where the publisher said {2}×{3}")]
     Size(u32, u32, u32, u32),
@@ -49,18 +53,23 @@ pub fn decoder(codec: &str, size: (u32, u32)) -> Result<Box<dyn Decoder>, VideoE
     }
 }
 
-/// Size of a picture by its first access unit.
+/// Size of what a frame shows, by its head; none where it says none, as it is no key frame.
 ///
 /// # Errors
-/// [`VideoError`] where it cannot be decoded by itself.
-pub fn size(codec: &str, data: &[u8]) -> Result<(u32, u32), VideoError> {
-    let most = (1 << 14, 1 << 14);
-    let decoded = decoder(codec, most).and_then(|mut d| d.decode(data));
-    match decoded {
-        Ok(Some(photo)) => Ok((photo.width, photo.height)),
-        Err(VideoError::Size(width, height, ..)) => Ok((width, height)),
-        Ok(None) => Err(VideoError::Broken("there is no picture in it".into())),
-        Err(error) => Err(error),
+/// [`VideoError::Unsupported`] where the decoder does not know what it uses, [`VideoError::Broken`].
+pub fn size(codec: &str, data: &[u8]) -> Result<Option<(u32, u32)>, VideoError> {
+    if codec == JPEG {
+        return photo::upright_size(data, &Limits::default()).map(Some).map_err(|e| VideoError::Broken(e.to_string()));
+    }
+    Ok(key_frame(codec, data)?.map(|key| (key.width, key.height)))
+}
+
+impl From<KeyFrameError> for VideoError {
+    fn from(error: KeyFrameError) -> Self {
+        match error {
+            KeyFrameError::Broken(why) => Self::Broken(why),
+            KeyFrameError::Unsupported(why) => Self::Unsupported(why.into()),
+        }
     }
 }
 
@@ -93,26 +102,25 @@ impl Decoder for Jpeg {
 mod h264 {
     use std::panic::{AssertUnwindSafe, catch_unwind};
 
-    use rusty_h264_common::nal::{emulation_unprevent, split_annex_b};
-    use rusty_h264_decoder::Sps;
+    use rusty_h264_common::YuvFrame;
+    use rusty_h264_decoder::DecodeError;
 
-    use super::{Decoder, FAILED, I420, Photo, VideoError, sized, to_rgb};
+    use super::{Decoder, FAILED, I420, KeyFrame, Photo, VideoError, key_frame, sized, to_rgb};
     use crate::units::is_bidirectional;
 
     /// H.264, access units in Annex B.
     pub struct H264 {
         decoder: rusty_h264_decoder::Decoder,
         size: (u32, u32),
+        /// What the last key frame said.
+        key: Option<KeyFrame>,
     }
 
     impl H264 {
         pub fn new(size: (u32, u32)) -> Self {
-            Self { decoder: rusty_h264_decoder::Decoder::new(), size }
+            Self { decoder: rusty_h264_decoder::Decoder::new(), size, key: None }
         }
     }
-
-    /// Type of a NAL unit that is a sequence parameter set.
-    const SPS: u8 = 7;
 
     impl Decoder for H264 {
         fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
@@ -126,27 +134,51 @@ mod h264 {
     impl H264 {
         fn picture(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
             self.check(data)?;
-            let Some(frame) = self.decoder.decode(data).map_err(|e| VideoError::Broken(e.to_string()))? else { return Ok(None) };
+            let decoded = self.decoder.decode(data).map_err(|error| match error {
+                DecodeError::Unsupported(what) => VideoError::Unsupported(format!("the video uses {what}, which is not decoded here")),
+                error => VideoError::Broken(error.to_string()),
+            })?;
+            let Some(frame) = decoded else { return Ok(None) };
+            let key = self.key.ok_or_else(|| VideoError::Broken("a picture before its parameters".into()))?;
+            let frame = shown(frame, (key.left as usize, key.top as usize));
             let planes = I420 { width: frame.width as u32, height: frame.height as u32, y: &frame.y, u: &frame.u, v: &frame.v };
             let short = || VideoError::Broken("a plane that is too short".into());
-            sized(to_rgb(&planes).ok_or_else(short)?, self.size)
+            sized(to_rgb(&planes, key.colour).ok_or_else(short)?, self.size)
         }
 
         /// Refuses parameters of larger frames before the decoder takes memory for them, and slices of which rooms have none: what damage makes
         /// of others can make the decoder panic.
-        fn check(&self, data: &[u8]) -> Result<(), VideoError> {
+        fn check(&mut self, data: &[u8]) -> Result<(), VideoError> {
             if is_bidirectional(data) {
                 return Err(VideoError::Broken("a slice that refers to later pictures".into()));
             }
-            let (width, height) = self.size;
-            let fits = |coded: usize, side: u32| coded <= side.next_multiple_of(16) as usize;
-            for nal in split_annex_b(data).into_iter().filter(|n| n.first().is_some_and(|head| head & 31 == SPS)) {
-                let sps = Sps::parse(&emulation_unprevent(&nal[1..])).map_err(|e| VideoError::Broken(e.to_string()))?;
-                if !fits(sps.coded_width(), width) || !fits(sps.coded_height(), height) {
-                    return Err(VideoError::Size(sps.coded_width() as u32, sps.coded_height() as u32, width, height));
+            if let Some(key) = key_frame("avc1.", data)? {
+                let (width, height) = self.size;
+                if (key.width, key.height) != self.size {
+                    return Err(VideoError::Size(key.width, key.height, width, height));
                 }
+                self.key = Some(key);
             }
             Ok(())
+        }
+    }
+
+    /// The decoder leaves out what is cut off to the right and below; here goes what is cut off to the left and above.
+    fn shown(frame: YuvFrame, (left, top): (usize, usize)) -> YuvFrame {
+        if (left, top) == (0, 0) {
+            return frame;
+        }
+        let rows = |plane: &[u8], width: usize, by: usize| {
+            let rows = plane.chunks_exact(width.max(1)).skip(top / by);
+            rows.flat_map(|row| row.get(left / by..).unwrap_or_default()).copied().collect()
+        };
+        let across = frame.width.div_ceil(2);
+        YuvFrame {
+            width: frame.width.saturating_sub(left),
+            height: frame.height.saturating_sub(top),
+            y: rows(&frame.y, frame.width, 1),
+            u: rows(&frame.u, across, 2),
+            v: rows(&frame.v, across, 2),
         }
     }
 
@@ -246,7 +278,7 @@ mod tests {
         assert!(bare.len() + 400 < frame.len());
         for frame in [&frame[..frame.len() - 2], &frame[..frame.len() - 1], &bare, &bare[..bare.len() - 2]] {
             assert_eq!(decoded(frame), whole);
-            assert_eq!(size(JPEG, frame).unwrap(), (48, 32));
+            assert_eq!(size(JPEG, frame).unwrap(), Some((48, 32)));
         }
         assert!(decoder(JPEG, (48, 32)).unwrap().decode(&frame[..frame.len() / 2]).is_err());
         assert!(decoder(JPEG, (40, 32)).unwrap().decode(&frame).is_err() && decoder(JPEG, (96, 32)).unwrap().decode(&frame).is_err());

@@ -68,12 +68,23 @@ impl Path {
         let mut pose = camera.pose.shifted([x, y, z]);
         (pose.yaw, pose.pitch) = (pose.yaw + turned.yaw, pose.pitch + turned.pitch);
         let intrinsics = match self {
-            Self::DollyZoom => magnified(camera, 1.0 - z * outlook.pivot, [0.5, 0.5]),
+            Self::DollyZoom => magnified(camera, overscan(camera, outlook) * (1.0 - z * outlook.pivot), [0.5, 0.5]),
             Self::Zoom => magnified(camera, 1.0 + (ZOOM - 1.0) * way, outlook.nearest),
-            _ => camera.intrinsics,
+            _ => magnified(camera, overscan(camera, outlook), [0.5, 0.5]),
         };
         Camera { pose, intrinsics, ..*camera }
     }
+}
+
+/// Most of each side that is left out of a film.
+const MOST_HIDDEN: f64 = 0.025;
+
+/// How much larger a film shows the photo, so that what lies beyond its border stays out of sight.
+fn overscan(camera: &Camera, outlook: &Outlook) -> f64 {
+    let (k, v, most) = (&camera.intrinsics, &outlook.travel, outlook.pivot.max(1.0 - outlook.pivot));
+    let past = |focal: f64, way: f64, side: u32| most * focal * way / f64::from(side);
+    let hidden = past(k.fx, v.x, camera.width).max(past(k.fy, v.y, camera.height));
+    1.0 / (1.0 - 2.0 * hidden.clamp(0.0, MOST_HIDDEN))
 }
 
 /// The lens that shows everything `by` times as large, while what is at `place` (shares of width and height) stays there.
@@ -289,11 +300,11 @@ mod tests {
     fn what_a_way_is_about_stays_in_its_place() {
         let outlook = Outlook { travel: ViewBox { x: 0.1, y: 0.1, z: 0.2 }, pivot: 0.4, nearest: [0.25, 0.75] };
         let own = Camera { pose: Pose::default(), intrinsics: Intrinsics::centred(60, 40, 50.0), width: 60, height: 40 };
-        // half of the way, a point at the pivot is as large and as far from the middle as before
-        let at = path_place(Path::DollyZoom, &own, &outlook, [48.0, 30.0], 0.4);
-        assert!((at[0] - 48.0).abs() < 1e-9 && (at[1] - 30.0).abs() < 1e-9, "{at:?}");
+        // half of the way, a point at the pivot is as large and as far from the middle as everywhere in the film
+        let (over, at) = (overscan(&own, &outlook), path_place(Path::DollyZoom, &own, &outlook, [48.0, 30.0], 0.4));
+        assert!((at[0] - 30.0 - 18.0 * over).abs() < 1e-9 && (at[1] - 20.0 - 10.0 * over).abs() < 1e-9, "{at:?}");
         let far = path_place(Path::DollyZoom, &own, &outlook, [48.0, 30.0], 0.0);
-        assert!(far[0] > 48.1, "what is far grows: {far:?}");
+        assert!(far[0] > at[0] + 0.1, "what is far grows: {far:?}");
         // the lens stays on the nearest thing, which infinity tells from the step forward
         let at = path_place(Path::Zoom, &own, &outlook, [15.0, 30.0], 0.0);
         assert!((at[0] - 15.0).abs() < 1e-9 && (at[1] - 30.0).abs() < 1e-9, "{at:?}");
@@ -305,6 +316,21 @@ mod tests {
         let h = tmpi_core::homography([0.0, 0.0, delta], &own.intrinsics, &camera);
         let [x, y, w] = tmpi_core::mat3_vec(&h, [pixel[0], pixel[1], 1.0]);
         [x / w, y / w]
+    }
+
+    #[test]
+    fn films_show_nothing_from_beyond_the_borders_where_the_photo_moves_as_usual() {
+        let outlook = Outlook { travel: ViewBox { x: 0.03, y: 0.02, z: 0.02 }, pivot: 0.5, nearest: [0.5, 0.5] };
+        let own = Camera { pose: Pose::default(), intrinsics: Intrinsics::centred(600, 400, 350.0), width: 600, height: 400 };
+        for (path, i) in [Path::Swing, Path::Orbit].into_iter().flat_map(|path| (0..=24).map(move |i| (path, i))) {
+            let camera = path.camera(&own, i, 24, &outlook);
+            for (x, y, delta) in [0.0, 600.0].into_iter().flat_map(|x| [(x, 0.0, 0.0), (x, 400.0, 0.0), (x, 0.0, 1.0), (x, 400.0, 1.0)]) {
+                let h = tmpi_core::homography([0.0, 0.0, delta], &own.intrinsics, &camera);
+                let [u, v, w] = tmpi_core::mat3_vec(&h, [x, y, 1.0]);
+                let inside = |at: f64, border: f64, side: f64| if border == 0.0 { at > 0.5 } else { at < side - 0.5 };
+                assert!(!inside(u / w, x, 600.0) && !inside(v / w, y, 400.0), "{path:?} {i}: {x}, {y} at {delta} is seen at {}, {}", u / w, v / w);
+            }
+        }
     }
 
     /// None where there is no ffmpeg.

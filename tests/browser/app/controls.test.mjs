@@ -250,7 +250,7 @@ describe('every control', () => {
         await dialog.getByRole('button', { name: 'Close' }).click();
         await dialog.waitFor({ state: 'detached' });
       },
-      'button: Link to this very view': async () => {
+      'button: Link to this view': async () => {
         await $('share').click();
         await $('share-link').click();
         const dialog = page.getByRole('dialog', { name: 'Link to this view' });

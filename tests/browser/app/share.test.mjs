@@ -54,7 +54,7 @@ describe('sharing', () => {
     const { page, context, errors } = await open();
     await context.grantPermissions(['clipboard-read', 'clipboard-write']);
     const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
-    await dialog.getByText('on this machine alone').waitFor();
+    await dialog.getByText('only on this machine').waitFor();
     await dialog.getByRole('button', { name: 'Copy: As an element' }).click();
     await dialog.getByText('Copied').waitFor();
     const html = await page.evaluate(() => navigator.clipboard.readText());
@@ -163,7 +163,7 @@ describe('sharing', () => {
     assert.equal(await link.inputValue(), `${suite.server.url}/view/box?expires=86400&signature=5e#pose=0.5,0,0`);
     await dialog.getByText('Only you can see this photo.').waitFor();
     const said = dialog.getByText('Whoever has this link sees the photo until');
-    await dialog.getByText('on this machine alone').waitFor();
+    await dialog.getByText('only on this machine').waitFor();
     const first = await said.textContent();
     await dialog.getByLabel('How long it is good').selectOption('30 days');
     await page.waitForFunction(() => document.querySelector('.share-dialog textarea').value.includes('expires=2592000&'));

@@ -94,18 +94,20 @@ describe('the decoder of rooms', () => {
   test('messages that it writes are read back', () => {
     const data = Uint8Array.of(0, 0, 1, 0x65, 7);
     const time = 1_790_000_000_123_456;
+    const colour = { matrix: 'bt709', fullRange: false };
     assert.deepEqual(decoder.read(decoder.writeVideo({ frame: 77, time, key: true, data })), {
       kind: 'video',
       frame: 77,
       time,
       key: true,
       layer: 0,
+      colour,
       data,
     });
     for (const layer of [1, 2, 300]) {
       const video = { frame: 78, time, key: false, layer, data };
       const message = decoder.writeVideo(video);
-      assert.deepEqual(decoder.read(message), { kind: 'video', ...video });
+      assert.deepEqual(decoder.read(message), { kind: 'video', colour, ...video });
       // `video` (2) is there once, with all of it
       assert.deepEqual([...message.subarray(0, 2)], [(2 << 3) | 2, message.length - 2]);
     }

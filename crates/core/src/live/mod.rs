@@ -9,6 +9,8 @@ pub mod chunk;
 mod colour;
 mod fuzzing;
 mod history;
+#[cfg(feature = "video")]
+mod key_frame;
 mod layers;
 mod model;
 mod motion;
@@ -16,10 +18,12 @@ pub mod prior;
 #[doc(hidden)]
 pub mod wire;
 
-pub use colour::{I420, to_rgb};
+pub use colour::{Colour, I420, Matrix, to_rgb};
 #[doc(hidden)]
 pub use fuzzing::message as fuzz_message;
 pub use history::When;
+#[cfg(feature = "video")]
+pub use key_frame::{KeyFrame, KeyFrameError, key_frame};
 pub use layers::{Changes, FOLLOWS, Layers};
 pub use model::Model;
 

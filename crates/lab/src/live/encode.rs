@@ -102,7 +102,7 @@ fn to_i420(photo: &Photo) -> [Vec<u8>; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tmpi_live::video::{I420, to_rgb};
+    use tmpi_live::video::{Colour, I420, to_rgb};
 
     #[test]
     fn the_conversion_is_undone_by_the_readers() {
@@ -110,7 +110,7 @@ mod tests {
         let pixel = |x: u32, y: u32| [(x / 2 * 8) as u8, (y / 2 * 8) as u8, ((x / 2 + y / 2) * 4) as u8];
         let photo = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| pixel(i % 64, i / 64)).collect() };
         let [y, u, v] = to_i420(&photo);
-        let back = to_rgb(&I420 { width: 64, height: 64, y: &y, u: &u, v: &v }).unwrap();
+        let back = to_rgb(&I420 { width: 64, height: 64, y: &y, u: &u, v: &v }, Colour::default()).unwrap();
         let off = photo.rgb.as_flattened().iter().zip(back.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(off <= Some(3), "{off:?}");
     }

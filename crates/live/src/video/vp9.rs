@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use rusty_vp9::{BitReader, DecodedFrame, Error, Vp9Decoder, parse_uncompressed_header};
 
-use super::{Decoder, FAILED, I420, Photo, VideoError, sized, to_rgb};
+use super::{Colour, Decoder, FAILED, I420, Photo, VideoError, key_frame, sized, to_rgb};
 
 /// Marks the last byte of a superframe, several frames in one (VP9 bitstream specification, annex B).
 const SUPERFRAME: u8 = 0xC0;
@@ -13,12 +13,14 @@ const SUPERFRAME: u8 = 0xC0;
 pub struct Vp9 {
     decoder: Vp9Decoder,
     size: (u32, u32),
+    /// As the last key frame said.
+    colour: Colour,
 }
 
 impl Vp9 {
     /// Of frames of that size.
     pub fn new(size: (u32, u32)) -> Self {
-        Self { decoder: Vp9Decoder::new(), size }
+        Self { decoder: Vp9Decoder::new(), size, colour: Colour::default() }
     }
 
     fn frame(&mut self, data: &[u8]) -> Result<Option<DecodedFrame>, VideoError> {
@@ -34,16 +36,16 @@ impl Vp9 {
     }
 
     /// Refuses frames of another size before the decoder takes memory for them. All that a frame refers to were of this one.
-    fn check(&self, data: &[u8]) -> Result<(), VideoError> {
+    fn check(&mut self, data: &[u8]) -> Result<(), VideoError> {
         if data.last().is_none_or(|last| last & 0xE0 == SUPERFRAME) {
             return Err(VideoError::Broken("no frame, or several in one".into()));
+        }
+        if let Some(key) = key_frame("vp09.", data)? {
+            self.colour = key.colour;
         }
         let header = parse_uncompressed_header(&mut BitReader::new(data), &[self.size; 8]);
         let header = header.map_err(|e| VideoError::Broken(e.to_string()))?;
         let (width, height) = self.size;
-        if header.profile != 0 {
-            return Err(VideoError::Broken(format!("profile {}, where it has to be 0", header.profile)));
-        }
         if !header.show_existing_frame && (header.width, header.height) != self.size {
             return Err(VideoError::Size(header.width, header.height, width, height));
         }
@@ -59,7 +61,7 @@ impl Decoder for Vp9 {
         let Some(frame) = decoded.inspect_err(|_| self.decoder = Vp9Decoder::new())? else { return Ok(None) };
         let [y, u, v] = frame.planes.as_slice() else { return Err(VideoError::Broken("not three planes".into())) };
         let planes = I420 { width: frame.width, height: frame.height, y, u, v };
-        sized(to_rgb(&planes).ok_or_else(|| VideoError::Broken("a plane that is too short".into()))?, self.size)
+        sized(to_rgb(&planes, self.colour).ok_or_else(|| VideoError::Broken("a plane that is too short".into()))?, self.size)
     }
 }
 

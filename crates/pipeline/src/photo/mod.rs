@@ -136,6 +136,18 @@ pub(crate) fn orientation(photo: &[u8]) -> u8 {
     facts.orientation
 }
 
+/// Width and height of a photo as it is shown, turned as its EXIF says, by its first bytes.
+///
+/// # Errors
+/// [`PhotoError`] where it exceeds a limit, is no photo, or says no size before its pixels.
+pub fn upright_size(photo: &[u8], limits: &Limits) -> Result<(u32, u32), PhotoError> {
+    match head(photo, limits)? {
+        Head::Size(width, height) if orientation(photo) > 4 => Ok((height, width)),
+        Head::Size(width, height) => Ok((width, height)),
+        Head::Needs(_) | Head::Silent => Err(PhotoError::Broken("it says no size".into())),
+    }
+}
+
 /// A picture as its decoder gave it.
 struct Raw {
     /// Pixels as stored: not upright; smaller than `size` where decoding could reduce.

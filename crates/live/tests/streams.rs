@@ -1,0 +1,184 @@
+//! Streams of cameras and films of every kind, as ffmpeg makes them, against what ffmpeg shows of them.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
+
+use std::io::Write as _;
+use std::process::{Command, Stdio};
+
+use tmpi_core::Photo;
+use tmpi_live::units::{Splitter, codec};
+use tmpi_live::video::{self, VideoError};
+use tmpi_testing::Need;
+
+/// What an ffmpeg with these arguments, separated by spaces, makes of its input; none where there is no ffmpeg.
+fn ffmpeg(arguments: &str, input: &[u8]) -> Option<Vec<u8>> {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-loglevel", "error"]).args(arguments.split(' ')).arg("-");
+    let spawned = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+    let mut child = Need::Ffmpeg.or_skip(spawned)?;
+    let (mut stdin, input) = (child.stdin.take().unwrap(), input.to_vec());
+    // it may end before it has read all
+    let writes = std::thread::spawn(move || drop(stdin.write_all(&input)));
+    let out = child.wait_with_output().unwrap();
+    writes.join().unwrap();
+    assert!(out.status.success(), "ffmpeg {arguments}");
+    Some(out.stdout)
+}
+
+/// Frames of a moving picture in colour, coded as the arguments say.
+fn film(size: &str, filters: &str, coder: &str) -> Option<Vec<u8>> {
+    ffmpeg(&format!("-f lavfi -i testsrc2=size={size}:rate=10:duration=0.6 -vf {filters} {coder}"), &[])
+}
+
+/// H.264 with these parameters of x264.
+fn h264(size: &str, filters: &str, parameters: &str) -> Option<Vec<u8>> {
+    let coder = "-c:v libx264 -preset veryfast -bf 0 -crf 8";
+    film(size, filters, &format!("{coder} -x264-params keyint=3:{parameters} -f h264"))
+}
+
+/// Access units of H.264.
+fn units(stream: &[u8]) -> Vec<Vec<u8>> {
+    let mut splitter = Splitter::default();
+    let mut units = splitter.push(stream).unwrap();
+    units.extend(splitter.finish());
+    units.into_iter().map(|unit| unit.data).collect()
+}
+
+/// Frames of an IVF file.
+fn ivf(mut file: &[u8]) -> Vec<Vec<u8>> {
+    let mut frames = Vec::new();
+    file = &file[32..];
+    while let Some((head, rest)) = file.split_first_chunk::<12>() {
+        let (frame, rest) = rest.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
+        frames.push(frame.to_vec());
+        file = rest;
+    }
+    frames
+}
+
+/// What the server shows of a stream, from the size that its first frame says.
+fn shown(codec: &str, frames: &[Vec<u8>]) -> Result<Vec<Photo>, VideoError> {
+    let size = video::size(codec, &frames[0])?.expect("a key frame first");
+    let mut decoder = video::decoder(codec, size)?;
+    frames.iter().filter_map(|frame| decoder.decode(frame).transpose()).collect()
+}
+
+/// What ffmpeg shows of it. Each chroma value stands for four pixels, as here.
+fn reference(format: &str, stream: &[u8], size: (u32, u32), reading: &str) -> Vec<Vec<u8>> {
+    let scale = format!("scale={reading}flags=neighbor+accurate_rnd+full_chroma_int");
+    let raw = ffmpeg(&format!("-f {format} -i - -vf {scale} -f rawvideo -pix_fmt rgb24"), stream).unwrap();
+    raw.chunks_exact(3 * (size.0 * size.1) as usize).map(<[u8]>::to_vec).collect()
+}
+
+/// Mean likeness of two films, dB.
+fn likeness(is: &[Photo], should: &[Vec<u8>]) -> f64 {
+    assert_eq!(is.len(), should.len());
+    let squares = is.iter().zip(should).flat_map(|(is, should)| is.rgb.as_flattened().iter().zip(should));
+    let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), (a, b)| (sum + f64::from(a.abs_diff(*b)).powi(2), count + 1.0));
+    10.0 * (255.0 * 255.0 * count / f64::max(sum, 1e-9)).log10()
+}
+
+/// Likeness from which on two decoders show the same but for rounding, dB.
+const SAME: f64 = 45.0;
+
+#[test]
+fn what_is_cut_off_on_any_side_is_not_shown_and_the_rest_lies_where_it_belongs() {
+    // left, top, right, bottom; the size of the film, what is left of it
+    let cuts = [
+        ("320x240", [0, 0, 0, 0], (320, 240)),
+        ("320x240", [0, 8, 0, 0], (320, 232)),
+        ("320x240", [6, 0, 0, 0], (314, 240)),
+        ("320x240", [0, 4, 0, 4], (320, 232)),
+        ("320x240", [6, 4, 10, 8], (304, 228)),
+        ("322x182", [2, 2, 4, 6], (316, 174)),
+        ("160x120", [30, 2, 18, 50], (112, 68)),
+    ];
+    for interlaced in [0, 1] {
+        for (size, [left, top, right, bottom], shows) in cuts {
+            let cut = format!("crop-rect={left},{top},{right},{bottom}:fake-interlaced={interlaced}");
+            // rows of fields are cut off in fours
+            if interlaced == 1 && (top % 4 != 0 || bottom % 4 != 0 || size == "322x182") {
+                continue;
+            }
+            let Some(stream) = h264(size, "format=yuv420p", &cut) else { return };
+            let units = units(&stream);
+            let codec = codec(&units[0]).unwrap();
+            assert_eq!(video::size(&codec, &units[0]).unwrap(), Some(shows), "{size} {cut}");
+            let is = shown(&codec, &units).unwrap();
+            let likeness = likeness(&is, &reference("h264", &stream, shows, "in_color_matrix=bt709:"));
+            assert!(is.len() == 6 && likeness > SAME, "{size} {cut}: {} frames, {likeness:.1} dB", is.len());
+        }
+    }
+}
+
+/// Matrices: by ffmpeg, x264 and the numbers that VP9 and VUI have for them in ffmpeg.
+const MATRICES: [(&str, &str); 4] = [("bt601", "smpte170m"), ("bt709", "bt709"), ("smpte240m", "smpte240m"), ("bt2020", "bt2020nc")];
+
+#[test]
+fn colours_are_those_that_the_stream_names() {
+    for (matrix, named) in MATRICES {
+        for (range, full, format) in [("tv", "off", "yuv420p"), ("pc", "on", "yuvj420p")] {
+            let converted = format!("scale=out_color_matrix={matrix}:out_range={range},format={format}");
+            let Some(stream) = h264("320x240", &converted, &format!("colormatrix={named}:fullrange={full}")) else { return };
+            let units = units(&stream);
+            let is = shown(&codec(&units[0]).unwrap(), &units).unwrap();
+            let read = |matrix: &str, range: &str| {
+                likeness(&is, &reference("h264", &stream, (320, 240), &format!("in_color_matrix={matrix}:in_range={range}:")))
+            };
+            let [same, other] = [read(matrix, range), read(if matrix == "bt709" { "bt601" } else { "bt709" }, range)];
+            assert!(same > SAME && other < SAME - 5.0, "H.264 {named} {range}: {same:.1} dB, by another matrix {other:.1}");
+            let wrong = read(matrix, if range == "tv" { "pc" } else { "tv" });
+            assert!(wrong < SAME - 5.0, "H.264 {named} {range}: {wrong:.1} dB by the other range");
+        }
+    }
+}
+
+#[test]
+fn colours_of_vp9_are_those_that_it_names() {
+    for (matrix, named) in MATRICES {
+        for range in ["tv", "pc"] {
+            let converted = format!("scale=out_color_matrix={matrix}:out_range={range},format=yuv420p,setparams=range={range}:colorspace={named}");
+            let coder = "-c:v libvpx-vp9 -deadline realtime -cpu-used 8 -lag-in-frames 0 -auto-alt-ref 0 -crf 10 -b:v 0 -f ivf";
+            let Some(file) = film("174x142", &converted, coder) else { return };
+            let frames = ivf(&file);
+            assert_eq!(video::size("vp09.00.10.08", &frames[0]).unwrap(), Some((174, 142)));
+            let is = shown("vp09.00.10.08", &frames).unwrap();
+            let read = |matrix: &str, range: &str| {
+                likeness(&is, &reference("ivf", &file, (174, 142), &format!("in_color_matrix={matrix}:in_range={range}:")))
+            };
+            let [same, other] = [read(matrix, range), read(if matrix == "bt709" { "bt601" } else { "bt709" }, range)];
+            assert!(same > SAME && other < SAME - 5.0, "VP9 {named} {range}: {same:.1} dB, by another matrix {other:.1}");
+        }
+    }
+}
+
+#[test]
+fn a_stream_that_names_no_colours_is_bt709_and_one_of_full_range_that_of_jpeg() {
+    for (range, full, format, matrix) in [("tv", "off", "yuv420p", "bt709"), ("pc", "on", "yuvj420p", "bt601")] {
+        let converted = format!("scale=out_color_matrix={matrix}:out_range={range},format={format}");
+        let Some(stream) = h264("320x240", &converted, &format!("fullrange={full}")) else { return };
+        let units = units(&stream);
+        let is = shown(&codec(&units[0]).unwrap(), &units).unwrap();
+        let same = likeness(&is, &reference("h264", &stream, (320, 240), &format!("in_color_matrix={matrix}:in_range={range}:")));
+        assert!(same > SAME, "{range}: {same:.1} dB");
+    }
+}
+
+#[test]
+fn what_is_not_decoded_says_so_by_its_first_frame_with_what_helps() {
+    let kinds = [
+        ("format=yuv422p", "", "4:2:0"),
+        ("format=yuv444p", "", "4:2:0"),
+        ("format=yuv420p10le", "", "8 bits"),
+        ("format=yuv420p", "interlaced=1", "interlaced"),
+    ];
+    for (filters, parameters, word) in kinds {
+        let Some(stream) = h264("320x240", filters, parameters) else { return };
+        let units = units(&stream);
+        let refused = video::size(&codec(&units[0]).unwrap(), &units[0]);
+        let why = refused.as_ref().err().map(ToString::to_string).unwrap_or_default();
+        assert!(matches!(refused, Err(VideoError::Unsupported(_))) && why.contains(word) && why.contains("ffmpeg -"), "{filters}: {refused:?}");
+    }
+    let Some(file) = film("176x144", "format=yuv444p", "-c:v libvpx-vp9 -deadline realtime -cpu-used 8 -f ivf") else { return };
+    let refused = video::size("vp09.01.10.08", &ivf(&file)[0]);
+    assert!(matches!(&refused, Err(VideoError::Unsupported(why)) if why.contains("profile")), "{refused:?}");
+}

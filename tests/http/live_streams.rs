@@ -1,0 +1,150 @@
+//! Rooms whose video changes, or is of a kind that cannot be shown.
+
+use std::net::SocketAddr;
+use std::process::Command;
+
+use tempfile::tempdir;
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Hello, Video};
+use tmpi_core::live::{Model, VERSION};
+use tmpi_live::units::{Splitter, Unit, codec};
+use tmpi_testing::Need;
+
+use super::client;
+use super::live::{Client, server, server_with};
+
+/// Access units of test pictures in H.264, as ffmpeg codes them with these arguments; none where there is no ffmpeg.
+fn film(size: &str, arguments: &[&str]) -> Option<Vec<Unit>> {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1")]);
+    command.args(["-c:v", "libx264", "-preset", "ultrafast", "-bf", "0"]).args(arguments).args(["-f", "h264", "-"]);
+    let out = Need::Ffmpeg.or_skip(command.output())?;
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let mut splitter = Splitter::default();
+    let mut units = splitter.push(&out.stdout).unwrap();
+    units.extend(splitter.finish());
+    Some(units)
+}
+
+/// A publisher of H.264.
+struct Camera {
+    client: Client,
+    credit: u32,
+    number: u64,
+}
+
+impl Camera {
+    fn new(addr: SocketAddr, room: &str, first: &Unit, (width, height): (u32, u32)) -> Self {
+        let mut client = Client::at(addr, &format!("/v1/live/{room}/publish"), &[]).unwrap_or_else(|status| panic!("{status}"));
+        client.send(Kind::Hello(Hello { version: VERSION, codec: codec(&first.data).unwrap(), width, height, ..Hello::default() }));
+        Self { client, credit: 0, number: 0 }
+    }
+
+    /// Sends a frame once there is leave; the reason where it is sent away.
+    fn send(&mut self, unit: &Unit) -> Result<(), String> {
+        while self.credit == 0 {
+            match self.client.next() {
+                Some(Kind::Credit(credit)) => self.credit += credit.frames,
+                Some(Kind::Bye(bye)) => return Err(bye.reason),
+                other => panic!("{other:?}"),
+            }
+        }
+        self.credit -= 1;
+        let (frame, data) = (self.number, unit.data.clone().into());
+        self.client.send(Kind::Video(Video { frame, time: 33_333 * frame, key: unit.key, layer: 0, data }));
+        self.number += 1;
+        Ok(())
+    }
+}
+
+/// Reads until all tiles of pictures of that size are there.
+fn sees(viewer: &mut Client, size: (u32, u32)) {
+    let mut model = None::<Model>;
+    loop {
+        match viewer.next().expect("it may stay") {
+            Kind::Hello(hello) => model = ((hello.width, hello.height) == size).then(|| Model::new(&hello).unwrap()),
+            Kind::Geometry(tiles) | Kind::Snapshot(tiles) => {
+                let Some(model) = &mut model else { continue };
+                model.take(&tiles).unwrap();
+                if model.geometry().is_some() {
+                    return;
+                }
+            }
+            Kind::Bye(bye) => panic!("{}", bye.reason),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_watches() {
+    let [Some(wide), Some(high), Some(large)] = ["320x240", "240x320", "640x360"].map(|size| film(size, &["-pix_fmt", "yuv420p", "-g", "5"]))
+    else {
+        return;
+    };
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
+    wide.iter().for_each(|unit| camera.send(unit).unwrap());
+    let mut viewer = Client::watch(server.addr, "attic");
+    sees(&mut viewer, (320, 240));
+    for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
+        film.iter().for_each(|unit| camera.send(unit).unwrap());
+        sees(&mut viewer, size);
+    }
+    // who comes later, too
+    sees(&mut Client::watch(server.addr, "attic"), (320, 240));
+}
+
+#[test]
+fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs() {
+    let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut camera = Camera::new(server.addr, "attic", &film[0], (640, 480));
+    film.iter().for_each(|unit| camera.send(unit).unwrap());
+    sees(&mut Client::watch(server.addr, "attic"), (320, 240));
+}
+
+#[test]
+fn video_that_cannot_be_shown_ends_with_a_reason_that_publisher_and_watchers_read() {
+    let kinds: [(&[&str], &str); 4] = [
+        (&["-pix_fmt", "yuv422p"], "4:2:0"),
+        (&["-pix_fmt", "yuv420p10le"], "8 bits"),
+        (&["-pix_fmt", "yuv420p", "-x264-params", "interlaced=1"], "interlaced"),
+        (&["-pix_fmt", "yuv420p", "-bf", "2", "-x264-params", "b-adapt=0"], "B-frames"),
+    ];
+    let Some(sound) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
+    for (n, (arguments, word)) in kinds.into_iter().enumerate() {
+        let film = film("320x240", arguments).unwrap();
+        let dir = tempdir().unwrap();
+        let server = server_with(dir.path(), |rooms| rooms);
+        let room = format!("attic{n}");
+        let mut camera = Camera::new(server.addr, &room, &film[0], (320, 240));
+        camera.send(&sound[0]).unwrap();
+        let viewer = Client::watch(server.addr, &room);
+        let reason = film.iter().find_map(|unit| camera.send(unit).err()).unwrap_or_else(|| camera.client.bye());
+        assert!(reason.contains(word), "{reason}");
+        let told = viewer.bye();
+        assert!(told.contains(&reason), "watchers are told {told:?}, the publisher {reason:?}");
+        // who comes a little later, too
+        let state = client::get(server.addr, &format!("/v1/live/{room}")).json();
+        assert!(state["ended"].as_str().is_some_and(|ended| ended.contains(&reason)), "{state}");
+    }
+}
+
+#[test]
+fn who_watches_is_told_at_once_that_the_publisher_has_said_goodbye() {
+    let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut camera = Camera::new(server.addr, "attic", &film[0], (320, 240));
+    film.iter().for_each(|unit| camera.send(unit).unwrap());
+    let mut viewer = Client::watch(server.addr, "attic");
+    sees(&mut viewer, (320, 240));
+    let start = std::time::Instant::now();
+    camera.client.send(Kind::Bye(tmpi_core::live::wire::Bye { reason: "stopped".into(), again: false }));
+    assert_eq!(viewer.bye(), "the publisher has gone");
+    // a room whose connection breaks waits for ten seconds
+    assert!(start.elapsed().as_secs() < 5);
+}
