@@ -13,29 +13,28 @@ use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::{Geometry, Settings, units, video};
 
-use super::nodes::Refused;
+use super::origin::{Lease, lost};
 use super::ring::What;
 use super::room::Room;
-use super::routes::Here;
+use super::routes::{ENDED, Here, ended};
 use super::sound::Allowance;
 use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
+use super::{BROKEN, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
 /// Bytes of a codec string.
 const CODEC: usize = 64;
 
-/// Serves a publisher until it goes or has to.
-pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), here: &Here) {
-    let reason = match session(&mut socket, named, here).await {
-        Ok(()) => return,
-        Err(reason) => reason,
-    };
+/// Serves a publisher until it goes or has to, or the token `ends` that it came by. Gives the lease of the room, where other nodes have to know of it.
+pub async fn serve(mut socket: WebSocket, entry: &Entry, here: &Here, ends: Option<Instant>) -> Option<Lease> {
+    let mut lease = None;
+    let Err(reason) = session(&mut socket, entry, here, ends, &mut lease).await else { return lease };
     tracing::info!(reason, "a publisher is sent away");
     // a camera that paused may go on
-    let again = reason == STOPS || reason == UNKNOWN || reason.starts_with(SILENT);
+    let again = reason == STOPS || reason == UNREACHABLE || reason.starts_with(SILENT);
     send_away(socket, Bye { again, reason }).await;
+    lease
 }
 
 const STOPS: &str = "the server stops";
@@ -44,12 +43,19 @@ pub(crate) const TAKEN: &str = "someone publishes in this room";
 const SILENT: &str = "nothing came for";
 const BIDIRECTIONAL: &str =
     "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
-const UNKNOWN: &str = "another node had this room when the others were last heard";
+const UNREACHABLE: &str = "the database of rooms cannot be reached";
+const MOVED: &str = "the room's publisher has come to another server";
 
 /// Publishes; ends without a reason where the publisher has gone by itself.
-async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: &Here) -> Result<(), String> {
+async fn session(
+    socket: &mut WebSocket,
+    entry: &Entry,
+    here: &Here,
+    ends: Option<Instant>,
+    lease: &mut Option<Lease>,
+) -> Result<(), String> {
     let Here { rooms, stop, .. } = here;
-    let (room, config) = (&room, &rooms.config);
+    let (room, config) = (&entry.room, &rooms.config);
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
     let (settings, hello) = checked(hello, config)?;
@@ -57,20 +63,20 @@ async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: 
     let h264 = hello.codec.starts_with("avc1.");
     let decoder = video::decoder(&hello.codec, size).map_err(|e| e.to_string())?;
     let clock = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64);
-    let floor = room.take().ok_or(TAKEN)?;
+    if !room.take() {
+        return Err(TAKEN.into());
+    }
     // given back however this ends
     let _seat = Seat(room);
-    let claim = rooms.claim(name, floor).await.map_err(|refused| match refused {
-        Refused::Taken => TAKEN,
-        Refused::Unknown => UNKNOWN,
-    })?;
+    if let Some(nodes) = rooms.nodes.get() {
+        let claimed = nodes.claim(&entry.name).await;
+        *lease = Some(claimed.map_err(|error| {
+            tracing::warn!(%error, room = entry.name, "a room is not taken");
+            UNREACHABLE
+        })?);
+    }
     // by the clock: addresses of groups of pictures are no others' after a restart
-    let epoch = room.publish(hello, clock, claim.as_ref().map_or(clock / 1000, |c| c.epoch));
-    let evicted = claim.as_ref().map(|c| c.evicted.clone()).unwrap_or_default();
-    let _forwarded = claim.map(|mut claim| {
-        claim.forward(room);
-        claim
-    });
+    let epoch = room.publish(hello, clock, lease.as_ref().map_or(clock / 1000, Lease::epoch));
     let models = config.models.clone();
     let geometry = move || Geometry::new(models.clone(), settings.clone());
     let (done, mut decoded) = mpsc::channel(16);
@@ -97,7 +103,8 @@ async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: 
                 frames.credit(socket, 0, false).await?;
                 continue;
             }
-            () = evicted.cancelled() => return Err(TAKEN.into()),
+            () = lost(lease.as_ref()) => return Err(MOVED.into()),
+            () = ended(ends) => return Err(ENDED.into()),
             () = stop.cancelled() => return Err(STOPS.into()),
         };
         let came = Instant::now();
@@ -239,7 +246,7 @@ impl Frames {
 
     async fn credit(&mut self, socket: &mut WebSocket, frames: u32, key: bool) -> Result<(), String> {
         self.allowed += frames;
-        let bytes: Bytes = write(Kind::Credit(Credit { frames, key }));
+        let bytes: Bytes = write(Kind::Credit(Credit { frames, key, viewers: 0 }));
         socket.send(Message::Binary(bytes)).await.map_err(|e| format!("the connection broke: {e}"))
     }
 }

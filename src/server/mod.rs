@@ -316,7 +316,6 @@ impl Server {
         // who only makes photos has none
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
-            rooms.start(token.clone()).await;
             // set once, as a server runs once
             let _ = app.rooms.set(Arc::clone(rooms));
         }

@@ -17,7 +17,6 @@ const TARGETS: [&str; 20] = [
     "video",
     "vp9",
     "measured",
-    "nodes",
     "query",
     "jpeg",
     "png",
