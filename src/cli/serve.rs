@@ -68,6 +68,20 @@ pub(super) struct ServeArgs {
     #[arg(
         long,
         value_name = "URL",
+        help = "Database that several nodes share, postgres://USER:PASSWORD@HOST/NAME; the variable TMPI_SERVE_DATABASE keeps the password off the \
+                list of processes. SQLite in DIR without it"
+    )]
+    database: Option<String>,
+    #[arg(
+        long,
+        value_name = "URL",
+        help = "Object store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX, with the usual variables AWS_…, \
+                GOOGLE_… or AZURE_…; a folder in DIR without it"
+    )]
+    blobs: Option<String>,
+    #[arg(
+        long,
+        value_name = "URL",
         help = "Store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX (with the usual variables AWS_…, GOOGLE_… \
                 or AZURE_…) or file:///FOLDER; DIR holds copies then"
     )]
@@ -381,8 +395,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, admin, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
-    let config = Config { addr, admin, data, pages, hosts, proxies, public_list, private, keys, traces, limits };
+    let ServeArgs { addr, admin, data, database, blobs, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
+    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, keys, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
