@@ -185,8 +185,12 @@ pub(super) struct ServeArgs {
     /// File with a key of at least 32 bytes, by which `live token` lets others into rooms; without it they are for this machine's own user
     #[arg(long, value_name = "FILE", conflicts_with = "no_live")]
     live_key: Option<PathBuf>,
-    /// Address at which other nodes of the same --database reach this one, so that a room can be watched at all of them: http://10.0.0.3:8080
-    #[arg(long, requires = "database", value_name = "URL")]
+    #[arg(
+        long,
+        requires = "database",
+        value_name = "URL",
+        help = "Address at which other nodes of the same --database reach this one, as http://10.0.0.3:8080: rooms can be watched at all of them then"
+    )]
     advertise: Option<NodeAddress>,
     /// Depth network of rooms, named as for --depth-model; the embedded one keeps up with a camera, those that take seconds for a photo do not
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE", conflicts_with = "no_live")]
@@ -256,7 +260,11 @@ impl ServeArgs {
             Some(settings) => models::load(&settings)?,
             None => photos.clone(),
         };
-        Ok(Some(Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key }).bounded(self.bounds.rooms())))
+        let rooms = Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key }).bounded(self.bounds.rooms());
+        Ok(Some(match self.advertise.clone() {
+            Some(address) => rooms.shared(address),
+            None => rooms,
+        }))
     }
 
     /// The key of tokens.
@@ -287,9 +295,6 @@ impl ServeArgs {
     /// What the node shares with others; none where it is alone.
     fn sharing(&self) -> anyhow::Result<Option<Sharing>> {
         let Some(store) = self.store.clone() else {
-            if !self.nats.is_empty() {
-                return Err(Usage("--nats: without a --store there is nothing to share".into()).into());
-            }
             return Ok(None);
         };
         let nats = self.nats()?.map(|at| Nats { at, replicas: usize::from(self.nats_replicas) });
@@ -395,7 +400,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, admin, data, database, blobs, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
+    let ServeArgs { addr, admin, data, database, blobs, pages, mut hosts, public_list, keys, tls_cert, tls_key, advertise, .. } = args;
+    hosts.extend(advertise.map(|address| address.host().to_owned()));
     let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, keys, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;

@@ -128,6 +128,7 @@ pub struct Rooms {
     config: Config,
     bounds: Bounds,
     named: Mutex<HashMap<String, Named>>,
+    address: Option<NodeAddress>,
     nodes: OnceLock<Arc<Nodes>>,
 }
 
@@ -162,7 +163,7 @@ impl Rooms {
     /// No room yet.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, bounds: Bounds::default(), named: Mutex::default(), nodes: OnceLock::new() }
+        Self { config, bounds: Bounds::default(), named: Mutex::default(), address: None, nodes: OnceLock::new() }
     }
 
     /// Holds them to other bounds than the usual ones.
@@ -172,9 +173,17 @@ impl Rooms {
         self
     }
 
-    /// Shares them with the other nodes of a library until the server stops; these reach this node at `address`.
-    pub(crate) fn share(&self, library: Library, address: NodeAddress, stop: CancellationToken) {
-        match Nodes::new(library, address, stop) {
+    /// Shares them with the other nodes of the library, which reach this one at `address`.
+    #[must_use]
+    pub fn shared(mut self, address: NodeAddress) -> Self {
+        self.address = Some(address);
+        self
+    }
+
+    /// Shares them by this library until the server stops, where they are to be shared.
+    pub(crate) fn start(&self, library: &Library, stop: &CancellationToken) {
+        let Some(address) = &self.address else { return };
+        match Nodes::new(library.clone(), address.clone(), stop.clone()) {
             // once, as a server runs once
             Ok(nodes) => drop(self.nodes.set(Arc::new(nodes))),
             Err(error) => tracing::error!(%error, "rooms are not shared with other nodes"),

@@ -97,7 +97,7 @@ use cluster::Cluster;
 use jobs::Jobs;
 use store::Store;
 use telemetry::Telemetry;
-pub(crate) use telemetry::{Figure, counter, gauge};
+pub(crate) use telemetry::{Figure, gauge};
 use traces::Traces;
 
 use tmpi_library::Library;
@@ -338,6 +338,7 @@ impl Server {
         // who only makes photos has none
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
+            rooms.start(&app.library, &token);
             // set once, as a server runs once
             let _ = app.rooms.set(Arc::clone(rooms));
         }
