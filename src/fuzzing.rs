@@ -24,7 +24,7 @@ mod script;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 29] = [
+pub const TARGETS: [(&str, Run); 28] = [
     ("container", container),
     ("built", built),
     ("levels", levels),
@@ -36,7 +36,6 @@ pub const TARGETS: [(&str, Run); 29] = [
     ("video", video),
     ("vp9", vp9),
     ("measured", measured),
-    ("nodes", nodes),
     ("query", query),
     ("jpeg", photo),
     ("png", photo),
@@ -352,13 +351,6 @@ fn measured(data: &[u8]) -> usize {
         assert!(again.is_ok_and(|again| again == map), "what was packed again is another map");
     }
     LEAST + 2 * data.len() + 64 * count
-}
-
-/// Messages of another node, in parts. Promised: no message of more bytes than there can be, and what is whole is the same after it was split and
-/// joined again; memory by its bytes.
-fn nodes(data: &[u8]) -> usize {
-    live::fuzzing::messages(data);
-    LEAST + 64 * data.len()
 }
 
 /// A merge patch of strokes, applied to a small photo. Promised: an error with a field where it is JSON, or strokes that are read again as they

@@ -1,9 +1,10 @@
-//! How a node reaches the others over NATS: rooms by one connection, photos by another, so that neither waits for the other.
+//! How a node reaches the others over NATS.
 
 use std::fmt;
 use std::time::Duration;
 
-use async_nats::{ConnectOptions, ServerAddr};
+use async_nats::ConnectOptions;
+pub use async_nats::ServerAddr as Address;
 
 /// Longest pause before a lost NATS server is tried again.
 const AGAIN: Duration = Duration::from_millis(500);
@@ -14,7 +15,7 @@ const PING: Duration = Duration::from_secs(2);
 #[derive(Clone)]
 pub struct Config {
     /// Addresses of NATS servers, as `nats://HOST:PORT`; user and password, or a token as user, may stand in them.
-    pub servers: Vec<ServerAddr>,
+    pub servers: Vec<Address>,
     /// `USER:PASSWORD` or a token, for all of them.
     pub login: Option<String>,
     /// Name of this node, as those of rooms; it need not be its alone.

@@ -17,7 +17,8 @@ pub(super) use checks::Effect;
 use sha2::{Digest as _, Sha256};
 use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
-use crate::live::{self, NatsAddress, Rooms};
+use crate::live::{self, NodeAddress, Rooms};
+use crate::nats;
 use crate::server::{
     Better, Collector, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
     keep_from_others, make_for_a_server, stop_signal,
@@ -64,6 +65,20 @@ pub(super) struct ServeArgs {
     /// Directory that keeps photos and what is made of them
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
+    #[arg(
+        long,
+        value_name = "URL",
+        help = "Database that several nodes share, postgres://USER:PASSWORD@HOST/NAME; the variable TMPI_SERVE_DATABASE keeps the password off the \
+                list of processes. SQLite in DIR without it"
+    )]
+    database: Option<String>,
+    #[arg(
+        long,
+        value_name = "URL",
+        help = "Object store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX, with the usual variables AWS_…, \
+                GOOGLE_… or AZURE_…; a folder in DIR without it"
+    )]
+    blobs: Option<String>,
     #[arg(
         long,
         value_name = "URL",
@@ -170,6 +185,13 @@ pub(super) struct ServeArgs {
     /// File with a key of at least 32 bytes, by which `live token` lets others into rooms; without it they are for this machine's own user
     #[arg(long, value_name = "FILE", conflicts_with = "no_live")]
     live_key: Option<PathBuf>,
+    #[arg(
+        long,
+        requires = "database",
+        value_name = "URL",
+        help = "Address at which other nodes of the same --database reach this one, as http://10.0.0.3:8080: rooms can be watched at all of them then"
+    )]
+    advertise: Option<NodeAddress>,
     /// Depth network of rooms, named as for --depth-model; the embedded one keeps up with a camera, those that take seconds for a photo do not
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE", conflicts_with = "no_live")]
     live_depth_model: DepthModel,
@@ -180,10 +202,9 @@ pub(super) struct ServeArgs {
         long,
         value_delimiter = ',',
         value_name = "URL[,URL…]",
-        help = "Share rooms with all nodes that are given the same NATS servers, nats://[USER:PASSWORD@]HOST:PORT, or tls:// for TLS; \
-                nodes of a store begin photos at once by JetStream there, and see how others go on"
+        help = "NATS servers by which nodes of a store begin photos at once, and see how others go on: nats://[USER:PASSWORD@]HOST:PORT, or tls:// for TLS"
     )]
-    nats: Vec<NatsAddress>,
+    nats: Vec<nats::Address>,
     /// NATS servers that keep each word of a photo that waits; 3 where there are three, so that one may go
     #[arg(long, requires = "nats", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=5), value_name = "N")]
     nats_replicas: u8,
@@ -240,8 +261,8 @@ impl ServeArgs {
             None => photos.clone(),
         };
         let rooms = Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key }).bounded(self.bounds.rooms());
-        Ok(Some(match self.nats()? {
-            Some(nats) => rooms.shared(nats),
+        Ok(Some(match self.advertise.clone() {
+            Some(address) => rooms.shared(address),
             None => rooms,
         }))
     }
@@ -256,12 +277,12 @@ impl ServeArgs {
     }
 
     /// How other nodes are reached; none where they are not.
-    fn nats(&self) -> anyhow::Result<Option<live::NodeConfig>> {
+    fn nats(&self) -> anyhow::Result<Option<nats::Config>> {
         if self.nats.is_empty() {
             return Ok(None);
         }
         let login = self.nats_login.as_deref().map(|file| files::read(file).map(|text| String::from_utf8_lossy(&text).into_owned()));
-        Ok(Some(live::NodeConfig { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() }))
+        Ok(Some(nats::Config { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() }))
     }
 
     /// Whether to ask who comes.
@@ -274,9 +295,6 @@ impl ServeArgs {
     /// What the node shares with others; none where it is alone.
     fn sharing(&self) -> anyhow::Result<Option<Sharing>> {
         let Some(store) = self.store.clone() else {
-            if self.no_live && !self.nats.is_empty() {
-                return Err(Usage("--nats: there is nothing to share with neither rooms nor a --store".into()).into());
-            }
             return Ok(None);
         };
         let nats = self.nats()?.map(|at| Nats { at, replicas: usize::from(self.nats_replicas) });
@@ -382,8 +400,9 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, admin, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
-    let config = Config { addr, admin, data, pages, hosts, proxies, public_list, private, keys, traces, limits };
+    let ServeArgs { addr, admin, data, database, blobs, pages, mut hosts, public_list, keys, tls_cert, tls_key, advertise, .. } = args;
+    hosts.extend(advertise.map(|address| address.host().to_owned()));
+    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, keys, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {

@@ -40,6 +40,7 @@ use super::upload::Coming;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
+use tmpi_library::Library;
 use tmpi_render::Renderer;
 
 /// Shared state; cheap to clone.
@@ -52,6 +53,8 @@ const SCENE_BYTES: u64 = 13;
 
 /// State of the server.
 pub struct Shared {
+    /// Photos, jobs, owners, keys and rooms, as the database and the blob store have them.
+    pub library: Library,
     /// Photos and their jobs.
     pub jobs: Arc<Jobs>,
     /// Limits.
@@ -113,10 +116,25 @@ pub struct Shared {
 impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
-    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
-        let Config { addr: _, admin, data: _, pages, hosts, proxies, public_list, private: _, keys: _, traces: _, limits: _ } = config;
+    pub fn new(config: Config, addr: SocketAddr, library: Library, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
+        let Config {
+            addr: _,
+            admin,
+            data: _,
+            database: _,
+            blobs: _,
+            pages,
+            hosts,
+            proxies,
+            public_list,
+            private: _,
+            keys: _,
+            traces: _,
+            limits: _,
+        } = config;
         let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
         Self {
+            library,
             jobs,
             download: Download::default(),
             scenes: Cache::resting(limits.scene_cache, limits.rest),

@@ -260,6 +260,22 @@ impl Limits {
         }
     }
 
+    /// Those of the library.
+    #[must_use]
+    pub fn library(&self) -> tmpi_library::Limits {
+        tmpi_library::Limits {
+            queue: self.queue as u64,
+            exports: self.exports_waiting as u64,
+            attempts: i64::from(self.attempts),
+            quota_photos: self.quota_photos.map(|n| n as u64),
+            quota_bytes: self.quota_bytes,
+            retain: self.retain,
+            retain_bytes: self.retain_bytes,
+            exports_for: self.exports_for,
+            exports_bytes: self.exports_bytes,
+        }
+    }
+
     /// Time that making a photo may take.
     #[must_use]
     pub fn time_for(&self, photo: &[u8]) -> Duration {

@@ -97,9 +97,10 @@ use cluster::Cluster;
 use jobs::Jobs;
 use store::Store;
 use telemetry::Telemetry;
-pub(crate) use telemetry::{Figure, counter, gauge};
+pub(crate) use telemetry::{Figure, gauge};
 use traces::Traces;
 
+use tmpi_library::Library;
 use tmpi_render::Renderer;
 
 use crate::live::{self, Rooms};
@@ -114,6 +115,10 @@ pub struct Config {
     pub admin: Option<SocketAddr>,
     /// Data directory; made where it is missing.
     pub data: PathBuf,
+    /// Database that several nodes share, `postgres://…`; SQLite within the data directory where there is none.
+    pub database: Option<String>,
+    /// Object store that several nodes share, `s3://…`, `gs://…` or `az://…`; a folder within the data directory where there is none.
+    pub blobs: Option<String>,
     /// Directory that replaces the embedded pages.
     pub pages: Option<PathBuf>,
     /// Names under which the server answers besides loopback's and its address, without ports: those that proxies pass on.
@@ -140,6 +145,8 @@ impl Config {
             addr,
             admin: None,
             data,
+            database: None,
+            blobs: None,
             pages: None,
             hosts: Vec::new(),
             proxies: Proxies::default(),
@@ -148,6 +155,17 @@ impl Config {
             keys: None,
             traces: None,
             limits: Limits::default(),
+        }
+    }
+
+    /// Where the library is, and what bounds it.
+    fn library(&self) -> tmpi_library::Config {
+        let Self { data, database, blobs, limits, .. } = self;
+        tmpi_library::Config {
+            database: database.clone(),
+            blobs: blobs.clone(),
+            limits: limits.library(),
+            ..tmpi_library::Config::of_folder(data)
         }
     }
 }
@@ -179,6 +197,9 @@ pub enum ServerError {
         /// What is wrong.
         source: std::io::Error,
     },
+    /// The library cannot be opened.
+    #[error("library")]
+    Library(#[from] tmpi_library::LibraryError),
     /// No worker can be started.
     #[error("starting a worker")]
     Worker(#[source] std::io::Error),
@@ -235,6 +256,7 @@ impl Server {
         let limits = Arc::new(config.limits.clone());
         let keys = config.private.then(|| config.keys.clone().unwrap_or_else(|| data.clone()));
         let telemetry = Arc::new(Telemetry::of(config.traces.as_ref())?);
+        let library = Box::pin(Library::open(config.library())).await?;
         // done once before any request is served
         let (jobs, guard) = if let Some(sharing) = sharing {
             let open = tokio::task::spawn_blocking(move || among(&sharing, &data, keys.as_deref(), maker, limits, telemetry));
@@ -250,7 +272,7 @@ impl Server {
             (Jobs::start(store, found, maker, limits, telemetry).map_err(ServerError::Worker)?, guard)
         };
         exports::start(&jobs, &renderer).map_err(ServerError::Worker)?;
-        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, renderer, openapi) });
+        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, library, jobs, renderer, openapi) });
         Ok(Self { listener, addr, app, rooms: None, role, tls: None, admin })
     }
 
@@ -316,7 +338,7 @@ impl Server {
         // who only makes photos has none
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
-            rooms.start(token.clone()).await;
+            rooms.start(&app.library, &token);
             // set once, as a server runs once
             let _ = app.rooms.set(Arc::clone(rooms));
         }
@@ -352,6 +374,7 @@ impl Server {
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
+        app.library.close().await;
         if app.telemetry.traces().is_some() {
             let ended = tokio::task::spawn_blocking(move || app.telemetry.traces().map(Traces::end));
             if let Err(error) = ended.await {

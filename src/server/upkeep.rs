@@ -88,7 +88,9 @@ mod tests {
         let addr = ([127, 0, 0, 1], 0).into();
         let config = Config { limits, ..Config::new(addr, PathBuf::new()) };
         let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
-        let app = Arc::new(Shared::new(config, addr, jobs, renderer, bytes::Bytes::new()));
+        let dir = tempfile::tempdir().unwrap();
+        let library = Box::pin(tmpi_library::Library::open(tmpi_library::Config::of_folder(dir.path()))).await.unwrap();
+        let app = Arc::new(Shared::new(config, addr, library, jobs, renderer, bytes::Bytes::new()));
         let key = ((PhotoId::of(&[1; 32], None, "", ""), 1), String::new());
         let put = async || app.exports.get(key.clone(), async { Ok::<_, Problem>(Export(Stored::new(vec![7; 99]))) }).await.unwrap();
         put().await;

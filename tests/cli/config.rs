@@ -84,7 +84,7 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
         // what serve looks at before it begins
         ("public-list = true\naccess = \"private\"", &["--public-list", "--access open"]),
         ("quota-photos = 3", &["--quota-photos", "--access private"]),
-        ("nats = \"nats://127.0.0.1:4222\"\nno-live = true", &["--nats", "--store"]),
+        ("advertise = \"http://127.0.0.1:8080\"", &["--database"]),
         ("store = \"ftp://host/folder\"", &["--store", "s3://"]),
         ("otlp = \"127.0.0.1\"", &["--otlp", "http://127.0.0.1:4318"]),
         ("static = \"nowhere\"", &["--static", "nowhere"]),

@@ -14,6 +14,7 @@ mod cluster;
 mod cluster_audit;
 mod cluster_nats;
 mod damage;
+mod edges;
 mod fixture;
 #[path = "../../src/server/cluster/google.rs"]
 mod google;
@@ -33,7 +34,6 @@ mod manners;
 mod matrix;
 mod measure;
 mod nats;
-mod nodes;
 mod openapi;
 mod origins;
 mod process;

@@ -23,12 +23,7 @@ fn free_port() -> u16 {
 }
 
 impl Nats {
-    /// One that takes payloads of `most` bytes and stores nothing; none, said aloud, where there is no such program.
-    pub fn start(most: usize) -> Option<Self> {
-        Self::with(&format!("max_payload: {most}\n"))
-    }
-
-    /// One with `JetStream`.
+    /// One with `JetStream`; none, said aloud, where there is no such program.
     pub fn storing() -> Option<Self> {
         Self::with("jetstream { store_dir: STORE }\n")
     }

@@ -36,8 +36,8 @@ def children(pid):
 class Server:
     """`tmpi serve` in a folder of its own."""
 
-    def __init__(self, *args, data=None, env=None, ready=60, prefix=(), host="127.0.0.1"):
-        self.own, self.prefix, self.host = data is None, list(prefix), host
+    def __init__(self, *args, data=None, env=None, ready=60, prefix=(), host="127.0.0.1", port=0):
+        self.own, self.prefix, self.place = data is None, list(prefix), f"{host}:{port}"
         self.data = Path(data or tempfile.mkdtemp(prefix="tmpi-load-"))
         self.log = open(self.data.parent / (self.data.name + ".log"), "a")
         self.args, self.env = args, {**os.environ, "RUST_LOG": "warn", **(env or {})}
@@ -46,7 +46,7 @@ class Server:
         self.start(ready)
 
     def start(self, ready=60):
-        command = [*self.prefix, PROGRAM, "serve", "--addr", f"{self.host}:0", "--data", str(self.data / "data"), *self.args]
+        command = [*self.prefix, PROGRAM, "serve", "--addr", self.place, "--data", str(self.data / "data"), *self.args]
         began = time.monotonic()
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.log, env=self.env, text=True)
         line = self.process.stdout.readline().strip()

@@ -4,6 +4,9 @@
 pub mod engines;
 pub mod jpeg;
 pub mod png;
+#[cfg(unix)]
+#[allow(clippy::expect_used, reason = "a server that is installed and does not start fails the test")]
+pub mod postgres;
 
 use std::ffi::OsStr;
 use std::fmt::Display;

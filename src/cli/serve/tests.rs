@@ -117,12 +117,19 @@ fn nats_servers_are_a_list() {
 }
 
 #[test]
-fn nats_is_for_rooms_and_for_what_is_in_a_store() {
+fn nats_is_for_what_is_in_a_store() {
     let of = |args: &[&str]| Cli::try_parse_from([&["serve", "--nats", "a,b"], args].concat()).unwrap().serve.sharing();
     assert!(of(&[]).unwrap().is_none());
-    assert!(of(&["--no-live"]).unwrap_err().is::<Usage>());
     let shared = of(&["--no-live", "--store", "file:///s", "--nats-replicas", "3"]).unwrap().unwrap();
     assert_eq!(shared.nats.map(|nats| (nats.at.servers.len(), nats.replicas)), Some((2, 3)));
+}
+
+#[test]
+fn a_node_that_advertises_an_address_shares_a_database() {
+    let of = |args: &[&str]| Cli::try_parse_from([&["serve", "--advertise"], args].concat()).ok().and_then(|c| c.serve.advertise);
+    let database = ["--database", "postgres://127.0.0.1/tmpi"];
+    assert_eq!(of(&[&["http://10.0.0.3:8080"][..], &database].concat()).unwrap().host(), "10.0.0.3");
+    assert_eq!((of(&["http://10.0.0.3:8080"]), of(&[&["10.0.0.3:8080"][..], &database].concat())), (None, None));
 }
 
 #[test]

@@ -41,8 +41,8 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     Json(HEALTHY)
 }
 
-/// The server takes uploads: it was not told to stop, the queue has room, the data directory can be written, nothing of the server keeps
-/// photos from being made, and NATS can be reached where rooms alone are shared.
+/// The server takes uploads: it was not told to stop, the queue has room, the data directory can be written, and nothing of the server
+/// keeps photos from being made.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
@@ -53,8 +53,6 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
 )]
 pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
     let (storage, trouble) = (app.storage(), app.jobs.trouble());
-    // photos of a store are taken and made all the same
-    let alone = app.rooms.get().and_then(|rooms| rooms.trouble()).filter(|_| app.jobs.cluster.is_none());
     let why = if app.leaving.load(Ordering::Acquire) || !app.jobs.is_accepting() {
         "the server is stopping"
     } else if app.jobs.free_places() == 0 {
@@ -63,8 +61,6 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
         why
     } else if let Some(reason) = &trouble {
         reason
-    } else if let Some(why) = alone {
-        why
     } else {
         return Ok(Json(HEALTHY));
     };

@@ -1,5 +1,5 @@
-//! All tiles of a room as the chunks that were sent of them, not decoded, as far as one of their tiles is the newest: of a room that another
-//! node makes all that is known of them, of one's own what is newer than some viewer has.
+//! All tiles of a room as the chunks that were sent of them, not decoded, as far as one of their tiles is the newest: at an edge all that is known
+//! of them, at the origin what is newer than some viewer has.
 
 use std::collections::BTreeMap;
 
