@@ -19,8 +19,8 @@ use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NatsAddress, Rooms};
 use crate::server::{
-    Better, Collector, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
-    keep_from_others, make_for_a_server, stop_signal,
+    Better, Collector, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others,
+    make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -78,22 +78,12 @@ pub(super) struct ServeArgs {
                 GOOGLE_… or AZURE_…; a folder in DIR without it"
     )]
     blobs: Option<String>,
-    #[arg(
-        long,
-        value_name = "URL",
-        help = "Store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX (with the usual variables AWS_…, GOOGLE_… \
-                or AZURE_…) or file:///FOLDER; DIR holds copies then"
-    )]
-    store: Option<String>,
-    /// What this node of a store does
-    #[arg(long, value_enum, default_value_t, requires = "store")]
+    /// What this node of several does
+    #[arg(long, value_enum, default_value_t, requires = "database")]
     role: Role,
-    /// Seconds after which a photo that a node worked on is taken up by another where nothing is heard of it
+    /// Seconds after which a job is taken up again where nothing is heard of its worker
     #[arg(long, default_value_t = Limits::LEASE.as_secs() as u32, value_parser = clap::value_parser!(u32).range(2..=3600), value_name = "S")]
     lease: u32,
-    /// Disk for copies of what is in the store, in MiB
-    #[arg(long, default_value_t = (Limits::COPIES >> 20) as u32, value_parser = clap::value_parser!(u32).range(64..), value_name = "MIB")]
-    copies: u32,
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
@@ -106,9 +96,6 @@ pub(super) struct ServeArgs {
     /// Whether to ask who comes: `open`, or `private`, where photos are their owners' alone (see `tmpi key`); private beyond loopback and with --host, else open
     #[arg(long, value_enum, value_name = "WHO")]
     access: Option<Access>,
-    /// Directory of the keys that `tmpi key` gives out, where it is not that of --data: of nodes that have the same keys
-    #[arg(long, value_name = "DIR")]
-    keys: Option<PathBuf>,
     /// What draws views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -194,13 +181,9 @@ pub(super) struct ServeArgs {
         long,
         value_delimiter = ',',
         value_name = "URL[,URL…]",
-        help = "Share rooms with all nodes that are given the same NATS servers, nats://[USER:PASSWORD@]HOST:PORT, or tls:// for TLS; \
-                nodes of a store begin photos at once by JetStream there, and see how others go on"
+        help = "Share rooms with all nodes that are given the same NATS servers, nats://[USER:PASSWORD@]HOST:PORT, or tls:// for TLS"
     )]
     nats: Vec<NatsAddress>,
-    /// NATS servers that keep each word of a photo that waits; 3 where there are three, so that one may go
-    #[arg(long, requires = "nats", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=5), value_name = "N")]
-    nats_replicas: u8,
     /// File with USER:PASSWORD, or a token, for those servers
     #[arg(long, requires = "nats", value_name = "FILE")]
     nats_login: Option<PathBuf>,
@@ -237,8 +220,8 @@ const LEAST_KEY: usize = 32;
 impl ServeArgs {
     /// The same of a node that makes photos alone.
     pub(super) fn at_work(self) -> anyhow::Result<Self> {
-        if self.store.is_none() {
-            return Err(Usage("--store: a node that makes photos has to be told of the store that they are in".into()).into());
+        if self.database.is_none() {
+            return Err(Usage("--database: a node that makes photos has to be told of the database that they are in".into()).into());
         }
         Ok(Self { role: Role::Work, ..self })
     }
@@ -285,18 +268,6 @@ impl ServeArgs {
         self.access.map_or(usual, |access| access == Access::Private)
     }
 
-    /// What the node shares with others; none where it is alone.
-    fn sharing(&self) -> anyhow::Result<Option<Sharing>> {
-        let Some(store) = self.store.clone() else {
-            if self.no_live && !self.nats.is_empty() {
-                return Err(Usage("--nats: there is nothing to share with neither rooms nor a --store".into()).into());
-            }
-            return Ok(None);
-        };
-        let nats = self.nats()?.map(|at| Nats { at, replicas: usize::from(self.nats_replicas) });
-        Ok(Some(Sharing { store, role: self.role, nats }))
-    }
-
     /// Where traces go; nowhere where nobody said so.
     fn traces(&self) -> Option<Collector> {
         let usual = || std::env::var(checks::COLLECTOR).ok().filter(|url| !url.is_empty());
@@ -333,7 +304,6 @@ impl ServeArgs {
             drain: Duration::from_secs(u64::from(self.drain)),
             rest: Duration::from_secs(u64::from(self.rest)),
             lease: Duration::from_secs(u64::from(self.lease)),
-            copies: u64::from(self.copies) << 20,
             ..shared
         };
         // all who come by a proxy have one address
@@ -371,7 +341,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     if !makes_for_another {
         args.check()?;
     }
-    let (limits, private, sharing) = (args.limits(), args.is_private(), args.sharing()?);
+    let (limits, private) = (args.limits(), args.is_private());
     let (settings, traces, proxies) = (args.models.settings(), args.traces(), args.clients.proxies());
     let models = models::load(&settings)?;
     let maker = PipelineMaker::new(models.clone(), &limits).identified(&identity(&settings)?);
@@ -396,12 +366,12 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, admin, data, database, blobs, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
-    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, keys, traces, limits };
+    let ServeArgs { addr, admin, data, database, blobs, role, pages, hosts, public_list, tls_cert, tls_key, .. } = args;
+    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, role, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
-        let mut server = Server::bind_among(sharing, config, Arc::new(maker), renderer).await?;
+        let mut server = Server::bind(config, Arc::new(maker), renderer).await?;
         if let Some(rooms) = rooms {
             server = server.with_rooms(rooms);
         }

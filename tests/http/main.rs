@@ -10,18 +10,12 @@ mod arrivals;
 mod better;
 mod carried;
 mod client;
-mod cluster;
-mod cluster_audit;
-mod cluster_nats;
 mod damage;
-mod fixture;
-#[path = "../../src/server/cluster/google.rs"]
-mod google;
-
 mod events;
 mod exports;
 mod fair;
-mod faults;
+mod fixture;
+mod keys;
 mod limits;
 mod live;
 mod live_access;
@@ -29,6 +23,7 @@ mod live_faults;
 mod live_hostile;
 mod manage;
 mod manners;
+mod many;
 mod matrix;
 mod measure;
 mod nats;

@@ -1,5 +1,8 @@
 //! What tests need of the machine. A test that misses something is skipped, and a file lists it, unless `TMPI_REQUIRE` names the need.
 
+#[cfg(unix)]
+#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
+mod database;
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 pub mod engines;
 pub mod jpeg;
@@ -11,6 +14,8 @@ use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+#[cfg(unix)]
+pub use database::database;
 pub use engines::Engine;
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.

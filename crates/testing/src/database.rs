@@ -1,4 +1,4 @@
-//! A PostgreSQL server of this test binary, in a temporary folder, with a database for each test.
+//! A PostgreSQL server of this test program, in a temporary folder, with a database for each test.
 
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
@@ -6,8 +6,6 @@ use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
-
-use sqlx::{AssertSqlSafe, Connection as _, Executor as _};
 
 /// The server ends when its standard input does, which is when this process ends, however that comes about.
 const SCRIPT: &str = r#"
@@ -22,7 +20,9 @@ rm -rf "$2"
 /// Longest wait for the server.
 const START: Duration = Duration::from_mins(2);
 
+#[derive(Debug)]
 struct Server {
+    programs: PathBuf,
     folder: PathBuf,
     // its standard input stays open
     _process: Child,
@@ -41,44 +41,44 @@ fn unprivileged(folder: &Path) -> Option<(u32, u32)> {
 }
 
 fn start() -> Option<Server> {
-    let programs = tmpi_testing::postgres()?;
-    let folder = tempfile::Builder::new().prefix("tmpi-pg").tempdir().unwrap().keep();
+    let programs = crate::postgres()?;
+    let folder = tempfile::Builder::new().prefix("tmpi-pg").tempdir().expect("a folder").keep();
     let mut command = Command::new("sh");
     command.arg("-c").arg(SCRIPT).arg("sh").arg(&programs).arg(&folder);
     if let Some((user, group)) = unprivileged(&folder) {
-        std::os::unix::fs::chown(&folder, Some(user), Some(group)).unwrap();
+        std::os::unix::fs::chown(&folder, Some(user), Some(group)).expect("the folder is given away");
         command.gid(group).uid(user);
     }
-    let process = command.current_dir(&folder).stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
-    Some(Server { folder, _process: process })
+    let process = command.current_dir(&folder).stdin(Stdio::piped()).stdout(Stdio::null()).spawn().expect("a shell");
+    Some(Server { programs, folder, _process: process })
 }
 
 fn url(folder: &Path, database: &str) -> String {
     format!("postgres://postgres@localhost/{database}?host={}", folder.display())
 }
 
-/// URL of an empty database; none where there is no PostgreSQL.
-pub async fn database() -> Option<String> {
+/// URL of an empty database; none where PostgreSQL is not installed, and the test is skipped.
+///
+/// # Panics
+/// The server does not start.
+pub fn database() -> Option<String> {
     static SERVER: OnceLock<Option<Server>> = OnceLock::new();
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let Some(server) = SERVER.get_or_init(start) else {
         // lists this test as skipped, too
-        return tmpi_testing::postgres().and(None);
+        return crate::postgres().and(None);
     };
     let name = format!("test_{}", NEXT.fetch_add(1, Ordering::Relaxed));
-    let admin = url(&server.folder, "postgres");
     let until = Instant::now() + START;
-    let mut connection = loop {
-        match sqlx::PgConnection::connect(&admin).await {
-            Ok(connection) => break connection,
-            Err(error) => {
-                let log = std::fs::read_to_string(server.folder.join("log")).unwrap_or_default();
-                assert!(Instant::now() < until, "{error}: {log}");
-            }
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
+    let create = || {
+        let mut command = Command::new(server.programs.join("createdb"));
+        command.arg("-h").arg(&server.folder).args(["-U", "postgres", &name]).stdout(Stdio::null()).stderr(Stdio::null());
+        command.status().expect("createdb").success()
     };
-    connection.execute(sqlx::raw_sql(AssertSqlSafe(format!("CREATE DATABASE {name}")))).await.unwrap();
-    connection.close().await.unwrap();
+    while !create() {
+        let log = std::fs::read_to_string(server.folder.join("log")).unwrap_or_default();
+        assert!(Instant::now() < until, "PostgreSQL does not start: {log}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
     Some(url(&server.folder, &name))
 }
