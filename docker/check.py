@@ -81,8 +81,8 @@ def compositions():
         # beside secrets of nobody's: files that are named have to be there
         copy = Path(folder) / "docker"
         shutil.copytree(HERE, copy, ignore=shutil.ignore_patterns("secrets"))
-        (copy / "secrets/keys").mkdir(parents=True)
-        for name in ("live-key", "store.env", "store.json", "nats.env", "nats-login"):
+        (copy / "secrets").mkdir()
+        for name in ("live-key", "store.env", "store.json", "database.env", "nats.env", "nats-login"):
             (copy / "secrets" / name).touch()
         for file in sorted(copy.glob("compose*.yaml")):
             run(*command, "--file", file, "config", "--quiet", cwd=copy)
@@ -164,12 +164,12 @@ def asked(path):
 
 
 def metrics():
-    """Names of what a node of a store tells, of rooms and NATS too."""
+    """Names of what a node tells, of rooms and NATS too."""
     program = os.environ.get("TMPI", str(ROOT / "target/release/tmpi"))
     if not Path(program).is_file():
         raise Skipped(f"there is no {program}")
     with tempfile.TemporaryDirectory(prefix="tmpi-check-") as folder:
-        command = [program, "serve", "--addr", "127.0.0.1:0", "--data", f"{folder}/data", "--store", f"file://{folder}/store", "--nats", "nats://127.0.0.1:9"]
+        command = [program, "serve", "--addr", "127.0.0.1:0", "--data", f"{folder}/data", "--nats", "nats://127.0.0.1:9"]
         with open(f"{folder}/log", "w") as log:
             server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
         try:
