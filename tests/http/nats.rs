@@ -28,24 +28,6 @@ impl Nats {
         Self::with(&format!("max_payload: {most}\n"))
     }
 
-    /// One with `JetStream`.
-    pub fn storing() -> Option<Self> {
-        Self::with("jetstream { store_dir: STORE }\n")
-    }
-
-    /// Three with `JetStream` that are one cluster.
-    pub fn cluster() -> Option<[Self; 3]> {
-        let ports = [free_port(), free_port(), free_port()];
-        let routes = ports.map(|port| format!("nats://127.0.0.1:{port}")).join(", ");
-        let of = |n: usize| {
-            let port = ports[n];
-            Self::with(&format!(
-                "server_name: n{n}\njetstream {{ store_dir: STORE }}\ncluster {{ name: tests, listen: \"127.0.0.1:{port}\", routes: [{routes}] }}\n"
-            ))
-        };
-        Some([of(0)?, of(1)?, of(2)?])
-    }
-
     fn with(config: &str) -> Option<Self> {
         let found = Command::new(Self::program()).arg("--version").output().map(drop);
         Need::Nats.or_skip(found)?;
@@ -76,11 +58,6 @@ impl Nats {
             child.kill().unwrap();
             child.wait().unwrap();
         }
-    }
-
-    /// Removes all that it stored.
-    pub fn wipe(&self) {
-        std::fs::remove_dir_all(self.folder.path().join("store")).unwrap();
     }
 
     pub fn url(&self) -> String {
