@@ -190,9 +190,9 @@ pub struct Lease {
 }
 
 impl Lease {
-    /// Higher than that of whichever node had the room before.
+    /// Higher than that of whichever node had the room before, with room for those that begin where the size of the pictures changes.
     pub const fn epoch(&self) -> u64 {
-        self.origin.epoch.cast_unsigned()
+        self.origin.epoch.cast_unsigned() << 20
     }
 
     /// Gives the room back, unless it is another's already.

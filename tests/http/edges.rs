@@ -9,7 +9,7 @@ use bytes::Bytes;
 use tempfile::{TempDir, tempdir};
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::{Model, read};
-use tmpi_testing::postgres::Server;
+use tmpi_testing::database;
 
 use super::client::{get, request};
 use super::fixture::wait_until;
@@ -23,11 +23,11 @@ struct Node {
     _data: TempDir,
 }
 
-fn node(database: &Server, arguments: &[&str]) -> Node {
+fn node(database: &str, arguments: &[&str]) -> Node {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let (data, url) = (tempdir().unwrap(), format!("http://127.0.0.1:{port}"));
     let arguments = [&["--advertise", url.as_str()], arguments].concat();
-    let process = Process::start_at(port, data.path(), &arguments, &[("TMPI_SERVE_DATABASE", &database.url("postgres"))]);
+    let process = Process::start_at(port, data.path(), &arguments, &[("TMPI_SERVE_DATABASE", database)]);
     Node { addr: process.addr, process, _data: data }
 }
 
@@ -92,8 +92,8 @@ fn next_epoch(viewer: &mut Client, epoch: u64) -> u64 {
 
 #[test]
 fn a_viewer_at_an_edge_is_sent_the_bytes_that_one_at_the_origin_is() {
-    let Some(database) = Server::shared() else { return };
-    let (a, b) = (node(database, &[]), node(database, &[]));
+    let Some(database) = database() else { return };
+    let (a, b) = (node(&database, &[]), node(&database, &[]));
     assert_eq!(Client::at(b.addr, "/v1/live/attic/subscribe", &[]).err(), Some(404));
     let mut publisher = Publisher::new(a.addr, "attic");
     publisher.publish(frame(10));
@@ -132,8 +132,8 @@ fn a_viewer_at_an_edge_is_sent_the_bytes_that_one_at_the_origin_is() {
 
 #[test]
 fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_comes_to_another_node() {
-    let Some(database) = Server::shared() else { return };
-    let (mut a, b, c) = (node(database, &[]), node(database, &[]), node(database, &[]));
+    let Some(database) = database() else { return };
+    let (mut a, b, c) = (node(&database, &[]), node(&database, &[]), node(&database, &[]));
     let mut publisher = Publisher::new(a.addr, "barn");
     publisher.publish(frame(10));
     let mut viewers = [&b, &c].map(|node| Client::watch(node.addr, "barn"));
@@ -154,8 +154,8 @@ fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_comes_to_another_nod
 
 #[test]
 fn a_publisher_that_comes_to_another_node_takes_the_room_and_the_old_one_is_told() {
-    let Some(database) = Server::shared() else { return };
-    let (a, b) = (node(database, &[]), node(database, &[]));
+    let Some(database) = database() else { return };
+    let (a, b) = (node(&database, &[]), node(&database, &[]));
     let mut old = Publisher::new(a.addr, "cellar");
     old.publish(frame(10));
     let mut viewer = Client::watch(a.addr, "cellar");
@@ -178,12 +178,12 @@ fn a_publisher_that_comes_to_another_node_takes_the_room_and_the_old_one_is_told
 
 #[test]
 fn an_edge_asks_its_viewers_for_their_own_tokens() {
-    let Some(database) = Server::shared() else { return };
+    let Some(database) = database() else { return };
     let dir = tempdir().unwrap();
     let key = dir.path().join("key");
     std::fs::write(&key, KEY).unwrap();
     let arguments = ["--host", "photos.example", "--access", "private", "--live-key", key.to_str().unwrap()];
-    let (a, b) = (node(database, &arguments), node(database, &arguments));
+    let (a, b) = (node(&database, &arguments), node(&database, &arguments));
     let mut publisher = Publisher::new(a.addr, "den");
     publisher.publish(frame(10));
     let token = |role, room, ends| tmpi::live::token(KEY, role, room, ends).unwrap();
@@ -204,8 +204,8 @@ fn an_edge_asks_its_viewers_for_their_own_tokens() {
 
 #[test]
 fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_may_be() {
-    let Some(database) = Server::shared() else { return };
-    let (a, b) = (node(database, &[]), node(database, &["--live-rooms", "1"]));
+    let Some(database) = database() else { return };
+    let (a, b) = (node(&database, &[]), node(&database, &["--live-rooms", "1"]));
     let mut publishers = ["east", "west"].map(|room| Publisher::new(a.addr, room));
     for publisher in &mut publishers {
         publisher.publish(frame(10));

@@ -1,9 +1,10 @@
-//! A PostgreSQL server of a test binary, in a temporary folder.
+//! A PostgreSQL server of this test program, in a temporary folder, with a database for each test.
 
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 /// The server ends when its standard input does, which is when this process ends, however that comes about.
@@ -19,9 +20,9 @@ rm -rf "$2"
 /// Longest wait for the server.
 const START: Duration = Duration::from_mins(2);
 
-/// A PostgreSQL server of this test binary.
 #[derive(Debug)]
-pub struct Server {
+struct Server {
+    programs: PathBuf,
     folder: PathBuf,
     // its standard input stays open
     _process: Child,
@@ -45,39 +46,39 @@ fn start() -> Option<Server> {
     let mut command = Command::new("sh");
     command.arg("-c").arg(SCRIPT).arg("sh").arg(&programs).arg(&folder);
     if let Some((user, group)) = unprivileged(&folder) {
-        std::os::unix::fs::chown(&folder, Some(user), Some(group)).expect("chown");
+        std::os::unix::fs::chown(&folder, Some(user), Some(group)).expect("the folder is given away");
         command.gid(group).uid(user);
     }
-    let process = command.current_dir(&folder).stdin(Stdio::piped()).stdout(Stdio::null()).spawn().expect("sh");
-    Some(Server { folder, _process: process })
+    let process = command.current_dir(&folder).stdin(Stdio::piped()).stdout(Stdio::null()).spawn().expect("a shell");
+    Some(Server { programs, folder, _process: process })
 }
 
-impl Server {
-    /// The one server of this process, once it takes connections; none where PostgreSQL is not installed, and the test is skipped.
-    ///
-    /// # Panics
-    /// It does not start, or as [`crate::Need::or_skip`].
-    #[must_use]
-    pub fn shared() -> Option<&'static Self> {
-        static SERVER: OnceLock<Option<Server>> = OnceLock::new();
-        let Some(server) = SERVER.get_or_init(start) else {
-            // lists this test as skipped, too
-            return crate::postgres().and(None);
-        };
-        let until = Instant::now() + START;
-        loop {
-            let log = std::fs::read_to_string(server.folder.join("log")).unwrap_or_default();
-            if log.contains("ready to accept connections") {
-                return Some(server);
-            }
-            assert!(Instant::now() < until, "PostgreSQL does not start: {log}");
-            std::thread::sleep(Duration::from_millis(50));
-        }
-    }
+fn url(folder: &Path, database: &str) -> String {
+    format!("postgres://postgres@localhost/{database}?host={}", folder.display())
+}
 
-    /// URL of a database; the one called `postgres` is there from the beginning, and empty.
-    #[must_use]
-    pub fn url(&self, database: &str) -> String {
-        format!("postgres://postgres@localhost/{database}?host={}", self.folder.display())
+/// URL of an empty database; none where PostgreSQL is not installed, and the test is skipped.
+///
+/// # Panics
+/// The server does not start.
+pub fn database() -> Option<String> {
+    static SERVER: OnceLock<Option<Server>> = OnceLock::new();
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    let Some(server) = SERVER.get_or_init(start) else {
+        // lists this test as skipped, too
+        return crate::postgres().and(None);
+    };
+    let name = format!("test_{}", NEXT.fetch_add(1, Ordering::Relaxed));
+    let until = Instant::now() + START;
+    let create = || {
+        let mut command = Command::new(server.programs.join("createdb"));
+        command.arg("-h").arg(&server.folder).args(["-U", "postgres", &name]).stdout(Stdio::null()).stderr(Stdio::null());
+        command.status().expect("createdb").success()
+    };
+    while !create() {
+        let log = std::fs::read_to_string(server.folder.join("log")).unwrap_or_default();
+        assert!(Instant::now() < until, "PostgreSQL does not start: {log}");
+        std::thread::sleep(Duration::from_millis(50));
     }
+    Some(url(&server.folder, &name))
 }
