@@ -14,7 +14,7 @@ use tmpi_live::units::Splitter;
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 use tmpi_pipeline::{networks, photo, strokes};
 
-use crate::{cli, live, server};
+use crate::{cli, server};
 
 mod container_file;
 mod room;

@@ -28,8 +28,8 @@ use super::share::asker;
 use crate::live::check_origin;
 use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
 pub use cookies::{set_manage, set_owner};
-use links::{Asked, query_of};
-pub(super) use links::{link_of_url, take_link};
+use links::Asked;
+pub(super) use links::{link_of_url, query_of, take_link};
 use needs::{Need, need, refusal};
 use who::{Who, bearer, fresh, is_secret};
 
