@@ -18,10 +18,9 @@ use sha2::{Digest as _, Sha256};
 use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
-use crate::nats;
 use crate::server::{
-    Better, Collector, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
-    keep_from_others, make_for_a_server, stop_signal,
+    Better, Collector, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others,
+    make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -79,22 +78,12 @@ pub(super) struct ServeArgs {
                 GOOGLE_… or AZURE_…; a folder in DIR without it"
     )]
     blobs: Option<String>,
-    #[arg(
-        long,
-        value_name = "URL",
-        help = "Store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX (with the usual variables AWS_…, GOOGLE_… \
-                or AZURE_…) or file:///FOLDER; DIR holds copies then"
-    )]
-    store: Option<String>,
-    /// What this node of a store does
-    #[arg(long, value_enum, default_value_t, requires = "store")]
+    /// What this node of several does
+    #[arg(long, value_enum, default_value_t, requires = "database")]
     role: Role,
-    /// Seconds after which a photo that a node worked on is taken up by another where nothing is heard of it
+    /// Seconds after which a job is taken up again where nothing is heard of its worker
     #[arg(long, default_value_t = Limits::LEASE.as_secs() as u32, value_parser = clap::value_parser!(u32).range(2..=3600), value_name = "S")]
     lease: u32,
-    /// Disk for copies of what is in the store, in MiB
-    #[arg(long, default_value_t = (Limits::COPIES >> 20) as u32, value_parser = clap::value_parser!(u32).range(64..), value_name = "MIB")]
-    copies: u32,
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
@@ -107,9 +96,6 @@ pub(super) struct ServeArgs {
     /// Whether to ask who comes: `open`, or `private`, where photos are their owners' alone (see `tmpi key`); private beyond loopback and with --host, else open
     #[arg(long, value_enum, value_name = "WHO")]
     access: Option<Access>,
-    /// Directory of the keys that `tmpi key` gives out, where it is not that of --data: of nodes that have the same keys
-    #[arg(long, value_name = "DIR")]
-    keys: Option<PathBuf>,
     /// What draws views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -198,22 +184,6 @@ pub(super) struct ServeArgs {
     /// Milliseconds that the geometry of a room's frame may take: where depth, planes or tiles took longer there are fewer of them
     #[arg(long, default_value_t = LIVE_BUDGET_MS, value_name = "MS")]
     live_budget_ms: f64,
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "URL[,URL…]",
-        help = "NATS servers by which nodes of a store begin photos at once, and see how others go on: nats://[USER:PASSWORD@]HOST:PORT, or tls:// for TLS"
-    )]
-    nats: Vec<nats::Address>,
-    /// NATS servers that keep each word of a photo that waits; 3 where there are three, so that one may go
-    #[arg(long, requires = "nats", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=5), value_name = "N")]
-    nats_replicas: u8,
-    /// File with USER:PASSWORD, or a token, for those servers
-    #[arg(long, requires = "nats", value_name = "FILE")]
-    nats_login: Option<PathBuf>,
-    /// Name of this node in their logs: letters, digits, - and _
-    #[arg(long, requires = "nats", default_value = "tmpi", value_parser = node, value_name = "NAME")]
-    node: String,
     /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
     #[arg(long, value_name = "URL")]
     network_url: Option<String>,
@@ -244,8 +214,8 @@ const LEAST_KEY: usize = 32;
 impl ServeArgs {
     /// The same of a node that makes photos alone.
     pub(super) fn at_work(self) -> anyhow::Result<Self> {
-        if self.store.is_none() {
-            return Err(Usage("--store: a node that makes photos has to be told of the store that they are in".into()).into());
+        if self.database.is_none() {
+            return Err(Usage("--database: a node that makes photos has to be told of the database that they are in".into()).into());
         }
         Ok(Self { role: Role::Work, ..self })
     }
@@ -276,29 +246,11 @@ impl ServeArgs {
         Ok(key)
     }
 
-    /// How other nodes are reached; none where they are not.
-    fn nats(&self) -> anyhow::Result<Option<nats::Config>> {
-        if self.nats.is_empty() {
-            return Ok(None);
-        }
-        let login = self.nats_login.as_deref().map(|file| files::read(file).map(|text| String::from_utf8_lossy(&text).into_owned()));
-        Ok(Some(nats::Config { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() }))
-    }
-
     /// Whether to ask who comes.
     fn is_private(&self) -> bool {
         // names are for those who come by a proxy
         let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty();
         self.access.map_or(usual, |access| access == Access::Private)
-    }
-
-    /// What the node shares with others; none where it is alone.
-    fn sharing(&self) -> anyhow::Result<Option<Sharing>> {
-        let Some(store) = self.store.clone() else {
-            return Ok(None);
-        };
-        let nats = self.nats()?.map(|at| Nats { at, replicas: usize::from(self.nats_replicas) });
-        Ok(Some(Sharing { store, role: self.role, nats }))
     }
 
     /// Where traces go; nowhere where nobody said so.
@@ -337,7 +289,6 @@ impl ServeArgs {
             drain: Duration::from_secs(u64::from(self.drain)),
             rest: Duration::from_secs(u64::from(self.rest)),
             lease: Duration::from_secs(u64::from(self.lease)),
-            copies: u64::from(self.copies) << 20,
             ..shared
         };
         // all who come by a proxy have one address
@@ -363,19 +314,13 @@ fn share(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|share| (0.0..=1.0).contains(share)).ok_or_else(|| "a number from 0 to 1 is wanted".into())
 }
 
-/// The name of a node, to which a number of its run is added.
-fn node(text: &str) -> Result<String, String> {
-    let fits = !text.is_empty() && text.len() <= 32 && text.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
-    if fits { Ok(text.to_owned()) } else { Err("up to 32 letters, digits, - and _".into()) }
-}
-
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let makes_for_another = std::env::var_os(VARIABLE).is_some();
     if !makes_for_another {
         args.check()?;
     }
-    let (limits, private, sharing) = (args.limits(), args.is_private(), args.sharing()?);
+    let (limits, private) = (args.limits(), args.is_private());
     let (settings, traces, proxies) = (args.models.settings(), args.traces(), args.clients.proxies());
     let models = models::load(&settings)?;
     let maker = PipelineMaker::new(models.clone(), &limits).identified(&identity(&settings)?);
@@ -400,13 +345,13 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, admin, data, database, blobs, pages, mut hosts, public_list, keys, tls_cert, tls_key, advertise, .. } = args;
+    let ServeArgs { addr, admin, data, database, blobs, role, pages, mut hosts, public_list, tls_cert, tls_key, advertise, .. } = args;
     hosts.extend(advertise.map(|address| address.host().to_owned()));
-    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, keys, traces, limits };
+    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, role, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
-        let mut server = Server::bind_among(sharing, config, Arc::new(maker), renderer).await?;
+        let mut server = Server::bind(config, Arc::new(maker), renderer).await?;
         if let Some(rooms) = rooms {
             server = server.with_rooms(rooms);
         }

@@ -77,7 +77,7 @@ pub fn patch(patch: &[u8]) {
     match Settings::default().patched(patch) {
         Ok(settings) => {
             let written = serde_json::to_vec(&settings).unwrap_or_default();
-            assert_eq!(Settings::read(&written).as_ref(), Ok(&settings));
+            assert!(serde_json::from_slice::<Settings>(&written).is_ok_and(|read| read == settings));
             assert_eq!(settings.patched(b"{}").as_ref(), Ok(&settings));
         }
         Err(problem) => assert!(problem.status == 400 && !problem.detail.is_empty()),

@@ -3,9 +3,9 @@
 
 use std::fmt::Write as _;
 
-use tmpi::server::keys::{self, Scope};
 use tmpi::server::{Access, Route, routes};
 
+use crate::keys::{self, Scope};
 use crate::access::{HOST, id, private, secret, upload};
 use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg};

@@ -10,7 +10,7 @@ use tmpi_render::Backend;
 
 use crate::client::{get, request};
 use crate::fixture::{Running, jpeg, pipeline, wait_until};
-use crate::nats::figure;
+use crate::fixture::figure;
 
 /// A server that asks who comes, and the address of its operators.
 fn start(data: &Path) -> (Running, SocketAddr) {

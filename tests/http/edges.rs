@@ -1,41 +1,38 @@
 //! Rooms of several nodes, end to end: servers as processes, one PostgreSQL, real sockets. A node that is asked for a room whose publisher is at
-//! another one watches it there. Without PostgreSQL these tests say so and pass.
+//! another one watches it there. Without PostgreSQL and an S3 server these tests say so and pass.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
 use std::time::Instant;
 
 use bytes::Bytes;
-use tempfile::{TempDir, tempdir};
+use tempfile::tempdir;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::{Model, read};
-use tmpi_testing::postgres::Server;
 
 use super::client::{get, request};
-use super::fixture::wait_until;
+use super::fixture::{figure, wait_until};
 use super::live::{Client, KEY, Publisher, frame};
+use super::many::Shared;
 use super::process::Process;
 
-/// A node of the database that all these tests share: each has rooms of its own.
+/// One of several nodes, which others reach at its own address.
 struct Node {
     process: Process,
     addr: SocketAddr,
-    _data: TempDir,
 }
 
-fn node(database: &Server, arguments: &[&str]) -> Node {
+fn node(shared: &Shared, name: &str, arguments: &[&str]) -> Node {
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let (data, url) = (tempdir().unwrap(), format!("http://127.0.0.1:{port}"));
-    let arguments = [&["--advertise", url.as_str()], arguments].concat();
-    let process = Process::start_at(port, data.path(), &arguments, &[("TMPI_SERVE_DATABASE", &database.url("postgres"))]);
-    Node { addr: process.addr, process, _data: data }
+    let url = format!("http://127.0.0.1:{port}");
+    let process = shared.node_at(port, name, &[&["--advertise", url.as_str()], arguments].concat());
+    Node { addr: process.addr, process }
 }
 
 impl Node {
-    /// A figure of its metrics.
-    fn figure(&self, name: &str) -> f64 {
-        let text = String::from_utf8(get(self.addr, "/metrics").body).unwrap();
-        text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')).and_then(|n| n.parse().ok()).expect("it is counted")
+    /// How many rooms of other nodes it watches.
+    fn edges(&self) -> u64 {
+        figure(self.addr, "tmpi_live_edges").expect("it is counted")
     }
 
     fn room(&self, room: &str, path: &str) -> super::client::Response {
@@ -92,8 +89,8 @@ fn next_epoch(viewer: &mut Client, epoch: u64) -> u64 {
 
 #[test]
 fn a_viewer_at_an_edge_is_sent_the_bytes_that_one_at_the_origin_is() {
-    let Some(database) = Server::shared() else { return };
-    let (a, b) = (node(database, &[]), node(database, &[]));
+    let Some(shared) = Shared::start() else { return };
+    let (a, b) = (node(&shared, "node-1", &[]), node(&shared, "node-2", &[]));
     assert_eq!(Client::at(b.addr, "/v1/live/attic/subscribe", &[]).err(), Some(404));
     let mut publisher = Publisher::new(a.addr, "attic");
     publisher.publish(frame(10));
@@ -132,8 +129,8 @@ fn a_viewer_at_an_edge_is_sent_the_bytes_that_one_at_the_origin_is() {
 
 #[test]
 fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_comes_to_another_node() {
-    let Some(database) = Server::shared() else { return };
-    let (mut a, b, c) = (node(database, &[]), node(database, &[]), node(database, &[]));
+    let Some(shared) = Shared::start() else { return };
+    let (mut a, b, c) = (node(&shared, "node-3", &[]), node(&shared, "node-4", &[]), node(&shared, "node-5", &[]));
     let mut publisher = Publisher::new(a.addr, "barn");
     publisher.publish(frame(10));
     let mut viewers = [&b, &c].map(|node| Client::watch(node.addr, "barn"));
@@ -154,8 +151,8 @@ fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_comes_to_another_nod
 
 #[test]
 fn a_publisher_that_comes_to_another_node_takes_the_room_and_the_old_one_is_told() {
-    let Some(database) = Server::shared() else { return };
-    let (a, b) = (node(database, &[]), node(database, &[]));
+    let Some(shared) = Shared::start() else { return };
+    let (a, b) = (node(&shared, "node-6", &[]), node(&shared, "node-7", &[]));
     let mut old = Publisher::new(a.addr, "cellar");
     old.publish(frame(10));
     let mut viewer = Client::watch(a.addr, "cellar");
@@ -166,24 +163,24 @@ fn a_publisher_that_comes_to_another_node_takes_the_room_and_the_old_one_is_told
     // a node that was the origin is an edge from then on
     let next = next_epoch(&mut viewer, epoch);
     wait_until("the viewer is counted at the new origin", || b.room("cellar", "").json()["viewers"] == 1);
-    assert_eq!((a.figure("tmpi_live_edges"), b.figure("tmpi_live_edges")), (1.0, 0.0));
+    assert_eq!((a.edges(), b.edges()), (1, 0));
     // and the origin again when its publisher comes back, though others asked meanwhile
     drop(new);
     let mut publisher = Publisher::new(a.addr, "cellar");
     publisher.publish(frame(30));
     assert!(next_epoch(&mut viewer, next) > next);
-    wait_until("the node is an edge no more", || a.figure("tmpi_live_edges") == 0.0);
+    wait_until("the node is an edge no more", || a.edges() == 0);
     assert!(matches!(Publisher::new(a.addr, "cellar").client.next(), Some(Kind::Bye(bye)) if bye.reason == "someone publishes in this room"));
 }
 
 #[test]
 fn an_edge_asks_its_viewers_for_their_own_tokens() {
-    let Some(database) = Server::shared() else { return };
+    let Some(shared) = Shared::start() else { return };
     let dir = tempdir().unwrap();
     let key = dir.path().join("key");
     std::fs::write(&key, KEY).unwrap();
     let arguments = ["--host", "photos.example", "--access", "private", "--live-key", key.to_str().unwrap()];
-    let (a, b) = (node(database, &arguments), node(database, &arguments));
+    let (a, b) = (node(&shared, "node-8", &arguments), node(&shared, "node-9", &arguments));
     let mut publisher = Publisher::new(a.addr, "den");
     publisher.publish(frame(10));
     let token = |role, room, ends| tmpi::live::token(KEY, role, room, ends).unwrap();
@@ -204,8 +201,8 @@ fn an_edge_asks_its_viewers_for_their_own_tokens() {
 
 #[test]
 fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_may_be() {
-    let Some(database) = Server::shared() else { return };
-    let (a, b) = (node(database, &[]), node(database, &["--live-rooms", "1"]));
+    let Some(shared) = Shared::start() else { return };
+    let (a, b) = (node(&shared, "node-10", &[]), node(&shared, "node-11", &["--live-rooms", "1"]));
     let mut publishers = ["east", "west"].map(|room| Publisher::new(a.addr, room));
     for publisher in &mut publishers {
         publisher.publish(frame(10));
@@ -215,7 +212,7 @@ fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_
     assert_eq!(Client::at(b.addr, "/v1/live/west/subscribe", &[]).err(), Some(503));
     assert_eq!(Client::at(b.addr, "/v1/live/north/publish", &[]).err(), Some(503));
     drop(viewer);
-    wait_until("the edge ends", || b.figure("tmpi_live_edges") == 0.0);
+    wait_until("the edge ends", || b.edges() == 0);
     assert_eq!(a.room("east", "").json()["viewers"], 0);
     assert!(next_epoch(&mut Client::watch(b.addr, "west"), 0) > 0);
 }

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, form, get, request};
-use crate::fixture::{depth_map, wait_until};
+use crate::fixture::{contents, depth_map, incoming, wait_until};
 
 pub struct Process {
     child: Child,
@@ -309,7 +309,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
         assert!(answered.len() >= crash_after && answered.len() < 10, "{} answered", answered.len());
 
         let server = Process::start(dir.path());
-        assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0, "leftovers are removed");
+        assert_eq!(incoming(dir.path()), 0, "leftovers are removed");
         let found = ids(server.addr);
         assert_eq!(found.iter().collect::<BTreeSet<_>>().len(), found.len(), "none is there twice");
         let lost: Vec<_> = answered.iter().filter(|id| !found.contains(id)).collect();
@@ -327,7 +327,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
             assert!(tmpi_core::container::decode(&atlas).is_ok());
         }
         assert_eq!(ids(server.addr).len(), 10);
-        assert_eq!(std::fs::read_dir(dir.path().join("photos")).unwrap().count(), 10);
+        assert_eq!(contents(dir.path(), "", "container").len(), 10);
     }
 }
 

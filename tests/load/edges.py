@@ -1,7 +1,8 @@
-"""Rooms of several nodes on a PostgreSQL of its own: what viewers at an edge cost beside viewers at the origin, and how long the origin's end is felt."""
-import os, pwd, shutil, socket, subprocess, sys, tempfile, time
+"""Rooms of several nodes on a PostgreSQL and an S3 server of their own: what viewers at an edge cost beside viewers at the origin, and how long the origin's end is felt."""
+import os, pwd, shutil, subprocess, sys, tempfile, time
 from pathlib import Path
 from common import PROGRAM, Server, Table, check
+from engines import Place, free_port, s3_server
 
 VIEWERS = 200
 
@@ -34,16 +35,14 @@ class Postgres:
         return str(Path(found).resolve().parent) if found else str(debian[-1]) if debian else None
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def node(postgres):
+def node(postgres, s3):
     port = free_port()
-    env = {"TMPI_SERVE_DATABASE": f"postgres://postgres@localhost/postgres?host={postgres.folder}"}
-    return Server("--advertise", f"http://127.0.0.1:{port}", "--connections", "4096", "--connections-per-address", "4096", env=env, port=port)
+    env = {
+        "TMPI_SERVE_DATABASE": f"postgres://postgres@localhost/postgres?host={postgres.folder}",
+        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{s3.port}", "AWS_ALLOW_HTTP": "true", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1",
+    }
+    args = ("--advertise", f"http://127.0.0.1:{port}", "--blobs", "s3://photos/tmpi", "--connections", "4096", "--connections-per-address", "4096")
+    return Server(*args, env=env, port=port)
 
 
 def edges(stream, full):
@@ -51,8 +50,8 @@ def edges(stream, full):
     if not programs:
         print("skipped, no PostgreSQL")
         return
-    postgres = Postgres(programs)
-    nodes = [node(postgres) for _ in range(3)]
+    postgres, s3 = Postgres(programs), s3_server(Place())
+    nodes = [node(postgres, s3) for _ in range(3)]
     print(f"\nload of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} processors\n")
     cost(nodes, stream, 20 if full else 8)
     print()
@@ -63,6 +62,7 @@ def edges(stream, full):
         log = Path(server.log.name).read_text()
         check("panicked" not in log, f"nothing panicked: {log[-500:]}")
         server.stop()
+    s3.kill()
     postgres.stop()
 
 

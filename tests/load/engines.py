@@ -1,10 +1,8 @@
-"""Engines that load scripts start and stop: `nats-server`s, an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
+"""Engines that load scripts start and stop: an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
 import os, shutil, socket, socketserver, subprocess, sys, threading, time
 from pathlib import Path
 from common import ROOT
 
-# Debian keeps it where only root looks
-NATS = shutil.which("nats-server") or shutil.which("nats-server", path="/usr/sbin")
 # where `cargo xtask test` puts it
 S3_PACKAGES = ROOT / ".tmpi/s3-server"
 
@@ -86,44 +84,6 @@ class Engine:
         self.process.kill()
         self.process.wait()
 
-
-class NatsServers:
-    """Three `nats-server`s with JetStream that are one cluster."""
-
-    def __init__(self, folder, places):
-        self.folder, routes = folder, [(place.host, free_port()) for place in places]
-        self.servers = []
-        others = ", ".join(f"nats://{host}:{port}" for host, port in routes)
-        for n, (place, (_, route)) in enumerate(zip(places, routes)):
-            port, own = free_port(), folder / f"nats-{n}"
-            own.mkdir()
-            (own / "nats.conf").write_text(
-                f'server_name: n{n}\nlisten: "{place.host}:{port}"\njetstream {{ store_dir: "{own}/store" }}\n'
-                f'cluster {{ name: load, listen: "{place.host}:{route}", routes: [{others}] }}\n'
-            )
-            self.servers.append(Engine([NATS, "-c", own / "nats.conf"], port, place))
-        self.urls = ",".join(f"nats://{s.place.host}:{s.port}" for s in self.servers)
-
-    def kill_one(self, rng):
-        one = rng.choice(self.servers)
-        one.kill()
-        time.sleep(2)
-        one.start()
-        time.sleep(5)
-
-    def wipe(self):
-        for server in self.servers:
-            server.kill()
-        for n in range(3):
-            shutil.rmtree(self.folder / f"nats-{n}" / "store")
-        time.sleep(2)
-        for server in self.servers:
-            server.start()
-        time.sleep(15)
-
-    def kill(self):
-        for server in self.servers:
-            server.kill()
 
 
 class Proxy:

@@ -1,12 +1,12 @@
 //! What tests need of the machine. A test that misses something is skipped, and a file lists it, unless `TMPI_REQUIRE` names the need.
 
+#[cfg(unix)]
+#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
+mod database;
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 pub mod engines;
 pub mod jpeg;
 pub mod png;
-#[cfg(unix)]
-#[allow(clippy::expect_used, reason = "a server that is installed and does not start fails the test")]
-pub mod postgres;
 
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -14,6 +14,8 @@ use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+#[cfg(unix)]
+pub use database::database;
 pub use engines::Engine;
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.
@@ -35,8 +37,6 @@ pub enum Need {
     Onnx,
     /// `ffmpeg`: the program.
     Ffmpeg,
-    /// `nats`: the program `nats-server`.
-    Nats,
     /// `s3`: moto, an S3 server in Python.
     S3,
     /// `azure`: azurite, an Azure server in JavaScript.
@@ -48,14 +48,13 @@ pub enum Need {
 }
 
 impl Need {
-    const ALL: [Self; 8] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats, Self::S3, Self::Azure, Self::Postgres, Self::Data];
+    const ALL: [Self; 7] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::S3, Self::Azure, Self::Postgres, Self::Data];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Gpu => "gpu",
             Self::Onnx => "onnx",
             Self::Ffmpeg => "ffmpeg",
-            Self::Nats => "nats",
             Self::S3 => "s3",
             Self::Azure => "azure",
             Self::Postgres => "postgres",
@@ -165,7 +164,7 @@ mod tests {
     #[test]
     fn an_unknown_word_fails_though_everything_is_there() {
         let error = Need::Onnx.judged("gpu,onxx", Ok::<_, &str>(7)).unwrap_err();
-        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats, s3, azure, postgres, data"), "{error}");
+        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, s3, azure, postgres, data"), "{error}");
     }
 
     #[test]
