@@ -30,7 +30,10 @@ impl LibraryArgs {
     pub fn with<T>(&self, create: bool, work: impl AsyncFnOnce(&Library) -> anyhow::Result<T>) -> anyhow::Result<T> {
         let Self { data, database, blobs, .. } = self;
         if !create && database.is_none() && !data.join("library.db").exists() {
-            let text = format!("{}: no server keeps photos there; --data, --database or --config says where it does, and key add --create makes it", data.display());
+            let text = format!(
+                "{}: no server keeps photos there; --data, --database or --config says where it does, and key add --create makes it",
+                data.display()
+            );
             return Err(Usage(text).into());
         }
         let config = Config { database: database.clone(), blobs: blobs.clone(), ..Config::of_folder(data) };

@@ -19,8 +19,8 @@ use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, Collector, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others,
-    make_for_a_server, stop_signal,
+    Better, Collector, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Tls, VARIABLE, allocate_in_one_place, hex,
+    keep_from_others, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};

@@ -1,10 +1,10 @@
 //! What all handlers share.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
-use std::path::PathBuf;
 
 use bytes::Bytes;
 use tokio::sync::Semaphore;

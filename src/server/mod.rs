@@ -51,8 +51,8 @@ mod upkeep;
 mod upload;
 mod work;
 
-use std::net::SocketAddr;
 use std::fs::File;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

@@ -14,9 +14,9 @@ use super::card::Card;
 use super::compress;
 use super::conditional::{Coding, Entity, REVALIDATE, respond};
 use super::hosts::origin;
-use tmpi_library::hex;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
+use tmpi_library::hex;
 
 /// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
 const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \

@@ -11,8 +11,8 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
-use tmpi_library::{PhotoId, Swept};
 use super::traces::{Collector, CollectorError, Job, Parent, Traces};
+use tmpi_library::{PhotoId, Swept};
 
 /// Media type of the text.
 pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

@@ -124,7 +124,8 @@ async fn hold<T: Send + 'static>(
 ) -> Option<T> {
     let library = &doing.app.library;
     let (mut work, mut events) = (tokio::task::spawn_blocking(work), library.subscribe());
-    let mut period = tokio::time::interval(doing.app.limits.lease / RENEWALS);
+    let period = doing.app.limits.lease / RENEWALS;
+    let mut period = tokio::time::interval_at(tokio::time::Instant::now() + period, period);
     let mut said = None;
     loop {
         let renew = tokio::select! {

@@ -134,9 +134,7 @@ fn what_follows_from_others_is_shown_as_it_is_used() {
         has(&run, line);
     }
     let run = config(&f, &[], &["--addr", "0.0.0.0:80", "--data", "photos"]).succeeds();
-    for line in
-        ["# access = \"private\"", "# lame-duck = 5", "# rate-requests = 6000", "data = \"photos\" # command line"]
-    {
+    for line in ["# access = \"private\"", "# lame-duck = 5", "# rate-requests = 6000", "data = \"photos\" # command line"] {
         has(&run, line);
     }
 }
@@ -156,9 +154,17 @@ fn secrets_in_addresses_are_not_told() {
     assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1/tmpi"), "{}", run.out);
     has(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
     // nor in what is wrong with them
+<<<<<<< HEAD
     for (name, value) in
         [("--otlp", "ftp://me:secret@127.0.0.1"), ("--database", "postgres://me:secret@host")]
     {
+=======
+    for (name, value) in [
+        ("--nats", "nats://me:secret@127.0.0.1:port"),
+        ("--otlp", "ftp://me:secret@127.0.0.1"),
+        ("--database", "postgres://me:secret@host"),
+    ] {
+>>>>>>> library
         let said = config(&f, &[], &[name, value]).fails(2, &[name]);
         assert!(!said.contains("secret"), "{said}");
     }

@@ -8,9 +8,9 @@ use serde_json::Value;
 use tmpi::server::{Config, Limits, Maker, Server};
 use tmpi_render::Backend;
 
-use crate::keys::{self, Scope};
 use crate::client::{Response, get, request};
 use crate::fixture::{Running, jpeg, pipeline, rooms};
+use crate::keys::{self, Scope};
 
 /// A name by which strangers come: on loopback, but not as this machine's own user.
 pub const HOST: (&str, &str) = ("host", "photos.example");

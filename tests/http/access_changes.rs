@@ -1,16 +1,12 @@
 //! What becomes of those who were let in when keys, links and settings change.
 
-use std::path::Path;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tmpi_render::Backend;
-
-use crate::keys::{self, Scope};
 use crate::access::{HOST, ask, id, private, private_with, secret, upload};
 use crate::client::get;
 use crate::events::Events;
-use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+use crate::fixture::{Gate, jpeg};
+use crate::keys::{self, Scope};
 
 /// How soon a stream ends whose listener may listen no more: the pause between two looks, and some for a busy machine.
 const SOON: Duration = Duration::from_secs(20);

@@ -10,10 +10,10 @@ use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{MakeError, Models, Options, Sink};
 
-use crate::keys::{self, Scope};
 use crate::access::{HOST, ask, id, private_with, secret, upload};
 use crate::client::{get, post_form, request};
 use crate::fixture::{Running, contents, depth_map, jpeg};
+use crate::keys::{self, Scope};
 
 const WORSE: &str = "tmpi";
 const BETTER: &str = "depth-anything-v2-small-fp16";

@@ -262,15 +262,6 @@ impl Drop for Running {
     }
 }
 
-/// A pipe with a name: whoever opens it to write waits until somebody reads it.
-#[cfg(unix)]
-#[allow(unsafe_code, reason = "the standard library makes no named pipes")]
-pub fn pipe(path: &Path) {
-    let path = std::ffi::CString::new(path.to_str().unwrap()).unwrap();
-    // SAFETY: the path ends with a zero and outlives the call
-    assert_eq!(unsafe { libc::mkfifo(path.as_ptr(), 0o600) }, 0);
-}
-
 /// Files of contents of a photo in a data folder, whose names begin with its id and a part; of all photos, where the id is empty.
 pub fn contents(data: &Path, id: &str, part: &str) -> Vec<PathBuf> {
     let is_wanted = |name: &str| name.starts_with(id) && name.get(32..).is_some_and(|rest| rest.starts_with(&format!("-{part}")));

@@ -3,12 +3,11 @@
 use std::sync::Arc;
 
 use tmpi::server::Limits;
-use tmpi_render::Backend;
 
-use crate::keys::{self, Scope};
 use crate::access::{ask, private_within};
 use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg, pipeline};
+use crate::keys::{self, Scope};
 
 /// The parameter of an item of a list of RFC 9651, as `r` of `"uploads"` in `"requests";r=1, "uploads";r=2`.
 fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {

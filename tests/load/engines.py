@@ -1,4 +1,8 @@
+<<<<<<< HEAD
 """Engines that load scripts start and stop: an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
+=======
+"""Engines that load scripts start and stop: PostgreSQL, an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
+>>>>>>> library
 import os, shutil, socket, socketserver, subprocess, sys, threading, time
 from pathlib import Path
 from common import ROOT
@@ -85,6 +89,41 @@ class Engine:
         self.process.wait()
 
 
+<<<<<<< HEAD
+=======
+class Postgres:
+    """A PostgreSQL server in a folder, at a socket there; it can be killed and started again."""
+
+    PROGRAMS = next((p.parent for p in sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)), None)
+
+    def __init__(self, folder):
+        self.folder = folder / "postgres"
+        self.folder.mkdir()
+        # PostgreSQL refuses to be root's
+        self.user = {"user": "postgres", "group": "postgres"} if os.geteuid() == 0 else {}
+        if self.user:
+            folder.chmod(0o755)
+            shutil.chown(self.folder, "postgres", "postgres")
+        self.run("initdb", "-D", self.folder / "db", "-U", "postgres", "-A", "trust")
+        self.start()
+        self.run("createdb", "-h", self.folder, "-U", "postgres", "tmpi")
+        self.url = f"postgres://postgres@localhost/tmpi?host={self.folder}"
+
+    def run(self, program, *words):
+        subprocess.run([self.PROGRAMS / program, *words], check=True, capture_output=True, cwd=self.folder, **self.user)
+
+    def start(self):
+        command = [self.PROGRAMS / "postgres", "-D", self.folder / "db", "-k", self.folder, "-c", "listen_addresses=", "-c", "max_connections=200"]
+        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=self.folder, **self.user)
+        ready = [self.PROGRAMS / "pg_isready", "-h", self.folder, "-U", "postgres"]
+        while subprocess.run(ready, capture_output=True).returncode != 0:
+            time.sleep(0.05)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+>>>>>>> library
 
 class Proxy:
     """Passes connections on, and answers 503 while `away`."""

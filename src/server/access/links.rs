@@ -50,8 +50,10 @@ mod tests {
 
     #[test]
     fn links_are_taken_out_of_addresses_in_any_order() {
-        let take =
-            |uri: &str| take_link(&uri.replace("=ab", &format!("={SIGNATURE}")).parse().unwrap()).map(|(uri, link)| (uri.to_string(), link.map(|l| (l.expires, l.signature()))));
+        let take = |uri: &str| {
+            take_link(&uri.replace("=ab", &format!("={SIGNATURE}")).parse().unwrap())
+                .map(|(uri, link)| (uri.to_string(), link.map(|l| (l.expires, l.signature()))))
+        };
         let link = Some((12, SIGNATURE.to_owned()));
         assert_eq!(take("/x?w=8"), None);
         assert_eq!(take("/x?expires=12&signature=ab"), Some(("/x".into(), link.clone())));

@@ -34,6 +34,8 @@ use who::{Who, bearer, fresh, is_secret};
 
 /// How long another browser can be made the same owner.
 pub const TICKET: Duration = Duration::from_mins(15);
+/// What a ticket begins with: a session that soon ends, and is good for nothing but another one.
+const TICKET_PREFIX: &str = "tmpi_t_";
 
 /// A request's caller, and what it may have.
 struct Caller {
@@ -137,7 +139,8 @@ impl Guard {
         });
         let is_of_page = request.extensions().get::<MatchedPath>().is_some_and(|path| path.as_str() == "/oembed");
         let asked = asked.or_else(|| is_of_page.then(|| link_of_url(request.uri())));
-        let (who, token) = if need == Need::Room { (Who::Stranger, None) } else { self.who(hosts, request.headers(), request.version()).await? };
+        let (who, token) =
+            if need == Need::Room { (Who::Stranger, None) } else { self.who(hosts, request.headers(), request.version()).await? };
         let link = asked.clone().unwrap_or_else(|| {
             let of_cookie = cookie(request.headers(), LINK_COOKIE).and_then(|text| text.parse().ok());
             of_cookie.filter(|_| check_origin(request.headers()).is_ok())
@@ -178,10 +181,12 @@ impl Guard {
                 let found = self.library.find_key(text).await?;
                 return found.map(|key| (Who::Key(key), None)).ok_or_else(unknown);
             }
-            let who = if text.starts_with(SESSION_PREFIX) {
-                self.library.find_session(text).await?.map(|session| Who::Ticket(session.owner))
-            } else {
-                Who::of_bearer(text)
+            let who = match text.strip_prefix(TICKET_PREFIX) {
+                Some(rest) => {
+                    let session = self.library.find_session(&format!("{SESSION_PREFIX}{rest}")).await?;
+                    session.map(|session| Who::Ticket(session.owner))
+                }
+                None => Who::of_bearer(text),
             };
             let who = who.ok_or_else(unknown)?;
             let token = matches!(who, Who::Manager).then(|| text.to_owned());
@@ -221,7 +226,8 @@ impl Guard {
     /// # Errors
     /// 503 where the library cannot be reached.
     pub async fn ticket(&self, owner: &Owner) -> Result<String, Problem> {
-        Ok(self.library.open_session(owner, None, TICKET).await?)
+        let session = self.library.open_session(owner, None, TICKET).await?;
+        Ok(session.replacen(SESSION_PREFIX, TICKET_PREFIX, 1))
     }
 
     /// What a browser is to keep to be this owner: the secret that the caller came with, or a session for the ticket.
@@ -279,7 +285,9 @@ impl Guard {
         // what cannot be looked up lets nobody in
         let good = match &caller.who {
             Who::Key(key) => self.library.is_still_good(key).await.unwrap_or(false),
-            Who::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => self.library.find_session(kept).await.is_ok_and(|found| found.is_some()),
+            Who::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => {
+                self.library.find_session(kept).await.is_ok_and(|found| found.is_some())
+            }
             _ => true,
         };
         match self.library.now().await {

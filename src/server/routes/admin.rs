@@ -17,9 +17,9 @@ use super::query::NoQuery;
 use super::{errors, foreign, no_method, system};
 use crate::server::app::App;
 use crate::server::hosts::Hosts;
-use tmpi_library::PhotoId;
 use crate::server::middleware;
 use crate::server::problem::Problem;
+use tmpi_library::PhotoId;
 
 #[derive(OpenApi)]
 #[openapi(

@@ -12,12 +12,12 @@ use sha2::{Digest, Sha256};
 use super::query::NoQuery;
 use crate::server::app::App;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
-use tmpi_library::hex;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::process;
 use crate::server::telemetry::{MEDIA_TYPE, gauge};
 use tmpi_library::Class::Batch;
+use tmpi_library::hex;
 use tmpi_library::{Kind, PhotoState as Phase};
 
 /// Health of the server.
@@ -96,7 +96,11 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         gauge("tmpi_queue_longest_wait_seconds", "How long the job that waits longest has waited", counts.longest_wait.as_secs_f64()),
         gauge("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
         gauge("tmpi_connections_limit", "Connections that may be open", app.limits.connections as f64),
-        gauge("tmpi_jobs_running", "Photos that are being made, at all nodes together", counts.working.get(&Kind::Make).copied().unwrap_or_default() as f64),
+        gauge(
+            "tmpi_jobs_running",
+            "Photos that are being made, at all nodes together",
+            counts.working.get(&Kind::Make).copied().unwrap_or_default() as f64,
+        ),
         gauge("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
         gauge("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
         gauge("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),

@@ -9,22 +9,28 @@ use super::{Limits, PhotoError, jpeg, png, webp};
 /// Format and stored size of a photo, from its headers alone; a server refuses by it before it queues any work.
 ///
 /// # Errors
-/// [`PhotoError`], as [`super::decode`] would, and also where a JPEG was cut short; damage within the pixels is not seen here.
+/// [`PhotoError`], as [`super::decode`] would; damage within the pixels is not seen here.
 pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)), PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = super::sniff(bytes)?;
     let size = match format {
-        PhotoFormat::Jpeg => {
-            let jpeg = jpeg(bytes, limits)?;
-            if !jpeg.ended {
-                return Err(PhotoError::Broken("it was cut short: its end is missing".into()));
-            }
-            (jpeg.width, jpeg.height)
-        }
+        PhotoFormat::Jpeg => jpeg(bytes, limits).map(|j| (j.width, j.height))?,
         PhotoFormat::WebP => webp(bytes, limits).map(|w| (w.width, w.height))?,
         PhotoFormat::Png => png::scan(bytes, limits).map(|p| (p.width, p.height))?,
     };
     Ok((format, size))
+}
+
+/// Refuses what [`check`] refuses, and a JPEG without its end: it was cut short on its way, and is there whole where it came from.
+///
+/// # Errors
+/// [`PhotoError`].
+pub fn check_whole(bytes: &[u8], limits: &Limits) -> Result<(), PhotoError> {
+    let (format, _) = check(bytes, limits)?;
+    if format == PhotoFormat::Jpeg && !super::jpeg::scan(bytes)?.ended {
+        return Err(PhotoError::Broken("its end is missing: it was cut short".into()));
+    }
+    Ok(())
 }
 
 /// The segments of a JPEG within the limits, with data for each of its blocks.
