@@ -154,17 +154,9 @@ fn secrets_in_addresses_are_not_told() {
     assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1/tmpi"), "{}", run.out);
     has(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
     // nor in what is wrong with them
-<<<<<<< HEAD
     for (name, value) in
         [("--otlp", "ftp://me:secret@127.0.0.1"), ("--database", "postgres://me:secret@host")]
     {
-=======
-    for (name, value) in [
-        ("--nats", "nats://me:secret@127.0.0.1:port"),
-        ("--otlp", "ftp://me:secret@127.0.0.1"),
-        ("--database", "postgres://me:secret@host"),
-    ] {
->>>>>>> library
         let said = config(&f, &[], &[name, value]).fails(2, &[name]);
         assert!(!said.contains("secret"), "{said}");
     }

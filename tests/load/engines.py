@@ -1,8 +1,4 @@
-<<<<<<< HEAD
-"""Engines that load scripts start and stop: an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
-=======
 """Engines that load scripts start and stop: PostgreSQL, an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
->>>>>>> library
 import os, shutil, socket, socketserver, subprocess, sys, threading, time
 from pathlib import Path
 from common import ROOT
@@ -89,8 +85,6 @@ class Engine:
         self.process.wait()
 
 
-<<<<<<< HEAD
-=======
 class Postgres:
     """A PostgreSQL server in a folder, at a socket there; it can be killed and started again."""
 
@@ -123,7 +117,6 @@ class Postgres:
         self.process.kill()
         self.process.wait()
 
->>>>>>> library
 
 class Proxy:
     """Passes connections on, and answers 503 while `away`."""

@@ -1,25 +1,12 @@
-<<<<<<< HEAD:crates/library/src/tests/postgres.rs
-//! A database of PostgreSQL for each test.
-=======
 //! A PostgreSQL server of this test program, in a temporary folder, with a database for each test.
->>>>>>> library:crates/testing/src/database.rs
 
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
 
-<<<<<<< HEAD:crates/library/src/tests/postgres.rs
-use sqlx::{AssertSqlSafe, Connection as _, Executor as _};
-use tmpi_testing::postgres::Server;
-
-/// URL of an empty database; none where there is no PostgreSQL.
-pub async fn database() -> Option<String> {
-    static NEXT: AtomicU32 = AtomicU32::new(0);
-    let server = Server::shared()?;
-    let name = format!("test_{}", NEXT.fetch_add(1, Ordering::Relaxed));
-    let mut connection = sqlx::PgConnection::connect(&server.url("postgres")).await.unwrap();
-    connection.execute(sqlx::raw_sql(AssertSqlSafe(format!("CREATE DATABASE {name}")))).await.unwrap();
-    connection.close().await.unwrap();
-    Some(server.url(&name))
-=======
 /// The server ends when its standard input does, which is when this process ends, however that comes about.
 const SCRIPT: &str = r#"
 "$1/initdb" -D "$2/db" -U postgres -A trust --no-sync > "$2/log" 2>&1 || exit 1
@@ -94,5 +81,4 @@ pub fn database() -> Option<String> {
         std::thread::sleep(Duration::from_millis(50));
     }
     Some(url(&server.folder, &name))
->>>>>>> library:crates/testing/src/database.rs
 }
