@@ -1,26 +1,26 @@
 //! Rooms of several nodes, end to end: servers as processes, one PostgreSQL, real sockets. A node that is asked for a room whose publisher is at
-//! another one watches it there. Without PostgreSQL these tests say so and pass.
+//! another one watches it there. Without PostgreSQL and an S3 server these tests say so and pass.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
 use std::time::Instant;
 
 use bytes::Bytes;
-use tempfile::{TempDir, tempdir};
+use tempfile::tempdir;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::{Model, read};
 use tmpi_testing::database;
 
 use super::client::{get, request};
-use super::fixture::wait_until;
+use super::fixture::{figure, wait_until};
 use super::live::{Client, KEY, Publisher, frame};
+use super::many::Shared;
 use super::process::Process;
 
-/// A node of the database that all these tests share: each has rooms of its own.
+/// One of several nodes, which others reach at its own address.
 struct Node {
     process: Process,
     addr: SocketAddr,
-    _data: TempDir,
 }
 
 fn node(database: &str, arguments: &[&str]) -> Node {
@@ -32,10 +32,9 @@ fn node(database: &str, arguments: &[&str]) -> Node {
 }
 
 impl Node {
-    /// A figure of its metrics.
-    fn figure(&self, name: &str) -> f64 {
-        let text = String::from_utf8(get(self.addr, "/metrics").body).unwrap();
-        text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')).and_then(|n| n.parse().ok()).expect("it is counted")
+    /// How many rooms of other nodes it watches.
+    fn edges(&self) -> u64 {
+        figure(self.addr, "tmpi_live_edges").expect("it is counted")
     }
 
     fn room(&self, room: &str, path: &str) -> super::client::Response {
@@ -166,13 +165,13 @@ fn a_publisher_that_comes_to_another_node_takes_the_room_and_the_old_one_is_told
     // a node that was the origin is an edge from then on
     let next = next_epoch(&mut viewer, epoch);
     wait_until("the viewer is counted at the new origin", || b.room("cellar", "").json()["viewers"] == 1);
-    assert_eq!((a.figure("tmpi_live_edges"), b.figure("tmpi_live_edges")), (1.0, 0.0));
+    assert_eq!((a.edges(), b.edges()), (1, 0));
     // and the origin again when its publisher comes back, though others asked meanwhile
     drop(new);
     let mut publisher = Publisher::new(a.addr, "cellar");
     publisher.publish(frame(30));
     assert!(next_epoch(&mut viewer, next) > next);
-    wait_until("the node is an edge no more", || a.figure("tmpi_live_edges") == 0.0);
+    wait_until("the node is an edge no more", || a.edges() == 0);
     assert!(matches!(Publisher::new(a.addr, "cellar").client.next(), Some(Kind::Bye(bye)) if bye.reason == "someone publishes in this room"));
 }
 
@@ -215,7 +214,7 @@ fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_
     assert_eq!(Client::at(b.addr, "/v1/live/west/subscribe", &[]).err(), Some(503));
     assert_eq!(Client::at(b.addr, "/v1/live/north/publish", &[]).err(), Some(503));
     drop(viewer);
-    wait_until("the edge ends", || b.figure("tmpi_live_edges") == 0.0);
+    wait_until("the edge ends", || b.edges() == 0);
     assert_eq!(a.room("east", "").json()["viewers"], 0);
     assert!(next_epoch(&mut Client::watch(b.addr, "west"), 0) > 0);
 }

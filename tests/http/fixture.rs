@@ -277,6 +277,13 @@ pub fn incoming(data: &Path) -> usize {
 
 /// Fails after a minute.
 #[track_caller]
+/// A figure of a server's metrics; none where it has no such one.
+pub fn figure(addr: SocketAddr, name: &str) -> Option<u64> {
+    let text = String::from_utf8(client::get(addr, "/metrics").body).unwrap();
+    let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ').map(str::to_owned))?;
+    Some(line.parse::<f64>().unwrap() as u64)
+}
+
 pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_mins(1);
     while !true_now() {

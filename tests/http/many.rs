@@ -13,7 +13,7 @@ use crate::fixture::{picture, wait_until};
 use crate::process::{Process, large, upload};
 
 /// What nodes share.
-struct Shared {
+pub struct Shared {
     dir: tempfile::TempDir,
     database: String,
     objects: Engine,
@@ -21,17 +21,22 @@ struct Shared {
 
 impl Shared {
     /// None, said aloud, where PostgreSQL or the S3 server is not installed.
-    fn start() -> Option<Self> {
+    pub fn start() -> Option<Self> {
         let (database, objects) = (tmpi_testing::database()?, Engine::s3()?);
         Some(Self { dir: tempfile::tempdir().unwrap(), database, objects })
     }
 
     fn node(&self, name: &str, arguments: &[&str]) -> Process {
+        self.node_at(0, name, arguments)
+    }
+
+    /// At a port that is known before.
+    pub fn node_at(&self, port: u16, name: &str, arguments: &[&str]) -> Process {
         let shared = ["--database", &self.database, "--blobs", "s3://photos/tmpi", "--drain", "5", "--lease", "3"];
         let variables = Engine::s3_variables(self.objects.addr);
         let mut environment: Vec<(&str, &str)> = variables.iter().map(|(name, value)| (*name, value.as_str())).collect();
         environment.push(("AWS_ALLOW_HTTP", "true"));
-        Process::start_in(&self.dir.path().join(name), &[&shared[..], arguments].concat(), &environment)
+        Process::start_at(port, &self.dir.path().join(name), &[&shared[..], arguments].concat(), &environment)
     }
 }
 

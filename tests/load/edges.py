@@ -1,58 +1,29 @@
-"""Rooms of several nodes on a PostgreSQL of its own: what viewers at an edge cost beside viewers at the origin, and how long the origin's end is felt."""
-import os, pwd, shutil, socket, subprocess, sys, tempfile, time
+"""Rooms of several nodes on a PostgreSQL and an S3 server of their own: what viewers at an edge cost beside viewers at the origin, and how long the origin's end is felt."""
+import os, shutil, subprocess, sys, tempfile, time
 from pathlib import Path
 from common import PROGRAM, Server, Table, check
+from engines import Postgres, free_port, s3_server
 
 VIEWERS = 200
 
 
-class Postgres:
-    """A server in a temporary folder that is reached by a socket in it; root's as the user `postgres`."""
-
-    def __init__(self, programs):
-        self.folder = tempfile.mkdtemp(prefix="tmpi-pg-")
-        self.user = {}
-        if os.getuid() == 0:
-            user = pwd.getpwnam("postgres")
-            os.chown(self.folder, user.pw_uid, user.pw_gid)
-            self.user = {"user": user.pw_uid, "group": user.pw_gid}
-        data = f"{self.folder}/db"
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": self.folder, **self.user}
-        subprocess.run([f"{programs}/initdb", "-D", data, "-U", "postgres", "-A", "trust", "--no-sync"], check=True, **quiet)
-        self.process = subprocess.Popen([f"{programs}/postgres", "-D", data, "-k", self.folder, "-c", "listen_addresses="], **quiet)
-        wait(lambda: os.path.exists(f"{self.folder}/.s.PGSQL.5432"), "PostgreSQL listens")
-
-    def stop(self):
-        self.process.terminate()
-        self.process.wait()
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-    @staticmethod
-    def programs():
-        debian = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda p: int(p.parent.name))
-        found = shutil.which("initdb")
-        return str(Path(found).resolve().parent) if found else str(debian[-1]) if debian else None
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def node(postgres):
+def node(postgres, s3):
     port = free_port()
-    env = {"TMPI_SERVE_DATABASE": f"postgres://postgres@localhost/postgres?host={postgres.folder}"}
-    return Server("--advertise", f"http://127.0.0.1:{port}", "--connections", "4096", "--connections-per-address", "4096", env=env, port=port)
+    env = {
+        "TMPI_SERVE_DATABASE": postgres.url,
+        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{s3.port}", "AWS_ALLOW_HTTP": "true", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1",
+    }
+    args = ("--advertise", f"http://127.0.0.1:{port}", "--blobs", "s3://photos/tmpi", "--connections", "4096", "--connections-per-address", "4096")
+    return Server(*args, env=env, port=port)
 
 
 def edges(stream, full):
-    programs = Postgres.programs()
-    if not programs:
+    if not Postgres.PROGRAMS:
         print("skipped, no PostgreSQL")
         return
-    postgres = Postgres(programs)
-    nodes = [node(postgres) for _ in range(3)]
+    folder = Path(tempfile.mkdtemp(prefix="tmpi-edges-"))
+    postgres, s3 = Postgres(folder), s3_server()
+    nodes = [node(postgres, s3) for _ in range(3)]
     print(f"\nload of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} processors\n")
     cost(nodes, stream, 20 if full else 8)
     print()
@@ -63,7 +34,9 @@ def edges(stream, full):
         log = Path(server.log.name).read_text()
         check("panicked" not in log, f"nothing panicked: {log[-500:]}")
         server.stop()
-    postgres.stop()
+    s3.kill()
+    postgres.kill()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def cost(nodes, stream, seconds):
