@@ -8,8 +8,9 @@ use std::time::Duration;
 use tmpi::server::{Config, Limits, Server};
 use tmpi_render::Backend;
 
-use crate::client::{figure, get, request};
+use crate::client::{get, request};
 use crate::fixture::{Running, jpeg, pipeline, wait_until};
+use crate::fixture::figure;
 
 /// A server that asks who comes, and the address of its operators.
 fn start(data: &Path) -> (Running, SocketAddr) {

@@ -161,10 +161,3 @@ pub fn post_form(addr: SocketAddr, headers: &[(&str, &str)], parts: &[(&str, &[u
     all.extend(headers);
     request(addr, "POST", "/v1/photos", &all, &body)
 }
-
-/// A figure of a server's metrics; none where it has no such one.
-pub fn figure(addr: SocketAddr, name: &str) -> Option<u64> {
-    let text = String::from_utf8(get(addr, "/metrics").body).unwrap();
-    let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ').map(str::to_owned))?;
-    Some(line.parse::<f64>().unwrap() as u64)
-}

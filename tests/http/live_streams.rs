@@ -85,11 +85,15 @@ fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_w
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
-    wide.iter().for_each(|unit| camera.send(unit).unwrap());
+    for unit in wide.iter() {
+        camera.send(unit).unwrap();
+    }
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
-        film.iter().for_each(|unit| camera.send(unit).unwrap());
+        for unit in film.iter() {
+        camera.send(unit).unwrap();
+    }
         sees(&mut viewer, size);
     }
     // who comes later, too
@@ -102,7 +106,9 @@ fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &film[0], (640, 480));
-    film.iter().for_each(|unit| camera.send(unit).unwrap());
+    for unit in film.iter() {
+        camera.send(unit).unwrap();
+    }
     sees(&mut Client::watch(server.addr, "attic"), (320, 240));
 }
 
@@ -139,7 +145,9 @@ fn who_watches_is_told_at_once_that_the_publisher_has_said_goodbye() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &film[0], (320, 240));
-    film.iter().for_each(|unit| camera.send(unit).unwrap());
+    for unit in film.iter() {
+        camera.send(unit).unwrap();
+    }
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     let start = std::time::Instant::now();
