@@ -33,7 +33,7 @@ usage: cargo xtask <task>
   nightly [--minutes N] [STEP…]
                 what needs hours: load and fault scripts, requests against OpenAPI, mutants, fuzzers; no step takes longer than N minutes (20)
   fuzz [--seconds N] [TARGET…]
-                fuzz the readers of foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
+                fuzz the readers of foreign bytes (containers, photos, depth maps, forms, headers, settings), N seconds each
   shaders       generate the GLSL of static/draw/glsl.js from the WGSL
   wasm          build the pages' decoders, static/*/*.wasm
   release [--offline]
