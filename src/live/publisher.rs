@@ -39,7 +39,7 @@ pub async fn serve(mut socket: WebSocket, entry: &Entry, here: &Here, ends: Opti
 
 /// Whether a publisher that is sent away for that reason may try again: a camera that paused may go on.
 fn may_come_back(reason: &str) -> bool {
-    reason == STOPS || reason == UNREACHABLE || reason.starts_with(SILENT)
+    reason == STOPS || reason == UNREACHABLE || reason.starts_with(SILENT) || reason.starts_with(BROKE)
 }
 
 const STOPS: &str = "the server stops";
@@ -48,6 +48,7 @@ pub(super) const SENT_AWAY: &str = "the publisher was sent away";
 /// Why a second publisher is sent away.
 pub(crate) const TAKEN: &str = "someone publishes in this room";
 const SILENT: &str = "nothing came for";
+const BROKE: &str = "the connection broke";
 const BIDIRECTIONAL: &str =
     "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
 const UNREACHABLE: &str = "the database of rooms cannot be reached";
@@ -238,7 +239,7 @@ async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, St
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
             Some(Ok(Message::Text(_))) => Err("messages are binary".into()),
             Some(Ok(Message::Close(_))) | None => Ok(None),
-            Some(Err(error)) => Err(format!("the connection broke: {error}")),
+            Some(Err(error)) => Err(format!("{BROKE}: {error}")),
         };
     }
 }
@@ -336,6 +337,6 @@ impl Frames {
     async fn credit(&mut self, socket: &mut WebSocket, frames: u32, key: bool) -> Result<(), String> {
         self.allowed += frames;
         let bytes: Bytes = write(Kind::Credit(Credit { frames, key, viewers: 0 }));
-        socket.send(Message::Binary(bytes)).await.map_err(|e| format!("the connection broke: {e}"))
+        socket.send(Message::Binary(bytes)).await.map_err(|e| format!("{BROKE}: {e}"))
     }
 }

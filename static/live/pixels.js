@@ -3,15 +3,17 @@
 import { PIXELS } from './decoder.js';
 
 /**
- * The part of a frame's samples that is shown. Some decoders cut off what VP9's size for drawing leaves out, which others pass over.
+ * The part of a frame's samples that is shown. Some decoders leave to the left what is no multiple of their vectors, though it is to be cut off;
+ * others cut off what VP9's size for drawing leaves out.
  * @param {VideoFrame} picture
  * @param {number} width
  * @param {number} height
  */
 function shownOf({ visibleRect, codedWidth, codedHeight }, width, height) {
-  if (visibleRect?.width === width && visibleRect.height === height) return visibleRect;
-  if (codedWidth < width || codedHeight < height) throw new Error('A frame has another size than the room.');
-  return { x: visibleRect?.x ?? 0, y: visibleRect?.y ?? 0, width, height };
+  const seen = visibleRect ?? { x: 0, y: 0, width: codedWidth, height: codedHeight };
+  const rect = { x: seen.x + Math.max(0, seen.width - width), y: seen.y + Math.max(0, seen.height - height), width, height };
+  if (rect.x + width > codedWidth || rect.y + height > codedHeight) throw new Error('A frame has another size than the room.');
+  return rect;
 }
 
 /**
@@ -37,6 +39,12 @@ export async function pixelsOf(picture, { width, height }, copies) {
   }
   const context = new OffscreenCanvas(width, height).getContext('2d', { willReadFrequently: true });
   if (!context) throw new Error('the browser has no canvas for workers');
-  context.drawImage(picture, 0, 0, width, height);
+  if ('visibleRect' in picture && picture.visibleRect) {
+    const { x, y } = picture.visibleRect;
+    const rect = shownOf(picture, width, height);
+    // places are those of the picture as it is to be drawn, whose pixels need not be square
+    const [across, down] = [picture.displayWidth / picture.visibleRect.width, picture.displayHeight / picture.visibleRect.height];
+    context.drawImage(picture, (rect.x - x) * across, (rect.y - y) * down, width * across, height * down, 0, 0, width, height);
+  } else context.drawImage(picture, 0, 0, width, height);
   return { format: PIXELS.RGBA, bytes: context.getImageData(0, 0, width, height).data };
 }

@@ -78,7 +78,8 @@ fn sees(viewer: &mut Client, size: (u32, u32)) {
 
 #[test]
 fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_watches() {
-    let [Some(wide), Some(high), Some(large)] = ["320x240", "240x320", "640x360"].map(|size| film(size, &["-pix_fmt", "yuv420p", "-g", "5"]))
+    let [Some(wide), Some(high), Some(large)] =
+        ["320x240", "240x320", "640x360"].map(|size| film(size, &["-pix_fmt", "yuv420p", "-g", "5"]))
     else {
         return;
     };
@@ -92,8 +93,8 @@ fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_w
     sees(&mut viewer, (320, 240));
     for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
         for unit in film.iter() {
-        camera.send(unit).unwrap();
-    }
+            camera.send(unit).unwrap();
+        }
         sees(&mut viewer, size);
     }
     // who comes later, too

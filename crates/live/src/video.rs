@@ -4,8 +4,8 @@ mod vp9;
 
 use tmpi_core::Photo;
 use tmpi_core::container::PhotoFormat;
-use tmpi_core::live::{KeyFrame, KeyFrameError, key_frame};
 pub use tmpi_core::live::{Colour, I420, to_rgb};
+use tmpi_core::live::{KeyFrame, KeyFrameError, key_frame};
 use tmpi_pipeline::photo::{self, Limits};
 
 /// Codec string of frames that are JPEG files.

@@ -62,10 +62,10 @@ fn shown(codec: &str, frames: &[Vec<u8>]) -> Result<Vec<Photo>, VideoError> {
     frames.iter().filter_map(|frame| decoder.decode(frame).transpose()).collect()
 }
 
-/// What ffmpeg shows of it. Each chroma value stands for four pixels, as here.
+/// What ffmpeg shows of it, with all that is to be cut off cut off (`unaligned`). Each chroma value stands for four pixels, as here.
 fn reference(format: &str, stream: &[u8], size: (u32, u32), reading: &str) -> Vec<Vec<u8>> {
     let scale = format!("scale={reading}flags=neighbor+accurate_rnd+full_chroma_int");
-    let raw = ffmpeg(&format!("-f {format} -i - -vf {scale} -f rawvideo -pix_fmt rgb24"), stream).unwrap();
+    let raw = ffmpeg(&format!("-flags unaligned -f {format} -i - -vf {scale} -f rawvideo -pix_fmt rgb24"), stream).unwrap();
     raw.chunks_exact(3 * (size.0 * size.1) as usize).map(<[u8]>::to_vec).collect()
 }
 
@@ -78,7 +78,7 @@ fn likeness(is: &[Photo], should: &[Vec<u8>]) -> f64 {
 }
 
 /// Likeness from which on two decoders show the same but for rounding, dB.
-const SAME: f64 = 45.0;
+const SAME: f64 = 50.0;
 
 #[test]
 fn what_is_cut_off_on_any_side_is_not_shown_and_the_rest_lies_where_it_belongs() {
@@ -136,7 +136,8 @@ fn colours_are_those_that_the_stream_names() {
 fn colours_of_vp9_are_those_that_it_names() {
     for (matrix, named) in MATRICES {
         for range in ["tv", "pc"] {
-            let converted = format!("scale=out_color_matrix={matrix}:out_range={range},format=yuv420p,setparams=range={range}:colorspace={named}");
+            let converted =
+                format!("scale=out_color_matrix={matrix}:out_range={range},format=yuv420p,setparams=range={range}:colorspace={named}");
             let coder = "-c:v libvpx-vp9 -deadline realtime -cpu-used 8 -lag-in-frames 0 -auto-alt-ref 0 -crf 10 -b:v 0 -f ivf";
             let Some(file) = film("174x142", &converted, coder) else { return };
             let frames = ivf(&file);
@@ -176,7 +177,10 @@ fn what_is_not_decoded_says_so_by_its_first_frame_with_what_helps() {
         let units = units(&stream);
         let refused = video::size(&codec(&units[0]).unwrap(), &units[0]);
         let why = refused.as_ref().err().map(ToString::to_string).unwrap_or_default();
-        assert!(matches!(refused, Err(VideoError::Unsupported(_))) && why.contains(word) && why.contains("ffmpeg -"), "{filters}: {refused:?}");
+        assert!(
+            matches!(refused, Err(VideoError::Unsupported(_))) && why.contains(word) && why.contains("ffmpeg -"),
+            "{filters}: {refused:?}"
+        );
     }
     let Some(file) = film("176x144", "format=yuv444p", "-c:v libvpx-vp9 -deadline realtime -cpu-used 8 -f ivf") else { return };
     let refused = video::size("vp09.01.10.08", &ivf(&file)[0]);

@@ -328,7 +328,12 @@ mod tests {
                 let h = tmpi_core::homography([0.0, 0.0, delta], &own.intrinsics, &camera);
                 let [u, v, w] = tmpi_core::mat3_vec(&h, [x, y, 1.0]);
                 let inside = |at: f64, border: f64, side: f64| if border == 0.0 { at > 0.5 } else { at < side - 0.5 };
-                assert!(!inside(u / w, x, 600.0) && !inside(v / w, y, 400.0), "{path:?} {i}: {x}, {y} at {delta} is seen at {}, {}", u / w, v / w);
+                assert!(
+                    !inside(u / w, x, 600.0) && !inside(v / w, y, 400.0),
+                    "{path:?} {i}: {x}, {y} at {delta} is seen at {}, {}",
+                    u / w,
+                    v / w
+                );
             }
         }
     }

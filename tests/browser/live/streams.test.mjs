@@ -80,7 +80,8 @@ describe('streams', () => {
     ]);
     let [width, height] = String(info).split('\n')[0].split(',').map(Number);
     const filter = `scale=${reading}flags=neighbor+accurate_rnd+full_chroma_int`;
-    const pixels = ffmpeg(['-i', file, '-frames:v', '1', '-vf', filter, '-f', 'rawvideo', '-pix_fmt', 'rgba', '-']);
+    // with all that is to be cut off cut off
+    const pixels = ffmpeg(['-flags', 'unaligned', '-i', file, '-frames:v', '1', '-vf', filter, '-f', 'rawvideo', '-pix_fmt', 'rgba', '-']);
     if (file.includes('turned')) [width, height] = [height, width];
     return { pixels, width, height };
   }
