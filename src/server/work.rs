@@ -10,6 +10,7 @@ use axum::http::StatusCode;
 use bytes::Bytes;
 use tmpi_library::{Content, Contents, Event, Kind, Lease, LibraryError, Made, Part, Retry};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::app::App;
@@ -123,13 +124,19 @@ async fn hold<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Option<T> {
     let library = &doing.app.library;
-    let (mut work, mut events) = (tokio::task::spawn_blocking(work), library.subscribe());
+    let (send, mut done) = oneshot::channel();
+    let mut events = library.subscribe();
+    let started = std::thread::Builder::new().name("tmpi-job".into()).spawn(move || drop(send.send(work())));
+    if let Err(error) = started {
+        tracing::error!(%error, "no thread can be started");
+        return None;
+    }
     let period = doing.app.limits.lease / RENEWALS;
     let mut period = tokio::time::interval_at(tokio::time::Instant::now() + period, period);
     let mut said = None;
     loop {
         let renew = tokio::select! {
-            done = &mut work => {
+            done = &mut done => {
                 while let Ok(progress) = told.try_recv() {
                     tell(lease, doing, &progress).await;
                 }
@@ -141,7 +148,13 @@ async fn hold<T: Send + 'static>(
             }
             event = events.next() => match event {
                 // it may have been deleted or cancelled
-                Some(Event::Photo(id) | Event::Deleted(id)) => id == lease.job.photo,
+                Some(Event::Photo(id) | Event::Deleted(id)) if id == lease.job.photo => {
+                    if let Some(said) = &said {
+                        // with that nobody knows any more how far it is
+                        tell_again(lease, doing, said).await;
+                    }
+                    true
+                }
                 Some(Event::Gap) => true,
                 _ => false,
             },
@@ -158,12 +171,16 @@ async fn hold<T: Send + 'static>(
     }
 }
 
-/// Tells how it goes.
-async fn tell(lease: &Lease, doing: &Doing, progress: &Progress) -> Option<serde_json::Value> {
-    let said = serde_json::to_value(Stage::from(progress)).ok()?;
+async fn tell_again(lease: &Lease, doing: &Doing, said: &serde_json::Value) {
     if let Err(error) = doing.app.library.tell_progress(lease, said.clone()).await {
         tracing::debug!(%error, "progress");
     }
+}
+
+/// Tells how it goes.
+async fn tell(lease: &Lease, doing: &Doing, progress: &Progress) -> Option<serde_json::Value> {
+    let said = serde_json::to_value(Stage::from(progress)).ok()?;
+    tell_again(lease, doing, &said).await;
     Some(said)
 }
 
@@ -199,7 +216,7 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
             "failed"
         }
         End::Again(Retry::Died(reason)) => {
-            tracing::warn!(photo = %lease.job.photo, reason, "a job took down what did it");
+            tracing::warn!(photo = %lease.job.photo, reason, "it took down what made it");
             "crashed"
         }
         End::Again(Retry::Fault(reason)) => {

@@ -31,8 +31,12 @@ fn made(limits: Limits, photo: Vec<u8>) -> Made {
 impl Made {
     /// The one file of a part.
     fn file(&self, part: &str) -> PathBuf {
-        let mut all = contents(self.dir.path(), &self.id, part);
-        assert_eq!(all.len(), 1, "{all:?}");
+        let mut all = Vec::new();
+        // the one of before goes behind the answer
+        wait_until("there is one", || {
+            all = contents(self.dir.path(), &self.id, part);
+            all.len() == 1
+        });
         all.remove(0)
     }
 

@@ -2,7 +2,7 @@
 
 Programs: `target/release/tmpi`, or what `TMPI` names, and `tmpi-lab` beside it. Every script starts its servers itself and asks nobody else.
 """
-import atexit, http.client, json, os, shutil, signal, socket, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
+import atexit, contextlib, http.client, json, os, shutil, signal, socket, sqlite3, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -271,3 +271,16 @@ def raw(server, request, timeout=20):
     connection = socket.create_connection(server.address, timeout)
     connection.sendall(request)
     return connection
+
+
+def contents(server, photo, part):
+    """Files of a part of a photo."""
+    return list((server.data / "data/blobs" / photo[:2]).glob(f"{photo}-{part}-*"))
+
+
+def multiply(server, photo, ids):
+    """Enters a photo again under other ids, which share its contents, while the server is stopped."""
+    with contextlib.closing(sqlite3.connect(server.data / "data/library.db")) as database, database:
+        columns = ", ".join(row[1] for row in database.execute("PRAGMA table_info(photos)") if row[1] not in ("id", "accepted_at"))
+        entered = f"INSERT INTO photos (id, accepted_at, {columns}) SELECT ?, ?, {columns} FROM photos WHERE id = ?"
+        database.executemany(entered, ((other, n, photo) for n, other in enumerate(ids)))

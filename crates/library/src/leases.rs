@@ -137,6 +137,11 @@ impl Library {
         let mut events = self.subscribe();
         let mut stop = std::pin::pin!(stop);
         loop {
+            tokio::select! {
+                biased;
+                () = &mut stop => return Ok(None),
+                () = std::future::ready(()) => {}
+            }
             // never dropped half way: a lease that nobody holds keeps its job from all others
             if let Some(lease) = self.take(kinds, lasts).await? {
                 return Ok(Some(lease));

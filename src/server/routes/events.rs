@@ -35,6 +35,8 @@ struct Listener {
     subscription: Subscription,
     /// False until the photo was read.
     seen: bool,
+    /// The stage that was told last.
+    stage: Option<Progress>,
     /// Place in the queue that was told last, and nothing since.
     queued: Option<u64>,
     ended: bool,
@@ -53,7 +55,7 @@ impl Listener {
                 News::Nothing => continue,
                 News::Stage(progress) if self.is_allowed(None).await => {
                     self.queued = None;
-                    vec![event("stage", &progress)]
+                    self.stage_events(progress)
                 }
                 News::Stage(_) => return None,
                 News::Photo => self.fresh().await?,
@@ -109,7 +111,7 @@ impl Listener {
         let mut events = Vec::new();
         while let Some(happened) = self.subscription.try_next() {
             if let News::Stage(progress) = News::of(self.id, happened) {
-                events.push(event("stage", &progress));
+                events.extend(self.stage_events(progress));
             }
         }
         events.extend(match photo.state {
@@ -118,6 +120,16 @@ impl Listener {
             _ => self.end("failed", &Problem::of_photo(&photo)),
         });
         Some(events)
+    }
+
+    /// A stage, unless it was told already.
+    fn stage_events(&mut self, progress: Progress) -> Vec<Event> {
+        if self.stage.as_ref() == Some(&progress) {
+            return Vec::new();
+        }
+        let told = vec![event("stage", &progress)];
+        self.stage = Some(progress);
+        told
     }
 
     fn end<T: Serialize>(&mut self, name: &'static str, data: &T) -> Vec<Event> {
@@ -175,9 +187,10 @@ pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) 
     let subscription = app.library.subscribe();
     // the last that was said of it, then everything
     let last = app.library.progress_of(photo.id).and_then(|said| serde_json::from_value::<Progress>(said).ok());
-    let last = last.filter(|_| photo.state == Phase::Working).map(|stage| event("stage", &stage));
+    let stage = last.filter(|_| photo.state == Phase::Working);
+    let last = stage.as_ref().map(|stage| event("stage", stage));
     let listener =
-        Listener { id: photo.id, app, subscription, seen: false, queued: None, ended: false, pass: Guard::pass(), _place: place };
+        Listener { id: photo.id, app, subscription, seen: false, stage, queued: None, ended: false, pass: Guard::pass(), _place: place };
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));
     let events = batches.flat_map(stream::iter);
     let mut response = Sse::new(stream::iter(last).chain(events).map(Ok::<_, Infallible>)).keep_alive(keep_alive).into_response();
