@@ -142,21 +142,13 @@ fn what_follows_from_others_is_shown_as_it_is_used() {
 #[test]
 fn secrets_in_addresses_are_not_told() {
     let f = Folder::new();
-    let args = [
-        "--database",
-        "postgres://me:secret@127.0.0.1/tmpi",
-        "--blobs",
-        "s3://photos/tmpi",
-        "--otlp",
-        "http://me:secret@127.0.0.1:4318",
-    ];
+    let args =
+        ["--database", "postgres://me:secret@127.0.0.1/tmpi", "--blobs", "s3://photos/tmpi", "--otlp", "http://me:secret@127.0.0.1:4318"];
     let run = config(&f, &[], &[&args[..], &["--network-url", "https://me:secret@host/net.onnx?signature=secret"]].concat()).succeeds();
     assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1/tmpi"), "{}", run.out);
     has(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
     // nor in what is wrong with them
-    for (name, value) in
-        [("--otlp", "ftp://me:secret@127.0.0.1"), ("--database", "postgres://me:secret@host")]
-    {
+    for (name, value) in [("--otlp", "ftp://me:secret@127.0.0.1"), ("--database", "postgres://me:secret@host")] {
         let said = config(&f, &[], &[name, value]).fails(2, &[name]);
         assert!(!said.contains("secret"), "{said}");
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::ServeArgs;
-use crate::cli::{Usage, files};
+use crate::cli::Usage;
 use crate::server::{Reserve, Role, Tls, check_collector};
 use tmpi_pipeline::networks::models::{self, Settings};
 
