@@ -91,7 +91,8 @@ struct SideData {
 impl SideData {
     /// Whether pictures are to be shown otherwise than they come.
     fn turns(&self) -> bool {
-        let rows: Vec<Vec<i64>> = self.displaymatrix.lines().map(|line| line.split_whitespace().filter_map(|n| n.parse().ok()).collect()).collect();
+        let rows: Vec<Vec<i64>> =
+            self.displaymatrix.lines().map(|line| line.split_whitespace().filter_map(|n| n.parse().ok()).collect()).collect();
         let numbers: Vec<i64> = rows.into_iter().filter(|row| row.len() == 3).flatten().collect();
         matches!(numbers[..], [a, b, _, c, d, ..] if a <= 0 || b != 0 || c != 0 || d <= 0)
     }

@@ -10,8 +10,8 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures_util::stream;
-use tokio::sync::watch;
 use tmpi_library::Origin;
+use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::access::Role;

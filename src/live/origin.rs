@@ -141,7 +141,8 @@ impl Nodes {
         let bearer = self.bearer(room).await?.parse().map_err(|_| EdgeError::Address)?;
         request.headers_mut().insert(header::AUTHORIZATION, bearer);
         let config = WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE)).max_frame_size(Some(MAX_MESSAGE));
-        let (socket, _) = timeout(CONNECT, connect_async_with_config(request, Some(config), true)).await.map_err(|_| EdgeError::Silent)??;
+        let (socket, _) =
+            timeout(CONNECT, connect_async_with_config(request, Some(config), true)).await.map_err(|_| EdgeError::Silent)??;
         Ok(socket)
     }
 
@@ -156,7 +157,8 @@ impl Nodes {
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, "elsewhere", detail).retry_after(1)
         };
         let bearer = self.bearer(room).await.map_err(|e| silent(&e))?;
-        let request = self.http.get(format!("{}/v1/live/{room}{path}", origin.address)).headers(headers).header(header::AUTHORIZATION, bearer);
+        let request =
+            self.http.get(format!("{}/v1/live/{room}{path}", origin.address)).headers(headers).header(header::AUTHORIZATION, bearer);
         let answer = request.send().await.map_err(|e| silent(&e))?;
         match answer.status() {
             StatusCode::NOT_FOUND => Err(none_publishes()),

@@ -193,7 +193,9 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
             Some(Kind::Bye(_)) => return Ok(Gone::Said),
             Some(Kind::Video(video)) => {
                 frames.check(&video)?;
-                if video.key && let Some(hello) = show.resized(&video.data)? {
+                if video.key
+                    && let Some(hello) = show.resized(&video.data)?
+                {
                     // the threads of before end with what they have, and tell of it
                     show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
                 }

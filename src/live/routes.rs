@@ -191,9 +191,7 @@ async fn subscribe(
     let (room, ends, kind) = match leave {
         Leave::Until(ends) => (here.rooms.visit(&name).await?, ends, Watches::Itself),
         // the origin serves edges, and edges do not
-        Leave::Node => {
-            (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0))
-        }
+        Leave::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0)),
     };
     if kind == Watches::Itself && room.is_full() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", viewer::FULL).retry_after(FULL_AGAIN));

@@ -43,11 +43,16 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
         "max-size" => options.max_size = Some(whole(&name, value, "of pixels")?),
         "photo-depth" => options.photo_depth = choice::<Switch>(&name, value)?,
         "plane-method" => options.plane_method = choice::<PlaneMethod>(&name, value)?,
-        "planes" => options.planes = if value == "auto" { PlaneCount::Auto } else { PlaneCount::Fixed(whole(&name, value, "from 1 to 64, or auto")?) },
+        "planes" => {
+            options.planes =
+                if value == "auto" { PlaneCount::Auto } else { PlaneCount::Fixed(whole(&name, value, "from 1 to 64, or auto")?) }
+        }
         "quality" => options.quality = whole(&name, value, "from 1 to 100")?,
         "refine" => options.refine = choice::<Switch>(&name, value)?,
         "snap" => options.snap = choice::<Switch>(&name, value)?,
-        "tile" => options.tile = if value == "full" { TileSize::Full } else { TileSize::Pixels(whole(&name, value, "of pixels, or full")?) },
+        "tile" => {
+            options.tile = if value == "full" { TileSize::Full } else { TileSize::Pixels(whole(&name, value, "of pixels, or full")?) }
+        }
         "view-box" => options.view_box = view_box(&name, value)?,
         _ => return Ok(false),
     }
