@@ -86,13 +86,13 @@ fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_w
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
-    for unit in wide.iter() {
+    for unit in &wide {
         camera.send(unit).unwrap();
     }
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
-        for unit in film.iter() {
+        for unit in film {
             camera.send(unit).unwrap();
         }
         sees(&mut viewer, size);
@@ -107,7 +107,7 @@ fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &film[0], (640, 480));
-    for unit in film.iter() {
+    for unit in &film {
         camera.send(unit).unwrap();
     }
     sees(&mut Client::watch(server.addr, "attic"), (320, 240));
@@ -146,7 +146,7 @@ fn who_watches_is_told_at_once_that_the_publisher_has_said_goodbye() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &film[0], (320, 240));
-    for unit in film.iter() {
+    for unit in &film {
         camera.send(unit).unwrap();
     }
     let mut viewer = Client::watch(server.addr, "attic");
