@@ -36,7 +36,6 @@ fn options_count_before_variables_those_before_the_file_and_that_before_defaults
         "# max-pixels = 50",
         "# lame-duck = 0",
         "# access = \"private\"",
-        "# keys = \"tmpi-data\"",
         "# rate-requests = 0",
         "# least-free = 64 # or a twentieth of a smaller disk",
         "# quota-photos =",

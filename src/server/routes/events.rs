@@ -10,6 +10,7 @@ use axum::response::{IntoResponse, Response};
 use futures_util::{StreamExt as _, stream};
 use serde::Serialize;
 use tmpi_library::{Event as Happened, Kind, Photo, PhotoId, PhotoState as Phase, Subscription};
+use tokio::time::Instant;
 
 use super::query::NoQuery;
 use super::state::{PhotoState, Progress};
@@ -35,6 +36,8 @@ struct Listener {
     subscription: Subscription,
     /// False until the photo was read.
     seen: bool,
+    /// When it is looked next at the queue, and at who may listen.
+    look: Instant,
     /// The stage that was told last.
     stage: Option<Progress>,
     /// Place in the queue that was told last, and nothing since.
@@ -73,10 +76,13 @@ impl Listener {
         let looks = self.queued.is_some() || self.pass.is_some();
         tokio::select! {
             biased;
+            // the queue moves without a word to those who wait in it; others' events must not put this off
+            () = tokio::time::sleep_until(self.look), if looks => {
+                self.look = Instant::now() + QUEUE_LOOK;
+                Some(News::Photo)
+            }
             happened = self.subscription.next() => Some(News::of(self.id, happened?)),
             () = self.app.stop.cancelled() => None,
-            // the queue moves without a word to those who wait in it
-            () = tokio::time::sleep(QUEUE_LOOK), if looks => Some(News::Photo),
         }
     }
 
@@ -189,8 +195,18 @@ pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) 
     let last = app.library.progress_of(photo.id).and_then(|said| serde_json::from_value::<Progress>(said).ok());
     let stage = last.filter(|_| photo.state == Phase::Working);
     let last = stage.as_ref().map(|stage| event("stage", stage));
-    let listener =
-        Listener { id: photo.id, app, subscription, seen: false, stage, queued: None, ended: false, pass: Guard::pass(), _place: place };
+    let listener = Listener {
+        id: photo.id,
+        app,
+        subscription,
+        seen: false,
+        look: Instant::now() + QUEUE_LOOK,
+        stage,
+        queued: None,
+        ended: false,
+        pass: Guard::pass(),
+        _place: place,
+    };
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));
     let events = batches.flat_map(stream::iter);
     let mut response = Sse::new(stream::iter(last).chain(events).map(Ok::<_, Infallible>)).keep_alive(keep_alive).into_response();
