@@ -41,7 +41,7 @@ pub enum Need {
     S3,
     /// `azure`: azurite, an Azure server in JavaScript.
     Azure,
-    /// `postgres`: the programs `initdb` and `postgres`.
+    /// `postgres`: the programs `initdb`, `postgres` and `createdb`.
     Postgres,
     /// `data`: the folder that `TMPI_DATA` names.
     Data,
@@ -127,7 +127,7 @@ pub fn data(folder: &str) -> Option<PathBuf> {
     Need::Data.or_skip(found)
 }
 
-/// The folder with PostgreSQL's `initdb` and `postgres`, of the newest version; none where they are not installed, and the test is skipped.
+/// The folder with PostgreSQL's `initdb`, `postgres` and `createdb`, of the newest version; none where one is not installed, and the test is skipped.
 ///
 /// # Panics
 /// As [`Need::or_skip`].
@@ -141,7 +141,7 @@ pub fn postgres() -> Option<PathBuf> {
 const DEBIAN: &str = "/usr/lib/postgresql";
 
 fn postgres_in(path: &OsStr, versions: &Path) -> Option<PathBuf> {
-    let is_whole = |folder: &PathBuf| ["initdb", "postgres"].iter().all(|p| folder.join(p).is_file());
+    let is_whole = |folder: &PathBuf| ["initdb", "postgres", "createdb"].iter().all(|p| folder.join(p).is_file());
     let version = |folder: &PathBuf| folder.file_name().and_then(|n| n.to_str()?.parse::<u32>().ok());
     let mut debian: Vec<PathBuf> = std::fs::read_dir(versions).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
     debian.sort_by_key(|folder| std::cmp::Reverse(version(folder)));
@@ -195,15 +195,15 @@ mod tests {
             }
             folder
         };
-        let both = ["initdb", "postgres"];
+        let all = ["initdb", "postgres", "createdb"];
         let half = install("half", &["postgres"]);
         let versions = root.path().join("lib");
         assert_eq!(postgres_in(half.as_os_str(), &versions), None);
-        install("lib/9/bin", &both);
-        let newest = install("lib/17/bin", &both);
+        install("lib/9/bin", &all);
+        let newest = install("lib/17/bin", &all);
         install("lib/18/bin", &["postgres"]);
         assert_eq!(postgres_in(half.as_os_str(), &versions), Some(newest));
-        let own = install("own", &both);
+        let own = install("own", &all);
         assert_eq!(postgres_in(own.as_os_str(), &versions), Some(own));
     }
 }
