@@ -55,6 +55,13 @@ impl Camera {
         self.number += 1;
         Ok(())
     }
+
+    /// Sends all frames of a film.
+    fn play(&mut self, film: &[Unit]) {
+        for unit in film {
+            self.send(unit).unwrap();
+        }
+    }
 }
 
 /// Reads until all tiles of pictures of that size are there.
@@ -86,15 +93,11 @@ fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_w
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
-    for unit in &wide {
-        camera.send(unit).unwrap();
-    }
+    camera.play(&wide);
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
-        for unit in film {
-            camera.send(unit).unwrap();
-        }
+        camera.play(film);
         sees(&mut viewer, size);
     }
     // who comes later, too
@@ -107,9 +110,7 @@ fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &film[0], (640, 480));
-    for unit in &film {
-        camera.send(unit).unwrap();
-    }
+    camera.play(&film);
     sees(&mut Client::watch(server.addr, "attic"), (320, 240));
 }
 
@@ -146,9 +147,7 @@ fn who_watches_is_told_at_once_that_the_publisher_has_said_goodbye() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &film[0], (320, 240));
-    for unit in &film {
-        camera.send(unit).unwrap();
-    }
+    camera.play(&film);
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     let start = std::time::Instant::now();
