@@ -88,7 +88,7 @@ pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
         let (planes, background, [across, down, noise]) = &kinds[t as usize % kinds.len()];
         let label = |x: u32, y: u32| {
             let cell = x / (u32::from(*across) % 40 + 1) + y / (u32::from(*down) % 40 + 1);
-            let stray = u32::from(*noise) > 200 && (x * 31 + y * 17) % 23 == 0;
+            let stray = u32::from(*noise) > 200 && (x * 31 + y * 17).is_multiple_of(23);
             ((cell + u32::from(stray)) % planes.len() as u32) as u8
         };
         let labels = (r.y..r.y + r.h).flat_map(|y| (r.x..r.x + r.w).map(move |x| (x, y))).map(|(x, y)| label(x, y)).collect();
