@@ -192,9 +192,10 @@ pub struct Lease {
 }
 
 impl Lease {
-    /// Higher than that of whichever node had the room before, with room for those that begin where the size of the pictures changes.
+    /// Higher than that of whichever node had the room before: milliseconds of the database, which go on faster than the epochs that a change of
+    /// the pictures' size begins.
     pub const fn epoch(&self) -> u64 {
-        self.origin.epoch.cast_unsigned() << 20
+        self.origin.epoch.cast_unsigned()
     }
 
     /// Gives the room back, unless it is another's already.
