@@ -290,7 +290,7 @@ mod tests {
         t.request("GET", "/healthz", 200, Duration::from_hours(1));
         t.job("done", Duration::from_millis(700));
         let alive = t.connection();
-        let text = t.text(&[gauge("tmpi_queue_depth", "Waiting jobs", 2.0), counter("tmpi_hints_sent", "Hints", 3.0)]).unwrap();
+        let text = t.text(&[gauge("tmpi_queue_depth", "Waiting jobs", 2.0), counter("words_sent", "Words", 3.0)]).unwrap();
         drop(alive);
         for line in [
             "tmpi_requests_total{method=\"GET\",route=\"/healthz\",status=\"200\"} 2",
@@ -301,8 +301,8 @@ mod tests {
             "tmpi_jobs_total{outcome=\"done\"} 1",
             "tmpi_connections 1",
             "tmpi_queue_depth 2.0",
-            "# TYPE tmpi_hints_sent counter",
-            "tmpi_hints_sent_total 3.0",
+            "# TYPE words_sent counter",
+            "words_sent_total 3.0",
             "# TYPE process_start_time_seconds gauge",
             "# EOF",
         ] {
