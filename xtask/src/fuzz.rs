@@ -128,7 +128,12 @@ fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
     }
     let mut command = Command::new(program);
     // one thread each: as many targets as cores run side by side
-    command.env("TMPI_FUZZ", name).env("RAYON_NUM_THREADS", "1").current_dir(root()).args([TIMEOUT, MEMORY, "-detect_leaks=0", "-print_final_stats=1"]);
+    command.env("TMPI_FUZZ", name).env("RAYON_NUM_THREADS", "1").current_dir(root()).args([
+        TIMEOUT,
+        MEMORY,
+        "-detect_leaks=0",
+        "-print_final_stats=1",
+    ]);
     command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
     command.arg(&found).arg(root().join("fuzz/seeds").join(name));
     let said = run_quietly(command)?;
