@@ -1,7 +1,7 @@
 //! How making photos scales with nodes that make them: `cargo bench --workspace --bench workers`.
 //!
-//! All nodes are in this process. Making a photo takes a simulated cost, so that what is measured is what nodes do for one another: finding
-//! work, leases, results that are stored. The store is a folder, or what `TMPI_BENCH_STORE` names; `TMPI_BENCH_NATS=nats://…` adds hints.
+//! All nodes are in this process, with a PostgreSQL database and a folder of contents. Making a photo takes a simulated cost, so that what is
+//! measured is what nodes do for one another: finding work, leases, results that are stored.
 //! It ends with status 1 where four nodes make less than 1.8 times what two do, or 64 less than 90 % of what they could.
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "bench")]
 
@@ -13,8 +13,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-use tmpi::live::NodeConfig;
-use tmpi::server::{Config, Fault, Limits, Maker, Nats, PipelineMaker, Product, Role, Server, Sharing};
+use tmpi::server::{Config, Fault, Limits, Maker, PipelineMaker, Product, Role, Server};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{MakeError, Models, Options, Silent, Sink};
@@ -91,11 +90,6 @@ fn ask(addr: SocketAddr, method: &str, path: &str, body: &[u8]) -> (u16, String)
     (status, answer)
 }
 
-fn figure(addr: SocketAddr, name: &str) -> f64 {
-    let (_, text) = ask(addr, "GET", "/metrics", &[]);
-    text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok()).unwrap_or(0.0)
-}
-
 fn wait(what: &str, mut true_now: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_mins(2);
     while !true_now() {
@@ -107,12 +101,9 @@ fn wait(what: &str, mut true_now: impl FnMut() -> bool) {
 /// Photos a second of `workers` nodes, of what they could make at best.
 fn rate(runtime: &tokio::runtime::Runtime, workers: usize, product: &Product) -> (f64, f64) {
     let folder = tempfile::tempdir().unwrap();
-    // a part of the store of its own
-    let store = match std::env::var("TMPI_BENCH_STORE") {
-        Ok(url) => format!("{url}/{}", folder.path().file_name().unwrap_or_default().to_string_lossy()),
-        Err(_) => format!("file://{}", folder.path().join("store").display()),
-    };
-    let servers: Vec<_> = std::env::var("TMPI_BENCH_NATS").ok().into_iter().map(|url| url.parse().unwrap()).collect();
+    let database = tmpi_testing::database();
+    let contents = folder.path().join("contents");
+    std::fs::create_dir(&contents).unwrap();
     let maker = Arc::new(Slow {
         product: product.clone(),
         open: Mutex::new(false),
@@ -123,23 +114,20 @@ fn rate(runtime: &tokio::runtime::Runtime, workers: usize, product: &Product) ->
     let (stop, _) = tokio::sync::broadcast::channel::<()>(1);
     let mut running = Vec::new();
     let mut start = |name: String, role| {
-        let at = NodeConfig { servers: servers.clone(), login: None, name: name.clone() };
-        let nats = (!servers.is_empty()).then_some(Nats { at, replicas: 1 });
-        let sharing = Sharing { store: store.clone(), role, nats };
-        let config = Config {
-            limits: Limits { workers: 1, queue: 10_000, ..Limits::default() },
-            ..Config::new(([127, 0, 0, 1], 0).into(), folder.path().join(name))
-        };
+        let data = folder.path().join(name);
+        std::fs::create_dir(&data).unwrap();
+        std::os::unix::fs::symlink(&contents, data.join("blobs")).unwrap();
+        let limits = Limits { workers: 1, queue: 10_000, ..Limits::default() };
+        let config = Config { database: database.clone(), role, limits, ..Config::new(([127, 0, 0, 1], 0).into(), data) };
         let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-        let server = runtime.block_on(Server::bind_among(Some(sharing), config, maker.clone(), renderer)).unwrap();
+        let server = runtime.block_on(Box::pin(Server::bind(config, maker.clone(), renderer))).unwrap();
         let (addr, mut stopped) = (server.addr(), stop.subscribe());
         running.push(runtime.spawn(server.run(async move { drop(stopped.recv().await) })));
         addr
     };
     let front = start("front".into(), Role::Serve);
-    let all: Vec<SocketAddr> = (0..workers).map(|n| start(format!("work-{n}"), Role::Work)).collect();
-    if !servers.is_empty() {
-        wait("there is a queue", || all.iter().chain([&front]).all(|&addr| figure(addr, "tmpi_hints_queue") > 0.0));
+    for n in 0..workers {
+        start(format!("work-{n}"), Role::Work);
     }
     for n in 0..workers * (EACH + MORE) {
         let (status, answer) = ask(front, "POST", "/v1/photos", &picture(n));
@@ -160,6 +148,10 @@ fn rate(runtime: &tokio::runtime::Runtime, workers: usize, product: &Product) ->
 }
 
 fn main() -> ExitCode {
+    if tmpi_testing::database().is_none() {
+        println!("PostgreSQL is not installed");
+        return ExitCode::FAILURE;
+    }
     let models = Models { depth: Arc::new(Ramp), theta: None, psi: None };
     let product = PipelineMaker::new(models, &Limits::default()).make(&picture(0), None, &Options::default(), &Silent).unwrap();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();

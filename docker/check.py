@@ -16,10 +16,6 @@ ROOT = HERE.parent
 # what compositions and configurations want to be told, none of it a secret of anybody's
 ENVIRONMENT = {
     "TMPI_HOST": "photos.example.org",
-    "NATS_NAME": "nats-1",
-    "NATS_PASSWORD": "password",
-    "NATS_ROUTE_PASSWORD": "password",
-    **{f"NATS_ROUTE_{n}": f"nats-route://route:password@nats-{n}:6222" for n in (1, 2, 3)},
 }
 # ends that a counter or a histogram has beside its name
 ENDS = ("_total", "_bucket", "_sum", "_count", "_created")
@@ -81,8 +77,8 @@ def compositions():
         # beside secrets of nobody's: files that are named have to be there
         copy = Path(folder) / "docker"
         shutil.copytree(HERE, copy, ignore=shutil.ignore_patterns("secrets"))
-        (copy / "secrets/keys").mkdir(parents=True)
-        for name in ("live-key", "store.env", "store.json", "nats.env", "nats-login"):
+        (copy / "secrets").mkdir()
+        for name in ("live-key", "store.env", "store.json", "database.env"):
             (copy / "secrets" / name).touch()
         for file in sorted(copy.glob("compose*.yaml")):
             run(*command, "--file", file, "config", "--quiet", cwd=copy)
@@ -123,12 +119,6 @@ def alerts():
     run(promtool, "test", "rules", "alerts.test.yaml", cwd=HERE / "prometheus")
 
 
-def nats():
-    server = tool("nats-server")
-    for file in (HERE / "nats/nats.conf", HERE / "kubernetes/cluster/nats.conf"):
-        run(server, "-t", "--config", file)
-
-
 def manifests():
     validate = tool("kubernetes-validate")
     for folder in (HERE / "kubernetes", HERE / "kubernetes/cluster"):
@@ -164,12 +154,12 @@ def asked(path):
 
 
 def metrics():
-    """Names of what a node of a store tells, of rooms and NATS too."""
+    """Names of what a node tells, of rooms too."""
     program = os.environ.get("TMPI", str(ROOT / "target/release/tmpi"))
     if not Path(program).is_file():
         raise Skipped(f"there is no {program}")
     with tempfile.TemporaryDirectory(prefix="tmpi-check-") as folder:
-        command = [program, "serve", "--addr", "127.0.0.1:0", "--data", f"{folder}/data", "--store", f"file://{folder}/store", "--nats", "nats://127.0.0.1:9"]
+        command = [program, "serve", "--addr", "127.0.0.1:0", "--data", f"{folder}/data"]
         with open(f"{folder}/log", "w") as log:
             server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
         try:
@@ -205,7 +195,6 @@ CHECKS = {
     "Dockerfile": image,
     "Caddyfiles": proxies,
     "alerts": alerts,
-    "NATS": nats,
     "manifests of Kubernetes": manifests,
     "kustomizations": kustomizations,
     "unit of systemd": unit,

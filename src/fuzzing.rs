@@ -1,30 +1,41 @@
 //! What the readers of foreign bytes are fuzzed with. `fuzz/` runs these targets on bytes that libFuzzer finds, `tests/fuzz.rs` on
 //! the seeds and on changes of them. Not part of the interface.
 
+use std::fmt::Display;
+use std::str::FromStr;
+
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
-use tmpi_core::{DisparityMap, Photo, container};
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::{Layers, Model, When};
+use tmpi_core::{DisparityMap, Photo, Rect, container};
 use tmpi_live::depth as measured_depth;
 use tmpi_live::units::Splitter;
 use tmpi_pipeline::depth::{self as maps, DepthKind};
-use tmpi_pipeline::{photo, strokes};
+use tmpi_pipeline::{networks, photo, strokes};
 
-use crate::{live, server};
+use crate::{cli, server};
+
+mod container_file;
+mod room;
+mod script;
 
 /// Runs a reader on the bytes and panics where it breaks a promise; gives the most bytes of memory that it may have taken.
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 20] = [
+pub const TARGETS: [(&str, Run); 28] = [
     ("container", container),
+    ("built", built),
+    ("levels", levels),
     ("labels", labels),
     ("planes", planes),
     ("message", message),
+    ("room", room),
     ("units", units),
     ("video", video),
     ("vp9", vp9),
     ("measured", measured),
-    ("nodes", nodes),
     ("query", query),
     ("jpeg", photo),
     ("png", photo),
@@ -36,6 +47,12 @@ pub const TARGETS: [(&str, Run); 20] = [
     ("multipart", multipart),
     ("patch", patch),
     ("strokes", touch_up),
+    ("proxy", proxy),
+    ("forwarded", forwarded),
+    ("link", link),
+    ("names", names),
+    ("onnx", onnx),
+    ("config", config),
 ];
 
 /// What a reader may take for whatever it is given: threads, tables, messages.
@@ -45,8 +62,15 @@ const ROOM: usize = 8 << 20;
 /// Pixels above which a container is not decoded here: it would be slow, not wrong.
 const SLOW: u64 = 128 * 128;
 
-/// A whole container, as anyone may send it. Promised: an error or a scene that holds together; memory by bytes, pixels and texels.
+/// A whole container, as anyone may send it, as it is and with checksums put right. Promised: an error or a scene that holds together; memory by
+/// bytes, pixels and texels.
 fn container(data: &[u8]) -> usize {
+    let most = decoded(data);
+    // a fuzzer would hardly ever get behind a checksum
+    container_file::with_checksums(data).map_or(most, |data| most.max(decoded(&data)) + 2 * data.len())
+}
+
+fn decoded(data: &[u8]) -> usize {
     let Ok(size) = container::fuzzing::size(data) else {
         assert!(container::decode(data).is_err(), "a container without a readable index was read");
         return LEAST + 2 * data.len();
@@ -62,6 +86,60 @@ fn container(data: &[u8]) -> usize {
         assert!(sections.is_ok(), "a container was read whose sections cannot be listed");
     }
     most
+}
+
+/// Memory for building a container of the largest size that is built, and for reading it.
+const BUILT: usize = 256 << 20;
+
+/// A container that is built, up to the size of a photo, then changed here and there. Promised: as of [`levels`], where it is not large.
+fn built(data: &[u8]) -> usize {
+    if let Some(file) = container_file::build(data) {
+        if container::fuzzing::size(&file).is_ok_and(|size| size.pixels <= SLOW) {
+            read_all(&file);
+        } else if let Ok(scene) = container::decode(&file) {
+            assert_eq!(scene.validate(), Ok(()));
+        }
+    }
+    BUILT
+}
+
+/// What is made of a container that somebody else wrote: levels, regions, some of its sections, the same unpacked. Promised: an error, or a container
+/// that is read; whatever is made of one that is read is no error.
+fn levels(data: &[u8]) -> usize {
+    if container::fuzzing::size(data).is_ok_and(|size| size.pixels <= SLOW && size.texels <= 64 * SLOW) {
+        read_all(container_file::with_checksums(data).as_deref().unwrap_or(data));
+    }
+    BUILT
+}
+
+fn read_all(file: &[u8]) {
+    let whole = container::decode(file);
+    let same = |made: Result<Vec<u8>, _>, what: &str| match (&whole, made.and_then(|made| container::decode(&made))) {
+        (Ok(whole), made) => assert!(made.is_ok_and(|made| made == *whole), "{what}: another scene"),
+        (Err(_), made) => assert!(made.is_err(), "{what}: of no container"),
+    };
+    same(container::unpacked(file), "unpacked");
+    same(container::select(file, &container::SECTIONS), "all sections");
+    let geometry = container::read_geometry(file);
+    assert!(geometry.is_ok() || whole.is_err(), "a scene without geometry");
+    let Ok(geometry) = geometry else { return };
+    let (width, height) = (geometry.grid.width, geometry.grid.height);
+    let readable = |made: Result<Vec<u8>, _>| match made.map(|made| container::decode(&made)) {
+        Ok(made) => Some(made.unwrap_or_else(|e| panic!("what was written is not read: {e}"))),
+        Err(error) => {
+            assert!(whole.is_err(), "nothing can be made of a container that is read: {error}");
+            None
+        }
+    };
+    for level in [1, container::LEVELS] {
+        let small = readable(container::level(file, level));
+        assert!(small.is_none_or(|s| s.validate().is_ok() && s.grid.width <= width && s.grid.height <= height));
+    }
+    let region = Rect { x: width / 3, y: height / 3, w: width.div_ceil(4), h: height.div_ceil(4) };
+    if let Ok(Some(tiles)) = container::Tiles::over_region(file, region) {
+        let part = readable(container::region(file, &tiles, 0, container::RegionPhoto::Lossless));
+        assert!(part.is_none_or(|part| part.grid.width >= region.w && part.grid.height >= region.h));
+    }
 }
 
 /// The labels of a grid. Promised: labels below their tile's count, and what is written of them is read again.
@@ -183,10 +261,38 @@ fn patch(data: &[u8]) -> usize {
     LEAST + 64 * data.len()
 }
 
-/// A message of a room. Promised: an error, or tiles that hold together; memory by bytes and by the most that a room can be.
+/// A message of a room, as it is and with checksums put right. Promised: an error, or tiles that hold together; memory by bytes and by the most that a room can be.
 fn message(data: &[u8]) -> usize {
     tmpi_core::live::fuzz_message(data);
+    if let Some(data) = room::with_checksums(data) {
+        tmpi_core::live::fuzz_message(&data);
+    }
     LEAST + ROOM + 64 * data.len()
+}
+
+/// Tiles of a room that is built, then changed here and there. Promised: an error, or tiles that hold together and can be shown; memory by the pixels.
+fn room(data: &[u8]) -> usize {
+    let (hello, messages) = room::build(data);
+    let pixels = hello.width as usize * hello.height as usize;
+    let most = LEAST + 8 * ROOM + 64 * data.len();
+    let Ok(mut model) = Model::new(&hello) else { return most };
+    for message in messages {
+        let bytes = tmpi_core::live::write(Kind::Geometry(message.clone()));
+        let again = tmpi_core::live::read(bytes);
+        assert!(again.is_err() || again.is_ok_and(|again| again == Kind::Geometry(message.clone())), "a message is read otherwise");
+        let _ = model.take(&message);
+    }
+    let Some(geometry) = model.geometry() else { return most + 128 * pixels };
+    for (t, tile) in (0..).zip(&geometry.tiles) {
+        assert_eq!(tile.labels.len(), geometry.grid.rect(t).area());
+        assert!(tile.labels.iter().all(|l| usize::from(*l) < tile.planes.len()));
+    }
+    if pixels as u64 <= SLOW {
+        let photo = Photo { width: hello.width, height: hello.height, rgb: vec![[7; 3]; pixels] };
+        let changes = Layers::default().update(geometry, |_| true, photo, When::default());
+        assert_eq!(changes.texels.len(), geometry.tiles.len());
+    }
+    most + 2048 * pixels
 }
 
 /// A stream of H.264, in pieces. Promised: what is split is what came, whatever the pieces.
@@ -251,13 +357,6 @@ fn measured(data: &[u8]) -> usize {
     LEAST + 2 * data.len() + 64 * count
 }
 
-/// Messages of another node, in parts. Promised: no message of more bytes than there can be, and what is whole is the same after it was split and
-/// joined again; memory by its bytes.
-fn nodes(data: &[u8]) -> usize {
-    live::fuzzing::messages(data);
-    LEAST + 64 * data.len()
-}
-
 /// A merge patch of strokes, applied to a small photo. Promised: an error with a field where it is JSON, or strokes that are read again as they
 /// were written and leave a map finite and within 0 to 1; memory by its bytes.
 fn touch_up(data: &[u8]) -> usize {
@@ -275,6 +374,59 @@ fn touch_up(data: &[u8]) -> usize {
     strokes::apply(&photo, &mut map, None, &strokes);
     assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
     most
+}
+
+/// The start of a connection by the PROXY protocol. Promised: an error, or an address and a length that does not depend on what follows.
+fn proxy(data: &[u8]) -> usize {
+    server::fuzzing::announcement(&data[..data.len().min(4096)]);
+    LEAST
+}
+
+/// What proxies say in headers, a line each. Promised: nobody is believed who is not trusted; an address, and an origin.
+fn forwarded(data: &[u8]) -> usize {
+    let text = String::from_utf8_lossy(data);
+    let mut lines = text.lines();
+    server::fuzzing::forwarded([(); 5].map(|()| lines.next().unwrap_or_default()));
+    LEAST + 64 * data.len()
+}
+
+/// An address with a signed link in it. Promised: the rest has none, and a link is read as it was written.
+fn link(data: &[u8]) -> usize {
+    if let Ok(uri) = String::from_utf8_lossy(data).parse::<Uri>() {
+        server::fuzzing::link(&uri);
+    }
+    LEAST + 64 * data.len()
+}
+
+/// A place in the list of photos, an id, a signed link. Promised: an error, or the same when it is written and read again.
+fn names(data: &[u8]) -> usize {
+    let text = String::from_utf8_lossy(data);
+    same_again::<tmpi_library::Cursor>(&text);
+    same_again::<tmpi_library::PhotoId>(&text);
+    same_again::<tmpi_library::Link>(&text);
+    LEAST + 64 * data.len()
+}
+
+fn same_again<T: FromStr + Display + PartialEq>(text: &str) {
+    if let Ok(read) = text.parse::<T>() {
+        let written = read.to_string();
+        assert!(written.parse::<T>().is_ok_and(|again| again == read), "{written} is read otherwise than {text}");
+    }
+}
+
+/// A network's file, as far as it is read before ONNX Runtime sees it. Promised: none, or a picture input; memory by its bytes.
+fn onnx(data: &[u8]) -> usize {
+    if let Some(outline) = networks::outline(&mut std::io::Cursor::new(data)) {
+        assert!(matches!(outline.shape.len(), 4 | 5) && outline.shape.iter().all(|extent| *extent >= -1));
+        assert!(outline.beside.is_sorted());
+    }
+    LEAST + 16 * data.len()
+}
+
+/// A file of settings. Promised: a reason, or texts for the command line.
+fn config(data: &[u8]) -> usize {
+    cli::config::fuzz(&String::from_utf8_lossy(data));
+    LEAST + 256 * data.len()
 }
 
 #[cfg(test)]

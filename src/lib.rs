@@ -7,5 +7,4 @@ pub mod export;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod live;
-mod nats;
 pub mod server;

@@ -10,12 +10,13 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The crates along the way of a photo: each may know those before it alone.
-const ORDER: [&str; 10] = [
+const ORDER: [&str; 11] = [
     "tmpi-core",
     "tmpi-client",
     "tmpi-decoder",
     "tmpi-live-decoder",
     "tmpi-unpacker",
+    "tmpi-library",
     "tmpi-render",
     "tmpi-pipeline",
     "tmpi-live",

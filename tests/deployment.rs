@@ -120,12 +120,6 @@ fn every_call_of_the_server_is_one_that_it_takes() {
 }
 
 #[test]
-fn the_cluster_has_the_nats_servers_of_the_composition() {
-    // a file of its own, as kustomize reads none above its folder
-    assert_eq!(read("docker/kubernetes/cluster/nats.conf"), read("docker/nats/nats.conf"));
-}
-
-#[test]
 fn every_option_that_a_text_names_is_one_of_the_server() {
     let known = words(&asked(&["serve".to_owned()]).1, "--", '-');
     assert!(known.contains("--data"), "{known:?}");

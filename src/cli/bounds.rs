@@ -33,7 +33,7 @@ pub(super) struct BoundArgs {
     /// Bytes a second that it takes at least
     #[arg(long, default_value_t = Limits::WRITE_RATE as u32, value_name = "BYTES")]
     write_rate: u32,
-    /// Changes of what is on disk at a time: uploads that are checked, settings, deletions
+    /// Uploads that are read whole to be checked at a time
     #[arg(long, default_value_t = Limits::CHANGES as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
     changes: u16,
     /// Uploads that may come in beyond the places that are free in the queue
@@ -123,12 +123,6 @@ pub(super) struct BoundArgs {
     /// MiB a second that are read for it at most
     #[arg(long, default_value_t = (Limits::LOOK_OVER_RATE >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
     look_over_rate: u32,
-    /// Seconds between two looks at what is pending in a store
-    #[arg(long, default_value_t = seconds(Limits::SWEEP), value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
-    sweep: u32,
-    /// Photos of a store that are known without asking it, at some 2.4 kB each [default: 20000]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
-    known_photos: Option<u32>,
 }
 
 /// Seconds of a day.
@@ -177,8 +171,6 @@ impl BoundArgs {
         limits.look_over_first = time(self.look_over_first);
         limits.look_over = time(self.look_over);
         limits.look_over_rate = u64::from(self.look_over_rate) << 20;
-        limits.sweep = time(self.sweep);
-        limits.known_photos = self.known_photos.map_or(limits.known_photos, |n| n as usize);
     }
 
     /// Those of rooms.

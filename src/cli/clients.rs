@@ -36,7 +36,7 @@ pub(super) struct ClientArgs {
     /// Days after which a photo goes by itself; never without this
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=36_500), value_name = "DAYS")]
     retain_days: Option<u32>,
-    /// Room of all photos, in MiB, beyond which those go by themselves that were looked at least recently; not with --store
+    /// Room of all photos, in MiB, beyond which those go by themselves that were looked at least recently
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "store", value_name = "MIB")]
     retain_mib: Option<u32>,
 }

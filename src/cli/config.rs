@@ -1,5 +1,5 @@
 //! Settings of `tmpi serve` from a file and from the environment, and `tmpi config`, which checks them as `serve` does and tells what holds and
-//! where it comes from. `tmpi key` takes from them where the keys are.
+//! where it comes from. `tmpi key`, `fsck` and `gc` take from them where the library is.
 //!
 //! A file is TOML with the names of the options: `queue = 200`, `host = ["photos.example.org"]`, `public-list = true`. What the command
 //! line says counts first, then `TMPI_SERVE_QUEUE` and the like, then the file, then the default. Values of the file go the way of the
@@ -29,10 +29,11 @@ pub(super) struct ConfigArgs {
 
 /// Commands that take these settings.
 const COMMANDS: [&str; 3] = ["serve", "work", "config"];
-/// The command of which each takes those that it has an option for.
+/// Those that take the settings that they have an option for, and the one of which each command does.
+const OTHERS: [&str; 2] = ["fsck", "gc"];
 const KEY: &str = "key";
 /// Settings that are addresses, in which there may be secrets.
-const ADDRESSES: [&str; 4] = ["nats", "network-url", "otlp", "store"];
+const ADDRESSES: [&str; 5] = ["advertise", "blobs", "database", "network-url", "otlp"];
 /// Settings that processes that make photos for a server get besides those of networks. None of them may be a secret.
 const FOR_MAKERS: [&str; 12] = [
     "backend",
@@ -67,6 +68,7 @@ pub(super) fn with_environment(all: Command) -> Command {
     let all = COMMANDS.iter().fold(all, |all, name| all.mut_subcommand(name, |command| open(command, &|_| true)));
     let settings = all.find_subcommand(COMMANDS[0]).cloned().unwrap_or_default();
     let is_setting = |arg: &Arg| settings.get_arguments().any(|setting| setting.get_long() == arg.get_long());
+    let all = OTHERS.iter().fold(all, |all, name| all.mut_subcommand(name, |command| open(command, &is_setting)));
     all.mut_subcommand(KEY, |key| {
         let names: Vec<String> = key.get_subcommands().map(|command| command.get_name().to_owned()).collect();
         names.iter().fold(key, |key, name| key.mut_subcommand(name, |command| open(command, &is_setting)))
@@ -80,6 +82,9 @@ fn called<'a>(all: &'a Command, given: &'a ArgMatches) -> Option<(&'a Command, &
     if name == KEY {
         let (name, given) = given.subcommand()?;
         return Some((command.find_subcommand(name)?, given, all.find_subcommand(COMMANDS[0])?));
+    }
+    if OTHERS.contains(&name) {
+        return Some((command, given, all.find_subcommand(COMMANDS[0])?));
     }
     COMMANDS.contains(&name).then_some((command, given, command))
 }
@@ -145,8 +150,29 @@ fn read(file: &Path) -> Result<Table, String> {
     if length > LONGEST {
         return Err(format!("{length} bytes, over {LONGEST}"));
     }
-    let text = std::fs::read_to_string(file).map_err(|e| e.to_string())?;
+    parse(&std::fs::read_to_string(file).map_err(|e| e.to_string())?)
+}
+
+fn parse(text: &str) -> Result<Table, String> {
     text.parse::<Table>().map_err(|e| e.to_string().trim_end().to_owned())
+}
+
+/// Reads the text of a file, and what it says of options: each value is refused with a reason, or is so many texts of the command line.
+pub(crate) fn fuzz(text: &str) {
+    static SERVE: std::sync::OnceLock<Command> = std::sync::OnceLock::new();
+    let command = SERVE.get_or_init(|| ServeArgs::augment_args(Command::new(COMMANDS[0])));
+    match parse(text) {
+        Err(why) => assert!(!why.is_empty()),
+        Ok(table) => {
+            for (key, value) in table {
+                let Some(option) = setting(command, &key) else { continue };
+                match values(option, &value) {
+                    Err(why) => assert!(!why.is_empty()),
+                    Ok(values) => values.iter().for_each(|value| drop(literal(value, option))),
+                }
+            }
+        }
+    }
 }
 
 /// What a value of a file is on the command line; a switch has no value there.
@@ -274,10 +300,10 @@ mod tests {
     #[test]
     fn no_secret_of_an_address_is_told() {
         for (address, told) in [
-            ("nats://me:secret@127.0.0.1:4222", "nats://…@127.0.0.1:4222"),
+            ("postgres://me:secret@127.0.0.1:5432/tmpi", "postgres://…@127.0.0.1:5432/tmpi"),
             ("me:secret@127.0.0.1:4222", "…@127.0.0.1:4222"),
-            ("nats://secret@[::1]:4222", "nats://…@[::1]:4222"),
-            ("nats://[::1]:4222", "nats://[::1]:4222"),
+            ("postgres://secret@[::1]:5432", "postgres://…@[::1]:5432"),
+            ("postgres://[::1]:5432", "postgres://[::1]:5432"),
             ("http://me:se@cret@host/a@b", "http://…@host/a@b"),
             ("http://me:secret/secret@host/a", "http://…@host/a"),
             ("http://127.0.0.1:4318/a@b", "http://127.0.0.1:4318/a@b"),

@@ -1,9 +1,12 @@
 //! `tmpi key`.
 
-use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use super::{Usage, result};
-use crate::server::keys::{self, Scope};
+use tmpi_library::{Key, Scope};
+
+use super::library::LibraryArgs;
+use super::result;
+use crate::server::rfc3339;
 
 /// Give out and take back keys of a server that asks who comes
 #[derive(Clone, Debug, clap::Args)]
@@ -18,22 +21,22 @@ enum What {
     Add {
         /// Whose it is: letters, digits, dots, - and _
         name: String,
-        /// What it is good for
-        #[arg(long, value_enum, value_delimiter = ',', required = true, value_name = "SCOPE[,SCOPE…]")]
+        /// What it is good for: upload, read, metrics, admin (everything, with everybody's photos)
+        #[arg(long, value_parser = scope, value_delimiter = ',', required = true, value_name = "SCOPE[,SCOPE…]")]
         scope: Vec<Scope>,
         /// Days for which it is good; without it for ever
         #[arg(long, value_parser = clap::value_parser!(u32).range(1..=36_500), value_name = "N")]
         days: Option<u32>,
-        /// Make the directory where it is not yet one of a server
+        /// Make the library where there is none yet
         #[arg(long)]
         create: bool,
         #[command(flatten)]
-        server: ServerFlags,
+        server: LibraryArgs,
     },
     /// List the keys, without themselves
     List {
         #[command(flatten)]
-        server: ServerFlags,
+        server: LibraryArgs,
     },
     /// Take back all keys of a name, at once
     Remove {
@@ -43,49 +46,36 @@ enum What {
         #[arg(long, value_name = "ID")]
         id: Option<String>,
         #[command(flatten)]
-        server: ServerFlags,
+        server: LibraryArgs,
     },
 }
 
-/// Where the server has its keys: as options of `tmpi serve`, of its file, and of its variables.
-#[derive(Clone, Debug, clap::Args)]
-struct ServerFlags {
-    /// File of settings that the server is started with; where its keys are is read there
-    #[arg(long, env = "TMPI_CONFIG", value_name = "FILE")]
-    #[allow(dead_code, reason = "read before all else, with what is in it")]
-    config: Option<PathBuf>,
-    /// Directory that the server keeps its photos in
-    #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
-    data: PathBuf,
-    /// Directory of its keys, where it is not that of --data
-    #[arg(long, value_name = "DIR")]
-    keys: Option<PathBuf>,
+fn scope(name: &str) -> Result<Scope, String> {
+    let names = Scope::ALL.map(Scope::name).join(", ");
+    Scope::ALL.into_iter().find(|scope| scope.name() == name).ok_or_else(|| format!("one of {names} is wanted"))
 }
 
-impl ServerFlags {
-    /// The directory of the keys; one that no server has used is refused unless it is to be made.
-    fn dir(&self, create: bool, how: &str) -> anyhow::Result<&Path> {
-        let dir = self.keys.as_deref().unwrap_or(&self.data);
-        if create || keys::is_of_a_server(dir) {
-            return Ok(dir);
-        }
-        let text = format!("{}: no server keeps photos or keys there; --data, --keys or --config says where it does{how}", dir.display());
-        Err(Usage(text).into())
-    }
+/// What there is to know of a key, as a line of a list.
+fn line(key: &Key) -> String {
+    let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
+    let end = key.expires_at.map_or_else(String::new, |at| format!(", until {}", rfc3339(at)));
+    format!("{} {} {}, since {}{end}", key.id, key.name, scopes.join(","), rfc3339(key.created_at))
 }
 
 pub(super) fn run(args: &KeyArgs) -> anyhow::Result<()> {
     match &args.what {
         What::Add { name, scope, days, create, server } => {
-            result(&keys::add(server.dir(*create, ", and --create makes it")?, name, scope, *days)?)
+            let lasts = days.map(|days| Duration::from_hours(24 * u64::from(days)));
+            let key = server.with(*create, async |library| Ok(library.add_key(name, scope, lasts).await?))?;
+            result(&key.secret)
         }
         What::List { server } => {
-            let all = keys::read(server.dir(false, "")?)?;
-            let lines: Vec<String> = all.iter().map(keys::Key::line).collect();
+            let all = server.with(false, async |library| Ok(library.keys().await?))?;
+            let lines: Vec<String> = all.iter().map(line).collect();
             if lines.is_empty() { Ok(()) } else { result(&lines.join("\n")) }
         }
         What::Remove { name, id, server } => {
-            let count = keys::remove(server.dir(false, "")?, name, id.as_deref())?;
+            let count = server.with(false, async |library| Ok(library.remove_keys(name, id.as_deref()).await?))?;
             eprintln!("{count} {} no longer good", if count == 1 { "key is" } else { "keys are" });
             Ok(())
         }

@@ -4,13 +4,14 @@ mod batch;
 mod better;
 mod bounds;
 mod clients;
-mod config;
+pub(crate) mod config;
 mod depth;
 mod export;
 mod files;
 mod flags;
 mod info;
 mod key;
+mod library;
 mod live;
 mod live_client;
 mod live_input;
@@ -50,7 +51,7 @@ enum Command {
     Depth(depth::DepthArgs),
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
-    /// Make photos of a store that other nodes serve, as `serve --role work` does
+    /// Make photos that other nodes serve, as `serve --role work` does
     Work(WorkArgs),
     Config(config::ConfigArgs),
     Fsck(store::FsckArgs),

@@ -17,9 +17,9 @@ pub(super) use checks::Effect;
 use sha2::{Digest as _, Sha256};
 use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
-use crate::live::{self, NatsAddress, Rooms};
+use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, Collector, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
+    Better, Collector, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Tls, VARIABLE, allocate_in_one_place, hex,
     keep_from_others, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
@@ -67,19 +67,23 @@ pub(super) struct ServeArgs {
     #[arg(
         long,
         value_name = "URL",
-        help = "Store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX (with the usual variables AWS_…, GOOGLE_… \
-                or AZURE_…) or file:///FOLDER; DIR holds copies then"
+        help = "Database that several nodes share, postgres://USER:PASSWORD@HOST/NAME; the variable TMPI_SERVE_DATABASE keeps the password off the \
+                list of processes. SQLite in DIR without it"
     )]
-    store: Option<String>,
-    /// What this node of a store does
-    #[arg(long, value_enum, default_value_t, requires = "store")]
+    database: Option<String>,
+    #[arg(
+        long,
+        value_name = "URL",
+        help = "Object store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX, with the usual variables AWS_…, \
+                GOOGLE_… or AZURE_…; a folder in DIR without it"
+    )]
+    blobs: Option<String>,
+    /// What this node of several does
+    #[arg(long, value_enum, default_value_t, requires = "database")]
     role: Role,
-    /// Seconds after which a photo that a node worked on is taken up by another where nothing is heard of it
+    /// Seconds after which a job is taken up again where nothing is heard of its worker
     #[arg(long, default_value_t = Limits::LEASE.as_secs() as u32, value_parser = clap::value_parser!(u32).range(2..=3600), value_name = "S")]
     lease: u32,
-    /// Disk for copies of what is in the store, in MiB
-    #[arg(long, default_value_t = (Limits::COPIES >> 20) as u32, value_parser = clap::value_parser!(u32).range(64..), value_name = "MIB")]
-    copies: u32,
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
@@ -92,9 +96,6 @@ pub(super) struct ServeArgs {
     /// Whether to ask who comes: `open`, or `private`, where photos are their owners' alone (see `tmpi key`); private beyond loopback and with --host, else open
     #[arg(long, value_enum, value_name = "WHO")]
     access: Option<Access>,
-    /// Directory of the keys that `tmpi key` gives out, where it is not that of --data: of nodes that have the same keys
-    #[arg(long, value_name = "DIR")]
-    keys: Option<PathBuf>,
     /// What draws views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -170,29 +171,19 @@ pub(super) struct ServeArgs {
     /// File with a key of at least 32 bytes, by which `live token` lets others into rooms; without it they are for this machine's own user
     #[arg(long, value_name = "FILE", conflicts_with = "no_live")]
     live_key: Option<PathBuf>,
+    #[arg(
+        long,
+        requires = "database",
+        value_name = "URL",
+        help = "Address at which other nodes of the same --database reach this one, as http://10.0.0.3:8080: rooms can be watched at all of them then"
+    )]
+    advertise: Option<NodeAddress>,
     /// Depth network of rooms, named as for --depth-model; the embedded one keeps up with a camera, those that take seconds for a photo do not
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE", conflicts_with = "no_live")]
     live_depth_model: DepthModel,
     /// Milliseconds that the geometry of a room's frame may take: where depth, planes or tiles took longer there are fewer of them
     #[arg(long, default_value_t = LIVE_BUDGET_MS, value_name = "MS")]
     live_budget_ms: f64,
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "URL[,URL…]",
-        help = "Share rooms with all nodes that are given the same NATS servers, nats://[USER:PASSWORD@]HOST:PORT, or tls:// for TLS; \
-                nodes of a store begin photos at once by JetStream there, and see how others go on"
-    )]
-    nats: Vec<NatsAddress>,
-    /// NATS servers that keep each word of a photo that waits; 3 where there are three, so that one may go
-    #[arg(long, requires = "nats", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=5), value_name = "N")]
-    nats_replicas: u8,
-    /// File with USER:PASSWORD, or a token, for those servers
-    #[arg(long, requires = "nats", value_name = "FILE")]
-    nats_login: Option<PathBuf>,
-    /// Name of this node in their logs: letters, digits, - and _
-    #[arg(long, requires = "nats", default_value = "tmpi", value_parser = node, value_name = "NAME")]
-    node: String,
     /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
     #[arg(long, value_name = "URL")]
     network_url: Option<String>,
@@ -223,8 +214,8 @@ const LEAST_KEY: usize = 32;
 impl ServeArgs {
     /// The same of a node that makes photos alone.
     pub(super) fn at_work(self) -> anyhow::Result<Self> {
-        if self.store.is_none() {
-            return Err(Usage("--store: a node that makes photos has to be told of the store that they are in".into()).into());
+        if self.database.is_none() {
+            return Err(Usage("--database: a node that makes photos has to be told of the database that they are in".into()).into());
         }
         Ok(Self { role: Role::Work, ..self })
     }
@@ -240,8 +231,8 @@ impl ServeArgs {
             None => photos.clone(),
         };
         let rooms = Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key }).bounded(self.bounds.rooms());
-        Ok(Some(match self.nats()? {
-            Some(nats) => rooms.shared(nats),
+        Ok(Some(match self.advertise.clone() {
+            Some(address) => rooms.shared(address),
             None => rooms,
         }))
     }
@@ -255,32 +246,11 @@ impl ServeArgs {
         Ok(key)
     }
 
-    /// How other nodes are reached; none where they are not.
-    fn nats(&self) -> anyhow::Result<Option<live::NodeConfig>> {
-        if self.nats.is_empty() {
-            return Ok(None);
-        }
-        let login = self.nats_login.as_deref().map(|file| files::read(file).map(|text| String::from_utf8_lossy(&text).into_owned()));
-        Ok(Some(live::NodeConfig { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() }))
-    }
-
     /// Whether to ask who comes.
     fn is_private(&self) -> bool {
         // names are for those who come by a proxy
         let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty();
         self.access.map_or(usual, |access| access == Access::Private)
-    }
-
-    /// What the node shares with others; none where it is alone.
-    fn sharing(&self) -> anyhow::Result<Option<Sharing>> {
-        let Some(store) = self.store.clone() else {
-            if self.no_live && !self.nats.is_empty() {
-                return Err(Usage("--nats: there is nothing to share with neither rooms nor a --store".into()).into());
-            }
-            return Ok(None);
-        };
-        let nats = self.nats()?.map(|at| Nats { at, replicas: usize::from(self.nats_replicas) });
-        Ok(Some(Sharing { store, role: self.role, nats }))
     }
 
     /// Where traces go; nowhere where nobody said so.
@@ -319,7 +289,6 @@ impl ServeArgs {
             drain: Duration::from_secs(u64::from(self.drain)),
             rest: Duration::from_secs(u64::from(self.rest)),
             lease: Duration::from_secs(u64::from(self.lease)),
-            copies: u64::from(self.copies) << 20,
             ..shared
         };
         // all who come by a proxy have one address
@@ -345,19 +314,13 @@ fn share(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|share| (0.0..=1.0).contains(share)).ok_or_else(|| "a number from 0 to 1 is wanted".into())
 }
 
-/// The name of a node, to which a number of its run is added.
-fn node(text: &str) -> Result<String, String> {
-    let fits = !text.is_empty() && text.len() <= 32 && text.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
-    if fits { Ok(text.to_owned()) } else { Err("up to 32 letters, digits, - and _".into()) }
-}
-
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let makes_for_another = std::env::var_os(VARIABLE).is_some();
     if !makes_for_another {
         args.check()?;
     }
-    let (limits, private, sharing) = (args.limits(), args.is_private(), args.sharing()?);
+    let (limits, private) = (args.limits(), args.is_private());
     let (settings, traces, proxies) = (args.models.settings(), args.traces(), args.clients.proxies());
     let models = models::load(&settings)?;
     let maker = PipelineMaker::new(models.clone(), &limits).identified(&identity(&settings)?);
@@ -382,12 +345,13 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, admin, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
-    let config = Config { addr, admin, data, pages, hosts, proxies, public_list, private, keys, traces, limits };
+    let ServeArgs { addr, admin, data, database, blobs, role, pages, mut hosts, public_list, tls_cert, tls_key, advertise, .. } = args;
+    hosts.extend(advertise.map(|address| address.host().to_owned()));
+    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, role, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
-        let mut server = Server::bind_among(sharing, config, Arc::new(maker), renderer).await?;
+        let mut server = Server::bind(config, Arc::new(maker), renderer).await?;
         if let Some(rooms) = rooms {
             server = server.with_rooms(rooms);
         }

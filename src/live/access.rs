@@ -44,17 +44,15 @@ pub fn token(key: &[u8], role: Role, room: &str, expires: u64) -> Option<String>
     signature(key, role, room, expires).map(|s| format!("{expires}.{}", hex(&s)))
 }
 
-/// Whether a token is for this room and role and is still good. Who may publish may watch, too.
+/// When a token ends, in seconds since 1970, where it is for this room and role and is still good. Who may publish may watch, too.
 #[must_use]
-pub fn is_good(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> bool {
-    let Some((expires, signed)) = token.split_once('.') else { return false };
-    let Ok(expires) = expires.parse::<u64>() else { return false };
-    let same = |role| {
-        let Some(good) = signature(key, role, room, expires).map(|s| hex(&s)) else { return false };
-        same(good.as_bytes(), signed.as_bytes())
-    };
+pub fn end_of(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Option<u64> {
+    let (expires, signed) = token.split_once('.')?;
+    let expires = expires.parse::<u64>().ok()?;
+    let same = |role| signature(key, role, room, expires).is_some_and(|good| same(hex(&good).as_bytes(), signed.as_bytes()));
     let roles: &[Role] = if role == Role::Watch { &[Role::Watch, Role::Publish] } else { &[Role::Publish] };
-    now < expires && roles.iter().fold(false, |any, role| any | same(*role))
+    let good = roles.iter().fold(false, |any, role| any | same(*role));
+    (good && now < expires).then_some(expires)
 }
 
 /// What a page puts before a token where it names the protocols that it speaks over a web socket, the one place where it may say anything.
@@ -69,12 +67,6 @@ pub fn token_of(headers: &HeaderMap) -> Option<&str> {
     let bearer = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
     let among = || text(header::SEC_WEBSOCKET_PROTOCOL)?.split(',').find_map(|name| name.trim().strip_prefix(AMONG_PROTOCOLS));
     bearer.or_else(among)
-}
-
-/// When a token that is good for publishing in a room ends, in seconds since 1970; none where it is no such token.
-#[must_use]
-pub fn end_of(key: &[u8], room: &str, token: &str, now: u64) -> Option<u64> {
-    is_good(key, Role::Publish, room, token, now).then(|| token.split_once('.').and_then(|(expires, _)| expires.parse().ok()))?
 }
 
 /// Refuses pages of other sites: a browser names the page's origin, and lets it open web sockets to anywhere.
@@ -100,13 +92,17 @@ pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
 mod tests {
     use super::*;
 
+    fn is_good(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> bool {
+        end_of(key, role, room, token, now).is_some()
+    }
+
     #[test]
     fn a_token_is_good_for_its_room_role_and_time_alone() {
         let key = b"a key";
         let watch = token(key, Role::Watch, "attic", 1000).unwrap();
         let publish = token(key, Role::Publish, "attic", 1000).unwrap();
         assert!(is_good(key, Role::Watch, "attic", &watch, 999) && is_good(key, Role::Publish, "attic", &publish, 999));
-        assert!(is_good(key, Role::Watch, "attic", &publish, 999), "a publisher may watch");
+        assert_eq!(end_of(key, Role::Watch, "attic", &publish, 999), Some(1000), "a publisher may watch");
         assert!(!is_good(key, Role::Publish, "attic", &watch, 999), "a viewer may not publish");
         assert!(!is_good(key, Role::Watch, "attic", &watch, 1000), "too late");
         assert!(!is_good(key, Role::Watch, "cellar", &watch, 999) && !is_good(b"another", Role::Watch, "attic", &watch, 999));
@@ -123,11 +119,6 @@ mod tests {
         assert_eq!(of(header::AUTHORIZATION, "Basic 1000.ab"), None);
         assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1, token.1000.ab").as_deref(), Some("1000.ab"));
         assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1"), None);
-        let key = b"a key";
-        let publish = token(key, Role::Publish, "attic", 1000).unwrap();
-        assert_eq!(end_of(key, "attic", &publish, 999), Some(1000));
-        assert_eq!((end_of(key, "attic", &publish, 1000), end_of(key, "cellar", &publish, 999)), (None, None));
-        assert_eq!(end_of(key, "attic", &token(key, Role::Watch, "attic", 1000).unwrap(), 999), None);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The newest frame and groups of pictures by plain HTTP, at whichever node one asks: what another node has is asked of it.
+//! The newest frame and groups of pictures by plain HTTP: an edge asks the room's origin for them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,19 +6,19 @@ use std::time::Duration;
 use axum::Extension;
 use axum::body::Body;
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use futures_util::stream;
+use tmpi_library::Origin;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::Rooms;
 use super::access::Role;
 use super::gops::{Group, Part};
-use super::nodes::{Borrower, Silent};
+use super::origin::Nodes;
 use super::room::{Newest, Room};
-use super::routes::{Here, none_publishes};
+use super::routes::{Here, Leave, none_publishes};
 use crate::server::{Coding, Entity, Held, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
@@ -30,30 +30,38 @@ const EPOCH: &str = "x-tmpi-epoch";
 /// Messages of a room one after the other, each after its length in four bytes, little endian.
 const MESSAGES: &str = "application/vnd.tmpi.live";
 
-/// Where the publisher of a room is.
+/// Where the frames of a room are.
 enum Source {
-    /// At this node, or it was here last.
+    /// At this node.
     Here(Arc<Room>),
-    /// At another one.
-    There(Borrower),
+    /// At the room's origin.
+    Origin(Arc<Nodes>, Origin),
 }
 
 impl Source {
-    fn of(rooms: &Rooms, name: &str) -> Result<Self, Problem> {
-        let room = rooms.get(name);
-        let there = || rooms.nodes.get().and_then(|nodes| Borrower::of(nodes, name));
-        match room {
-            Some(room) if !room.is_empty() => Ok(Self::Here(room)),
-            room => there().map(Self::There).or(room.map(Self::Here)).ok_or_else(none_publishes),
+    /// Where the frames of a room are for who has this leave: other nodes ask the origin alone.
+    async fn of(here: &Here, name: &str, leave: Leave) -> Result<Self, Problem> {
+        if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
+            return Ok(Self::Here(room));
         }
+        let elsewhere = if leave == Leave::Node { None } else { here.rooms.elsewhere(name).await? };
+        elsewhere.map(|(nodes, origin)| Self::Origin(nodes, origin)).ok_or_else(none_publishes)
     }
 }
 
-impl From<Silent> for Problem {
-    fn from(Silent: Silent) -> Self {
-        let detail = "the node that has the room's publisher does not answer";
-        Self::new(StatusCode::SERVICE_UNAVAILABLE, "elsewhere", detail).retry_after(1)
+/// Headers of an origin's answer that are handed on.
+const HANDED_ON: [HeaderName; 3] = [header::CONTENT_TYPE, header::ETAG, header::CACHE_CONTROL];
+
+/// An origin's answer, as this node's.
+fn handed_on(answer: Response) -> Response {
+    let (from, body) = answer.into_parts();
+    let mut response = (from.status, body).into_response();
+    for name in HANDED_ON.into_iter().chain([FRAME, EPOCH].map(HeaderName::from_static)) {
+        if let Some(value) = from.headers.get(&name) {
+            response.headers_mut().insert(name, value.clone());
+        }
     }
+    response
 }
 
 /// The newest frame of a room as a container.
@@ -79,10 +87,13 @@ impl From<Silent> for Problem {
     )
 )]
 pub async fn newest(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    here.check(&name, Role::Watch, &uri, &headers)?;
-    let newest = match Source::of(&here.rooms, &name)? {
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, leave).await? {
         Source::Here(room) => room.newest().await?,
-        Source::There(owner) => owner.newest().await?,
+        Source::Origin(nodes, origin) => {
+            let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
+            return nodes.fetch(&origin, &name, "/frames/latest/atlas", known.into_iter().collect()).await.map(handed_on);
+        }
     };
     let Newest { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
     let etag = format!("\"{epoch}-{number}\"");
@@ -111,10 +122,13 @@ pub async fn newest(State(here): State<Here>, Path(name): Path<String>, uri: Uri
     )
 )]
 pub async fn latest_group(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    here.check(&name, Role::Watch, &uri, &headers)?;
-    let newest = match Source::of(&here.rooms, &name)? {
-        Source::Here(room) => room.last_group(),
-        Source::There(owner) => owner.latest().await?,
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, leave).await? {
+        Source::Here(room) => room.last_group().map(|group| group.to_string()),
+        Source::Origin(nodes, origin) => {
+            let answer = nodes.fetch(&origin, &name, "/gops/latest", HeaderMap::new()).await?;
+            answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned)
+        }
     };
     let place = newest.ok_or_else(|| Problem::not_found("nothing has come yet"))?;
     let query = uri.query().map_or(String::new(), |q| format!("?{q}"));
@@ -149,12 +163,22 @@ pub async fn group(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    here.check(&name, Role::Watch, &uri, &headers)?;
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
     let none = || Problem::not_found("a group of pictures that is not kept");
-    let place: Group = group.parse().map_err(|()| none())?;
-    let mut pieces = Pieces::new(Source::of(&here.rooms, &name)?, place);
+    let group: Group = group.parse().map_err(|()| none())?;
+    // only who shows a token may share with others what it got, under an address that has the token
+    let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
+    let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
+    let room = match Source::of(&here, &name, leave).await? {
+        Source::Here(room) => room,
+        Source::Origin(nodes, origin) => {
+            let answer = nodes.fetch(&origin, &name, &format!("/gops/{group}"), HeaderMap::new()).await?;
+            return Ok((cache_control, handed_on(answer)).into_response());
+        }
+    };
+    let mut pieces = Pieces::new(room, group);
     // whoever is at the end asks for the next one before it begins; what has not begun by then is not there
-    let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))??;
+    let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))?;
     let Some(first) = first else { return Err(none().retry_after(1)) };
     let stop = here.stop;
     let messages = stream::try_unfold((Some(first), pieces, held), move |(first, mut pieces, held)| {
@@ -164,7 +188,7 @@ pub async fn group(
                 return Ok(Some((first, (None, pieces, held))));
             }
             let next = tokio::select! {
-                next = pieces.next() => next.map_err(|_| std::io::Error::other("the node that has the group does not answer"))?,
+                next = pieces.next() => next,
                 () = stop.cancelled() => return Err(std::io::Error::other("the server stops")),
             };
             match next {
@@ -175,61 +199,42 @@ pub async fn group(
             }
         }
     });
-    // only who shows a token may share with others what it got, under an address that has the token
-    let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
-    let cache_control = format!("{shared}, max-age=31536000, immutable");
-    let headers = [(header::CONTENT_TYPE, MESSAGES.to_owned()), (header::CACHE_CONTROL, cache_control)];
-    Ok((headers, Body::from_stream(messages)).into_response())
+    Ok((cache_control, [(header::CONTENT_TYPE, MESSAGES)], Body::from_stream(messages)).into_response())
 }
 
 /// The messages of a group, from the first on.
 struct Pieces {
-    source: Source,
-    /// Told of what comes to the room, where it is here.
-    changes: Option<watch::Receiver<u64>>,
+    room: Arc<Room>,
+    /// Told of what comes to the room.
+    changes: watch::Receiver<u64>,
     group: Group,
     /// Number of the next message.
-    at: u64,
+    at: usize,
     /// It has ended, and all of it was given.
     whole: bool,
 }
 
 impl Pieces {
-    fn new(source: Source, group: Group) -> Self {
-        let changes = if let Source::Here(room) = &source { Some(room.watch()) } else { None };
-        Self { source, changes, group, at: 0, whole: false }
+    fn new(room: Arc<Room>, group: Group) -> Self {
+        Self { changes: room.watch(), room, group, at: 0, whole: false }
     }
 
-    /// The next messages, each after its length, as soon as there are some; none at the end, or where the group is not kept.
-    async fn next(&mut self) -> Result<Option<Bytes>, Problem> {
+    /// The next message, after its length, as soon as there is one; none at the end, or where the group is not kept.
+    async fn next(&mut self) -> Option<Bytes> {
         loop {
-            if let Some(changes) = &mut self.changes {
-                changes.mark_unchanged();
-            }
-            let (part, next) = match &self.source {
-                Source::Here(room) => match room.group(self.group, self.at as usize) {
-                    Part::Message(bytes) => {
-                        let framed = [&(bytes.len() as u32).to_le_bytes()[..], &bytes].concat();
-                        (Part::Message(framed.into()), self.at + 1)
-                    }
-                    part => (part, self.at),
-                },
-                Source::There(owner) => owner.group(self.group, self.at).await?,
-            };
-            self.at = next;
-            match (part, &mut self.changes) {
-                (Part::Message(bytes), _) => return Ok(Some(bytes)),
-                (Part::End, _) => {
+            self.changes.mark_unchanged();
+            match self.room.group(self.group, self.at) {
+                Part::Message(bytes) => {
+                    self.at += 1;
+                    return Some([&(bytes.len() as u32).to_le_bytes()[..], &bytes].concat().into());
+                }
+                Part::End => {
                     self.whole = true;
-                    return Ok(None);
+                    return None;
                 }
-                (Part::Gone, _) => return Ok(None),
-                // the room is held by the source
-                (Part::Wait | Part::NotYet, Some(changes)) => {
-                    let _ = changes.changed().await;
-                }
-                // its owner has waited
-                (Part::Wait | Part::NotYet, None) => {}
+                Part::Gone => return None,
+                // the room is held by this
+                Part::Wait | Part::NotYet => drop(self.changes.changed().await),
             }
         }
     }

@@ -1,22 +1,24 @@
 //! What a room's pages ask before they come in, and how others are let in.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::access::{Role, end_of, token, token_of};
-use super::routes::Here;
+use super::routes::{Here, Leave, seconds};
 use crate::server::{NoBody, Pairs, Problem};
 
 /// How long a token to watch is good where this machine's own user asks for it.
 const LINK: Duration = Duration::from_hours(24);
+/// Bytes of what an origin says of a room, at most.
+const MOST_STATE: usize = 4096;
 
 /// What is known of a room from outside.
-#[derive(Serialize, ToSchema)]
+#[derive(Default, Deserialize, Serialize, ToSchema)]
 pub(super) struct RoomState {
     /// Somebody publishes.
     publishing: bool,
@@ -53,12 +55,25 @@ pub(super) async fn state(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Json<RoomState>, Problem> {
-    here.check(&name, Role::Watch, &uri, &headers)?;
-    let may_publish = here.check(&name, Role::Publish, &uri, &headers).is_ok();
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let may_publish = here.check(&name, Role::Publish, &uri, &headers).await.is_ok();
     let room = here.rooms.get(&name);
-    let ended = room.as_ref().and_then(|room| room.farewell());
-    let (publishing, viewers, full) = room.map_or((false, 0, false), |room| (room.is_publishing(), room.everyone(), room.is_full()));
-    Ok(Json(RoomState { publishing: publishing || here.rooms.is_elsewhere(&name), viewers, full, may_publish, ended }))
+    let full = room.as_ref().is_some_and(|room| room.is_full());
+    let state = match room.filter(|room| !room.is_edge()) {
+        Some(room) => RoomState { publishing: room.is_publishing(), viewers: room.everyone(), ..RoomState::default() },
+        None if leave == Leave::Node => RoomState::default(),
+        None => at_origin(&here, &name).await?.unwrap_or_default(),
+    };
+    let ended = here.rooms.get(&name).and_then(|room| room.farewell()).or(state.ended);
+    Ok(Json(RoomState { full, may_publish, ended, ..state }))
+}
+
+/// State of a room as its origin knows it; none where no other node has the room, or the one that does does not answer.
+async fn at_origin(here: &Here, name: &str) -> Result<Option<RoomState>, Problem> {
+    let Some((nodes, origin)) = here.rooms.elsewhere(name).await? else { return Ok(None) };
+    let Ok(answer) = nodes.fetch(&origin, name, "", HeaderMap::new()).await else { return Ok(None) };
+    let body = axum::body::to_bytes(answer.into_body(), MOST_STATE).await.unwrap_or_default();
+    Ok(serde_json::from_slice(&body).ok())
 }
 
 /// A token for who watches.
@@ -91,12 +106,11 @@ pub(super) async fn link(
     headers: HeaderMap,
     _: NoBody,
 ) -> Result<Json<Link>, Problem> {
-    here.check(&name, Role::Publish, &uri, &headers)?;
+    here.check(&name, Role::Publish, &uri, &headers).await?;
     let asked = Pairs::read(&uri, &["token"])?;
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
     let token = here.rooms.config.key.as_ref().and_then(|key| {
-        let given = asked.get("token").or_else(|| token_of(&headers));
-        let end = given.and_then(|given| end_of(key, &name, given, now)).unwrap_or(now + LINK.as_secs());
+        let (given, now) = (asked.get("token").or_else(|| token_of(&headers)), seconds());
+        let end = given.and_then(|given| end_of(key, Role::Publish, &name, given, now)).unwrap_or(now + LINK.as_secs());
         token(key, Role::Watch, &name, end)
     });
     Ok(Json(Link { token }))

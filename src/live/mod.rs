@@ -15,21 +15,25 @@
 //! | `still` | the last frame whose geometry is done |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
-//! | `fetch` | the newest frame and groups of pictures by plain HTTP, of whichever node has them |
-//! | `nodes` | rooms that several servers share |
+//! | `fetch` | the newest frame and groups of pictures by plain HTTP |
+//! | `tiles` | the tiles of a room as the chunks that were sent |
+//! | `origin` | which node has a room |
+//! | `edge` | a room that another node has |
 //! | `worker` | the threads that decode and make geometry |
 
 mod access;
+mod edge;
 mod fetch;
 mod gops;
 mod invite;
-mod nodes;
+mod origin;
 mod publisher;
 mod ring;
 mod room;
 pub(crate) mod routes;
 mod sound;
 mod still;
+mod tiles;
 mod viewer;
 mod worker;
 
@@ -41,20 +45,21 @@ use tmpi_pipeline::Models;
 
 pub(crate) use access::check_origin;
 pub use access::{Role, token};
-pub use async_nats::ServerAddr as NatsAddress;
 use axum::extract::ws::{Message, WebSocket};
-pub use nodes::Config as NodeConfig;
-pub(crate) use nodes::fuzzing;
+use axum::http::StatusCode;
+pub use origin::NodeAddress;
 pub(crate) use publisher::TAKEN;
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
 
-use nodes::{Claim, Nodes, Refused};
+use origin::{Lease, Nodes};
 use room::Room;
+use routes::{busy, none_publishes};
+use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
 
-use crate::server::{Figure, counter, gauge};
+use crate::server::{Figure, Problem, gauge};
 
 /// Time for the first message, and longest time for which a publisher publishes nothing.
 const SILENCE: Duration = Duration::from_secs(10);
@@ -110,7 +115,7 @@ impl Bounds {
     pub const FRAME: usize = 1 << 20;
     /// 16 KiB.
     pub const SOUND: usize = 16 << 10;
-    /// Rooms at a time where there are most: nodes tell each other of no more.
+    /// Rooms at a time where there are most.
     pub const MOST_ROOMS: usize = 64;
 }
 
@@ -124,16 +129,43 @@ impl Default for Bounds {
 pub struct Rooms {
     config: Config,
     bounds: Bounds,
-    named: Mutex<HashMap<String, Arc<Room>>>,
-    shared: Option<NodeConfig>,
+    named: Mutex<HashMap<String, Named>>,
+    address: Option<NodeAddress>,
     nodes: OnceLock<Arc<Nodes>>,
+}
+
+struct Named {
+    room: Arc<Room>,
+    /// How many [`Entry`]s there are.
+    entries: usize,
+}
+
+/// Holds a room open: a publisher that is there or may come back, or an origin of which this node is an edge.
+pub struct Entry {
+    rooms: Arc<Rooms>,
+    /// The room's name.
+    pub name: String,
+    /// The room.
+    pub room: Arc<Room>,
+}
+
+impl Drop for Entry {
+    fn drop(&mut self) {
+        let mut rooms = self.rooms.lock();
+        let Some(named) = rooms.get_mut(&self.name) else { return };
+        named.entries -= 1;
+        if named.entries == 0 {
+            rooms.remove(&self.name);
+            self.room.close();
+        }
+    }
 }
 
 impl Rooms {
     /// No room yet.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, bounds: Bounds::default(), named: Mutex::default(), shared: None, nodes: OnceLock::new() }
+        Self { config, bounds: Bounds::default(), named: Mutex::default(), address: None, nodes: OnceLock::new() }
     }
 
     /// Holds them to other bounds than the usual ones.
@@ -143,104 +175,107 @@ impl Rooms {
         self
     }
 
-    /// Shares them with other nodes.
+    /// Shares them with the other nodes of the library, which reach this one at `address`.
     #[must_use]
-    pub fn shared(mut self, config: NodeConfig) -> Self {
-        self.shared = Some(config);
+    pub fn shared(mut self, address: NodeAddress) -> Self {
+        self.address = Some(address);
         self
     }
 
-    /// Joins the other nodes, where there are to be any, until the server stops.
-    pub(crate) async fn start(self: &Arc<Self>, stop: CancellationToken) {
-        let Some(config) = &self.shared else { return };
-        match Nodes::join(config, self, stop).await {
-            Ok(nodes) => drop(self.nodes.set(nodes)),
-            Err(error) => tracing::error!(%error, "rooms are not shared"),
+    /// Shares them by this library until the server stops, where they are to be shared.
+    pub(crate) fn start(&self, library: &Library, stop: &CancellationToken) {
+        let Some(address) = &self.address else { return };
+        match Nodes::new(library.clone(), address.clone(), stop.clone()) {
+            // once, as a server runs once
+            Ok(nodes) => drop(self.nodes.set(Arc::new(nodes))),
+            Err(error) => tracing::error!(%error, "rooms are not shared with other nodes"),
         }
     }
 
-    /// Why rooms are not what they are to be, for whoever asks whether the server is ready.
-    pub(crate) fn trouble(&self) -> Option<&'static str> {
-        let alone = self.shared.is_some() && !self.nodes.get().is_some_and(|n| n.is_connected());
-        alone.then_some("NATS cannot be reached: rooms are not shared with other nodes")
-    }
-
-    /// What is counted; nothing where rooms are not shared.
+    /// What is counted.
     pub(crate) fn counts(&self) -> Vec<Figure> {
-        let of = |n: &Arc<Nodes>| {
-            vec![
-                gauge("tmpi_live_nats_connected", "Whether other nodes can be heard", f64::from(u8::from(n.is_connected()))),
-                counter("tmpi_live_nats_dropped", "Messages of other nodes that were none", n.dropped() as f64),
-            ]
+        let (all, edges) = {
+            let rooms = self.lock();
+            (rooms.len(), rooms.values().filter(|named| named.room.is_edge()).count())
         };
-        self.nodes.get().map(of).unwrap_or_default()
+        vec![
+            gauge("tmpi_live_rooms", "Rooms that are open at this node", all as f64),
+            gauge("tmpi_live_edges", "Rooms of these whose publisher is at another node", edges as f64),
+        ]
     }
 
-    /// All of them, by name.
-    fn all(&self) -> Vec<(String, Arc<Room>)> {
-        let mut rooms = self.lock();
-        // a room that nobody holds, of which others could not come to know
-        rooms.retain(|_, room| Arc::strong_count(room) > 1);
-        let mut all: Vec<_> = rooms.iter().map(|(name, room)| (name.clone(), Arc::clone(room))).collect();
-        all.sort_by(|a, b| a.0.cmp(&b.0));
-        all
-    }
-
-    /// Whether another node has the publisher of a room.
-    fn is_elsewhere(&self, name: &str) -> bool {
-        self.nodes.get().is_some_and(|nodes| nodes.owner(name).is_some())
-    }
-
-    /// A room to watch: one that is there, or that another node has.
-    fn visit(self: &Arc<Self>, name: &str) -> Option<Arc<Room>> {
-        let known = self.get(name);
-        let Some(nodes) = self.nodes.get().filter(|_| self.is_elsewhere(name)) else { return known };
-        let room = known.or_else(|| self.enter(name))?;
-        nodes.follow(self, name, &room);
-        Some(room)
-    }
-
-    /// Makes the room this node's, whose epoch here was `floor` last; nothing to hold where there are no other nodes.
-    async fn claim(self: &Arc<Self>, name: &str, floor: u64) -> Result<Option<Claim>, Refused> {
-        match self.nodes.get() {
-            Some(nodes) => nodes.claim(self, name, floor).await.map(Some),
-            None => Ok(None),
-        }
-    }
-
-    /// Ends to follow a room; where its publisher is nowhere any more, whoever watches is sent away.
-    fn leave_followed(&self, name: &str, room: &Arc<Room>, alone: bool) {
-        if alone {
-            self.leave(name, room);
-        }
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Room>>> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, Named>> {
         self.named.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A room that is there.
+    /// A room that is open here.
     fn get(&self, name: &str) -> Option<Arc<Room>> {
-        self.lock().get(name).cloned()
+        self.lock().get(name).map(|named| Arc::clone(&named.room))
     }
 
-    /// A room, made where it is not there; none where there are as many as may be.
-    fn enter(&self, name: &str) -> Option<Arc<Room>> {
+    /// Opens a room, or holds one open that is; none where there are as many as may be.
+    fn enter(self: &Arc<Self>, name: &str) -> Option<Entry> {
         let mut rooms = self.lock();
         if !rooms.contains_key(name) && rooms.len() >= self.bounds.rooms {
             return None;
         }
-        Some(Arc::clone(rooms.entry(name.to_owned()).or_insert_with(|| Arc::new(Room::new(self.bounds)))))
+        let bounds = self.bounds;
+        let named = rooms.entry(name.to_owned()).or_insert_with(|| Named { room: Arc::new(Room::new(bounds)), entries: 0 });
+        named.entries += 1;
+        Some(Entry { rooms: Arc::clone(self), name: name.to_owned(), room: Arc::clone(&named.room) })
     }
 
-    /// Takes a room away that no publisher has come back to.
-    fn leave(&self, name: &str, room: &Arc<Room>) {
-        let mut rooms = self.lock();
-        if rooms.get(name).is_some_and(|r| Arc::ptr_eq(r, room)) && room.is_empty() && !room.is_followed() {
-            rooms.remove(name);
-            room.close();
+    /// A room to watch: one that is open here, or that another node has.
+    async fn visit(self: &Arc<Self>, name: &str) -> Result<Arc<Room>, Problem> {
+        if let Some(room) = self.get(name) {
+            return Ok(room);
+        }
+        self.elsewhere(name).await?.ok_or_else(none_publishes)?;
+        let entry = self.enter(name).ok_or_else(busy)?;
+        let room = Arc::clone(&entry.room);
+        self.follow(entry);
+        Ok(room)
+    }
+
+    /// The other node that has a room, with this one.
+    async fn elsewhere(&self, name: &str) -> Result<Option<(Arc<Nodes>, Origin)>, Problem> {
+        let Some(nodes) = self.nodes.get() else { return Ok(None) };
+        let origin = nodes.origin(name).await.map_err(|error| unreachable(&error))?;
+        Ok(origin.map(|origin| (Arc::clone(nodes), origin)))
+    }
+
+    /// Makes this node an edge of a room, unless it is one already or the publisher is here.
+    fn follow(&self, entry: Entry) {
+        if let Some(nodes) = self.nodes.get()
+            && let Some(edge) = entry.room.begin_edge()
+        {
+            tokio::spawn(edge::run(Arc::clone(nodes), entry, edge));
         }
     }
+}
+
+impl Entry {
+    /// Holds the room open for a publisher that comes back within [`COME_BACK`]. Where it went to another node, this one becomes an edge.
+    async fn linger(self, lease: Option<Lease>, stop: &CancellationToken) {
+        let moved = tokio::select! {
+            () = tokio::time::sleep(COME_BACK) => false,
+            () = stop.cancelled() => false,
+            // a lease of before is lost to a later one of this node, too
+            () = origin::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.has_epoch(lease.epoch())),
+        };
+        // before anybody is told that the room is closed
+        if let Some(lease) = lease {
+            lease.release().await;
+        }
+        if moved {
+            Arc::clone(&self.rooms).follow(self);
+        }
+    }
+}
+
+fn unreachable(error: &LibraryError) -> Problem {
+    tracing::warn!(%error, "the rooms of other nodes");
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "elsewhere", "the database cannot be reached").retry_after(1)
 }
 
 /// Time for which what still comes is read and dropped: a client whose words are not read never hears why it was sent away.

@@ -14,63 +14,86 @@ use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::video::VideoError;
 use tmpi_live::{Geometry, Settings, units, video};
 
-use super::nodes::Refused;
+use super::origin::{Lease, lost};
 use super::ring::What;
 use super::room::Room;
-use super::routes::Here;
+use super::routes::{ENDED, Here, ended};
 use super::sound::Allowance;
 use super::viewer::GONE;
 use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
+use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
 /// Bytes of a codec string.
 const CODEC: usize = 64;
 
-/// Serves a publisher until it goes or has to.
-pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), here: &Here) {
-    let reason = match session(&mut socket, named, here).await {
-        Ok(()) => return,
-        Err(reason) => reason,
-    };
+/// Serves a publisher until it goes or has to, or the token `ends` that it came by. Gives the lease of the room, where other nodes have to know of it.
+pub async fn serve(mut socket: WebSocket, entry: &Entry, here: &Here, ends: Option<Instant>) -> Option<Lease> {
+    let mut lease = None;
+    let Err(reason) = session(&mut socket, entry, here, ends, &mut lease).await else { return lease };
     tracing::info!(reason, "a publisher is sent away");
     send_away(socket, Bye { again: may_come_back(&reason), reason }).await;
+    lease
 }
 
 /// Whether a publisher that is sent away for that reason may try again: a camera that paused may go on.
 fn may_come_back(reason: &str) -> bool {
-    reason == STOPS || reason == UNKNOWN || reason.starts_with(SILENT) || reason.starts_with(BROKE)
+    reason == STOPS || reason == UNREACHABLE || reason.starts_with(SILENT) || reason.starts_with(BROKE)
 }
 
 const STOPS: &str = "the server stops";
 /// What viewers are told of a publisher that is sent away, before the reason.
-const SENT_AWAY: &str = "the publisher was sent away";
+pub(super) const SENT_AWAY: &str = "the publisher was sent away";
 /// Why a second publisher is sent away.
 pub(crate) const TAKEN: &str = "someone publishes in this room";
 const SILENT: &str = "nothing came for";
 const BROKE: &str = "the connection broke";
 const BIDIRECTIONAL: &str =
     "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
-const UNKNOWN: &str = "another node had this room when the others were last heard";
+const UNREACHABLE: &str = "the database of rooms cannot be reached";
+const MOVED: &str = "the room's publisher has come to another server";
 
 /// Publishes; ends without a reason where the publisher has gone by itself.
-async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: &Here) -> Result<(), String> {
+async fn session(
+    socket: &mut WebSocket,
+    entry: &Entry,
+    here: &Here,
+    ends: Option<Instant>,
+    lease: &mut Option<Lease>,
+) -> Result<(), String> {
+    let (room, rooms) = (&entry.room, &here.rooms);
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
     // before the room is taken: nobody watches who would have to be told
-    checked(hello.clone(), &here.rooms.config)?;
+    checked(hello.clone(), &rooms.config)?;
     video::decoder(&hello.codec, (hello.width, hello.height)).map_err(|e| e.to_string())?;
-    let floor = room.take().ok_or(TAKEN)?;
+    if !room.take() {
+        return Err(TAKEN.into());
+    }
     // given back however this ends
-    let _seat = Seat(&room);
-    let ended = published(socket, (name, &room), hello, floor, here).await;
+    let _seat = Seat(room);
+    if let Some(nodes) = rooms.nodes.get() {
+        let claimed = nodes.claim(&entry.name).await;
+        *lease = Some(claimed.map_err(|error| {
+            tracing::warn!(%error, room = entry.name, "a room is not taken");
+            UNREACHABLE
+        })?);
+    }
+    let ended = published(socket, room, hello, here, Until { lease: lease.as_ref(), ends }).await;
     match &ended {
         Ok(Gone::Said) => room.end(GONE),
-        Err(reason) if reason != TAKEN && !may_come_back(reason) => room.end(&format!("{SENT_AWAY}: {reason}")),
+        // viewers follow the publisher to where it is now
+        Err(reason) if reason != MOVED && !may_come_back(reason) => room.end(&format!("{SENT_AWAY}: {reason}")),
         Ok(Gone::Lost) | Err(_) => {}
     }
     ended.map(drop)
+}
+
+/// What ends a publisher's right to the room.
+struct Until<'a> {
+    lease: Option<&'a Lease>,
+    ends: Option<Instant>,
 }
 
 /// Microseconds since 1970.
@@ -131,27 +154,12 @@ fn turned(fov_x: f64, before: (u32, u32), now: (u32, u32)) -> f64 {
 }
 
 /// Hands on what a publisher sends, which has the room.
-async fn published(
-    socket: &mut WebSocket,
-    (name, room): (&str, &Arc<Room>),
-    hello: Hello,
-    floor: u64,
-    here: &Here,
-) -> Result<Gone, String> {
+async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here: &Here, until: Until<'_>) -> Result<Gone, String> {
     let Here { rooms, stop, .. } = here;
-    let claim = rooms.claim(name, floor).await.map_err(|refused| match refused {
-        Refused::Taken => TAKEN,
-        Refused::Unknown => UNKNOWN,
-    })?;
     let (done, mut decoded) = mpsc::channel(16);
     // by the clock: addresses of groups of pictures are no others' after a restart
-    let least = claim.as_ref().map_or(micros() / 1000, |c| c.epoch);
+    let least = until.lease.map_or(micros() / 1000, Lease::epoch);
     let mut show = Show::begin(room, hello, least, &rooms.config, done.clone())?;
-    let evicted = claim.as_ref().map(|c| c.evicted.clone()).unwrap_or_default();
-    let _forwarded = claim.map(|mut claim| {
-        claim.forward(room);
-        claim
-    });
     let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: Instant::now(), broken: 0, seen: false };
     let (mut depth, mut sounds) = (None, Allowance::new(Instant::now()));
     let mut heartbeat = interval(HEARTBEAT);
@@ -174,7 +182,8 @@ async fn published(
                 frames.credit(socket, 0, false).await?;
                 continue;
             }
-            () = evicted.cancelled() => return Err(TAKEN.into()),
+            () = lost(until.lease) => return Err(MOVED.into()),
+            () = ended(until.ends) => return Err(ENDED.into()),
             () = stop.cancelled() => return Err(STOPS.into()),
         };
         let came = Instant::now();
@@ -329,7 +338,7 @@ impl Frames {
 
     async fn credit(&mut self, socket: &mut WebSocket, frames: u32, key: bool) -> Result<(), String> {
         self.allowed += frames;
-        let bytes: Bytes = write(Kind::Credit(Credit { frames, key }));
+        let bytes: Bytes = write(Kind::Credit(Credit { frames, key, viewers: 0 }));
         socket.send(Message::Binary(bytes)).await.map_err(|e| format!("{BROKE}: {e}"))
     }
 }

@@ -96,12 +96,6 @@ pub struct Place {
 }
 
 impl Place {
-    /// Number of the message that comes next.
-    #[must_use]
-    pub const fn number(&self) -> u64 {
-        self.next
-    }
-
     /// The frame up to which all tiles reached the viewer; none: it has none.
     #[must_use]
     pub const fn known(&self) -> Option<u64> {
@@ -213,18 +207,9 @@ impl Ring {
     }
 
     /// Where one begins who has been told everything so far.
-    #[must_use]
-    pub fn at_end(&self, now: Instant) -> Place {
+    fn at_end(&self, now: Instant) -> Place {
         let next = self.end();
         Place { next, waits: false, stale: false, known: None, sight: Sight::Seen, lacks: None, heard: 0, since: now, skipped: 0 }
-    }
-
-    /// Number that the next message will have, and all since the last key frame with theirs.
-    #[must_use]
-    pub fn since_key(&self) -> (u64, Vec<(u64, Bytes)>) {
-        let from = self.last_key().unwrap_or(self.end());
-        let entries = self.entries.iter().zip(self.first..).filter(|(_, n)| *n >= from);
-        (self.end(), entries.map(|(e, n)| (n, e.bytes.clone())).collect())
     }
 
     /// What comes next for a viewer.

@@ -5,19 +5,20 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use tokio::sync::{Notify, watch};
+use tokio_util::sync::CancellationToken;
 
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 
 use super::gops::{Group, Groups, Part};
-use super::nodes::Chunks;
 use super::ring::{Place, Ring, Step, What};
 pub use super::still::{Newest, Still, Tiles};
+use super::tiles::Chunks;
 use super::{Bounds, KEYS};
 use crate::server::Problem;
 
-mod shared;
+mod relayed;
 
 /// A room.
 pub struct Room {
@@ -31,10 +32,6 @@ pub struct Room {
 }
 
 #[derive(Default)]
-#[allow(
-    clippy::struct_excessive_bools,
-    reason = "each is by itself: a room that is followed may be taken before its publisher has said hello"
-)]
 struct State {
     ring: Ring,
     /// Of the publisher that is there or was last; none: there was none yet.
@@ -47,12 +44,14 @@ struct State {
     /// Why the publisher is gone for good; none while one is here or may come back.
     farewell: Option<String>,
     viewers: usize,
-    /// Viewers that other nodes have.
+    /// Viewers of the edges that watch here, as these count them.
+    at_edges: u32,
+    /// This node is an edge of the room: cancelled when it ends to be one.
+    edge: Option<CancellationToken>,
+    /// Of an edge: viewers at all other nodes, the tiles, and the last frame that came.
     elsewhere: u32,
-    /// What another node makes is handed on here.
-    followed: bool,
-    /// Its tiles.
     chunks: Option<Chunks>,
+    relayed: Option<u64>,
     /// The tiles that were made here as they were sent.
     made: Option<Chunks>,
     groups: Groups,
@@ -79,6 +78,16 @@ pub enum Next {
 pub struct Viewer {
     place: Place,
     epoch: u64,
+    kind: Watches,
+}
+
+/// For whom a viewer watches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Watches {
+    /// For itself.
+    Itself,
+    /// For so many viewers of an edge.
+    Edge(u32),
 }
 
 impl Room {
@@ -110,26 +119,30 @@ impl Room {
         self.lock().publishing
     }
 
+    /// Whether this is the epoch of the publisher that was last here.
+    pub fn has_epoch(&self, epoch: u64) -> bool {
+        self.lock().epoch == epoch
+    }
+
     /// Sends everybody away.
     pub fn close(&self) {
         self.lock().closed = true;
         self.changed();
     }
 
-    /// Takes the place of the room's publisher; gives the room's epoch so far. None where there is one already.
-    pub fn take(&self) -> Option<u64> {
+    /// Takes the place of the room's publisher; false where there is one already.
+    pub fn take(&self) -> bool {
         let mut state = self.lock();
-        if state.taken || state.closed {
-            return None;
-        }
-        state.taken = true;
-        Some(state.epoch)
+        !state.closed && !std::mem::replace(&mut state.taken, true)
     }
 
     /// The publisher that took the room says `hello`; gives its epoch, `least` or more.
     pub fn publish(&self, mut hello: Hello, clock: u64, least: u64) -> u64 {
         let mut state = self.lock();
-        (state.publishing, state.followed, state.farewell) = (true, false, None);
+        (state.publishing, state.farewell) = (true, None);
+        if let Some(edge) = state.edge.take() {
+            edge.cancel();
+        }
         state.epoch = least.max(state.epoch + 1);
         (hello.epoch, hello.clock) = (state.epoch, clock);
         state.begin(hello, None);
@@ -175,7 +188,7 @@ impl Room {
             What::Sound => {}
         }
         let now = Instant::now();
-        // groups are for whoever asks the node that has the publisher
+        // groups are asked for at the origin
         if let Some(hello) = state.hello.as_ref().filter(|_| state.chunks.is_none()) {
             state.groups.push(what, &bytes, now, hello, state.still.as_ref().map(|s| &s.tiles));
         }
@@ -311,15 +324,22 @@ impl Room {
         state.groups.last().map(|number| Group { epoch: state.epoch, number })
     }
 
-    /// Lets a viewer in; none where there are as many as may be, or the room is no more.
-    pub fn join(&self) -> Option<Viewer> {
+    /// Lets a viewer in; none where there are as many as may be, or the room is no more. Edges are not counted, and find the origin alone.
+    pub fn join(&self, kind: Watches) -> Option<Viewer> {
         let mut state = self.lock();
-        if state.viewers >= self.bounds.viewers || state.closed {
+        let refused = match kind {
+            Watches::Itself => state.viewers >= self.bounds.viewers,
+            Watches::Edge(_) => state.edge.is_some(),
+        };
+        if refused || state.closed {
             return None;
         }
-        state.viewers += 1;
+        match kind {
+            Watches::Itself => state.viewers += 1,
+            Watches::Edge(viewers) => state.at_edges += viewers,
+        }
         // an epoch that is none: everything is to be told first
-        Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0 })
+        Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0, kind })
     }
 
     /// How many watch, at other nodes, too.
@@ -338,16 +358,20 @@ impl Room {
     }
 
     /// A viewer has gone.
-    pub fn part(&self) {
+    pub fn part(&self, viewer: &Viewer) {
         let mut state = self.lock();
-        state.viewers = state.viewers.saturating_sub(1);
+        match viewer.kind {
+            Watches::Itself => state.viewers = state.viewers.saturating_sub(1),
+            Watches::Edge(viewers) => state.at_edges = state.at_edges.saturating_sub(viewers),
+        }
     }
 
     /// What comes next for a viewer.
     pub fn next(&self, viewer: &mut Viewer) -> Next {
         let mut state = self.lock();
         let now = Instant::now();
-        if state.closed || state.farewell.is_some() {
+        let is_edge_of_edge = matches!(viewer.kind, Watches::Edge(_)) && state.edge.is_some();
+        if state.closed || state.farewell.is_some() || is_edge_of_edge {
             return Next::Closed;
         }
         let Some(hello) = state.hello.clone() else { return Next::Wait };
@@ -389,20 +413,15 @@ impl State {
         self.hello = Some(Arc::new(hello));
         self.ring.clear();
         (self.groups, self.still, self.statistics) = (Groups::default(), None, Statistics::default());
-        (self.chunks, self.elsewhere) = (chunks, 0);
+        (self.chunks, self.elsewhere, self.relayed) = (chunks, 0, None);
     }
 
     fn everyone(&self) -> u32 {
-        (self.viewers as u32).saturating_add(self.elsewhere)
+        (self.viewers as u32).saturating_add(self.elsewhere).saturating_add(self.at_edges)
     }
 }
 
 impl Viewer {
-    /// Number that the next message of the ring has.
-    pub const fn number(&self) -> u64 {
-        self.place.number()
-    }
-
     /// Sends it sound alone from now on, or all again.
     pub const fn pause(&mut self, paused: bool) {
         self.place.pause(paused);
@@ -413,9 +432,9 @@ impl Viewer {
         self.place.lose();
     }
 
-    /// The epoch that it was told of.
-    pub const fn epoch(&self) -> u64 {
-        self.epoch
+    /// For whom it watches.
+    pub const fn watches(&self) -> Watches {
+        self.kind
     }
 }
 

@@ -1,7 +1,7 @@
 //! The addresses of rooms.
 
 use std::sync::Arc;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use axum::Extension;
 use axum::extract::ws::WebSocketUpgrade;
@@ -9,18 +9,21 @@ use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::Response;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::access::{PROTOCOL, Role, check_origin, is_good, token_of};
-use super::{COME_BACK, Rooms, fetch, invite, is_name, publisher, viewer};
+use super::access::{PROTOCOL, Role, check_origin, end_of, token_of};
+use super::room::Watches;
+use super::{Rooms, fetch, invite, is_name, publisher, viewer};
 use crate::server::{Held, Pairs, Problem};
 
 /// Bytes that wait to be written for a viewer, at most: the largest message, and nothing beside it.
 const WRITE_BUFFER: usize = 2 << 20;
 /// Seconds after which one may look for a place again in a room that is full.
 const FULL_AGAIN: u64 = 10;
+
 /// What the handlers need of the server.
 #[derive(Clone)]
 pub struct Here {
@@ -50,29 +53,62 @@ pub fn publishing_api() -> OpenApiRouter<Here> {
 impl Here {
     /// Checks query, leave and name. A token lets pages of other sites watch; without one they have no leave, as what a browser sends by itself
     /// says nothing of who wants it, and none of them publishes.
-    pub(super) fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
+    pub(super) async fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<Leave, Problem> {
         let asked = Pairs::read(uri, &["token"])?;
         let same_site = check_origin(headers);
         if role == Role::Publish {
             same_site.clone()?;
         }
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-        let has_leave = match (&self.rooms.config.key, asked.get("token").or_else(|| token_of(headers))) {
-            (Some(key), Some(token)) => is_good(key, role, room, token, now),
-            _ => same_site.is_ok() && (self.own)(headers),
+        let token = asked.get("token").or_else(|| token_of(headers));
+        let leave = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
+            (_, Some(token), Some(nodes)) if role == Role::Watch && nodes.admits(room, token).await => Some(Leave::Node),
+            (Some(key), Some(token), _) => end_of(key, role, room, token, seconds()).map(|ends| Leave::Until(deadline(ends))),
+            _ => (same_site.is_ok() && (self.own)(headers)).then_some(Leave::Until(None)),
         };
-        if !has_leave {
-            return Err(Problem::new(StatusCode::FORBIDDEN, "token", "a token for this room is needed").field("token"));
-        }
+        let leave = leave.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "a token for this room is needed").field("token"))?;
         if !is_name(room) {
             return Err(Problem::not_found("a room's name has letters, digits, - and _"));
         }
-        Ok(())
+        Ok(leave)
+    }
+}
+
+/// What lets a request in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Leave {
+    /// It is this machine's own user's, or has a token that ends then.
+    Until(Option<Instant>),
+    /// It is another node's.
+    Node,
+}
+
+/// Seconds since 1970.
+pub(super) fn seconds() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
+}
+
+/// When a token ends; none where that is never.
+fn deadline(ends: u64) -> Option<Instant> {
+    Instant::now().checked_add(Duration::from_secs(ends.saturating_sub(seconds())))
+}
+
+/// Why a socket ends with the token that it was opened by.
+pub(super) const ENDED: &str = "the invitation has ended";
+
+/// Ready at that time; never without one.
+pub(super) async fn ended(at: Option<Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at).await,
+        None => std::future::pending().await,
     }
 }
 
 pub(super) fn none_publishes() -> Problem {
     Problem::not_found("nobody publishes in this room")
+}
+
+pub(super) fn busy() -> Problem {
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "there are as many rooms as may be").retry_after(5)
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
@@ -110,20 +146,15 @@ async fn publish(
     headers: HeaderMap,
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
-    here.check(&name, Role::Publish, &uri, &headers)?;
+    let Leave::Until(ends) = here.check(&name, Role::Publish, &uri, &headers).await? else { return Err(none_publishes()) };
     // what a message has beside its frame
     let bounds = here.rooms.bounds;
     let upgrade = bounded(upgrade, bounds.frame.max(bounds.sound) + 1024)?;
-    let busy = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "there are as many rooms as may be").retry_after(5);
-    let room = here.rooms.enter(&name).ok_or_else(busy)?;
+    let entry = here.rooms.enter(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         held.keep_little();
-        publisher::serve(socket, (&name, Arc::clone(&room)), &here).await;
-        tokio::select! {
-            () = tokio::time::sleep(COME_BACK) => {}
-            () = here.stop.cancelled() => {}
-        }
-        here.rooms.leave(&name, &room);
+        let lease = publisher::serve(socket, &entry, &here, ends).await;
+        entry.linger(lease, &here.stop).await;
         drop(held);
     }))
 }
@@ -144,7 +175,7 @@ async fn publish(
         (status = 403, description = "No token that is good: a page of another site always needs one"),
         (status = 404, description = "Nobody publishes in such a room"),
         (status = 426, description = "This is a WebSocket"),
-        (status = 503, description = "As many watch the room at this node as may"),
+        (status = 503, description = "As many watch the room at this node as may, or there are as many rooms"),
     )
 )]
 async fn subscribe(
@@ -155,15 +186,19 @@ async fn subscribe(
     headers: HeaderMap,
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
-    here.check(&name, Role::Watch, &uri, &headers)?;
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
     let upgrade = bounded(upgrade, 1024)?;
-    let room = here.rooms.visit(&name).ok_or_else(none_publishes)?;
-    if room.is_full() {
+    let (room, ends, kind) = match leave {
+        Leave::Until(ends) => (here.rooms.visit(&name).await?, ends, Watches::Itself),
+        // the origin serves edges, and edges do not
+        Leave::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0)),
+    };
+    if kind == Watches::Itself && room.is_full() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", viewer::FULL).retry_after(FULL_AGAIN));
     }
     Ok(upgrade.on_upgrade(async move |socket| {
         held.keep_little();
-        viewer::serve(socket, room, here.stop).await;
+        viewer::serve(socket, (room, kind), here.stop, ends).await;
         drop(held);
     }))
 }

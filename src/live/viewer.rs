@@ -1,7 +1,7 @@
 //! The socket of a viewer: it is sent what the room's ring has for it, one message after the other, as fast as it takes them.
 //!
 //! All that it may say is CREDIT: of no frames where nobody looks, as in a hidden tab, of one or more where somebody looks again, and of these with
-//! `key` where it cannot decode what it has and needs a key frame.
+//! `key` where it cannot decode what it has and needs a key frame. An edge says by it how many watch there, and that one of them needs a key frame.
 
 use std::sync::Arc;
 
@@ -15,7 +15,8 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
-use super::room::{Next, Room, Viewer};
+use super::room::{Next, Room, Viewer, Watches};
+use super::routes::{ENDED, ended};
 use super::{HEARTBEAT, send_away};
 
 /// Why a viewer finds no place.
@@ -34,30 +35,47 @@ enum End {
     Bye(Bye),
 }
 
-/// Serves a viewer until it or the room goes.
-pub async fn serve(mut socket: WebSocket, room: Arc<Room>, stop: CancellationToken) {
-    let Some(mut viewer) = room.join() else {
+/// A viewer that is counted as long as this lives.
+struct Counted<'a> {
+    room: &'a Room,
+    viewer: Viewer,
+}
+
+impl Drop for Counted<'_> {
+    fn drop(&mut self) {
+        self.room.part(&self.viewer);
+    }
+}
+
+/// Serves a viewer until it or the room goes, or the token `ends` that it came by.
+pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, Watches), stop: CancellationToken, ends: Option<Instant>) {
+    let Some(viewer) = room.join(kind) else {
         return send_away(socket, Bye { reason: FULL.into(), again: true }).await;
     };
-    let end = watch(&mut socket, &room, &mut viewer, &stop).await;
-    room.part();
+    let end = {
+        let mut counted = Counted { room: &room, viewer };
+        watch(&mut socket, &room, &mut counted.viewer, &stop, ends).await
+    };
     if let End::Bye(bye) = end {
         send_away(socket, bye).await;
     }
 }
 
-async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &CancellationToken) -> End {
+async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &CancellationToken, ends: Option<Instant>) -> End {
     let mut changes = room.watch();
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut words = Words { left: f64::from(WORDS), at: Instant::now() };
     loop {
         // also where there is always something to send: who hides a page on a slow line wants less of it
-        if let Some(end) = socket.recv().now_or_never().and_then(|came| heard(came, &mut words, viewer)) {
+        if let Some(end) = socket.recv().now_or_never().and_then(|came| heard(came, &mut words, room, viewer)) {
             return end;
         }
         if stop.is_cancelled() {
-            return stopping();
+            return bye("the server stops", true);
+        }
+        if ends.is_some_and(|at| at <= Instant::now()) {
+            return bye(ENDED, false);
         }
         changes.mark_unchanged();
         match room.next(viewer) {
@@ -76,10 +94,7 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                     return End::Gone;
                 }
             }
-            Next::Closed => {
-                let reason = room.farewell().unwrap_or_else(|| GONE.into());
-                return End::Bye(Bye { reason, again: true });
-            }
+            Next::Closed => return bye(&room.farewell().unwrap_or_else(|| GONE.into()), true),
             Next::Wait => tokio::select! {
                 changed = changes.changed() => {
                     if changed.is_err() {
@@ -91,36 +106,40 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                         return End::Gone;
                     }
                 }
-                came = socket.recv() => if let Some(end) = heard(came, &mut words, viewer) {
+                came = socket.recv() => if let Some(end) = heard(came, &mut words, room, viewer) {
                     return end;
                 },
-                () = stop.cancelled() => return stopping(),
+                () = stop.cancelled() => {}
+                () = ended(ends) => {}
             },
         }
     }
 }
 
-fn stopping() -> End {
-    End::Bye(Bye { reason: "the server stops".into(), again: true })
+fn bye(reason: &str, again: bool) -> End {
+    End::Bye(Bye { reason: reason.into(), again })
 }
 
 /// Takes what came from a viewer; none where it may stay.
-fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Words, viewer: &mut Viewer) -> Option<End> {
-    let away = |reason: String| Some(End::Bye(Bye { reason, again: false }));
+fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Words, room: &Room, viewer: &mut Viewer) -> Option<End> {
     match came {
         // pings are answered by the library
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
         Some(Ok(Message::Binary(bytes))) => match words.take(bytes, Instant::now()) {
-            Ok(Credit { frames, key }) => {
+            Ok(Credit { viewers, key, .. }) if matches!(viewer.watches(), Watches::Edge(_)) => {
+                room.hear_edge(viewer, viewers, key);
+                None
+            }
+            Ok(Credit { frames, key, .. }) => {
                 if key && frames > 0 {
                     viewer.lose();
                 }
                 viewer.pause(frames == 0);
                 None
             }
-            Err(reason) => away(reason),
+            Err(reason) => Some(bye(&reason, false)),
         },
-        Some(Ok(Message::Text(_))) => away(NOTHING_ELSE.into()),
+        Some(Ok(Message::Text(_))) => Some(bye(NOTHING_ELSE, false)),
         _ => Some(End::Gone),
     }
 }
@@ -173,7 +192,7 @@ mod tests {
     fn credit_says_whether_somebody_looks_and_comes_no_more_often_than_tabs_are_changed() {
         let start = Instant::now();
         let mut words = Words { left: f64::from(WORDS), at: start };
-        let said = |frames| Credit { frames, key: frames > 0 };
+        let said = |frames| Credit { frames, key: frames > 0, viewers: 0 };
         let credit = |frames| write(Kind::Credit(said(frames)));
         for n in 0..WORDS {
             assert_eq!(words.take(credit(n % 2), start), Ok(said(n % 2)));

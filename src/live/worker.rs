@@ -244,7 +244,7 @@ mod tests {
         let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
         let (room, mut driver) = (Room::new(Bounds::default()), Geometry::new(models, settings.clone()));
         let epoch = room.publish(Model::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
-        let mut viewer = room.join().unwrap();
+        let mut viewer = room.join(crate::live::room::Watches::Itself).unwrap();
         let mut model = Model::new(&Model::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();
         let mut read_all = |model: &mut Model| loop {
             let bytes = match room.next(&mut viewer) {

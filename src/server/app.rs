@@ -1,7 +1,5 @@
 //! What all handlers share.
 
-use std::fs::File;
-use std::io::Read as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -9,51 +7,50 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use bytes::Bytes;
-use sha2::{Digest, Sha256};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::Config;
 use super::access::Guard;
 use super::cache::Cache;
-use super::entry::{Entry, Status};
-use super::exports::{self, Ordered, Recipe, Standing, Wanted};
+use super::exports::{self, Recipe, Wanted};
 use super::hosts::Hosts;
-use super::id::{PhotoId, hex};
 use super::identity;
-use super::jobs::Jobs;
-pub use super::kept::{Derived, Export, Full, Stored, Version};
+pub use super::kept::{Derived, Disk, Export, Full, Stored, Version};
 use super::limits::Limits;
-use super::memory::Way;
+use super::made::Done;
+use super::maker::Maker;
+use super::memory::Memory;
 use super::network::Download;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
 use super::proxies::Proxies;
 use super::rates::Rates;
-use super::share::Places;
-use super::source::Source;
-use super::store::{Done, Part, damage_of, lost};
+use super::share::{Places, asker};
 use super::telemetry::Telemetry;
-use super::time::now_ms;
 use super::traces;
 use super::upload::Coming;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
+use tmpi_library::{Asker, Library, LibraryError, Owner, Part, Photo, PhotoId, PhotoState};
+use tmpi_pipeline::strokes::{self, Stroke};
 use tmpi_render::Renderer;
 
 /// Shared state; cheap to clone.
 pub type App = Arc<Shared>;
 
-/// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
-const SMALL: usize = 256 << 10;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
 
 /// State of the server.
 pub struct Shared {
-    /// Photos and their jobs.
-    pub jobs: Arc<Jobs>,
+    /// Photos, jobs, owners, keys and rooms, as the database and the blob store have them.
+    pub library: Library,
+    /// Makes photos.
+    pub maker: Arc<dyn Maker>,
+    /// Memory of jobs under way.
+    pub memory: Memory,
     /// Limits.
     pub limits: Arc<Limits>,
     /// Counters.
@@ -76,12 +73,16 @@ pub struct Shared {
     pub uploads: Coming,
     /// How often somebody may ask.
     pub rates: Rates,
-    /// Leave to change what is on disk.
+    /// Leave to read an upload whole.
     pub changes: Arc<Semaphore>,
     /// Places for event streams.
     pub streams: Places,
-    /// Why the data directory could not be written, or what was missing to make photos with, when that was last tried.
-    pub storage: Mutex<Option<&'static str>>,
+    /// Why the library could not be written, or what was missing to make photos with, when that was last tried.
+    storage: Mutex<Option<&'static str>>,
+    /// The fault of this server that kept the last job from being done.
+    trouble: Mutex<Option<String>>,
+    /// Folder for files that no name leads to.
+    pub scratch: PathBuf,
     /// What draws them.
     pub renderer: Arc<dyn Renderer>,
     /// Names under which the server answers.
@@ -113,11 +114,14 @@ pub struct Shared {
 impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
-    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
-        let Config { addr: _, admin, data: _, pages, hosts, proxies, public_list, private: _, keys: _, traces: _, limits: _ } = config;
-        let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
+    pub fn new(config: Config, addr: SocketAddr, library: Library, parts: Parts) -> Self {
+        let Config { admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
+        let Parts { maker, renderer, telemetry, openapi } = parts;
         Self {
-            jobs,
+            guard: private.then(|| Guard::new(library.clone())),
+            library,
+            memory: Memory::new(limits.job_memory),
+            maker,
             download: Download::default(),
             scenes: Cache::resting(limits.scene_cache, limits.rest),
             files: Cache::resting(limits.file_cache, limits.rest),
@@ -129,15 +133,16 @@ impl Shared {
             rates: Rates::new(&limits),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: Places::new(limits.streams),
-            storage: Mutex::new(None),
-            limits,
+            storage: Mutex::default(),
+            trouble: Mutex::default(),
+            scratch: data,
+            limits: Arc::new(limits),
             telemetry,
             build: identity::of_server(renderer.name()),
             renderer,
             hosts: Hosts::new(addr, &hosts),
             proxies,
             public_list,
-            guard: None,
             pages,
             openapi,
             rooms: OnceLock::new(),
@@ -148,7 +153,7 @@ impl Shared {
         }
     }
 
-    /// Why the data directory could not be written, or what was missing to make photos with, when that was last tried.
+    /// Why the library could not be written, or what was missing to make photos with, when that was last tried.
     #[must_use]
     pub fn storage(&self) -> Option<&'static str> {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner)
@@ -159,34 +164,49 @@ impl Shared {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
     }
 
-    /// Runs what changes the data directory, where it may have to wait for others that do: it holds a thread only once it is its turn.
+    /// The fault of this server that kept the last job from being done.
+    #[must_use]
+    pub fn trouble(&self) -> Option<String> {
+        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Keeps how the last job fared.
+    pub fn set_trouble(&self, trouble: Option<String>) {
+        *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
+    }
+
+    /// Does blocking `work` on an upload once it is its turn: it reads the upload whole.
     ///
     /// # Errors
     /// 500 where `work` panicked.
     pub async fn change<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
-        let turn = Arc::clone(&self.changes).acquire_owned().await.map_err(|e| Problem::internal("changing a photo", &e))?;
-        let trace = traces::current();
-        let changed = tokio::task::spawn_blocking(move || {
-            let changed = traces::within(trace, work);
+        let turn = Arc::clone(&self.changes).acquire_owned().await.map_err(|e| Problem::internal("reading an upload", &e))?;
+        let done = tokio::task::spawn_blocking(move || {
+            let done = work();
             drop(turn);
-            changed
+            done
         });
-        changed.await.map_err(|e| Problem::internal("changing a photo", &e))
+        done.await.map_err(|e| Problem::internal("reading an upload", &e))
+    }
+
+    /// Whom this request asks for.
+    #[must_use]
+    pub fn asker(owner: Option<Owner>) -> Asker {
+        Asker { owner, address: asker(), trace: traces::parent().map(traces::Parent::into_text) }
     }
 
     /// The photo of a path, where whoever asks may have it.
     ///
     /// # Errors
-    /// 404.
-    pub fn photo(&self, id: &str) -> Result<Arc<Entry>, Problem> {
-        let known = id.parse().ok().and_then(|id| self.jobs.get(id));
-        let allowed = known.clone().filter(|entry| self.guard.as_ref().is_none_or(|guard| guard.allows(entry)));
-        // of what is not known here nothing can be said while the store is away; nor may more be said of what is another's
-        if allowed.is_none() && known.is_some() && self.jobs.cluster.as_ref().is_some_and(|cluster| cluster.is_away()) {
-            return Err(Problem::away());
+    /// 404, 503 where the library cannot be reached.
+    pub async fn photo(&self, text: &str) -> Result<Photo, Problem> {
+        let none = || Problem::not_found(format!("there is no photo {text:?}"));
+        let id = text.parse().map_err(|_| none())?;
+        let photo = self.library.find(id).await?.ok_or_else(none)?;
+        if self.guard.as_ref().is_some_and(|guard| !guard.allows(&photo)) {
+            return Err(none());
         }
-        let photo = allowed.ok_or_else(|| Problem::not_found(format!("there is no photo {id:?}")))?;
-        photo.look(now_ms());
+        self.library.viewed(id);
         Ok(photo)
     }
 
@@ -195,12 +215,14 @@ impl Shared {
     /// # Errors
     /// 409 with a `Retry-After` where it is not finished, the photo's own problem where it could not be made, 404 where it
     /// is deleted.
-    pub fn done(entry: &Entry) -> Result<(Version, Done), Problem> {
-        match entry.status() {
-            Status::Done(done) => Ok(((entry.id, done.at_ms), done)),
-            Status::Failed(failed) | Status::Damaged(failed) => Err(failed.problem),
-            Status::Deleted => Err(Problem::not_found("the photo was deleted")),
-            Status::Queued | Status::Working => {
+    pub fn done(photo: &Photo) -> Result<(Version, Done), Problem> {
+        match photo.state {
+            PhotoState::Done => {
+                let done = Done::of(photo).ok_or_else(|| Problem::internal("a photo", &"its details are not understood"))?;
+                Ok(((photo.id, done.at_ms), done))
+            }
+            PhotoState::Failed | PhotoState::Damaged => Err(Problem::of_photo(photo)),
+            PhotoState::Queued | PhotoState::Working => {
                 Err(Problem::new(axum::http::StatusCode::CONFLICT, "not-ready", "the photo is not finished yet").retry_after(1))
             }
         }
@@ -212,26 +234,49 @@ impl Shared {
         identity::of_results(&self.build, done)
     }
 
-    /// A file of a made photo.
+    /// A content of a made photo.
     ///
     /// # Errors
     /// 404 where it was deleted meanwhile, 500 also where it is not what was made: it is taken out of service then.
-    pub async fn file(&self, version: Version, done: &Done, part: Part) -> Result<Stored, Problem> {
-        let jobs = Arc::clone(&self.jobs);
-        let whole = (part == Part::Atlas).then(|| done.clone());
-        let open = async move {
-            let open = tokio::task::spawn_blocking(move || {
-                match jobs.store.open_part(version.0, part).and_then(|file| open(file, whole.as_ref())) {
-                    Ok(Ok(stored)) if is_made(&jobs, version) => Ok(stored),
-                    // what was opened may be of the next making
-                    Ok(Ok(_)) => Err(Problem::not_found("the photo is being made again, or was deleted")),
-                    Ok(Err(damage)) => Err(damaged(&jobs, version, &damage)),
-                    Err(error) => Err(unread(&jobs, version, part, &error)),
-                }
-            });
-            open.await.map_err(|e| Problem::internal("opening a file", &e))?
+    pub async fn file(&self, photo: &Photo, part: Part) -> Result<Stored, Problem> {
+        let (version, _) = Self::done(photo)?;
+        let open = async {
+            let blob = photo.blob(part)?;
+            match Stored::of_blob(self.library.blobs(), part, blob).await {
+                Ok(stored) => Ok(stored),
+                Err(error) => Err(Box::pin(self.unread(photo, error)).await),
+            }
         };
         self.files.get((version, part), open).await
+    }
+
+    /// The answer where a content of a photo cannot be read. One that is not as it was written takes the photo out of service.
+    async fn unread(&self, photo: &Photo, error: LibraryError) -> Problem {
+        if !matches!(error, LibraryError::Damaged { .. }) {
+            return error.into();
+        }
+        match self.library.find(photo.id).await {
+            Ok(Some(now)) if now.blobs == photo.blobs => match self.library.mark_damaged(photo, &error.to_string()).await {
+                Ok(_) => error.into(),
+                Err(error) => error.into(),
+            },
+            // what was read is of the making before
+            Ok(_) => Problem::not_found("the photo is being made again, or was deleted"),
+            Err(error) => error.into(),
+        }
+    }
+
+    /// The strokes over a photo; none where they are damaged, which is logged: the photo can be made without.
+    ///
+    /// # Errors
+    /// 503 where they cannot be read now.
+    pub async fn strokes(&self, photo: &Photo) -> Result<Vec<Stroke>, Problem> {
+        let Some(blob) = photo.blobs.get(&Part::Strokes) else { return Ok(Vec::new()) };
+        match self.library.blobs().read(Part::Strokes, blob).await {
+            Ok(bytes) => Ok(strokes_of(Some(&bytes))),
+            Err(LibraryError::Damaged { .. }) => Ok(Vec::new()),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// The container of a made photo, or a smaller one of its tiles over `region` at `1 / 2^level` of the size (0 to
@@ -241,15 +286,15 @@ impl Shared {
     /// As [`Shared::file`]; 400 where the region is not within the photo, 503 where too much is under way.
     pub async fn container(
         &self,
-        version: Version,
-        done: &Done,
+        photo: &Photo,
         (level, region): (u8, Option<Rect>),
         sections: Option<&[&'static str]>,
     ) -> Result<Stored, Problem> {
         if (level, region, sections) == (0, None, None) {
-            return self.file(version, done, Part::Atlas).await;
+            return self.file(photo, Part::Container).await;
         }
-        let tiles = if let Some(region) = region { Some(self.tiles(version, region).await?) } else { None };
+        let (version, done) = Self::done(photo)?;
+        let tiles = if let Some(region) = region { Some(self.tiles(photo, region).await?) } else { None };
         let place = |name: &&str| container::SECTIONS.iter().position(|s| s == name).map(|i| i as u8);
         let mut places = sections.map(|names| names.iter().filter_map(place).collect::<Vec<_>>());
         if let Some(places) = &mut places {
@@ -261,10 +306,10 @@ impl Shared {
         let made = key.clone();
         let names = sections.map(<[_]>::to_vec);
         let make = async {
-            let slot = self.pool.enter(Class::Derived, scene_bytes(done)).await?;
-            let (read, jobs) = (self.reading(version), Arc::clone(&self.jobs));
+            let slot = self.pool.enter(Class::Derived, scene_bytes(&done)).await?;
+            let (whole, disk) = (self.container_of(photo).await?, self.disk());
             let make = move || {
-                let mut bytes = read()?;
+                let mut bytes = Vec::from(whole);
                 if let Some(tiles) = &made.tiles {
                     bytes = container::region(&bytes, tiles, made.level, RegionPhoto::default()).map_err(|e| Problem::from(&e))?;
                 } else if made.level > 0 {
@@ -273,7 +318,7 @@ impl Shared {
                 if let Some(names) = names {
                     bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
                 }
-                Stored::derived(None, bytes, &jobs.store, Full::Memory)
+                Stored::derived(None, bytes, &disk, Full::Memory)
             };
             slot.run(make).await?
         };
@@ -281,27 +326,28 @@ impl Shared {
     }
 
     /// The tiles over a region of a photo.
-    async fn tiles(&self, version: Version, region: Rect) -> Result<Tiles, Problem> {
+    async fn tiles(&self, photo: &Photo, region: Rect) -> Result<Tiles, Problem> {
         let slot = self.pool.enter(Class::Derived, 0).await?;
-        let read = self.reading(version);
-        let tiles = slot.run(move || Tiles::over_region(&read()?, region).map_err(|e| Problem::from(&e))).await??;
+        let whole = self.container_of(photo).await?;
+        let tiles = slot.run(move || Tiles::over_region(&whole, region).map_err(|e| Problem::from(&e))).await??;
         tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))
     }
 
-    /// What reads the container of a photo, blocking. Where that is not what was made, the photo is taken out of service.
-    pub fn reading(&self, version: Version) -> impl Fn() -> Result<Vec<u8>, Problem> + Send + 'static {
-        let jobs = Arc::clone(&self.jobs);
-        move || {
-            let bytes = jobs.store.read(version.0, Part::Atlas).map_err(|e| unread(&jobs, version, Part::Atlas, &e))?;
-            match jobs.get(version.0).map(|entry| entry.status()) {
-                Some(Status::Done(done)) if done.at_ms == version.1 => match damage_of(&bytes, &done) {
-                    None => Ok(bytes),
-                    Some(damage) => Err(damaged(&jobs, version, &damage)),
-                },
-                // made again or deleted meanwhile
-                _ => Err(Problem::not_found("the photo is being made again, or was deleted")),
-            }
+    /// The container of a photo. Where that is not what was made, the photo is taken out of service.
+    ///
+    /// # Errors
+    /// As [`Shared::file`].
+    pub async fn container_of(&self, photo: &Photo) -> Result<Bytes, Problem> {
+        match self.library.blobs().read(Part::Container, photo.blob(Part::Container)?).await {
+            Ok(bytes) => Ok(bytes),
+            Err(error) => Err(Box::pin(self.unread(photo, error)).await),
         }
+    }
+
+    /// The disk for files that no name leads to.
+    #[must_use]
+    pub fn disk(&self) -> Disk {
+        Disk { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }
 
     /// The decoded scene of a made photo, and how long decoding took if it was not at hand. `slot` was entered with
@@ -309,12 +355,13 @@ impl Shared {
     ///
     /// # Errors
     /// As [`Shared::file`].
-    pub async fn scene(&self, version: Version, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
+    pub async fn scene(&self, photo: &Photo, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
+        let (version, _) = Self::done(photo)?;
         let mut took = None;
         let decode = async {
             let start = std::time::Instant::now();
-            let read = self.reading(version);
-            let scene = slot.run(move || container::decode(&read()?).map_err(|e| Problem::from(&e))).await??;
+            let whole = self.container_of(photo).await?;
+            let scene = slot.run(move || container::decode(&whole).map_err(|e| Problem::from(&e))).await??;
             took = Some(start.elapsed());
             Ok::<_, Problem>(Arc::new(scene))
         };
@@ -328,8 +375,7 @@ impl Shared {
     /// As [`exports::written`].
     pub fn written(&self, recipe: &Recipe, of: (&[u8], &Done), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
         let unwanted = || gone.is_cancelled();
-        let wanted = Wanted { unwanted: &unwanted, began: &|| {}, limit: self.limits.export, memory: Way::First, gives_way: false };
-        exports::written(&self.jobs, recipe, of, &self.renderer, &wanted)
+        exports::written(self, recipe, of, &Wanted { unwanted: &unwanted, gives_way: false })
     }
 
     /// Lets go of what nobody has asked for over [`Limits::rest`].
@@ -342,7 +388,6 @@ impl Shared {
 
     /// Frees the disk that is taken by what can be made again.
     pub async fn free_disk(&self) {
-        self.forget_files(|file| matches!(file.standing(), Standing::Done(_))).await;
         self.exports.clear().await;
         self.views.clear().await;
         self.levels.clear().await;
@@ -355,71 +400,34 @@ impl Shared {
         self.files.forget(photo).await;
         self.levels.forget(photo).await;
         self.exports.forget(photo).await;
-        self.forget_files(move |file| file.photo == photo).await;
     }
+}
 
-    async fn forget_files(&self, is_over: impl Fn(&Ordered) -> bool + Send + 'static) {
-        let jobs = Arc::clone(&self.jobs);
-        if let Err(error) = tokio::task::spawn_blocking(move || jobs.forget_files(is_over)).await {
-            tracing::error!(%error, "forgetting written files");
-        }
-    }
+/// What a server is made with besides its library.
+pub struct Parts {
+    /// Makes photos.
+    pub maker: Arc<dyn Maker>,
+    /// Draws views.
+    pub renderer: Arc<dyn Renderer>,
+    /// Counters.
+    pub telemetry: Arc<Telemetry>,
+    /// The `OpenAPI` document.
+    pub openapi: Bytes,
+}
+
+/// The strokes of a content; none where they are damaged, which is logged.
+#[must_use]
+pub fn strokes_of(bytes: Option<&[u8]>) -> Vec<Stroke> {
+    bytes.map_or_else(Vec::new, |bytes| {
+        strokes::read(bytes).unwrap_or_else(|error| {
+            tracing::error!(%error, "damaged strokes are left out");
+            Vec::new()
+        })
+    })
 }
 
 /// Memory that work on the scene of a photo takes, in bytes.
 #[must_use]
 pub fn scene_bytes(done: &Done) -> u64 {
     SCENE_BYTES * u64::from(done.width) * u64::from(done.height) + done.atlas_bytes
-}
-
-/// Whether a making of a photo is still the one in service; its files are overwritten only after it is not.
-fn is_made(jobs: &Jobs, version: Version) -> bool {
-    matches!(jobs.get(version.0).map(|entry| entry.status()), Some(Status::Done(done)) if done.at_ms == version.1)
-}
-
-/// Takes a photo out of service.
-fn damaged(jobs: &Jobs, version: Version, damage: &str) -> Problem {
-    if jobs.cluster.is_some() && jobs.store.is_copied(version.0) {
-        // a copy alone: it is fetched again
-        jobs.store.forget(version.0);
-        return Problem::new(axum::http::StatusCode::SERVICE_UNAVAILABLE, "damaged-copy", damage).retry_after(1);
-    }
-    jobs.take_out(version.0, version.1, damage);
-    Problem::new(axum::http::StatusCode::INTERNAL_SERVER_ERROR, "damaged", format!("{damage}: upload the photo again, and it is made anew"))
-}
-
-/// The answer where a file of a photo cannot be read.
-fn unread(jobs: &Jobs, version: Version, part: Part, error: &std::io::Error) -> Problem {
-    match lost(part, error) {
-        Some(_) if jobs.get(version.0).is_none() => Problem::not_found("the photo was deleted"),
-        Some(damage) => damaged(jobs, version, &damage),
-        None => Problem::store(error),
-    }
-}
-
-/// Opens a file, or says how it is damaged; small ones are read. `whole`: what is on record of it.
-fn open(mut file: File, whole: Option<&Done>) -> std::io::Result<Result<Stored, String>> {
-    let length = file.metadata()?.len();
-    if length <= SMALL as u64 {
-        let mut bytes = Vec::with_capacity(length as usize);
-        file.read_to_end(&mut bytes)?;
-        return Ok(match whole.and_then(|done| damage_of(&bytes, done)) {
-            Some(damage) => Err(damage),
-            None => Ok(Stored::new(bytes)),
-        });
-    }
-    let mut hash = Sha256::new();
-    let mut piece = vec![0; SMALL];
-    loop {
-        let n = file.read(&mut piece)?;
-        if n == 0 {
-            break;
-        }
-        hash.update(&piece[..n]);
-    }
-    let digest = hex(&hash.finalize()[..16]);
-    if whole.is_some_and(|done| (done.atlas_bytes, &done.atlas_hash) != (length, &digest)) {
-        return Ok(Err(format!("{} is not what was written", Part::Atlas.name())));
-    }
-    Ok(Ok(Stored::of(Source::File(Arc::new(file), length as usize), format!("\"{digest}\"").into())))
 }

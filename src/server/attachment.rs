@@ -2,13 +2,13 @@
 
 use std::fmt::Write as _;
 
-use super::entry::Entry;
+use tmpi_library::Photo;
 
 /// `Content-Disposition` (RFC 6266) of a file that is made of a photo: named by the photo's title, or by its id where it has none.
 #[must_use]
-pub fn attachment(entry: &Entry, ending: &str) -> String {
-    let id = entry.id.to_string();
-    let stem = entry.settings().title.as_deref().map(stem).filter(|stem| !stem.is_empty());
+pub fn attachment(photo: &Photo, ending: &str) -> String {
+    let id = photo.id.to_string();
+    let stem = photo.title().map(stem).filter(|stem| !stem.is_empty());
     match stem {
         Some(stem) if stem.is_ascii() => format!("attachment; filename=\"{stem}.{ending}\""),
         // letters of other scripts go by the second form, which is taken where it is known

@@ -7,7 +7,7 @@ use std::time::Duration;
 use moka::future::{Cache as Kept, CacheBuilder};
 use moka::policy::EvictionPolicy;
 
-use super::id::PhotoId;
+use tmpi_library::PhotoId;
 
 /// Bytes that an entry takes besides its key's and its value's own, measured on views of one pixel: slots, counts and lists of the
 /// cache, and what the allocator loses on small pieces.
@@ -126,7 +126,7 @@ mod tests {
 
     impl Key for u32 {
         fn photo(&self) -> PhotoId {
-            PhotoId::of(&[(*self % 2) as u8; 32], None, "", "")
+            PhotoId::from_bytes([(*self % 2) as u8; 16])
         }
     }
 

@@ -4,8 +4,10 @@ use std::fmt::Write as _;
 
 use super::access;
 use super::app::Shared;
-use super::entry::{Entry, Status};
+use super::made::Done;
 use super::options;
+use super::settings::Settings;
+use tmpi_library::Photo;
 
 /// What a photo without a title is called.
 const UNTITLED: &str = "3D photo";
@@ -40,19 +42,19 @@ pub struct Card {
 impl Card {
     /// Of a photo as it is now, for whoever asks, who knows the server as `base`. By a link that they came by all is seen that is told.
     #[must_use]
-    pub fn of(app: &Shared, entry: &Entry, base: String) -> Self {
-        let (settings, link) = (entry.settings(), access::link());
-        let view = if let Status::Done(done) = entry.status() {
-            let pose = settings.poster_pose(&options::view_box_of(&entry.accepted.options)).unwrap_or_default();
+    pub fn of(app: &Shared, photo: &Photo, base: String) -> Self {
+        let (settings, link) = (Settings::of(photo), access::link());
+        let view = if let Some(done) = Done::of(photo) {
+            let pose = settings.poster_pose(&options::view_box_of(&photo.options)).unwrap_or_default();
             let link = link.as_ref().map(|link| format!("&{link}")).unwrap_or_default();
-            let address = format!("{base}/v1/photos/{}/view?{pose}format=jpeg&v={}{link}", entry.id, app.version(&done));
+            let address = format!("{base}/v1/photos/{}/view?{pose}format=jpeg&v={}{link}", photo.id, app.version(&done));
             Some((address, (done.width, done.height)))
         } else {
             None
         };
         let title = settings.title.unwrap_or_else(|| UNTITLED.into());
         let link = link.map(|link| format!("?{link}")).unwrap_or_default();
-        Self { base, id: entry.id.to_string(), title, link, view }
+        Self { base, id: photo.id.to_string(), title, link, view }
     }
 
     /// The title.

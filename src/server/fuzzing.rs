@@ -2,13 +2,16 @@
 
 use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
-use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 
 use super::Limits;
+use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{Wanted, wanted};
 use super::file_name::file_name;
 use super::form::Bounded;
+use super::hosts::origin;
 use super::options;
+use super::proxies::{Announcement, ClientAddress, Network, Proxies, X_FORWARDED_FOR};
 use super::routes::ViewQuery;
 use super::settings::Settings;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
@@ -77,9 +80,54 @@ pub fn patch(patch: &[u8]) {
     match Settings::default().patched(patch) {
         Ok(settings) => {
             let written = serde_json::to_vec(&settings).unwrap_or_default();
-            assert_eq!(Settings::read(&written).as_ref(), Ok(&settings));
+            assert!(serde_json::from_slice::<Settings>(&written).is_ok_and(|read| read == settings));
             assert_eq!(settings.patched(b"{}").as_ref(), Ok(&settings));
         }
         Err(problem) => assert!(problem.status == 400 && !problem.detail.is_empty()),
     }
+}
+
+/// Reads the start of a connection by the PROXY protocol, whole and as far as it has come.
+pub fn announcement(bytes: &[u8]) {
+    let whole = Announcement::read(bytes);
+    if let Ok(announcement) = &whole {
+        assert!((1..=bytes.len()).contains(&announcement.length), "{announcement:?} of {} bytes", bytes.len());
+        // nothing is made of a part of it
+        for end in 0..announcement.length {
+            assert!(Announcement::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
+        }
+        assert_eq!(Announcement::read(&bytes[..announcement.length]).ok().as_ref(), Some(announcement), "what follows changes it");
+    }
+}
+
+/// Reads who sent a request, and by which scheme and name, from headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`, `Host`.
+pub fn forwarded(values: [&str; 5]) {
+    let names = [header::FORWARDED, X_FORWARDED_FOR, X_FORWARDED_FOR, HeaderName::from_static("x-forwarded-proto"), header::HOST];
+    let headers: HeaderMap =
+        names.into_iter().zip(values).filter_map(|(name, value)| Some((name, HeaderValue::from_str(value).ok()?))).collect();
+    let (near, far) = ([10, 0, 0, 1].into(), [192, 0, 2, 1].into());
+    for told in [ClientAddress::XForwardedFor, ClientAddress::Forwarded, ClientAddress::ProxyProtocol] {
+        let proxies = Proxies::new(&[Network::Private], told);
+        assert_eq!(proxies.client(far, &headers), far, "a stranger is believed");
+        let client = proxies.client(near, &headers);
+        assert!(client == near || told != ClientAddress::ProxyProtocol);
+        assert_eq!(client, client.to_canonical());
+    }
+    if let Some(origin) = origin(&headers) {
+        let uri = origin.parse::<Uri>();
+        assert!(uri.is_ok_and(|u| u.authority().is_some()), "{origin} is no origin");
+    }
+}
+
+/// Takes a link out of an address, and out of one that it names.
+pub fn link(uri: &Uri) {
+    if let Some((rest, link)) = take_link(uri) {
+        assert!(take_link(&rest).is_none(), "{rest} still has a link");
+        if let Some(link) = link {
+            let query = query_of(&link);
+            let again = format!("/x?{query}").parse().ok().and_then(|uri| take_link(&uri)).and_then(|(_, link)| link);
+            assert_eq!(again.map(|l| query_of(&l)), Some(query));
+        }
+    }
+    let _ = link_of_url(uri);
 }

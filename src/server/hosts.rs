@@ -76,7 +76,7 @@ tokio::task_local! {
 /// came, and by what a proxy says of the scheme (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). None where there is no `Host` that is one.
 #[must_use]
 pub fn origin(headers: &HeaderMap) -> Option<String> {
-    let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok()?;
+    let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok().filter(|host: &Authority| !host.host().is_empty())?;
     let text = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     // the first is the proxy that the browser talks to
     let first = |value: &'static str| text(value).and_then(|v| v.split(',').next());
@@ -94,7 +94,7 @@ fn authority<B>(request: &Request<B>) -> Result<Authority, Problem> {
     let wrong = |detail: &str| Problem::bad_request(detail).field("Host");
     let mut all = request.headers().get_all(header::HOST).iter();
     let (Some(host), None) = (all.next(), all.next()) else { return Err(wrong("a request has one Host header (RFC 9112, section 3.2)")) };
-    let host = host.to_str().ok().and_then(|v| v.parse::<Authority>().ok()).filter(|a| !a.as_str().contains('@'));
+    let host = host.to_str().ok().and_then(|v| v.parse::<Authority>().ok()).filter(|a| !a.as_str().contains('@') && !a.host().is_empty());
     host.ok_or_else(|| wrong("the Host header is no host"))
 }
 
@@ -140,7 +140,7 @@ mod tests {
         for foreign in ["evil.example", "192.168.1.5", "localhost.evil.example", "photos.example.evil", "127.0.0.1.evil.example"] {
             assert_eq!(status(&loopback, "/", &[foreign]), 421, "{foreign}");
         }
-        for wrong in [&[][..], &["localhost", "localhost"], &["a b"], &["user@localhost"], &[""]] {
+        for wrong in [&[][..], &["localhost", "localhost"], &["a b"], &["user@localhost"], &[""], &[":80"]] {
             assert_eq!(status(&loopback, "/", wrong), 400, "{wrong:?}");
         }
         assert_eq!(status(&loopback, "http://evil.example/", &["localhost"]), 421);
@@ -169,7 +169,9 @@ mod tests {
         ] {
             assert_eq!(behind(name, value), format!("{scheme}://photos.example"), "{name}: {value}");
         }
-        assert_eq!((of(&[]), of(&[("host", "a b")])), (None, None));
+        for none in [&[][..], &[("host", "a b")], &[("host", ":80")]] {
+            assert_eq!(of(none), None, "{none:?}");
+        }
     }
 
     #[test]

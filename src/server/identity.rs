@@ -2,8 +2,8 @@
 
 use sha2::{Digest, Sha256};
 
-use super::id::hex;
-use super::store::Done;
+use super::made::Done;
+use tmpi_library::hex;
 
 /// Sources, networks and dependencies that make photos.
 pub const PIPELINE: &str = env!("TMPI_PIPELINE");

@@ -1,24 +1,26 @@
 //! What is kept of made photos for the next who asks, and what it weighs.
 
 use std::fs::File;
-use std::io::{ErrorKind, Write as _};
+use std::io::{self, Read as _, Write as _};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 
 use super::cache::{Key, Value};
-use super::id::{PhotoId, hex};
 use super::problem::Problem;
 use super::source::Source;
-use super::store::{Part, Store};
 use tmpi_core::Scene;
 use tmpi_core::container::Tiles;
+use tmpi_library::{Blob, BlobStore, LibraryError, Part, PhotoId, hex};
 
 /// A made photo: its id and when it was made, so that nothing of a deleted one is taken for the next of the same id.
 pub type Version = (PhotoId, u64);
 
 /// Derived files of more bytes are kept on disk.
 const LARGE: usize = 1 << 20;
+/// Contents up to this many bytes are kept in memory; larger ones are read while they are sent.
+const SMALL: u64 = 256 << 10;
 /// What an open file counts in a cache of files: their number is bounded, too.
 const OPEN_FILE: usize = 1 << 20;
 
@@ -61,28 +63,82 @@ impl Stored {
         Self::of(source, format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into())
     }
 
+    /// A content of the library, tagged by its digest: in memory, or a file or an object that is read while it is sent.
+    ///
+    /// # Errors
+    /// [`LibraryError::Damaged`] where it is not as it was written, [`LibraryError::Unavailable`].
+    pub async fn of_blob(blobs: &BlobStore, part: Part, blob: &Blob) -> Result<Self, LibraryError> {
+        let etag = format!("\"{}\"", blob.digest.as_str().get(..32).unwrap_or_default()).into();
+        if blob.bytes <= SMALL {
+            return Ok(Self::of(Source::Memory(blobs.read(part, blob).await?), etag));
+        }
+        let Some(path) = blobs.path(blob) else { return Ok(Self::of(Source::Object(blobs.clone(), Arc::new(blob.clone())), etag)) };
+        let wanted = blob.clone();
+        let opened = tokio::task::spawn_blocking(move || open(&path, &wanted)).await;
+        let damaged = |detail: &str| LibraryError::Damaged { part, detail: detail.to_owned() };
+        match opened.map_err(io::Error::other).flatten() {
+            Ok(Some(file)) => Ok(Self::of(Source::File(Arc::new(file), blob.bytes as usize), etag)),
+            Ok(None) => Err(damaged("it is not what was written")),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Err(damaged("it is missing")),
+            Err(error) => Err(damaged(&format!("it cannot be read: {error}"))),
+        }
+    }
+
     /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
-    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file of `store` that no name leads
-    /// to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
+    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file that no name leads to, so that slow
+    /// readers hold no memory; it goes with the last who reads it. Blocks.
     ///
     /// # Errors
     /// 507 where the disk has no room beyond its reserve, unless they may stay in memory, 500.
-    pub fn derived(made: Option<&str>, bytes: Vec<u8>, store: &Store, full: Full) -> Result<Self, Problem> {
+    pub fn derived(made: Option<&str>, bytes: Vec<u8>, disk: &Disk, full: Full) -> Result<Self, Problem> {
         let Self { source, etag } = match made {
             Some(made) => Self::derived_in_memory(made, bytes),
             None => Self::new(bytes),
         };
         let source = match source {
-            Source::Memory(bytes) if bytes.len() > LARGE => {
-                match store.scratch().and_then(|mut file: File| file.write_all(&bytes).map(|()| file)) {
-                    Ok(file) => Source::File(Arc::new(file), bytes.len()),
-                    Err(e) if full == Full::Memory && e.kind() == ErrorKind::StorageFull => Source::Memory(bytes),
-                    Err(e) => return Err(Problem::store(&e)),
-                }
-            }
+            Source::Memory(bytes) if bytes.len() > LARGE => match disk.keep(&bytes) {
+                Ok(file) => Source::File(Arc::new(file), bytes.len()),
+                Err(LibraryError::StorageFull) if full == Full::Memory => Source::Memory(bytes),
+                Err(error) => return Err(error.into()),
+            },
             source => source,
         };
         Ok(Self::of(source, etag))
+    }
+}
+
+/// Opens a file of the library; none where it is not what was written.
+fn open(path: &std::path::Path, blob: &Blob) -> io::Result<Option<File>> {
+    let mut file = File::open(path)?;
+    let (mut hash, mut piece, mut bytes) = (Sha256::new(), vec![0; SMALL as usize], 0);
+    loop {
+        let n = file.read(&mut piece)?;
+        if n == 0 {
+            break;
+        }
+        bytes += n as u64;
+        hash.update(&piece[..n]);
+    }
+    Ok((bytes == blob.bytes && hex(&hash.finalize()) == blob.digest.as_str()).then_some(file))
+}
+
+/// Where files lie that no name leads to.
+#[derive(Clone, Debug)]
+pub struct Disk {
+    /// Says whether there is room beyond the reserve.
+    pub blobs: BlobStore,
+    /// Their folder.
+    pub folder: PathBuf,
+}
+
+impl Disk {
+    fn keep(&self, bytes: &[u8]) -> Result<File, LibraryError> {
+        self.blobs.room_for(bytes.len() as u64)?;
+        let written = tempfile::tempfile_in(&self.folder).and_then(|mut file| file.write_all(bytes).map(|()| file));
+        written.map_err(|error| match error.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => LibraryError::StorageFull,
+            _ => LibraryError::Internal(error.to_string()),
+        })
     }
 }
 
@@ -90,7 +146,7 @@ impl Value for Stored {
     fn weight(&self) -> usize {
         match &self.source {
             Source::Memory(bytes) => bytes.len(),
-            Source::File(..) => OPEN_FILE,
+            Source::File(..) | Source::Object(..) => OPEN_FILE,
         }
     }
 }
@@ -151,27 +207,4 @@ pub struct Derived {
     pub tiles: Option<Tiles>,
     /// These sections alone, by their place among [`tmpi_core::container::SECTIONS`].
     pub sections: Option<Vec<u8>>,
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    use super::super::forgetful::Forgetful;
-    use super::*;
-
-    #[test]
-    fn what_is_derived_leaves_the_reserve_of_the_disk_alone() {
-        let dir = tempfile::tempdir().unwrap();
-        let (disk, _) = Store::open(dir.path(), "").unwrap();
-        let derive = |bytes, store: &Store, full| Stored::derived(None, vec![7; bytes], store, full);
-        assert!(matches!(derive(LARGE + 1, &disk, Full::Refuse).unwrap().source, Source::File(..)));
-        assert!(matches!(derive(LARGE, &disk, Full::Refuse).unwrap().source, Source::Memory(_)));
-        let files = Arc::new(Forgetful::new());
-        let (store, _) = Store::open_in(files.clone(), Path::new("/data"), "", None).unwrap();
-        files.fill(true);
-        assert_eq!(derive(LARGE + 1, &store, Full::Refuse).unwrap_err().status, 507);
-        let view = derive(LARGE + 1, &store, Full::Memory).unwrap();
-        assert!(matches!(view.source, Source::Memory(_)) && view.weight() == LARGE + 1, "counted as what it takes");
-    }
 }

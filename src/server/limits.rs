@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tmpi_pipeline::photo;
 
-use super::files::Reserve;
+use tmpi_library::Reserve;
 
 /// Bounds that the server holds its clients to.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,7 +25,7 @@ pub struct Limits {
     pub body_read: Duration,
     /// Bytes a second that a request's body comes at least with, once it has come for [`Limits::body_read`].
     pub body_rate: u64,
-    /// Changes of what is on disk at a time: uploads that are checked, settings, deletions. More wait.
+    /// Uploads that are read whole to be checked at a time. More wait.
     pub changes: usize,
     /// Uploads that may come in beyond the places that are free in the queue: they may be of photos that are known.
     pub uploads_beyond: usize,
@@ -109,14 +109,8 @@ pub struct Limits {
     pub look_over: Duration,
     /// Bytes a second that are read for it at most.
     pub look_over_rate: u64,
-    /// Time for which a photo that a node works on is left to it though nothing is heard of it, where several nodes share a store.
+    /// Time for which a job is left to its worker though nothing is heard of it.
     pub lease: Duration,
-    /// Time between two looks at what is pending in that store.
-    pub sweep: Duration,
-    /// Disk for copies of what is in that store, in bytes.
-    pub copies: u64,
-    /// Photos of that store that a node knows without asking it, besides those that wait or are in use just now.
-    pub known_photos: usize,
     /// Room that is kept free on the disk.
     pub reserve: Reserve,
     /// Longest time for which a link to a photo is good.
@@ -140,7 +134,7 @@ impl Limits {
     pub const EXPORT: Duration = Duration::from_mins(10);
     /// 8 KiB/s: 32 MiB in a little more than an hour.
     pub const BODY_RATE: u64 = 8 << 10;
-    /// 8 changes.
+    /// 8 uploads.
     pub const CHANGES: usize = 8;
     /// 4 uploads.
     pub const UPLOADS_BEYOND: usize = 4;
@@ -182,14 +176,6 @@ impl Limits {
     pub const DRAIN: Duration = Duration::from_secs(20);
     /// 30 s: some of the heartbeats, one every third of it, may be lost.
     pub const LEASE: Duration = Duration::from_secs(30);
-    /// 5 s.
-    pub const SWEEP: Duration = Duration::from_secs(5);
-    /// 4 GiB.
-    pub const COPIES: u64 = 4 << 30;
-    /// 20 000 photos: some 50 MB.
-    pub const KNOWN_PHOTOS: usize = 20_000;
-    /// Bytes of memory of each.
-    pub const KNOWN_BYTES: u64 = 2400;
     /// 64 jobs.
     pub const QUEUE: usize = 64;
     /// One worker: a job keeps all cores busy by itself.
@@ -254,9 +240,24 @@ impl Limits {
             file_cache: share(64, usual.file_cache),
             view_cache: share(64, usual.view_cache),
             work_memory: share(32, usual.work_memory),
-            known_photos: share(32 * Self::KNOWN_BYTES, usual.known_photos),
             job_memory: (memory - memory / 16).min(usual.job_memory),
             ..usual
+        }
+    }
+
+    /// Those of the library.
+    #[must_use]
+    pub fn library(&self) -> tmpi_library::Limits {
+        tmpi_library::Limits {
+            queue: self.queue as u64,
+            exports: self.exports_waiting as u64,
+            attempts: i64::from(self.attempts),
+            quota_photos: self.quota_photos.map(|n| n as u64),
+            quota_bytes: self.quota_bytes,
+            retain: self.retain,
+            retain_bytes: self.retain_bytes,
+            exports_for: self.exports_for,
+            exports_bytes: self.exports_bytes,
         }
     }
 
@@ -321,9 +322,6 @@ impl Default for Limits {
             look_over: Self::LOOK_OVER,
             look_over_rate: Self::LOOK_OVER_RATE,
             lease: Self::LEASE,
-            sweep: Self::SWEEP,
-            copies: Self::COPIES,
-            known_photos: Self::KNOWN_PHOTOS,
             reserve: Reserve::default(),
             link: Self::LINK,
             hsts: Self::HSTS,

@@ -15,8 +15,6 @@ use super::identity;
 use super::limits::Limits;
 use super::network::Offer;
 use super::problem::Problem;
-use super::store::{Done, digest};
-use super::time::now_ms;
 
 /// Everything that is kept of a made photo.
 #[derive(Clone, Debug, Default)]
@@ -29,21 +27,6 @@ pub struct Product {
     pub disparity: Vec<u8>,
     /// Small JPEG.
     pub thumbnail: Vec<u8>,
-}
-
-impl Product {
-    /// What is put on record of it, made now.
-    #[must_use]
-    pub fn done(&self) -> Done {
-        let Self { container, report, .. } = self;
-        Done {
-            at_ms: now_ms(),
-            width: report.width,
-            height: report.height,
-            atlas_bytes: container.len() as u64,
-            atlas_hash: digest(container),
-        }
-    }
 }
 
 /// Why a photo was not made.
@@ -179,6 +162,7 @@ impl Maker for PipelineMaker {
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         // first what is told while it comes in, so that it is told alike of one that is whole
         self.check_head(HeadOf::Photo(options), photo)?;
+        photo::check_whole(photo, &self.limits)?;
         let (size, map) = self.sizes(photo, depth)?;
         self.check_size(size, map, options)
     }
@@ -251,20 +235,5 @@ impl PipelineMaker {
             container: made.container,
             report: made.report,
         })
-    }
-}
-
-/// Makes nothing.
-#[cfg(test)]
-pub struct Never;
-
-#[cfg(test)]
-impl Maker for Never {
-    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
-        Ok(())
-    }
-
-    fn make(&self, _: &[u8], _: Option<&[u8]>, _: &Options, _: &dyn Sink) -> Result<Product, Fault> {
-        Err(Fault::Cancelled)
     }
 }

@@ -1,7 +1,6 @@
 //! Memory that photos under way may take, given out by bytes.
 //!
-//! Who waits first gets it first, but what gives way waits behind all others; and where it holds what another waits for,
-//! [`Memory::is_wanted`] tells it to end. So that what nobody waits for needs no memory of its own, which would lie idle.
+//! Who waits first gets it first, but what gives way waits behind all others.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -93,12 +92,6 @@ impl Memory {
         there.then(|| Share { of: self, bytes })
     }
 
-    /// True while one waits that does not give way.
-    #[must_use]
-    pub fn is_wanted(&self) -> bool {
-        !self.lock().waiting[Way::First as usize].is_empty()
-    }
-
     /// Bytes that are given out.
     #[must_use]
     pub fn taken(&self) -> u64 {
@@ -124,7 +117,6 @@ mod tests {
         });
         drop(second);
         assert_eq!(memory.taken(), 0);
-        assert!(!memory.is_wanted());
         let _huge = memory.wait_for(99, Way::First, || true).unwrap();
         assert!(memory.wait_for(1, Way::First, || true).is_none(), "alone");
     }
@@ -147,13 +139,11 @@ mod tests {
                     assert!(Instant::now() < end, "it waits");
                     std::thread::yield_now();
                 }
-                assert_eq!(memory.is_wanted(), way == Way::First);
             }
             drop(held);
         });
         let order = order.into_inner().unwrap();
         assert_eq!(order.first(), Some(&1), "a small one behind a large one does not keep it waiting: {order:?}");
         assert_eq!(memory.taken(), 0);
-        assert!(!memory.is_wanted());
     }
 }

@@ -20,9 +20,7 @@ use super::app::App;
 use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;
-use super::entry::Entry;
 use super::hosts::{Hosts, SECURE};
-use super::id::PhotoId;
 use super::limits::Limits;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
@@ -152,7 +150,7 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
     let closes = request.version() < Version::HTTP_2;
     let handled = async {
         match door.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => asked(app, door, request, next).await,
+            Ok(()) => asked(door, request, next).await,
             Err(refused) => refused.into_response(),
         }
     };
@@ -178,11 +176,11 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
     response
 }
 
-/// The handler's answer to who may ask, and does not too often; only of theirs a store that is shared is asked.
-async fn asked(app: &App, door: Door<'_>, mut request: Request, next: Next) -> Response {
+/// The handler's answer to who may ask, and does not too often.
+async fn asked(door: Door<'_>, mut request: Request, next: Next) -> Response {
     let (told, come) = match (door.guard, door.rates) {
         (Some(guard), Some(rates)) => {
-            let (told, pass) = guard.admit(door.hosts, rates, &mut request);
+            let (told, pass) = guard.admit(door.hosts, rates, &mut request).await;
             (told, pass.map(|pass| Some((guard, pass))))
         }
         (None, Some(rates)) => {
@@ -193,33 +191,13 @@ async fn asked(app: &App, door: Door<'_>, mut request: Request, next: Next) -> R
         }
         (_, None) => (Told::default(), Ok(None)),
     };
-    let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
-    let looked = match come {
-        // the photo is held until there is an answer
-        Ok(come) => look_up(app, reads, path).await.map(|photo| (come, photo)),
-        Err(refused) => Err(refused),
-    };
-    let mut response = match looked {
-        Ok((Some((guard, pass)), _photo)) => guard.answer(pass, request, next).await,
-        Ok((None, _photo)) => next.run(request).await,
+    let mut response = match come {
+        Ok(Some((guard, pass))) => guard.answer(pass, request, next).await,
+        Ok(None) => next.run(request).await,
         Err(refused) => refused.into_response(),
     };
     told.put(&mut response);
     response
-}
-
-/// The path, where several nodes share a store.
-fn path_to_look_up(app: &App, request: &Request) -> Option<String> {
-    app.jobs.cluster.as_ref().map(|_| request.uri().path().to_owned())
-}
-
-/// Where several nodes share a store, brings the photo of the path up to date; it stays known as long as what this gives is held.
-///
-/// # Errors
-/// 503 where the store cannot be reached and the photo is not known here.
-async fn look_up(app: &App, reads: bool, path: Option<String>) -> Result<Option<Arc<Entry>>, Problem> {
-    let photo = path.and_then(|path| path.split('/').find_map(|segment| segment.parse::<PhotoId>().ok()));
-    if let Some(id) = photo { app.look_up(id, reads).await } else { Ok(None) }
 }
 
 /// Refuses bodies that are coded in more ways than in chunks: they would be taken for what they are not (RFC 9112, section 6.1).

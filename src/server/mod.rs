@@ -1,59 +1,47 @@
 //! The HTTP server: uploads in, containers, views and progress out.
 //!
 //! It knows no pixels: it calls [`tmpi_pipeline::make`], [`tmpi_core::container::decode`] and a [`tmpi_render::Renderer`].
-//! Requests run on tokio; photos are made on named threads ([`Limits::workers`]); views are drawn on a bounded pool.
-//! What was answered 202 is on disk, survives a crash, and is taken up again at the next start.
+//! Requests and workers ([`Limits::workers`]) run on tokio; views are drawn on a bounded pool.
+//! What was answered 202 is in the library, survives a crash, and is taken up again at the next start.
 
 mod accept;
 mod access;
 mod admission;
 mod app;
-mod asked;
 mod attachment;
 mod body;
 mod cache;
 mod card;
 mod child;
 mod clock;
-mod cluster;
 mod compress;
 mod conditional;
-mod entry;
 mod exports;
 mod file_name;
-mod files;
-#[cfg(test)]
-mod forgetful;
 mod form;
 pub(crate) mod fuzzing;
 mod hosts;
-mod id;
 mod identity;
-mod jobs;
 mod kept;
 mod limits;
+mod made;
 mod maker;
 mod memory;
 mod middleware;
 mod network;
 mod options;
 mod pages;
-mod part;
 mod pool;
 mod problem;
 mod process;
 mod proxies;
 mod rates;
-mod records;
 mod rest;
-mod retain;
 mod routes;
 mod settings;
 mod share;
 mod source;
-mod store;
 mod streams;
-mod strokes;
 mod telemetry;
 mod time;
 mod timed;
@@ -61,8 +49,9 @@ mod tls;
 mod traces;
 mod upkeep;
 mod upload;
-mod worker;
+mod work;
 
+use std::fs::File;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -73,13 +62,9 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept::Held;
-pub use access::keys;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
-pub use cluster::{Audit, Nats, Remedy, Role, Sharing, audit, check_store};
 pub(crate) use conditional::{Coding, Entity, respond};
-pub use files::Reserve;
-pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 pub use network::{Better, Offer, Renewed};
@@ -91,18 +76,30 @@ pub(crate) use routes::{NoBody, Pairs};
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 
-use access::{Guard, Secret};
-use app::{App, Shared};
-use cluster::Cluster;
-use jobs::Jobs;
-use store::Store;
+use app::{App, Parts, Shared};
 use telemetry::Telemetry;
-pub(crate) use telemetry::{Figure, counter, gauge};
+pub(crate) use telemetry::{Figure, gauge};
+pub(crate) use time::rfc3339;
 use traces::Traces;
+use work::Workers;
 
+use tmpi_library::Library;
+pub use tmpi_library::{PhotoId, Reserve, hex};
 use tmpi_render::Renderer;
 
 use crate::live::{self, Rooms};
+
+/// What a node does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Role {
+    /// It serves and makes photos.
+    #[default]
+    All,
+    /// It serves; others make photos.
+    Serve,
+    /// It makes photos; others serve them.
+    Work,
+}
 
 /// Where the server listens and keeps its photos.
 #[derive(Clone, Debug)]
@@ -114,6 +111,10 @@ pub struct Config {
     pub admin: Option<SocketAddr>,
     /// Data directory; made where it is missing.
     pub data: PathBuf,
+    /// Database that several nodes share, `postgres://…`; SQLite within the data directory where there is none.
+    pub database: Option<String>,
+    /// Object store that several nodes share, `s3://…`, `gs://…` or `az://…`; a folder within the data directory where there is none.
+    pub blobs: Option<String>,
     /// Directory that replaces the embedded pages.
     pub pages: Option<PathBuf>,
     /// Names under which the server answers besides loopback's and its address, without ports: those that proxies pass on.
@@ -124,8 +125,8 @@ pub struct Config {
     pub public_list: bool,
     /// Asks who comes: photos are their owners' alone, see [`access`].
     pub private: bool,
-    /// Directory of the keys; that of the data where there is none.
-    pub keys: Option<PathBuf>,
+    /// What this node does.
+    pub role: Role,
     /// Where traces go; nowhere where there is none.
     pub traces: Option<Collector>,
     /// Limits.
@@ -140,15 +141,24 @@ impl Config {
             addr,
             admin: None,
             data,
+            database: None,
+            blobs: None,
             pages: None,
             hosts: Vec::new(),
             proxies: Proxies::default(),
             public_list: false,
             private: false,
-            keys: None,
+            role: Role::All,
             traces: None,
             limits: Limits::default(),
         }
+    }
+
+    /// Where the library is, and what bounds it.
+    fn library(&self) -> tmpi_library::Config {
+        let Self { data, database, blobs, limits, .. } = self;
+        let reserve = limits.reserve;
+        tmpi_library::Config { data: data.clone(), database: database.clone(), blobs: blobs.clone(), limits: limits.library(), reserve }
     }
 }
 
@@ -171,17 +181,9 @@ pub enum ServerError {
         /// What the system says.
         source: std::io::Error,
     },
-    /// The store of several nodes cannot be used.
-    #[error("store {store}")]
-    Store {
-        /// Its address.
-        store: String,
-        /// What is wrong.
-        source: std::io::Error,
-    },
-    /// No worker can be started.
-    #[error("starting a worker")]
-    Worker(#[source] std::io::Error),
+    /// The library cannot be opened.
+    #[error("library")]
+    Library(#[from] tmpi_library::LibraryError),
     /// Traces cannot go where they are to.
     #[error(transparent)]
     Traces(#[from] CollectorError),
@@ -190,68 +192,44 @@ pub enum ServerError {
     OpenApi(#[from] serde_json::Error),
 }
 
-/// A server that listens, has taken up what was unfinished, and waits for [`Server::run`].
+/// A server that listens and waits for [`Server::run`].
 pub struct Server {
     listener: TcpListener,
     addr: SocketAddr,
     app: App,
     rooms: Option<Arc<Rooms>>,
     role: Role,
+    has_objects: bool,
     tls: Option<Tls>,
     /// The door of operators, with its address and the names that count there.
     admin: Option<(TcpListener, SocketAddr, Vec<String>)>,
+    /// Held as long as the server is there.
+    lock: File,
 }
 
 impl Server {
-    /// Listens, opens the data directory, and starts the workers.
+    /// Listens, and opens the library.
     ///
     /// # Errors
     /// [`ServerError`].
     pub async fn bind(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Result<Self, ServerError> {
-        Self::bind_among(None, config, maker, renderer).await
-    }
-
-    /// The same as one node of several, which share a store; what it has on its own disk are copies then.
-    ///
-    /// # Errors
-    /// [`ServerError`].
-    pub async fn bind_among(
-        sharing: Option<Sharing>,
-        mut config: Config,
-        maker: Arc<dyn Maker>,
-        renderer: Arc<dyn Renderer>,
-    ) -> Result<Self, ServerError> {
-        let (addr, data) = (config.addr, config.data.clone());
+        let data = config.data.clone();
         let openapi = openapi_of(&config.limits, config.admin.is_some())?;
-        let (listener, addr) = listen(addr).await?;
+        let (listener, addr) = listen(config.addr).await?;
         let admin = match config.admin {
             Some(addr) => Some(listen(addr).await?).map(|(listener, addr)| (listener, addr, config.hosts.clone())),
             None => None,
         };
-        let role = sharing.as_ref().map(|s| s.role).unwrap_or_default();
-        if role == Role::Serve {
-            config.limits.workers = 0;
-        }
-        let limits = Arc::new(config.limits.clone());
-        let keys = config.private.then(|| config.keys.clone().unwrap_or_else(|| data.clone()));
         let telemetry = Arc::new(Telemetry::of(config.traces.as_ref())?);
-        // done once before any request is served
-        let (jobs, guard) = if let Some(sharing) = sharing {
-            let open = tokio::task::spawn_blocking(move || among(&sharing, &data, keys.as_deref(), maker, limits, telemetry));
-            open.await.map_err(|e| ServerError::Worker(std::io::Error::other(e)))??
-        } else {
-            let wrong = |source| ServerError::Data { dir: data.clone(), source };
-            let (store, found) = Store::open(&data, maker.identity()).map_err(wrong)?;
-            let store = store.keeping(limits.reserve);
-            child::empty_scratch(&data).map_err(wrong)?;
-            // with the directory for this process alone
-            let secret = keys.is_some().then(|| Secret::of(&data)).transpose().map_err(wrong)?;
-            let guard = keys.zip(secret).map(|(keys, secret)| guard(&keys, secret)).transpose()?;
-            (Jobs::start(store, found, maker, limits, telemetry).map_err(ServerError::Worker)?, guard)
-        };
-        exports::start(&jobs, &renderer).map_err(ServerError::Worker)?;
-        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, renderer, openapi) });
-        Ok(Self { listener, addr, app, rooms: None, role, tls: None, admin })
+        let library = Box::pin(Library::open(config.library())).await?;
+        let lock = claim(&data, library.incoming()).map_err(|source| ServerError::Data { dir: data, source })?;
+        if config.database.is_none() {
+            // nobody else does them: the process that did was ended
+            library.reclaim().await?;
+        }
+        let (role, has_objects) = (config.role, config.blobs.is_some());
+        let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi }));
+        Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, admin, lock })
     }
 
     /// Has rooms, too.
@@ -289,9 +267,9 @@ impl Server {
     /// Serves until `stop` is ready or an operator asks it to leave, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
     /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
-        let Self { listener, addr: _, app, rooms, role, tls, admin } = self;
+        let Self { listener, addr: _, app, rooms, role, has_objects, tls, admin, lock } = self;
         let token = app.stop.clone();
-        let jobs = Arc::clone(&app.jobs);
+        let workers = (role != Role::Serve).then(|| Workers::start(&app));
         let signal = tokio::spawn({
             let (token, app) = (token.clone(), Arc::clone(&app));
             async move {
@@ -303,20 +281,25 @@ impl Server {
                 app.leaving.store(true, Ordering::Release);
                 tokio::time::sleep(app.limits.lame_duck).await;
                 let deadline = Instant::now() + app.limits.drain;
-                jobs.stop();
                 token.cancel();
-                tokio::task::spawn_blocking(move || jobs.drain(deadline)).await
+                if let Some(workers) = workers {
+                    workers.drain(deadline).await;
+                }
             }
         });
-        let probe = tokio::spawn(upkeep::probe(Arc::clone(&app)));
-        let look_over = tokio::spawn(upkeep::look_over(Arc::clone(&app)));
-        let rest = tokio::spawn(rest::rest(Arc::clone(&app)));
-        let sweep = tokio::spawn(retain::sweep(Arc::clone(&app)));
-        let sweep_files = tokio::spawn(exports::sweep(Arc::clone(&app)));
+        let mut upkeep = tokio::task::JoinSet::new();
+        upkeep.spawn(upkeep::probe(Arc::clone(&app), has_objects));
+        upkeep.spawn(upkeep::sweep(Arc::clone(&app)));
+        upkeep.spawn(upkeep::forget(Arc::clone(&app)));
+        upkeep.spawn(rest::rest(Arc::clone(&app)));
+        if !has_objects {
+            // an object store checks what it has itself
+            upkeep.spawn(upkeep::look_over(Arc::clone(&app)));
+        }
         // who only makes photos has none
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
-            rooms.start(token.clone()).await;
+            rooms.start(&app.library, &token);
             // set once, as a server runs once
             let _ = app.rooms.set(Arc::clone(rooms));
         }
@@ -344,20 +327,21 @@ impl Server {
         {
             tracing::error!(%error, "the operators' door");
         }
-        probe.abort();
-        look_over.abort();
-        rest.abort();
-        sweep.abort();
-        sweep_files.abort();
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
+        upkeep.shutdown().await;
+        if let Err(error) = app.library.note_views().await {
+            tracing::warn!(%error, "when photos were looked at is not known");
+        }
+        app.library.close().await;
         if app.telemetry.traces().is_some() {
             let ended = tokio::task::spawn_blocking(move || app.telemetry.traces().map(Traces::end));
             if let Err(error) = ended.await {
                 tracing::error!(%error, "sending the last traces");
             }
         }
+        drop(lock);
         tracing::info!("stopped");
     }
 }
@@ -369,38 +353,15 @@ async fn listen(addr: SocketAddr) -> Result<(TcpListener, SocketAddr), ServerErr
     Ok((listener, addr))
 }
 
-/// What asks who comes, by the keys of a directory.
-fn guard(keys: &Path, secret: Secret) -> Result<Guard, ServerError> {
-    Guard::open(keys, secret).map_err(|source| ServerError::Data { dir: keys.to_owned(), source })
-}
-
-/// Takes its place among the nodes that share a store; blocks.
-fn among(
-    sharing: &Sharing,
-    data: &Path,
-    keys: Option<&Path>,
-    maker: Arc<dyn Maker>,
-    limits: Arc<Limits>,
-    telemetry: Arc<Telemetry>,
-) -> Result<(Arc<Jobs>, Option<Guard>), ServerError> {
-    let wrong = |source| ServerError::Store { store: sharing.store.clone(), source };
-    let cluster = Arc::new(Cluster::open(sharing, &limits).map_err(wrong)?);
-    // copies of before may be of makings that are no more
-    let copies = data.join("copies");
-    match std::fs::remove_dir_all(copies.join("photos")) {
-        Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(ServerError::Data { dir: copies, source }),
-        _ => {}
+/// Takes a data directory for this process alone, and removes what a crash has left on its way in or out.
+fn claim(data: &Path, incoming: &Path) -> std::io::Result<File> {
+    let lock = File::options().create(true).truncate(false).write(true).open(data.join("lock"))?;
+    lock.try_lock().map_err(|_| std::io::Error::other("another process serves from there"))?;
+    child::empty_scratch(data)?;
+    for entry in std::fs::read_dir(incoming)? {
+        std::fs::remove_file(entry?.path())?;
     }
-    let (store, _) = Store::open(&copies, maker.identity()).map_err(|source| ServerError::Data { dir: copies, source })?;
-    child::empty_scratch(data).map_err(|source| ServerError::Data { dir: data.to_owned(), source })?;
-    let store = store.keeping(limits.reserve).of_origin(Arc::clone(&cluster) as Arc<dyn store::Origin>, limits.copies);
-    // all nodes give a photo the same id, and take each other's links
-    let guard = match keys {
-        Some(keys) => Some(guard(keys, cluster.secret().map_err(wrong)?)?),
-        None => None,
-    };
-    let jobs = Jobs::start_among(Some(cluster), store, Vec::new(), maker, limits, telemetry).map_err(ServerError::Worker)?;
-    Ok((jobs, guard))
+    Ok(lock)
 }
 
 /// Ready on SIGTERM or SIGINT (elsewhere Ctrl-C).

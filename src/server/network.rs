@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::jobs::Jobs;
+use super::maker::Maker;
 
 /// A published network that is worth fetching.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, utoipa::ToSchema)]
@@ -68,17 +68,17 @@ impl Download {
     ///
     /// # Errors
     /// No thread can be started.
-    pub fn start(&self, jobs: &Arc<Jobs>) -> std::io::Result<bool> {
+    pub fn start(&self, maker: &Arc<dyn Maker>) -> std::io::Result<bool> {
         let mut now = self.lock();
-        if matches!(*now, Fetching::UnderWay(_)) || jobs.maker.better().is_none() {
+        if matches!(*now, Fetching::UnderWay(_)) || maker.better().is_none() {
             return Ok(false);
         }
-        let (download, jobs) = (self.clone(), Arc::clone(jobs));
+        let (download, maker) = (self.clone(), Arc::clone(maker));
         std::thread::Builder::new().name("tmpi-network".into()).spawn(move || {
-            let fetched = jobs.maker.fetch_better(&mut |have| *download.lock() = Fetching::UnderWay(have));
+            let fetched = maker.fetch_better(&mut |have| *download.lock() = Fetching::UnderWay(have));
             *download.lock() = match fetched {
                 Ok(()) => {
-                    tracing::info!(network = jobs.maker.network(), "a better depth network is here");
+                    tracing::info!(network = maker.network(), "a better depth network is here");
                     Fetching::Idle
                 }
                 Err(problem) => {

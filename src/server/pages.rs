@@ -14,9 +14,9 @@ use super::card::Card;
 use super::compress;
 use super::conditional::{Coding, Entity, REVALIDATE, respond};
 use super::hosts::origin;
-use super::id::hex;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
+use tmpi_library::hex;
 
 /// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
 const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
@@ -50,9 +50,9 @@ pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Respons
 /// same and says so itself.
 pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = "app/view-page.html";
-    let Ok(entry) = app.photo(&id) else { return not_found(&app, name, Frames::Own).await };
+    let Ok(photo) = app.photo(&id).await else { return not_found(&app, name, Frames::Own).await };
     let mut file = load(&app, name).await?;
-    let card = origin(&headers).map(|base| Card::of(&app, &entry, base));
+    let card = origin(&headers).map(|base| Card::of(&app, &photo, base));
     if let Some(card) = card {
         let page = card.introduce(&String::from_utf8_lossy(&file.bytes));
         file = File { etag: tag(page.as_bytes()), bytes: page.into(), coding: Coding::Gzip };
@@ -64,7 +64,7 @@ pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<Strin
 pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = "app/embed-page.html";
     // whoever came by a link is given its cookie where the photo may be seen by it
-    if app.photo(&id).is_err() {
+    if app.photo(&id).await.is_err() {
         return not_found(&app, name, Frames::Anybody).await;
     }
     page(&app, &headers, name, Frames::Anybody).await

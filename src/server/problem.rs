@@ -6,6 +6,7 @@ use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
 use tmpi_core::container::ContainerError;
+use tmpi_library::{LibraryError, Quota, Service, Share};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::StageError;
 use tmpi_pipeline::depth::DepthError;
@@ -16,6 +17,8 @@ use tmpi_render::{AnimationError, EncodeError, RenderError};
 /// Media type of a problem.
 pub const MEDIA_TYPE: &str = "application/problem+json";
 
+/// What kinds of problems begin with.
+const KINDS: &str = "urn:tmpi:problem:";
 /// Bytes of foreign text that a problem repeats, at most: a name, and all together.
 const MOST_NAME: usize = 64;
 const MOST_DETAIL: usize = 1024;
@@ -65,7 +68,7 @@ impl Problem {
     /// A problem of `kind` (the last part of its URI) with `status`; its title is that of the status.
     pub fn new(status: StatusCode, kind: &str, detail: impl Into<String>) -> Self {
         Self {
-            kind: format!("urn:tmpi:problem:{kind}").into(),
+            kind: format!("{KINDS}{kind}").into(),
             title: status.canonical_reason().unwrap_or("Error").into(),
             status: status.as_u16(),
             detail: clipped(detail.into(), MOST_DETAIL).into(),
@@ -138,23 +141,52 @@ impl Problem {
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", format!("{what}: the server's log says more"))
     }
 
-    /// The store of several nodes cannot be reached.
+    /// The disk has no room left.
     #[must_use]
-    pub fn away() -> Self {
-        Self::new(StatusCode::SERVICE_UNAVAILABLE, "store-unreachable", "the store cannot be reached now").retry_after(5)
+    pub fn full() -> Self {
+        Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-full", "the data directory has no room left")
     }
 
     /// The data directory failed.
     pub fn store(error: &std::io::Error) -> Self {
         if matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) {
             tracing::error!(%error, "data directory");
-            return Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-full", "the data directory has no room left");
-        }
-        if error.kind() == std::io::ErrorKind::HostUnreachable {
-            tracing::warn!(%error, "the store");
-            return Self::away();
+            return Self::full();
         }
         Self::internal("data directory", error)
+    }
+
+    /// As the library keeps it of a job that failed.
+    #[must_use]
+    pub fn to_library(&self) -> tmpi_library::Problem {
+        let kind = self.kind.strip_prefix(KINDS).unwrap_or(&self.kind);
+        tmpi_library::Problem { kind: kind.to_owned(), detail: self.detail.to_string(), field: self.field.as_deref().map(str::to_owned) }
+    }
+
+    /// Why a job failed, as the library keeps it.
+    #[must_use]
+    pub fn of_library(kept: &tmpi_library::Problem) -> Self {
+        let status = match kept.kind.as_str() {
+            "parameter" | "bad-request" => StatusCode::BAD_REQUEST,
+            "not-found" => StatusCode::NOT_FOUND,
+            "photo-too-large" => StatusCode::PAYLOAD_TOO_LARGE,
+            "unsupported-photo" => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            "broken-photo" | "broken-depth-map" | "beyond-readers" | "gave-up" | "export-too-large" | "view-too-large" => {
+                StatusCode::UNPROCESSABLE_ENTITY
+            }
+            "no-animations" => StatusCode::NOT_IMPLEMENTED,
+            "late" | "busy" | "cancelled" => StatusCode::SERVICE_UNAVAILABLE,
+            "storage-full" => StatusCode::INSUFFICIENT_STORAGE,
+            _ => StatusCode::INTERNAL_SERVER_ERROR,
+        };
+        let problem = Self::new(status, &kept.kind, kept.detail.clone());
+        if let Some(field) = &kept.field { problem.field(field) } else { problem }
+    }
+
+    /// Why a photo could not be made, or what of it is damaged.
+    #[must_use]
+    pub fn of_photo(photo: &tmpi_library::Photo) -> Self {
+        photo.problem.as_ref().map_or_else(|| Self::internal("a photo", &"it failed without a reason"), Self::of_library)
     }
 
     /// The HTTP status.
@@ -180,6 +212,55 @@ impl IntoResponse for Problem {
         // the request log and the middleware that fills in `request_id` read it from here
         response.extensions_mut().insert(self);
         response
+    }
+}
+
+impl From<LibraryError> for Problem {
+    fn from(error: LibraryError) -> Self {
+        let text = error.to_string();
+        match error {
+            LibraryError::NotFound(what) => Self::not_found(format!("there is no such {what} any more")),
+            LibraryError::NotReady => {
+                let detail = "the photo is being made; it can be made again once it is done";
+                Self::new(StatusCode::CONFLICT, "not-ready", detail).retry_after(1)
+            }
+            LibraryError::Changed => Self::new(StatusCode::PRECONDITION_FAILED, "changed", "it was changed meanwhile").field("If-Match"),
+            LibraryError::QueueFull { waiting, share, retry_after, .. } => {
+                let detail = match share {
+                    Share::All => format!("{waiting} are waiting already"),
+                    Share::Owner => "half of the places to wait are yours already".to_owned(),
+                    Share::Address => "half of the places to wait are of your address already".to_owned(),
+                };
+                let seconds = retry_after.as_secs_f64().ceil() as u64;
+                Self::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(seconds.max(1))
+            }
+            LibraryError::QuotaExceeded { quota, used, asked, limit } => {
+                let detail = match quota {
+                    Quota::Photos => format!(
+                        "you have {used} photos, and {limit} is the limit (--quota-photos): delete one, and there is room for another"
+                    ),
+                    Quota::Bytes => format!(
+                        "your photos take {used} bytes, this one {asked}, and {limit} is the limit (--quota-mib): delete some, and there is room"
+                    ),
+                };
+                Self::new(StatusCode::FORBIDDEN, "quota", detail)
+            }
+            LibraryError::StorageFull => Self::full(),
+            LibraryError::Damaged { .. } => {
+                let detail = format!("{text}: upload the photo again, and it is made anew");
+                Self::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", detail)
+            }
+            LibraryError::Invalid(detail) => Self::bad_request(detail),
+            LibraryError::Unavailable { service, reason } => {
+                tracing::warn!(?service, reason, "the library");
+                let what = match service {
+                    Service::Database => "the database cannot be reached now",
+                    Service::Blobs => "the blob store cannot be reached now",
+                };
+                Self::new(StatusCode::SERVICE_UNAVAILABLE, "store-unreachable", what).retry_after(5)
+            }
+            LibraryError::LeaseLost | LibraryError::RoomTaken { .. } | LibraryError::Internal(_) => Self::internal("the library", &text),
+        }
     }
 }
 

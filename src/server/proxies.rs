@@ -154,15 +154,32 @@ pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
         if seen == 0 {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        match ProxyHeader::parse(&bytes[..seen], ParseConfig { include_tlvs: false, ..ParseConfig::default() }) {
-            Ok((header, length)) => {
-                let client = header.proxied_address().map(|address| address.source.ip().to_canonical());
+        match Announcement::read(&bytes[..seen]) {
+            Ok(Announcement { client, length }) => {
                 stream.read_exact(&mut bytes[..length]).await?;
                 return Ok(client);
             }
             Err(Error::BufferTooShort) if seen < MOST => tokio::time::sleep(AGAIN).await,
             Err(error) => return Err(io::Error::new(io::ErrorKind::InvalidData, error)),
         }
+    }
+}
+
+/// What the PROXY protocol says at the start of a connection.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Announcement {
+    /// Whose connection it is; none where the proxy came by itself.
+    pub client: Option<IpAddr>,
+    /// Bytes that it takes.
+    pub length: usize,
+}
+
+impl Announcement {
+    /// # Errors
+    /// [`Error::BufferTooShort`] where more bytes are needed.
+    pub fn read(bytes: &[u8]) -> Result<Self, Error> {
+        let (header, length) = ProxyHeader::parse(bytes, ParseConfig { include_tlvs: false, ..ParseConfig::default() })?;
+        Ok(Self { client: header.proxied_address().map(|address| address.source.ip().to_canonical()), length })
     }
 }
 

@@ -33,10 +33,10 @@ pub async fn rest(app: App) {
         let shared = App::clone(&app);
         let settled = tokio::task::spawn_blocking(move || {
             shared.renderer.settle();
-            shared.jobs.maker.rest(shared.limits.rest)
+            shared.maker.rest(shared.limits.rest)
         });
         let ended = settled.await.unwrap_or_default();
-        let busy = app.pool.bytes() > 0 || !app.jobs.is_idle();
+        let busy = app.pool.bytes() > 0 || app.memory.taken() > 0;
         let seen = Seen::of(&app);
         if !busy && (ended || seen != given_back) {
             // some milliseconds, in which nobody else may allocate

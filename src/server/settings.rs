@@ -7,6 +7,7 @@ use serde_json::{Map, Value};
 
 use super::problem::Problem;
 use tmpi_core::ViewBox;
+use tmpi_library::Photo;
 use tmpi_render::{Path, looking_at};
 
 /// Version of the settings that this program writes and reads.
@@ -107,23 +108,6 @@ pub struct Settings {
     /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
-    /// How often its owner has taken back links to it, which are signed over this: no setting, and never shown.
-    #[serde(default, skip_serializing_if = "is_first")]
-    #[schema(ignore)]
-    pub generation: u64,
-    /// When the photo was uploaded once more, milliseconds since 1970: its place in the list, no setting, and never shown.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(ignore)]
-    pub listed_ms: Option<u64>,
-}
-
-/// Of settings that cannot be read: links of before may have been taken back.
-const LOST: u64 = 1 << 32;
-
-/// True where no link was taken back.
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
-const fn is_first(generation: &u64) -> bool {
-    *generation == 0
 }
 
 impl Default for Settings {
@@ -138,43 +122,24 @@ impl Default for Settings {
             speed: None,
             visibility: None,
             poster: None,
-            generation: 0,
-            listed_ms: None,
         }
     }
 }
 
 impl Settings {
-    /// Reads settings from disk.
-    ///
-    /// # Errors
-    /// They are of a later version, or not as this program writes them.
-    pub fn read(bytes: &[u8]) -> Result<Self, String> {
-        let settings: Self = serde_json::from_slice(bytes).map_err(|e| e.to_string())?;
-        if settings.version == VERSION { Ok(settings) } else { Err(format!("version {} is not {VERSION}", settings.version)) }
-    }
-
-    /// What this program understands of settings of any version, damaged ones included.
+    /// Those of a photo.
     #[must_use]
-    pub fn understood(bytes: &[u8]) -> Self {
-        let Ok(Value::Object(mut all)) = serde_json::from_slice(bytes) else { return Self { generation: LOST, ..Self::default() } };
-        let generation = all.remove("generation").map_or(0, |value| value.as_u64().unwrap_or(LOST));
-        all.into_iter().fold(Self { generation, ..Self::default() }, |known, (name, value)| {
-            let one = Value::Object(Map::from_iter([(name, value)])).to_string();
-            known.patched(one.as_bytes()).unwrap_or(known)
+    pub fn of(photo: &Photo) -> Self {
+        serde_json::from_value(photo.settings.clone()).unwrap_or_else(|error| {
+            tracing::error!(id = %photo.id, %error, "settings that cannot be read are left out");
+            Self::default()
         })
     }
 
-    /// These settings as anybody sees them.
+    /// As the library keeps them.
     #[must_use]
-    pub fn shown(self) -> Self {
-        Self { generation: 0, listed_ms: None, ..self }
-    }
-
-    /// These settings, with all links of before taken back.
-    #[must_use]
-    pub fn without_links(self) -> Self {
-        Self { generation: self.generation + 1, ..self }
+    pub fn to_value(&self) -> Value {
+        serde_json::to_value(self).unwrap_or_default()
     }
 
     /// These settings with what an upload of the same photo says: its title, and who may see it.
@@ -356,26 +321,7 @@ mod tests {
         assert_eq!((one.focus, one.start), (Some(0.4), Some(Offset { x: 0.0, y: -1.0, z: 0.0 })));
         let two = one.patched(br#"{"version": 1, "title": null, "motion": {"z": 0}}"#).unwrap();
         assert_eq!((two.title, two.motion, two.focus), (None, Some(Offset { x: 0.5, y: 1.0, z: 0.0 }), Some(0.4)));
-        assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
-        assert!(Settings::read(br#"{"version": 2}"#).unwrap_err().contains("version 2"));
-        let later = Settings::understood(br#"{"version": 2, "title": "A", "focus": {"near": 1}, "halo": true}"#);
-        assert_eq!(later, Settings { title: Some("A".into()), ..Settings::default() });
-        assert_eq!(Settings::understood(b"{\"title").shown(), Settings::default());
-    }
-
-    #[test]
-    fn links_that_were_taken_back_stay_so_and_no_patch_brings_them_again() {
-        let fresh = Settings::default();
-        let back = fresh.clone().without_links();
-        assert_eq!(Settings::read(&serde_json::to_vec(&back).unwrap()).unwrap(), back);
-        assert_eq!(back.patched(br#"{"title": "A"}"#).unwrap().generation, 1);
-        assert!(back.patched(br#"{"generation": 0}"#).is_err_and(|p| p.field.as_deref() == Some("generation")));
-        assert_eq!(serde_json::to_value(back.clone().shown()).unwrap(), serde_json::to_value(&fresh).unwrap());
-        // of a later version, or damaged: none of before is good by accident
-        assert_eq!(Settings::understood(br#"{"version": 2, "generation": 3}"#).generation, 3);
-        for damaged in [&b"{\"title"[..], br#"{"version": 2, "generation": "3"}"#] {
-            assert!(Settings::understood(damaged).generation > 1 << 31);
-        }
+        assert_eq!(serde_json::from_value::<Settings>(one.to_value()).unwrap(), one);
     }
 
     #[test]
@@ -383,7 +329,7 @@ mod tests {
         for name in Path::NAMES.into_iter().chain(["none"]) {
             let one = Settings::default().patched(format!(r#"{{"idle": "{name}", "speed": 4}}"#).as_bytes()).unwrap();
             assert_eq!((String::from(one.idle.clone().unwrap()).as_str(), one.speed), (name, Some(4.0)));
-            assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
+            assert_eq!(serde_json::from_slice::<Settings>(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
             assert_eq!(one.patched(br#"{"idle": null, "speed": null}"#).unwrap(), Settings::default());
         }
     }
@@ -391,7 +337,7 @@ mod tests {
     #[test]
     fn numbers_are_read_back_as_they_were_written() {
         let one = Settings::default().patched(br#"{"motion": {"x": 0.4, "y": 0}, "focus": 0.4444444444441444444}"#).unwrap();
-        assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
+        assert_eq!(serde_json::from_slice::<Settings>(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
     }
 
     #[test]

@@ -8,9 +8,13 @@ use std::sync::Arc;
 use axum::body::Body;
 use bytes::Bytes;
 use futures_util::stream;
+use tmpi_library::{Blob, BlobStore};
 
 /// Bytes that are read at a time, so that a slow reader holds no more of a file than that.
 const PIECE: usize = 256 << 10;
+
+/// The same of an object store, which is far away.
+const OBJECT_PIECE: usize = 1 << 20;
 
 /// Bytes of an answer.
 #[derive(Clone, Debug)]
@@ -19,6 +23,8 @@ pub enum Source {
     Memory(Bytes),
     /// A file and its length in bytes.
     File(Arc<File>, usize),
+    /// A content in an object store.
+    Object(BlobStore, Arc<Blob>),
 }
 
 impl Source {
@@ -28,6 +34,7 @@ impl Source {
         match self {
             Self::Memory(bytes) => bytes.len(),
             Self::File(_, length) => *length,
+            Self::Object(_, blob) => blob.bytes as usize,
         }
     }
 
@@ -43,6 +50,7 @@ impl Source {
                 let file = Arc::clone(file);
                 tokio::task::spawn_blocking(move || read_at(&file, 0..end).map(Bytes::from)).await.map_err(io::Error::other)?
             }
+            Self::Object(store, blob) => store.read_range(blob, 0..end as u64).await.map_err(io::Error::other),
         }
     }
 
@@ -60,6 +68,20 @@ impl Source {
                         let end = left.end.min(left.start + PIECE);
                         let read = move || read_at(&file, left.start..end).map(|piece| (Bytes::from(piece), end..left.end));
                         tokio::task::spawn_blocking(read).await.map_err(io::Error::other)?.map(Some)
+                    }
+                });
+                Body::from_stream(pieces)
+            }
+            Self::Object(store, blob) => {
+                let pieces = stream::try_unfold(range, move |left| {
+                    let (store, blob) = (store.clone(), Arc::clone(&blob));
+                    async move {
+                        if left.is_empty() {
+                            return Ok(None);
+                        }
+                        let end = left.end.min(left.start + OBJECT_PIECE);
+                        let piece = store.read_range(&blob, left.start as u64..end as u64).await.map_err(io::Error::other)?;
+                        Ok::<_, io::Error>(Some((piece, end..left.end)))
                     }
                 });
                 Body::from_stream(pieces)

@@ -11,9 +11,8 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
-use super::id::PhotoId;
-use super::retain::Reason;
 use super::traces::{Collector, CollectorError, Job, Parent, Traces};
+use tmpi_library::{PhotoId, Swept};
 
 /// Media type of the text.
 pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -150,9 +149,9 @@ impl Default for Telemetry {
         registry.register("tmpi_view_seconds", "Duration of the phases of drawing a view", t.view_phases.clone());
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
         registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
-        for reason in Reason::ALL {
+        for reason in ["age", "room"] {
             // from the beginning: what is counted first would else not be seen to grow
-            drop(t.retired.get_or_create(&Retired { reason: reason.name() }));
+            drop(t.retired.get_or_create(&Retired { reason }));
         }
         registry.register("tmpi_retired_bytes", "Bytes of photos that went by themselves", t.freed.clone());
         registry.register("tmpi_connections", "Open connections", t.connections.clone());
@@ -229,10 +228,12 @@ impl Telemetry {
         self.uploaded.inc_by(bytes);
     }
 
-    /// A photo went by itself for a `reason`.
-    pub fn retired(&self, reason: &'static str, bytes: u64) {
-        self.retired.get_or_create(&Retired { reason }).inc();
-        self.freed.inc_by(bytes);
+    /// Photos went by themselves.
+    pub fn swept(&self, swept: &Swept) {
+        for (reason, count) in [("age", swept.by_age), ("room", swept.by_room)] {
+            self.retired.get_or_create(&Retired { reason }).inc_by(count);
+        }
+        self.freed.inc_by(swept.bytes);
     }
 
     /// A connection, as long as the result lives.
@@ -289,7 +290,7 @@ mod tests {
         t.request("GET", "/healthz", 200, Duration::from_hours(1));
         t.job("done", Duration::from_millis(700));
         let alive = t.connection();
-        let text = t.text(&[gauge("tmpi_queue_depth", "Waiting jobs", 2.0), counter("tmpi_hints_sent", "Hints", 3.0)]).unwrap();
+        let text = t.text(&[gauge("tmpi_queue_depth", "Waiting jobs", 2.0), counter("words_sent", "Words", 3.0)]).unwrap();
         drop(alive);
         for line in [
             "tmpi_requests_total{method=\"GET\",route=\"/healthz\",status=\"200\"} 2",
@@ -300,8 +301,8 @@ mod tests {
             "tmpi_jobs_total{outcome=\"done\"} 1",
             "tmpi_connections 1",
             "tmpi_queue_depth 2.0",
-            "# TYPE tmpi_hints_sent counter",
-            "tmpi_hints_sent_total 3.0",
+            "# TYPE words_sent counter",
+            "words_sent_total 3.0",
             "# TYPE process_start_time_seconds gauge",
             "# EOF",
         ] {

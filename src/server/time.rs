@@ -1,29 +1,17 @@
 //! Points in time as clients read them.
 
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The latest time that was told.
-static LATEST: AtomicU64 = AtomicU64::new(0);
+use tmpi_library::Millis;
 
-/// Milliseconds since 1970, UTC; never earlier than it said before, as the list and versions of photos go by it.
+/// Milliseconds since 1970, UTC, by this machine's clock; what is compared with what another node wrote goes by the database's.
 pub fn now_ms() -> u64 {
-    let now = wall_ms();
-    LATEST.fetch_max(now, Ordering::AcqRel).max(now)
-}
-
-/// What this machine's clock says now, in milliseconds since 1970, whatever it said before.
-pub fn wall_ms() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
 }
 
-/// From now on no time is told before `ms`, which is one that was told before a restart.
-pub fn not_before(ms: u64) {
-    LATEST.fetch_max(ms, Ordering::AcqRel);
-}
-
 /// `2026-01-31T12:00:00.000Z` (RFC 3339).
-pub fn rfc3339(ms: u64) -> String {
+pub fn rfc3339(at: Millis) -> String {
+    let ms = at.max(0) as u64;
     let (days, in_day) = (ms / 86_400_000, ms % 86_400_000);
     // civil from days: years start in March, eras of 400 years have 146 097 days
     let z = days + 719_468;
@@ -40,16 +28,7 @@ pub fn rfc3339(ms: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{not_before, now_ms, rfc3339};
-
-    #[test]
-    fn time_goes_on_from_what_was_told_before_a_restart() {
-        let later = now_ms() + 200;
-        not_before(later);
-        assert!(now_ms() >= later);
-        not_before(1);
-        assert!(now_ms() >= later);
-    }
+    use super::rfc3339;
 
     #[test]
     fn known_dates() {

@@ -1,36 +1,31 @@
 //! Reads an upload, multipart or raw, onto disk while it comes in.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
 use bytes::Bytes;
 use futures_util::{Stream, StreamExt};
-use sha2::{Digest, Sha256};
+use sha2::{Digest as _, Sha256};
 use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
-use super::access::Owner;
 use super::admission::Admission;
-use super::app::App;
+use super::app::{App, Shared};
 use super::body;
 use super::file_name::file_name;
 use super::form::Bounded;
-use super::id::PhotoId;
-use super::jobs::{Class, Submitted};
 use super::limits::Limits;
 use super::maker::HeadOf;
 use super::options;
 use super::problem::Problem;
-use super::records::VERSION;
 use super::settings::{Settings, title_of_file};
 use super::share::{Share, Shares, asker};
-use super::store::{Accepted, Incoming, Part};
-use super::time::now_ms;
+use tmpi_library::{Class, Content, Digest, LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::Options;
 
 /// Longest name of a field in bytes.
@@ -40,20 +35,38 @@ const MAX_OPTION: usize = 1024;
 /// Bytes that are gathered before they are written.
 const BUFFER: usize = 256 << 10;
 
-/// A file that was written while it came in.
+/// A file that was written while it came in; it goes with this, unless the library has taken it.
 struct Written {
-    hash: [u8; 32],
+    file: Fresh,
+    digest: Digest,
     bytes: u64,
 }
 
-/// A folder on its way in of which the removal, which blocks, keeps no other request waiting.
-struct Folder(Option<Incoming>);
+impl Written {
+    fn content(&self) -> Content {
+        Content::of_file(self.file.0.clone(), self.bytes, self.digest.clone())
+    }
+}
 
-impl Drop for Folder {
+/// A path of which the file goes with this.
+struct Fresh(PathBuf);
+
+impl Fresh {
+    /// One that nobody else has.
+    fn within(folder: &Path) -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        Self(folder.join(format!("upload-{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed))))
+    }
+}
+
+impl Drop for Fresh {
     fn drop(&mut self) {
-        let incoming = self.0.take();
-        if let (Some(incoming), Ok(runtime)) = (incoming, tokio::runtime::Handle::try_current()) {
-            runtime.spawn_blocking(move || drop(incoming));
+        let path = std::mem::take(&mut self.0);
+        // the removal blocks, and must keep no other request waiting; what was moved is not there any more
+        let remove = move || drop(std::fs::remove_file(path));
+        match tokio::runtime::Handle::try_current() {
+            Ok(runtime) => drop(runtime.spawn_blocking(remove)),
+            Err(_) => remove(),
         }
     }
 }
@@ -102,17 +115,20 @@ impl<'a> Ticket<'a> {
     ///
     /// # Errors
     /// 429 where as many come in already as may, 503 while the server stops.
-    pub fn take(app: &'a App) -> Result<Self, Problem> {
-        if !app.jobs.is_accepting() {
+    pub async fn take(app: &'a App) -> Result<Self, Problem> {
+        if app.stop.is_cancelled() {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
         }
-        app.uploads.take(app.jobs.free_places()).ok_or_else(|| app.jobs.refusal())
+        let free = app.library.free_places().await? as usize;
+        app.uploads.take(free).ok_or_else(|| {
+            let detail = "as many photos are waiting and coming in as may";
+            Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(5)
+        })
     }
 }
 
 /// Everything of an upload.
 struct Parts {
-    incoming: Folder,
     photo: Option<Written>,
     depth: Option<Written>,
     chosen: Chosen,
@@ -140,7 +156,7 @@ impl Chosen {
         if name == VISIBILITY {
             self.settings = std::mem::take(&mut self.settings).seen_by(value)?;
         } else if name == CLASS {
-            self.class = Class::of_photo(value).ok_or_else(|| Problem::parameter(CLASS, "must be interactive or batch"))?;
+            self.class = class_of(value).ok_or_else(|| Problem::parameter(CLASS, "must be interactive or batch"))?;
         } else if name == TITLE {
             self.settings = std::mem::take(&mut self.settings).titled(value)?;
         } else {
@@ -148,6 +164,12 @@ impl Chosen {
         }
         if self.given.insert(name.replace('_', "-")) { Ok(()) } else { Err(Problem::parameter(name, "is given twice")) }
     }
+}
+
+/// The class that clients name for a photo: `interactive` or `batch`.
+#[must_use]
+pub fn class_of(name: &str) -> Option<Class> {
+    [Class::Interactive, Class::Batch].into_iter().find(|class| class.name() == name)
 }
 
 /// Names of the fields of the title, and of who may see the photo.
@@ -168,10 +190,10 @@ fn known(name: &str, kinds: &str) -> Result<(), Problem> {
 ///
 /// # Errors
 /// 400 that names a wrong field, 408, 413, 415, 429, 500, 507.
-pub async fn take(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
+pub async fn take(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Photo, Problem> {
     // what is wrong is told first
     let chosen = chosen(query)?;
-    let _leave = Ticket::take(app)?;
+    let _leave = Ticket::take(app).await?;
     take_chosen(app, chosen, request, owner).await
 }
 
@@ -184,32 +206,22 @@ fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
     Ok(chosen)
 }
 
-async fn take_chosen(app: &App, chosen: Chosen, request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
-    let jobs = Arc::clone(&app.jobs);
-    let incoming =
-        tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;
-    let incoming = Folder(Some(incoming.map_err(|e| Problem::store(&e))?));
-    let mut parts = Parts { incoming, photo: None, depth: None, chosen };
+async fn take_chosen(app: &App, chosen: Chosen, request: Request, owner: Option<Owner>) -> Result<Photo, Problem> {
+    let mut parts = Parts { photo: None, depth: None, chosen };
     if is_multipart(request.headers()) {
         read_multipart(app, &mut parts, request).await?;
     } else {
         let stream = request.into_body().into_data_stream();
-        let (mut admission, options) = (Admission::new(&app.jobs.maker), &parts.chosen.options);
+        let (mut admission, options) = (Admission::new(&app.maker), &parts.chosen.options);
         let look = |bytes: &[u8]| admission.see(bytes, HeadOf::Photo(options));
-        parts.photo = Some(write(&parts.incoming, Part::Upload, stream, |e| body::problem(&e), look).await?);
+        parts.photo = Some(write(app, stream, |e| body::problem(&e), look).await?);
     }
-    let shared = Arc::clone(app);
-    // checking it reads it whole: a few at a time
-    let submitted = app.change(move || accept(&shared, parts, owner)).await??;
-    if submitted.healed {
-        app.forget(submitted.entry.id).await;
-    }
-    Ok(submitted)
+    accept(app, parts, owner).await
 }
 
-/// The part of taking an upload that blocks: checks it and makes it durable.
-fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Problem> {
-    let Parts { mut incoming, photo, depth, chosen } = parts;
+/// Checks an upload and has it accepted.
+async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Photo, Problem> {
+    let Parts { photo, depth, chosen } = parts;
     let Chosen { options, class, settings: told, of_file, .. } = chosen;
     let settings = Settings { title: told.title.clone().or(of_file), ..told.clone() };
     let photo = photo.ok_or_else(|| Problem::parameter("photo", "is missing, or its file is empty"))?;
@@ -217,38 +229,55 @@ fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Pr
         return Err(Problem::parameter("photo", "is empty"));
     }
     let text = options::to_text(&options);
-    let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text), app.jobs.maker.identity());
-    let id = app.guard.as_ref().zip(owner.as_ref()).map_or(id, |(guard, owner)| guard.id(owner, id));
-    if app.jobs.get(id).is_none() {
-        let read = |part| std::fs::read(parts_path(&incoming, part)?).map_err(|e| Problem::store(&e));
-        let (photo, map) = (read(Part::Upload)?, depth.as_ref().map(|_| read(Part::Depth)).transpose()?);
-        app.jobs.maker.check(&photo, map.as_deref(), &options).map_err(|e| Problem::from(&e))?;
-    }
-    let accepted = Accepted {
-        version: VERSION,
-        at_ms: now_ms(),
-        photo_bytes: photo.bytes,
-        depth_bytes: depth.as_ref().map(|d| d.bytes),
+    let depth_digest = depth.as_ref().map(|depth| &depth.digest);
+    let content = PhotoId::of_content(&photo.digest, depth_digest, &options::canonical(&text), app.maker.identity());
+    let id = app.guard.as_ref().zip(owner.as_ref()).map_or(content, |(guard, owner)| guard.id(owner, content));
+    let bytes = photo.bytes + depth.as_ref().map_or(0, |depth| depth.bytes);
+    let (photo, depth) = if app.library.find(id).await?.is_some() { (photo, depth) } else { check(app, photo, depth, options).await? };
+    let upload = Upload {
+        id,
+        asker: Shared::asker(owner),
+        class,
         options: text,
-        owner,
+        settings: settings.to_value(),
+        photo: photo.content(),
+        depth: depth.as_ref().map(Written::content),
+        reservation: None,
     };
-    let folder = incoming.0.take().ok_or_else(gone)?;
-    let submitted = app.jobs.submit_as(class, folder, id, accepted, settings)?;
-    if submitted.new {
-        app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
-    } else {
-        app.jobs.uploaded_again(&submitted.entry, &told)?;
+    let accepted = app.library.accept(upload).await?;
+    match accepted.outcome {
+        Outcome::New => app.telemetry.uploaded(bytes),
+        Outcome::Known | Outcome::Retried | Outcome::Healed => return told_again(app, accepted.photo, &told).await,
     }
-    Ok(submitted)
+    Ok(accepted.photo)
 }
 
-/// Where a part of an upload belongs.
-fn parts_path(folder: &Folder, part: Part) -> Result<PathBuf, Problem> {
-    folder.0.as_ref().map(|incoming| incoming.path(part)).ok_or_else(gone)
+/// A photo that was known, with the title and the visibility that its upload names.
+async fn told_again(app: &App, mut photo: Photo, told: &Settings) -> Result<Photo, Problem> {
+    loop {
+        let (before, id) = (Settings::of(&photo), photo.id);
+        let settings = before.told_again(told);
+        if settings == before {
+            return Ok(photo);
+        }
+        match app.library.set_settings(&photo, &settings.to_value()).await {
+            // somebody was quicker
+            Err(LibraryError::Changed) => photo = app.library.get(id).await?,
+            changed => return Ok(changed?),
+        }
+    }
 }
 
-fn gone() -> Problem {
-    Problem::internal("an upload", &"its folder was given away already")
+/// Reads an upload whole, and refuses what could not be made: a few at a time.
+async fn check(app: &App, photo: Written, depth: Option<Written>, options: Options) -> Result<(Written, Option<Written>), Problem> {
+    let maker = Arc::clone(&app.maker);
+    let read = |written: &Written| std::fs::read(&written.file.0).map_err(|e| Problem::store(&e));
+    let checked = app.change(move || {
+        let (bytes, map) = (read(&photo)?, depth.as_ref().map(read).transpose()?);
+        maker.check(&bytes, map.as_deref(), &options).map_err(|e| Problem::from(&e))?;
+        Ok((photo, depth))
+    });
+    checked.await?
 }
 
 fn is_multipart(headers: &HeaderMap) -> bool {
@@ -272,9 +301,9 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
         if name.len() > MAX_NAME {
             return Err(Problem::parameter(name, format!("the name of a field is longer than {MAX_NAME} bytes")));
         }
-        let (part, slot) = match name.as_str() {
-            "photo" => (Part::Upload, &mut parts.photo),
-            "depth" => (Part::Depth, &mut parts.depth),
+        let (is_map, slot) = match name.as_str() {
+            "photo" => (false, &mut parts.photo),
+            "depth" => (true, &mut parts.depth),
             _ => {
                 known(&name, "field; there are photo, depth, title, visibility, class")?;
                 let value = text(&name, field).await?;
@@ -290,11 +319,11 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
             return Err(Problem::parameter(&name, "is given twice"));
         }
         let file = futures_util::stream::iter([Ok(first)]).chain(field);
-        let (mut admission, options) = (Admission::new(&app.jobs.maker), &parts.chosen.options);
-        let of = if part == Part::Depth { HeadOf::Depth } else { HeadOf::PhotoSoFar(options) };
+        let (mut admission, options) = (Admission::new(&app.maker), &parts.chosen.options);
+        let of = if is_map { HeadOf::Depth } else { HeadOf::PhotoSoFar(options) };
         let look = |bytes: &[u8]| admission.see(bytes, of);
-        *slot = Some(write(&parts.incoming, part, file, |e| body::problem(&e), look).await?);
-        if part == Part::Upload {
+        *slot = Some(write(app, file, |e| body::problem(&e), look).await?);
+        if !is_map {
             parts.chosen.of_file = title;
         }
     }
@@ -323,15 +352,17 @@ async fn text(name: &str, mut field: axum::extract::multipart::Field<'_>) -> Res
 }
 
 /// A new file that only its owner may read.
-async fn create(path: std::path::PathBuf) -> std::io::Result<File> {
-    let mut options = tokio::fs::OpenOptions::from(super::files::private());
-    options.create(true).truncate(true).write(true).open(path).await
+async fn create(path: &Path) -> std::io::Result<File> {
+    let mut options = std::fs::OpenOptions::new();
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options.create_new(true).write(true);
+    tokio::fs::OpenOptions::from(options).open(path).await
 }
 
-/// Writes a stream to its file, each piece once `look` has seen it and refused nothing.
+/// Writes a stream to a file, each piece once `look` has seen it and refused nothing.
 async fn write<S, E>(
-    incoming: &Folder,
-    part: Part,
+    app: &App,
     mut stream: S,
     problem: impl Fn(E) -> Problem,
     mut look: impl FnMut(&[u8]) -> Result<(), Problem>,
@@ -340,7 +371,9 @@ where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
     let disk = |e: std::io::Error| Problem::store(&e);
-    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(parts_path(incoming, part)?).await.map_err(disk)?);
+    app.library.blobs().room_for(0)?;
+    let fresh = Fresh::within(app.library.incoming());
+    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(&fresh.0).await.map_err(disk)?);
     let mut hash = Sha256::new();
     let mut bytes = 0;
     while let Some(chunk) = stream.next().await {
@@ -351,7 +384,7 @@ where
         file.write_all(&chunk).await.map_err(disk)?;
     }
     file.flush().await.map_err(disk)?;
-    Ok(Written { hash: hash.finalize().into(), bytes })
+    Ok(Written { file: fresh, digest: Digest::from_bytes(&hash.finalize().into()), bytes })
 }
 
 #[cfg(test)]

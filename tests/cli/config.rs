@@ -36,7 +36,6 @@ fn options_count_before_variables_those_before_the_file_and_that_before_defaults
         "# max-pixels = 50",
         "# lame-duck = 0",
         "# access = \"private\"",
-        "# keys = \"tmpi-data\"",
         "# rate-requests = 0",
         "# least-free = 64 # or a twentieth of a smaller disk",
         "# quota-photos =",
@@ -79,13 +78,11 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
         ("[limits]\nqueue = 1", &["limits"]),
         ("queue = 1\nqueue = 2", &["tmpi.toml", "queue"]),
         ("queue =", &["tmpi.toml"]),
-        ("nats-login = \"file\"", &["--nats"]),
-        ("node = \"attic\"", &["--nats"]),
         // what serve looks at before it begins
         ("public-list = true\naccess = \"private\"", &["--public-list", "--access open"]),
         ("quota-photos = 3", &["--quota-photos", "--access private"]),
-        ("nats = \"nats://127.0.0.1:4222\"\nno-live = true", &["--nats", "--store"]),
-        ("store = \"ftp://host/folder\"", &["--store", "s3://"]),
+        ("advertise = \"http://127.0.0.1:8080\"", &["--database"]),
+        ("blobs = \"s3://host/folder\"", &["--blobs", "--database"]),
         ("otlp = \"127.0.0.1\"", &["--otlp", "http://127.0.0.1:4318"]),
         ("static = \"nowhere\"", &["--static", "nowhere"]),
     ] {
@@ -110,7 +107,6 @@ fn files_that_serve_would_fail_on_are_an_error() {
     for (args, code, words) in [
         (&["--live-key", "short"][..], 2, &["--live-key", "32"][..]),
         (&["--live-key", "nowhere"], 1, &["nowhere"]),
-        (&["--nats", "nats://127.0.0.1:4222", "--nats-login", "nowhere"], 1, &["nowhere"]),
         (&["--tls-cert", "no.pem", "--tls-key", "no.pem"], 1, &["TLS", "no.pem"]),
         (&["--depth-model", "tmpi=nowhere.onnx"], 1, &["--depth-model", "nowhere.onnx"]),
         (&["--live-depth-model", "tmpi=nowhere.onnx"], 1, &["--live-depth-model", "nowhere.onnx"]),
@@ -137,9 +133,7 @@ fn what_follows_from_others_is_shown_as_it_is_used() {
         has(&run, line);
     }
     let run = config(&f, &[], &["--addr", "0.0.0.0:80", "--data", "photos"]).succeeds();
-    for line in
-        ["# access = \"private\"", "# keys = \"photos\"", "# lame-duck = 5", "# rate-requests = 6000", "data = \"photos\" # command line"]
-    {
+    for line in ["# access = \"private\"", "# lame-duck = 5", "# rate-requests = 6000", "data = \"photos\" # command line"] {
         has(&run, line);
     }
 }
@@ -147,19 +141,13 @@ fn what_follows_from_others_is_shown_as_it_is_used() {
 #[test]
 fn secrets_in_addresses_are_not_told() {
     let f = Folder::new();
-    let args = [
-        "--nats",
-        "nats://me:secret@127.0.0.1:4222,nats://127.0.0.1:4223,me:secret@127.0.0.1:4224",
-        "--otlp",
-        "http://me:secret@127.0.0.1:4318",
-    ];
+    let args =
+        ["--database", "postgres://me:secret@127.0.0.1:5432/tmpi", "--blobs", "s3://bucket", "--otlp", "http://me:secret@127.0.0.1:4318"];
     let run = config(&f, &[], &[&args[..], &["--network-url", "https://me:secret@host/net.onnx?signature=secret"]].concat()).succeeds();
-    assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1:4222") && run.out.contains("127.0.0.1:4223"), "{}", run.out);
+    assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1:5432"), "{}", run.out);
     has(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
     // nor in what is wrong with them
-    for (name, value) in
-        [("--nats", "nats://me:secret@127.0.0.1:port"), ("--otlp", "ftp://me:secret@127.0.0.1"), ("--store", "ftp://me:secret@host")]
-    {
+    for (name, value) in [("--otlp", "ftp://me:secret@127.0.0.1"), ("--database", "postgres://me:secret@host")] {
         let said = config(&f, &[], &[name, value]).fails(2, &[name]);
         assert!(!said.contains("secret"), "{said}");
     }
@@ -176,30 +164,28 @@ fn keys_are_those_of_the_server_that_the_settings_are_of() {
     let f = Folder::new();
     let add = ["add", "me", "--scope", "read"];
     // a folder of nobody's
-    for folder in ["other", "served/photos"] {
-        std::fs::create_dir_all(f.path(folder)).unwrap();
-    }
+    std::fs::create_dir_all(f.path("other")).unwrap();
     for folder in ["tmpi-data", "other"] {
         let named = ["--data", folder];
         key(&f, &[], &[&add[..], &named].concat()).fails(2, &[folder, "--create"]);
         key(&f, &[], &[&["list"][..], &named].concat()).fails(2, &[folder, "--config"]);
         key(&f, &[], &[&["remove", "me"][..], &named].concat()).fails(2, &[folder]);
     }
-    assert!(!f.path("tmpi-data").exists() && !f.path("other/keys.json").exists());
-    // one that a server has used
-    key(&f, &[], &[&add[..], &["--data", "served"]].concat()).succeeds();
+    assert!(!f.path("tmpi-data").exists() && !f.path("other/library.db").exists());
+    key(&f, &[], &[&add[..], &["--data", "served", "--create"]].concat()).succeeds();
     let of = |variables: &[(&str, &str)], args: &[&str]| key(&f, variables, &[&["list"][..], args].concat()).succeeds().out.lines().count();
     assert_eq!(of(&[("TMPI_SERVE_DATA", "served")], &[]), 1);
-    // keys of their own, by the file and by variables; what the line says counts first
-    f.write("tmpi.toml", b"data = \"served\"\nkeys = \"keys\"\nqueue = 3\n");
-    key(&f, &[], &[&add[..], &["--config", "tmpi.toml"]].concat()).fails(2, &["keys", "--create"]);
-    key(&f, &[], &[&add[..], &["--config", "tmpi.toml", "--create"]].concat()).succeeds();
+    // by the file and by variables; what the line says counts first
+    f.write("tmpi.toml", b"data = \"served\"\nqueue = 3\n");
     key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &add).succeeds();
-    assert_eq!(
-        (of(&[("TMPI_CONFIG", "tmpi.toml")], &[]), of(&[("TMPI_SERVE_KEYS", "keys")], &[]), of(&[], &["--data", "served"])),
-        (2, 2, 1)
-    );
-    assert_eq!(of(&[("TMPI_CONFIG", "tmpi.toml"), ("TMPI_SERVE_KEYS", "keys")], &["--keys", "served"]), 1);
+    assert_eq!((of(&[("TMPI_CONFIG", "tmpi.toml")], &[]), of(&[], &["--data", "served"])), (2, 2));
+    key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &["list", "--data", "other"]).fails(2, &["other"]);
+    // so do those that look the library over
+    for command in ["fsck", "gc"] {
+        let run = f.run(&[command, "--config", "tmpi.toml"]).succeeds();
+        assert!(run.out.starts_with("0 "), "{}", run.out);
+        f.run(&[command, "--data", "other"]).fails(2, &["other"]);
+    }
     // as serve reads it
     f.write("tmpi.toml", b"quue = 3");
     key(&f, &[], &["list", "--config", "tmpi.toml"]).fails(2, &["quue"]);
@@ -209,11 +195,11 @@ fn keys_are_those_of_the_server_that_the_settings_are_of() {
 }
 
 #[test]
-fn a_node_that_works_takes_the_same_settings_and_is_told_of_its_store() {
+fn a_node_that_works_takes_the_same_settings_and_is_told_of_its_database() {
     let f = Folder::new();
-    f.run(&["work"]).fails(2, &["--store"]);
+    f.run(&["work"]).fails(2, &["--database"]);
     f.write("tmpi.toml", b"quue = 3");
-    f.run(&["work", "--store", "file:///nowhere", "--config", "tmpi.toml"]).fails(2, &["quue"]);
+    f.run(&["work", "--database", "postgres://nowhere/tmpi", "--config", "tmpi.toml"]).fails(2, &["quue"]);
     let help = f.run(&["work", "--help"]).succeeds().out;
-    assert!(help.contains("--store") && !help.contains("--role <") && help.contains("127.0.0.1:0"), "{help}");
+    assert!(help.contains("--database") && !help.contains("--role <") && help.contains("127.0.0.1:0"), "{help}");
 }

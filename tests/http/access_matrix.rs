@@ -3,12 +3,12 @@
 
 use std::fmt::Write as _;
 
-use tmpi::server::keys::{self, Scope};
 use tmpi::server::{Access, Route, routes};
 
 use crate::access::{HOST, id, private, secret, upload};
 use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg};
+use crate::keys::{self, Scope};
 use crate::matrix::{MORE, target};
 
 /// What a caller may do with the photo that is asked for, and with the server.

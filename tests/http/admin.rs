@@ -9,8 +9,8 @@ use tmpi::server::{Config, Limits, Server};
 use tmpi_render::Backend;
 
 use crate::client::{get, request};
+use crate::fixture::figure;
 use crate::fixture::{Running, jpeg, pipeline, wait_until};
-use crate::nats::figure;
 
 /// A server that asks who comes, and the address of its operators.
 fn start(data: &Path) -> (Running, SocketAddr) {

@@ -2,7 +2,6 @@
 
 use std::io::Write;
 use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,7 +11,7 @@ use tmpi_pipeline::{MakeError, Options, Sink, photo};
 use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, Response, form, post_form, request};
-use crate::fixture::{Running, depth_map, jpeg, picture, wait_until, way_with};
+use crate::fixture::{Running, contents, depth_map, incoming, jpeg, picture, wait_until, way_with};
 
 /// The real way of a photo, which looks at it only once it is whole.
 struct Late(PipelineMaker);
@@ -37,10 +36,6 @@ fn start(limits: Limits) -> (tempfile::TempDir, Running) {
     let maker = Arc::new(way_with(&limits));
     let server = Running::start(dir.path(), limits, maker);
     (dir, server)
-}
-
-fn count(dir: &Path, folder: &str) -> usize {
-    std::fs::read_dir(dir.join(folder)).unwrap().count()
 }
 
 /// The first bytes of a picture that claims a size.
@@ -98,8 +93,8 @@ fn a_header_of_a_picture_that_is_too_large_is_refused_while_the_client_sends_no_
     // of a client that sends all of it nothing is lost either
     let all = [claims(PictureFormat::Png, 60_000), vec![0; 2_000_000]].concat();
     request(server.addr, "POST", "/v1/photos", &[], &all).problem(413);
-    wait_until("nothing is left", || count(dir.path(), "incoming") == 0);
-    assert_eq!(count(dir.path(), "photos"), 0);
+    wait_until("nothing is left", || incoming(dir.path()) == 0);
+    assert!(contents(dir.path(), "", "").is_empty());
 }
 
 #[test]
@@ -111,7 +106,7 @@ fn what_is_no_picture_is_refused_by_its_first_bytes() {
     assert!(heic["detail"].as_str().unwrap().contains("Most Compatible"), "{heic}");
     let (content_type, body) = open_form(&[("photo", page)]);
     assert_eq!(stalled(server.addr, "/v1/photos", &content_type, &body).problem(415)["field"], "photo");
-    wait_until("nothing is left", || count(dir.path(), "incoming") == 0);
+    wait_until("nothing is left", || incoming(dir.path()) == 0);
 }
 
 #[test]

@@ -7,16 +7,12 @@ use std::time::{Duration, Instant};
 use tmpi::server::{Limits, Maker};
 
 use crate::client::{Connection, form, post_form, request};
-use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+use crate::fixture::{Gate, Running, incoming, jpeg, pipeline, wait_until};
 
 fn start(limits: Limits, maker: Arc<dyn Maker>) -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), limits, maker);
     (dir, server)
-}
-
-fn incoming(dir: &tempfile::TempDir) -> usize {
-    std::fs::read_dir(dir.path().join("incoming")).unwrap().count()
 }
 
 /// Sends an upload in `pieces` over `time`.
@@ -59,7 +55,7 @@ fn an_upload_below_the_least_rate_is_408_and_leaves_nothing() {
     let mut slow = drip(&server, "", &photo, 50, Duration::from_secs(2));
     let problem = slow.receive("POST").unwrap().problem(408);
     assert!(problem["detail"].as_str().unwrap().contains("bytes a second"), "{problem}");
-    wait_until("nothing is left", || incoming(&dir) == 0);
+    wait_until("nothing is left", || incoming(dir.path()) == 0);
 }
 
 #[test]
@@ -74,13 +70,13 @@ fn room_is_asked_for_before_the_body() {
     let photo = jpeg(2);
     let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n", photo.len());
     known.raw().write_all(head.as_bytes()).unwrap();
-    wait_until("it comes in", || incoming(&dir) == 1);
+    wait_until("it comes in", || incoming(dir.path()) == 1);
     let mut refused = Connection::open(server.addr);
     refused.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: 30000000\r\n\r\n").unwrap();
     let answer = refused.receive("POST").unwrap();
     assert!(answer.header("retry-after").is_some());
     answer.problem(429);
-    assert_eq!(incoming(&dir), 1, "nothing of it was written");
+    assert_eq!(incoming(dir.path()), 1, "nothing of it was written");
     known.raw().write_all(&photo).unwrap();
     assert_eq!(known.receive("POST").unwrap().json()["id"], queued.as_str());
     gate.open(2);
@@ -132,7 +128,7 @@ fn headers_and_names_of_forms_are_bounded() {
     answer.problem(400);
     // at the limit it is a name like another
     assert_eq!(post_form(server.addr, &[], &[(&"n".repeat(64), b"1")]).problem(400)["field"], "n".repeat(64));
-    wait_until("nothing is left", || incoming(&dir) == 0);
+    wait_until("nothing is left", || incoming(dir.path()) == 0);
 }
 
 #[test]
@@ -159,5 +155,5 @@ fn a_body_in_a_coding_that_nobody_undoes_is_refused() {
     let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\nTransfer-Encoding: Chunked\r\n\r\n{:x}\r\n", photo.len());
     connection.raw().write_all(&[head.as_bytes(), &photo, b"\r\n0\r\n\r\n"].concat()).unwrap();
     assert_eq!(connection.receive("POST").unwrap().status, 202);
-    wait_until("nothing else is left", || incoming(&dir) == 0);
+    wait_until("nothing else is left", || incoming(dir.path()) == 0);
 }

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::{Value, json};
-use tmpi::server::keys::{self, Scope};
 use tmpi::server::{Fault, Limits, Maker, PipelineMaker, Product};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::depth::{DepthError, Estimator};
@@ -13,7 +12,8 @@ use tmpi_pipeline::{MakeError, Models, Options, Sink};
 
 use crate::access::{HOST, ask, id, private_with, secret, upload};
 use crate::client::{get, post_form, request};
-use crate::fixture::{Running, depth_map, jpeg};
+use crate::fixture::{Running, contents, depth_map, jpeg};
+use crate::keys::{self, Scope};
 
 const WORSE: &str = "tmpi";
 const BETTER: &str = "depth-anything-v2-small-fp16";
@@ -134,7 +134,7 @@ fn where_nobody_is_asked_who_they_are_everybody_is_told() {
     let list = get(server.addr, "/v1/photos").json();
     assert!(list["photos"][0]["id"] == id.as_str() && list["photos"][0].get("better_depth").is_none(), "{list}");
     // the photo of a report that is gone is out of service, and there is nothing to offer
-    std::fs::remove_file(dir.path().join("photos").join(&id).join("report.json")).unwrap();
+    std::fs::remove_file(&contents(dir.path(), &id, "report")[0]).unwrap();
     server.stop();
     let server = start(dir.path(), &maker);
     assert_eq!(better(&server, &photo), Value::Null);

@@ -8,15 +8,14 @@ use tmpi::server::Limits;
 use tmpi_render::PictureFormat;
 
 use crate::client::get;
-use crate::fixture::{Running, jpeg, picture, pipeline, wait_until};
+use crate::fixture::{Running, contents, jpeg, picture, pipeline, wait_until};
 
 /// A photo that was made, the path of its container, and that as it was.
 struct Made {
-    _dir: tempfile::TempDir,
+    dir: tempfile::TempDir,
     server: Running,
     photo: Vec<u8>,
     id: String,
-    atlas: PathBuf,
     whole: Vec<u8>,
 }
 
@@ -25,12 +24,22 @@ fn made(limits: Limits, photo: Vec<u8>) -> Made {
     let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
     let id = server.upload(&photo);
     server.wait(&id, "done");
-    let atlas = dir.path().join("photos").join(&id).join("atlas.tmpi");
-    let whole = std::fs::read(&atlas).unwrap();
-    Made { _dir: dir, server, photo, id, atlas, whole }
+    let whole = std::fs::read(&contents(dir.path(), &id, "container")[0]).unwrap();
+    Made { dir, server, photo, id, whole }
 }
 
 impl Made {
+    /// The one file of a part.
+    fn file(&self, part: &str) -> PathBuf {
+        let mut all = Vec::new();
+        // the one of before goes behind the answer
+        wait_until("there is one", || {
+            all = contents(self.dir.path(), &self.id, part);
+            all.len() == 1
+        });
+        all.remove(0)
+    }
+
     /// Every kind of damage: one bit in the middle, half of it gone, all of it.
     fn kinds(&self) -> [(&str, Option<Vec<u8>>); 3] {
         let mut flipped = self.whole.clone();
@@ -40,8 +49,8 @@ impl Made {
 
     fn spoil(&self, damage: Option<&Vec<u8>>) {
         match damage {
-            Some(bytes) => std::fs::write(&self.atlas, bytes).unwrap(),
-            None => std::fs::remove_file(&self.atlas).unwrap(),
+            Some(bytes) => std::fs::write(self.file("container"), bytes).unwrap(),
+            None => std::fs::remove_file(self.file("container")).unwrap(),
         }
     }
 
@@ -49,7 +58,7 @@ impl Made {
     fn heal(&self, context: &str) {
         self.server.upload(&self.photo);
         self.server.wait(&self.id, "done");
-        assert_eq!(std::fs::read(&self.atlas).unwrap(), self.whole, "{context}");
+        assert_eq!(std::fs::read(self.file("container")).unwrap(), self.whole, "{context}");
         assert_eq!(get(self.server.addr, &format!("/v1/photos/{}/atlas", self.id)).body, self.whole, "{context}");
         assert_eq!(get(self.server.addr, &format!("/v1/photos/{}/view?w=32", self.id)).status, 200, "{context}");
     }
@@ -92,7 +101,7 @@ fn whoever_asks_for_a_damaged_photo_is_told() {
                     (&"damaged".into(), &"urn:tmpi:problem:damaged".into()),
                     "{context}"
                 );
-                assert!(state["problem"]["detail"].as_str().unwrap().contains("atlas.tmpi"), "{state}");
+                assert!(state["problem"]["detail"].as_str().unwrap().contains("container is damaged"), "{state}");
                 // nor anything else of it
                 get(made.server.addr, &format!("/v1/photos/{}/thumbnail", made.id)).problem(500);
                 let metrics = String::from_utf8(get(made.server.addr, "/metrics").body).unwrap();
@@ -114,9 +123,8 @@ fn damage_is_found_though_nobody_asks() {
         wait_until(&format!("{kind} is noticed"), || made.server.state(&made.id)["state"] == "damaged");
         made.heal(kind);
     }
-    let thumbnail = made.atlas.with_file_name("thumbnail.jpg");
-    std::fs::remove_file(&thumbnail).unwrap();
+    std::fs::remove_file(made.file("thumbnail")).unwrap();
     wait_until("it is noticed", || made.server.state(&made.id)["state"] == "damaged");
     made.heal("thumbnail");
-    assert!(thumbnail.exists());
+    assert!(made.file("thumbnail").exists());
 }

@@ -10,7 +10,7 @@ use tmpi::server::Limits;
 
 use crate::access::{HOST, id, private, secret, upload as upload_as};
 use crate::client::{Response, get, post_form, request};
-use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+use crate::fixture::{Gate, Running, contents, jpeg, pipeline, wait_until};
 
 fn order(addr: SocketAddr, photo: &str, parameters: &str) -> Response {
     request(addr, "POST", &format!("/v1/photos/{photo}/exports?{parameters}"), &[], &[])
@@ -34,7 +34,7 @@ fn ended(addr: SocketAddr, location: &str, state: &str) -> Value {
 }
 
 fn files(data: &Path) -> usize {
-    std::fs::read_dir(data.join("exports")).map_or(0, Iterator::count)
+    contents(data, "", "export").len()
 }
 
 fn start(limits: Limits) -> (tempfile::TempDir, Running, String) {
@@ -85,7 +85,7 @@ fn a_file_is_written_once_for_all_who_ask_and_stays_over_a_restart() {
     for gone in [location.as_str(), at] {
         get(server.addr, gone).problem(404);
     }
-    assert_eq!(files(dir.path()), 2, "the other one, with its record");
+    assert_eq!(files(dir.path()), 1, "the other one");
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn files_go_with_their_photo_and_with_its_making() {
     get(server.addr, &before).problem(404);
     let after = made("format=glb");
     assert_ne!(before, after);
-    wait_until("what is of the making before has gone", || files(dir.path()) == 2);
+    wait_until("what is of the making before has gone", || files(dir.path()) == 1);
     request(server.addr, "POST", &format!("/v1/photos/{photo}/again?class=never"), &[], &[]).problem(400);
     assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{photo}"), &[], &[]).status, 204);
     get(server.addr, &after).problem(404);
@@ -138,7 +138,7 @@ fn files_make_room_for_others_and_go_when_nobody_fetches_them() {
     let first = written(server.addr, &photo, "format=glb");
     written(server.addr, &photo, "format=zip");
     get(server.addr, first["links"]["self"].as_str().unwrap()).problem(404);
-    assert_eq!(files(dir.path()), 2);
+    assert_eq!(files(dir.path()), 1);
     let (dir, server, photo) = start(Limits { exports_bytes: glb.min(zip) - 1, ..Limits::default() });
     let ordered = order(server.addr, &photo, "format=glb");
     let failed = ended(server.addr, ordered.header("location").unwrap(), "failed");
@@ -219,7 +219,6 @@ fn an_upload_of_many_waits_behind_others() {
     }
     assert_ne!(server.state(&batch)["state"], "done");
     server.stop();
-    assert!(dir.path().join("photos").join(&batch).join("batch").exists(), "it is one of many after a restart, too");
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     server.wait(&batch, "done");
 }
@@ -298,22 +297,20 @@ mod processes {
     }
 
     #[test]
-    fn a_crash_in_the_middle_leaves_no_half_file_and_the_next_who_asks_has_it_written() {
+    fn a_crash_in_the_middle_leaves_no_half_file_and_it_is_written_after_all() {
         let dir = tempfile::tempdir().unwrap();
-        let (mut server, photo) = with_writer(dir.path(), &[], &large(1));
+        let (mut server, photo) = with_writer(dir.path(), &["--lease", "3"], &large(1));
         let html = order(server.addr, &photo, "format=html").json()["links"]["file"].as_str().unwrap().to_owned();
         let writer = server.hold_writer();
         let zip = working(server.addr, &photo, "format=zip");
-        // as if it had been cut off while it was put on disk
-        std::fs::write(dir.path().join("exports").join(format!("{photo}-{}.file", zip.rsplit('/').next().unwrap())), b"half").unwrap();
         server.crash();
         drop(writer);
         let server = Process::start(dir.path());
-        assert_eq!(files(dir.path()), 2, "the page and its record");
         assert_eq!(get(server.addr, &html).status, 200);
-        get(server.addr, &zip).problem(404);
-        let state = written(server.addr, &photo, "format=zip");
+        // it is taken up again once the lease of before is over
+        let state = ended(server.addr, &zip, "done");
         assert_eq!(&state["links"]["self"], &zip, "under the same address");
+        assert_eq!(files(dir.path()), 2, "the page and the archive");
         assert_eq!(&get(server.addr, &format!("{zip}/file")).body[..4], b"PK\x03\x04");
     }
 

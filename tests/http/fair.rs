@@ -11,9 +11,7 @@ use tmpi_pipeline::{MakeError, Options, Sink};
 use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, get, request};
-#[cfg(unix)]
-use crate::fixture::pipe;
-use crate::fixture::{Gate, Running, SlowDrawing, jpeg, pipeline, wait_until};
+use crate::fixture::{Gate, Running, SlowDrawing, contents, incoming, jpeg, pipeline, wait_until};
 
 const HELD: u32 = SlowDrawing::HELD;
 
@@ -137,7 +135,7 @@ fn a_file_is_written_once_for_all_its_parts() {
         assert!(!again.all("server-timing").contains("export;dur="), "not written again");
     }
     assert!(metric(&server, "tmpi_export_cache_bytes") >= whole.body.len() as f64);
-    assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0, "no name leads to it");
+    assert_eq!(incoming(dir.path()), 0, "no name leads to it");
     assert_eq!(request(server.addr, "DELETE", &photos[0], &[], &[]).status, 204);
     assert_eq!(metric(&server, "tmpi_export_cache_bytes"), 0.0);
 }
@@ -156,7 +154,7 @@ fn a_large_file_is_read_while_it_is_sent_and_a_damaged_one_is_none() {
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     let id = server.upload(&noise());
     server.wait(&id, "done");
-    let file = dir.path().join("photos").join(&id).join("atlas.tmpi");
+    let file = contents(dir.path(), &id, "container").remove(0);
     let bytes = std::fs::read(&file).unwrap();
     assert!(bytes.len() > 256 << 10, "{}", bytes.len());
     let path = format!("/v1/photos/{id}/atlas");
@@ -262,36 +260,4 @@ fn uploads_are_read_whole_a_few_at_a_time() {
         }
     });
     assert_eq!(checks.most.load(Ordering::SeqCst), 3);
-}
-
-#[cfg(unix)]
-#[test]
-fn changes_of_a_photo_that_wait_hold_no_thread_that_others_need() {
-    let (dir, server, photos, _) = start(Limits::default(), 2);
-    // whoever writes the settings of the first photo waits until somebody reads them
-    let id = photos[0].rsplit('/').next().unwrap();
-    let file = dir.path().join("photos").join(id).join("settings.json.tmp");
-    pipe(&file);
-    let clients: Vec<_> = (0..40)
-        .map(|_| {
-            let mut client = Connection::open(server.addr);
-            client.send("PATCH", &photos[0], &[("content-type", "application/json"), ("content-length", "2")], b"");
-            std::io::Write::write_all(client.raw(), b"{}").unwrap();
-            client
-        })
-        .collect();
-    wait_until("all wait", || metric(&server, "tmpi_requests_in_flight") >= 41.0);
-    let mut other = ask(&server, &format!("{}/thumbnail", photos[1]));
-    other.raw().set_read_timeout(Some(Duration::from_secs(10))).unwrap();
-    let answer = other.receive("GET");
-    // let them go before anything is said of it
-    let reader = std::fs::OpenOptions::new().read(true).write(true).open(&file).unwrap();
-    assert_eq!(answer.expect("another photo is served meanwhile").status, 200);
-    for mut client in clients {
-        // a pipe cannot be synced
-        let status = client.receive("PATCH").unwrap().status;
-        assert!(matches!(status, 200 | 500), "{status}");
-    }
-    drop(reader);
-    assert_eq!(request(server.addr, "PATCH", &photos[0], &[("content-type", "application/json")], b"{}").status, 200);
 }

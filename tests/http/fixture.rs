@@ -1,7 +1,7 @@
 //! A server on a free port, small photos, and makers that stop where a test wants them to.
 
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
@@ -262,17 +262,28 @@ impl Drop for Running {
     }
 }
 
-/// A pipe with a name: whoever opens it to write waits until somebody reads it.
-#[cfg(unix)]
-#[allow(unsafe_code, reason = "the standard library makes no named pipes")]
-pub fn pipe(path: &Path) {
-    let path = std::ffi::CString::new(path.to_str().unwrap()).unwrap();
-    // SAFETY: the path ends with a zero and outlives the call
-    assert_eq!(unsafe { libc::mkfifo(path.as_ptr(), 0o600) }, 0);
+/// Files of contents of a photo in a data folder, whose names begin with its id and a part; of all photos, where the id is empty.
+pub fn contents(data: &Path, id: &str, part: &str) -> Vec<PathBuf> {
+    let is_wanted = |name: &str| name.starts_with(id) && name.get(32..).is_some_and(|rest| rest.starts_with(&format!("-{part}")));
+    let folders = std::fs::read_dir(data.join("blobs")).unwrap().flatten().filter(|folder| folder.file_name().len() == 2);
+    let files = folders.flat_map(|folder| std::fs::read_dir(folder.path()).unwrap().flatten());
+    files.filter(|file| is_wanted(file.file_name().to_str().unwrap())).map(|file| file.path()).collect()
+}
+
+/// Count of uploads on their way into a data folder.
+pub fn incoming(data: &Path) -> usize {
+    std::fs::read_dir(data.join("blobs").join("incoming")).unwrap().count()
 }
 
 /// Fails after a minute.
 #[track_caller]
+/// A figure of a server's metrics; none where it has no such one.
+pub fn figure(addr: SocketAddr, name: &str) -> Option<u64> {
+    let text = String::from_utf8(client::get(addr, "/metrics").body).unwrap();
+    let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ').map(str::to_owned))?;
+    Some(line.parse::<f64>().unwrap() as u64)
+}
+
 pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_mins(1);
     while !true_now() {

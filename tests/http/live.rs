@@ -387,7 +387,7 @@ fn a_viewer_that_nobody_looks_at_is_sent_sound_alone_and_goes_on_when_somebody_d
         }
     }
     // what is said last before a sound has been heard when sound alone comes
-    viewer.send(Kind::Credit(Credit { frames: 0, key: false }));
+    viewer.send(Kind::Credit(Credit { frames: 0, key: false, viewers: 0 }));
     let mut both = |n: u64| {
         publisher.publish(frame(10 + 4 * (n % 20) as u32));
         publisher.client.send(Kind::Sound(Sound { time: n, data: vec![n as u8; 9].into() }));
@@ -414,7 +414,7 @@ fn a_viewer_that_nobody_looks_at_is_sent_sound_alone_and_goes_on_when_somebody_d
             }
         }
     }
-    viewer.send(Kind::Credit(Credit { frames: 1, key: true }));
+    viewer.send(Kind::Credit(Credit { frames: 1, key: true, viewers: 0 }));
     let mut first = None;
     // the picture is back, and all that moved meanwhile is known
     let newest = loop {

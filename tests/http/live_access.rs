@@ -1,12 +1,14 @@
 //! Who may watch and publish in rooms.
 
 use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use tempfile::tempdir;
+use tmpi_core::live::wire::message::Kind;
 
 use super::client;
 use super::fixture::Running;
-use super::live::{Client, KEY, Publisher, frame, server};
+use super::live::{Client, KEY, Publisher, frame, hello, server};
 
 #[test]
 fn strangers_need_a_token_and_pages_of_other_sites_stay_out() {
@@ -30,6 +32,27 @@ fn strangers_need_a_token_and_pages_of_other_sites_stay_out() {
     assert_eq!(with(token(tmpi::live::Role::Watch, u64::MAX)), None);
     assert_eq!(with(token(tmpi::live::Role::Watch, 1)), Some(403));
     assert_eq!(client::get(server.addr, watch).status, 426, "not without an upgrade");
+}
+
+#[test]
+fn a_socket_ends_with_the_token_that_it_was_opened_by() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let ends = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + 3;
+    let token = |role| format!("Bearer {}", tmpi::live::token(KEY, role, "attic", ends).unwrap());
+    let come = |path: &str, role| {
+        let headers = [("host", "photos.example"), ("authorization", &token(role))];
+        Client::at(server.addr, &format!("/v1/live/attic/{path}"), &headers)
+    };
+    let mut publisher = come("publish", tmpi::live::Role::Publish).unwrap();
+    publisher.send(Kind::Hello(hello()));
+    assert!(matches!(publisher.next(), Some(Kind::Credit(_))));
+    let mut viewer = come("subscribe", tmpi::live::Role::Watch).unwrap();
+    assert!(matches!(viewer.next(), Some(Kind::Hello(_))));
+    for client in [viewer, publisher] {
+        assert_eq!(client.bye(), "the invitation has ended");
+    }
+    assert_eq!(come("subscribe", tmpi::live::Role::Watch).err(), Some(403));
 }
 
 #[test]

@@ -110,7 +110,7 @@ fn a_viewer_that_cannot_decode_what_it_has_gets_a_key_frame_of_the_publisher() {
     publisher.publish(frame(10));
     let mut viewer = Client::watch(server.addr, "attic");
     while !matches!(viewer.next(), Some(Kind::Video(video)) if video.frame == 0) {}
-    viewer.send(Kind::Credit(Credit { frames: 1, key: true }));
+    viewer.send(Kind::Credit(Credit { frames: 1, key: true, viewers: 0 }));
     // it is asked for at once, between what the publisher is told each second
     while !matches!(publisher.client.next(), Some(Kind::Credit(credit)) if credit.key) {}
     publisher.publish(frame(20));

@@ -210,11 +210,12 @@ fn another_browser_becomes_the_same_owner_by_a_ticket_that_is_good_for_nothing_e
     let of_bob = format!("tmpi_owner={}", &bob["Bearer ".len()..]);
     exchange(ticket, "", &of_bob).problem(409);
     exchange(&format!("{ticket}0"), "", "").problem(401);
-    exchange(&ticket.replacen("tmpi_t_1", "tmpi_t_2", 1), "", "").problem(401);
+    let other = if ticket.ends_with('0') { "1" } else { "0" };
+    exchange(&format!("{}{other}", &ticket[..ticket.len() - 1]), "", "").problem(401);
     for cookie in [exchange(ticket, "?replace=true", &of_bob), exchange(ticket, "", "")] {
         assert_eq!(cookie.status, 204);
         let kept = cookie.all("set-cookie");
-        assert!(kept.starts_with("tmpi_owner=tmpi_b_") && kept.ends_with("; HttpOnly; SameSite=Lax"), "{kept}");
+        assert!(kept.starts_with("tmpi_owner=tmpi_s_") && kept.ends_with("; HttpOnly; SameSite=Lax"), "{kept}");
         let pair = kept.split(';').next().unwrap();
         let browser = |method: &str, path: &str, cookie: &str| ask(&server, method, path, &[("cookie", cookie), JSON], b"");
         assert_eq!(

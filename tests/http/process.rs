@@ -1,7 +1,7 @@
 //! `tmpi serve` as a process: how it starts, how it stops, and what a crash leaves.
 
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read as _, Write};
 use std::net::SocketAddr;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, form, get, request};
-use crate::fixture::{depth_map, wait_until};
+use crate::fixture::{contents, depth_map, incoming, wait_until};
 
 pub struct Process {
     child: Child,
@@ -30,10 +30,15 @@ impl Process {
 
     /// With these variables of the environment.
     pub fn start_in(data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
+        Self::start_at(0, data, arguments, environment)
+    }
+
+    /// At a port that is known before.
+    pub fn start_at(port: u16, data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         // a file: a pipe that nobody empties would stop the server
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
-            .args(["serve", "--addr", "127.0.0.1:0", "--depth-model", "tmpi"])
+            .args(["serve", "--addr", &format!("127.0.0.1:{port}"), "--depth-model", "tmpi"])
             .args(arguments)
             .arg("--data")
             .arg(data)
@@ -128,6 +133,25 @@ impl Process {
         assert_eq!(unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) }, 0);
         let status = self.child.wait().unwrap();
         (status, std::fs::read_to_string(self.log.path()).unwrap())
+    }
+}
+
+/// A process that does not outlive its test.
+pub struct Killed(pub Child);
+
+impl Killed {
+    /// What it prints until its end.
+    pub fn printed(mut self) -> String {
+        let mut all = String::new();
+        self.0.stdout.take().unwrap().read_to_string(&mut all).unwrap();
+        all
+    }
+}
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }
 
@@ -285,7 +309,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
         assert!(answered.len() >= crash_after && answered.len() < 10, "{} answered", answered.len());
 
         let server = Process::start(dir.path());
-        assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0, "leftovers are removed");
+        assert_eq!(incoming(dir.path()), 0, "leftovers are removed");
         let found = ids(server.addr);
         assert_eq!(found.iter().collect::<BTreeSet<_>>().len(), found.len(), "none is there twice");
         let lost: Vec<_> = answered.iter().filter(|id| !found.contains(id)).collect();
@@ -303,7 +327,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
             assert!(tmpi_core::container::decode(&atlas).is_ok());
         }
         assert_eq!(ids(server.addr).len(), 10);
-        assert_eq!(std::fs::read_dir(dir.path().join("photos")).unwrap().count(), 10);
+        assert_eq!(contents(dir.path(), "", "container").len(), 10);
     }
 }
 

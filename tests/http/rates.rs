@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
-use tmpi::server::keys::{self, Scope};
-use tmpi::server::{Config, Limits, Role, Server, Sharing};
-use tmpi_render::Backend;
+use tmpi::server::Limits;
 
 use crate::access::{ask, private_within};
 use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg, pipeline};
+use crate::keys::{self, Scope};
 
 /// The parameter of an item of a list of RFC 9651, as `r` of `"uploads"` in `"requests";r=1, "uploads";r=2`.
 fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
@@ -55,26 +54,4 @@ fn whoever_cannot_be_told_apart_is_not_counted() {
         let answer = request(server.addr, "GET", "/healthz", &[], &[]);
         assert_eq!((answer.status, answer.header("ratelimit")), (200, None));
     }
-}
-
-#[test]
-fn a_store_is_not_asked_for_whoever_asks_too_often() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, data) = (dir.path().join("store"), dir.path().join("data"));
-    let config = Config {
-        hosts: vec!["photos.example".into()],
-        private: true,
-        limits: Limits { rate_requests: 1, ..Limits::default() },
-        ..Config::new(([127, 0, 0, 1], 0).into(), data.clone())
-    };
-    let sharing = Sharing { store: format!("file://{}", store.display()), role: Role::Serve, nats: None };
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    let server = Running::of(async move { Server::bind_among(Some(sharing), config, Arc::new(pipeline()), renderer).await.unwrap() });
-    let key = format!("Bearer {}", keys::add(&data, "site", &[Scope::Read], None).unwrap());
-    // as a disk that is no longer mounted: whoever looks into it is told
-    std::fs::rename(&store, dir.path().join("gone")).unwrap();
-    let see = || ask(&server, "GET", &format!("/v1/photos/{:032x}", 1), &[("authorization", &key)], &[]);
-    assert_eq!(see().status, 503);
-    let refused = see();
-    assert_eq!((refused.status, refused.header("ratelimit").is_some()), (429, true));
 }

@@ -22,7 +22,7 @@ use tmpi_render::Backend;
 use crate::client::get;
 use crate::fixture::{Running, jpeg, pipeline, wait_until};
 use crate::live;
-use crate::nodes::Killed;
+use crate::process::Killed;
 
 fn example(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/http/certificates").join(name)

@@ -9,7 +9,7 @@ use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceRequest;
 use opentelemetry_proto::tonic::common::v1::{KeyValue, any_value::Value};
 use opentelemetry_proto::tonic::trace::v1::{Span, span::SpanKind, status::StatusCode};
 use prost::Message as _;
-use tmpi::server::{Collector, Config, Limits, Maker, Role, Server, Sharing, hex};
+use tmpi::server::{Collector, Config, Limits, Maker, Server, hex};
 use tmpi_render::Backend;
 
 use crate::client::{Connection, get, post_form, request};
@@ -116,18 +116,13 @@ fn attribute(span: &Span, key: &str) -> String {
 }
 
 fn start(data: &Path, traces: Collector, maker: Arc<dyn Maker>) -> Running {
-    let config = Config { traces: Some(traces), ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    Running::of(async move { Server::bind(config, maker, renderer).await.unwrap() })
+    start_with(data, traces, maker, Limits::default())
 }
 
-/// A node of the store in a folder.
-fn node(shared: &Path, data: &Path, role: Role, traces: Collector, maker: Arc<dyn Maker>) -> Running {
-    let sharing = Sharing { store: format!("file://{}", shared.display()), role, nats: None };
-    let limits = Limits { sweep: std::time::Duration::from_millis(100), ..Limits::default() };
+fn start_with(data: &Path, traces: Collector, maker: Arc<dyn Maker>, limits: Limits) -> Running {
     let config = Config { traces: Some(traces), limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    Running::of(async move { Server::bind_among(Some(sharing), config, maker, renderer).await.unwrap() })
+    Running::of(async move { Server::bind(config, maker, renderer).await.unwrap() })
 }
 
 /// The count of spans with an outcome.
@@ -186,12 +181,12 @@ fn an_upload_is_one_trace_of_request_job_and_stages() {
 }
 
 #[test]
-fn a_trace_goes_on_that_a_client_began_and_on_the_node_that_makes_the_photo() {
+fn a_trace_goes_on_that_a_client_began_also_after_a_restart() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
-    let at = |name: &str| dir.path().join(name);
-    // what begins here is not sent
-    let accepts = node(&at("store"), &at("a"), Role::Serve, collector.traces(0.0), Arc::new(pipeline()));
     let (trace, outer) = ("0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331");
+    // what begins here is not sent
+    let limits = Limits { drain: std::time::Duration::from_millis(100), ..Limits::default() };
+    let accepts = start_with(dir.path(), collector.traces(0.0), Gate::new(0), limits);
     let upload = |seed, sampled| {
         let parent = format!("00-{trace}-{outer}-{sampled}");
         let answer = request(accepts.addr, "POST", "/v1/photos", &[("traceparent", &parent)], &jpeg(seed));
@@ -199,16 +194,18 @@ fn a_trace_goes_on_that_a_client_began_and_on_the_node_that_makes_the_photo() {
         answer.json()["id"].as_str().unwrap().to_owned()
     };
     let (told, untold) = (upload(1, "01"), upload(2, "00"));
-    let worker = node(&at("store"), &at("w"), Role::Work, collector.traces(0.0), Arc::new(pipeline()));
-    accepts.wait(&told, "done");
-    accepts.wait(&untold, "done");
-    worker.stop();
     accepts.stop();
-    let (uploads, jobs) = (collector.wait("POST /v1/photos", 1), collector.wait("job", 1));
-    assert_eq!((uploads.len(), jobs.len()), (1, 1), "of whom nothing is to be sent nothing is");
+    let worker = start(dir.path(), collector.traces(0.0), Arc::new(pipeline()));
+    worker.wait(&told, "done");
+    worker.wait(&untold, "done");
+    worker.stop();
+    let uploads = collector.wait("POST /v1/photos", 1);
+    assert_eq!(uploads.len(), 1, "of whom nothing is to be sent nothing is");
     assert_eq!((hex(&uploads[0].trace_id), hex(&uploads[0].parent_span_id)), (trace.into(), outer.into()));
-    assert_eq!((&jobs[0].trace_id, &jobs[0].parent_span_id), (&uploads[0].trace_id, &uploads[0].span_id));
-    assert_eq!(attribute(&jobs[0], "tmpi.photo"), told);
+    let jobs = collector.wait("job", 1);
+    let done = jobs.iter().find(|job| attribute(job, "tmpi.job.outcome") == "done").unwrap();
+    assert_eq!((&done.trace_id, &done.parent_span_id), (&uploads[0].trace_id, &uploads[0].span_id));
+    assert_eq!(attribute(done, "tmpi.photo"), told);
     assert!(collector.spans().iter().all(|s| hex(&s.trace_id) == trace));
 }
 

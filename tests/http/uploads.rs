@@ -8,7 +8,7 @@ use tmpi_pipeline::MakeError;
 use tmpi_render::PictureFormat;
 
 use crate::client::{get, post_form, request};
-use crate::fixture::{Does, Gate, Running, depth_map, jpeg, picture, pipeline, spoilt_map, wait_until};
+use crate::fixture::{Does, Gate, Running, contents, depth_map, incoming, jpeg, picture, pipeline, spoilt_map, wait_until};
 
 fn start(maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
@@ -84,7 +84,11 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
     let told = heic["detail"].as_str().unwrap();
     assert!(told.contains("Settings > Camera > Formats > Most Compatible") && told.contains("sends this one as JPEG"), "{told}");
     assert!(told.contains("a portrait may lose its depth"), "{told}");
-    post("/v1/photos", &photo[..200]).problem(422);
+    for cut in [200, photo.len() / 2, photo.len() - 40] {
+        assert_eq!(post("/v1/photos", &photo[..cut]).problem(422)["type"], "urn:tmpi:problem:broken-photo", "{cut} bytes");
+        let png = picture(1, PictureFormat::Png);
+        post("/v1/photos", &png[..cut.min(png.len() - 40)]).problem(422);
+    }
     assert_eq!(post("/v1/photos?quality=0", &photo).problem(400)["field"], "quality");
     assert_eq!(post("/v1/photos?quality=best", &photo).problem(400)["field"], "quality");
     assert_eq!(post("/v1/photos?max-error=NaN", &photo).problem(400)["field"], "max-error");
@@ -98,10 +102,8 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
     cut.problem(400);
     request(server.addr, "POST", "/v1/photos", &[("sec-fetch-site", "cross-site")], &photo).problem(403);
     assert_eq!(get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 0);
-    for folder in ["incoming", "photos"] {
-        // an answer does not wait for what is put away
-        wait_until(folder, || std::fs::read_dir(dir.path().join(folder)).unwrap().count() == 0);
-    }
+    // an answer does not wait for what is put away
+    wait_until("nothing is left", || incoming(dir.path()) == 0 && contents(dir.path(), "", "").is_empty());
 }
 
 #[test]
@@ -212,8 +214,8 @@ fn deletion_while_queued_while_running_and_when_done() {
     gate.open(2);
     assert_eq!(server.upload(&jpeg(2)), running);
     server.wait(&running, "done");
-    wait_until("only one is left", || std::fs::read_dir(dir.path().join("photos")).unwrap().count() == 1);
-    assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0);
+    wait_until("only one is left", || contents(dir.path(), "", "upload").len() == 1);
+    assert_eq!(incoming(dir.path()), 0);
 }
 
 #[test]
@@ -280,7 +282,7 @@ fn empty_fields_of_a_form_count_as_absent() {
     // what is not empty is still read, once
     assert_eq!(send(&[&photo, &text("title", ""), &text("max-size", "x")]).problem(400)["field"], "max-size");
     assert_eq!(send(&[&photo, &photo]).problem(400)["field"], "photo");
-    assert!(!dir.path().join("photos").join(alone["id"].as_str().unwrap()).join("depth").exists());
+    assert!(contents(dir.path(), alone["id"].as_str().unwrap(), "depth").is_empty());
 }
 
 #[test]

@@ -60,7 +60,8 @@ def main():
     with tempfile.TemporaryDirectory(prefix="tmpi-load-") as folder:
         engine, log = store(Path(folder))
         env = {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{engine.port}", "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1", "AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test"}
-        at = ("--store", "s3://photos/tmpi", "--queue", "1000")
+        database = engines.Postgres(Path(folder))
+        at = ("--database", database.url, "--blobs", "s3://photos/tmpi", "--queue", "1000")
         serve, work = Server(*at, "--role", "serve", env=env), Server(*at, "--role", "work", env=env)
         # the first photo loads networks and libraries
         status, first = serve.upload(smooth(0.1))
@@ -101,6 +102,7 @@ def main():
         for server in (serve, work):
             server.remove()
         engine.kill()
+        database.kill()
     table = Table("measured", "each")
     table.row("photo: processor where it is made, s", f"{work_s:.2f}")
     table.row("photo: processor where it is uploaded, s", f"{serve_s:.3f}")

@@ -2,7 +2,7 @@
 
 Programs: `target/release/tmpi`, or what `TMPI` names, and `tmpi-lab` beside it. Every script starts its servers itself and asks nobody else.
 """
-import atexit, http.client, json, os, shutil, signal, socket, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
+import atexit, contextlib, http.client, json, os, shutil, signal, socket, sqlite3, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,8 +36,8 @@ def children(pid):
 class Server:
     """`tmpi serve` in a folder of its own."""
 
-    def __init__(self, *args, data=None, env=None, ready=60, prefix=(), host="127.0.0.1"):
-        self.own, self.prefix, self.host = data is None, list(prefix), host
+    def __init__(self, *args, data=None, env=None, ready=60, prefix=(), host="127.0.0.1", port=0):
+        self.own, self.prefix, self.place = data is None, list(prefix), f"{host}:{port}"
         self.data = Path(data or tempfile.mkdtemp(prefix="tmpi-load-"))
         self.log = open(self.data.parent / (self.data.name + ".log"), "a")
         self.args, self.env = args, {**os.environ, "RUST_LOG": "warn", **(env or {})}
@@ -46,7 +46,7 @@ class Server:
         self.start(ready)
 
     def start(self, ready=60):
-        command = [*self.prefix, PROGRAM, "serve", "--addr", f"{self.host}:0", "--data", str(self.data / "data"), *self.args]
+        command = [*self.prefix, PROGRAM, "serve", "--addr", self.place, "--data", str(self.data / "data"), *self.args]
         began = time.monotonic()
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.log, env=self.env, text=True)
         line = self.process.stdout.readline().strip()
@@ -271,3 +271,16 @@ def raw(server, request, timeout=20):
     connection = socket.create_connection(server.address, timeout)
     connection.sendall(request)
     return connection
+
+
+def contents(server, photo, part):
+    """Files of a part of a photo."""
+    return list((server.data / "data/blobs" / photo[:2]).glob(f"{photo}-{part}-*"))
+
+
+def multiply(server, photo, ids):
+    """Enters a photo again under other ids, which share its contents, while the server is stopped."""
+    with contextlib.closing(sqlite3.connect(server.data / "data/library.db")) as database, database:
+        columns = ", ".join(row[1] for row in database.execute("PRAGMA table_info(photos)") if row[1] not in ("id", "accepted_at"))
+        entered = f"INSERT INTO photos (id, accepted_at, {columns}) SELECT ?, ?, {columns} FROM photos WHERE id = ?"
+        database.executemany(entered, ((other, n, photo) for n, other in enumerate(ids)))

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """`kill -9` under uploads loses and fails nothing; damage on disk is noticed, told and healed; damaged JPEGs are refused or told."""
 import argparse, json, os, queue, threading, time
-from common import Server, Table, check, end, ramp, small
+from common import check, contents, end, ramp, small, Server, Table
 
 
 def crashes(table, kills, uploads):
@@ -46,7 +46,7 @@ def crashes(table, kills, uploads):
     unreadable = sum(server.get(f"/v1/photos/{photo}/view?w=32")[0] != 200 for photo in accepted.values())
     lost = len(set(accepted.values()) - listed)
     failed = sum(state != "done" for state in states)
-    left = [n for photo in os.listdir(server.data / "data/photos") for n in os.listdir(server.data / "data/photos" / photo) if n.endswith(".tmp")]
+    left = os.listdir(server.data / "data/blobs/incoming")
     check(len(accepted) == uploads and not lost and not failed and not unreadable and not left, f"{uploads} uploads, {lost} lost, {failed} failed, {unreadable} unreadable, {left}")
     table.row(f"{done_kills} × kill -9 under {uploads} uploads", f"{lost} lost, {failed} failed, {unreadable} unreadable", f"{took:.0f} s")
     server.remove()
@@ -57,18 +57,15 @@ def damage(table):
     photo, depth = small(1), ramp()
     status, answer = server.upload(photo, depth)
     check(server.wait(answer["id"])["state"] == "done", "a photo is made")
-    atlas = server.data / "data/photos" / answer["id"] / "atlas.tmpi"
-    whole = atlas.read_bytes()
+    whole = contents(server, answer["id"], "container")[0].read_bytes()
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
     for name, bytes_ in (("flipped", bytes(flipped)), ("cut", whole[: len(whole) // 2]), ("missing", None)):
         for ask in ("atlas", "view?w=33", None):
             server.stop()
-            atlas.unlink() if bytes_ is None and ask is None else atlas.write_bytes(whole if bytes_ is None else bytes_)
+            atlas = contents(server, answer["id"], "container")[0]
+            atlas.unlink() if bytes_ is None else atlas.write_bytes(bytes_)
             server.start()
-            if bytes_ is None and ask:
-                # at start it would be made again by itself
-                atlas.unlink()
             told = server.get(f"/v1/photos/{answer['id']}/{ask}")[0] if ask else "not asked"
             state = server.wait(answer["id"], 30)["state"]
             if ask:

@@ -1,10 +1,8 @@
-"""Engines that load scripts start and stop: `nats-server`s, an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
+"""Engines that load scripts start and stop: PostgreSQL, an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
 import os, shutil, socket, socketserver, subprocess, sys, threading, time
 from pathlib import Path
 from common import ROOT
 
-# Debian keeps it where only root looks
-NATS = shutil.which("nats-server") or shutil.which("nats-server", path="/usr/sbin")
 # where `cargo xtask test` puts it
 S3_PACKAGES = ROOT / ".tmpi/s3-server"
 
@@ -87,43 +85,37 @@ class Engine:
         self.process.wait()
 
 
-class NatsServers:
-    """Three `nats-server`s with JetStream that are one cluster."""
+class Postgres:
+    """A PostgreSQL server in a folder, at a socket there; it can be killed and started again."""
 
-    def __init__(self, folder, places):
-        self.folder, routes = folder, [(place.host, free_port()) for place in places]
-        self.servers = []
-        others = ", ".join(f"nats://{host}:{port}" for host, port in routes)
-        for n, (place, (_, route)) in enumerate(zip(places, routes)):
-            port, own = free_port(), folder / f"nats-{n}"
-            own.mkdir()
-            (own / "nats.conf").write_text(
-                f'server_name: n{n}\nlisten: "{place.host}:{port}"\njetstream {{ store_dir: "{own}/store" }}\n'
-                f'cluster {{ name: load, listen: "{place.host}:{route}", routes: [{others}] }}\n'
-            )
-            self.servers.append(Engine([NATS, "-c", own / "nats.conf"], port, place))
-        self.urls = ",".join(f"nats://{s.place.host}:{s.port}" for s in self.servers)
+    PROGRAMS = next((p.parent for p in sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)), None)
 
-    def kill_one(self, rng):
-        one = rng.choice(self.servers)
-        one.kill()
-        time.sleep(2)
-        one.start()
-        time.sleep(5)
+    def __init__(self, folder):
+        self.folder = folder / "postgres"
+        self.folder.mkdir()
+        # PostgreSQL refuses to be root's
+        self.user = {"user": "postgres", "group": "postgres"} if os.geteuid() == 0 else {}
+        if self.user:
+            folder.chmod(0o755)
+            shutil.chown(self.folder, "postgres", "postgres")
+        self.run("initdb", "-D", self.folder / "db", "-U", "postgres", "-A", "trust")
+        self.start()
+        self.run("createdb", "-h", self.folder, "-U", "postgres", "tmpi")
+        self.url = f"postgres://postgres@localhost/tmpi?host={self.folder}"
 
-    def wipe(self):
-        for server in self.servers:
-            server.kill()
-        for n in range(3):
-            shutil.rmtree(self.folder / f"nats-{n}" / "store")
-        time.sleep(2)
-        for server in self.servers:
-            server.start()
-        time.sleep(15)
+    def run(self, program, *words):
+        subprocess.run([self.PROGRAMS / program, *words], check=True, capture_output=True, cwd=self.folder, **self.user)
+
+    def start(self):
+        command = [self.PROGRAMS / "postgres", "-D", self.folder / "db", "-k", self.folder, "-c", "listen_addresses=", "-c", "max_connections=200"]
+        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=self.folder, **self.user)
+        ready = [self.PROGRAMS / "pg_isready", "-h", self.folder, "-U", "postgres"]
+        while subprocess.run(ready, capture_output=True).returncode != 0:
+            time.sleep(0.05)
 
     def kill(self):
-        for server in self.servers:
-            server.kill()
+        self.process.kill()
+        self.process.wait()
 
 
 class Proxy:

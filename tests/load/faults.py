@@ -82,29 +82,6 @@ def library(table):
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def records(table):
-    server = Server()
-    depth = ramp()
-    ids = [server.upload(small(seed), depth)[1]["id"] for seed in range(6)]
-    for photo in ids:
-        server.wait(photo)
-    folder = server.data / "data/photos"
-    server.stop()
-    (folder / ids[0] / "state.json").write_bytes(b'{"att')
-    (folder / ids[1] / "options.json").write_bytes(b"")
-    (folder / ids[2] / "settings.json").write_bytes(b'{"version": 9, "title": "A", "halo": 1}')
-    (folder / ids[3] / "thumbnail.jpg").unlink()
-    (folder / ids[4] / "atlas.tmpi.tmp").write_bytes(b"half")
-    os.mkdir(folder / "not-a-photo")
-    server.start()
-    states = [server.wait(photo, 60)["state"] for photo in ids]
-    check(states == ["done"] * 6, f"all are there: {states}")
-    check(server.state(ids[2])["settings"].get("title") == "A", "settings of a later version are understood as far as they go")
-    check(not (folder / ids[4] / "atlas.tmpi.tmp").exists(), "leftovers are gone")
-    table.row("damaged records, 5 kinds of 6 photos", " ".join(states), "")
-    server.remove()
-
-
 def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--full", action="store_true")
@@ -112,7 +89,6 @@ def main():
     table = Table("what", "outcome", "then")
     full_disk(table, 60 if full else 30)
     library(table)
-    records(table)
     end()
 
 

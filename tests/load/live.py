@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Hundreds of viewers of a room, some of which stop reading; rooms of several nodes, one of which is killed; peers of every hostile kind. Memory,
+"""Hundreds of viewers of a room, some of which stop reading; rooms of several nodes, of which the origin is killed; peers of every hostile kind. Memory,
 frames lost, time to be live again."""
 import argparse, base64, os, random, selectors, socket, struct, subprocess, tempfile, threading, time
 from pathlib import Path
@@ -153,6 +153,8 @@ class Viewer:
         self.server, self.room, self.rcvbuf = server, room, buffer
         self.frames, self.lost, self.last, self.messages, self.bytes = 0, 0, None, 0, 0
         self.reconnects = 0
+        # when the first frame came after the last HELLO
+        self.begun = None
         self.open()
 
     def open(self):
@@ -187,6 +189,9 @@ class Viewer:
                 if self.last is not None and number > self.last + 1:
                     self.lost += number - self.last - 1
                 self.frames, self.last, self.shown = self.frames + 1, number, True
+                self.begun = self.begun or time.monotonic()
+            elif kind == HELLO:
+                self.last, self.begun = None, None
             elif kind == SNAPSHOT:
                 self.tiles = True
             elif kind == GEOMETRY and self.last is not None and not self.frames:
@@ -487,7 +492,7 @@ def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--full", action="store_true")
     args.add_argument("--seconds", type=int)
-    args.add_argument("--only", choices=["viewers", "hostile", "nodes"])
+    args.add_argument("--only", choices=["viewers", "hostile", "edges"])
     args = args.parse_args()
     folder = tempfile.TemporaryDirectory(prefix="tmpi-live-")
     subprocess.run([LAB, "live-bench", "--only", "measured", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
@@ -506,10 +511,10 @@ def main():
                 break
             count += 200
         server.stop()
-    if args.only in (None, "nodes"):
+    if args.only in (None, "edges"):
         # it needs what is above
-        from nodes import nodes
-        nodes(stream, args.full)
+        from edges import edges
+        edges(stream, args.full)
     if args.only in (None, "hostile"):
         server = Server()
         table = Table("peer", "sent away with", "after", "resident", "frames/s of another room", "lost there")

@@ -1,53 +1,35 @@
 #!/usr/bin/env python3
-"""Several nodes on one S3 store lose and double nothing under `kill -9` of each kind of node, full disks, clocks that jump, cuts of the network, and
-while the store is away.
-
-`--nats` has them tell each other over three `nats-server`s besides, of which one is killed, and then all with their disks wiped.
-`--gone` instead serves photos on while the store and NATS are gone. Cuts and small disks are for root alone, clocks need libfaketime."""
-import argparse, os, queue, random, re, shutil, subprocess, tempfile, threading, time, urllib.parse, urllib.request
+"""Several nodes on one PostgreSQL database and one S3 store lose and double nothing under `kill -9` of each kind of node and of PostgreSQL, full disks,
+clocks that jump, cuts of the network, and while the store is away. Cuts and small disks are for root alone, clocks need libfaketime."""
+import argparse, os, queue, random, shutil, subprocess, tempfile, threading, time
 from pathlib import Path
 from common import Server, Table, check, end, ramp, small
-from engines import NATS, Clock, NatsServers, Network, Place, Proxy, s3_server
+from engines import Clock, Network, Place, Postgres, Proxy, s3_server
 
 LEASE = 5
 
 
 class Nodes:
-    """Two nodes that serve and two that make photos, on one S3 store: behind a proxy, or each in a place of its own that can be cut off."""
+    """Two nodes that serve and two that make photos, on one database and one S3 store: behind a proxy, or each in a place of its own that can be cut off."""
 
-    def __init__(self, nats=False, apart=False, clock=False):
+    def __init__(self, apart=False, clock=False):
         self.folder, self.small = Path(tempfile.mkdtemp(prefix="tmpi-scale-")), None
         self.network = Network() if apart else None
-        places = [self.network.place() for _ in range(6)] if apart else [Place()] * 6
+        places = [self.network.place() for _ in range(3)] if apart else [Place()] * 3
         self.clock = Clock(self.folder) if clock else None
-        self.nats = NatsServers(self.folder, places[:3]) if nats else None
-        self.s3 = s3_server(places[3])
+        self.database = Postgres(self.folder)
+        self.s3 = s3_server(places[0])
         self.proxy = None if apart else Proxy(self.s3.port)
         store = (self.s3.place.host, self.s3.port) if apart else ("127.0.0.1", self.proxy.port)
-        env = {"AWS_ENDPOINT_URL": f"http://{store[0]}:{store[1]}", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1"}
+        env = {"AWS_ENDPOINT_URL": f"http://{store[0]}:{store[1]}", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1", "AWS_ALLOW_HTTP": "true"}
         jumping = {**env, **(self.clock.env if clock else {})}
-        common = ("--store", "s3://photos/tmpi", "--queue", "10000", "--lease", str(LEASE))
-        if self.nats:
-            common += ("--nats", self.nats.urls, "--nats-replicas", "3")
+        common = ("--database", self.database.url, "--blobs", "s3://photos/tmpi", "--queue", "10000", "--lease", str(LEASE))
         self.serve = [Server(*common, "--role", "serve", env=e) for e in (env, jumping)]
-        workers = zip(places[4:], (env, jumping))
+        workers = zip(places[1:], (env, jumping))
         self.work = [Server(*common, "--access", "open", "--role", "work", env=e, prefix=p.prefix, host=p.host) for p, e in workers]
-        until = time.monotonic() + 60
-        while self.nats and any(node.metric("tmpi_hints_queue") == 0 for node in self.serve + self.work):
-            if not check(time.monotonic() < until, "there is a queue of JetStream"):
-                break
-            time.sleep(0.1)
 
     def done(self):
-        # no node knows all photos
-        return sum(name.startswith("tmpi/ends/") for name in listing(self.s3))
-
-    def hints(self):
-        """Hints sent, lost and given again, as the nodes that are there count them since they started."""
-        if not self.nats:
-            return "-"
-        count = lambda name: sum(int(node.metric(f"tmpi_hints_{name}_total")) for node in self.serve + self.work)
-        return f"{count('sent')}, {count('lost')}, {count('redelivered')}"
+        return int(self.serve[0].metric("tmpi_photos_done"))
 
     def small_disk(self, node, inodes):
         """Has one of `node` on a small disk of its own, which is full of bytes or of files."""
@@ -69,8 +51,7 @@ class Nodes:
         for server in self.serve + self.work:
             server.remove()
         self.s3.kill()
-        if self.nats:
-            self.nats.kill()
+        self.database.kill()
         if self.small:
             subprocess.run(["umount", self.small], capture_output=True)
         if self.network:
@@ -141,29 +122,13 @@ def round_of(table, name, uploads, harm, seed, before=lambda nodes: None, **kind
     states = [nodes.serve[0].wait(photo, 600)["state"] for photo in accepted.values()]
     lost = sum(state.startswith("answer") for state in states)
     finished = states.count("done")
-    # of one making one result is kept: the names of all ends and atlases, as the store has them
-    names = listing(nodes.s3)
-    ends = [n for n in names if n.startswith("tmpi/ends/")]
-    atlases = [n for n in names if n.endswith(".atlas.tmpi")]
-    double = len(ends) - len(set(accepted.values()))
+    double = nodes.done() - len(set(accepted.values()))
     check(len(accepted) == uploads and lost == 0 and finished == uploads and double == 0, f"{name}: {len(accepted)} accepted, {finished} finished, {lost} lost, {double} double")
     worst = max(recoveries)
     check(worst <= 30, f"{name}: {worst:.1f} s until photos are made again")
     told = ", ".join(f"{n} × {s}" for s, n in sorted(refused.items())) or "none"
-    table.row(name, len(recoveries), len(accepted), finished, lost, double, len(atlases) - len(ends), f"{worst:.1f} s", f"{time.monotonic() - began:.0f} s", told, nodes.hints())
+    table.row(name, len(recoveries), len(accepted), finished, lost, double, f"{worst:.1f} s", f"{time.monotonic() - began:.0f} s", told)
     nodes.remove()
-
-
-def listing(s3):
-    names, token = [], ""
-    while True:
-        query = f"list-type=2&prefix=tmpi/{'&continuation-token=' + urllib.parse.quote(token) if token else ''}"
-        text = urllib.request.urlopen(f"http://{s3.place.host}:{s3.port}/photos?{query}", timeout=30).read().decode()
-        names += re.findall(r"<Key>([^<]*)</Key>", text)
-        found = re.search(r"<NextContinuationToken>([^<]*)<", text)
-        if not found:
-            return names
-        token = found[1]
 
 
 def away_for(seconds):
@@ -195,109 +160,44 @@ def jump(rng):
     return harm
 
 
-def read_on(photo, k):
-    """What is asked of a node for the `k`th time."""
-    at = f"/v1/photos/{photo}"
-    return "/healthz", at, f"{at}/atlas", f"{at}/thumbnail", f"{at}/view?w=64&tx={k % 50 / 1000}"
-
-
-def gone(table, seconds):
-    """The store and NATS are gone: nodes are alive, and what was read before is read on."""
-    nodes = Nodes(nats=bool(NATS))
-    ids = []
-    for n in range(8):
-        status, answer = nodes.serve[n % 2].upload(small(n, 96, 72), ramp())
-        check(status in (201, 202), f"an upload: {status}")
-        ids.append(answer["id"])
-    for node in nodes.serve:
-        for photo in ids:
-            check(node.wait(photo, 120)["state"] == "done", "photos are made")
-            for path in read_on(photo, 0):
-                check((status := node.get(path)[0]) == 200, f"{path} is read: {status}")
-    nodes.proxy.set(True)
-    if nodes.nats:
-        nodes.nats.kill()
-    asked, wrong, worst, began, k = 0, {}, 0.0, time.monotonic(), 0
-    while time.monotonic() - began < seconds:
-        photo, k = ids[k % len(ids)], k + 1
-        for node in nodes.serve:
-            for path in read_on(photo, k):
-                then = time.monotonic()
-                status = node.get(path, timeout=30)[0]
-                worst, asked = max(worst, time.monotonic() - then), asked + 1
-                if status != 200:
-                    key = (path.rsplit("/", 1)[-1].split("?")[0] if path.count("/") > 2 else path, status)
-                    wrong[key] = wrong.get(key, 0) + 1
-        for node in nodes.work:
-            status, asked = node.get("/healthz", timeout=30)[0], asked + 1
-            if status != 200:
-                wrong["worker", status] = wrong.get(("worker", status), 0) + 1
-        time.sleep(0.2)
-    refused = nodes.serve[0].upload(small(1000, 96, 72), ramp())[0]
-    nodes.proxy.set(False)
-    if nodes.nats:
-        for server in nodes.nats.servers:
-            server.start()
-    back = time.monotonic()
-    while (answer := nodes.serve[0].upload(small(1001, 96, 72), ramp()))[0] not in (201, 202) and time.monotonic() - back < 60:
-        time.sleep(0.1)
-    made = check(answer[0] in (201, 202), "uploads are taken again") and nodes.serve[1].wait(answer[1]["id"], 60)["state"]
-    check(not wrong and refused == 503 and made == "done", f"gone: {wrong}, an upload {refused}, then {made}")
-    table.row(f"{seconds} s", asked, sum(wrong.values()), f"{worst * 1000:.0f} ms", refused, f"{time.monotonic() - back:.1f} s")
-    nodes.remove()
+def restart_database(nodes):
+    nodes.database.kill()
+    time.sleep(2)
+    nodes.database.start()
 
 
 def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--full", action="store_true")
-    args.add_argument("--nats", action="store_true", help="the rounds with NATS")
-    args.add_argument("--gone", action="store_true", help="store and NATS gone, for 10 minutes with --full")
     args.add_argument("--uploads", type=int, help="photos of a round")
     args.add_argument("--only", default="", help="rounds with this in their name")
     args = args.parse_args()
-    if args.gone:
-        gone(Table("gone for", "requests", "not 200", "slowest", "an upload meanwhile", "made again after"), 600 if args.full else 20)
-        end()
-    if args.nats and not NATS:
-        raise SystemExit("there is no nats-server")
     uploads, rng, root = args.uploads or (500 if args.full else 16), random.Random(1), os.geteuid() == 0
     seconds = 60 if args.full else 5
-    table = Table("under", "times", "accepted", "finished", "lost", "double", "thrown away", "until the next is made", "took", "tried again", "hints sent, lost, again")
+    table = Table("under", "times", "accepted", "finished", "lost", "double", "until the next is made", "took", "tried again")
     rounds = [
         ("nothing", lambda nodes: None, {}),
         ("kill -9 of a node that serves", lambda nodes: restart(rng.choice(nodes.serve)), {}),
         ("kill -9 of a node that makes", lambda nodes: restart(rng.choice(nodes.work)), {}),
+        ("kill -9 of PostgreSQL", restart_database, {}),
         (f"store away for {seconds} s", away_for(seconds), {}),
     ]
     if Clock.LIBRARY:
         rounds.append(("clocks of two nodes that jump", jump(rng), {"clock": True}))
-    if args.nats:
-        rounds += [
-            ("kill -9 of one of three NATS servers", lambda nodes: nodes.nats.kill_one(rng), {}),
-            ("kill -9 of all NATS servers, disks wiped", lambda nodes: nodes.nats.wipe(), {}),
-        ]
     if root:
         apart = {"apart": True}
         rounds += [
-            ("a worker cut off", cut(lambda nodes: [rng.choice(nodes.network.places[4:])], 2 * LEASE), apart),
-            ("the store cut off", cut(lambda nodes: [nodes.network.places[3]], 2 * LEASE), apart),
+            ("a worker cut off", cut(lambda nodes: [rng.choice(nodes.network.places[1:])], 2 * LEASE), apart),
+            ("the store cut off", cut(lambda nodes: [nodes.network.places[0]], 2 * LEASE), apart),
         ]
-        if args.nats:
-            rounds += [
-                ("one of three NATS servers cut off", cut(lambda nodes: [rng.choice(nodes.network.places[:3])], 2 * LEASE), apart),
-                ("everything cut off from everything", cut(lambda nodes: nodes.network.places, 2 * LEASE), apart),
-            ]
-        else:
-            full = lambda part, inodes: lambda nodes: nodes.small_disk(getattr(nodes, part), inodes)
-            rounds += [
-                ("full disk of a worker", lambda nodes: None, {"before": full("work", False)}),
-                ("no inodes left at a worker", lambda nodes: None, {"before": full("work", True)}),
-                ("full disk of a node that serves", lambda nodes: None, {"before": full("serve", False)}),
-                ("no inodes left at a node that serves", lambda nodes: None, {"before": full("serve", True)}),
-            ]
+        full = lambda part, inodes: lambda nodes: nodes.small_disk(getattr(nodes, part), inodes)
+        rounds += [
+            ("full disk of a node that serves", lambda nodes: None, {"before": full("serve", False)}),
+            ("no inodes left at a node that serves", lambda nodes: None, {"before": full("serve", True)}),
+        ]
     for n, (name, harm, kind) in enumerate(rounds):
         if args.only in name:
-            round_of(table, name, uploads, harm, 1000 * n, nats=args.nats, **kind)
+            round_of(table, name, uploads, harm, 1000 * n, **kind)
     end()
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Slow clients: a steady upload, readers, headers; then many large photos asked for views at once."""
-import argparse, os, shutil, socket, threading, time
-from common import Server, Table, Watch, check, end, noise, ramp, raw, smooth
+import argparse, socket, threading, time
+from common import check, end, multiply, noise, ramp, raw, smooth, Server, Table, Watch
 
 
 def upload_slowly(server, photo, rate):
@@ -96,13 +96,8 @@ def main():
     state = server.wait(answer["id"], 3600)
     check(state["state"] == "done", f"the photo is made: {state}")
     server.stop()
-    folder = server.data / "data/photos"
     ids = [f"{n:032x}" for n in range(1, count + 1)]
-    for photo in ids:
-        os.mkdir(folder / photo, 0o700)
-        for file in os.listdir(folder / answer["id"]):
-            copy = os.link if file in ("upload", "atlas.tmpi", "depth", "depth.png") else shutil.copy
-            copy(folder / answer["id"] / file, folder / photo / file)
+    multiply(server, answer["id"], ids)
     server.start()
     before = server.resident_mib()
     answers = {}

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Start with many photos: time to the first answer, memory, the list; with the system's caches, and without where root may drop them."""
-import argparse, os, shutil, subprocess, time
-from common import Server, Table, check, end, ramp, small
+import argparse, subprocess, time
+from common import Server, Table, check, end, multiply, ramp, small
 
 
 def main():
@@ -14,19 +14,7 @@ def main():
     status, answer = server.upload(small(1, 80, 60), ramp())
     check(server.wait(answer["id"])["state"] == "done", "a photo is made")
     server.stop()
-    folder = server.data / "data/photos"
-    first = folder / answer["id"]
-    files = {name: (first / name).read_bytes() for name in os.listdir(first)}
-    for n in range(1, count):
-        to = folder / f"{n:032x}"
-        os.mkdir(to, 0o700)
-        for name, bytes_ in files.items():
-            if name in ("options.json", "state.json"):
-                (to / name).write_bytes(bytes_)
-            elif n % 30_000:
-                os.link(folder / f"{n // 30_000 * 30_000:032x}" / name if n >= 30_000 else first / name, to / name)
-            else:
-                shutil.copy(first / name, to / name)
+    multiply(server, answer["id"], [f"{n:032x}" for n in range(1, count)])
     subprocess.run(["sync"])
     table = Table("caches", "photos", "start", "resident", "list of 50", "list of 200")
     for kind in ("cold", "warm", "warm"):

@@ -124,14 +124,21 @@ pub fn run(mut command: Command) -> Result<(), Fault> {
     if status.success() { Ok(()) } else { Err(Fault::new(format!("`{}`: {status}", shown(&command)))) }
 }
 
-/// Runs a program, and shows its output only where it fails.
-pub fn run_quietly(mut command: Command) -> Result<(), Fault> {
+/// Runs a program and gives what it prints, on both streams.
+pub fn run_quietly(mut command: Command) -> Result<String, Fault> {
     let output = command.output().map_err(|e| Fault::new(format!("`{}` does not start: {e}", shown(&command))))?;
-    if output.status.success() {
-        return Ok(());
-    }
     let text = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).trim().to_owned()).join("\n");
+    if output.status.success() {
+        return Ok(text);
+    }
     Err(Fault::new(format!("`{}`: {}\n{}", shown(&command), output.status, text.trim())))
+}
+
+/// A program that is ended after so many minutes; its status is then 124.
+pub fn within_minutes(minutes: u64, program: &str) -> Command {
+    let mut command = Command::new("timeout");
+    command.args(["--kill-after=10s", &format!("{minutes}m"), program]).current_dir(root());
+    command
 }
 
 /// Standard output of a program that succeeds.

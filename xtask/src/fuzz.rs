@@ -1,23 +1,25 @@
 //! The fuzzer: the targets of `src/fuzzing.rs` on what libFuzzer finds, from the seeds on.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
 use crate::command::{self, Fault, cargo, output, root, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
-const TARGETS: [&str; 20] = [
+const TARGETS: [&str; 28] = [
     "container",
+    "built",
+    "levels",
     "labels",
     "planes",
     "message",
+    "room",
     "units",
     "video",
     "vp9",
     "measured",
-    "nodes",
     "query",
     "jpeg",
     "png",
@@ -29,15 +31,22 @@ const TARGETS: [&str; 20] = [
     "multipart",
     "patch",
     "strokes",
+    "proxy",
+    "forwarded",
+    "link",
+    "names",
+    "onnx",
+    "config",
 ];
 const SECONDS: u32 = 60;
-/// Of a target in `cargo xtask nightly`.
-pub const NIGHTLY_SECONDS: u32 = 300;
 /// An input that takes longer is a finding.
 const TIMEOUT: &str = "-timeout=20";
-const MEMORY: &str = "-rss_limit_mb=2048";
-/// What cargo-fuzz passes, but for the sanitizer of addresses: it needs a nightly compiler.
-const COVERAGE: [&str; 7] = [
+const MEMORY: &str = "-rss_limit_mb=3072";
+/// Environment variable: the folder of inputs that earlier runs have found; `target/fuzz/corpus` without it.
+const CORPUS: &str = "TMPI_FUZZ_CORPUS";
+/// What cargo-fuzz passes. The sanitizer needs a nightly compiler, or [`BOOTSTRAP`].
+const COVERAGE: [&str; 8] = [
+    "-Zsanitizer=address",
     "-Coverflow-checks=on",
     "-Cpasses=sancov-module",
     "-Cllvm-args=-sanitizer-coverage-level=4",
@@ -46,6 +55,10 @@ const COVERAGE: [&str; 7] = [
     "-Cllvm-args=-sanitizer-coverage-trace-compares",
     "--cfg=fuzzing",
 ];
+/// Environment variable that lets a stable compiler take flags of a nightly one.
+const BOOTSTRAP: &str = "RUSTC_BOOTSTRAP";
+/// The same for what is C: zstd and libwebp.
+const C_FLAGS: &str = "-fsanitize=address -fno-omit-frame-pointer -O1";
 
 /// `[--seconds N] [TARGET…]`: every target, or those named, for so long each.
 pub fn fuzz(args: &[String]) -> Result<(), Fault> {
@@ -67,40 +80,96 @@ pub fn fuzz(args: &[String]) -> Result<(), Fault> {
 /// Fuzzes the targets named, all of them where none is, for so many seconds each.
 pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
     let targets = if targets.is_empty() { TARGETS.to_vec() } else { targets.to_vec() };
+    let program = build()?;
+    // as many side by side as there are cores
+    let all = Mutex::new(targets.into_iter());
+    let worker = || {
+        let mut faults = Vec::new();
+        while let Some(name) = all.lock().ok().and_then(|mut all| all.next()) {
+            faults.extend(one(&program, name, seconds).err().map(|fault| fault.to_string()));
+        }
+        faults
+    };
+    let faults: Vec<String> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores()).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+    if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Seconds for each target where all of them together may take so many minutes.
+pub fn seconds_each(minutes: u64) -> u32 {
+    u32::try_from(minutes * 60 * cores() as u64 / TARGETS.len() as u64).unwrap_or(u32::MAX).max(1)
+}
+
+fn build() -> Result<PathBuf, Fault> {
     let triple = output("rustc", &["-vV"]).and_then(|v| v.lines().find_map(|l| l.strip_prefix("host: ").map(str::to_owned)));
     let triple = triple.ok_or_else(|| Fault::new("`rustc -vV` names no host"))?;
     // with a target named, build scripts are not instrumented
     let mut build =
         cargo(&["build", "--release", "--manifest-path", "fuzz/Cargo.toml", "--target-dir", "target/fuzz", "--target", &triple]);
-    build.env("RUSTFLAGS", COVERAGE.join(" "));
+    build.env("RUSTFLAGS", COVERAGE.join(" ")).env(BOOTSTRAP, "1");
+    let of_target = triple.replace('-', "_");
+    build.env(format!("CFLAGS_{of_target}"), C_FLAGS).env(format!("CXXFLAGS_{of_target}"), C_FLAGS);
     command::run(build)?;
-    let program = root().join("target/fuzz").join(&triple).join("release/fuzz");
-    // as many side by side as there are cores
-    let all = Mutex::new(targets.into_iter());
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let worker = || {
-        loop {
-            let Some(name) = all.lock().map_or(None, |mut all| all.next()) else { return Ok(()) };
-            one(&program, name, seconds)?;
-        }
-    };
-    std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(worker)).collect();
-        workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| Err(Fault::new("a thread that fuzzes has ended"))))
-    })
+    Ok(root().join("target/fuzz").join(&triple).join("release/fuzz"))
 }
 
-/// One target for so many seconds; what it says is shown where it finds something.
+/// One target for so many seconds: a line of figures, or all that it says where it finds something.
 fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
-    let (found, crashes) = (root().join("target/fuzz/corpus").join(name), root().join("target/fuzz/crashes").join(name));
+    let corpus = std::env::var_os(CORPUS).filter(|v| !v.is_empty()).map_or_else(|| root().join("target/fuzz/corpus"), PathBuf::from);
+    let (found, crashes) = (corpus.join(name), root().join("target/fuzz/crashes").join(name));
     for folder in [&found, &crashes] {
         fs::create_dir_all(folder).map_err(|e| Fault::new(format!("{}: {e}", folder.display())))?;
     }
     let mut command = Command::new(program);
-    command.env("TMPI_FUZZ", name).current_dir(root()).args([TIMEOUT, MEMORY, "-print_final_stats=1", "-verbosity=0"]);
+    // one thread each: as many targets as cores run side by side
+    command.env("TMPI_FUZZ", name).env("RAYON_NUM_THREADS", "1").current_dir(root()).args([
+        TIMEOUT,
+        MEMORY,
+        "-detect_leaks=0",
+        "-print_final_stats=1",
+    ]);
     command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
     command.arg(&found).arg(root().join("fuzz/seeds").join(name));
-    run_quietly(command)?;
-    println!("{name}: {seconds} s, nothing found");
+    let said = run_quietly(command)?;
+    println!("{}", Figures::read(&said).line(name, seconds));
     Ok(())
+}
+
+/// What libFuzzer says of a run at its end.
+#[derive(Debug, Default, PartialEq)]
+struct Figures {
+    runs: u64,
+    edges: u64,
+}
+
+impl Figures {
+    fn read(said: &str) -> Self {
+        let number = |text: &str| text.split_whitespace().next().and_then(|n| n.parse().ok());
+        let after = |name: &str| said.rmatch_indices(name).find_map(|(at, _)| number(&said[at + name.len()..])).unwrap_or(0);
+        Self { runs: after("stat::number_of_executed_units:"), edges: after(" cov: ") }
+    }
+
+    fn line(&self, name: &str, seconds: u32) -> String {
+        let each = self.runs / u64::from(seconds.max(1));
+        format!("{name:<10} {seconds:5} s {:9} inputs {each:6} a second {:6} edges, nothing found", self.runs, self.edges)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_read_from_the_end_of_a_run() {
+        let said = "#2\tINITED cov: 12 ft: 13 corp: 1/1b\n#9\tDONE   cov: 345 ft: 900 corp: 7/9b\nstat::number_of_executed_units: 9000\n";
+        let figures = Figures::read(said);
+        assert_eq!(figures, Figures { runs: 9000, edges: 345 });
+        assert!(figures.line("jpeg", 60).contains(" 150 a second"));
+    }
 }

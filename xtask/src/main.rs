@@ -30,10 +30,10 @@ usage: cargo xtask <task>
   test [--skip-missing] [STEP…]
                 everything that protects users: format, spelling, lint, Rust tests, browser tests, deployment files, OpenAPI, training; installs
                 what is missing; --skip-missing: installs nothing, and lists the tests that were skipped
-  nightly [STEP…]
-                what needs hours: load and fault scripts, requests against OpenAPI, mutants, fuzzers
+  nightly [--minutes N] [STEP…]
+                what needs hours: load and fault scripts, requests against OpenAPI, mutants, fuzzers; no step takes longer than N minutes (20)
   fuzz [--seconds N] [TARGET…]
-                fuzz the readers of foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
+                fuzz the readers of foreign bytes (containers, photos, depth maps, forms, headers, settings), N seconds each
   shaders       generate the GLSL of static/draw/glsl.js from the WGSL
   wasm          build the pages' decoders, static/*/*.wasm
   release [--offline]

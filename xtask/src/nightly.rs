@@ -1,59 +1,99 @@
 //! `cargo xtask nightly`: what needs hours.
 
-use std::process::Command;
+use std::fs;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::command::{Fault, cargo, output, root, run};
+use crate::command::{Fault, Profile, built, cargo, data, output, root, run, say, target, within_minutes};
 use crate::steps::{self, AfterFailure, Step};
-use crate::{fuzz, python, runtime, skipped, tools};
+use crate::{fuzz, python, runtime, rust_tests, skipped, tools};
 
 const STEPS: [Step; 18] = [
     Step { name: "tools", run: tools::fetch },
     Step { name: "ONNX Runtime", run: runtime::fetch },
-    Step { name: "build", run: || run(cargo(&["build", "--release", "--workspace"])) },
+    Step { name: "build", run: build },
     Step { name: "deployment files", run: python::deployment },
     Step { name: "OpenAPI", run: python::openapi_requests },
-    Step { name: "faults", run: || load("faults.py", &[]) },
-    Step { name: "crash", run: || load("crash.py", &[]) },
-    Step { name: "scale", run: || load("scale.py", &[]) },
-    Step { name: "bombs", run: || load("bombs.py", &[]) },
-    Step { name: "torture", run: || load("torture.py", &[]) },
-    Step { name: "slow", run: || load("slow.py", &[]) },
-    Step { name: "views", run: || load("views.py", &[]) },
-    Step { name: "start", run: || load("start.py", &[]) },
-    Step { name: "live", run: || load("live.py", &[]) },
-    Step { name: "options", run: || load("options.py", &[]) },
-    Step { name: "memory", run: || load("memory.py", &[]) },
+    Step { name: "faults", run: || load("faults.py") },
+    Step { name: "crash", run: || load("crash.py") },
+    Step { name: "scale", run: || load("scale.py") },
+    Step { name: "bombs", run: || load("bombs.py") },
+    Step { name: "torture", run: || load("torture.py") },
+    Step { name: "slow", run: || load("slow.py") },
+    Step { name: "views", run: || load("views.py") },
+    Step { name: "start", run: || load("start.py") },
+    Step { name: "live", run: || load("live.py") },
+    Step { name: "options", run: || load("options.py") },
+    Step { name: "memory", run: || load("memory.py") },
     Step { name: "mutants", run: mutants },
-    Step { name: "fuzz", run: || fuzz::run(&[], fuzz::NIGHTLY_SECONDS) },
+    Step { name: "fuzz", run: || fuzz::run(&[], fuzz::seconds_each(minutes())) },
 ];
 
-/// Runs all steps, or those named; a failure does not keep the others from running.
-pub fn nightly(names: &[String]) -> Result<(), Fault> {
+/// Flag: the longest that a step may take, in minutes.
+const MINUTES_FLAG: &str = "--minutes";
+/// Without the flag: all steps together take four to five hours then.
+const MINUTES: u64 = 20;
+static MOST_MINUTES: AtomicU64 = AtomicU64::new(MINUTES);
+
+/// `[--minutes N] [STEP…]`: all steps, or those named; a failure does not keep the others from running.
+///
+/// The fuzzers share N minutes and the mutants are tried for as long. Any other step that takes longer is ended and has failed.
+pub fn nightly(args: &[String]) -> Result<(), Fault> {
+    let mut names = args.to_vec();
+    if let Some(at) = names.iter().position(|a| a == MINUTES_FLAG) {
+        let wrong = || Fault::new(format!("{MINUTES_FLAG} takes a whole number"));
+        let minutes = names.get(at + 1).and_then(|n| n.parse().ok()).filter(|n| *n > 0).ok_or_else(wrong)?;
+        MOST_MINUTES.store(minutes, Ordering::Relaxed);
+        names.drain(at..at + 2);
+    }
     skipped::clear()?;
-    let result = steps::run(&[&[&STEPS]], names, AfterFailure::GoOn);
+    let result = steps::run(&[&[&STEPS]], &names, AfterFailure::GoOn);
     skipped::print()?;
     result
 }
 
+fn minutes() -> u64 {
+    MOST_MINUTES.load(Ordering::Relaxed)
+}
+
+/// The programs that scripts start: those that tests start, too.
+fn build() -> Result<(), Fault> {
+    let mut command = cargo(&["build", "--workspace", "--profile", Profile::Checks.name()]);
+    rust_tests::lint(&mut command);
+    run(command)
+}
+
 /// Runs a script of `tests/load` with its moderate defaults; `--full` on the script itself takes longer.
-fn load(script: &str, arguments: &[&str]) -> Result<(), Fault> {
-    let mut command = Command::new("python3");
-    command.arg(root().join("tests/load").join(script)).args(arguments).current_dir(root());
+fn load(script: &str) -> Result<(), Fault> {
+    let mut command = within_minutes(minutes(), "python3");
+    command.arg(root().join("tests/load").join(script)).env("TMPI", built(Profile::Checks, "tmpi")).env("TMPI_DATA", data());
     tools::name_to(&mut command);
     runtime::name_to(&mut command);
     run(command)
 }
 
-/// Parts that the mutants of the core are divided into; one is tried each night.
-const SHARDS: u64 = 22;
-
-/// Changes the core and checks that a test notices.
+/// Changes the core and checks that a test notices, for as long as there is time: other changes each day.
 fn mutants() -> Result<(), Fault> {
     if output("cargo", &["mutants", "--version"]).is_none() {
         run(cargo(&["install", "cargo-mutants", "--locked", "--quiet"]))?;
     }
+    let list =
+        output("cargo", &["mutants", "--package", "tmpi-core", "--list"]).ok_or_else(|| Fault::new("`cargo mutants --list` failed"))?;
+    let all = list.lines().count().max(1);
     let day = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |t| t.as_secs() / (24 * 60 * 60));
-    let shard = format!("{}/{SHARDS}", day % SHARDS);
-    run(cargo(&["mutants", "--package", "tmpi-core", "--shard", &shard, "--sharding", "round-robin", "--output", "target"]))
+    // so many parts that a part is tried in time, about two changes a minute
+    let parts = (all as u64).div_ceil(2 * minutes()).max(1);
+    let mut command = within_minutes(minutes(), "cargo");
+    command.args(["mutants", "--package", "tmpi-core", "--sharding", "round-robin", "--output", "target"]);
+    command.arg("--shard").arg(format!("{}/{parts}", day % parts));
+    // what was not noticed counts, though the time was over before the end
+    let result = run(command);
+    let lines = |name: &str| fs::read_to_string(target().join("mutants.out").join(name)).unwrap_or_default();
+    let (caught, missed) = (lines("caught.txt"), lines("missed.txt"));
+    say(&format!("{} of {all} changes: {} noticed", caught.lines().count() + missed.lines().count(), caught.lines().count()));
+    if missed.is_empty() && !caught.is_empty() {
+        Ok(())
+    } else {
+        result.and_then(|()| Err(Fault::new(format!("nothing notices\n{missed}"))))
+    }
 }

@@ -69,7 +69,7 @@ pub fn openapi() -> Result<(), Fault> {
 /// Sends requests that follow the description of the HTTP interface, and requests that break it.
 pub fn openapi_requests() -> Result<(), Fault> {
     let mut check = Command::new(environment("schemathesis", "tests/openapi/requirements.txt")?);
-    check.args(["tests/openapi/check.py", "--only", "play"]).current_dir(root()).env("TMPI", built(Profile::Release, "tmpi"));
+    check.args(["tests/openapi/check.py", "--only", "play"]).current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
     runtime::name_to(&mut check);
     run(check)
 }

@@ -152,7 +152,7 @@ fn try_out(archive: &Path, place: &Path, name: &str) -> Result<(), Fault> {
     let tmpi = |args: &[&str]| {
         let mut command = Command::new(folder.join(built(Profile::Release, "tmpi").file_name().unwrap_or_default()));
         command.env_clear().env("HOME", place).current_dir(place).args(args);
-        run_quietly(command)
+        run_quietly(command).map(drop)
     };
     let sample = folder.join("sample.jpg");
     tmpi(&["make", &sample.to_string_lossy(), "-o", "sample.tmpi", "--max-size", "256", "-q"])?;

@@ -46,7 +46,8 @@ pub fn build() -> Result<(), Fault> {
 }
 
 fn programs() -> Result<Vec<TestProgram>, Fault> {
-    let mut command = cargo(&["test", "--workspace", "--lib", "--bins", "--tests", "--benches", "--no-run", "--message-format=json-render-diagnostics"]);
+    let mut command =
+        cargo(&["test", "--workspace", "--lib", "--bins", "--tests", "--benches", "--no-run", "--message-format=json-render-diagnostics"]);
     command.args(["--profile", Profile::Checks.name()]);
     lint(&mut command);
     command.stdout(Stdio::piped());

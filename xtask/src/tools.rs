@@ -16,7 +16,7 @@ const S3_FOLDER: &str = ".tmpi/s3-server";
 /// Its packages with their versions.
 const S3_PACKAGES: &str = "xtask/s3-server.txt";
 /// Names in `TMPI_REQUIRE` (`crates/testing`) of everything that this module installs, and of ONNX Runtime.
-const INSTALLED: &str = "gpu,onnx,ffmpeg,nats,s3,postgres";
+const INSTALLED: &str = "gpu,onnx,ffmpeg,s3,postgres";
 
 /// Set by `--skip-missing`: nothing is installed, and tests that miss something are skipped.
 static SKIP_MISSING: AtomicBool = AtomicBool::new(false);
@@ -27,13 +27,12 @@ struct DebianPackage {
     is_there: fn() -> bool,
 }
 
-const DEBIAN: [DebianPackage; 7] = [
+const DEBIAN: [DebianPackage; 6] = [
     DebianPackage { name: "chromium", is_there: || chromium().is_some() },
     // draws without a graphics card, for WebGPU in the browser and for the `gpu` backend
     DebianPackage { name: "mesa-vulkan-drivers", is_there: || cfg!(not(target_os = "linux")) || has_software_vulkan() },
     DebianPackage { name: "nodejs", is_there: || output("node", &["--version"]).is_some() },
     DebianPackage { name: "npm", is_there: || which("npm").is_some() || output("npm", &["--version"]).is_some() },
-    DebianPackage { name: "nats-server", is_there: nats_is_there },
     DebianPackage { name: "postgresql", is_there: postgres_is_there },
     DebianPackage { name: "ffmpeg", is_there: || output("ffmpeg", &["-version"]).is_some() },
 ];
@@ -94,7 +93,7 @@ pub fn install(packages: &[&str]) -> Result<(), Fault> {
     let apt = |args: &[&str]| {
         let mut command = Command::new("apt-get");
         command.env("DEBIAN_FRONTEND", "noninteractive").args(["-qq", "--yes"]).args(args);
-        run_quietly(command)
+        run_quietly(command).map(drop)
     };
     apt(&["update"])?;
     apt(&[["install", "--no-install-recommends"].as_slice(), packages].concat())
@@ -133,11 +132,6 @@ fn has_software_vulkan() -> bool {
         .any(|entry| entry.file_name().to_string_lossy().starts_with("lvp_icd"))
 }
 
-/// Debian keeps `nats-server` where only root looks.
-fn nats_is_there() -> bool {
-    output("nats-server", &["--version"]).is_some() || Path::new("/usr/sbin/nats-server").exists()
-}
-
 /// The packages of the browser tests.
 fn node_packages() -> Result<(), Fault> {
     clean_install(BROWSER_TESTS)
@@ -160,7 +154,7 @@ fn clean_install(folder_name: &str) -> Result<(), Fault> {
     say(&format!("installing the packages of {folder_name}"));
     let mut command = npm(folder_name);
     command.args(["ci", "--silent", "--no-audit", "--no-fund"]).env("PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD", "1");
-    run_quietly(command)
+    run_quietly(command).map(drop)
 }
 
 /// Installs moto, an S3 server, below the root where there is none.

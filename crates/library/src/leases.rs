@@ -129,19 +129,30 @@ impl Library {
         Ok(Some(lease))
     }
 
-    /// The same, but waits for a job. Ends only by an error, or with the caller.
+    /// The same, but waits for a job; none once `stop` is ready.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn next(&self, kinds: &[Kind], lasts: Duration) -> Result<Lease> {
+    pub async fn next(&self, kinds: &[Kind], lasts: Duration, stop: impl Future<Output = ()>) -> Result<Option<Lease>> {
         let mut events = self.subscribe();
+        let mut stop = std::pin::pin!(stop);
         loop {
+            tokio::select! {
+                biased;
+                () = &mut stop => return Ok(None),
+                () = std::future::ready(()) => {}
+            }
+            // never dropped half way: a lease that nobody holds keeps its job from all others
             if let Some(lease) = self.take(kinds, lasts).await? {
-                return Ok(lease);
+                return Ok(Some(lease));
             }
             let news = async { while matches!(events.next().await, Some(Event::Progress { .. } | Event::Revoked)) {} };
-            // jobs that wait for their time, and those of workers that have died, come without an event
-            let _ = tokio::time::timeout(LOOK, news).await;
+            tokio::select! {
+                biased;
+                () = &mut stop => return Ok(None),
+                // jobs that wait for their time, and those of workers that have died, come without an event
+                _ = tokio::time::timeout(LOOK, news) => {}
+            }
         }
     }
 
@@ -157,6 +168,21 @@ impl Library {
             }
         }
         Ok(jobs)
+    }
+
+    /// Puts back all jobs that are being done, which counts against none. Only for a process that knows that no other does any.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn reclaim(&self) -> Result<()> {
+        let select = format!("SELECT {COLUMNS}, lease_token FROM jobs WHERE state = 'working'");
+        for row in sqlx::query(AssertSqlSafe(select)).fetch_all(self.database().reader()).await? {
+            let (job, token): (Job, String) = (Job::from_row(&row)?, row.try_get("lease_token")?);
+            let mut tx = self.database().write().await?;
+            self.put_back(&mut tx, &job, &token, &Retry::Stopping).await?;
+            tx.commit().await?;
+        }
+        Ok(())
     }
 
     /// Puts jobs of dead workers back, each by itself: nobody holds the rows of two.

@@ -37,7 +37,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 pub use accept::{Accepted, Outcome, Upload};
-pub use blobs::{BlobStore, Content, Contents, Reserve};
+pub use blobs::{BlobStore, Content, Contents, Reserve, Room};
 pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
 pub use error::{LibraryError, Quota, Result, Service, Share};
 pub use events::{Event, Subscription};

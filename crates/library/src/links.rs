@@ -26,6 +26,8 @@ pub enum Grant {
     Publish,
     /// Watch a room.
     Watch,
+    /// Watch a room for viewers of another node.
+    Relay,
 }
 
 impl Grant {
@@ -35,6 +37,7 @@ impl Grant {
             Self::Edit => "edit",
             Self::Publish => "publish",
             Self::Watch => "watch",
+            Self::Relay => "relay",
         }
     }
 }

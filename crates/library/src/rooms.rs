@@ -24,7 +24,7 @@ pub enum Claim {
 pub struct Origin {
     /// Address at which other nodes subscribe to it.
     pub address: String,
-    /// Grows by one whenever the room changes hands: the higher one counts.
+    /// Grows whenever the room changes hands: the higher one counts. A room whose row was removed meanwhile begins with a higher one, too.
     pub epoch: i64,
 }
 
@@ -35,8 +35,9 @@ impl Library {
     /// [`LibraryError::RoomTaken`], [`LibraryError::Unavailable`].
     pub async fn claim_room(&self, room: &str, address: &str, claim: Claim, lasts: Duration) -> Result<Origin> {
         let mut tx = self.database().write().await?;
-        let insert = "INSERT INTO rooms (name, origin, epoch, lease_until) VALUES ($1, $2, 1, $3) ON CONFLICT (name) DO UPDATE SET
-            origin = excluded.origin, epoch = rooms.epoch + 1, lease_until = excluded.lease_until
+        let insert = "INSERT INTO rooms (name, origin, epoch, lease_until) VALUES ($1, $2, $4, $3) ON CONFLICT (name) DO UPDATE SET
+            origin = excluded.origin, lease_until = excluded.lease_until,
+            epoch = CASE WHEN excluded.epoch > rooms.epoch THEN excluded.epoch ELSE rooms.epoch + 1 END
             WHERE rooms.lease_until <= $4 OR rooms.lease_until > $5 OR rooms.origin = excluded.origin OR $6 = 1 RETURNING epoch";
         let ends = tx.now + millis(lasts.min(MOST_LEASE));
         let insert = sqlx::query(insert).bind(room.to_owned()).bind(address.to_owned()).bind(ends).bind(tx.now);

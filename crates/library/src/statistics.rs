@@ -45,6 +45,14 @@ pub struct Statistics {
     pub outcomes: BTreeMap<Kind, OutcomeCounts>,
 }
 
+impl Statistics {
+    /// Jobs of a kind that wait, of all classes.
+    #[must_use]
+    pub fn waiting_of(&self, kind: Kind) -> u64 {
+        self.waiting.iter().filter(|((of, _), _)| *of == kind).map(|(_, n)| n).sum()
+    }
+}
+
 fn number(row: &AnyRow, column: &str) -> Result<u64> {
     Ok(row.try_get::<i64, _>(column)?.max(0) as u64)
 }

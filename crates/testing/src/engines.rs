@@ -1,9 +1,9 @@
 //! Engines that tests start and stop: an S3 server (moto), an Azure one (azurite). A test is skipped where its engine is not installed.
 
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::Need;
 
@@ -15,7 +15,7 @@ pub const AZURE_KEY: &str = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2
 const AZURE_LEAVE: &str =
     "sv=2019-12-12&ss=b&srt=sco&sp=rwdlac&se=2099-01-01T00%3A00%3A00Z&spr=https,http&sig=0inStVod1SiNNw%2FCJ4fRrpJIdRZAadbisT7bZCD4KQs%3D";
 
-/// A process on a port of its own, which ends with this.
+/// A process on a port that the system chose for it, which ends with this.
 #[derive(Debug)]
 pub struct Engine {
     child: Option<Child>,
@@ -23,25 +23,37 @@ pub struct Engine {
     pub addr: SocketAddr,
 }
 
-/// A port that is free now.
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).map(|a| a.port()).expect("a free port")
-}
-
 /// True where `program` answers to `arguments`.
 fn is_there(program: &str, arguments: &[&str]) -> bool {
     Command::new(program).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|s| s.success())
 }
 
+/// The address in a line that says where a program listens.
+fn address(line: &str) -> Option<SocketAddr> {
+    let rest = line.split_once("http://")?.1;
+    let end = rest.find(|c: char| !(c.is_ascii_digit() || matches!(c, '.' | ':'))).unwrap_or(rest.len());
+    rest[..end].parse().ok()
+}
+
 impl Engine {
-    fn start(mut command: Command, port: u16) -> Self {
-        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the engine starts");
-        let addr = SocketAddr::from(([127, 0, 0, 1], port));
-        let end = Instant::now() + Duration::from_secs(30);
-        while TcpStream::connect(addr).is_err() {
-            assert!(Instant::now() < end, "the engine does not listen");
-            std::thread::sleep(Duration::from_millis(20));
+    /// Starts a program that was told to listen at port 0, and reads from what it says at which port it does.
+    fn start(mut command: Command) -> Self {
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the engine starts");
+        let (stdout, stderr) = (child.stdout.take().expect("a pipe"), child.stderr.take().expect("a pipe"));
+        let (tell, told) = std::sync::mpsc::channel();
+        let streams: [Box<dyn Read + Send>; 2] = [Box::new(stdout), Box::new(stderr)];
+        for stream in streams {
+            let tell = tell.clone();
+            // to the end: a program whose pipe is full stands still
+            std::thread::spawn(move || {
+                let lines = BufReader::new(stream).lines().map_while(Result::ok);
+                for addr in lines.filter_map(|line| address(&line)) {
+                    let _ = tell.send(addr);
+                }
+            });
         }
+        drop(tell);
+        let addr = told.recv_timeout(Duration::from_mins(1)).unwrap_or_else(|e| panic!("{command:?} named no address: {e}"));
         Self { child: Some(child), addr }
     }
 
@@ -53,13 +65,12 @@ impl Engine {
     pub fn s3() -> Option<Self> {
         let there = is_there("python3", &["-c", "import moto.server"]).then_some(());
         Need::S3.or_skip(there.ok_or("pip install 'moto[server]'"))?;
-        let port = free_port();
         let mut command = Command::new("python3");
         // the program itself: a script around it would be ended in its place
-        command.args(["-m", "moto.server", "-H", "127.0.0.1", "-p", &port.to_string()]);
-        let engine = Self::start(command, port);
+        command.args(["-m", "moto.server", "-H", "127.0.0.1", "-p", "0"]);
+        let engine = Self::start(command);
         let mut stream = TcpStream::connect(engine.addr).expect("the engine listens");
-        let request = format!("PUT /photos HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n");
+        let request = format!("PUT /photos HTTP/1.1\r\nhost: {}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n", engine.addr);
         stream.write_all(request.as_bytes()).expect("a request");
         let mut answer = String::new();
         stream.read_to_string(&mut answer).expect("an answer");
@@ -86,21 +97,12 @@ impl Engine {
     pub fn azure() -> Option<Self> {
         let there = is_there("azurite-blob", &["--version"]).then_some(());
         Need::Azure.or_skip(there.ok_or("npm install azurite, and its azurite-blob in the PATH"))?;
-        let port = free_port();
         let mut command = Command::new("azurite-blob");
-        command.args([
-            "--inMemoryPersistence",
-            "--silent",
-            "--skipApiVersionCheck",
-            "--blobHost",
-            "127.0.0.1",
-            "--blobPort",
-            &port.to_string(),
-        ]);
-        let engine = Self::start(command, port);
+        command.args(["--inMemoryPersistence", "--skipApiVersionCheck", "--blobHost", "127.0.0.1", "--blobPort", "0"]);
+        let engine = Self::start(command);
         let mut stream = TcpStream::connect(engine.addr).expect("the engine listens");
         let target = format!("/{AZURE_ACCOUNT}/photos?restype=container&{AZURE_LEAVE}");
-        let request = format!("PUT {target} HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n");
+        let request = format!("PUT {target} HTTP/1.1\r\nhost: {}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n", engine.addr);
         stream.write_all(request.as_bytes()).expect("a request");
         let mut answer = String::new();
         stream.read_to_string(&mut answer).expect("an answer");
@@ -120,5 +122,25 @@ impl Engine {
 impl Drop for Engine {
     fn drop(&mut self) {
         self.kill();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_read_from_what_a_program_says() {
+        let read = |line: &str| address(line).map(|a| a.to_string());
+        assert_eq!(read(" * Running on http://127.0.0.1:46079").as_deref(), Some("127.0.0.1:46079"));
+        assert_eq!(read("service is listening at http://127.0.0.1:10000/a").as_deref(), Some("127.0.0.1:10000"));
+        assert_eq!(read("Starting service"), None);
+        assert_eq!(read("see http://example.org"), None);
+    }
+
+    #[test]
+    #[should_panic(expected = "named no address: channel is empty and sending half is closed")]
+    fn a_program_that_ends_at_once_fails_the_test() {
+        Engine::start(Command::new("true"));
     }
 }

@@ -1,5 +1,8 @@
 //! What tests need of the machine. A test that misses something is skipped, and a file lists it, unless `TMPI_REQUIRE` names the need.
 
+#[cfg(unix)]
+#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
+mod database;
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 pub mod engines;
 pub mod jpeg;
@@ -11,6 +14,8 @@ use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+#[cfg(unix)]
+pub use database::database;
 pub use engines::Engine;
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.
@@ -32,27 +37,24 @@ pub enum Need {
     Onnx,
     /// `ffmpeg`: the program.
     Ffmpeg,
-    /// `nats`: the program `nats-server`.
-    Nats,
     /// `s3`: moto, an S3 server in Python.
     S3,
     /// `azure`: azurite, an Azure server in JavaScript.
     Azure,
-    /// `postgres`: the programs `initdb` and `postgres`.
+    /// `postgres`: the programs `initdb`, `postgres` and `createdb`.
     Postgres,
     /// `data`: the folder that `TMPI_DATA` names.
     Data,
 }
 
 impl Need {
-    const ALL: [Self; 8] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats, Self::S3, Self::Azure, Self::Postgres, Self::Data];
+    const ALL: [Self; 7] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::S3, Self::Azure, Self::Postgres, Self::Data];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Gpu => "gpu",
             Self::Onnx => "onnx",
             Self::Ffmpeg => "ffmpeg",
-            Self::Nats => "nats",
             Self::S3 => "s3",
             Self::Azure => "azure",
             Self::Postgres => "postgres",
@@ -125,7 +127,7 @@ pub fn data(folder: &str) -> Option<PathBuf> {
     Need::Data.or_skip(found)
 }
 
-/// The folder with PostgreSQL's `initdb` and `postgres`, of the newest version; none where they are not installed, and the test is skipped.
+/// The folder with PostgreSQL's `initdb`, `postgres` and `createdb`, of the newest version; none where one is not installed, and the test is skipped.
 ///
 /// # Panics
 /// As [`Need::or_skip`].
@@ -139,7 +141,7 @@ pub fn postgres() -> Option<PathBuf> {
 const DEBIAN: &str = "/usr/lib/postgresql";
 
 fn postgres_in(path: &OsStr, versions: &Path) -> Option<PathBuf> {
-    let is_whole = |folder: &PathBuf| ["initdb", "postgres"].iter().all(|p| folder.join(p).is_file());
+    let is_whole = |folder: &PathBuf| ["initdb", "postgres", "createdb"].iter().all(|p| folder.join(p).is_file());
     let version = |folder: &PathBuf| folder.file_name().and_then(|n| n.to_str()?.parse::<u32>().ok());
     let mut debian: Vec<PathBuf> = std::fs::read_dir(versions).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
     debian.sort_by_key(|folder| std::cmp::Reverse(version(folder)));
@@ -162,7 +164,7 @@ mod tests {
     #[test]
     fn an_unknown_word_fails_though_everything_is_there() {
         let error = Need::Onnx.judged("gpu,onxx", Ok::<_, &str>(7)).unwrap_err();
-        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats, s3, azure, postgres, data"), "{error}");
+        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, s3, azure, postgres, data"), "{error}");
     }
 
     #[test]
@@ -193,15 +195,15 @@ mod tests {
             }
             folder
         };
-        let both = ["initdb", "postgres"];
+        let all = ["initdb", "postgres", "createdb"];
         let half = install("half", &["postgres"]);
         let versions = root.path().join("lib");
         assert_eq!(postgres_in(half.as_os_str(), &versions), None);
-        install("lib/9/bin", &both);
-        let newest = install("lib/17/bin", &both);
+        install("lib/9/bin", &all);
+        let newest = install("lib/17/bin", &all);
         install("lib/18/bin", &["postgres"]);
         assert_eq!(postgres_in(half.as_os_str(), &versions), Some(newest));
-        let own = install("own", &both);
+        let own = install("own", &all);
         assert_eq!(postgres_in(own.as_os_str(), &versions), Some(own));
     }
 }

@@ -6,8 +6,8 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::ServeArgs;
-use crate::cli::{Usage, files};
-use crate::server::{Reserve, Role, Tls, check_collector, check_store};
+use crate::cli::Usage;
+use crate::server::{Reserve, Role, Tls, check_collector};
 use tmpi_pipeline::networks::models::{self, Settings};
 
 /// What an option comes to.
@@ -44,14 +44,11 @@ impl ServeArgs {
                  photos are nobody's",
             );
         }
-        if let Some(sharing) = self.sharing()? {
-            check_store(&sharing.store).map_err(|e| Usage(format!("--store: {e}")))?;
+        if self.blobs.is_some() != self.database.is_some() {
+            return wrong("--blobs and --database go together: what nodes share is in both");
         }
         if let Some(collector) = self.traces() {
             check_collector(&collector.url).map_err(|e| Usage(format!("--otlp: {e}")))?;
-        }
-        if let Some(login) = &self.nats_login {
-            files::read(login).context("--nats-login")?;
         }
         if let Some(pages) = self.pages.as_deref().filter(|dir| !dir.is_dir()) {
             return Err(Usage(format!("--static: {} is no folder", pages.display())).into());
@@ -83,7 +80,6 @@ impl ServeArgs {
             says("addr", self.addr.to_string()),
             says("access", if private { "private" } else { "open" }.to_owned()),
             says("lame-duck", seconds(limits.lame_duck)),
-            says("known-photos", limits.known_photos.to_string()),
             says("rate-requests", limits.rate_requests.to_string()),
             says("rate-uploads", limits.rate_uploads.to_string()),
             says("rate-views", limits.rate_views.to_string()),
@@ -98,9 +94,6 @@ impl ServeArgs {
             all.push(notes("live-depth-model", network(&self.models.for_rooms(&self.live_depth_model).unwrap_or(photos))));
         }
         all.extend(self.admin.map(|addr| says("admin", addr.to_string())));
-        if private {
-            all.push(says("keys", self.keys.as_ref().unwrap_or(&self.data).display().to_string()));
-        }
         let Reserve { bytes, files } = limits.reserve;
         for (option, said, usual, share) in [
             ("least-free", bytes.map(|b| b >> 20), Reserve::BYTES >> 20, "or a twentieth of a smaller disk"),
@@ -165,8 +158,7 @@ mod tests {
         assert_eq!((of(&[], "access"), of(&[], "lame-duck"), of(&[], "rate-views")), ("open".into(), "0".into(), "0".into()));
         let open = ["--addr", "0.0.0.0:80"];
         assert_eq!((of(&open, "access"), of(&open, "lame-duck")), ("private".into(), "5".into()));
-        assert_eq!((of(&open, "rate-views"), of(&open, "keys")), (Limits::RATE_VIEWS.to_string(), "tmpi-data".into()));
-        assert_eq!(value(&[], "keys"), None, "nobody is asked");
+        assert_eq!(of(&open, "rate-views"), Limits::RATE_VIEWS.to_string());
         assert_eq!((of(&["--memory", "256"], "scene-cache"), of(&["--memory", "256"], "job-memory")), ("8".into(), "240".into()));
         assert_eq!(of(&["--memory", "256", "--scene-cache", "9"], "scene-cache"), "9");
         assert_eq!(of(&["--addr", "8081"], "addr"), "127.0.0.1:8081");

@@ -27,7 +27,7 @@ fn every_limit_can_be_set() {
         --connections 1025 --connections-per-address 513 --streams 513 --views 3 --views-waiting 65 --exports 2 --exports-waiting 9 --exports-mib 1025 --exports-for 9 \
         --renders 481 --work-memory 1025 --view-pixels 9 --view-side 9 --scene-cache 257 --file-cache 65 --view-cache 65 --export-cache 1025 \
         --max-header 33 --streams-at-once 65 --least-free 65 --least-free-files 1025 --link-days 367 --hsts 9 \
-        --rest 21 --look-over-first 61 --look-over 9 --look-over-rate 33 --lease 31 --sweep 6 --copies 4097 --known-photos 20001 --page 201 --keep-alive 16";
+        --rest 21 --look-over-first 61 --look-over 9 --look-over-rate 33 --lease 31 --page 201 --keep-alive 16";
     let set = Cli::try_parse_from(["serve"].into_iter().chain(args.split_whitespace())).unwrap().serve.limits();
     // names all fields, so that none is forgotten
     macro_rules! all_differ {
@@ -41,7 +41,7 @@ fn every_limit_can_be_set() {
         rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
         lame_duck drain queue workers attempts job job_memory connections connections_per_address streams_at_once streams views views_waiting exports
         exports_waiting exports_bytes exports_for renders work_memory view_pixels view_side scene_cache file_cache view_cache export_cache rest look_over_first
-        look_over look_over_rate lease sweep copies known_photos reserve link hsts page keep_alive);
+        look_over look_over_rate lease reserve link hsts page keep_alive);
 }
 
 #[test]
@@ -58,10 +58,10 @@ fn every_bound_of_rooms_can_be_set() {
 }
 
 #[test]
-fn a_node_that_works_has_a_store() {
+fn a_node_that_works_has_a_database() {
     let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.at_work();
     assert!(of(&[]).unwrap_err().is::<Usage>());
-    assert_eq!(of(&["--store", "file:///s"]).unwrap().sharing().unwrap().unwrap().role, Role::Work);
+    assert_eq!(of(&["--database", "postgres://db/tmpi"]).unwrap().role, Role::Work);
 }
 
 #[test]
@@ -106,23 +106,11 @@ fn addresses_are_written_as_people_write_them() {
 }
 
 #[test]
-fn nats_servers_are_a_list() {
-    let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).map(|c| (c.serve.nats.len(), c.serve.node)).ok();
-    assert_eq!(of(&[]), Some((0, "tmpi".into())));
-    assert_eq!(of(&["--nats", "nats://a:4222,b,tls://u:p@c:4223", "--node", "attic-1"]), Some((3, "attic-1".into())));
-    let wrong = [&["--nats", "http://a"][..], &["--nats", "a", "--node", "a.b"], &["--node", "a"], &["--nats-replicas", "3"]];
-    for wrong in wrong.into_iter().chain([&["--nats", "a", "--nats-replicas", "6"][..]]) {
-        assert_eq!(of(wrong), None, "{wrong:?}");
-    }
-}
-
-#[test]
-fn nats_is_for_rooms_and_for_what_is_in_a_store() {
-    let of = |args: &[&str]| Cli::try_parse_from([&["serve", "--nats", "a,b"], args].concat()).unwrap().serve.sharing();
-    assert!(of(&[]).unwrap().is_none());
-    assert!(of(&["--no-live"]).unwrap_err().is::<Usage>());
-    let shared = of(&["--no-live", "--store", "file:///s", "--nats-replicas", "3"]).unwrap().unwrap();
-    assert_eq!(shared.nats.map(|nats| (nats.at.servers.len(), nats.replicas)), Some((2, 3)));
+fn a_node_that_advertises_an_address_shares_a_database() {
+    let of = |args: &[&str]| Cli::try_parse_from([&["serve", "--advertise"], args].concat()).ok().and_then(|c| c.serve.advertise);
+    let database = ["--database", "postgres://127.0.0.1/tmpi"];
+    assert_eq!(of(&[&["http://10.0.0.3:8080"][..], &database].concat()).unwrap().host(), "10.0.0.3");
+    assert_eq!((of(&["http://10.0.0.3:8080"]), of(&[&["10.0.0.3:8080"][..], &database].concat())), (None, None));
 }
 
 #[test]

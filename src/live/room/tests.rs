@@ -6,7 +6,7 @@ use tmpi_core::live::{Model, read};
 use tmpi_core::{Geometry, Photo};
 
 use super::*;
-use crate::live::nodes::{geometry, message};
+use crate::live::tiles::tests::{geometry, message};
 
 pub const EPOCH: u64 = 7;
 
@@ -66,7 +66,7 @@ impl Watcher {
     /// Of a room with such tiles.
     pub fn at(room: &Room, tiles: &Geometry) -> Self {
         let model = Model::new(&Model::hello(tiles)).unwrap();
-        let mut watcher = Self { viewer: room.join().unwrap(), model, frames: 0, given: Vec::new() };
+        let mut watcher = Self { viewer: room.join(Watches::Itself).unwrap(), model, frames: 0, given: Vec::new() };
         watcher.read(room);
         watcher
     }
@@ -228,8 +228,10 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
 #[test]
 fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_gone() {
     let room = Room::new(Bounds::default());
-    assert!((0..Bounds::VIEWERS).all(|_| !room.is_full() && room.join().is_some()));
-    assert!(room.is_full() && room.join().is_none());
-    room.part();
-    assert!(!room.is_full() && room.join().is_some());
+    let viewers: Vec<_> = (0..Bounds::VIEWERS).map_while(|_| room.join(Watches::Itself)).collect();
+    assert_eq!(viewers.len(), Bounds::VIEWERS);
+    assert!(room.is_full() && room.join(Watches::Itself).is_none());
+    assert!(room.join(Watches::Edge(0)).is_some(), "an edge takes no viewer's place");
+    room.part(&viewers[0]);
+    assert!(!room.is_full() && room.join(Watches::Itself).is_some());
 }

@@ -5,7 +5,7 @@ use axum::response::Response;
 
 use crate::server::conditional::insert;
 use crate::server::hosts::origin;
-use crate::server::id::PhotoId;
+use tmpi_library::PhotoId;
 
 /// Cookie of an owner's secret, and its name where the browser came by TLS: one that no other host of the same domain can have set
 /// (RFC 6265bis, section 4.1.3.2).
@@ -18,7 +18,7 @@ const MANAGE_COOKIE_TLS: &str = "__Secure-tmpi_manage";
 /// Cookie of a link by which a photo was opened.
 pub const LINK_COOKIE: &str = "tmpi_link";
 /// Seconds that a browser keeps an owner's secret, and a photo's token: as long as browsers keep any cookie.
-const KEPT: u64 = 400 * 86_400;
+pub const KEPT: u64 = 400 * 86_400;
 
 /// The value of a cookie.
 pub fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {

@@ -2,33 +2,12 @@
 
 use axum::http::Uri;
 use axum::http::uri::PathAndQuery;
+use tmpi_library::Link;
 
-/// A link's time and signature, as they came.
-#[derive(Clone)]
-pub struct Link {
-    /// Seconds since 1970.
-    pub expires: u64,
-    /// 64 hex digits, where it is good.
-    pub signature: String,
-}
-
-impl Link {
-    fn read(expires: &str, signature: &str) -> Option<Self> {
-        Some(Self { expires: expires.parse().ok()?, signature: signature.to_owned() })
-    }
-
-    /// As addresses have it.
-    #[must_use]
-    pub fn query(&self) -> String {
-        format!("expires={}&signature={}", self.expires, self.signature)
-    }
-
-    /// As a cookie has it.
-    #[must_use]
-    pub fn of_cookie(text: &str) -> Option<Self> {
-        let (expires, signature) = text.split_once('.')?;
-        Self::read(expires, signature)
-    }
+/// A link as addresses have it.
+#[must_use]
+pub fn query_of(link: &Link) -> String {
+    format!("expires={}&signature={}", link.expires, link.signature())
 }
 
 /// The link that a request's address had, if it had parameters of one.
@@ -56,7 +35,7 @@ pub fn take_link(uri: &Uri) -> Option<(Uri, Option<Link>)> {
         // given twice is not given
         all.next().filter(|_| all.next().is_none()).and_then(|pair| pair.split_once('=')).map(|(_, value)| value)
     };
-    let link = value("expires").zip(value("signature")).and_then(|(expires, signature)| Link::read(expires, signature));
+    let link = value("expires").zip(value("signature")).and_then(|(expires, signature)| format!("{expires}.{signature}").parse().ok());
     let path = if rest.is_empty() { uri.path().to_owned() } else { format!("{}?{}", uri.path(), rest.join("&")) };
     let mut parts = uri.clone().into_parts();
     parts.path_and_query = PathAndQuery::try_from(path).ok();
@@ -67,18 +46,22 @@ pub fn take_link(uri: &Uri) -> Option<(Uri, Option<Link>)> {
 mod tests {
     use super::*;
 
+    const SIGNATURE: &str = "abababababababababababababababababababababababababababababababab";
+
     #[test]
     fn links_are_taken_out_of_addresses_in_any_order() {
-        let take =
-            |uri: &str| take_link(&uri.parse().unwrap()).map(|(uri, link)| (uri.to_string(), link.map(|l| (l.expires, l.signature))));
-        let link = Some((12, "ab".to_owned()));
+        let take = |uri: &str| {
+            take_link(&uri.replace("=ab", &format!("={SIGNATURE}")).parse().unwrap())
+                .map(|(uri, link)| (uri.to_string(), link.map(|l| (l.expires, l.signature()))))
+        };
+        let link = Some((12, SIGNATURE.to_owned()));
         assert_eq!(take("/x?w=8"), None);
         assert_eq!(take("/x?expires=12&signature=ab"), Some(("/x".into(), link.clone())));
         assert_eq!(take("/x?signature=ab&w=8&expires=12"), Some(("/x?w=8".into(), link.clone())));
         assert_eq!(take("http://a/x?w=8&expires=12&signature=ab&v=1"), Some(("http://a/x?w=8&v=1".into(), link)));
-        let inner = |uri: &str| link_of_url(&uri.parse().unwrap()).map(|l| l.query());
+        let inner = |uri: &str| link_of_url(&uri.replace("Dab", &format!("D{SIGNATURE}")).parse().unwrap()).map(|l| query_of(&l));
         let named = "/oembed?format=json&url=http%3A%2F%2Fa%2Fview%2F0%3Fsignature%3Dab%26expires%3D12";
-        assert_eq!(inner(named).as_deref(), Some("expires=12&signature=ab"));
+        assert_eq!(inner(named), Some(format!("expires=12&signature={SIGNATURE}")));
         assert_eq!(
             (inner("/oembed?url=http%3A%2F%2Fa%2Fview%2F0"), inner("/oembed?expires=12&signature=ab"), inner("/oembed")),
             (None, None, None)

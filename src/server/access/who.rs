@@ -2,10 +2,9 @@
 
 use axum::http::HeaderValue;
 
-use super::keys::{Key, Scope};
-use super::secret::random;
-use super::{Owner, manage, ticket};
-use crate::server::id::hex;
+use tmpi_library::{Key, Owner, Scope, hex};
+
+use super::manage;
 use crate::server::problem::Problem;
 
 /// What an owner's secret begins with.
@@ -18,7 +17,9 @@ const CHARACTERS: std::ops::RangeInclusive<usize> = 32..=128;
 /// # Errors
 /// 500 where the system has no random bytes.
 pub fn fresh() -> Result<String, Problem> {
-    random().map(|bytes| format!("{OWNER}{}", hex(&bytes))).map_err(|e| Problem::internal("a fresh secret", &e))
+    let mut bytes = [0; 32];
+    getrandom::fill(&mut bytes).map_err(|e| Problem::internal("a fresh secret", &e))?;
+    Ok(format!("{OWNER}{}", hex(&bytes)))
 }
 
 /// What a bearer brings (RFC 6750); none for other schemes, and nothing where it cannot be read.
@@ -41,8 +42,8 @@ pub enum Who {
     Own,
     /// Whoever has a key.
     Key(Key),
-    /// Whoever has a secret of their own, or a browser that came by a ticket and keeps what it was given for it.
-    Owner(String),
+    /// Whoever has a secret of their own, or a session by a ticket; with what the browser keeps for it.
+    Owner(Owner, String),
     /// Whoever has a ticket, by which another browser becomes this owner, and which is good for nothing else.
     Ticket(Owner),
     /// Whoever sends one photo's own token, and is nobody else.
@@ -57,7 +58,7 @@ impl Who {
         if manage::is_token(text) {
             return Some(Self::Manager);
         }
-        is_secret(text).then(|| Self::Owner(text.to_owned()))
+        is_secret(text).then(|| Self::Owner(Owner::of_secret(text), text.to_owned()))
     }
 
     pub fn is_admin(&self) -> bool {
@@ -66,14 +67,14 @@ impl Who {
 
     /// Whether it was said to them that they may what is nobody's by itself.
     pub fn is_told(&self, scope: Scope) -> bool {
-        matches!(self, Self::Own) || matches!(self, Self::Key(key) if key.may(scope) || key.may(Scope::Admin))
+        matches!(self, Self::Own) || matches!(self, Self::Key(key) if key.may(scope))
     }
 
     pub fn owner(&self) -> Option<Owner> {
         match self {
-            Self::Own => Some(Owner::own()),
-            Self::Key(key) => Some(key.owner()),
-            Self::Owner(kept) => Some(ticket::named(kept).unwrap_or_else(|| Owner::of_secret(kept))),
+            Self::Own => Some(Owner::local_user()),
+            Self::Key(key) => Some(key.owner.clone()),
+            Self::Owner(owner, _) => Some(owner.clone()),
             Self::Ticket(_) | Self::Manager | Self::Stranger => None,
         }
     }

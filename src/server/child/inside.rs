@@ -13,7 +13,7 @@ use crate::server::limits::Limits;
 use crate::server::maker::{Fault, Maker, PipelineMaker, Product};
 use crate::server::options;
 use crate::server::problem::Problem;
-use crate::server::worker::{caught, said};
+use crate::server::work::{caught, said};
 use tmpi_pipeline::{Progress, Silent, Sink, strokes};
 
 /// Linux ends the process with the highest score first where memory is short: never the server for a photo's sake.

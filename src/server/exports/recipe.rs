@@ -3,9 +3,9 @@
 use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures, ORA_BYTES};
 use crate::server::app::scene_bytes;
 use crate::server::limits::Limits;
+use crate::server::made::Done;
 use crate::server::problem::Problem;
 use crate::server::routes::{ExportQuery, Pairs, StereoKind, ViewQuery};
-use crate::server::store::Done;
 use tmpi_render::{AnimationFormat, Arrangement, Path};
 
 /// Memory of a process that writes a file, in bytes, without the photo; like the other figures, above what was measured on 12 megapixels.

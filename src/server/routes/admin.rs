@@ -17,9 +17,9 @@ use super::query::NoQuery;
 use super::{errors, foreign, no_method, system};
 use crate::server::app::App;
 use crate::server::hosts::Hosts;
-use crate::server::id::PhotoId;
 use crate::server::middleware;
 use crate::server::problem::Problem;
+use tmpi_library::PhotoId;
 
 #[derive(OpenApi)]
 #[openapi(
@@ -58,23 +58,13 @@ async fn drain(State(app): State<App>, _: NoQuery) -> StatusCode {
         (status = 400, description = "There are no parameters here"),
         (status = 403, description = "A page of another site asks"),
         (status = 404, description = "There is no such photo"),
-        (status = 503, description = "The store cannot be reached"),
+        (status = 503, description = "The library cannot be reached"),
     )
 )]
 async fn purge(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
     let nothing = || Problem::not_found(format!("there is no photo {id:?}"));
     let photo: PhotoId = id.parse().map_err(|_| nothing())?;
-    let shared = Arc::clone(&app);
-    let known = app
-        .change(move || {
-            // held: it stays known until it is gone
-            let _held = match shared.jobs.cluster.clone() {
-                Some(cluster) => shared.jobs.refresh(&cluster, photo).map_err(|e| Problem::store(&e))?,
-                None => None,
-            };
-            if shared.jobs.get(photo).is_some() { shared.jobs.delete(photo) } else { Ok(false) }
-        })
-        .await??;
+    let known = app.library.delete(photo, None).await?;
     app.forget(photo).await;
     if !known {
         return Err(nothing());

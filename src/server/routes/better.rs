@@ -1,8 +1,7 @@
 //! Whether a photo can have better depth from the network that is at hand.
 
 use crate::server::app::{Shared, Stored};
-use crate::server::entry::Entry;
-use crate::server::store::Part;
+use tmpi_library::{Part, Photo};
 use tmpi_pipeline::networks::models::registry::better_than;
 
 /// What a report says of its photo's depth.
@@ -13,16 +12,14 @@ struct MadeBy {
 
 /// Name of this node's network, where it is better than the one that estimated a photo's depth and the caller of this request may have the photo
 /// made again; none also where the depth is a person's own or the photo's, or nothing can be said now.
-pub(super) async fn better_depth(app: &Shared, entry: &Entry) -> Option<String> {
-    let network = app.jobs.maker.network().to_owned();
+pub(super) async fn better_depth(app: &Shared, photo: &Photo) -> Option<String> {
+    let network = app.maker.network().to_owned();
     let worse = better_than(&network);
-    let away = || app.jobs.cluster.as_ref().is_some_and(|cluster| cluster.is_away());
-    if worse.is_empty() || away() || app.guard.as_ref().is_some_and(|guard| !guard.may_change(entry)) {
+    if worse.is_empty() || app.guard.as_ref().is_some_and(|guard| !guard.may_change(photo)) {
         return None;
     }
-    let (version, done) = Shared::done(entry).ok()?;
     // a report that cannot be read is told to whoever asks for it
-    let Stored { source, .. } = app.file(version, &done, Part::Report).await.ok()?;
+    let Stored { source, .. } = app.file(photo, Part::Report).await.ok()?;
     let MadeBy { depth_model } = serde_json::from_slice(&source.head(source.len()).await.ok()?).ok()?;
     worse.iter().any(|kind| depth_model.starts_with(kind)).then_some(network)
 }

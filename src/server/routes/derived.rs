@@ -8,7 +8,7 @@ use axum::response::Response;
 use crate::server::app::{Shared, Stored};
 use crate::server::conditional::{Coding, Entity, insert, kept, known_as, not_modified, respond};
 use crate::server::identity;
-use crate::server::store::Done;
+use crate::server::made::Done;
 
 /// Such an answer before it is made.
 pub(super) struct Derived {

@@ -116,10 +116,10 @@ pub async fn export(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
+    let photo = app.photo(&id).await?;
     let query = ExportQuery::read(&uri)?;
     let (format, model, asked) = (query.format, query.model(), query.version);
-    let (version, done) = Shared::done(&entry)?;
+    let (version, done) = Shared::done(&photo)?;
     let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?} {model:?}"));
     if let Some(response) = derived.known(&headers) {
         return Ok(response);
@@ -135,26 +135,26 @@ pub async fn export(
         let slot = app.pool.enter(Class::Export, scene_bytes(&done) + own).await?;
         let cheap = recipe.is_cheap(&done);
         // a page carries the container as it is
-        let scene = if cheap && format != ExportFormat::Html { Some(app.scene(version, &slot).await?.0) } else { None };
-        let (read, name, shared) = (app.reading(version), derived.made.clone(), Arc::clone(&app));
+        let scene = if cheap && format != ExportFormat::Html { Some(app.scene(&photo, &slot).await?.0) } else { None };
+        let (container, name, shared) = (app.container_of(&photo).await?, derived.made.clone(), Arc::clone(&app));
         let written = slot.run(move || {
-            let (start, container) = (Instant::now(), read()?);
+            let start = Instant::now();
             let bytes = match scene {
                 Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, model }, &|| gone.is_cancelled())
                     .map_err(problem),
                 None if cheap => export::html(&container, TITLE).map_err(problem),
                 None => shared.written(&recipe, (&container, &done), &gone),
             };
-            let stored = Stored::derived(Some(&name), bytes?, &shared.jobs.store, Full::Refuse)?;
+            let stored = Stored::derived(Some(&name), bytes?, &shared.disk(), Full::Refuse)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;
         timing.push(("export", elapsed));
         Ok::<_, Problem>(export)
     };
-    let Export(stored) = app.exports.get((version, derived.made.clone()), write).await?;
+    let Export(stored) = app.exports.get((version, derived.made.clone()), Box::pin(write)).await?;
     let mut response = derived.answer(&headers, stored, format.media_type(), &timing);
-    insert(&mut response, header::CONTENT_DISPOSITION, &attachment(&entry, format.extension()));
+    insert(&mut response, header::CONTENT_DISPOSITION, &attachment(&photo, format.extension()));
     Ok(response)
 }
 

@@ -1,7 +1,6 @@
 //! Files to download that are written as jobs.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Path, Query, Request, State};
@@ -11,15 +10,16 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::query::NoQuery;
-use crate::server::app::{App, Shared};
+use crate::server::access::Guard;
+use crate::server::app::{App, Shared, Stored};
 use crate::server::attachment::attachment;
 use crate::server::body;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
-use crate::server::entry::Entry;
-use crate::server::exports::{Ordered, Recipe, Standing};
+use crate::server::exports::Recipe;
+use crate::server::identity;
 use crate::server::problem::Problem;
-use crate::server::source::Source;
 use crate::server::time::rfc3339;
+use tmpi_library::{Class, Job, JobState, Kind, LibraryError, Order, Part, Photo, Share};
 
 /// Bytes of the parameters.
 const MOST: usize = 4 << 10;
@@ -96,23 +96,25 @@ pub struct ExportState {
 }
 
 impl ExportState {
-    fn of(app: &Shared, file: &Ordered) -> Self {
-        let (state, bytes, problem) = match file.standing() {
-            Standing::Queued => (ExportStateName::Queued, None, None),
-            Standing::Working => (ExportStateName::Working, None, None),
-            Standing::Done(record) => (ExportStateName::Done, Some(record.bytes), None),
-            Standing::Failed(problem) => (ExportStateName::Failed, None, Some(problem)),
+    fn of(app: &Shared, job: &Job) -> Self {
+        let state = match job.state {
+            JobState::Queued => ExportStateName::Queued,
+            JobState::Working => ExportStateName::Working,
+            JobState::Done => ExportStateName::Done,
+            JobState::Failed => ExportStateName::Failed,
         };
         let pair = |part: &str| part.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
-        let photo = format!("/v1/photos/{}", file.photo);
-        let this = format!("{photo}/exports/{}", file.key);
+        let key = job.key().unwrap_or_default().to_owned();
+        let photo = format!("/v1/photos/{}", job.photo);
+        let this = format!("{photo}/exports/{key}");
+        let stays = app.limits.exports_for.as_millis() as i64;
         Self {
-            key: file.key.clone(),
+            key,
             state,
-            parameters: file.recipe.split('&').filter_map(pair).collect(),
-            bytes,
-            problem,
-            expires: bytes.map(|_| rfc3339(file.ends_ms(&app.limits))),
+            parameters: recipe_of(job).split('&').filter_map(pair).collect(),
+            bytes: job.result.as_ref().map(|blob| blob.bytes),
+            problem: job.problem.as_ref().filter(|_| job.state == JobState::Failed).map(Problem::of_library),
+            expires: job.result.as_ref().map(|_| rfc3339(job.used_at.saturating_add(stays))),
             links: ExportLinks { file: format!("{this}/file"), this, photo },
         }
     }
@@ -174,7 +176,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
 ///
 /// As a job, in a process of its own: a page, a model, layers, an archive, or a film along a way of the camera. The same of the same making of a photo
 /// has the same address, and is written once; what is asked for again once it failed is tried again. A written file is kept until nobody has
-/// fetched it for a while, others need the room, or the photo is deleted or made again. Where several nodes share a store, it is on the node that was asked.
+/// fetched it for a while, others need the room, or the photo is deleted or made again.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/exports", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     request_body(description = "The parameters; they may stand in the query, too", content(
@@ -192,22 +194,48 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
     )
 )]
 pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
+    let photo = app.photo(&id).await?;
     let pairs = parameters(request).await?;
-    let (_, done) = Shared::done(&entry)?;
+    let (_, done) = Shared::done(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
-    let (file, _) = app.jobs.order(&entry, &done, &app.version(&done), &recipe)?;
-    Ok(ExportState::of(&app, &file).answer(StatusCode::OK))
+    let text = recipe.text();
+    let key = identity::short(&format!("file {} {text}", app.version(&done)));
+    let order = Order {
+        photo: &photo,
+        key: &key,
+        kind: if matches!(recipe, Recipe::Film(..)) { Kind::Film } else { Kind::Export },
+        payload: text.into(),
+        class: Class::Interactive,
+        asker: &Shared::asker(Guard::owner()),
+    };
+    match app.library.order(&order).await {
+        Ok(ordered) => Ok(ExportState::of(&app, &ordered.job).answer(StatusCode::OK)),
+        Err(LibraryError::QueueFull { share, retry_after, .. }) => {
+            let detail = match share {
+                Share::All => "as many files wait to be written as may (--exports-waiting)",
+                Share::Owner | Share::Address => "half of the places to wait are yours already",
+            };
+            Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(retry_after.as_secs().max(1)))
+        }
+        Err(error) => Err(error.into()),
+    }
 }
 
-/// A file of a photo that was ordered.
-async fn find(app: &App, entry: &Arc<Entry>, key: String) -> Result<Arc<Ordered>, Problem> {
+/// A file of a photo that was ordered, of what the photo is now.
+async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
     let none = || Problem::not_found("there is no such file of the photo: it was not asked for, or has gone; ask for it again");
-    // of a photo that is made again there will be others
-    let results = Shared::done(entry).map(|(_, done)| app.version(&done)).map_err(|_| none())?;
-    let (shared, photo) = (Arc::clone(app), Arc::clone(entry));
-    let found = tokio::task::spawn_blocking(move || shared.jobs.ordered(&photo, &results, &key)).await;
-    found.map_err(|e| Problem::internal("looking for a file", &e))?.ok_or_else(none)
+    let (_, done) = Shared::done(photo).map_err(|_| none())?;
+    let job = match app.library.job(Kind::Export, photo.id, Some(key)).await {
+        Err(LibraryError::NotFound(_)) => return Err(none()),
+        job => job?,
+    };
+    // one of before the photo was made again, or of another program, goes by itself
+    let is_current = job.version == photo.version && identity::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
+    if is_current { Ok(job) } else { Err(none()) }
+}
+
+fn recipe_of(job: &Job) -> &str {
+    job.payload.as_str().unwrap_or_default()
 }
 
 /// How a file to download fares.
@@ -222,8 +250,8 @@ async fn find(app: &App, entry: &Arc<Entry>, key: String) -> Result<Arc<Ordered>
     )
 )]
 pub async fn state(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
-    let file = find(&app, &entry, key).await?;
+    let photo = app.photo(&id).await?;
+    let file = find(&app, &photo, &key).await?;
     Ok(ExportState::of(&app, &file).answer(StatusCode::OK))
 }
 
@@ -255,25 +283,28 @@ pub async fn file(
     _: NoQuery,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
-    let file = find(&app, &entry, key).await?;
-    match file.standing() {
-        Standing::Done(_) => {}
-        Standing::Failed(problem) => return Err(problem),
-        Standing::Queued | Standing::Working => {
-            return Err(Problem::new(StatusCode::CONFLICT, "not-ready", "the file is not written yet").retry_after(LATER));
+    let photo = app.photo(&id).await?;
+    let job = find(&app, &photo, &key).await?;
+    let blob = match (&job.result, &job.problem) {
+        (Some(blob), _) => blob,
+        (None, Some(problem)) if job.state == JobState::Failed => return Err(Problem::of_library(problem)),
+        (None, _) => return Err(Problem::new(StatusCode::CONFLICT, "not-ready", "the file is not written yet").retry_after(LATER)),
+    };
+    let stored = match Stored::of_blob(app.library.blobs(), Part::Export, blob).await {
+        Err(error @ LibraryError::Damaged { .. }) => {
+            tracing::error!(photo = %photo.id, key, %error, "it is written again when it is asked for");
+            app.library.cancel(photo.id, &key).await?;
+            return Err(Problem::not_found("the file has gone; ask for it again"));
         }
-    }
+        opened => opened?,
+    };
+    app.library.fetched(&job).await?;
     // not by the limits of today: it was written under those of then
-    let (content_type, ending) = Recipe::kind(&file.recipe).unwrap_or(("application/octet-stream", "bin"));
-    let (shared, wanted) = (Arc::clone(&app), Arc::clone(&file));
-    let opened = tokio::task::spawn_blocking(move || shared.jobs.fetch(&wanted)).await;
-    let opened = opened.map_err(|e| Problem::internal("opening a file", &e))?;
-    let (opened, record) = opened.ok_or_else(|| Problem::not_found("the file has gone; ask for it again"))?;
-    let source = Source::File(Arc::new(opened), record.bytes as usize);
-    let entity = Entity { source, etag: &record.etag, content_type, cache_control: REVALIDATE, coding: Coding::Plain };
+    let (content_type, ending) = Recipe::kind(recipe_of(&job)).unwrap_or(("application/octet-stream", "bin"));
+    let etag = format!("\"{key}-{}\"", blob.digest.as_str().get(..16).unwrap_or_default());
+    let entity = Entity { source: stored.source, etag: &etag, content_type, cache_control: REVALIDATE, coding: Coding::Plain };
     let mut response = respond(&headers, entity);
-    insert(&mut response, CONTENT_DISPOSITION, &attachment(&entry, ending));
+    insert(&mut response, CONTENT_DISPOSITION, &attachment(&photo, ending));
     Ok(response)
 }
 
@@ -287,9 +318,8 @@ pub async fn file(
     )
 )]
 pub async fn cancel(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<StatusCode, Problem> {
-    let entry = app.photo(&id)?;
-    let file = find(&app, &entry, key).await?;
-    let gone = tokio::task::spawn_blocking(move || app.jobs.forget_file(&file)).await;
-    gone.map_err(|e| Problem::internal("forgetting a file", &e))?;
+    let photo = app.photo(&id).await?;
+    find(&app, &photo, &key).await?;
+    app.library.cancel(photo.id, &key).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -40,6 +40,7 @@ use super::middleware;
 pub(super) use admin::router as admin_router;
 pub(super) use export::ExportQuery;
 pub(crate) use query::{NoBody, Pairs};
+pub(super) use state::Progress as Stage;
 pub(super) use view_query::{StereoKind, ViewQuery};
 
 use super::pages;

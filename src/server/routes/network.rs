@@ -1,7 +1,5 @@
 //! The depth network of the server, and photos made again with it.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
@@ -13,10 +11,10 @@ use super::query::{NoBody, NoQuery, Pairs};
 use super::state::PhotoState;
 use crate::server::app::{App, Shared};
 use crate::server::clock::Clock;
-use crate::server::jobs::Class;
 use crate::server::network::{Fetching, Offer};
 use crate::server::problem::Problem;
-use crate::server::traces;
+use crate::server::upload::class_of;
+use tmpi_library::Class;
 use tmpi_pipeline::networks::models::registry::better_than;
 
 /// The network that estimates depth, and the better one that can be had.
@@ -40,7 +38,7 @@ pub struct Network {
 }
 
 fn network_now(app: &Shared) -> Network {
-    let (maker, state) = (&app.jobs.maker, app.download.state());
+    let (maker, state) = (&app.maker, app.download.state());
     let (fetched_bytes, problem) = match state {
         Fetching::Idle => (None, None),
         Fetching::UnderWay(bytes) => (Some(bytes), None),
@@ -91,7 +89,7 @@ pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
 )]
 pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
     own(&app, &headers)?;
-    app.download.start(&app.jobs).map_err(|e| Problem::internal("fetching a network", &e))?;
+    app.download.start(&app.maker).map_err(|e| Problem::internal("fetching a network", &e))?;
     let now = network_now(&app);
     let status = if now.fetched_bytes.is_some() { StatusCode::ACCEPTED } else { StatusCode::OK };
     Ok((status, Json(now)).into_response())
@@ -126,12 +124,9 @@ pub async fn again(
     headers: HeaderMap,
     _: NoBody,
 ) -> Result<Response, Problem> {
-    let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), Class::of_photo);
+    let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), class_of);
     let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
-    let entry = app.photo(&id)?;
-    let (shared, photo) = (Arc::clone(&app), Arc::clone(&entry));
-    let trace = traces::current();
-    let queued = tokio::task::spawn_blocking(move || traces::within(trace, || shared.jobs.make_again(&photo, class)));
-    queued.await.map_err(|e| Problem::internal("making a photo again", &e))??;
-    answer(&app, &entry, &headers, &clock).await
+    let photo = app.photo(&id).await?;
+    let again = app.library.make_again(&photo, class, &Shared::asker(photo.owner.clone())).await?;
+    answer(&app, again, &headers, &clock).await
 }

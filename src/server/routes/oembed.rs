@@ -93,13 +93,9 @@ pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEm
     let most = (side("maxwidth")?, side("maxheight")?);
     let url = pairs.get("url").ok_or_else(|| Problem::parameter("url", "is missing"))?;
     let id = photo_of(&app, url).ok_or_else(|| Problem::not_found("the address is no photo's page of this server").field("url"))?;
-    let _held = match id.parse() {
-        Ok(id) => app.look_up(id, true).await?,
-        Err(_) => None,
-    };
-    let entry = app.photo(&id)?;
+    let photo = app.photo(&id).await?;
     let base = hosts::origin(request.headers()).ok_or_else(|| Problem::bad_request("the Host header is no host"))?;
-    let card = Card::of(&app, &entry, base.clone());
+    let card = Card::of(&app, &photo, base.clone());
     let (html, width, height) = card.frame(most);
     let picture = card.picture(most);
     let (thumbnail_width, thumbnail_height) = picture.as_ref().map(|p| (p.width, p.height)).unzip();

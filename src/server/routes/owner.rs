@@ -1,7 +1,5 @@
 //! Links by which others may read a photo for a while, or change it until its owner takes that back, and a browser's own secret.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::header::CACHE_CONTROL;
@@ -60,8 +58,7 @@ pub struct PhotoLink {
     )
 )]
 pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: NoBody) -> Result<Json<PhotoLink>, Problem> {
-    let entry = app.photo(&id)?;
-    let photo = entry.id;
+    let photo = app.photo(&id).await?;
     let pairs = Pairs::read(&uri, &["seconds"])?;
     let most = app.limits.link.as_secs();
     let wrong = |text: &str| Problem::parameter("seconds", format!("must be from 1 to {most}, not {text:?}"));
@@ -72,13 +69,14 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: 
         return Err(Problem::parameter("seconds", detail));
     }
     let seconds = given.unwrap_or(USUAL.min(most));
-    let expires = app.guard.as_ref().map(|_| access::now() + seconds);
-    let query = app.guard.as_ref().zip(expires).map(|(guard, expires)| guard.query(&entry, expires));
+    let now = app.library.now().await?.max(0) as u64 / 1000;
+    let expires = app.guard.as_ref().map(|_| now + seconds);
+    let query = app.guard.as_ref().zip(expires).map(|(guard, expires)| guard.query(&photo, expires));
     let address = |path: String| query.as_ref().map_or(path.clone(), |query| format!("{path}?{query}"));
-    let manage = app.guard.as_ref().map(|guard| guard.manage_link(&entry));
+    let manage = app.guard.as_ref().map(|guard| guard.manage_link(&photo));
     Ok(Json(PhotoLink {
-        page: address(format!("/view/{photo}")),
-        atlas: address(format!("/v1/photos/{photo}/atlas")),
+        page: address(format!("/view/{}", photo.id)),
+        atlas: address(format!("/v1/photos/{}/atlas", photo.id)),
         query,
         expires,
         manage,
@@ -106,7 +104,7 @@ pub async fn keep_token(
     headers: HeaderMap,
     _: NoBody,
 ) -> Result<Response, Problem> {
-    let photo = app.photo(&id)?.id;
+    let photo = app.photo(&id).await?.id;
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(token) = access::token() {
         access::set_manage(&mut response, &headers, photo, &token);
@@ -128,19 +126,9 @@ pub async fn keep_token(
     )
 )]
 pub async fn take_back(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
-    let entry = app.photo(&id)?;
-    let shared = Arc::clone(&app);
-    let taken = app.change(move || {
-        let _gate = entry.gate();
-        if entry.is_deleted() {
-            return Err(Problem::not_found("the photo was deleted"));
-        }
-        let settings = entry.settings().without_links();
-        shared.jobs.write_settings(entry.id, &settings)?;
-        entry.set_settings(settings);
-        Ok(StatusCode::NO_CONTENT)
-    });
-    taken.await?
+    let photo = app.photo(&id).await?;
+    app.library.revoke_links(photo.id).await?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// What makes another browser the same owner.
@@ -169,8 +157,8 @@ pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Res
         let detail = "only whoever has an owner's secret can let another browser be that owner";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-owner", detail));
     };
-    let expires = access::now() + access::TICKET_SECONDS;
-    let mut response = Json(Ticket { ticket: guard.ticket(&owner, expires), expires }).into_response();
+    let expires = app.library.now().await?.max(0) as u64 / 1000 + access::TICKET.as_secs();
+    let mut response = Json(Ticket { ticket: guard.ticket(&owner).await?, expires }).into_response();
     insert(&mut response, CACHE_CONTROL, "private, no-store");
     Ok(response)
 }
@@ -197,13 +185,13 @@ pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBod
     };
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(guard) = &app.guard
-        && let Some((owner, kept)) = access::to_keep(guard)
+        && let Some(owner) = access::to_be()
     {
-        if !replace && guard.is_another(&headers, &owner) {
+        if !replace && guard.is_another(&headers, &owner).await? {
             let detail = "the browser keeps the secret of another owner, which would be lost; replace=true does it all the same";
             return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
         }
-        access::set_owner(&mut response, &headers, &kept);
+        access::set_owner(&mut response, &headers, &guard.to_keep(&owner).await?);
     }
     Ok(response)
 }

@@ -1,6 +1,5 @@
 //! Upload, state, list and deletion of photos.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
@@ -13,17 +12,16 @@ use bytes::Bytes;
 use super::better::better_depth;
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
-use crate::server::access::{Guard, Owner};
+use crate::server::access::Guard;
 use crate::server::app::{App, Stored};
 use crate::server::body;
 use crate::server::clock::Clock;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, respond_once};
-use crate::server::entry::{Entry, Status};
-use crate::server::id::PhotoId;
 use crate::server::identity::short;
 use crate::server::problem::Problem;
 use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::upload;
+use tmpi_library::{Cursor, Event, Filter, LibraryError, Owner, Page, Photo, PhotoState as Phase};
 
 /// Part of the time limit of a request that is left to answer it.
 pub(super) const ANSWER: Duration = Duration::from_millis(500);
@@ -83,7 +81,7 @@ pub struct UploadForm {
 /// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`).
 /// Once this answers, the photo is on disk and is made even if the server is restarted. Photo, depth map and options give
 /// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again. It takes the title and the visibility that
-/// the upload names, and is the first of the list.
+/// the upload names.
 #[utoipa::path(
     post, path = "/v1/photos", tag = "photos",
     params(
@@ -121,9 +119,11 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, 
     let Query(query) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
     let (owner, is_new) = uploader(&app)?;
     // before the body comes
-    app.quota(owner.as_ref(), length_told(request.headers())).await?;
-    let entry = upload::take(&app, &query, request, owner).await?.entry;
-    accepted(&app, &entry, &clock, wait, is_new).await
+    if let Some(owner) = &owner {
+        app.library.check_quota(owner, length_told(request.headers()), None).await?;
+    }
+    let photo = upload::take(&app, &query, request, owner).await?;
+    accepted(&app, photo, &clock, wait, is_new).await
 }
 
 /// Bytes of the body, as far as that is told.
@@ -138,21 +138,16 @@ fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
 }
 
 /// The answer to an upload that was accepted; whoever was nobody before is told the photo's token, without which they could not see it.
-async fn accepted(app: &App, entry: &Arc<Entry>, clock: &Clock, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
-    let mut ready = false;
-    if let Some(seconds) = wait {
-        // counted from the end of the body; the longest wait is what the request has left
-        let left = clock.deadline().map_or(Duration::ZERO, |at| at.saturating_duration_since(tokio::time::Instant::now()));
-        let until = tokio::time::Instant::now() + left.saturating_sub(ANSWER).min(Duration::from_secs(seconds));
-        ready = wait_for(app, entry, until).await;
-    }
-    if let (true, Status::Failed(failed) | Status::Damaged(failed)) = (ready, entry.status()) {
-        let mut response = failed.problem.into_response();
-        insert(&mut response, LOCATION, &format!("/v1/photos/{}", entry.id));
+async fn accepted(app: &App, photo: Photo, clock: &Clock, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
+    let photo = wait_for(app, photo, clock, wait).await?;
+    let ready = wait.is_some() && photo.state.is_final();
+    if ready && photo.state != Phase::Done {
+        let mut response = Problem::of_photo(&photo).into_response();
+        insert(&mut response, LOCATION, &format!("/v1/photos/{}", photo.id));
         return Ok(response);
     }
-    let mut state = PhotoState::of(app, entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
-    state.links.manage = app.guard.as_ref().filter(|_| is_new).map(|guard| guard.manage_link(entry));
+    let mut state = PhotoState::of(app, &photo).await?;
+    state.links.manage = app.guard.as_ref().filter(|_| is_new).map(|guard| guard.manage_link(&photo));
     let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
     let location = state.links.this.clone();
     let mut response = (status, Json(state)).into_response();
@@ -163,13 +158,35 @@ async fn accepted(app: &App, entry: &Arc<Entry>, clock: &Clock, wait: Option<u64
     Ok(response)
 }
 
-/// Waits until nothing follows, `until`, or the server stops; true where nothing follows.
-pub(super) async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) -> bool {
-    let mut watch = entry.watch();
-    tokio::select! {
-        seen = watch.wait_for(|live| live.status.is_final()) => seen.is_ok(),
-        () = tokio::time::sleep_until(until) => false,
-        () = app.stop.cancelled() => false,
+/// The photo once nothing follows, or so many seconds are over, or the request's time nearly is, or the server stops.
+///
+/// # Errors
+/// 404 where it was deleted, 503 where the library cannot be reached.
+pub(super) async fn wait_for(app: &App, photo: Photo, clock: &Clock, wait: Option<u64>) -> Result<Photo, Problem> {
+    let Some(seconds) = wait else { return Ok(photo) };
+    // counted from the end of the body; the longest wait is what the request has left
+    let left = clock.deadline().map_or(Duration::ZERO, |at| at.saturating_duration_since(tokio::time::Instant::now()));
+    let until = tokio::time::Instant::now() + left.saturating_sub(ANSWER).min(Duration::from_secs(seconds));
+    let (id, mut events) = (photo.id, app.library.subscribe());
+    loop {
+        let photo = app.library.find(id).await?.ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
+        if photo.state.is_final() {
+            return Ok(photo);
+        }
+        let news = async {
+            loop {
+                match events.next().await {
+                    Some(Event::Photo(of) | Event::Deleted(of)) if of == id => break,
+                    Some(Event::Gap) | None => break,
+                    Some(_) => {}
+                }
+            }
+        };
+        tokio::select! {
+            () = news => {}
+            () = tokio::time::sleep_until(until) => return Ok(photo),
+            () = app.stop.cancelled() => return Ok(photo),
+        }
     }
 }
 
@@ -223,22 +240,27 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         Some(text) => Some(cursor(&app, text).await.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))?),
         None => None,
     };
-    let page = app.list(after, limit).await?;
-    // the next page is found by age as well, so that it is found even if the last photo of this one is deleted
-    let last = page.photos.last().filter(|_| page.more).map(|e| e.key());
-    let next = last.map(|(at_ms, id)| format!("/v1/photos?limit={limit}&after={at_ms}-{id}"));
-    let photos = page.photos.iter().filter_map(|entry| PhotoState::of(&app, entry)).collect();
+    let page = match app.guard.as_ref().filter(|_| !Guard::has_all()).map(|_| Guard::owner()) {
+        // a stranger has none
+        Some(None) => Page { photos: Vec::new(), next: None },
+        Some(owner) => app.library.list(&Filter { owner, ..Filter::default() }, after, limit).await?,
+        None => app.library.list(&Filter::default(), after, limit).await?,
+    };
+    let next = page.next.map(|next| format!("/v1/photos?limit={limit}&after={next}"));
+    let mut photos = Vec::with_capacity(page.photos.len());
+    for photo in &page.photos {
+        photos.push(PhotoState::of(&app, photo).await?);
+    }
     let list = serde_json::to_vec(&PhotoList { photos, next }).map_err(|e| Problem::internal("writing the list", &e))?;
     Ok(respond_once(request.headers(), list.into(), "application/json"))
 }
 
-async fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
-    if let Some((at_ms, id)) = text.split_once('-') {
-        return Some((at_ms.parse().ok()?, id.parse().ok()?));
+/// A place in the list: that of a page before, or of a photo.
+async fn cursor(app: &App, text: &str) -> Option<Cursor> {
+    match text.parse() {
+        Ok(cursor) => Some(cursor),
+        Err(_) => app.photo(text).await.ok().map(|photo| Cursor::from(&photo)),
     }
-    // it may be known here no longer, or not yet
-    let _held = app.look_up(text.parse().ok()?, true).await;
-    app.photo(text).ok().map(|entry| entry.key())
 }
 
 /// State, sizes and settings of a photo.
@@ -252,10 +274,11 @@ async fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
     )
 )]
 pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
-    // first: a report that is lost takes the photo out of service
-    let better = better_depth(&app, &entry).await;
-    let state = state_now(&app, &entry, better)?;
+    let photo = app.photo(&id).await?;
+    let better = better_depth(&app, &photo).await;
+    // a report that is lost has taken the photo out of service
+    let photo = if photo.state == Phase::Done { app.photo(&id).await? } else { photo };
+    let state = state_now(&app, &photo, better).await?;
     Ok(respond(
         &headers,
         Entity {
@@ -281,7 +304,7 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
     )
 )]
 pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
-    let settings = app.photo(&id)?.settings().shown();
+    let settings = Settings::of(&app.photo(&id).await?);
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = Stored::new(bytes);
     let entity =
@@ -290,9 +313,8 @@ pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery
 }
 
 /// The state as it is sent. The first half of its tag names the settings, which alone can be changed, the second half all of it.
-fn state_now(app: &App, entry: &Entry, better_depth: Option<String>) -> Result<Stored, Problem> {
-    let state = PhotoState::of(app, entry).ok_or_else(|| Problem::not_found("the photo was deleted"))?;
-    let state = PhotoState { better_depth, ..state };
+async fn state_now(app: &App, photo: &Photo, better_depth: Option<String>) -> Result<Stored, Problem> {
+    let state = PhotoState { better_depth, ..PhotoState::of(app, photo).await? };
     let wrong = |e| Problem::internal("writing a photo's state", &e);
     let (settings, all) = (serde_json::to_string(&state.settings).map_err(wrong)?, serde_json::to_vec(&state).map_err(wrong)?);
     Ok(Stored::derived_in_memory(&short(&settings), all))
@@ -319,22 +341,18 @@ fn state_now(app: &App, entry: &Entry, better_depth: Option<String>) -> Result<S
     )
 )]
 pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, request: Request) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
+    let mut photo = app.photo(&id).await?;
     let (headers, patch) = merge_patch(request, PATCH_BYTES, "settings").await?;
-    let shared = Arc::clone(&app);
-    let changed = app.change(move || {
-        // one change at a time, and none into a folder that goes
-        let _gate = entry.gate();
-        if entry.is_deleted() {
-            return Err(Problem::not_found("the photo was deleted"));
+    let changed = loop {
+        still_as_seen(&headers, &state_now(&app, &photo, None).await?.etag)?;
+        let settings = Settings::of(&photo).patched(&patch)?;
+        match app.library.set_settings(&photo, &settings.to_value()).await {
+            // somebody was quicker: it is looked at again
+            Err(LibraryError::Changed) => photo = app.photo(&id).await?,
+            changed => break changed?,
         }
-        still_as_seen(&headers, &state_now(&shared, &entry, None)?.etag)?;
-        let settings = entry.settings().patched(&patch)?;
-        shared.jobs.write_settings(entry.id, &settings)?;
-        entry.set_settings(settings);
-        state_now(&shared, &entry, None)
-    });
-    let state = changed.await??;
+    };
+    let state = state_now(&app, &changed, None).await?;
     let length = state.source.len();
     let mut response = Response::new(state.source.body(0..length));
     insert(&mut response, CONTENT_TYPE, "application/json");
@@ -376,15 +394,10 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
     )
 )]
 pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<StatusCode, Problem> {
-    let entry = app.photo(&id)?;
-    let photo = entry.id;
-    let shared = Arc::clone(&app);
-    let deleted = app.change(move || {
-        still_as_seen(&headers, &state_now(&shared, &entry, None)?.etag)?;
-        shared.jobs.delete(photo)
-    });
-    let deleted = deleted.await??;
-    app.forget(photo).await;
+    let photo = app.photo(&id).await?;
+    still_as_seen(&headers, &state_now(&app, &photo, None).await?.etag)?;
+    let deleted = app.library.delete(photo.id, Some(photo.accepted_at)).await?;
+    app.forget(photo.id).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }
 

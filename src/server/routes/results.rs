@@ -8,9 +8,9 @@ use super::query::{OnlyVersion, Pairs};
 use crate::server::app::{App, Shared, Stored};
 use crate::server::conditional::{Coding, Entity, kept, respond};
 use crate::server::problem::Problem;
-use crate::server::store::Part;
 use tmpi_core::Rect;
 use tmpi_core::container::{LEVELS, MEDIA_TYPE, SECTIONS};
+use tmpi_library::Part;
 use tmpi_pipeline::strokes;
 
 /// The container of a photo.
@@ -51,16 +51,16 @@ use tmpi_pipeline::strokes;
     )
 )]
 pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
+    let photo = app.photo(&id).await?;
     // a wrong query is wrong whether the photo is finished or not
     let pairs = Pairs::read(&uri, &["level", "fit", "region", "sections", "v"])?;
     wanted_level(&pairs, 0)?;
     let (sections, region) = (wanted_sections(&pairs)?, wanted_region(&pairs)?);
-    let (version, done) = Shared::done(&entry)?;
+    let (_, done) = Shared::done(&photo)?;
     let side = region.map_or(done.width.max(done.height), |r| r.w.max(r.h));
     let level = wanted_level(&pairs, side)?;
     let cache_control = kept(pairs.get("v"), || app.version(&done));
-    let file = app.container(version, &done, (level, region), sections.as_deref()).await?;
+    let file = app.container(&photo, (level, region), sections.as_deref()).await?;
     Ok(answer(file, &headers, MEDIA_TYPE, cache_control, Coding::Plain))
 }
 
@@ -111,7 +111,7 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
     )
 )]
 pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
+    let photo = app.photo(&id).await?;
     let mut pairs = Pairs::read(&uri, &["before", "v"])?;
     let before = match pairs.get("before") {
         None => false,
@@ -121,9 +121,9 @@ pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     if !before {
         return stored(&app, &id, &OnlyVersion(pairs.take("v")), &headers, Part::Disparity, "image/png").await;
     }
-    let (version, done) = Shared::done(&entry)?;
+    let (_, done) = Shared::done(&photo)?;
     let cache_control = kept(pairs.get("v"), || app.version(&done));
-    let file = app.file(version, &done, Part::Disparity).await?;
+    let file = app.file(&photo, Part::Disparity).await?;
     let head = file.source.head(strokes::HEAD).await.map_err(|e| Problem::store(&e))?;
     let none = || Problem::not_found("no map of before the strokes is kept: the photo has none, or an older program made it");
     let map = strokes::before(&head).ok_or_else(none)?;
@@ -169,10 +169,10 @@ pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, v: OnlyVe
 }
 
 async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
-    let entry = app.photo(id)?;
-    let (version, done) = Shared::done(&entry)?;
+    let photo = app.photo(id).await?;
+    let (_, done) = Shared::done(&photo)?;
     let cache_control = kept(v.0.as_deref(), || app.version(&done));
-    let file = app.file(version, &done, part).await?;
+    let file = app.file(&photo, part).await?;
     let coding = if part == Part::Report { Coding::Gzip } else { Coding::Plain };
     Ok(answer(file, headers, content_type, cache_control, coding))
 }

@@ -2,15 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::server::app::Shared;
-use crate::server::entry::{Entry, Live, Status};
+use crate::server::made::Done;
 use crate::server::options;
 use crate::server::problem::Problem;
-use crate::server::retain;
 use crate::server::settings::{Settings, Visibility};
 use crate::server::time::rfc3339;
+use tmpi_library::{Kind, LibraryError, Part, Photo, PhotoState as Phase};
 
 /// How a photo fares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
@@ -29,7 +29,7 @@ pub enum StateName {
 }
 
 /// Stage that a photo is at.
-#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Progress {
     /// Name of the stage: `photo`, `depth`, `planes`, and so on.
     pub stage: String,
@@ -105,7 +105,7 @@ pub struct PhotoState {
     pub expires: Option<String>,
     /// Photos that are made before this one; only while it waits.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub position: Option<usize>,
+    pub position: Option<u64>,
     /// What keeps it from being made, a fault of the server's; only while it waits.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub waits_for: Option<String>,
@@ -158,46 +158,75 @@ pub struct PhotoList {
     pub next: Option<String>,
 }
 
+impl From<Phase> for StateName {
+    fn from(state: Phase) -> Self {
+        match state {
+            Phase::Queued => Self::Queued,
+            Phase::Working => Self::Working,
+            Phase::Done => Self::Done,
+            Phase::Failed => Self::Failed,
+            Phase::Damaged => Self::Damaged,
+        }
+    }
+}
+
 impl PhotoState {
-    /// The state of `entry` now; none where it was deleted.
-    #[must_use]
-    pub fn of(app: &Shared, entry: &Entry) -> Option<Self> {
-        Self::from_live(app, entry, entry.live())
+    /// The state of a photo as it was read.
+    ///
+    /// # Errors
+    /// 503 where the library cannot be reached.
+    pub async fn of(app: &Shared, photo: &Photo) -> Result<Self, Problem> {
+        let mut state = Self::of_row(app, photo);
+        match photo.state {
+            Phase::Queued => {
+                state.position = app.library.position(Kind::Make, photo.id, None).await?.map(|position| position.ahead);
+                state.waits_for = match app.library.job(Kind::Make, photo.id, None).await {
+                    Ok(job) => job.problem.filter(|problem| problem.kind == "fault").map(|problem| problem.detail),
+                    Err(LibraryError::NotFound(_)) => None,
+                    Err(error) => return Err(error.into()),
+                };
+            }
+            Phase::Working => {
+                let said = app.library.progress_of(photo.id);
+                state.progress = said.and_then(|said| serde_json::from_value(said).ok());
+            }
+            Phase::Done | Phase::Failed | Phase::Damaged => {}
+        }
+        Ok(state)
     }
 
-    /// The state of `entry` as in `live`.
-    #[must_use]
-    pub fn from_live(app: &Shared, entry: &Entry, live: Live) -> Option<Self> {
-        let (accepted, settings) = (&entry.accepted, entry.settings());
-        let poster = settings.poster_query(&options::view_box_of(&accepted.options)).map(|query| format!("/view?{query}"));
-        let at = |part: &str| format!("/v1/photos/{}{part}", entry.id);
-        let version = if let Status::Done(done) = &live.status { Some(app.version(done)) } else { None };
+    /// The same, but for what the row of the photo does not say.
+    fn of_row(app: &Shared, photo: &Photo) -> Self {
+        let (settings, done) = (Settings::of(photo), Done::of(photo));
+        let poster = settings.poster_query(&options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
+        let at = |part: &str| format!("/v1/photos/{}{part}", photo.id);
+        let version = done.as_ref().map(|done| app.version(done));
         // what lies there never changes, so browsers need not ask again
         let fixed = |part: &str| match &version {
             Some(v) => at(&format!("{part}{}v={v}", if part.contains('?') { '&' } else { '?' })),
             None => at(part),
         };
-        let damaged = matches!(live.status, Status::Damaged(_));
-        let mut state = Self {
-            id: entry.id.to_string(),
-            state: StateName::Queued,
-            created: rfc3339(accepted.at_ms),
-            finished: None,
-            expires: retain::expires(&app.limits, accepted.at_ms),
+        let bytes = |part| photo.blobs.get(&part).map(|blob| blob.bytes);
+        Self {
+            id: photo.id.to_string(),
+            state: photo.state.into(),
+            created: rfc3339(photo.accepted_at),
+            finished: photo.finished_at.map(rfc3339),
+            expires: app.library.ends_at(photo.accepted_at).map(rfc3339),
             position: None,
             waits_for: None,
             progress: None,
-            problem: None,
-            photo_bytes: accepted.photo_bytes,
-            depth_bytes: accepted.depth_bytes,
-            atlas_bytes: None,
-            width: None,
-            height: None,
+            problem: matches!(photo.state, Phase::Failed | Phase::Damaged).then(|| Problem::of_photo(photo)),
+            photo_bytes: bytes(Part::Upload).unwrap_or_default(),
+            depth_bytes: bytes(Part::Depth),
+            atlas_bytes: done.as_ref().map(|done| done.atlas_bytes),
+            width: done.as_ref().map(|done| done.width),
+            height: done.as_ref().map(|done| done.height),
             version: version.clone(),
             better_depth: None,
             visibility: app.guard.as_ref().map(|_| settings.visibility.unwrap_or(Visibility::Private)),
-            settings: settings.shown(),
-            options: accepted.options.clone(),
+            settings,
+            options: photo.options.clone(),
             links: Links {
                 this: at(""),
                 events: at("/events"),
@@ -210,30 +239,10 @@ impl PhotoState {
                 thumbnail: fixed("/thumbnail"),
                 poster: fixed(poster.as_deref().unwrap_or("/thumbnail")),
                 export: at("/export"),
-                page: format!("/view/{}", entry.id),
-                embed: format!("/embed/{}", entry.id),
+                page: format!("/view/{}", photo.id),
+                embed: format!("/embed/{}", photo.id),
                 manage: None,
             },
-        };
-        match live.status {
-            Status::Queued => (state.position, state.waits_for) = (app.jobs.position(entry.id), app.jobs.trouble()),
-            Status::Working => {
-                state.state = StateName::Working;
-                state.progress = live.stages.last().map(Progress::from);
-            }
-            Status::Done(done) => {
-                state.state = StateName::Done;
-                state.finished = Some(rfc3339(done.at_ms));
-                state.atlas_bytes = Some(done.atlas_bytes);
-                (state.width, state.height) = (Some(done.width), Some(done.height));
-            }
-            Status::Failed(failed) | Status::Damaged(failed) => {
-                state.state = if damaged { StateName::Damaged } else { StateName::Failed };
-                state.finished = Some(rfc3339(failed.at_ms));
-                state.problem = Some(failed.problem);
-            }
-            Status::Deleted => return None,
         }
-        Some(state)
     }
 }

@@ -1,7 +1,5 @@
 //! Touch-up of a photo's depth.
 
-use std::sync::Arc;
-
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::Response;
@@ -10,13 +8,18 @@ use super::again;
 use super::photos::merge_patch;
 use super::query::NoQuery;
 use super::state::PhotoState;
-use crate::server::app::App;
+use crate::server::app::{App, Shared, Stored};
 use crate::server::clock::Clock;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::problem::Problem;
-use crate::server::strokes::stored;
-use crate::server::traces;
-use tmpi_pipeline::strokes::{BYTES, Stroke, patch};
+use crate::server::settings::still_as_seen;
+use tmpi_library::Content;
+use tmpi_pipeline::strokes::{BYTES, Stroke, patch, write};
+
+/// Strokes as they are sent and kept, tagged by their bytes.
+fn stored(strokes: &[Stroke]) -> Stored {
+    Stored::new(write(strokes))
+}
 
 /// Strokes over a photo.
 #[derive(utoipa::ToSchema)]
@@ -51,9 +54,8 @@ pub struct StrokesPatch {
     )
 )]
 pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
-    let photo = app.photo(&id)?.id;
-    let read = tokio::task::spawn_blocking(move || app.jobs.strokes(photo)).await;
-    let file = stored(&read.map_err(|e| Problem::internal("reading strokes", &e))?.map_err(|e| Problem::store(&e))?);
+    let photo = app.photo(&id).await?;
+    let file = stored(&app.strokes(&photo).await?);
     let entity =
         Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE, coding: Coding::Gzip };
     Ok(respond(&headers, entity))
@@ -94,21 +96,19 @@ pub async fn touch_up(
     _: NoQuery,
     request: Request,
 ) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
+    let photo = app.photo(&id).await?;
     let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
-    let (shared, photo, seen) = (Arc::clone(&app), Arc::clone(&entry), headers.clone());
-    let trace = traces::current();
-    let change = move || {
-        let wanted = match patch(&body).map_err(|e| Problem::from(&e))? {
-            Some(strokes) => strokes,
-            None => shared.jobs.strokes(photo.id).map_err(|e| Problem::store(&e))?,
-        };
-        let changed = shared.jobs.touch_up(&photo, &seen, &wanted)?;
-        Ok::<_, Problem>((changed, stored(&wanted).etag))
+    let before = app.strokes(&photo).await?;
+    let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
+    still_as_seen(&headers, &stored(&before).etag)?;
+    let answer = if before == wanted {
+        again::state(&app, &photo, StatusCode::OK).await
+    } else {
+        let asker = Shared::asker(photo.owner.clone());
+        let again = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &asker).await?;
+        again::answer(&app, again, &headers, &clock).await
     };
-    let changed = tokio::task::spawn_blocking(move || traces::within(trace, change));
-    let (changed, etag) = changed.await.map_err(|e| Problem::internal("changing strokes", &e))??;
-    let answer = if changed { again::answer(&app, &entry, &headers, &clock).await } else { again::state(&app, &entry, StatusCode::OK) };
+    let etag = stored(&wanted).etag;
     let mut response = answer?;
     if response.status().is_success() {
         insert(&mut response, header::ETAG, &etag);

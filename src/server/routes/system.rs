@@ -12,11 +12,13 @@ use sha2::{Digest, Sha256};
 use super::query::NoQuery;
 use crate::server::app::App;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
-use crate::server::id::hex;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::process;
 use crate::server::telemetry::{MEDIA_TYPE, gauge};
+use tmpi_library::Class::Batch;
+use tmpi_library::hex;
+use tmpi_library::{Kind, PhotoState as Phase};
 
 /// Health of the server.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -41,8 +43,8 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     Json(HEALTHY)
 }
 
-/// The server takes uploads: it was not told to stop, the queue has room, the data directory can be written, nothing of the server keeps
-/// photos from being made, and NATS can be reached where rooms alone are shared.
+/// The server takes uploads: it was not told to stop, the queue has room, the library can be written, and nothing of the server keeps
+/// photos from being made.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
@@ -52,19 +54,15 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     )
 )]
 pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
-    let (storage, trouble) = (app.storage(), app.jobs.trouble());
-    // photos of a store are taken and made all the same
-    let alone = app.rooms.get().and_then(|rooms| rooms.trouble()).filter(|_| app.jobs.cluster.is_none());
-    let why = if app.leaving.load(Ordering::Acquire) || !app.jobs.is_accepting() {
+    let (storage, trouble) = (app.storage(), app.trouble());
+    let why = if app.leaving.load(Ordering::Acquire) || app.stop.is_cancelled() {
         "the server is stopping"
-    } else if app.jobs.free_places() == 0 {
+    } else if app.library.free_places().await? == 0 {
         "the queue is full"
     } else if let Some(why) = storage {
         why
     } else if let Some(reason) = &trouble {
         reason
-    } else if let Some(why) = alone {
-        why
     } else {
         return Ok(Json(HEALTHY));
     };
@@ -80,41 +78,36 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
     )
 )]
 pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
-    let counts = app.jobs.counts();
+    let counts = match app.library.statistics().await {
+        Ok(counts) => counts,
+        Err(error) => return Problem::from(error).into_response(),
+    };
+    let of_state = |state| counts.photos.get(&state).copied().unwrap_or_default() as f64;
+    let of_kinds = |kinds: &[Kind]| kinds.iter().map(|kind| counts.waiting_of(*kind)).sum::<u64>() as f64;
     let waiting = |class| app.pool.waiting(class) as f64;
-    let queued = app.jobs.waiting();
-    let of_class = |name| queued.iter().find(|(class, _)| *class == name).map_or(0.0, |(_, n)| *n as f64);
+    let batch = counts.waiting.get(&(Kind::Make, Batch)).copied().unwrap_or_default();
     let mut figures = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
-    figures.extend(app.jobs.cluster.as_ref().map(|cluster| cluster.counts()).unwrap_or_default());
-    figures.extend(if app.jobs.cluster.is_some() {
-        vec![
-            gauge("tmpi_photos_known", "Photos of the store that this node has in memory; it counts no others", counts.known as f64),
-            gauge("tmpi_photos_damaged", "Finished photos of these that this node found damaged in the store", counts.damaged as f64),
-        ]
-    } else {
-        vec![
-            gauge("tmpi_photos_done", "Finished photos of a node alone; nodes of a store do not know all of them", counts.done as f64),
-            gauge("tmpi_photos_failed", "Photos of a node alone that could not be made", counts.failed as f64),
-            gauge("tmpi_photos_damaged", "Finished photos that are damaged on disk", counts.damaged as f64),
-        ]
-    });
     figures.extend([
-        gauge(
-            "tmpi_queue_depth",
-            "Photos that wait; in a store, all that are pending there and not being made as far as this node heard",
-            counts.queued as f64,
-        ),
+        gauge("tmpi_photos_done", "Finished photos of all nodes", of_state(Phase::Done)),
+        gauge("tmpi_photos_failed", "Photos that could not be made", of_state(Phase::Failed)),
+        gauge("tmpi_photos_damaged", "Finished photos that are damaged", of_state(Phase::Damaged)),
+        gauge("tmpi_photos_bytes", "Bytes of all photos with their results", counts.bytes as f64),
+        gauge("tmpi_queue_depth", "Photos that wait, at all nodes together", of_kinds(&[Kind::Make])),
+        gauge("tmpi_queue_longest_wait_seconds", "How long the job that waits longest has waited", counts.longest_wait.as_secs_f64()),
         gauge("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
         gauge("tmpi_connections_limit", "Connections that may be open", app.limits.connections as f64),
-        gauge("tmpi_jobs_running", "Photos that this node is making", counts.working as f64),
-        gauge("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
+        gauge(
+            "tmpi_jobs_running",
+            "Photos that are being made, at all nodes together",
+            counts.working.get(&Kind::Make).copied().unwrap_or_default() as f64,
+        ),
         gauge("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
         gauge("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
         gauge("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),
         gauge("tmpi_export_cache_bytes", "Disk of files to download", app.exports.bytes() as f64),
         gauge("tmpi_level_cache_bytes", "Memory of smaller levels and parts of containers", app.levels.bytes() as f64),
         gauge("tmpi_work_memory_bytes", "Memory given out to work on scenes", app.pool.bytes() as f64),
-        gauge("tmpi_job_memory_bytes", "Memory that photos under way may take", app.jobs.memory.taken() as f64),
+        gauge("tmpi_job_memory_bytes", "Memory that photos under way may take", app.memory.taken() as f64),
         gauge(
             "tmpi_work_memory_limit_bytes",
             "Memory that work on scenes may have, besides films and files",
@@ -126,27 +119,22 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         gauge("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
         gauge("tmpi_views_waiting_limit", "Views that may wait, and, apart from them, levels and parts", app.limits.views_waiting as f64),
         gauge("tmpi_exports_waiting_limit", "Films and files that may wait", app.limits.exports_waiting as f64),
-        gauge("tmpi_exports_stored_bytes", "Disk of files that were written as jobs", app.jobs.exports.bytes() as f64),
-        gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_class("export")),
-        gauge("tmpi_batch_queued", "Photos of many that wait", of_class("batch")),
+        gauge("tmpi_exports_stored_bytes", "Bytes of files that were written as jobs", counts.exports_bytes as f64),
+        gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_kinds(&[Kind::Export, Kind::Film])),
+        gauge("tmpi_batch_queued", "Photos of many that wait", batch as f64),
         gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
     // the file systems of some answer slowly
     let shared = App::clone(&app);
     let looked = tokio::task::spawn_blocking(move || {
         let mut figures = process::figures();
-        figures.extend(shared.jobs.store.left().into_iter().flat_map(|(room, (bytes, files))| {
-            let of_files = [
-                gauge("tmpi_data_free_files", "Files that the disk of the data directory can still have", room.files as f64),
-                gauge("tmpi_data_least_free_files", "Of these, those that are kept free", files as f64),
-            ];
-            let of_bytes = [
-                gauge("tmpi_data_free_bytes", "Free room on the disk of the data directory", room.bytes as f64),
-                gauge("tmpi_data_least_free_bytes", "Of that, what is kept free", bytes as f64),
-            ];
+        if let Some(room) = shared.library.blobs().disk() {
+            figures.push(gauge("tmpi_data_free_bytes", "Free room on the disk of the data directory", room.bytes as f64));
             // some file systems have no limit
-            of_bytes.into_iter().chain(of_files.into_iter().filter(move |_| room.all_files > 0))
-        }));
+            if room.all_files > 0 {
+                figures.push(gauge("tmpi_data_free_files", "Files that the disk of the data directory can still have", room.files as f64));
+            }
+        }
         figures
     });
     figures.extend(looked.await.unwrap_or_default());

@@ -9,14 +9,15 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Full, Shared, Stored, Version, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
+use crate::server::made::Done;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
-use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
+use tmpi_library::Photo;
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 
 use super::derived::Derived;
@@ -86,9 +87,9 @@ pub async fn view(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
+    let photo = app.photo(&id).await?;
     let query = ViewQuery::read(&uri, &app.limits)?;
-    let (version, done) = Shared::done(&entry)?;
+    let (version, done) = Shared::done(&photo)?;
     let size = query.size((done.width, done.height), &app.limits)?;
     let still = query.moving.map(|_| PictureFormat::default());
     let format = picked(query.format.or(still), &headers)?;
@@ -102,18 +103,18 @@ pub async fn view(
     let full = if query.moving.is_some() { Full::Refuse } else { Full::Memory };
     // whoever asks for the same view meanwhile waits for this one
     let drawn = async {
-        let (bytes, took) = draw(&app, (version, &done), &query, size, format).await?;
+        let (bytes, took) = draw(&app, (&photo, &done), &query, size, format).await?;
         timing = took;
-        let (name, shared) = (derived.made.clone(), Arc::clone(&app));
-        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.jobs.store, full));
+        let (name, disk) = (derived.made.clone(), app.disk());
+        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &disk, full));
         keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
     };
     let key = (version, derived.made.clone());
     let stored = if query.moving.is_some() {
         clock.allow(app.limits.export);
-        app.exports.get(key, drawn.map_ok(Export)).await?.0
+        app.exports.get(key, Box::pin(drawn.map_ok(Export))).await?.0
     } else {
-        app.views.get(key, drawn).await?
+        app.views.get(key, Box::pin(drawn)).await?
     };
     count(&app, &timing);
     let content_type = query.moving.map_or(format.media_type(), |moving| moving.format.media_type());
@@ -133,7 +134,7 @@ fn count(app: &App, timing: &[(&'static str, Duration)]) {
 /// Draws and encodes; with what each phase took.
 async fn draw(
     app: &App,
-    (version, done): (Version, &Done),
+    (photo, done): (&Photo, &Done),
     query: &ViewQuery,
     size: (u32, u32),
     format: PictureFormat,
@@ -149,16 +150,16 @@ async fn draw(
     let waited = asked.elapsed();
     if query.moving.is_some() {
         let recipe = Recipe::Film(Box::new(query.clone()), size);
-        let (read, shared, done) = (app.reading(version), Arc::clone(app), done.clone());
+        let (container, shared, done) = (app.container_of(photo).await?, Arc::clone(app), done.clone());
         let written = slot.run(move || {
             let start = Instant::now();
-            let bytes = shared.written(&recipe, (&read()?, &done), &renderer.gone)?;
+            let bytes = shared.written(&recipe, (&container, &done), &renderer.gone)?;
             Ok::<_, Problem>((bytes, start.elapsed()))
         });
         let (bytes, rendering) = written.await??;
         return Ok((bytes, vec![("wait", waited), ("render", rendering)]));
     }
-    let (scene, decoding) = app.scene(version, &slot).await?;
+    let (scene, decoding) = app.scene(photo, &slot).await?;
     let (camera, rig) = (query.camera(&scene, size), query.rig(&scene));
     let drawn = slot.run(move || {
         let start = Instant::now();

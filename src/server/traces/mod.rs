@@ -21,10 +21,10 @@ use opentelemetry_sdk::trace::{Sampler, SdkTracer, SdkTracerProvider};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 
-use super::id::PhotoId;
 use super::telemetry::Outcome;
 pub use send::check as check_collector;
-pub use span::{Current, Job, Parent, TRACE, Work, current, parent, within};
+pub use span::{Current, Job, Parent, TRACE, Work, current, parent};
+use tmpi_library::PhotoId;
 
 /// Spans that wait for the collector at most, about 1 KB each; what comes beyond is dropped and counted.
 pub(super) const QUEUE: usize = 4096;

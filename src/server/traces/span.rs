@@ -9,7 +9,6 @@ use opentelemetry::trace::{SpanBuilder, Status, TraceContextExt as _, Tracer as 
 use opentelemetry::{Context, KeyValue};
 use opentelemetry_sdk::propagation::TraceContextPropagator;
 use opentelemetry_sdk::trace::{SdkTracer, Span};
-use serde::{Deserialize, Serialize};
 
 /// Name of the header, and of what it says.
 const PARENT: &str = "traceparent";
@@ -31,17 +30,23 @@ pub fn parent() -> Option<Parent> {
     current().and_then(|current| current.parent())
 }
 
-/// Does blocking `work` of a request on another thread, where tasks' own values are not.
-pub fn within<T>(trace: Option<Current>, work: impl FnOnce() -> T) -> T {
-    TRACE.sync_scope(trace, work)
-}
-
 /// A span that others may name as theirs: `traceparent` of W3C Trace Context.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(transparent)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Parent(String);
 
 impl Parent {
+    /// As a job keeps it.
+    #[must_use]
+    pub fn into_text(self) -> String {
+        self.0
+    }
+
+    /// As it was kept.
+    #[must_use]
+    pub fn read(text: &str) -> Self {
+        Self(text.to_owned())
+    }
+
     /// Of what is no such text nothing follows: a trace of its own begins.
     pub(super) fn context(&self) -> Context {
         let carrier = HashMap::from([(PARENT.to_owned(), self.0.clone())]);

@@ -1,4 +1,4 @@
-// The content security policy that README.md tells is enough for the element, and no word of it is too many.
+// The content security policy that docs/guides/embedding.md tells is enough for the element, and no word of it is too many.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
@@ -7,8 +7,8 @@ import { serve } from '../support/static-server.mjs';
 import { boxSuite, STILL } from '../support/suite.mjs';
 import { until } from '../support/until.mjs';
 
-const README = readFileSync(new URL('../../../README.md', import.meta.url), 'utf8');
-const RECIPE = README.match(/^ {4}Content-Security-Policy: (.*HOST.*)$/m)[1];
+const PAGE = readFileSync(new URL('../../../docs/guides/embedding.md', import.meta.url), 'utf8');
+const RECIPE = PAGE.match(/^ {4}Content-Security-Policy: (.*HOST.*)$/m)[1];
 
 describe('policy', () => {
   const suite = boxSuite();

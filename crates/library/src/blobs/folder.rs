@@ -20,35 +20,40 @@ use crate::names::Millis;
 /// Folder of what is being written.
 const INCOMING: &str = "incoming";
 
-/// Room of a disk that uploads may not take, so that what was accepted can be finished.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Room of a disk that uploads may not take, so that what was accepted can be finished: what was said, or as much as is usual.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reserve {
-    /// Bytes; of a disk smaller than twenty times as much, a twentieth of it.
-    pub bytes: u64,
-    /// Files; of a disk with place for less than a hundred times as many, a hundredth of them.
-    pub files: u64,
+    /// Bytes; where there is none [`Reserve::BYTES`], or a twentieth of a smaller disk.
+    pub bytes: Option<u64>,
+    /// Files; where there is none [`Reserve::FILES`], or a hundredth of those that a smaller disk has place for.
+    pub files: Option<u64>,
 }
 
-impl Default for Reserve {
-    fn default() -> Self {
-        Self { bytes: 64 << 20, files: 1024 }
-    }
+impl Reserve {
+    /// 64 MiB.
+    pub const BYTES: u64 = 64 << 20;
+    /// 1 024 files.
+    pub const FILES: u64 = 1024;
 }
 
 /// What a file system has left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Room {
+pub struct Room {
+    /// Free bytes.
     pub bytes: u64,
+    /// All bytes.
     pub all_bytes: u64,
+    /// Files that can still be made.
     pub files: u64,
-    /// 0 where the number of files has no limit of its own.
+    /// All files that it has place for; 0 where the number of files has no limit of its own.
     pub all_files: u64,
 }
 
 impl Room {
     fn has(&self, bytes: u64, reserve: Reserve) -> bool {
-        let is_low = self.all_files > 0 && self.files < reserve.files.min(self.all_files / 100);
-        !is_low && self.bytes.saturating_sub(bytes) >= reserve.bytes.min(self.all_bytes / 20)
+        let files = reserve.files.unwrap_or_else(|| Reserve::FILES.min(self.all_files / 100));
+        let least = reserve.bytes.unwrap_or_else(|| Reserve::BYTES.min(self.all_bytes / 20));
+        (self.all_files == 0 || self.files >= files) && self.bytes.saturating_sub(bytes) >= least
     }
 }
 
@@ -186,6 +191,10 @@ impl Folder {
         self.root.join(name)
     }
 
+    pub fn room(&self) -> Option<Room> {
+        self.files.room(&self.root)
+    }
+
     pub fn room_for(&self, bytes: u64) -> Result<()> {
         match self.files.room(&self.root) {
             Some(room) if !room.has(bytes, self.reserve) => Err(LibraryError::StorageFull),
@@ -263,10 +272,13 @@ mod tests {
         const MUCH: u64 = 1 << 40;
         let reserve = Reserve::default();
         let has = |bytes, all_bytes, files, all_files| Room { bytes, all_bytes, files, all_files }.has(10, reserve);
-        assert!(has(reserve.bytes + 10, MUCH, reserve.files, MUCH));
-        assert!(!has(reserve.bytes + 9, MUCH, MUCH, MUCH), "bytes");
-        assert!(!has(MUCH, MUCH, reserve.files - 1, MUCH), "files");
+        assert!(has(Reserve::BYTES + 10, MUCH, Reserve::FILES, MUCH));
+        assert!(!has(Reserve::BYTES + 9, MUCH, MUCH, MUCH), "bytes");
+        assert!(!has(MUCH, MUCH, Reserve::FILES - 1, MUCH), "files");
         assert!(has((5 << 20) + 10, 100 << 20, 100, 10_000) && !has(5 << 20, 100 << 20, 100, 10_000), "a small disk");
         assert!(has(MUCH, MUCH, 0, 0), "a system that does not limit files");
+        let said = Reserve { bytes: Some(50), files: Some(500) };
+        let room = Room { bytes: 60, all_bytes: 100, files: 500, all_files: 600 };
+        assert!(room.has(10, said) && !room.has(11, said) && !Room { files: 499, ..room }.has(10, said), "what was said holds");
     }
 }

@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 
-pub use folder::Reserve;
 pub(crate) use folder::create_private;
 #[cfg(test)]
-pub(crate) use folder::{Disk, Files, Room};
+pub(crate) use folder::{Disk, Files};
+pub use folder::{Reserve, Room};
 
 use crate::error::{LibraryError, Result};
 use crate::names::{Digest, Millis, PhotoId, hex, random};
@@ -151,6 +151,15 @@ impl BlobStore {
         match &self.0 {
             Place::Folder(folder) => folder.room_for(bytes),
             Place::Objects(_) => Ok(()),
+        }
+    }
+
+    /// What the disk has left; none of an object store.
+    #[must_use]
+    pub fn disk(&self) -> Option<Room> {
+        match &self.0 {
+            Place::Folder(folder) => folder.room(),
+            Place::Objects(_) => None,
         }
     }
 

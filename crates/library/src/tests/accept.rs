@@ -102,7 +102,7 @@ async fn taken(bed: &Bed, limits: &Limits) -> usize {
     }
     assert_eq!(bed.blobs(&nodes[0]).await.len(), taken, "what is refused is deleted");
     nodes[0].accept(upload(99, owner("bob"))).await.unwrap();
-    let mut local = upload(98, Asker { owner: Some(Owner::local_user()), address: None });
+    let mut local = upload(98, Asker { owner: Some(Owner::local_user()), ..Asker::default() });
     local.id = PhotoId::from_bytes([9; 16]);
     nodes[0].accept(local).await.unwrap();
     taken

@@ -33,7 +33,7 @@ async fn a_photo_is_followed_from_its_acceptance_to_its_end(bed: Bed) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_connection_is_a_gap_after_which_events_come_again() {
-    let Some(bed) = Bed::postgres().await else { return };
+    let Some(bed) = Bed::postgres() else { return };
     let (node, other) = (bed.node().await, bed.node().await);
     let mut events = node.subscribe();
     let cut = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = current_database() AND query LIKE 'LISTEN%'";

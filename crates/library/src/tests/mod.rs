@@ -8,8 +8,6 @@ mod events;
 mod exports;
 mod files;
 mod photos;
-#[cfg(unix)]
-mod postgres;
 mod queue;
 mod retention;
 mod rooms;
@@ -45,7 +43,7 @@ macro_rules! on_both {
         mod postgres {
             $(#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
             async fn $name() {
-                if let Some(bed) = crate::tests::Bed::postgres().await {
+                if let Some(bed) = crate::tests::Bed::postgres() {
                     super::$name(bed).await;
                 }
             })*
@@ -66,9 +64,9 @@ impl Bed {
         Self { dir: tempfile::tempdir().unwrap(), url: None, clock: Arc::default() }
     }
 
-    pub async fn postgres() -> Option<Self> {
+    pub fn postgres() -> Option<Self> {
         #[cfg(unix)]
-        let url = postgres::database().await;
+        let url = tmpi_testing::database();
         #[cfg(not(unix))]
         let url = {
             eprintln!("skipped, no postgres: tests start it on Unix alone");
@@ -87,7 +85,7 @@ impl Bed {
     }
 
     pub async fn node_with(&self, limits: Limits) -> Library {
-        let blobs = BlobStore::folder(&self.path().join("blobs"), Reserve { bytes: 0, files: 0 }).unwrap();
+        let blobs = BlobStore::folder(&self.path().join("blobs"), Reserve { bytes: Some(0), files: Some(0) }).unwrap();
         self.node_of(blobs, limits).await
     }
 
@@ -117,11 +115,11 @@ impl Bed {
 
 /// Who comes from an address of their own.
 pub fn owner(name: &str) -> Asker {
-    Asker { owner: Some(Owner::of_secret(name)), address: None }
+    Asker { owner: Some(Owner::of_secret(name)), ..Asker::default() }
 }
 
 pub fn address(text: &str) -> Asker {
-    Asker { owner: None, address: Some(text.parse::<IpAddr>().unwrap()) }
+    Asker { address: Some(text.parse::<IpAddr>().unwrap()), ..Asker::default() }
 }
 
 /// The bytes of the `n`th photo.

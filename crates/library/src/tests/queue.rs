@@ -235,7 +235,7 @@ async fn waiting_workers_hear_of_a_job(bed: Bed) {
         .map(|_| {
             let worker = worker.clone();
             tokio::spawn(async move {
-                let lease = worker.next(&[Kind::Make], LEASE).await.unwrap();
+                let lease = worker.next(&[Kind::Make], LEASE, std::future::pending()).await.unwrap().unwrap();
                 worker.finish(&lease, made(&worker, &lease).await).await.unwrap().id
             })
         })

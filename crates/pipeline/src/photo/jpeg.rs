@@ -28,7 +28,9 @@ pub(super) struct Jpeg {
     pub scans: usize,
     /// The scans bring every coefficient of every component to its last bit.
     pub complete: bool,
-    /// The end marker follows the last scan, and every code table that a scan uses is there.
+    /// The end marker follows the last scan.
+    pub ended: bool,
+    /// It does, and every code table that a scan uses is there.
     pub standalone: bool,
     /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the last scan but the end marker.
     pub stripped: Vec<u8>,
@@ -294,6 +296,7 @@ impl Walk<'_> {
             layout: frame.layout(colour),
             scans: self.scans,
             complete: frame.is_complete(),
+            ended,
             standalone: ended && !self.motion,
             stripped: self.out,
             exif: self.exif.map(<[u8]>::to_vec),

@@ -1,0 +1,79 @@
+//! Rooms for the fuzzer: messages that are valid but for a few changes, with the checksums that they should have.
+
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{self, Hello};
+use tmpi_core::live::{MAX_PLANES, Model, chunk};
+
+use super::script::{Script, geometry};
+
+/// A room of built tiles: what its hello says, and messages of chunks, valid but for what the last bytes of `data` change.
+#[must_use]
+pub fn build(data: &[u8]) -> (Hello, Vec<wire::Geometry>) {
+    let mut script = Script(data);
+    let mut geometry = geometry(&mut script, MAX_PLANES as u32 + 1);
+    geometry.tiles.iter_mut().for_each(|t| t.planes.truncate(MAX_PLANES));
+    let mut hello = Model::hello(&geometry);
+    let messages = (0..=script.below(3)).map(|_| {
+        let grid = geometry.grid;
+        let wanted = script.byte();
+        // all tiles, or some rectangles of them
+        let areas =
+            if wanted < 64 { vec![chunk::Area::all(&grid)] } else { chunk::Area::covering(&grid, |t| t % 7 < u32::from(wanted) % 7) };
+        let frame = u64::from(script.byte());
+        let chunks = areas.into_iter().filter_map(|area| chunk::encode(&grid, area, &geometry.tiles, frame).ok()).collect();
+        wire::Geometry { frame, chunks }
+    });
+    let mut messages: Vec<wire::Geometry> = messages.collect();
+    while !script.0.is_empty() {
+        let which = script.below(messages.len() as u32) as usize;
+        change_message(&mut script, &mut hello, &mut messages[which]);
+    }
+    messages.iter_mut().flat_map(|m| &mut m.chunks).for_each(set_check);
+    (hello, messages)
+}
+
+/// Changes a field of the hello or of a chunk, or some of its bytes.
+fn change_message(script: &mut Script, hello: &mut Hello, message: &mut wire::Geometry) {
+    let number = |script: &mut Script, field: &mut u32| *field = script.number(u64::from(*field)) as u32;
+    if script.below(16) == 1 {
+        let Hello { width, height, tile_size, tile_stride, .. } = hello;
+        let at = script.below(4) as usize;
+        return [width, height, tile_size, tile_stride].into_iter().skip(at).take(1).for_each(|f| number(script, f));
+    }
+    let at = script.word() as usize % message.chunks.len().max(1);
+    let Some(chunk) = message.chunks.get_mut(at) else { return };
+    match script.below(4) {
+        0 => {
+            let wire::Chunk { column, row, columns, rows, planes, .. } = chunk;
+            let at = script.below(5) as usize;
+            [column, row, columns, rows, planes].into_iter().skip(at).take(1).for_each(|f| number(script, f));
+        }
+        1 => chunk.version = script.number(chunk.version),
+        what => {
+            let data = if what == 2 { &mut chunk.plane_data } else { &mut chunk.label_data };
+            let mut bytes = data.to_vec();
+            let at = script.word() as usize % bytes.len().max(1);
+            match bytes.get_mut(at) {
+                Some(byte) if script.below(4) > 0 => *byte = script.byte(),
+                _ => bytes.truncate(at),
+            }
+            *data = bytes.into();
+        }
+    }
+}
+
+/// Gives a chunk the checksum that it should have.
+fn set_check(chunk: &mut wire::Chunk) {
+    let c = &*chunk;
+    let head = [c.column.into(), c.row.into(), c.columns.into(), c.rows.into(), c.version, c.planes.into()].map(u64::to_le_bytes);
+    chunk.check = crc32fast::hash(&[head.as_flattened(), &chunk.plane_data, &chunk.label_data].concat());
+}
+
+/// The message with the checksums that its chunks should have; none where it has none.
+#[must_use]
+pub fn with_checksums(data: &[u8]) -> Option<Vec<u8>> {
+    let mut kind = tmpi_core::live::read(data.to_vec().into()).ok()?;
+    let (Kind::Geometry(message) | Kind::Snapshot(message)) = &mut kind else { return None };
+    message.chunks.iter_mut().for_each(set_check);
+    Some(tmpi_core::live::write(kind).to_vec())
+}

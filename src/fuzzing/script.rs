@@ -1,0 +1,99 @@
+//! What is built for the fuzzer's targets out of the bytes that it finds.
+
+use tmpi_core::{Geometry, Grid, Intrinsics, Plane, Tile, ViewBox};
+
+/// Bytes that say what is built; 0 after their end.
+pub struct Script<'a>(pub &'a [u8]);
+
+impl Script<'_> {
+    pub fn byte(&mut self) -> u8 {
+        self.0.split_off_first().copied().unwrap_or_default()
+    }
+
+    /// A number below `end`, which is at most 256.
+    pub fn below(&mut self, end: u32) -> u32 {
+        u32::from(self.byte()) % end.max(1)
+    }
+
+    pub fn word(&mut self) -> u32 {
+        u32::from_le_bytes([(); 4].map(|()| self.byte()))
+    }
+
+    /// A side in pixels: small as a rule, one in sixteen as large as a photo's.
+    fn side(&mut self, most: u32) -> u32 {
+        let side = 1 + u32::from(self.byte());
+        if self.below(16) == 1 { (side * 4).min(most) } else { side.min(96) }
+    }
+
+    /// Another number in place of `old`: near to it, at an end, or any.
+    pub fn number(&mut self, old: u64) -> u64 {
+        match self.below(8) {
+            0 => 0,
+            1 => 1,
+            2 => old.wrapping_add(1),
+            3 => old.wrapping_sub(1),
+            4 => old.wrapping_mul(2),
+            5 => u64::MAX >> self.below(64),
+            6 => old ^ 1 << self.below(32),
+            _ => self.word().into(),
+        }
+    }
+
+    /// The same of a length or place on an axis.
+    pub fn real(&mut self, old: f64) -> f64 {
+        match self.below(8) {
+            0 => 0.0,
+            1 => -old,
+            2 => f64::NAN,
+            3 => f64::INFINITY,
+            4 => f64::MIN_POSITIVE,
+            5 => 1e300,
+            6 => old * 1.5,
+            _ => f64::from(f32::from_bits(self.word())),
+        }
+    }
+
+    /// A plane of disparities that photos have; one in sixteen of any.
+    fn plane(&mut self) -> Plane {
+        if self.below(16) == 1 {
+            let [a, b, c] = [(); 3].map(|()| f64::from(f32::from_bits(self.word())));
+            return Plane { a, b, c };
+        }
+        let part = |byte: u8| f64::from(byte) / 255.0;
+        let [a, b, c] = [(); 3].map(|()| part(self.byte()));
+        Plane { a, b: (b - 0.5) / 4.0, c: (c - 0.5) / 4.0 }.quantised()
+    }
+}
+
+/// Most pixels of a container that is built: those of a photo of 640×480.
+const MOST_PIXELS: u32 = 640 * 480;
+
+/// A grid, with planes and labels for each of its tiles, as a script says.
+pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
+    let width = script.side(1024);
+    let height = script.side(MOST_PIXELS / width).min(MOST_PIXELS / width).max(1);
+    let sizes = [64, 64, 64, 32, 16, 8, 80, 33];
+    let grid = Grid::new(width, height, sizes[script.below(8) as usize]);
+    // a few tiles are said one by one, the others are like them
+    let kinds: Vec<(Vec<Plane>, Option<Plane>, [u8; 3])> = (0..=script.below(4))
+        .map(|_| {
+            let most = if script.below(8) == 1 { most_planes } else { 3 };
+            let planes = (0..=script.below(most)).map(|_| script.plane()).collect();
+            let background = (script.below(3) == 1).then(|| script.plane());
+            (planes, background, [(); 3].map(|()| script.byte()))
+        })
+        .collect();
+    let tile = |t: u32| {
+        let r = grid.rect(t);
+        let (planes, background, [across, down, noise]) = &kinds[t as usize % kinds.len()];
+        let label = |x: u32, y: u32| {
+            let cell = x / (u32::from(*across) % 40 + 1) + y / (u32::from(*down) % 40 + 1);
+            let stray = u32::from(*noise) > 200 && (x * 31 + y * 17).is_multiple_of(23);
+            ((cell + u32::from(stray)) % planes.len() as u32) as u8
+        };
+        let labels = (r.y..r.y + r.h).flat_map(|y| (r.x..r.x + r.w).map(move |x| (x, y))).map(|(x, y)| label(x, y)).collect();
+        Tile { planes: planes.clone(), labels, background: *background }
+    };
+    let tiles = (0..grid.tiles()).map(tile).collect();
+    Geometry { grid, intrinsics: Intrinsics::centred(width, height, 0.75 * f64::from(width)), view_box: ViewBox::default(), tiles }
+}

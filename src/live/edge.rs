@@ -1,0 +1,183 @@
+//! An edge of a room: this node watches the room once at its origin, as any viewer does, and serves its own viewers from a ring of what came.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures_util::{SinkExt as _, StreamExt as _};
+use tmpi_library::{LibraryError, Origin};
+use tokio::time::{Instant, interval, sleep, timeout, timeout_at};
+use tokio_tungstenite::tungstenite::{self, Message};
+use tokio_util::sync::CancellationToken;
+
+use tmpi_core::live::wire::Credit;
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::{read, write};
+
+use super::origin::{Nodes, Socket};
+use super::publisher::SENT_AWAY;
+use super::room::Room;
+use super::tiles::Chunks;
+use super::viewer::GONE;
+use super::{COME_BACK, Entry};
+
+/// Silence after which an origin is taken for dead, which says something each second.
+const SILENCE: Duration = Duration::from_secs(3);
+/// Pause before the origin is looked for again.
+const AGAIN: Duration = Duration::from_millis(200);
+/// Time without viewers after which the subscription ends.
+const UNWATCHED: Duration = Duration::from_secs(3);
+/// Pause between two looks whether anybody watches, and between two words to the origin of how many do.
+const LOOK: Duration = Duration::from_millis(500);
+const COUNT: Duration = Duration::from_secs(2);
+
+/// Why a subscription ended before its time.
+#[derive(Debug, thiserror::Error)]
+pub enum EdgeError {
+    /// The origin's address is none.
+    #[error("the origin's address is none")]
+    Address,
+    /// The origin says nothing.
+    #[error("the origin says nothing")]
+    Silent,
+    /// The origin has closed the connection.
+    #[error("the origin has closed the connection")]
+    Closed,
+    /// The origin sent no room, or an older one than is known.
+    #[error("the origin sent no room, or an older one than is known")]
+    Stale,
+    /// The connection broke, or there was none.
+    #[error(transparent)]
+    Socket(#[from] tungstenite::Error),
+    /// The database cannot be asked.
+    #[error(transparent)]
+    Library(#[from] LibraryError),
+}
+
+/// Why a subscription ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum End {
+    /// Nobody watches here.
+    Unwatched,
+    /// The origin said so.
+    Bye(String),
+}
+
+/// Serves a room from its origins, one after the other, until nobody watches it, its publisher comes here, or there is none for [`COME_BACK`].
+pub async fn run(nodes: Arc<Nodes>, entry: Entry, ended: CancellationToken) {
+    let now = Instant::now();
+    let mut edge = Edge { nodes: &nodes, name: &entry.name, room: &entry.room, epoch: 0, heard: now, watched: now };
+    tokio::select! {
+        () = edge.follow() => {}
+        () = ended.cancelled() => {}
+        () = nodes.stop.cancelled() => {}
+    }
+    entry.room.end_edge(&ended);
+}
+
+struct Edge<'a> {
+    nodes: &'a Nodes,
+    name: &'a str,
+    room: &'a Room,
+    /// That the origin said last.
+    epoch: u64,
+    /// When an origin said something last.
+    heard: Instant,
+    /// When somebody watched last.
+    watched: Instant,
+}
+
+impl Edge<'_> {
+    async fn follow(&mut self) {
+        let mut gone = false;
+        loop {
+            let ended = match self.nodes.origin(self.name).await {
+                Ok(Some(origin)) => self.subscribe(&origin).await,
+                // released by the origin that said so
+                Ok(None) if gone => return,
+                Ok(None) => Err(EdgeError::Closed),
+                Err(error) => Err(error.into()),
+            };
+            if let Err(error) = &ended {
+                tracing::debug!(%error, room = self.name, "a room of another node");
+            }
+            if let Ok(End::Bye(reason)) = &ended
+                && reason.starts_with(SENT_AWAY)
+            {
+                return self.room.end(reason);
+            }
+            gone = ended.is_ok_and(|end| end == End::Bye(GONE.into()));
+            if self.is_unwatched() || self.heard.elapsed() > COME_BACK {
+                return;
+            }
+            sleep(AGAIN).await;
+        }
+    }
+
+    fn is_unwatched(&mut self) -> bool {
+        if self.room.viewers() > 0 {
+            self.watched = Instant::now();
+        }
+        self.watched.elapsed() > UNWATCHED
+    }
+
+    /// Hands on what one origin sends.
+    async fn subscribe(&mut self, origin: &Origin) -> Result<End, EdgeError> {
+        let mut socket = self.nodes.subscribe(origin, self.name).await?;
+        let (mut look, mut told, mut told_at) = (interval(LOOK), 0, None::<Instant>);
+        let mut silent = Instant::now() + SILENCE;
+        loop {
+            let key = tokio::select! {
+                came = timeout_at(silent, socket.next()) => {
+                    self.heard = Instant::now();
+                    silent = self.heard + SILENCE;
+                    let end = match came.map_err(|_| EdgeError::Silent)? {
+                        Some(Ok(Message::Binary(bytes))) => self.take(bytes)?,
+                        Some(Ok(Message::Close(_))) | None => return Err(EdgeError::Closed),
+                        Some(Ok(_)) => None,
+                        Some(Err(error)) => return Err(error.into()),
+                    };
+                    match end {
+                        Some(end) => return Ok(end),
+                        None => continue,
+                    }
+                }
+                () = self.room.keys.notified() => true,
+                _ = look.tick() => {
+                    if self.is_unwatched() {
+                        return Ok(End::Unwatched);
+                    }
+                    if told == self.room.viewers() || told_at.is_some_and(|at| at.elapsed() < COUNT) {
+                        continue;
+                    }
+                    false
+                }
+            };
+            (told, told_at) = (self.room.viewers(), Some(Instant::now()));
+            say(&mut socket, Credit { frames: 1, key, viewers: told }).await?;
+        }
+    }
+
+    /// Takes a message; gives why the subscription ends where it does.
+    fn take(&mut self, bytes: Bytes) -> Result<Option<End>, EdgeError> {
+        // kinds that are not known are of newer programs
+        let Ok(kind) = read(bytes.clone()) else { return Ok(None) };
+        match kind {
+            Kind::Bye(bye) => return Ok(Some(End::Bye(bye.reason))),
+            Kind::Hello(hello) => {
+                let chunks = Chunks::new(&hello).ok_or(EdgeError::Stale)?;
+                self.epoch = hello.epoch;
+                if !self.room.relay_hello(hello, chunks) {
+                    return Err(EdgeError::Stale);
+                }
+            }
+            kind => self.room.relay(self.epoch, &kind, bytes),
+        }
+        Ok(None)
+    }
+}
+
+async fn say(socket: &mut Socket, credit: Credit) -> Result<(), EdgeError> {
+    let sent = timeout(SILENCE, socket.send(Message::Binary(write(Kind::Credit(credit))))).await;
+    Ok(sent.map_err(|_| EdgeError::Silent)??)
+}

@@ -1,0 +1,381 @@
+//! Workers: tasks that take jobs of the one queue and do them on threads that may block.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use axum::http::StatusCode;
+use bytes::Bytes;
+use tmpi_library::{Content, Contents, Event, Kind, Lease, LibraryError, Made, Part, Retry};
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+
+use super::app::App;
+use super::exports::{Recipe, Wanted, written};
+use super::made::Done;
+use super::maker::{Fault, Product};
+use super::memory::Way;
+use super::options;
+use super::problem::Problem;
+use super::routes::Stage;
+use super::traces::{Job, Parent};
+use tmpi_pipeline::{Options, Progress, Sink};
+
+/// What those that make photos take, and those that write files.
+const MAKES: &[Kind] = &[Kind::Make, Kind::Check];
+const WRITES: &[Kind] = &[Kind::Export, Kind::Film];
+/// Renewals in the time of a lease, of which some may be lost.
+const RENEWALS: u32 = 3;
+/// Pause before the library is asked again that could not be reached.
+const PAUSE: Duration = Duration::from_millis(500);
+/// Time that jobs have to end once they were told to.
+const END: Duration = Duration::from_secs(2);
+
+/// All workers of a server.
+pub struct Workers {
+    tasks: Vec<JoinHandle<()>>,
+    abort: Arc<AtomicBool>,
+}
+
+impl Workers {
+    /// Starts them.
+    pub fn start(app: &App) -> Self {
+        let abort = Arc::<AtomicBool>::default();
+        let of = |count: usize, kinds| (0..count).map(move |_| kinds);
+        let all = of(app.limits.workers, MAKES).chain(of(app.limits.exports, WRITES));
+        let tasks = all.map(|kinds| tokio::spawn(work(Arc::clone(app), kinds, Arc::clone(&abort)))).collect();
+        Self { tasks, abort }
+    }
+
+    /// Waits for the jobs under way, until `deadline`; those that are not finished by then go back into the queue.
+    pub async fn drain(self, deadline: Instant) {
+        let mut all = std::pin::pin!(futures_util::future::join_all(self.tasks));
+        if tokio::time::timeout_at(deadline.into(), &mut all).await.is_err() {
+            self.abort.store(true, Ordering::Release);
+            let _ = tokio::time::timeout(END, all).await;
+        }
+    }
+}
+
+/// What the thread that does a job is told, and tells.
+#[derive(Clone)]
+struct Doing {
+    app: App,
+    /// Set where the job is another's by now, or nobody's.
+    lost: Arc<AtomicBool>,
+    /// Set where jobs are to be cut off.
+    abort: Arc<AtomicBool>,
+    tell: UnboundedSender<Progress>,
+}
+
+impl Doing {
+    fn is_over(&self) -> bool {
+        self.lost.load(Ordering::Acquire) || self.abort.load(Ordering::Acquire)
+    }
+}
+
+/// Takes jobs until the server stops.
+async fn work(app: App, kinds: &'static [Kind], abort: Arc<AtomicBool>) {
+    loop {
+        match Box::pin(app.library.next(kinds, app.limits.lease, app.stop.cancelled())).await {
+            Ok(Some(lease)) => Box::pin(one(&app, &lease, &abort)).await,
+            Ok(None) => return,
+            Err(error) => {
+                tracing::warn!(%error, "no job can be taken now");
+                tokio::select! {
+                    () = app.stop.cancelled() => return,
+                    () = tokio::time::sleep(PAUSE) => {}
+                }
+            }
+        }
+    }
+}
+
+/// Does one job.
+async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
+    let (start, photo, kind) = (Instant::now(), lease.job.photo, lease.job.kind);
+    let (tell, told) = unbounded_channel();
+    let doing = Doing { app: Arc::clone(app), lost: Arc::default(), abort: Arc::clone(abort), tell };
+    let outcome = match kind {
+        Kind::Make => make(lease, &doing, told).await,
+        Kind::Export | Kind::Film => write(lease, &doing, told).await,
+        Kind::Check => app.library.finish_check(lease).await.map_or("put-back", |()| "done"),
+    };
+    let took = start.elapsed();
+    match kind {
+        Kind::Make => {
+            app.telemetry.job(outcome, took);
+            app.telemetry.class_job(lease.job.class.name(), outcome, took);
+        }
+        Kind::Export | Kind::Film => app.telemetry.class_job("export", outcome, took),
+        Kind::Check => return,
+    }
+    tracing::info!(%photo, kind = kind.name(), outcome, ms = took.as_millis() as u64, "job");
+}
+
+/// Does `work` on a thread that may block. Meanwhile the lease is kept, and whoever follows the photo is told how it goes.
+async fn hold<T: Send + 'static>(
+    lease: &Lease,
+    doing: &Doing,
+    mut told: UnboundedReceiver<Progress>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Option<T> {
+    let library = &doing.app.library;
+    let (send, mut done) = oneshot::channel();
+    let mut events = library.subscribe();
+    let started = std::thread::Builder::new().name("tmpi-job".into()).spawn(move || drop(send.send(work())));
+    if let Err(error) = started {
+        tracing::error!(%error, "no thread can be started");
+        return None;
+    }
+    let period = doing.app.limits.lease / RENEWALS;
+    let mut period = tokio::time::interval_at(tokio::time::Instant::now() + period, period);
+    let mut said = None;
+    loop {
+        let renew = tokio::select! {
+            done = &mut done => {
+                while let Ok(progress) = told.try_recv() {
+                    tell(lease, doing, &progress).await;
+                }
+                return done.ok();
+            }
+            Some(progress) = told.recv() => {
+                said = tell(lease, doing, &progress).await;
+                false
+            }
+            event = events.next() => match event {
+                // it may have been deleted or cancelled
+                Some(Event::Photo(id) | Event::Deleted(id)) if id == lease.job.photo => {
+                    if let Some(said) = &said {
+                        // with that nobody knows any more how far it is
+                        tell_again(lease, doing, said).await;
+                    }
+                    true
+                }
+                Some(Event::Gap) => true,
+                _ => false,
+            },
+            _ = period.tick() => true,
+        };
+        if !renew {
+            continue;
+        }
+        match library.renew(lease, said.as_ref()).await {
+            Ok(()) => {}
+            Err(LibraryError::LeaseLost) => doing.lost.store(true, Ordering::Release),
+            Err(error) => tracing::warn!(%error, "a lease could not be renewed"),
+        }
+    }
+}
+
+async fn tell_again(lease: &Lease, doing: &Doing, said: &serde_json::Value) {
+    if let Err(error) = doing.app.library.tell_progress(lease, said.clone()).await {
+        tracing::debug!(%error, "progress");
+    }
+}
+
+/// Tells how it goes.
+async fn tell(lease: &Lease, doing: &Doing, progress: &Progress) -> Option<serde_json::Value> {
+    let said = serde_json::to_value(Stage::from(progress)).ok()?;
+    tell_again(lease, doing, &said).await;
+    Some(said)
+}
+
+/// What the library is told at the end of a job that has no result.
+enum End {
+    Failed(Problem),
+    Again(Retry),
+}
+
+/// Tells it, however long that takes: else a database that was away would count as a death of the worker.
+async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
+    let library = &doing.app.library;
+    loop {
+        let told = match &end {
+            End::Failed(problem) => library.fail(lease, &problem.to_library()).await,
+            End::Again(retry) => library.retry(lease, retry).await,
+        };
+        match told {
+            Ok(()) => break,
+            Err(LibraryError::LeaseLost) => return "deleted",
+            Err(error) => {
+                tracing::warn!(%error, "the end of a job cannot be written now");
+                if doing.abort.load(Ordering::Acquire) {
+                    break;
+                }
+                tokio::time::sleep(PAUSE).await;
+            }
+        }
+    }
+    match end {
+        End::Failed(problem) => {
+            tracing::warn!(photo = %lease.job.photo, kind = problem.kind, detail = problem.detail, "a job cannot be done");
+            "failed"
+        }
+        End::Again(Retry::Died(reason)) => {
+            tracing::warn!(photo = %lease.job.photo, reason, "it took down what made it");
+            "crashed"
+        }
+        End::Again(Retry::Fault(reason)) => {
+            tracing::error!(photo = %lease.job.photo, reason, "a fault of the server; the job is tried again");
+            doing.app.set_trouble(Some(reason));
+            "put-back"
+        }
+        End::Again(Retry::Stopping) => "cancelled",
+    }
+}
+
+/// Listeners and cancellation of a photo that is made.
+struct JobSink<'a> {
+    doing: &'a Doing,
+    deadline: Instant,
+    job: &'a Job,
+}
+
+impl Sink for JobSink<'_> {
+    fn progress(&self, message: &Progress) {
+        self.job.stage(message.stage);
+        // nobody is told of a job that has ended
+        let _ = self.doing.tell.send(message.clone());
+    }
+
+    fn cancelled(&self) -> bool {
+        self.doing.is_over()
+    }
+
+    fn deadline(&self) -> Option<Instant> {
+        Some(self.deadline)
+    }
+}
+
+/// What a photo is made of.
+struct Inputs {
+    photo: Bytes,
+    depth: Option<Bytes>,
+    options: Options,
+}
+
+async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
+    let (photo, blobs) = (&lease.photo, doing.app.library.blobs());
+    let read = async |part: Part| match photo.blobs.get(&part) {
+        None => Ok(None),
+        Some(blob) => blobs.read(part, blob).await.map(Some).map_err(|error| match error {
+            LibraryError::Damaged { .. } => {
+                End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", format!("{error}: upload the photo again")))
+            }
+            error => End::Again(Retry::Fault(error.to_string())),
+        }),
+    };
+    let mut options = options::from_text(&photo.options).map_err(End::Failed)?;
+    options.strokes = super::app::strokes_of(read(Part::Strokes).await.ok().flatten().as_deref());
+    let lost = || End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
+    Ok(Inputs { photo: read(Part::Upload).await?.ok_or_else(lost)?, depth: read(Part::Depth).await?, options })
+}
+
+async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
+    let parent = lease.job.payload.as_str().map(Parent::read);
+    let job = doing.app.telemetry.begin_job(parent.as_ref(), lease.job.photo, lease.job.attempts as u32 + 1);
+    let Inputs { photo, depth, options } = match inputs(lease, doing).await {
+        Ok(inputs) => inputs,
+        Err(why) => return end(lease, doing, why).await,
+    };
+    let here = doing.clone();
+    let made = hold(lease, doing, told, move || {
+        let app = &here.app;
+        let memory = app.maker.memory(&photo, depth.as_deref(), &options);
+        let unwanted = || here.is_over() || app.stop.is_cancelled();
+        let Some(_memory) = app.memory.wait_for(memory, Way::First, unwanted) else { return (Err(Fault::Cancelled), job) };
+        let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo), job: &job };
+        let made = caught(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
+        job.made();
+        (made, job)
+    });
+    let Some((made, job)) = made.await else {
+        return end(lease, doing, End::Failed(Problem::internal("making the photo panicked", &"see above"))).await;
+    };
+    let outcome = match made {
+        Ok(product) => keep(lease, doing, product).await,
+        Err(Fault::Photo(problem)) => end(lease, doing, End::Failed(problem)).await,
+        Err(Fault::Server(reason)) => end(lease, doing, End::Again(Retry::Fault(reason))).await,
+        Err(Fault::Cancelled) if doing.lost.load(Ordering::Acquire) => "deleted",
+        // it may have ended with the server
+        Err(Fault::Crashed(_)) if doing.app.stop.is_cancelled() => end(lease, doing, End::Again(Retry::Stopping)).await,
+        Err(Fault::Crashed(reason)) => end(lease, doing, End::Again(Retry::Died(reason))).await,
+        Err(Fault::Cancelled) => end(lease, doing, End::Again(Retry::Stopping)).await,
+    };
+    job.end(outcome);
+    outcome
+}
+
+async fn keep(lease: &Lease, doing: &Doing, product: Product) -> &'static str {
+    let Product { container, report, disparity, thumbnail } = product;
+    let text = match serde_json::to_vec(&report) {
+        Ok(text) => text,
+        Err(error) => return end(lease, doing, End::Failed(Problem::internal("writing a report", &error))).await,
+    };
+    let parts = [(Part::Container, container), (Part::Disparity, disparity), (Part::Thumbnail, thumbnail), (Part::Report, text)];
+    let contents: Contents = parts.into_iter().map(|(part, bytes)| (part, Content::of_bytes(bytes))).collect();
+    match doing.app.library.finish(lease, Made { contents, details: Done::details(report.width, report.height) }).await {
+        Ok(_) => {
+            doing.app.set_trouble(None);
+            "done"
+        }
+        Err(LibraryError::LeaseLost) => "deleted",
+        Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("what was made cannot be kept: {error}")))).await,
+    }
+}
+
+async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
+    let app = &doing.app;
+    let gone = || Problem::not_found("the photo was made again, or was deleted");
+    let recipe = lease.job.payload.as_str().ok_or_else(gone).and_then(|text| Recipe::parse(text, &app.limits));
+    let (recipe, done) = match recipe.and_then(|recipe| Done::of(&lease.photo).map(|done| (recipe, done)).ok_or_else(gone)) {
+        Ok(wanted) => wanted,
+        Err(problem) => return end(lease, doing, End::Failed(problem)).await,
+    };
+    let container = match app.container_of(&lease.photo).await {
+        Ok(container) => container,
+        Err(problem) if problem.status == StatusCode::SERVICE_UNAVAILABLE => {
+            return end(lease, doing, End::Again(Retry::Fault(problem.detail.into()))).await;
+        }
+        Err(problem) => return end(lease, doing, End::Failed(problem)).await,
+    };
+    let here = doing.clone();
+    let bytes = hold(lease, doing, told, move || {
+        let unwanted = || here.is_over() || here.app.stop.is_cancelled();
+        written(&here.app, &recipe, (&container, &done), &Wanted { unwanted: &unwanted, gives_way: true })
+    });
+    let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
+    let file = match bytes.await {
+        Some(Ok(bytes)) => Content::of_bytes(bytes),
+        Some(Err(_)) if doing.lost.load(Ordering::Acquire) => return "cancelled",
+        Some(Err(_)) if stops() => return end(lease, doing, End::Again(Retry::Stopping)).await,
+        Some(Err(problem)) => return end(lease, doing, End::Failed(problem)).await,
+        None => return end(lease, doing, End::Failed(Problem::internal("writing a file panicked", &"see above"))).await,
+    };
+    match app.library.finish_export(lease, file).await {
+        Ok(_) => "done",
+        Err(LibraryError::LeaseLost) => "cancelled",
+        Err(LibraryError::Invalid(detail)) => {
+            let detail = format!("{detail} (--exports-mib)");
+            end(lease, doing, End::Failed(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", detail))).await
+        }
+        Err(error @ LibraryError::StorageFull) => end(lease, doing, End::Failed(error.into())).await,
+        Err(error) => end(lease, doing, End::Again(Retry::Fault(error.to_string()))).await,
+    }
+}
+
+/// Turns a panic into a failure of the photo. No state of ours is borrowed mutably by the maker, so none can be left half changed.
+pub(super) fn caught(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
+    catch_unwind(AssertUnwindSafe(make))
+        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &said(panic.as_ref())))))
+}
+
+/// What a panic said.
+pub(super) fn said(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
+}

@@ -1,0 +1,213 @@
+//! The documentation holds: links lead somewhere, every page is in the table of contents, commands are those of the program, and blocks marked
+//! `<!-- runs -->` run.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use tmpi_testing::Need;
+
+/// Pages outside `docs`.
+const OTHERS: [&str; 6] =
+    ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "docker/README.md", "training/README.md", "tests/load/README.md"];
+/// Marks the code block that follows as one that runs, in a folder with `photo.jpg`.
+const RUNS: &str = "<!-- runs -->";
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A page of the documentation.
+struct Page {
+    /// Its path from the root of the repository.
+    name: String,
+    text: String,
+}
+
+/// A code block of a page.
+struct Block {
+    lines: Vec<String>,
+    runs: bool,
+}
+
+fn markdown_below(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {
+        if entry.is_dir() {
+            markdown_below(&entry, found);
+        } else if entry.extension().is_some_and(|e| e == "md") {
+            found.push(entry);
+        }
+    }
+}
+
+fn pages() -> Vec<Page> {
+    let mut paths: Vec<PathBuf> = OTHERS.iter().map(|o| root().join(o)).collect();
+    markdown_below(&root().join("docs"), &mut paths);
+    let page = |path: PathBuf| Page {
+        name: path.strip_prefix(root()).unwrap().to_string_lossy().into_owned(),
+        text: fs::read_to_string(&path).unwrap(),
+    };
+    paths.into_iter().map(page).collect()
+}
+
+impl Page {
+    /// Targets of `[text](target)`, without those in code.
+    fn links(&self) -> Vec<&str> {
+        let prose = self.text.lines().filter(|l| !l.starts_with("    "));
+        prose.flat_map(|l| l.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(target, _)| target))).collect()
+    }
+
+    /// Anchors of its headings, as forges make them.
+    fn anchors(&self) -> Vec<String> {
+        let headings = self.text.lines().filter(|l| l.starts_with('#')).map(|l| l.trim_start_matches('#').trim());
+        let anchor = |heading: &str| {
+            let kept = heading.to_lowercase().chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c)).collect::<String>();
+            kept.replace(' ', "-")
+        };
+        headings.map(anchor).collect()
+    }
+
+    /// Blocks that are indented by four spaces.
+    fn blocks(&self) -> Vec<Block> {
+        let mut blocks: Vec<Block> = Vec::new();
+        let (mut is_open, mut runs) = (false, false);
+        for line in self.text.lines() {
+            if let Some(code) = line.strip_prefix("    ") {
+                if !is_open {
+                    blocks.push(Block { lines: Vec::new(), runs: std::mem::take(&mut runs) });
+                }
+                blocks.last_mut().unwrap().lines.push(code.to_owned());
+                is_open = true;
+            } else if !line.is_empty() {
+                is_open = false;
+                runs = line == RUNS;
+            }
+        }
+        blocks
+    }
+}
+
+#[test]
+fn internal_links_lead_to_files_and_headings() {
+    let pages = pages();
+    let mut count = 0;
+    for page in &pages {
+        let folder = root().join(&page.name).parent().unwrap().to_owned();
+        for link in page.links().into_iter().filter(|l| !l.contains("://")) {
+            count += 1;
+            let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let target = if file.is_empty() { root().join(&page.name) } else { folder.join(file) };
+            assert!(target.exists(), "{}: {link}", page.name);
+            let target = target.canonicalize().unwrap();
+            let of_target = pages.iter().find(|p| root().join(&p.name).canonicalize().unwrap() == target);
+            let is_there = anchor.is_empty() || of_target.is_some_and(|p| p.anchors().iter().any(|a| a == anchor));
+            assert!(is_there, "{}: {link} names no heading", page.name);
+        }
+    }
+    assert!(count > 20, "{count} links were checked");
+}
+
+#[test]
+fn every_page_is_in_the_table_of_contents() {
+    let pages = pages();
+    let summary = pages.iter().find(|p| p.name == "docs/SUMMARY.md").unwrap();
+    let listed = summary.links();
+    let of_book = pages.iter().filter_map(|p| p.name.strip_prefix("docs/")).filter(|n| *n != "SUMMARY.md");
+    let missing: Vec<&str> = of_book.filter(|n| !listed.contains(n)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
+/// Arguments of a line that calls the program, without what a shell does besides.
+fn arguments(line: &str) -> Option<Vec<String>> {
+    let words = line.strip_prefix("tmpi ")?;
+    let words = words.split(" #").next()?.split(" > ").next()?;
+    Some(words.split_whitespace().map(|w| w.trim_matches('\'').to_owned()).collect())
+}
+
+#[test]
+fn commands_have_the_options_of_the_program() {
+    let folder = tempfile::tempdir().unwrap();
+    // read as soon as it is named
+    fs::write(folder.path().join("strokes.json"), r#"{"version": 1, "strokes": []}"#).unwrap();
+    let mut count = 0;
+    for page in pages() {
+        for line in page.blocks().iter().flat_map(|b| &b.lines) {
+            let Some(arguments) = arguments(line) else { continue };
+            count += 1;
+            // each argument is read, with its value, before the one that asks for help is
+            let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(arguments).arg("--help").current_dir(&folder).output().unwrap();
+            assert!(out.status.success(), "{}: {line}\n{}", page.name, String::from_utf8_lossy(&out.stderr));
+        }
+    }
+    assert!(count > 30, "{count} commands were checked");
+    let wrong = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["make", "--nonsense", "--help"]).output().unwrap();
+    assert!(!wrong.status.success(), "a wrong option is noticed");
+}
+
+#[test]
+fn marked_blocks_run() {
+    let library = root().join(".tmpi/onnxruntime/libonnxruntime.so");
+    let library = std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from).or_else(|| library.is_file().then_some(library));
+    let Some(library) = Need::Onnx.or_skip(library.ok_or("cargo xtask serve fetches it")) else { return };
+    let program = Path::new(env!("CARGO_BIN_EXE_tmpi")).parent().unwrap();
+    let path = std::env::join_paths(std::iter::once(program.to_owned()).chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())));
+    let path = path.unwrap();
+    let mut count = 0;
+    for page in pages() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::copy(root().join("docs/sample.jpg"), folder.path().join("photo.jpg")).unwrap();
+        for line in page.blocks().iter().filter(|b| b.runs).flat_map(|b| &b.lines) {
+            if (line.contains(".mp4") || line.contains(".webp")) && Need::Ffmpeg.or_skip(has_ffmpeg()).is_none() {
+                continue;
+            }
+            let mut command = Command::new("sh");
+            command.args(["-e", "-c", line]).current_dir(folder.path()).env("PATH", &path).env("ORT_DYLIB_PATH", &library);
+            let out = command.env("TMPI_MODELS", folder.path().join("models")).env_remove("TMPI_DEPTH_MODEL").output().unwrap();
+            assert!(out.status.success(), "{}: {line}\n{}", page.name, String::from_utf8_lossy(&out.stderr));
+            count += 1;
+        }
+    }
+    assert!(count > 15, "{count} commands ran");
+}
+
+fn has_ffmpeg() -> Result<(), String> {
+    Command::new("ffmpeg").arg("-version").output().map(drop).map_err(|e| format!("ffmpeg: {e}"))
+}
+
+/// A page with the help of every command.
+const CLI: &str = "docs/reference/command-line.md";
+
+/// What the program prints on `--help`, whatever the environment says.
+fn help(command: &[String]) -> String {
+    let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).env_clear().args(command).arg("--help").output().unwrap();
+    assert!(out.status.success(), "{command:?}");
+    let lines = String::from_utf8(out.stdout).unwrap();
+    lines.lines().map(|l| l.trim_end().to_owned() + "\n").collect()
+}
+
+/// Adds the help of a command and of those below it.
+fn add_help(command: &[String], page: &mut String) {
+    let text = help(command);
+    let name = std::iter::once("tmpi").chain(command.iter().map(String::as_str)).collect::<Vec<_>>().join(" ");
+    page.push_str(&["\n## ", &name, "\n\n```text\n", &text, "```\n"].concat());
+    let list = text.split_once("\nCommands:\n").map(|(_, rest)| rest.split("\n\n").next().unwrap());
+    let names = list.into_iter().flat_map(str::lines).filter(|l| l.starts_with("  ") && !l.starts_with("   "));
+    for below in names.filter_map(|l| l.split_whitespace().next()).filter(|n| *n != "help") {
+        add_help(&[command, &[below.to_owned()]].concat(), page);
+    }
+}
+
+#[test]
+fn the_command_line_reference_is_what_the_program_prints() {
+    let mut page = "# Command line reference\n\nThis page is generated: `TMPI_BLESS=docs cargo test --test docs` writes it.\n".to_owned();
+    add_help(&[], &mut page);
+    let path = root().join(CLI);
+    if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "docs") {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, page).unwrap();
+    } else {
+        let written = fs::read_to_string(&path).unwrap_or_default();
+        assert!(written == page, "{CLI} is stale: TMPI_BLESS=docs cargo test --test docs writes it");
+    }
+}

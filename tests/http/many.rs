@@ -1,0 +1,163 @@
+//! Several nodes with one PostgreSQL database and one object store: what was accepted at one is made, served, changed and deleted at all.
+
+use std::collections::BTreeSet;
+use std::net::SocketAddr;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tmpi_render::PictureFormat;
+use tmpi_testing::Engine;
+
+use crate::client::{Connection, get, request};
+use crate::fixture::{picture, wait_until};
+use crate::process::{Process, large, upload};
+
+/// What nodes share.
+pub struct Shared {
+    dir: tempfile::TempDir,
+    database: String,
+    objects: Engine,
+}
+
+impl Shared {
+    /// None, said aloud, where PostgreSQL or the S3 server is not installed.
+    pub fn start() -> Option<Self> {
+        let (database, objects) = (tmpi_testing::database()?, Engine::s3()?);
+        Some(Self { dir: tempfile::tempdir().unwrap(), database, objects })
+    }
+
+    fn node(&self, name: &str, arguments: &[&str]) -> Process {
+        self.node_at(0, name, arguments)
+    }
+
+    /// At a port that is known before.
+    pub fn node_at(&self, port: u16, name: &str, arguments: &[&str]) -> Process {
+        let shared = ["--database", &self.database, "--blobs", "s3://photos/tmpi", "--drain", "5", "--lease", "3"];
+        let variables = Engine::s3_variables(self.objects.addr);
+        let mut environment: Vec<(&str, &str)> = variables.iter().map(|(name, value)| (*name, value.as_str())).collect();
+        environment.push(("AWS_ALLOW_HTTP", "true"));
+        Process::start_at(port, &self.dir.path().join(name), &[&shared[..], arguments].concat(), &environment)
+    }
+}
+
+fn state(addr: SocketAddr, id: &str) -> serde_json::Value {
+    get(addr, &format!("/v1/photos/{id}")).json()
+}
+
+/// The events of a photo until its stream ends.
+fn events(addr: SocketAddr, id: &str) -> std::thread::JoinHandle<String> {
+    let path = format!("/v1/photos/{id}/events");
+    std::thread::spawn(move || {
+        let mut connection = Connection::open(addr);
+        connection.send("GET", &path, &[], &[]);
+        assert_eq!(connection.head().unwrap().status, 200);
+        let mut all = Vec::new();
+        while let Some(chunk) = connection.chunk() {
+            all.extend(chunk);
+        }
+        String::from_utf8(all).unwrap()
+    })
+}
+
+#[test]
+fn one_node_takes_a_photo_another_makes_it_and_a_third_serves_it() {
+    let Some(shared) = Shared::start() else { return };
+    let (a, b) = (shared.node("a", &["--role", "serve"]), shared.node("b", &["--role", "serve"]));
+    let id = upload(a.addr, &large(1)).unwrap();
+    assert_eq!(state(b.addr, &id)["state"], "queued", "it is known at once");
+    let followed = events(b.addr, &id);
+    let worker = shared.node("w", &["--role", "work"]);
+    assert_eq!(get(worker.addr, "/healthz").status, 200);
+    get(worker.addr, "/v1/photos").problem(404);
+    let told = followed.join().unwrap();
+    assert!(told.contains("event: stage") && told.contains("event: done"), "who follows it elsewhere is told: {told}");
+    let path = |what: &str| format!("/v1/photos/{id}{what}");
+    let atlas = get(a.addr, &path("/atlas"));
+    assert_eq!(get(b.addr, &path("/atlas")).body, atlas.body);
+    let part = request(b.addr, "GET", &path("/atlas"), &[("range", "bytes=2-9"), ("if-range", atlas.header("etag").unwrap())], &[]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &atlas.body[2..10]));
+    assert_eq!(get(b.addr, &path("/view?w=32")).status, 200);
+    let patched = request(a.addr, "PATCH", &path(""), &[("content-type", "application/json")], br#"{"title": "A name"}"#);
+    assert_eq!(patched.status, 200);
+    assert_eq!(state(b.addr, &id)["settings"]["title"], "A name");
+    // a file that a worker writes is every node's to serve
+    let ordered = request(a.addr, "POST", &path("/exports?format=html"), &[], &[]);
+    let location = ordered.header("location").unwrap().to_owned();
+    wait_until("it is written", || get(b.addr, &location).json()["state"] == "done");
+    assert_eq!(get(b.addr, &format!("{location}/file")).status, 200);
+    // a second upload is known, wherever it comes in
+    assert_eq!(upload(b.addr, &large(1)).unwrap(), id);
+    assert_eq!(get(b.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 1);
+    assert_eq!(request(b.addr, "DELETE", &path(""), &[], &[]).status, 204);
+    for node in [&a, &b] {
+        assert_eq!(get(node.addr, &path("/atlas")).status, 404);
+    }
+}
+
+#[test]
+fn kill_9_of_each_node_under_uploads_loses_and_doubles_nothing() {
+    const UPLOADS: usize = 12;
+    let Some(shared) = Shared::start() else { return };
+    let node = |n: usize| shared.node(&n.to_string(), &["--role", if n < 2 { "serve" } else { "work" }]);
+    let nodes: Vec<Mutex<Process>> = (0..4).map(|n| Mutex::new(node(n))).collect();
+    let (next, accepted) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                loop {
+                    let n = next.fetch_add(1, Ordering::SeqCst);
+                    if n >= UPLOADS {
+                        return;
+                    }
+                    let photo = picture(n as u8, PictureFormat::Jpeg);
+                    let mut to = n;
+                    let mut id = None;
+                    wait_until("it is accepted", || {
+                        to += 1;
+                        // where that one is down, the other
+                        let addr = nodes[to % 2].lock().unwrap().addr;
+                        id = upload(addr, &photo);
+                        id.is_some()
+                    });
+                    accepted.lock().unwrap().extend(id);
+                }
+            });
+        }
+        for n in [0, 2, 1, 3] {
+            let many = || accepted.lock().unwrap().len();
+            let before = many();
+            wait_until("another is accepted", || many() > before || many() == UPLOADS);
+            let mut killed = nodes[n].lock().unwrap();
+            killed.crash();
+            *killed = node(n);
+        }
+    });
+    let (serve, accepted) = (nodes[0].lock().unwrap().addr, accepted.into_inner().unwrap());
+    let distinct: BTreeSet<&String> = accepted.iter().collect();
+    assert_eq!(distinct.len(), UPLOADS);
+    for id in &accepted {
+        wait_until("what was accepted is finished", || state(serve, id)["state"] == "done");
+        assert_eq!(get(serve, &format!("/v1/photos/{id}/atlas")).status, 200);
+    }
+    assert_eq!(get(serve, "/v1/photos?limit=200").json()["photos"].as_array().unwrap().len(), UPLOADS, "none is there twice");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn of_two_workers_that_have_one_photo_one_result_counts() {
+    let Some(shared) = Shared::start() else { return };
+    let (serve, slow) = (shared.node("a", &["--role", "serve"]), shared.node("w1", &["--role", "work"]));
+    let held = slow.hold();
+    let id = upload(serve.addr, &large(1)).unwrap();
+    wait_until("it has begun", || state(serve.addr, &id)["state"] == "working");
+    // it stands still as a machine does that swaps, and knows nothing of its lease
+    slow.signal(libc::SIGSTOP);
+    let _quick = shared.node("w2", &["--role", "work"]);
+    wait_until("another has made it", || state(serve.addr, &id)["state"] == "done");
+    let atlas = get(serve.addr, &format!("/v1/photos/{id}/atlas")).body;
+    slow.signal(libc::SIGCONT);
+    drop(held);
+    wait_until("the first has ended with it", || slow.logged().contains("outcome=\"deleted\""));
+    assert_eq!(state(serve.addr, &id)["state"], "done");
+    assert_eq!(get(serve.addr, &format!("/v1/photos/{id}/atlas")).body, atlas);
+}
