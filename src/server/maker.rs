@@ -162,7 +162,6 @@ impl Maker for PipelineMaker {
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         // first what is told while it comes in, so that it is told alike of one that is whole
         self.check_head(HeadOf::Photo(options), photo)?;
-        photo::check_whole(photo, &self.limits)?;
         let (size, map) = self.sizes(photo, depth)?;
         self.check_size(size, map, options)
     }

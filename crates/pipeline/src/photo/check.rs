@@ -21,18 +21,6 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)),
     Ok((format, size))
 }
 
-/// Refuses what [`check`] refuses, and a JPEG without its end: it was cut short on its way, and is there whole where it came from.
-///
-/// # Errors
-/// [`PhotoError`].
-pub fn check_whole(bytes: &[u8], limits: &Limits) -> Result<(), PhotoError> {
-    let (format, _) = check(bytes, limits)?;
-    if format == PhotoFormat::Jpeg && !super::jpeg::scan(bytes)?.ended {
-        return Err(PhotoError::Broken("its end is missing: it was cut short".into()));
-    }
-    Ok(())
-}
-
 /// The segments of a JPEG within the limits, with data for each of its blocks.
 pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
     // first what is told while the file comes in, so that it is told alike of one that is whole

@@ -28,8 +28,6 @@ pub(super) struct Jpeg {
     pub scans: usize,
     /// The scans bring every coefficient of every component to its last bit.
     pub complete: bool,
-    /// The end marker follows the last scan.
-    pub ended: bool,
     /// It does, and every code table that a scan uses is there.
     pub standalone: bool,
     /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the last scan but the end marker.
@@ -296,7 +294,6 @@ impl Walk<'_> {
             layout: frame.layout(colour),
             scans: self.scans,
             complete: frame.is_complete(),
-            ended,
             standalone: ended && !self.motion,
             stripped: self.out,
             exif: self.exif.map(<[u8]>::to_vec),

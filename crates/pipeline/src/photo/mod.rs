@@ -42,7 +42,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use image::codecs::webp::WebPDecoder;
 use image::{ColorType, ImageDecoder};
 
-pub use check::{check, check_whole};
+pub use check::check;
 pub use error::PhotoError;
 pub use head::{Head, head};
 pub use limits::Limits;
