@@ -39,15 +39,15 @@ struct Counts {
 /// `cargo clippy` would compile all dependencies a second time, because it only checks them.
 pub fn build() -> Result<(), Fault> {
     programs()?;
-    // programs of their own for browser tests, not test programs as above
-    let mut command = cargo(&["build", "--workspace", "--examples", "--profile", Profile::Checks.name()]);
+    // none of the targets that `cargo test` takes by itself; another command than `cargo test` would build dependencies with other features
+    let mut command = cargo(&["test", "--workspace", "--benches", "--no-run", "--quiet", "--profile", Profile::Checks.name()]);
     lint(&mut command);
     run(command)
 }
 
 fn programs() -> Result<Vec<TestProgram>, Fault> {
-    let mut command =
-        cargo(&["test", "--workspace", "--lib", "--bins", "--tests", "--benches", "--no-run", "--message-format=json-render-diagnostics"]);
+    // libraries, programs, tests, and examples as programs of their own, which browser tests start
+    let mut command = cargo(&["test", "--workspace", "--no-run", "--message-format=json-render-diagnostics"]);
     command.args(["--profile", Profile::Checks.name()]);
     lint(&mut command);
     command.stdout(Stdio::piped());
