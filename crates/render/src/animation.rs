@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::{Outlook, View, looking_at};
-use tmpi_core::{Camera, Intrinsics};
+use tmpi_core::{Camera, Intrinsics, Pose};
 
 /// Longest time that `ffmpeg` may run: the longest film of the largest frames takes about a minute of one core.
 const MOST_TIME: Duration = Duration::from_mins(5);
@@ -79,12 +79,31 @@ impl Path {
 /// Most of each side that is left out of a film.
 const MOST_HIDDEN: f64 = 0.025;
 
-/// How much larger a film shows the photo, so that what lies beyond its border stays out of sight.
+/// Places on the ellipse of a way at which the photo's borders are looked at.
+const LOOKS: u32 = 8;
+
+/// How much larger a film shows the photo, so that what lies beyond its border stays out of sight. The camera turns as it moves, which shifts the
+/// borders of a wide lens more than its middle: so it goes by where the corners of the nearest and the farthest plane come to lie.
 fn overscan(camera: &Camera, outlook: &Outlook) -> f64 {
-    let (k, v, most) = (&camera.intrinsics, &outlook.travel, outlook.pivot.max(1.0 - outlook.pivot));
-    let past = |focal: f64, way: f64, side: u32| most * focal * way / f64::from(side);
-    let hidden = past(k.fx, v.x, camera.width).max(past(k.fy, v.y, camera.height));
-    1.0 / (1.0 - 2.0 * hidden.clamp(0.0, MOST_HIDDEN))
+    let (v, sides) = (&outlook.travel, [camera.width, camera.height].map(f64::from));
+    let needed = |look: u32| {
+        let (sin, cos) = (f64::from(look) / f64::from(LOOKS) * std::f64::consts::TAU).sin_cos();
+        let (x, y) = (v.x * cos, v.y * sin);
+        let turned = looking_at(outlook.pivot, x, y, 0.0);
+        let pose = Pose { yaw: turned.yaw, pitch: turned.pitch, ..Pose::default().shifted([x, y, 0.0]) };
+        let moved = Camera { pose, ..*camera };
+        let corners = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]].into_iter().flat_map(|share| [(share, 0.0), (share, 1.0)]);
+        let past = corners.map(|(share, delta)| {
+            let h = tmpi_core::homography([0.0, 0.0, delta], &camera.intrinsics, &moved);
+            let [px, py, w] = tmpi_core::mat3_vec(&h, [share[0] * sides[0], share[1] * sides[1], 1.0]);
+            // from the middle, in halves of a side
+            let from_middle = [px / w, py / w].into_iter().zip(sides).map(|(p, side)| (2.0 * p / side - 1.0).abs());
+            from_middle.fold(f64::INFINITY, f64::min)
+        });
+        past.fold(1.0, f64::min)
+    };
+    let shown = (0..LOOKS).map(needed).fold(1.0, f64::min);
+    1.0 / shown.max(1.0 - 2.0 * MOST_HIDDEN)
 }
 
 /// The lens that shows everything `by` times as large, while what is at `place` (shares of width and height) stays there.
@@ -273,7 +292,7 @@ impl Drop for Animation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tmpi_core::{Pose, ViewBox};
+    use tmpi_core::ViewBox;
 
     #[test]
     fn ways_stay_in_what_the_scene_travels_and_close() {
