@@ -117,10 +117,12 @@ fn which(name: &str) -> Option<String> {
     std::env::split_paths(&path).map(|p| p.join(name)).find(|p| p.is_file()).map(|p| p.to_string_lossy().into_owned())
 }
 
-/// Debian keeps the programs of each version out of the path.
+/// Debian keeps the programs of each version out of the path. Tests take a folder that has all three.
 fn postgres_is_there() -> bool {
-    let versions = fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
-    which("initdb").is_some() || versions.into_iter().any(|v| v.path().join("bin/initdb").is_file())
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let versions = fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten().map(|v| v.path().join("bin"));
+    let mut folders = std::env::split_paths(&path).chain(versions);
+    folders.any(|folder| ["initdb", "postgres", "createdb"].iter().all(|program| folder.join(program).is_file()))
 }
 
 fn has_software_vulkan() -> bool {
