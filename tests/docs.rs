@@ -186,9 +186,26 @@ fn help(command: &[String]) -> String {
     lines.lines().map(|l| l.trim_end().to_owned() + "\n").collect()
 }
 
+/// Commands that take all options of `tmpi serve`.
+const LIKE_SERVE: [&str; 2] = ["work", "config"];
+
+/// The help of a command; where it takes the options of `tmpi serve`, it refers to them.
+fn without_options_of_serve(command: &[String], text: &str) -> String {
+    if !matches!(command, [name] if LIKE_SERVE.contains(&name.as_str())) {
+        return text.to_owned();
+    }
+    let options = |text: &str| text.lines().filter_map(|l| l.trim().strip_prefix("--")).map(str::to_owned).collect::<Vec<_>>();
+    let of_serve = options(&help(&["serve".to_owned()]));
+    for option in options(text) {
+        assert!(of_serve.contains(&option), "{command:?} has an option of its own: --{option}");
+    }
+    [text.split("\nOptions:\n").next().unwrap(), "\nOptions: those of `tmpi serve`\n"].concat()
+}
+
 /// Adds the help of a command and of those below it.
 fn add_help(command: &[String], page: &mut String) {
     let text = help(command);
+    let text = without_options_of_serve(command, &text);
     let name = std::iter::once("tmpi").chain(command.iter().map(String::as_str)).collect::<Vec<_>>().join(" ");
     page.push_str(&["\n## ", &name, "\n\n```text\n", &text, "```\n"].concat());
     let list = text.split_once("\nCommands:\n").map(|(_, rest)| rest.split("\n\n").next().unwrap());

@@ -69,7 +69,7 @@ pub(super) struct BoundArgs {
     /// Disk for files that were written as jobs (POST /v1/photos/ID/exports), in MiB; those that were not fetched for longest go first
     #[arg(long, default_value_t = (Limits::EXPORTS_BYTES >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
     exports_mib: u32,
-    /// Seconds for which such a file is kept that nobody fetches
+    /// Seconds for which an export is kept after its last download
     #[arg(long, default_value_t = seconds(Limits::EXPORTS_FOR), value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     exports_for: u32,
     /// Seconds that one may take: as a job, or as long as the client waits

@@ -24,7 +24,7 @@ enum What {
     Token(TokenArgs),
 }
 
-/// Print a token that lets into a room whoever has it
+/// Print a token that lets its holder into a room
 #[derive(Clone, Debug, clap::Args)]
 struct TokenArgs {
     /// Name of the room

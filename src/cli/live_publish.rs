@@ -9,6 +9,7 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::Message;
 
+use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self as message, Depth, Hello, Video};
 use tmpi_core::live::{VERSION, read, write};
@@ -22,7 +23,6 @@ use super::live_program::is_live;
 use super::live_sound::Sound;
 use super::live_source::{Frame, Source};
 use super::{note, result};
-use crate::live::TAKEN;
 
 /// Time for which a frame waits for the server's leave to send it, before it is left out.
 const PATIENCE: Duration = Duration::from_millis(250);
@@ -353,7 +353,7 @@ impl Heard {
                     let error = anyhow::anyhow!("the server says: {}", bye.reason);
                     return Err(match bye.again {
                         true => End::Lost(error),
-                        false if bye.reason == TAKEN => End::Taken(error),
+                        false if bye.cause() == Cause::Taken => End::Taken(error),
                         false => End::Refused(error),
                     });
                 }

@@ -143,7 +143,7 @@ pub(super) struct ServeArgs {
     /// Memory that making photos may take, in MiB: larger ones are made smaller, or refused, and side by side are made as many as fit [default: 6144]
     #[arg(long, value_parser = clap::value_parser!(u32).range(160..), value_name = "MIB")]
     job_memory: Option<u32>,
-    /// Seconds after which memory that nobody asked for goes back to the system: scenes, files, processes that made photos
+    /// Seconds after which unused memory returns to the system: scenes, files, processes that made photos
     #[arg(long, default_value_t = Limits::REST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     rest: u32,
     /// Seconds after SIGTERM for which everything is still served but /readyz says 503, so that proxies look elsewhere; 5, on loopback 0
@@ -202,7 +202,7 @@ pub(super) struct ServeArgs {
 /// Whether to ask who comes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Access {
-    /// Nobody is asked.
+    /// Requests need no authentication.
     Open,
     /// Photos are their owners' alone.
     Private,

@@ -10,15 +10,14 @@ use tokio::time::{Instant, interval, sleep, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_util::sync::CancellationToken;
 
-use tmpi_core::live::wire::Credit;
+use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
 use super::origin::{Nodes, Socket};
-use super::publisher::SENT_AWAY;
 use super::room::Room;
 use super::tiles::Chunks;
-use super::viewer::GONE;
 use super::{COME_BACK, Entry};
 
 /// Silence after which an origin is taken for dead, which says something each second.
@@ -60,7 +59,7 @@ enum End {
     /// Nobody watches here.
     Unwatched,
     /// The origin said so.
-    Bye(String),
+    Bye(Bye),
 }
 
 /// Serves a room from its origins, one after the other, until nobody watches it, its publisher comes here, or there is none for [`COME_BACK`].
@@ -101,12 +100,11 @@ impl Edge<'_> {
             if let Err(error) = &ended {
                 tracing::debug!(%error, room = self.name, "a room of another node");
             }
-            if let Ok(End::Bye(reason)) = &ended
-                && reason.starts_with(SENT_AWAY)
-            {
-                return self.room.end(reason);
-            }
-            gone = ended.is_ok_and(|end| end == End::Bye(GONE.into()));
+            gone = match ended {
+                Ok(End::Bye(bye)) if bye.cause() == Cause::Rejected => return self.room.end(bye),
+                Ok(End::Bye(bye)) => matches!(bye.cause(), Cause::Left | Cause::Lost),
+                _ => false,
+            };
             if self.is_unwatched() || self.heard.elapsed() > COME_BACK {
                 return;
             }
@@ -163,7 +161,7 @@ impl Edge<'_> {
         // kinds that are not known are of newer programs
         let Ok(kind) = read(bytes.clone()) else { return Ok(None) };
         match kind {
-            Kind::Bye(bye) => return Ok(Some(End::Bye(bye.reason))),
+            Kind::Bye(bye) => return Ok(Some(End::Bye(bye))),
             Kind::Hello(hello) => {
                 let chunks = Chunks::new(&hello).ok_or(EdgeError::Stale)?;
                 self.epoch = hello.epoch;

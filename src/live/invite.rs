@@ -6,6 +6,7 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri};
 use serde::{Deserialize, Serialize};
+use tmpi_core::live::wire::bye::Cause;
 use utoipa::ToSchema;
 
 use super::access::{Role, end_of, token, token_of};
@@ -28,7 +29,7 @@ pub(super) struct RoomState {
     full: bool,
     /// Whoever asked may publish.
     may_publish: bool,
-    /// Why the last publisher has gone, for some seconds.
+    /// Why the server has disconnected the last publisher, for some seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     ended: Option<String>,
 }
@@ -64,7 +65,13 @@ pub(super) async fn state(
         None if leave == Leave::Node => RoomState::default(),
         None => at_origin(&here, &name).await?.unwrap_or_default(),
     };
-    let ended = here.rooms.get(&name).and_then(|room| room.farewell()).or(state.ended);
+    let ended = here
+        .rooms
+        .get(&name)
+        .and_then(|room| room.farewell())
+        .filter(|bye| bye.cause() == Cause::Rejected)
+        .map(|bye| bye.reason)
+        .or(state.ended);
     Ok(Json(RoomState { full, may_publish, ended, ..state }))
 }
 

@@ -48,7 +48,6 @@ pub use access::{Role, token};
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
 pub use origin::NodeAddress;
-pub(crate) use publisher::TAKEN;
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;

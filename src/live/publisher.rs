@@ -8,6 +8,7 @@ use bytes::Bytes;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout_at};
 
+use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
@@ -19,7 +20,7 @@ use super::ring::What;
 use super::room::Room;
 use super::routes::{ENDED, Here, ended};
 use super::sound::Allowance;
-use super::viewer::GONE;
+use super::viewer::gone;
 use super::worker::{Coded, Decoded, Worker};
 use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
 
@@ -33,7 +34,7 @@ pub async fn serve(mut socket: WebSocket, entry: &Entry, here: &Here, ends: Opti
     let mut lease = None;
     let Err(reason) = session(&mut socket, entry, here, ends, &mut lease).await else { return lease };
     tracing::info!(reason, "a publisher is sent away");
-    send_away(socket, Bye { again: may_come_back(&reason), reason }).await;
+    send_away(socket, Bye { again: may_come_back(&reason), cause: cause(&reason).into(), reason }).await;
     lease
 }
 
@@ -42,11 +43,19 @@ fn may_come_back(reason: &str) -> bool {
     reason == STOPS || reason == UNREACHABLE || reason.starts_with(SILENT) || reason.starts_with(BROKE)
 }
 
+/// What the publisher's program can act on.
+fn cause(reason: &str) -> Cause {
+    match reason {
+        TAKEN => Cause::Taken,
+        _ if reason.starts_with(NO_DECODER) => Cause::Codec,
+        _ => Cause::Other,
+    }
+}
+
 const STOPS: &str = "the server stops";
-/// What viewers are told of a publisher that is sent away, before the reason.
-pub(super) const SENT_AWAY: &str = "the publisher was sent away";
 /// Why a second publisher is sent away.
-pub(crate) const TAKEN: &str = "someone publishes in this room";
+const TAKEN: &str = "someone publishes in this room";
+const NO_DECODER: &str = "no decoder for the codec";
 const SILENT: &str = "nothing came for";
 const BROKE: &str = "the connection broke";
 const BIDIRECTIONAL: &str =
@@ -82,9 +91,11 @@ async fn session(
     }
     let ended = published(socket, room, hello, here, Until { lease: lease.as_ref(), ends }).await;
     match &ended {
-        Ok(Gone::Said) => room.end(GONE),
+        Ok(Gone::Said) => room.end(gone(Cause::Left)),
         // viewers follow the publisher to where it is now
-        Err(reason) if reason != MOVED && !may_come_back(reason) => room.end(&format!("{SENT_AWAY}: {reason}")),
+        Err(reason) if reason != MOVED && !may_come_back(reason) => {
+            room.end(Bye { reason: reason.clone(), again: true, cause: Cause::Rejected.into() });
+        }
         Ok(Gone::Lost) | Err(_) => {}
     }
     ended.map(drop)

@@ -8,7 +8,7 @@ use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{self, Hello, Statistics};
+use tmpi_core::live::wire::{self, Bye, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 
 use super::gops::{Group, Groups, Part};
@@ -42,7 +42,7 @@ struct State {
     publishing: bool,
     closed: bool,
     /// Why the publisher is gone for good; none while one is here or may come back.
-    farewell: Option<String>,
+    farewell: Option<Bye>,
     viewers: usize,
     /// Viewers of the edges that watch here, as these count them.
     at_edges: u32,
@@ -153,13 +153,13 @@ impl Room {
     }
 
     /// The publisher is gone for good: who watches is told why.
-    pub fn end(&self, why: &str) {
-        self.lock().farewell = Some(why.to_owned());
+    pub fn end(&self, farewell: Bye) {
+        self.lock().farewell = Some(farewell);
         self.changed();
     }
 
     /// Why the publisher is gone for good.
-    pub fn farewell(&self) -> Option<String> {
+    pub fn farewell(&self) -> Option<Bye> {
         self.lock().farewell.clone()
     }
 

@@ -11,6 +11,7 @@ use futures_util::FutureExt as _;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
+use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit};
 use tmpi_core::live::{read, write};
@@ -21,8 +22,13 @@ use super::{HEARTBEAT, send_away};
 
 /// Why a viewer finds no place.
 pub const FULL: &str = "as many watch the room as may";
-/// Why a viewer is sent away where the publisher has gone by itself.
-pub const GONE: &str = "the publisher has gone";
+const GONE: &str = "the publisher has gone";
+
+/// What viewers are told where the publisher has gone by itself.
+pub fn gone(cause: Cause) -> Bye {
+    Bye { reason: GONE.into(), again: true, cause: cause.into() }
+}
+
 /// Words that a viewer may say at once, and seconds for each one after that.
 const WORDS: u32 = 20;
 const WORD: f64 = 0.5;
@@ -50,7 +56,7 @@ impl Drop for Counted<'_> {
 /// Serves a viewer until it or the room goes, or the token `ends` that it came by.
 pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, Watches), stop: CancellationToken, ends: Option<Instant>) {
     let Some(viewer) = room.join(kind) else {
-        return send_away(socket, Bye { reason: FULL.into(), again: true }).await;
+        return send_away(socket, Bye { reason: FULL.into(), again: true, cause: Cause::Full.into() }).await;
     };
     let end = {
         let mut counted = Counted { room: &room, viewer };
@@ -94,7 +100,7 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                     return End::Gone;
                 }
             }
-            Next::Closed => return bye(&room.farewell().unwrap_or_else(|| GONE.into()), true),
+            Next::Closed => return End::Bye(room.farewell().unwrap_or_else(|| gone(Cause::Lost))),
             Next::Wait => tokio::select! {
                 changed = changes.changed() => {
                     if changed.is_err() {
@@ -117,7 +123,7 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
 }
 
 fn bye(reason: &str, again: bool) -> End {
-    End::Bye(Bye { reason: reason.into(), again })
+    End::Bye(Bye { reason: reason.into(), again, ..Bye::default() })
 }
 
 /// Takes what came from a viewer; none where it may stay.

@@ -13,8 +13,6 @@ const LOOK_MS = 1000;
 const FULL_MS = [5000, 10_000, 20_000, 30_000];
 /** Time that an answer may take, ms. */
 const ANSWER_MS = 10_000;
-/** What the server says to who finds no place. */
-const FULL = /as many watch the room as may/;
 /** CREDIT (`credit`, 8) as who watches says it: of no frames, as nobody looks, and of one from a key frame on, as somebody does again. */
 export const SOUND_ALONE = Uint8Array.of((8 << 3) | 2, 0);
 export const EVERYTHING = Uint8Array.of((8 << 3) | 2, 4, 1 << 3, 1, 2 << 3, 1);
@@ -93,7 +91,7 @@ export class Connection {
     const run = this.#run;
     const { state, full, ended } = await look(this.#room.address, this.#room.token);
     if (run !== this.#run) return;
-    if (state === 'open' && full) return this.#wait();
+    if (state === 'open' && full) return this.full();
     if (state !== 'open') {
       this.#on.state(state, ended);
       if (state === 'waiting') this.#again(LOOK_MS);
@@ -128,19 +126,9 @@ export class Connection {
     this.#tries = this.#crowded = 0;
   }
 
-  /**
-   * Whether the server sent somebody away because there is no place; it is tried again then, less and less often.
-   * @param {string} reason
-   */
-  full(reason) {
-    if (!FULL.test(reason)) return false;
+  /** Tries for a place in the full room, less and less often. */
+  full() {
     this.stop();
-    this.#wait();
-    return true;
-  }
-
-  /** Waits for a place. */
-  #wait() {
     this.#on.state('full', '');
     this.#again(FULL_MS[Math.min(this.#crowded++, FULL_MS.length - 1)]);
   }

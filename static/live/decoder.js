@@ -28,12 +28,16 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
  * @typedef {{kind: 'statistics', frame: number, viewers: number, frames: number, videoBytes: number, geometryBytes: number, tiles: number,
  *   leftOut: number, skipped: number, forwardMs: number, geometryMs: number}} Statistics
  */
-/** @typedef {{kind: 'bye', reason: string, again: boolean}} Bye */
+/** @typedef {{kind: 'bye', reason: string, again: boolean, cause: Cause}} Bye */
+/** @typedef {'other' | 'left' | 'lost' | 'rejected' | 'full' | 'taken' | 'codec'} Cause why the server closes the connection (live.proto) */
 /** @typedef {{kind: 'credit', frames: number, key: boolean}} Credit */
 /** @typedef {{kind: 'other'}} Other is for nobody here */
 /** @typedef {Hello | Video | Sound | Tiles | Statistics | Bye | Credit | Other} Message */
 
 /** @typedef {{tile: number, layers: Float64Array[] | null}} ChangedTile its layers, nine numbers each (crates/live-decoder), or null where it has those of before */
+
+/** Of the numbers in live.proto. @type {Cause[]} */
+const CAUSES = ['other', 'left', 'lost', 'rejected', 'full', 'taken', 'codec'];
 
 /** The compiled module. */
 export function compiled() {
@@ -85,7 +89,7 @@ export class RoomDecoder {
       const [frame, viewers, frames, videoBytes, geometryBytes, tiles, leftOut, skipped, forwardMs, geometryMs] = n;
       return { kind: 'statistics', frame, viewers, frames, videoBytes, geometryBytes, tiles, leftOut, skipped, forwardMs, geometryMs };
     }
-    if (kind === 7) return { kind: 'bye', reason: this.#text(DATA), again: n[0] === 1 };
+    if (kind === 7) return { kind: 'bye', reason: this.#text(DATA), again: n[0] === 1, cause: CAUSES[n[1]] ?? 'other' };
     if (kind === 8) return { kind: 'credit', frames: n[0], key: n[1] === 1 };
     return { kind: 'other' };
   }

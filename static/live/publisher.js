@@ -25,9 +25,6 @@ const QUIET_MS = 7000;
 const MICROPHONE_MS = 3000;
 /** Frames in a row that may fail before it ends. */
 const FAILURES = 5;
-/** What the server says to a codec that it has no decoder for, and where the room is taken. */
-const NO_DECODER = /no decoder for the codec/;
-const TAKEN = /someone publishes in this room/;
 
 /** Now in µs, by a clock that others on the machine have, too. */
 const clock = () => Math.round((performance.timeOrigin + performance.now()) * 1000);
@@ -278,10 +275,10 @@ export class Publisher {
         this.#tell('live', '');
       }
     } else if (message?.kind === 'bye') {
-      if (NO_DECODER.test(message.reason)) {
+      if (message.cause === 'codec') {
         this.#codec++;
         this.#connect();
-      } else if (message.again || (TAKEN.test(message.reason) && this.#wasLive)) this.#again();
+      } else if (message.again || (message.cause === 'taken' && this.#wasLive)) this.#again();
       else this.#end(message.reason);
     }
   }

@@ -7,6 +7,7 @@ import { Connection, EVERYTHING, SOUND_ALONE } from './connection.js';
 import { compiled, RoomDecoder } from './decoder.js';
 import { Hold } from './hold.js';
 import { Jitter } from './jitter.js';
+import { Measurements } from './measurements.js';
 import { NoDecoder, Pictures } from './pictures.js';
 import { pixelsOf } from './pixels.js';
 import { PlayOut } from './play-out.js';
@@ -46,19 +47,6 @@ const FAILURES = 4;
 const FAILING_MS = 5000;
 /** Time in which frames come and the browser’s decoder gives no picture, ms: it gives none. */
 const SILENT_MS = 10_000;
-/** What the server says of a publisher that it has sent away, before the reason. */
-const SENT_AWAY = /^the publisher was sent away: /;
-/** Weight of the newest in what is smoothed. */
-const WEIGHT = 0.1;
-
-/** Now in ms, by a clock that others on the machine have, too. */
-const clock = () => performance.timeOrigin + performance.now();
-
-/**
- * Why a publisher was sent away, empty where it has gone by itself.
- * @param {string} words of the server
- */
-const sentAway = (words) => (SENT_AWAY.test(words) ? words.replace(SENT_AWAY, '') : '');
 
 class Room {
   #decoder;
@@ -100,9 +88,7 @@ class Room {
   #timer;
   /** The frame that was counted last. */
   #counted = -1;
-  #measured = { made: 0, copy: 0, video: 0, latency: 0, lag: 0, frames: 0, bytes: 0 };
-  /** Fastest way of a frame so far, ms between two clocks. */
-  #fastest = Infinity;
+  #measurements = new Measurements();
   /** @type {Statistics | null} */
   #statistics = null;
   #state = '';
@@ -124,10 +110,7 @@ class Room {
     this.#watched = watched;
     this.#connection = new Connection(watched, {
       message: (bytes) => this.#take(bytes),
-      state: (state, ended) => {
-        const reason = sentAway(ended);
-        this.#say(state === 'waiting' && (this.#hello || reason) ? 'ended' : state, reason);
-      },
+      state: (state, reason) => this.#say(state === 'waiting' && (this.#hello || reason) ? 'ended' : state, reason),
     });
     this.#say('connecting');
     this.#connection.start();
@@ -163,7 +146,7 @@ class Room {
   drawn(spare) {
     this.#spare = spare;
     const shown = this.#underWay.shown(performance.now());
-    if (shown) this.#measured.latency = clock() - shown.time / 1000;
+    if (shown) this.#measurements.shown(shown.time);
     this.#pump();
   }
 
@@ -195,7 +178,7 @@ class Room {
 
   /** @param {Uint8Array<ArrayBuffer>} bytes */
   #take(bytes) {
-    this.#measured.bytes += bytes.length;
+    this.#measurements.bytes += bytes.length;
     // tiles are taken over when they are read: they stay behind the frames that they came behind
     if (!this.#playOut.empty && TILES.includes(bytes[0])) return this.#playOut.push(() => this.#read(bytes), 0, true);
     this.#read(bytes);
@@ -218,8 +201,8 @@ class Room {
     else if (message.kind === 'sound') this.#sound.decode(message);
     else if (message.kind === 'statistics') this.#statistics = message;
     else if (message.kind === 'bye') {
-      if (this.#connection.full(message.reason)) return;
-      if (message.again) return this.#say('ended', sentAway(message.reason));
+      if (message.cause === 'full') return this.#connection.full();
+      if (message.again) return this.#say('ended', message.cause === 'rejected' ? message.reason : '');
       this.#connection.stop();
       this.#say('away', message.reason);
     }
@@ -236,7 +219,7 @@ class Room {
     [this.#hold, this.#jitter] = [new Hold(), new Jitter()];
     this.#playOut.clear();
     this.#due = Infinity;
-    this.#fastest = Infinity;
+    this.#measurements.begin();
     this.#pictures?.close();
     this.#pictures = null;
     this.#drop();
@@ -274,9 +257,7 @@ class Room {
   #video(video) {
     const arrived = performance.now();
     this.#lastFrame = arrived;
-    const way = performance.timeOrigin + arrived - video.time / 1000;
-    this.#fastest = Math.min(this.#fastest, way);
-    this.#measured.lag += (way - this.#fastest - this.#measured.lag) * WEIGHT;
+    this.#measurements.arrived(video.time, arrived);
     this.#say('live');
     if (this.#hidden) return;
     const due = this.#jitter.arrived(video.time / 1000, performance.timeOrigin + arrived) - performance.timeOrigin;
@@ -332,7 +313,7 @@ class Room {
   /** @param {Decoded} decoded */
   #decoded(decoded) {
     this.#lastPicture = performance.now();
-    this.#measured.video += (decoded.ms - this.#measured.video) * WEIGHT;
+    this.#measurements.took('video', decoded.ms);
     // one that is held for its tiles has had its time
     if (this.#next && !this.#busy && this.#free && !this.#hidden) {
       this.#due = 0;
@@ -382,7 +363,7 @@ class Room {
         const pixels = await this.#pixels(next, head);
         if (!pixels || this.#hello.head !== head) return;
         const { format, bytes } = pixels;
-        this.#measured.copy += (performance.now() - started - this.#measured.copy) * WEIGHT;
+        this.#measurements.took('copy', performance.now() - started);
         started = performance.now();
         this.#decoder.frame(format, bytes, next);
         this.#failures = 0;
@@ -436,7 +417,7 @@ class Room {
     if (!changed.length && this.#told) {
       // nothing moves: the picture that is shown is this one
       this.#count();
-      if (this.#shown) this.#measured.latency = clock() - this.#shown.time / 1000;
+      if (this.#shown) this.#measurements.shown(this.#shown.time);
       return true;
     }
     if (!changed.length && !this.#atlas) return false;
@@ -447,7 +428,7 @@ class Room {
     this.#spare = undefined;
     const drawn = reshaped || !this.#told ? this.#atlas.drawn() : null;
     const made = performance.now() - started;
-    this.#measured.made += (made - this.#measured.made) * (this.#measured.made ? WEIGHT : 1);
+    this.#measurements.took('made', made);
     this.#count();
     const whole = drawn !== null && (grown || !this.#told);
     this.#underWay.sent(this.#shown, performance.now(), whole);
@@ -482,7 +463,7 @@ class Room {
   /** A frame counts once, though it is drawn once more for tiles that came late. */
   #count() {
     const frame = this.#shown?.frame ?? -1;
-    if (frame !== this.#counted) this.#measured.frames++;
+    if (frame !== this.#counted) this.#measurements.frames++;
     this.#counted = frame;
   }
 
@@ -492,27 +473,10 @@ class Room {
     if (this.#waits || this.#hidden || this.#state !== 'live') this.#lastPicture = now;
     else if (now - this.#lastPicture > SILENT_MS) this.#over('its decoder gives no picture');
     if (!this.#hidden && !this.#watched.flat && this.#underWay.age(now) > UNSEEN_MS) this.again();
-    const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
-    [this.#measured.frames, this.#measured.bytes] = [0, 0];
-    const seconds = TELL_MS / 1000;
-    const rates = { frames: frames / seconds, kbits: (bytes * 8e-3) / seconds };
     const { viewers = 0, skipped = 0, geometryMs = 0 } = this.#statistics ?? {};
+    const { jitter, delay: buffer } = this.#jitter;
     const frame = this.#shown?.frame ?? -1;
-    postMessage({
-      type: 'statistics',
-      frame,
-      madeMs: made,
-      copyMs: copy,
-      videoMs: video,
-      latency,
-      lag,
-      jitter: this.#jitter.jitter,
-      buffer: this.#jitter.delay,
-      ...rates,
-      viewers,
-      skipped,
-      geometryMs,
-    });
+    postMessage({ type: 'statistics', frame, ...this.#measurements.since(TELL_MS), jitter, buffer, viewers, skipped, geometryMs });
   }
 }
 

@@ -9,7 +9,7 @@ use tempfile::tempdir;
 use tmpi::live::{Bounds, Config as RoomConfig, Rooms};
 use tmpi::server::{Config, Server};
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Credit, Depth, Hello, Sound, Video};
+use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Sound, Video};
 use tmpi_core::live::{Model, VERSION, read, write};
 use tmpi_core::{DisparityMap, Photo, container};
 use tmpi_pipeline::Models;
@@ -109,11 +109,16 @@ impl Client {
         }
     }
 
-    /// The reason that it is sent away with.
-    pub fn bye(mut self) -> String {
+    /// The reason that it is disconnected with.
+    pub fn bye(self) -> String {
+        self.farewell().reason
+    }
+
+    /// The last message.
+    pub fn farewell(mut self) -> Bye {
         while let Some(kind) = self.next() {
             if let Kind::Bye(bye) = kind {
-                return bye.reason;
+                return bye;
             }
         }
         panic!("it was closed without a reason");

@@ -41,7 +41,10 @@ const TARGETS: [&str; 28] = [
 const SECONDS: u32 = 60;
 /// An input that takes longer is a finding.
 const TIMEOUT: &str = "-timeout=20";
+/// Largest resident memory. A target needs a tenth of it; the sanitizer's shadow and quarantine need the rest.
 const MEMORY: &str = "-rss_limit_mb=3072";
+/// The ends of threads of libraries are not waited for, so what they hold would count as leaked.
+const LEAKS: &str = "-detect_leaks=0";
 /// Environment variable: the folder of inputs that earlier runs have found; `target/fuzz/corpus` without it.
 const CORPUS: &str = "TMPI_FUZZ_CORPUS";
 /// What cargo-fuzz passes. The sanitizer needs a nightly compiler, or [`BOOTSTRAP`].
@@ -128,12 +131,7 @@ fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
     }
     let mut command = Command::new(program);
     // one thread each: as many targets as cores run side by side
-    command.env("TMPI_FUZZ", name).env("RAYON_NUM_THREADS", "1").current_dir(root()).args([
-        TIMEOUT,
-        MEMORY,
-        "-detect_leaks=0",
-        "-print_final_stats=1",
-    ]);
+    command.env("TMPI_FUZZ", name).env("RAYON_NUM_THREADS", "1").current_dir(root()).args([TIMEOUT, MEMORY, LEAKS, "-print_final_stats=1"]);
     command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
     command.arg(&found).arg(root().join("fuzz/seeds").join(name));
     let said = run_quietly(command)?;

@@ -142,7 +142,7 @@ impl Library {
                 () = &mut stop => return Ok(None),
                 () = std::future::ready(()) => {}
             }
-            // never dropped half way: a lease that nobody holds keeps its job from all others
+            // never cancelled half way: a lease without a holder blocks its job until it expires
             if let Some(lease) = self.take(kinds, lasts).await? {
                 return Ok(Some(lease));
             }

@@ -128,9 +128,9 @@ impl Decoder {
                 let [a, b, c, d, e, f, g, h] = counts.map(|n| n as f64);
                 Ok(self.told(6, &[a, b, c, d, e, f, g, h, s.forward_ms, s.geometry_ms]))
             }
-            Kind::Bye(Bye { reason, again }) => {
+            Kind::Bye(Bye { reason, again, cause }) => {
                 self.data = reason.into_bytes().into();
-                Ok(self.told(7, &[f64::from(u8::from(again))]))
+                Ok(self.told(7, &[f64::from(u8::from(again)), f64::from(cause)]))
             }
             Kind::Credit(c) => Ok(self.told(8, &[f64::from(c.frames), f64::from(u8::from(c.key))])),
             // measured depth is the server's alone
@@ -296,7 +296,7 @@ impl Decoder {
     /// Writes BYE.
     pub fn write_bye(&mut self) -> i32 {
         let reason = String::from_utf8_lossy(&std::mem::take(&mut self.input)).into_owned();
-        self.message = write(Kind::Bye(Bye { reason, again: false }));
+        self.message = write(Kind::Bye(Bye { reason, ..Bye::default() }));
         1
     }
 

@@ -71,8 +71,7 @@ pub fn database() -> Option<String> {
     let name = format!("test_{}", NEXT.fetch_add(1, Ordering::Relaxed));
     let until = Instant::now() + START;
     let create = || {
-        let beside = server.programs.join("createdb");
-        let mut command = Command::new(if beside.is_file() { beside } else { PathBuf::from("createdb") });
+        let mut command = Command::new(server.programs.join("createdb"));
         command.arg("-h").arg(&server.folder).args(["-U", "postgres", &name]).stdout(Stdio::null()).stderr(Stdio::null());
         command.status().expect("createdb").success()
     };

@@ -115,7 +115,7 @@ describe('the decoder of rooms', () => {
       assert.deepEqual([...message.subarray(0, 2)], [(2 << 3) | 2, message.length - 2]);
     }
     assert.deepEqual(decoder.read(decoder.writeSound({ time, data })), { kind: 'sound', time, data });
-    assert.deepEqual(decoder.read(decoder.writeBye('enough')), { kind: 'bye', reason: 'enough', again: false });
+    assert.deepEqual(decoder.read(decoder.writeBye('enough')), { kind: 'bye', reason: 'enough', again: false, cause: 'other' });
     const hello = decoder.writeHello({ width: 320, height: 240, codec: 'avc1.42e01f', sound: 'opus', rate: 48_000, channels: 1 });
     assert.ok(Buffer.from(hello).includes('avc1.42e01f') && Buffer.from(hello).includes('opus'));
   });

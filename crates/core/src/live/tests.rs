@@ -203,7 +203,7 @@ fn seeds_of_the_fuzzer_are_messages() {
         ("snapshot", Kind::Snapshot(wire::Geometry { frame: 7, chunks: vec![chunk(Area::all(&whole.grid))] })),
         ("geometry", Kind::Geometry(wire::Geometry { frame: 7, chunks: runs })),
         ("video", Kind::Video(Video { frame: 3, time: 5, key: true, layer: 1, data: vec![1; 20].into() })),
-        ("bye", Kind::Bye(wire::Bye { reason: "the end".into(), again: true })),
+        ("bye", Kind::Bye(wire::Bye { reason: "the end".into(), again: true, ..wire::Bye::default() })),
     ];
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/message");
     for (name, kind) in seeds {
