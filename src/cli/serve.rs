@@ -82,7 +82,7 @@ pub(super) struct ServeArgs {
     #[arg(long, value_enum, default_value_t, requires = "database")]
     role: Role,
     /// Seconds after which a job is taken up again where nothing is heard of its worker
-    #[arg(long, default_value_t = Limits::LEASE.as_secs() as u32, value_parser = clap::value_parser!(u32).range(2..=3600), value_name = "S")]
+    #[arg(long, default_value_t = Limits::LEASE.as_secs() as u32, value_parser = clap::value_parser!(u32).range(2..=600), value_name = "S")]
     lease: u32,
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use tokio::sync::Semaphore;
@@ -42,6 +42,14 @@ pub type App = Arc<Shared>;
 
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
+/// How long a fault of the server counts that no job has met again: jobs are tried again each minute at least.
+const TROUBLE: Duration = Duration::from_mins(2);
+
+/// A fault of this server.
+struct Trouble {
+    reason: String,
+    at: Instant,
+}
 
 /// State of the server.
 pub struct Shared {
@@ -80,7 +88,7 @@ pub struct Shared {
     /// Why the library could not be written, or what was missing to make photos with, when that was last tried.
     storage: Mutex<Option<&'static str>>,
     /// The fault of this server that kept the last job from being done.
-    trouble: Mutex<Option<String>>,
+    trouble: Mutex<Option<Trouble>>,
     /// Folder for files that no name leads to.
     pub scratch: PathBuf,
     /// What draws them.
@@ -164,14 +172,16 @@ impl Shared {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
     }
 
-    /// The fault of this server that kept the last job from being done.
+    /// The fault of this server that kept the last job from being done, unless that is long ago: the job may have been deleted since.
     #[must_use]
     pub fn trouble(&self) -> Option<String> {
-        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
+        trouble.as_ref().filter(|trouble| trouble.at.elapsed() < TROUBLE).map(|trouble| trouble.reason.clone())
     }
 
     /// Keeps how the last job fared.
-    pub fn set_trouble(&self, trouble: Option<String>) {
+    pub fn set_trouble(&self, reason: Option<String>) {
+        let trouble = reason.map(|reason| Trouble { reason, at: Instant::now() });
         *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
     }
 

@@ -174,8 +174,8 @@ impl Limits {
     pub const LAME_DUCK: Duration = Duration::from_secs(5);
     /// 20 s.
     pub const DRAIN: Duration = Duration::from_secs(20);
-    /// 30 s: some of the heartbeats, one every third of it, may be lost.
-    pub const LEASE: Duration = Duration::from_secs(30);
+    /// 8 s: a job of a worker that was killed is taken up again within 10 s. It is renewed every 2 s.
+    pub const LEASE: Duration = Duration::from_secs(8);
     /// 64 jobs.
     pub const QUEUE: usize = 64;
     /// One worker: a job keeps all cores busy by itself.

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tmpi_library::{Event, Filter, LibraryError};
+use tmpi_library::{Event, LibraryError};
 
 use super::app::App;
 
@@ -13,8 +13,8 @@ const PROBE_AMISS: Duration = Duration::from_millis(500);
 const PROBE_OBJECTS: Duration = Duration::from_secs(30);
 /// The first sweep after a start.
 const FIRST_SWEEP: Duration = Duration::from_mins(1);
-/// Pause between two removals of contents that nobody refers to.
-const GC: Duration = Duration::from_hours(24);
+/// Pause where no photo is due for a check.
+const NONE_DUE: Duration = Duration::from_mins(5);
 
 /// Looks now and then whether the library can be written and nothing is missing to make photos with, so that asking for it costs nothing.
 /// Where the disk is full, what is kept there of derived files goes first.
@@ -40,10 +40,9 @@ pub async fn probe(app: App, has_objects: bool) {
 /// Has deleted what is over, again and again.
 pub async fn sweep(app: App) {
     let usual = app.limits.retain_sweep.min(app.limits.exports_for);
-    let (mut pause, mut since_gc) = (FIRST_SWEEP.min(usual), Duration::ZERO);
+    let mut pause = FIRST_SWEEP.min(usual);
     loop {
         tokio::time::sleep(pause).await;
-        since_gc += pause;
         pause = usual;
         match app.library.sweep().await {
             Ok(swept) => {
@@ -54,37 +53,27 @@ pub async fn sweep(app: App) {
             }
             Err(error) => tracing::warn!(%error, "what is over stays until the next sweep"),
         }
-        if since_gc >= GC {
-            since_gc = Duration::ZERO;
-            match app.library.gc().await {
-                Ok(gone) => tracing::info!(blobs = gone.blobs, bytes = gone.bytes, "contents that nobody referred to are removed"),
-                Err(error) => tracing::warn!(%error, "contents that nobody refers to stay until tomorrow"),
-            }
+        match app.library.gc_if_due().await {
+            Ok(Some(gone)) => tracing::info!(blobs = gone.blobs, bytes = gone.bytes, "orphaned blobs are removed"),
+            Ok(None) => {}
+            Err(error) => tracing::warn!(%error, "orphaned blobs stay until tomorrow"),
         }
     }
 }
 
-/// Has what was made of each photo checked now and then, so that damage is known before somebody asks for it.
+/// Checks what was made of each photo now and then, so that damage is known before somebody asks for it.
 pub async fn look_over(app: App) {
-    /// Photos that are taken from the list at a time.
-    const PAGE: usize = 64;
-    let mut pause = app.limits.look_over_first;
+    tokio::time::sleep(app.limits.look_over_first).await;
     loop {
+        let pause = match app.library.check_next(app.limits.look_over).await {
+            Ok(Some(photo)) => Duration::from_secs_f64(photo.bytes as f64 / app.limits.look_over_rate as f64),
+            Ok(None) => NONE_DUE.min(app.limits.look_over),
+            Err(error) => {
+                tracing::warn!(%error, "a photo cannot be checked now");
+                PROBE
+            }
+        };
         tokio::time::sleep(pause).await;
-        pause = app.limits.look_over;
-        let mut after = None;
-        loop {
-            let Ok(page) = app.library.list(&Filter::default(), after, PAGE).await else { break };
-            for photo in &page.photos {
-                // what was deleted meanwhile need not be checked
-                let _ = app.library.order_check(photo.id).await;
-                tokio::time::sleep(Duration::from_secs_f64(photo.bytes as f64 / app.limits.look_over_rate as f64)).await;
-            }
-            after = page.next;
-            if after.is_none() {
-                break;
-            }
-        }
     }
 }
 

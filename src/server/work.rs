@@ -1,6 +1,7 @@
 //! Workers: tasks that take jobs of the one queue and do them on threads that may block.
 
 use std::any::Any;
+use std::convert::Infallible;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,10 +26,10 @@ use super::traces::{Job, Parent};
 use tmpi_pipeline::{Options, Progress, Sink};
 
 /// What those that make photos take, and those that write files.
-const MAKES: &[Kind] = &[Kind::Make, Kind::Check];
+const MAKES: &[Kind] = &[Kind::Make];
 const WRITES: &[Kind] = &[Kind::Export, Kind::Film];
 /// Renewals in the time of a lease, of which some may be lost.
-const RENEWALS: u32 = 3;
+const RENEWALS: u32 = 4;
 /// Pause before the library is asked again that could not be reached.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time that jobs have to end once they were told to.
@@ -99,11 +100,19 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
     let (start, photo, kind) = (Instant::now(), lease.job.photo, lease.job.kind);
     let (tell, told) = unbounded_channel();
     let doing = Doing { app: Arc::clone(app), lost: Arc::default(), abort: Arc::clone(abort), tell };
-    let outcome = match kind {
-        Kind::Make => make(lease, &doing, told).await,
-        Kind::Export | Kind::Film => write(lease, &doing, told).await,
-        Kind::Check => app.library.finish_check(lease).await.map_or("put-back", |()| "done"),
+    let job = async {
+        match kind {
+            Kind::Make => make(lease, &doing, told).await,
+            Kind::Export | Kind::Film => write(lease, &doing, told).await,
+        }
     };
+    let outcome = tokio::select! {
+        outcome = job => outcome,
+        never = renew(lease, &doing) => match never {},
+    };
+    if matches!(outcome, "done" | "failed") {
+        app.set_trouble(None);
+    }
     let took = start.elapsed();
     match kind {
         Kind::Make => {
@@ -111,58 +120,64 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
             app.telemetry.class_job(lease.job.class.name(), outcome, took);
         }
         Kind::Export | Kind::Film => app.telemetry.class_job("export", outcome, took),
-        Kind::Check => return,
     }
     tracing::info!(%photo, kind = kind.name(), outcome, ms = took.as_millis() as u64, "job");
 }
 
-/// Does `work` on a thread that may block. Meanwhile the lease is kept, and whoever follows the photo is told how it goes.
+/// Keeps a lease as long as this is polled, from the reading of what the job is done with until its result is stored.
+async fn renew(lease: &Lease, doing: &Doing) -> Infallible {
+    let period = lease.lasts() / RENEWALS;
+    loop {
+        tokio::time::sleep(period).await;
+        match tokio::time::timeout(period, doing.app.library.renew(lease, None)).await {
+            Ok(Ok(())) => {}
+            Ok(Err(LibraryError::LeaseLost)) => {
+                doing.lost.store(true, Ordering::Release);
+                std::future::pending::<()>().await;
+            }
+            Ok(Err(error)) => tracing::warn!(%error, "a lease could not be renewed"),
+            Err(_) => tracing::warn!("a lease could not be renewed: the database does not answer"),
+        }
+    }
+}
+
+/// Does `work` on a thread that may block. Meanwhile whoever follows the photo is told how it goes. None where the thread ended without a result.
 async fn hold<T: Send + 'static>(
     lease: &Lease,
     doing: &Doing,
     mut told: UnboundedReceiver<Progress>,
     work: impl FnOnce() -> T + Send + 'static,
-) -> Option<T> {
+) -> Result<T, End> {
     let library = &doing.app.library;
     let (send, mut done) = oneshot::channel();
     let mut events = library.subscribe();
     let started = std::thread::Builder::new().name("tmpi-job".into()).spawn(move || drop(send.send(work())));
     if let Err(error) = started {
-        tracing::error!(%error, "no thread can be started");
-        return None;
+        return Err(End::Again(Retry::Fault(format!("no thread can be started: {error}"))));
     }
-    let period = doing.app.limits.lease / RENEWALS;
-    let mut period = tokio::time::interval_at(tokio::time::Instant::now() + period, period);
     let mut said = None;
     loop {
-        let renew = tokio::select! {
+        tokio::select! {
             done = &mut done => {
-                while let Ok(progress) = told.try_recv() {
-                    tell(lease, doing, &progress).await;
+                // of several stages the last is the one that holds
+                if let Some(last) = std::iter::from_fn(|| told.try_recv().ok()).last() {
+                    tell(lease, doing, &last).await;
                 }
-                return done.ok();
+                return done.map_err(|_| End::Failed(Problem::internal("the job panicked", &"see above")));
             }
-            Some(progress) = told.recv() => {
-                said = tell(lease, doing, &progress).await;
-                false
-            }
+            Some(progress) = told.recv() => said = tell(lease, doing, &progress).await,
             event = events.next() => match event {
-                // it may have been deleted or cancelled
                 Some(Event::Photo(id) | Event::Deleted(id)) if id == lease.job.photo => {
                     if let Some(said) = &said {
                         // with that nobody knows any more how far it is
                         tell_again(lease, doing, said).await;
                     }
-                    true
                 }
-                Some(Event::Gap) => true,
-                _ => false,
+                Some(Event::Gap) => {}
+                _ => continue,
             },
-            _ = period.tick() => true,
-        };
-        if !renew {
-            continue;
         }
+        // it may have been deleted or cancelled
         match library.renew(lease, said.as_ref()).await {
             Ok(()) => {}
             Err(LibraryError::LeaseLost) => doing.lost.store(true, Ordering::Release),
@@ -270,7 +285,12 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
         }),
     };
     let mut options = options::from_text(&photo.options).map_err(End::Failed)?;
-    options.strokes = super::app::strokes_of(read(Part::Strokes).await.ok().flatten().as_deref());
+    options.strokes = match read(Part::Strokes).await {
+        Ok(strokes) => super::app::strokes_of(strokes.as_deref()),
+        // without them the photo is still what was uploaded
+        Err(End::Failed(_)) => Default::default(),
+        Err(again) => return Err(again),
+    };
     let lost = || End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
     Ok(Inputs { photo: read(Part::Upload).await?.ok_or_else(lost)?, depth: read(Part::Depth).await?, options })
 }
@@ -293,8 +313,9 @@ async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -
         job.made();
         (made, job)
     });
-    let Some((made, job)) = made.await else {
-        return end(lease, doing, End::Failed(Problem::internal("making the photo panicked", &"see above"))).await;
+    let (made, job) = match made.await {
+        Ok(made) => made,
+        Err(why) => return end(lease, doing, why).await,
     };
     let outcome = match made {
         Ok(product) => keep(lease, doing, product).await,
@@ -317,12 +338,13 @@ async fn keep(lease: &Lease, doing: &Doing, product: Product) -> &'static str {
         Err(error) => return end(lease, doing, End::Failed(Problem::internal("writing a report", &error))).await,
     };
     let parts = [(Part::Container, container), (Part::Disparity, disparity), (Part::Thumbnail, thumbnail), (Part::Report, text)];
-    let contents: Contents = parts.into_iter().map(|(part, bytes)| (part, Content::of_bytes(bytes))).collect();
+    let digested = move || parts.into_iter().map(|(part, bytes)| (part, Content::of_bytes(bytes))).collect();
+    let contents: Contents = match tokio::task::spawn_blocking(digested).await {
+        Ok(contents) => contents,
+        Err(error) => return end(lease, doing, End::Failed(Problem::internal("taking digests", &error))).await,
+    };
     match doing.app.library.finish(lease, Made { contents, details: Done::details(report.width, report.height) }).await {
-        Ok(_) => {
-            doing.app.set_trouble(None);
-            "done"
-        }
+        Ok(_) => "done",
         Err(LibraryError::LeaseLost) => "deleted",
         Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("what was made cannot be kept: {error}")))).await,
     }
@@ -350,11 +372,11 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
     });
     let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
     let file = match bytes.await {
-        Some(Ok(bytes)) => Content::of_bytes(bytes),
-        Some(Err(_)) if doing.lost.load(Ordering::Acquire) => return "cancelled",
-        Some(Err(_)) if stops() => return end(lease, doing, End::Again(Retry::Stopping)).await,
-        Some(Err(problem)) => return end(lease, doing, End::Failed(problem)).await,
-        None => return end(lease, doing, End::Failed(Problem::internal("writing a file panicked", &"see above"))).await,
+        Ok(Ok(bytes)) => Content::of_bytes(bytes),
+        Ok(Err(_)) if doing.lost.load(Ordering::Acquire) => return "cancelled",
+        Ok(Err(_)) if stops() => return end(lease, doing, End::Again(Retry::Stopping)).await,
+        Ok(Err(problem)) => return end(lease, doing, End::Failed(problem)).await,
+        Err(why) => return end(lease, doing, why).await,
     };
     match app.library.finish_export(lease, file).await {
         Ok(_) => "done",

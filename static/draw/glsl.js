@@ -1,4 +1,4 @@
-// Made of the WGSL files beside this one by `cargo xtask shaders`: change those.
+// Made of the WGSL files beside this one by `TMPI_BLESS=shaders cargo test --test shaders`: change those.
 
 /** `vs_webgl` of tmpi.wgsl. */
 export const SCENE_VERTEX = `#version 300 es

@@ -4,8 +4,8 @@ use std::net::SocketAddr;
 use std::process::Command;
 
 use tempfile::tempdir;
-use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::bye::Cause;
+use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Hello, Video};
 use tmpi_core::live::{Model, VERSION};
 use tmpi_live::units::{Splitter, Unit, codec};

@@ -8,7 +8,6 @@ mod python;
 mod release;
 mod runtime;
 mod rust_tests;
-mod shaders;
 mod skipped;
 mod spelling;
 mod steps;
@@ -31,10 +30,9 @@ usage: cargo xtask <task>
                 everything that protects users: format, spelling, lint, Rust tests, browser tests, deployment files, OpenAPI, training; installs
                 what is missing; --skip-missing: installs nothing, and lists the tests that were skipped
   nightly [--minutes N] [STEP…]
-                what needs hours: load and fault scripts, requests against OpenAPI, mutants, fuzzers; no step takes longer than N minutes (20)
+                what needs hours: load and fault scripts, requests against OpenAPI, mutants, fuzzers; no step takes longer than N minutes (90)
   fuzz [--seconds N] [TARGET…]
                 fuzz the readers of foreign bytes (containers, photos, depth maps, forms, headers, settings), N seconds each
-  shaders       generate the GLSL of static/draw/glsl.js from the WGSL
   wasm          build the pages' decoders, static/*/*.wasm
   release [--offline]
                 pack the program, ONNX Runtime, a depth network and licences into target/archive, and try the archive by itself
@@ -57,7 +55,6 @@ fn main() -> ExitCode {
             test::test(&steps)
         }
         Some("nightly") => nightly::nightly(&rest),
-        Some("shaders") if rest.is_empty() => shaders::write(),
         Some("wasm") if rest.is_empty() => wasm::build(),
         Some("npm") if rest.is_empty() => browser::pack_element(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),

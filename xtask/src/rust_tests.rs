@@ -141,7 +141,8 @@ pub fn run_all() -> Result<(), Fault> {
 
 /// Compiles and runs the examples in doc comments.
 fn documentation() -> Result<(), Fault> {
-    let mut command = cargo(&["test", "--quiet", "--package", "tmpi-client", "--doc", "--profile", Profile::Checks.name()]);
+    // of the whole workspace, as other features would compile dependencies anew; only the client has such examples
+    let mut command = cargo(&["test", "--quiet", "--workspace", "--doc", "--profile", Profile::Checks.name()]);
     lint(&mut command);
     run(command)
 }

@@ -28,6 +28,7 @@ CREATE TABLE sessions (
     expires_at BIGINT NOT NULL
 );
 CREATE INDEX sessions_by_key ON sessions (key_hash);
+CREATE INDEX sessions_by_owner ON sessions (owner);
 
 CREATE TABLE photos (
     id TEXT PRIMARY KEY,
@@ -46,12 +47,18 @@ CREATE TABLE photos (
     details TEXT,
     problem TEXT,
     blobs TEXT NOT NULL,
-    bytes BIGINT NOT NULL
+    bytes BIGINT NOT NULL,
+    -- when its contents were held against their digests last
+    checked_at BIGINT NOT NULL
 );
 CREATE INDEX photos_by_age ON photos (accepted_at, id);
 -- with the bytes, so that a quota is counted within the index
 CREATE INDEX photos_by_owner ON photos (owner, accepted_at, id, bytes);
 CREATE INDEX photos_by_state ON photos (state, accepted_at, id);
+CREATE INDEX photos_by_view ON photos (viewed_at, id);
+CREATE INDEX photos_by_check ON photos (state, checked_at);
+-- for metrics, which count and weigh all of them
+CREATE INDEX photos_by_weight ON photos (state, bytes);
 
 -- Room that an upload in parts takes before it is a photo.
 CREATE TABLE reservations (
@@ -97,6 +104,12 @@ CREATE TABLE outcomes (
     finished BIGINT NOT NULL,
     failed BIGINT NOT NULL,
     died BIGINT NOT NULL
+);
+
+-- When a task of all nodes ran last.
+CREATE TABLE upkeep (
+    task TEXT PRIMARY KEY,
+    ran_at BIGINT NOT NULL
 );
 
 CREATE TABLE rooms (

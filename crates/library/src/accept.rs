@@ -64,7 +64,7 @@ pub struct Accepted {
 }
 
 /// True for an error after which nothing was committed. After others it is not known, and what was written stays for `gc`.
-const fn is_refusal(error: &LibraryError) -> bool {
+pub(crate) const fn is_refusal(error: &LibraryError) -> bool {
     !matches!(error, LibraryError::Unavailable { .. } | LibraryError::Internal(_))
 }
 
@@ -138,7 +138,7 @@ impl Library {
         }
         let insert = format!(
             "INSERT INTO photos (id, owner, accepted_at, viewed_at, class, title, options, settings, settings_version, link_generation, state,
-             version, blobs, bytes) VALUES ($1, $2, $3, $3, $4, $5, $6, $7, 1, 1, $8, 1, $9, $10) ON CONFLICT (id) DO NOTHING RETURNING {COLUMNS}"
+             version, blobs, bytes, checked_at) VALUES ($1, $2, $3, $3, $4, $5, $6, $7, 1, 1, $8, 1, $9, $10, $3) ON CONFLICT (id) DO NOTHING RETURNING {COLUMNS}"
         );
         let now = tx.now;
         let insert = sqlx::query(AssertSqlSafe(insert)).bind(upload.id.to_string()).bind(owner.map(|o| o.as_str().to_owned())).bind(now);
@@ -196,6 +196,7 @@ impl Library {
     /// Sets a photo back to its beginning with other contents; gives the names of those that these replace.
     async fn restart(&self, seen: &Photo, blobs: Blobs, again: Again<'_>) -> Result<(Photo, Vec<String>)> {
         let mut tx = self.database().write().await?;
+        tx.lock_jobs(seen.id).await?;
         let photo = photo_in(&mut tx, seen.id).await?;
         if !photo.state.is_final() {
             return Err(LibraryError::NotReady);

@@ -12,6 +12,7 @@ use serde_json::Value;
 use sqlx::postgres::PgListener;
 use tokio::sync::broadcast;
 use tokio::task::JoinHandle;
+use tokio::time::timeout;
 
 use crate::error::Result;
 use crate::names::PhotoId;
@@ -24,6 +25,9 @@ const BEHIND: usize = 1024;
 const MOST_BYTES: usize = 7_900;
 /// Pause before a lost connection is tried again.
 const RECONNECT: Duration = Duration::from_millis(500);
+/// Silence after which the connection is tried, and time for the answer.
+const SILENCE: Duration = Duration::from_secs(15);
+const ANSWER: Duration = Duration::from_secs(5);
 
 /// What has happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -160,7 +164,16 @@ async fn listen(url: String, first: PgListener, receivers: Arc<Receivers>) {
     let mut listener = first;
     loop {
         let error = loop {
-            match listener.try_recv().await {
+            let heard = match timeout(SILENCE, listener.try_recv()).await {
+                Ok(heard) => heard,
+                // a connection that is half open says nothing, either
+                Err(_) => match timeout(ANSWER, sqlx::query("SELECT 1").execute(&mut listener)).await {
+                    Ok(Ok(_)) => continue,
+                    Ok(Err(error)) => Err(error),
+                    Err(_) => Err(sqlx::Error::Io(std::io::ErrorKind::TimedOut.into())),
+                },
+            };
+            match heard {
                 Ok(Some(notification)) => match serde_json::from_str(notification.payload()) {
                     Ok(event) => receivers.deliver(event),
                     // a node of a later version

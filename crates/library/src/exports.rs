@@ -1,10 +1,11 @@
 //! Files to download that are written as jobs, and kept until nobody fetches them any more.
 
+use std::time::Duration;
+
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::Library;
-use crate::accept::photo_in;
+use crate::accept::{is_refusal, photo_in};
 use crate::blobs::{Content, Contents};
 use crate::database::Tx;
 use crate::error::{LibraryError, Result};
@@ -13,9 +14,12 @@ use crate::jobs::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
 use crate::leases::{Lease, count};
 use crate::names::PhotoId;
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
+use crate::{Library, millis};
 
 /// An export weighs at least this share of the room of all, so that their number is bounded too.
 const MOST_EXPORTS: u64 = 1024;
+/// Time within which fetches of one file count as one: a player asks for many ranges.
+const FETCHED: Duration = Duration::from_mins(1);
 
 /// A file that somebody wants of a photo.
 #[derive(Clone, Debug)]
@@ -55,6 +59,7 @@ impl Library {
             Err(error) => return Err(error),
         }
         let mut tx = self.database().write().await?;
+        tx.lock_jobs(order.photo.id).await?;
         let photo = photo_in(&mut tx, order.photo.id).await?;
         if photo.version != order.photo.version {
             return Err(LibraryError::Changed);
@@ -96,11 +101,12 @@ impl Library {
                 self.blobs().discard(gone).await;
                 Ok(job)
             }
-            Err(LibraryError::LeaseLost) => {
-                self.blobs().discard([blob.name]).await;
-                Err(LibraryError::LeaseLost)
+            Err(error) => {
+                if is_refusal(&error) {
+                    self.blobs().discard([blob.name]).await;
+                }
+                Err(error)
             }
-            Err(error) => Err(error),
         }
     }
 
@@ -137,11 +143,14 @@ impl Library {
         Ok(gone)
     }
 
-    /// Says that a file was fetched: it is kept for as long again.
+    /// Notes that a file was fetched: it is kept for as long again. A second fetch within a minute writes nothing.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
     pub async fn fetched(&self, job: &Job) -> Result<()> {
+        if self.now().await? < job.used_at + millis(FETCHED) {
+            return Ok(());
+        }
         let mut tx = self.database().write().await?;
         sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2").bind(tx.now).bind(job.id.clone()).execute(tx.on()).await?;
         tx.commit().await

@@ -32,13 +32,11 @@ pub enum Kind {
     Export,
     /// Draws a film to download.
     Film,
-    /// Holds a photo's contents against their digests.
-    Check,
 }
 
 impl Kind {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Make, Self::Export, Self::Film, Self::Check];
+    pub const ALL: [Self; 3] = [Self::Make, Self::Export, Self::Film];
 
     /// As in the database and in metrics.
     #[must_use]
@@ -47,16 +45,14 @@ impl Kind {
             Self::Make => "make",
             Self::Export => "export",
             Self::Film => "film",
-            Self::Check => "check",
         }
     }
 
-    /// Kinds that share places with this one; none where there are as many places as photos.
-    const fn beside(self) -> Option<[Self; 2]> {
+    /// Kinds that share places with this one.
+    const fn beside(self) -> [Self; 2] {
         match self {
-            Self::Make => Some([Self::Make, Self::Make]),
-            Self::Export | Self::Film => Some([Self::Export, Self::Film]),
-            Self::Check => None,
+            Self::Make => [Self::Make, Self::Make],
+            Self::Export | Self::Film => [Self::Export, Self::Film],
         }
     }
 
@@ -233,7 +229,7 @@ impl Library {
 
     /// Refuses where no place is free, or who asks has half of them.
     async fn check_places(&self, tx: &mut Tx, job: &NewJob<'_>) -> Result<()> {
-        let Some([one, other]) = job.kind.beside() else { return Ok(()) };
+        let [one, other] = job.kind.beside();
         let all = if job.kind == Kind::Make { self.limits().queue } else { self.limits().exports };
         let count = "SELECT COUNT(*) AS waiting,
             CAST(COALESCE(SUM(CASE WHEN owner = $3 THEN 1 ELSE 0 END), 0) AS BIGINT) AS of_owner,
@@ -289,21 +285,6 @@ impl Library {
         let select = sqlx::query(AssertSqlSafe(select)).bind(id_of(kind, photo, key));
         let row = select.fetch_optional(self.database().reader()).await?;
         Job::from_row(&row.ok_or(LibraryError::NotFound("job"))?)
-    }
-
-    /// Has a photo's contents held against their digests once there is time. Nothing happens where that waits already.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
-    pub async fn order_check(&self, photo: PhotoId) -> Result<()> {
-        let mut tx = self.database().write().await?;
-        let version = crate::accept::photo_in(&mut tx, photo).await?.version;
-        let job = NewJob { kind: Kind::Check, photo, version, key: None, class: Class::Batch, asker: &Asker::default() };
-        match self.enqueue(&mut tx, &job, &Value::Null).await {
-            Ok(_) => tx.commit().await,
-            Err(LibraryError::NotReady) => Ok(()),
-            Err(error) => Err(error),
-        }
     }
 }
 

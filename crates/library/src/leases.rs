@@ -1,10 +1,9 @@
 //! Workers take jobs and hold them by leases.
 //!
 //! A lease ends in the database's time. Whoever finishes a job shows the lease's token within the transaction that keeps the result: a second result
-//! finds the token gone and is discarded. A worker of this process keeps its lease however the clock jumps, as this process counts by its own steady
-//! clock how long its leases last.
+//! finds the token gone and is discarded. This process never takes a job from a worker of its own, however the clock jumps.
 
-use std::collections::HashMap;
+use std::collections::HashSet;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -12,7 +11,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::accept::{names_of, photo_in};
+use crate::accept::{is_refusal, names_of, photo_in};
 use crate::blobs::Contents;
 use crate::database::Tx;
 use crate::error::{LibraryError, Result};
@@ -32,17 +31,47 @@ const OTHER_WAY: u64 = 4;
 /// Pause between two looks for a job where no event tells of one.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Tokens of this process's leases, and until when they last by its own clock.
+/// Tokens of this process's leases.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Held(Arc<Mutex<HashMap<String, Instant>>>);
+pub(crate) struct Held(Arc<Mutex<HashSet<String>>>);
 
 impl Held {
-    fn hold(&self, token: &str, lasts: Duration) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(token.to_owned(), Instant::now() + lasts);
+    fn hold(&self, token: &str) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(token.to_owned());
     }
 
     fn has(&self, token: &str) -> bool {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).get(token).is_some_and(|until| Instant::now() < *until)
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).contains(token)
+    }
+}
+
+/// Since when this node has reached the database without a break; none while it cannot.
+#[derive(Debug, Default)]
+pub(crate) struct Reached(Mutex<Since>);
+
+#[derive(Clone, Copy, Debug, Default)]
+enum Since {
+    #[default]
+    Start,
+    Outage(Option<Instant>),
+}
+
+impl Reached {
+    fn note(&self, is_reached: bool) {
+        let mut since = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        *since = match *since {
+            _ if !is_reached => Since::Outage(None),
+            Since::Outage(None) => Since::Outage(Some(Instant::now())),
+            since => since,
+        };
+    }
+
+    /// Whether a worker of another node that is alive has had the time to renew its lease.
+    fn for_long(&self, lease: Duration) -> bool {
+        match *self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            Since::Start => true,
+            Since::Outage(since) => since.is_some_and(|since| since.elapsed() >= lease),
+        }
     }
 }
 
@@ -98,8 +127,11 @@ impl Library {
     /// [`LibraryError::Unavailable`].
     pub async fn take(&self, kinds: &[Kind], lasts: Duration) -> Result<Option<Lease>> {
         let lasts = lasts.min(MOST_LEASE);
-        let mut tx = self.database().write().await?;
-        let over = self.over(&mut tx).await?;
+        let begun = self.database().write().await;
+        self.0.reached.note(begun.is_ok());
+        let mut tx = begun?;
+        // after an outage of the database all leases are over, and those who hold them have yet to renew them
+        let over = if self.0.reached.for_long(lasts) { self.over(&mut tx).await? } else { Vec::new() };
         if !over.is_empty() {
             tx.commit().await?;
             self.take_back(over).await?;
@@ -122,7 +154,7 @@ impl Library {
         let photo = self.read_photo(tx.on(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
         tx.tell(Event::Photo(job.photo));
         // before others can see it
-        self.0.held.hold(&token, lasts);
+        self.0.held.hold(&token);
         let lease = Lease { job, photo, token, lasts, taken: Instant::now(), held: self.0.held.clone() };
         tx.commit().await?;
         self.0.taken.fetch_add(1, Ordering::Relaxed);
@@ -163,14 +195,20 @@ impl Library {
         let mut jobs = Vec::new();
         for row in over.fetch_all(tx.on()).await? {
             let token: String = row.try_get("lease_token")?;
-            if !self.0.held.has(&token) {
-                jobs.push(Over { job: Job::from_row(&row)?, token });
+            if self.0.held.has(&token) {
+                continue;
+            }
+            match Job::from_row(&row) {
+                Ok(job) => jobs.push(Over { job, token }),
+                // of a node of a later version, which must not keep this one from all others
+                Err(error) => tracing::warn!(%error, "a job that this version cannot read stays"),
             }
         }
         Ok(jobs)
     }
 
-    /// Puts back all jobs that are being done, which counts against none. Only for a process that knows that no other does any.
+    /// Puts back all jobs that are being done. That counts against none, but each waits longer every time: one of them may be what took the server
+    /// down. Only for a process that knows that no other does any.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -179,7 +217,7 @@ impl Library {
         for row in sqlx::query(AssertSqlSafe(select)).fetch_all(self.database().reader()).await? {
             let (job, token): (Job, String) = (Job::from_row(&row)?, row.try_get("lease_token")?);
             let mut tx = self.database().write().await?;
-            self.put_back(&mut tx, &job, &token, &Retry::Stopping).await?;
+            self.put_back(&mut tx, &job, &token, &Retry::Fault("the server ended during the job".into())).await?;
             tx.commit().await?;
         }
         Ok(())
@@ -207,7 +245,7 @@ impl Library {
         let lock = if tx.has_row_locks() { "FOR UPDATE SKIP LOCKED" } else { "" };
         let order = if other_way { "class DESC" } else { "class" };
         let select = format!(
-            "SELECT id FROM jobs WHERE state = 'queued' AND kind IN ($1, $2, $3, $4) AND (run_after <= $5 OR run_after > $6)
+            "SELECT id FROM jobs WHERE state = 'queued' AND kind IN ($1, $2, $3) AND (run_after <= $4 OR run_after > $5)
              ORDER BY {order}, turn, created_at, id LIMIT 1 {lock}"
         );
         let mut select = sqlx::query(AssertSqlSafe(select));
@@ -231,7 +269,6 @@ impl Library {
         if renewed.rows_affected() == 0 {
             return Err(LibraryError::LeaseLost);
         }
-        self.0.held.hold(&lease.token, lease.lasts);
         tx.commit().await
     }
 
@@ -253,14 +290,15 @@ impl Library {
         let written = names_of(&blobs);
         match self.keep(lease, &made.details, blobs).await {
             Ok((photo, replaced)) => {
-                self.blobs().discard(replaced).await;
+                self.blobs().discard_later(replaced).await;
                 Ok(photo)
             }
-            Err(LibraryError::LeaseLost) => {
-                self.blobs().discard(written).await;
-                Err(LibraryError::LeaseLost)
+            Err(error) => {
+                if is_refusal(&error) {
+                    self.blobs().discard(written).await;
+                }
+                Err(error)
             }
-            Err(error) => Err(error),
         }
     }
 
@@ -272,7 +310,7 @@ impl Library {
         let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
         all.extend(blobs);
         let update = format!(
-            "UPDATE photos SET state = $1, blobs = $2, bytes = $3, details = $4, problem = NULL, finished_at = $5 WHERE id = $6 RETURNING {}",
+            "UPDATE photos SET state = $1, blobs = $2, bytes = $3, details = $4, problem = NULL, finished_at = $5, checked_at = $5 WHERE id = $6 RETURNING {}",
             photo::COLUMNS
         );
         let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Done.name()).bind(to_json(&all)?).bind(bytes_of(&all));
@@ -300,7 +338,7 @@ impl Library {
     async fn fail_in(&self, tx: &mut Tx, job: &Job, token: &str, problem: &Problem) -> Result<()> {
         let text = to_json(problem)?;
         let end = match job.kind {
-            Kind::Make | Kind::Check => "DELETE FROM jobs WHERE id = $1 AND lease_token = $2",
+            Kind::Make => "DELETE FROM jobs WHERE id = $1 AND lease_token = $2",
             Kind::Export | Kind::Film => {
                 "UPDATE jobs SET state = 'failed', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = $3, used_at = $4
                  WHERE id = $1 AND lease_token = $2"
@@ -362,19 +400,6 @@ impl Library {
         tx.tell(Event::Photo(job.photo));
         Ok(())
     }
-
-    /// Holds the contents of a check's photo against their digests, and ends the check. A damaged photo is taken out of service.
-    ///
-    /// # Errors
-    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
-    pub async fn finish_check(&self, lease: &Lease) -> Result<()> {
-        let damage = self.verify(&lease.photo).await?;
-        let mut tx = self.database().write().await?;
-        end(&mut tx, lease).await?;
-        count(&mut tx, &lease.job, Some(lease.age())).await?;
-        tx.commit().await?;
-        self.take_out(&lease.photo, &damage).await
-    }
 }
 
 fn back_off(faults: i64) -> Millis {
@@ -391,6 +416,12 @@ async fn end(tx: &mut Tx, lease: &Lease) -> Result<()> {
 }
 
 impl Lease {
+    /// How long it lasts without being renewed.
+    #[must_use]
+    pub const fn lasts(&self) -> Duration {
+        self.lasts
+    }
+
     /// What an `UPDATE` of the job's row must find.
     pub(crate) fn token(&self) -> String {
         self.token.clone()
@@ -425,4 +456,25 @@ async fn count_death(tx: &mut Tx, kind: Kind) -> Result<()> {
         ON CONFLICT (kind) DO UPDATE SET died = outcomes.died + 1";
     sqlx::query(insert).bind(kind.name()).execute(tx.on()).await?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn after_an_outage_other_workers_have_a_lease_s_time_to_renew() {
+        let (reached, lease) = (Reached::default(), Duration::from_millis(30));
+        reached.note(true);
+        assert!(reached.for_long(lease), "at the start nothing is known of an outage");
+        reached.note(false);
+        assert!(!reached.for_long(lease));
+        let back = Instant::now();
+        reached.note(true);
+        while !reached.for_long(lease) {
+            reached.note(true);
+            std::thread::yield_now();
+        }
+        assert!(back.elapsed() >= lease);
+    }
 }

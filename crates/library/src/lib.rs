@@ -54,7 +54,7 @@ pub use statistics::{OutcomeCounts, Statistics};
 pub use upkeep::{Collected, Damage};
 
 use database::Database;
-use leases::Held;
+use leases::{Held, Reached};
 use retention::TrustedClock;
 
 /// How old a reading of the database's clock may be before it is read again. In between this process's steady clock counts on.
@@ -141,6 +141,7 @@ struct Inner {
     secret: Secret,
     incoming: PathBuf,
     held: Held,
+    reached: Reached,
     /// Jobs that were taken here.
     taken: AtomicU64,
     /// Photos that were looked at since that was written down.
@@ -172,6 +173,7 @@ impl Library {
         // beside the blobs where these are files, which are moved there
         let incoming = config.data.join("blobs").join("incoming");
         blobs::create_private(&incoming)?;
+        pair(&database, &blobs).await?;
         let secret = links::secret(&database).await?;
         Ok(Self(Arc::new(Inner {
             database,
@@ -180,6 +182,7 @@ impl Library {
             secret,
             incoming,
             held: Held::default(),
+            reached: Reached::default(),
             taken: AtomicU64::new(0),
             viewed: Mutex::default(),
             clock: Mutex::default(),
@@ -254,6 +257,25 @@ impl Library {
     /// Closes the connections to the database. Other handles of this library fail from then on.
     pub async fn close(&self) {
         self.database().close().await;
+    }
+}
+
+/// Refuses a blob store that is not this database's: `gc` would take what is another library's for nobody's.
+async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
+    let id = links::stored_secret(database, "library").await?;
+    match blobs.library().await? {
+        Some(of) if of == id => Ok(()),
+        Some(_) => {
+            Err(LibraryError::Invalid("the blob store belongs to another library: give each library its own bucket or prefix".into()))
+        }
+        None => {
+            let photos = sqlx::query("SELECT id FROM photos LIMIT 1").fetch_optional(database.reader()).await?;
+            if photos.is_some() {
+                let why = "the database has photos, and the blob store is another one: all nodes need the same --blobs";
+                return Err(LibraryError::Invalid(why.into()));
+            }
+            blobs.set_library(&id).await
+        }
     }
 }
 

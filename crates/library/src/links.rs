@@ -152,13 +152,19 @@ impl Secret {
 
 /// The secret of all nodes of a database; made where there is none.
 pub(crate) async fn secret(database: &Database) -> Result<Secret> {
+    let text = stored_secret(database, "links").await?;
+    unhex(&text).map(Secret).ok_or_else(|| LibraryError::Internal("the secret of links is not one".into()))
+}
+
+/// Random hex digits that all nodes of a database have by this name; made where there are none.
+pub(crate) async fn stored_secret(database: &Database, name: &'static str) -> Result<String> {
     let mut tx = database.write().await?;
     tx.lock(Lock::Secret).await?;
-    let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ('links', $1) ON CONFLICT (name) DO NOTHING");
-    insert.bind(hex(&random::<BYTES>()?)).execute(tx.on()).await?;
-    let text: String = sqlx::query("SELECT value FROM secrets WHERE name = 'links'").fetch_one(tx.on()).await?.try_get("value")?;
+    let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ($1, $2) ON CONFLICT (name) DO NOTHING");
+    insert.bind(name).bind(hex(&random::<BYTES>()?)).execute(tx.on()).await?;
+    let row = sqlx::query("SELECT value FROM secrets WHERE name = $1").bind(name).fetch_one(tx.on()).await?;
     tx.commit().await?;
-    unhex(&text).map(Secret).ok_or_else(|| LibraryError::Internal("the secret of links is not one".into()))
+    Ok(row.try_get("value")?)
 }
 
 #[cfg(test)]

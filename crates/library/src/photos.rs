@@ -15,6 +15,9 @@ use crate::names::{Millis, Owner, PhotoId};
 use crate::photo::{COLUMNS, Photo, PhotoState, Problem, title_of, to_json};
 use crate::{Library, accept};
 
+/// Views that are noted in one transaction.
+const VIEWS: usize = 500;
+
 /// Which photos are listed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filter {
@@ -192,10 +195,22 @@ impl Library {
         if viewed.is_empty() {
             return Ok(());
         }
-        let mut tx = self.database().write().await?;
         let mut ids: Vec<PhotoId> = viewed.into_iter().collect();
         // two nodes lock rows in one order
         ids.sort_unstable();
+        let mut done = 0;
+        for part in ids.chunks(VIEWS) {
+            if let Err(error) = self.note_part(part).await {
+                self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner).extend(&ids[done..]);
+                return Err(error);
+            }
+            done += part.len();
+        }
+        Ok(())
+    }
+
+    async fn note_part(&self, ids: &[PhotoId]) -> Result<()> {
+        let mut tx = self.database().write().await?;
         for id in ids {
             let update = sqlx::query("UPDATE photos SET viewed_at = $1 WHERE id = $2 AND viewed_at < $1").bind(tx.now).bind(id.to_string());
             update.execute(tx.on()).await?;

@@ -65,11 +65,11 @@ impl Library {
     pub async fn statistics(&self) -> Result<Statistics> {
         let reader = self.database().reader();
         let mut statistics = Statistics::default();
-        for row in sqlx::query("SELECT state, COUNT(*) AS n FROM photos GROUP BY state").fetch_all(reader).await? {
+        let photos = "SELECT state, COUNT(*) AS n, CAST(SUM(bytes) AS BIGINT) AS bytes FROM photos GROUP BY state";
+        for row in sqlx::query(photos).fetch_all(reader).await? {
             statistics.photos.insert(state_of(&row)?, number(&row, "n")?);
+            statistics.bytes += number(&row, "bytes")?;
         }
-        let bytes = sqlx::query("SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) AS bytes FROM photos").fetch_one(reader).await?;
-        statistics.bytes = number(&bytes, "bytes")?;
         let jobs = "SELECT kind, class, state, COUNT(*) AS n, CAST(SUM(bytes) AS BIGINT) AS bytes, MIN(created_at) AS oldest FROM jobs
             GROUP BY kind, class, state";
         let now = self.now().await?;

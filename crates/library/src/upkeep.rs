@@ -4,13 +4,15 @@ use std::collections::HashSet;
 use std::fmt;
 use std::time::Duration;
 
+use sqlx::AssertSqlSafe;
+
 use crate::Library;
 use crate::blobs::prefixes;
 use crate::error::{LibraryError, Result};
 use crate::exports::names_of;
 use crate::millis;
 use crate::names::PhotoId;
-use crate::photo::{Blobs, Part, Photo, PhotoState, json};
+use crate::photo::{Blobs, COLUMNS, Part, Photo, PhotoState, json};
 use crate::photos::Filter;
 
 /// Age at which a blob that nobody refers to is deleted: by then whoever wrote it has referred to it, or has died.
@@ -51,6 +53,48 @@ impl Library {
     /// [`LibraryError::Unavailable`]; what was deleted so far is gone.
     pub async fn gc(&self) -> Result<Collected> {
         self.gc_older_than(ORPHAN).await
+    }
+
+    /// The same once a day on one of all nodes; none where it is not this node's turn.
+    ///
+    /// # Errors
+    /// As [`Library::gc`].
+    pub async fn gc_if_due(&self) -> Result<Option<Collected>> {
+        if self.is_due("gc", ORPHAN).await? { self.gc().await.map(Some) } else { Ok(None) }
+    }
+
+    /// Whether a task that runs once in `period` on one of all nodes is this node's to run now.
+    async fn is_due(&self, task: &'static str, period: Duration) -> Result<bool> {
+        let mut tx = self.database().write().await?;
+        let claim = "INSERT INTO upkeep (task, ran_at) VALUES ($1, $2)
+            ON CONFLICT (task) DO UPDATE SET ran_at = excluded.ran_at WHERE upkeep.ran_at <= $3";
+        let claim = sqlx::query(claim).bind(task).bind(tx.now).bind(tx.now - millis(period));
+        let claimed = claim.execute(tx.on()).await?.rows_affected() > 0;
+        tx.commit().await?;
+        Ok(claimed)
+    }
+
+    /// Holds a photo's contents against their digests that were not for `period`, on one node alone. A damaged photo is taken out of service. Gives the
+    /// photo; none where none is due.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`]: it cannot be told now.
+    pub async fn check_next(&self, period: Duration) -> Result<Option<Photo>> {
+        let mut tx = self.database().write().await?;
+        let lock = if tx.has_row_locks() { "FOR UPDATE SKIP LOCKED" } else { "" };
+        let claim = format!(
+            "UPDATE photos SET checked_at = $1 WHERE id =
+                (SELECT id FROM photos WHERE state = 'done' AND checked_at <= $2 ORDER BY checked_at LIMIT 1 {lock})
+             RETURNING {COLUMNS}"
+        );
+        let claim = sqlx::query(AssertSqlSafe(claim)).bind(tx.now).bind(tx.now - millis(period));
+        let photo = claim.fetch_optional(tx.on()).await?.map(|row| Photo::from_row(&row)).transpose()?;
+        tx.commit().await?;
+        if let Some(photo) = &photo {
+            let found = self.verify(photo).await?;
+            self.take_out(photo, &found).await?;
+        }
+        Ok(photo)
     }
 
     pub(crate) async fn gc_older_than(&self, age: Duration) -> Result<Collected> {

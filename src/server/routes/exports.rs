@@ -298,7 +298,9 @@ pub async fn file(
         }
         opened => opened?,
     };
-    app.library.fetched(&job).await?;
+    if let Err(error) = app.library.fetched(&job).await {
+        tracing::warn!(%error, key, "a fetch is not noted, and the file may go earlier");
+    }
     // not by the limits of today: it was written under those of then
     let (content_type, ending) = Recipe::kind(recipe_of(&job)).unwrap_or(("application/octet-stream", "bin"));
     let etag = format!("\"{key}-{}\"", blob.digest.as_str().get(..16).unwrap_or_default());

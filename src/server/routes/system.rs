@@ -43,8 +43,8 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     Json(HEALTHY)
 }
 
-/// The server takes uploads: it was not told to stop, the queue has room, the library can be written, and nothing of the server keeps
-/// photos from being made.
+/// The server works: it was not told to stop, the library can be written, and nothing of the server keeps photos from being made. A full
+/// queue refuses uploads alone, so a node with one is ready.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
@@ -57,8 +57,6 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
     let (storage, trouble) = (app.storage(), app.trouble());
     let why = if app.leaving.load(Ordering::Acquire) || app.stop.is_cancelled() {
         "the server is stopping"
-    } else if app.library.free_places().await? == 0 {
-        "the queue is full"
     } else if let Some(why) = storage {
         why
     } else if let Some(reason) = &trouble {

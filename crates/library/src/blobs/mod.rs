@@ -10,6 +10,7 @@ mod objects;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use bytes::Bytes;
 
@@ -28,6 +29,10 @@ use objects::Objects;
 const DIGITS: usize = 16;
 /// Folder of the names that the probe writes.
 const PROBE: &str = "probe";
+/// Name of the blob that says whose store it is.
+const LIBRARY: &str = "library-id";
+/// How long a reader may take who began before a photo was made again.
+const READERS: Duration = Duration::from_mins(15);
 
 /// A content on its way into the store.
 #[derive(Debug)]
@@ -172,8 +177,29 @@ impl BlobStore {
             writes.push(Write { name: name.clone(), source: content.source });
             blobs.insert(part, Blob { name, bytes: content.bytes, digest: content.digest });
         }
-        self.put_all(writes).await?;
+        if let Err(error) = self.put_all(writes).await {
+            // some of them may be there; a store that does not answer now keeps nobody waiting
+            let (store, names) = (self.clone(), blobs.into_values().map(|blob| blob.name).collect::<Vec<_>>());
+            match &self.0 {
+                Place::Folder(_) => store.discard(names).await,
+                Place::Objects(_) => drop(tokio::spawn(async move { store.discard(names).await })),
+            }
+            return Err(error);
+        }
         Ok(blobs)
+    }
+
+    /// The library that the store belongs to, as [`BlobStore::set_library`] has written it.
+    pub(crate) async fn library(&self) -> Result<Option<Bytes>> {
+        match self.get(LIBRARY, None).await {
+            Err(LibraryError::NotFound(_)) => Ok(None),
+            read => read.map(Some),
+        }
+    }
+
+    /// Says whose store it is.
+    pub(crate) async fn set_library(&self, id: &str) -> Result<()> {
+        self.put_all(vec![Write { name: LIBRARY.into(), source: Source::Bytes(Bytes::from(id.to_owned())) }]).await
     }
 
     async fn put_all(&self, writes: Vec<Write>) -> Result<()> {
@@ -211,7 +237,10 @@ impl BlobStore {
         if bytes.len() as u64 != blob.bytes {
             return Err(damaged(format!("it has {} bytes, and {} were written", bytes.len(), blob.bytes)));
         }
-        if Digest::of(&bytes) == blob.digest { Ok(bytes) } else { Err(damaged("it is not what was written".into())) }
+        // a large one would keep a thread of the runtime for a second
+        let hash = move || (Digest::of(&bytes), bytes);
+        let (digest, bytes) = tokio::task::spawn_blocking(hash).await.map_err(|e| LibraryError::Internal(e.to_string()))?;
+        if digest == blob.digest { Ok(bytes) } else { Err(damaged("it is not what was written".into())) }
     }
 
     /// The file of a blob, where blobs are files of this machine.
@@ -235,6 +264,20 @@ impl BlobStore {
         for name in names {
             if let Err(error) = self.delete(&name).await {
                 tracing::warn!(name, %error, "a blob is left for gc");
+            }
+        }
+    }
+
+    /// The same once readers of the version before have had their time: of an object store they read piece by piece, and a file of a folder stays open.
+    pub(crate) async fn discard_later(&self, names: Vec<String>) {
+        match &self.0 {
+            Place::Folder(_) => self.discard(names).await,
+            Place::Objects(_) => {
+                let store = self.clone();
+                tokio::spawn(async move {
+                    tokio::time::sleep(READERS).await;
+                    store.discard(names).await;
+                });
             }
         }
     }

@@ -3,6 +3,8 @@ use super::*;
 on_both! {
     gc_deletes_what_nobody_refers_to_for_a_day,
     fsck_finds_what_is_missing_short_and_changed,
+    a_store_of_another_library_is_refused,
+    blobs_are_collected_once_a_day_by_one_of_all_nodes,
 }
 
 async fn gc_deletes_what_nobody_refers_to_for_a_day(bed: Bed) {
@@ -88,4 +90,26 @@ async fn photos_live_and_die_in_an_object_store() {
     drop(engine);
     let away = library.accept(super::photo(2)).await;
     assert!(matches!(away, Err(LibraryError::Unavailable { service: Service::Blobs, .. })), "{away:?}");
+}
+
+async fn a_store_of_another_library_is_refused(bed: Bed) {
+    let library = bed.node().await;
+    let refusal = async |bed: &Bed, blobs: &std::path::Path| {
+        let blobs = BlobStore::folder(blobs, Reserve::default()).unwrap();
+        bed.try_node_of(blobs, Limits::default()).await.unwrap_err().to_string()
+    };
+    let (other, own) = (Bed::sqlite(), bed.path().join("blobs"));
+    assert!(refusal(&other, &own).await.contains("another library"), "its gc would delete this one's blobs");
+    bed.node().await;
+    done(&library, 1, owner("ann")).await;
+    let empty = other.path().join("empty");
+    assert!(refusal(&bed, &empty).await.contains("the same --blobs"), "its photos would be missing");
+}
+
+async fn blobs_are_collected_once_a_day_by_one_of_all_nodes(bed: Bed) {
+    let (one, other) = (bed.node().await, bed.node().await);
+    assert_eq!(one.gc_if_due().await.unwrap(), Some(Collected::default()));
+    assert_eq!((one.gc_if_due().await.unwrap(), other.gc_if_due().await.unwrap()), (None, None));
+    bed.jump(1000 * 3600 * 25);
+    assert_eq!(other.gc_if_due().await.unwrap(), Some(Collected::default()));
 }

@@ -90,12 +90,16 @@ impl Bed {
     }
 
     pub async fn node_of(&self, blobs: BlobStore, limits: Limits) -> Library {
+        self.try_node_of(blobs, limits).await.unwrap()
+    }
+
+    pub async fn try_node_of(&self, blobs: BlobStore, limits: Limits) -> Result<Library> {
         let mut database = match &self.url {
             Some(url) => Database::postgres(url).await.unwrap(),
             None => Database::sqlite(&self.path().join("library.db")).await.unwrap(),
         };
         database.skew = Arc::clone(&self.clock);
-        Library::of(database, blobs, Config { limits, ..Config::of_folder(self.path()) }).await.unwrap()
+        Library::of(database, blobs, Config { limits, ..Config::of_folder(self.path()) }).await
     }
 
     /// Has the database's clock jump.

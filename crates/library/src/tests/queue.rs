@@ -216,13 +216,13 @@ async fn a_check_takes_a_damaged_photo_out_of_service(bed: Bed) {
     let library = bed.node().await;
     let (good, bad) = (done(&library, 1, owner("a")).await, done(&library, 2, owner("b")).await);
     std::fs::remove_file(library.blobs().path(bad.blob(Part::Container).unwrap()).unwrap()).unwrap();
-    for photo in [&good, &bad] {
-        library.order_check(photo.id).await.unwrap();
-        library.order_check(photo.id).await.unwrap();
+    assert_eq!(library.check_next(Duration::from_hours(1)).await.unwrap(), None, "they have just been written");
+    bed.jump(1000 * 3600 * 2);
+    let mut checked = BTreeSet::new();
+    while let Some(photo) = library.check_next(Duration::from_hours(1)).await.unwrap() {
+        assert!(checked.insert(photo.id), "each is checked once");
     }
-    while let Some(lease) = library.take(&[Kind::Check], LEASE).await.unwrap() {
-        library.finish_check(&lease).await.unwrap();
-    }
+    assert_eq!(checked, BTreeSet::from([good.id, bad.id]));
     assert_eq!(library.get(good.id).await.unwrap().state, PhotoState::Done);
     let bad = library.get(bad.id).await.unwrap();
     assert_eq!(bad.state, PhotoState::Damaged);
