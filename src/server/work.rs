@@ -288,7 +288,7 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
     options.strokes = match read(Part::Strokes).await {
         Ok(strokes) => super::app::strokes_of(strokes.as_deref()),
         // without them the photo is still what was uploaded
-        Err(End::Failed(_)) => Default::default(),
+        Err(End::Failed(_)) => Vec::new(),
         Err(again) => return Err(again),
     };
     let lost = || End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
