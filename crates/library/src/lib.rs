@@ -173,7 +173,7 @@ impl Library {
         // beside the blobs where these are files, which are moved there
         let incoming = config.data.join("blobs").join("incoming");
         blobs::create_private(&incoming)?;
-        pair(&database, &blobs).await?;
+        Box::pin(pair(&database, &blobs)).await?;
         let secret = links::secret(&database).await?;
         Ok(Self(Arc::new(Inner {
             database,
