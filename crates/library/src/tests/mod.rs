@@ -90,7 +90,7 @@ impl Bed {
     }
 
     pub async fn node_of(&self, blobs: BlobStore, limits: Limits) -> Library {
-        self.try_node_of(blobs, limits).await.unwrap()
+        Box::pin(self.try_node_of(blobs, limits)).await.unwrap()
     }
 
     pub async fn try_node_of(&self, blobs: BlobStore, limits: Limits) -> Result<Library> {
