@@ -148,11 +148,9 @@ impl Library {
     /// # Errors
     /// [`LibraryError::Unavailable`].
     pub async fn fetched(&self, job: &Job) -> Result<()> {
-        if self.now().await? < job.used_at + millis(FETCHED) {
-            return Ok(());
-        }
         let mut tx = self.database().write().await?;
-        sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2").bind(tx.now).bind(job.id.clone()).execute(tx.on()).await?;
+        let update = sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2 AND used_at <= $3").bind(tx.now).bind(job.id.clone());
+        update.bind(tx.now - millis(FETCHED)).execute(tx.on()).await?;
         tx.commit().await
     }
 
