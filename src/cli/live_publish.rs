@@ -273,6 +273,9 @@ impl Sender {
         }
         // what is under way comes back as credit; the source is at its end whatever becomes of the rest
         let _ = heard.listen(&mut socket, Instant::now() + PATIENCE, false).await;
+        // who watches need not wait for more
+        let bye = message::Bye { reason: "the source has ended".into(), ..message::Bye::default() };
+        let _ = send(&mut socket, Kind::Bye(bye)).await;
         let _ = socket.close(None).await;
         Ok(())
     }

@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use bytes::Bytes;
 use futures_util::StreamExt as _;
-use tokio::time::timeout;
+use tokio::time::{sleep_until, timeout};
 use tokio_tungstenite::tungstenite::Message;
 
+use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Hello, Video};
 use tmpi_core::live::{Layers, Model, When, read};
@@ -80,7 +81,8 @@ pub(super) fn watch(args: &WatchArgs) -> anyhow::Result<()> {
 async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
     let record = args.record.as_ref().map(|file| std::fs::File::create(file).with_context(|| file.display().to_string())).transpose()?;
     let end = args.seconds.map(|s| Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
-    let mut watcher = Watcher { args, end: end.map(Into::into), record, begun: Instant::now(), second: Second::default(), frames: 0 };
+    let (begun, second) = (Instant::now(), Second::default());
+    let mut watcher = Watcher { args, end: end.map(Into::into), record, begun, second, frames: 0, told: String::new() };
     let mut addresses = Addresses::new(&args.room, args.token.as_deref());
     // since when nothing has come, once something had
     let mut lost: Option<(Instant, End)> = None;
@@ -92,18 +94,17 @@ async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
             (Err(unreached), None) => return Err(unreached.error),
             (Err(unreached), Some((since, end))) => {
                 // a room waits for its publisher, which may come to another node
-                let over = *end == End::Gone && !addresses.are_several() || since.elapsed() > COME_BACK;
+                let over = matches!(end, End::Gone(_)) && !addresses.are_several() || since.elapsed() > COME_BACK;
                 if unreached.nobody && over {
                     return Ok(());
                 }
                 if since.elapsed() > PATIENCE {
                     return Err(unreached.error);
                 }
-                tokio::time::sleep(AGAIN).await;
-                if watcher.is_over() {
-                    return Ok(());
+                if watcher.waits(AGAIN).await {
+                    continue;
                 }
-                continue;
+                return Ok(());
             }
         };
         if ended == End::Over {
@@ -111,12 +112,16 @@ async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
         }
         lost = Some((lost.filter(|_| watcher.frames == before).map_or_else(Instant::now, |(since, _)| since), ended));
         addresses.go_on();
-        tokio::time::sleep(AGAIN).await;
+        if !watcher.waits(ended.pause()).await {
+            return Ok(());
+        }
     }
 }
 
-/// Pause before a lost room is looked for again, how long one that nobody publishes in is, and one that cannot be reached.
+/// Pause before a lost room is looked for again, one whose publisher has gone, and one that is full; how long one that nobody publishes in is, and one that cannot be reached.
 const AGAIN: Duration = Duration::from_millis(100);
+const AFTER_PUBLISHER: Duration = Duration::from_secs(1);
+const AFTER_FULL: Duration = Duration::from_secs(5);
 const COME_BACK: Duration = Duration::from_secs(10);
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -125,10 +130,21 @@ const PATIENCE: Duration = Duration::from_secs(30);
 enum End {
     /// For good.
     Over,
-    /// The server says that one may come back.
-    Gone,
+    /// The server says why, and that one may come back.
+    Gone(Cause),
     /// The connection broke.
     Lost,
+}
+
+impl End {
+    /// Time before the room is looked for again.
+    const fn pause(self) -> Duration {
+        match self {
+            Self::Gone(Cause::Left | Cause::Rejected) => AFTER_PUBLISHER,
+            Self::Gone(Cause::Full) => AFTER_FULL,
+            _ => AGAIN,
+        }
+    }
 }
 
 struct Watcher<'a> {
@@ -139,25 +155,30 @@ struct Watcher<'a> {
     second: Second,
     /// All that came.
     frames: u64,
+    /// What the server said last of why it sends nothing.
+    told: String,
 }
 
 impl Watcher<'_> {
-    fn is_over(&self) -> bool {
-        self.end.is_some_and(|end| tokio::time::Instant::now() >= end)
+    /// Ready when the time is over.
+    async fn over(&self) {
+        match self.end {
+            Some(end) => sleep_until(end).await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Waits so long; false where the time is over before.
+    async fn waits(&self, pause: Duration) -> bool {
+        timeout(pause, self.over()).await.is_err()
     }
 
     async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<End> {
         let (mut shown, mut waits): (Option<Shown>, bool) = (None, true);
         loop {
-            let over = async {
-                match self.end {
-                    Some(end) => tokio::time::sleep_until(end).await,
-                    None => std::future::pending().await,
-                }
-            };
             let came = tokio::select! {
                 came = timeout(SILENCE, socket.next()) => came,
-                () = over => return Ok(End::Over),
+                () = self.over() => return Ok(End::Over),
             };
             let bytes = match came {
                 Ok(Some(Ok(Message::Binary(bytes)))) => bytes,
@@ -188,6 +209,7 @@ impl Watcher<'_> {
             Kind::Hello(hello) => {
                 eprintln!("tmpi live watch: {}×{}, {}, epoch {}", hello.width, hello.height, hello.codec, hello.epoch);
                 *shown = Some(Shown::new(&hello, args.render.is_some())?);
+                self.told.clear();
             }
             Kind::Video(video) => {
                 self.frames += 1;
@@ -216,8 +238,12 @@ impl Watcher<'_> {
                 *second = Second::default();
             }
             Kind::Bye(bye) => {
-                eprintln!("tmpi live watch: the server says: {}", bye.reason);
-                return Ok(Some(if bye.again { End::Gone } else { End::Over }));
+                if self.told != bye.reason {
+                    eprintln!("tmpi live watch: the server says: {}", bye.reason);
+                }
+                let end = if bye.again { End::Gone(bye.cause()) } else { End::Over };
+                self.told = bye.reason;
+                return Ok(Some(end));
             }
             _ => {}
         }

@@ -66,12 +66,12 @@ enum End {
 pub async fn run(nodes: Arc<Nodes>, entry: Entry, ended: CancellationToken) {
     let now = Instant::now();
     let mut edge = Edge { nodes: &nodes, name: &entry.name, room: &entry.room, epoch: 0, heard: now, watched: now };
-    tokio::select! {
-        () = edge.follow() => {}
-        () = ended.cancelled() => {}
-        () = nodes.stop.cancelled() => {}
-    }
-    entry.room.end_edge(&ended);
+    let farewell = tokio::select! {
+        farewell = edge.follow() => farewell,
+        () = ended.cancelled() => None,
+        () = nodes.stop.cancelled() => None,
+    };
+    entry.room.end_edge(&ended, farewell);
 }
 
 struct Edge<'a> {
@@ -87,13 +87,14 @@ struct Edge<'a> {
 }
 
 impl Edge<'_> {
-    async fn follow(&mut self) {
+    /// Ends with what the last origin says to who watches, where the publisher is gone for good.
+    async fn follow(&mut self) -> Option<Bye> {
         let mut gone = false;
         loop {
             let ended = match self.nodes.origin(self.name).await {
                 Ok(Some(origin)) => self.subscribe(&origin).await,
                 // released by the origin that said so
-                Ok(None) if gone => return,
+                Ok(None) if gone => return None,
                 Ok(None) => Err(EdgeError::Closed),
                 Err(error) => Err(error.into()),
             };
@@ -101,12 +102,12 @@ impl Edge<'_> {
                 tracing::debug!(%error, room = self.name, "a room of another node");
             }
             gone = match ended {
-                Ok(End::Bye(bye)) if bye.cause() == Cause::Rejected => return self.room.end(bye),
-                Ok(End::Bye(bye)) => matches!(bye.cause(), Cause::Left | Cause::Lost),
+                Ok(End::Bye(bye)) if matches!(bye.cause(), Cause::Left | Cause::Rejected) => return Some(bye),
+                Ok(End::Bye(bye)) => bye.cause() == Cause::Lost,
                 _ => false,
             };
             if self.is_unwatched() || self.heard.elapsed() > COME_BACK {
-                return;
+                return None;
             }
             sleep(AGAIN).await;
         }
@@ -127,9 +128,10 @@ impl Edge<'_> {
         loop {
             let key = tokio::select! {
                 came = timeout_at(silent, socket.next()) => {
+                    let came = came.map_err(|_| EdgeError::Silent)?;
                     self.heard = Instant::now();
                     silent = self.heard + SILENCE;
-                    let end = match came.map_err(|_| EdgeError::Silent)? {
+                    let end = match came {
                         Some(Ok(Message::Binary(bytes))) => self.take(bytes)?,
                         Some(Ok(Message::Close(_))) | None => return Err(EdgeError::Closed),
                         Some(Ok(_)) => None,

@@ -207,9 +207,9 @@ impl Rooms {
         self.named.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A room that is open here.
+    /// A room that is served here: a publisher is here or may come back, or this node is an edge of it.
     fn get(&self, name: &str) -> Option<Arc<Room>> {
-        self.lock().get(name).map(|named| Arc::clone(&named.room))
+        self.lock().get(name).map(|named| Arc::clone(&named.room)).filter(|room| room.is_served())
     }
 
     /// Opens a room, or holds one open that is; none where there are as many as may be.
@@ -260,7 +260,7 @@ impl Entry {
             () = tokio::time::sleep(COME_BACK) => false,
             () = stop.cancelled() => false,
             // a lease of before is lost to a later one of this node, too
-            () = origin::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.has_epoch(lease.epoch())),
+            () = origin::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.came_with(lease.epoch())),
         };
         // before anybody is told that the room is closed
         if let Some(lease) = lease {

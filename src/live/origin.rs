@@ -102,7 +102,7 @@ impl Nodes {
         let origin = self.library.claim_room(room, &self.address.url, Claim::TakeOver, LEASE).await?;
         let (library, room, lost) = (self.library.clone(), room.to_owned(), CancellationToken::new());
         let renewal = tokio::spawn(renew(library.clone(), room.clone(), origin.clone(), lost.clone()));
-        Ok(Lease { library, room, origin, lost, _renewal: AbortOnDropHandle::new(renewal) })
+        Ok(Lease { library, room, origin, lost, renewal: AbortOnDropHandle::new(renewal) })
     }
 
     /// The other node that has a room; none where there is none.
@@ -188,7 +188,7 @@ pub struct Lease {
     origin: Origin,
     /// Set when another node has taken it.
     lost: CancellationToken,
-    _renewal: AbortOnDropHandle<()>,
+    renewal: AbortOnDropHandle<()>,
 }
 
 impl Lease {
@@ -200,6 +200,7 @@ impl Lease {
 
     /// Gives the room back, unless it is another's already.
     pub async fn release(self) {
+        self.renewal.abort();
         match self.library.release_room(&self.room, &self.origin).await {
             Ok(()) | Err(LibraryError::LeaseLost) => {}
             Err(error) => tracing::warn!(%error, room = self.room, "a room is not given back"),

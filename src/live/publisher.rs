@@ -1,5 +1,6 @@
 //! The socket of a publisher: what it sends is checked, handed on, and given to the worker.
 
+use std::error::Error as _;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -7,12 +8,13 @@ use axum::extract::ws::{Message, WebSocket};
 use bytes::Bytes;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout_at};
+use tokio_tungstenite::tungstenite::{self, error::CapacityError};
 
 use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
-use tmpi_live::video::VideoError;
+use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{Geometry, Settings, units, video};
 
 use super::origin::{Lease, lost};
@@ -28,77 +30,103 @@ use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PAN
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
 /// Bytes of a codec string.
 const CODEC: usize = 64;
+/// Mean time between two changes of the pictures' size, and how many may come at once.
+const RESIZE: Duration = Duration::from_secs(1);
+const RESIZES: u32 = 8;
 
-/// Serves a publisher until it goes or has to, or the token `ends` that it came by. Gives the lease of the room, where other nodes have to know of it.
-pub async fn serve(mut socket: WebSocket, entry: &Entry, here: &Here, ends: Option<Instant>) -> Option<Lease> {
-    let mut lease = None;
-    let Err(reason) = session(&mut socket, entry, here, ends, &mut lease).await else { return lease };
-    tracing::info!(reason, "a publisher is sent away");
-    send_away(socket, Bye { again: may_come_back(&reason), cause: cause(&reason).into(), reason }).await;
-    lease
+/// Serves a publisher until it goes or has to, or the token `ends` that it came by, then waits for it to come back.
+pub async fn serve(mut socket: WebSocket, entry: Entry, here: &Here, ends: Option<Instant>) {
+    let mut seat = None;
+    let ended = session(&mut socket, &entry, here, ends, &mut seat).await;
+    let held = seat.map(Seat::leave);
+    let told = async move {
+        if let Err(Refused { reason, again, cause }) = ended {
+            tracing::info!(reason, "a publisher is sent away");
+            send_away(socket, Bye { reason, again, cause: cause.into() }).await;
+        }
+    };
+    let lingers = async move {
+        if let Some(lease) = held {
+            entry.linger(lease, &here.stop).await;
+        }
+    };
+    // a link that is dead holds up nobody who watches
+    tokio::join!(told, lingers);
 }
 
-/// Whether a publisher that is sent away for that reason may try again: a camera that paused may go on.
-fn may_come_back(reason: &str) -> bool {
-    reason == STOPS || reason == UNREACHABLE || reason.starts_with(SILENT) || reason.starts_with(BROKE)
+/// Why a publisher is sent away.
+struct Refused {
+    reason: String,
+    /// It may come back: a camera that paused may go on.
+    again: bool,
+    /// What its program can act on.
+    cause: Cause,
 }
 
-/// What the publisher's program can act on.
-fn cause(reason: &str) -> Cause {
-    match reason {
-        TAKEN => Cause::Taken,
-        _ if reason.starts_with(NO_DECODER) => Cause::Codec,
-        _ => Cause::Other,
+impl Refused {
+    fn for_now(reason: impl Into<String>) -> Self {
+        Self { reason: reason.into(), again: true, cause: Cause::Other }
     }
 }
 
-const STOPS: &str = "the server stops";
-/// Why a second publisher is sent away.
-const TAKEN: &str = "someone publishes in this room";
-const NO_DECODER: &str = "no decoder for the codec";
-const SILENT: &str = "nothing came for";
-const BROKE: &str = "the connection broke";
+impl From<String> for Refused {
+    fn from(reason: String) -> Self {
+        Self { reason, again: false, cause: Cause::Other }
+    }
+}
+
+impl From<&str> for Refused {
+    fn from(reason: &str) -> Self {
+        reason.to_owned().into()
+    }
+}
+
 const BIDIRECTIONAL: &str =
     "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
-const UNREACHABLE: &str = "the database of rooms cannot be reached";
-const MOVED: &str = "the room's publisher has come to another server";
 
-/// Publishes; ends without a reason where the publisher has gone by itself.
-async fn session(
+/// Publishes, once `seat` is taken; ends without a reason where the publisher has gone by itself.
+async fn session<'a>(
     socket: &mut WebSocket,
-    entry: &Entry,
+    entry: &'a Entry,
     here: &Here,
     ends: Option<Instant>,
-    lease: &mut Option<Lease>,
-) -> Result<(), String> {
+    seat: &mut Option<Seat<'a>>,
+) -> Result<(), Refused> {
     let (room, rooms) = (&entry.room, &here.rooms);
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
     // before the room is taken: nobody watches who would have to be told
     checked(hello.clone(), &rooms.config)?;
-    video::decoder(&hello.codec, (hello.width, hello.height)).map_err(|e| e.to_string())?;
+    decoder(&hello)?;
     if !room.take() {
-        return Err(TAKEN.into());
+        return Err(Refused { cause: Cause::Taken, .."someone publishes in this room".into() });
     }
-    // given back however this ends
-    let _seat = Seat(room);
+    let Seat { lease, .. } = seat.insert(Seat { room, lease: None });
     if let Some(nodes) = rooms.nodes.get() {
         let claimed = nodes.claim(&entry.name).await;
         *lease = Some(claimed.map_err(|error| {
             tracing::warn!(%error, room = entry.name, "a room is not taken");
-            UNREACHABLE
+            Refused::for_now("the database of rooms cannot be reached")
         })?);
     }
-    let ended = published(socket, room, hello, here, Until { lease: lease.as_ref(), ends }).await;
-    match &ended {
+    match published(socket, room, hello, here, Until { lease: lease.as_ref(), ends }).await {
         Ok(Gone::Said) => room.end(gone(Cause::Left)),
+        Ok(Gone::Lost) => {}
         // viewers follow the publisher to where it is now
-        Err(reason) if reason != MOVED && !may_come_back(reason) => {
-            room.end(Bye { reason: reason.clone(), again: true, cause: Cause::Rejected.into() });
+        Ok(Gone::Moved) => return Err("the room's publisher has come to another server".into()),
+        Err(refused) => {
+            if !refused.again {
+                room.end(Bye { reason: refused.reason.clone(), again: true, cause: Cause::Rejected.into() });
+            }
+            return Err(refused);
         }
-        Ok(Gone::Lost) | Err(_) => {}
     }
-    ended.map(drop)
+    Ok(())
+}
+
+fn decoder(hello: &Hello) -> Result<Box<dyn Decoder>, Refused> {
+    let decoder = video::decoder(&hello.codec, (hello.width, hello.height));
+    decoder.map_err(|error| Refused { cause: Cause::Codec, ..error.to_string().into() })
 }
 
 /// What ends a publisher's right to the room.
@@ -118,6 +146,8 @@ enum Gone {
     Said,
     /// Its connection has broken: it may come back.
     Lost,
+    /// It, or another one, has come to another node.
+    Moved,
 }
 
 /// What a publisher shows from one size of its pictures to the next.
@@ -129,9 +159,9 @@ struct Show {
 
 impl Show {
     /// Begins a room's epoch, `least` or more, with pictures as `hello` says; `done` is told of each frame.
-    fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<Decoded>) -> Result<Self, String> {
+    fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<Decoded>) -> Result<Self, Refused> {
         let (settings, hello) = checked(hello, config)?;
-        let decoder = video::decoder(&hello.codec, (hello.width, hello.height)).map_err(|e| e.to_string())?;
+        let decoder = decoder(&hello)?;
         let clock = micros();
         let epoch = room.publish(hello.clone(), clock, least);
         let models = config.models.clone();
@@ -165,13 +195,14 @@ fn turned(fov_x: f64, before: (u32, u32), now: (u32, u32)) -> f64 {
 }
 
 /// Hands on what a publisher sends, which has the room.
-async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here: &Here, until: Until<'_>) -> Result<Gone, String> {
+async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here: &Here, until: Until<'_>) -> Result<Gone, Refused> {
     let Here { rooms, stop, .. } = here;
     let (done, mut decoded) = mpsc::channel(16);
     // by the clock: addresses of groups of pictures are no others' after a restart
     let least = until.lease.map_or(micros() / 1000, Lease::epoch);
     let mut show = Show::begin(room, hello, least, &rooms.config, done.clone())?;
-    let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: Instant::now(), broken: 0, seen: false };
+    let now = Instant::now();
+    let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: now, resized: now, broken: 0, seen: false };
     let (mut depth, mut sounds) = (None, Allowance::new(Instant::now()));
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -180,8 +211,8 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
     loop {
         let message = tokio::select! {
             message = next(socket, silent) => message?,
-            outcome = decoded.recv() => {
-                frames.decoded(socket, outcome.ok_or("decoding has ended")?).await?;
+            Some(outcome) = decoded.recv() => {
+                frames.decoded(socket, outcome).await?;
                 continue;
             }
             () = room.keys.notified() => {
@@ -193,9 +224,9 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                 frames.credit(socket, 0, false).await?;
                 continue;
             }
-            () = lost(until.lease) => return Err(MOVED.into()),
+            () = lost(until.lease) => return Ok(Gone::Moved),
             () = ended(until.ends) => return Err(ENDED.into()),
-            () = stop.cancelled() => return Err(STOPS.into()),
+            () = stop.cancelled() => return Err(Refused::for_now("the server stops")),
         };
         let came = Instant::now();
         silent = came + SILENCE;
@@ -207,6 +238,7 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                 if video.key
                     && let Some(hello) = show.resized(&video.data)?
                 {
+                    frames.resize(came)?;
                     // the threads of before end with what they have, and tell of it
                     show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
                 }
@@ -234,26 +266,46 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
     }
 }
 
-/// The room's place for a publisher.
-struct Seat<'a>(&'a Room);
+/// The room's place for a publisher, given back when it is dropped, and the lease of the room where other nodes have to know of it.
+struct Seat<'a> {
+    room: &'a Room,
+    lease: Option<Lease>,
+}
+
+impl Seat<'_> {
+    /// Gives the place back, and not yet the lease.
+    fn leave(mut self) -> Option<Lease> {
+        self.lease.take()
+    }
+}
 
 impl Drop for Seat<'_> {
     fn drop(&mut self) {
-        self.0.unpublish();
+        self.room.unpublish();
     }
 }
 
 /// The next message; none where the publisher has gone. Pings are none: who sends nothing else publishes nothing.
-async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, String> {
+async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, Refused> {
     loop {
-        let came = timeout_at(until, socket.recv()).await.map_err(|_| format!("{SILENT} {} s", SILENCE.as_secs()))?;
-        return match came {
-            Some(Ok(Message::Binary(bytes))) => read(bytes).map(Some).map_err(|e| e.to_string()),
+        let silent = |_| Refused::for_now(format!("nothing came for {} s", SILENCE.as_secs()));
+        return match timeout_at(until, socket.recv()).await.map_err(silent)? {
+            Some(Ok(Message::Binary(bytes))) => read(bytes).map(Some).map_err(|e| e.to_string().into()),
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
             Some(Ok(Message::Text(_))) => Err("messages are binary".into()),
             Some(Ok(Message::Close(_))) | None => Ok(None),
-            Some(Err(error)) => Err(format!("{BROKE}: {error}")),
+            Some(Err(error)) => Err(broke(&error)),
         };
+    }
+}
+
+/// Why nothing more is read of a publisher.
+fn broke(error: &axum::Error) -> Refused {
+    match error.source().and_then(|source| source.downcast_ref::<tungstenite::Error>()) {
+        Some(tungstenite::Error::Capacity(CapacityError::MessageTooLong { max_size, .. })) => {
+            format!("a message over {max_size} bytes").into()
+        }
+        _ => Refused::for_now(format!("the connection broke: {error}")),
     }
 }
 
@@ -292,6 +344,8 @@ struct Frames {
     allowed: u32,
     /// When the next credit is due, so that frames come no faster than they may.
     due: Instant,
+    /// When all changes of the pictures' size so far may have come.
+    resized: Instant,
     /// Frames in a row that could not be decoded.
     broken: u32,
     /// A frame was decoded.
@@ -327,15 +381,24 @@ impl Frames {
         Ok(())
     }
 
-    async fn decoded(&mut self, socket: &mut WebSocket, outcome: Decoded) -> Result<(), String> {
+    /// Each change of size starts a decoder and two threads.
+    fn resize(&mut self, now: Instant) -> Result<(), String> {
+        self.resized = self.resized.max(now) + RESIZE;
+        if self.resized > now + RESIZES * RESIZE {
+            return Err("pictures change their size more than once a second".into());
+        }
+        Ok(())
+    }
+
+    async fn decoded(&mut self, socket: &mut WebSocket, outcome: Decoded) -> Result<(), Refused> {
         self.broken = if outcome == Decoded::Picture { 0 } else { self.broken + 1 };
         self.seen |= outcome == Decoded::Picture;
         match outcome {
-            Decoded::Panics => return Err(format!("geometry failed {PANICS} times in a row")),
+            Decoded::Panics => return Err(format!("geometry failed {PANICS} times in a row").into()),
             // damage can look like it, but not in the first frame
-            Decoded::Unsupported(why) if !self.seen || self.broken >= BROKEN => return Err(why),
+            Decoded::Unsupported(why) if !self.seen || self.broken >= BROKEN => return Err(why.into()),
             Decoded::Broken(why) if self.broken >= BROKEN || (!self.seen && self.broken >= BROKEN_FIRST) => {
-                return Err(format!("{} frames in a row cannot be decoded: {why}", self.broken));
+                return Err(format!("{} frames in a row cannot be decoded: {why}", self.broken).into());
             }
             _ => {}
         }
@@ -347,9 +410,9 @@ impl Frames {
         self.credit(socket, 1, self.broken > 0).await
     }
 
-    async fn credit(&mut self, socket: &mut WebSocket, frames: u32, key: bool) -> Result<(), String> {
+    async fn credit(&mut self, socket: &mut WebSocket, frames: u32, key: bool) -> Result<(), Refused> {
         self.allowed += frames;
         let bytes: Bytes = write(Kind::Credit(Credit { frames, key, viewers: 0 }));
-        socket.send(Message::Binary(bytes)).await.map_err(|e| format!("{BROKE}: {e}"))
+        socket.send(Message::Binary(bytes)).await.map_err(|e| broke(&e))
     }
 }

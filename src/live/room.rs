@@ -37,6 +37,8 @@ struct State {
     /// Of the publisher that is there or was last; none: there was none yet.
     hello: Option<Arc<Hello>>,
     epoch: u64,
+    /// The epoch that the publisher came with; changes of the pictures' size begin others.
+    came: u64,
     /// Somebody is about to publish here, or does.
     taken: bool,
     publishing: bool,
@@ -119,9 +121,20 @@ impl Room {
         self.lock().publishing
     }
 
-    /// Whether this is the epoch of the publisher that was last here.
+    /// Whether viewers are served here: a publisher is here, about to be or was here last, or this node is an edge of the room.
+    pub fn is_served(&self) -> bool {
+        let state = self.lock();
+        state.taken || state.edge.is_some() || (state.hello.is_some() && state.chunks.is_none())
+    }
+
+    /// Whether this is the room's epoch.
     pub fn has_epoch(&self, epoch: u64) -> bool {
         self.lock().epoch == epoch
+    }
+
+    /// Whether this is the epoch that the last publisher came with.
+    pub fn came_with(&self, epoch: u64) -> bool {
+        self.lock().came == epoch
     }
 
     /// Sends everybody away.
@@ -136,14 +149,17 @@ impl Room {
         !state.closed && !std::mem::replace(&mut state.taken, true)
     }
 
-    /// The publisher that took the room says `hello`; gives its epoch, `least` or more.
+    /// The publisher that took the room says `hello`, or its pictures have another size; gives the epoch that begins, `least` or more.
     pub fn publish(&self, mut hello: Hello, clock: u64, least: u64) -> u64 {
         let mut state = self.lock();
-        (state.publishing, state.farewell) = (true, None);
+        state.farewell = None;
         if let Some(edge) = state.edge.take() {
             edge.cancel();
         }
         state.epoch = least.max(state.epoch + 1);
+        if !std::mem::replace(&mut state.publishing, true) {
+            state.came = state.epoch;
+        }
         (hello.epoch, hello.clock) = (state.epoch, clock);
         state.begin(hello, None);
         let epoch = state.epoch;
@@ -241,16 +257,15 @@ impl Room {
         state.still.as_ref().map(|still| (state.epoch, Arc::clone(still)))
     }
 
-    /// SNAPSHOT of all tiles as they are; none as long as there are none.
-    pub fn snapshot(&self) -> Option<Result<Bytes, LiveError>> {
-        self.everything().map(|(_, bytes)| bytes)
-    }
-
-    /// The same, with the frame that it is as of.
-    fn everything(&self) -> Option<(u64, Result<Bytes, LiveError>)> {
+    /// SNAPSHOT of all tiles as they are, with the frame that it is as of; none as long as there are none, or in another epoch.
+    fn everything(&self, epoch: u64) -> Option<(u64, Result<Bytes, LiveError>)> {
         let still = {
             let mut guard = self.lock();
             let state = &mut *guard;
+            if state.epoch != epoch {
+                // all of it is told with the next HELLO
+                return None;
+            }
             let (still, made) = (state.still.clone(), state.made.as_mut());
             // tiles that were sent before there are all of a frame are in no still
             let newer = made.filter(|made| made.newest() > still.as_ref().map(|s| s.tiles.frame));
@@ -275,7 +290,6 @@ impl Room {
         if let Some(known) = viewer.place.known() {
             let state = self.lock();
             if state.epoch != viewer.epoch {
-                // all of it is told with the next HELLO
                 return None;
             }
             let kept = state.chunks.as_ref().or(state.made.as_ref());
@@ -286,7 +300,7 @@ impl Room {
                 return (frame > known).then(tiles);
             }
         }
-        let (frame, bytes) = self.everything()?;
+        let (frame, bytes) = self.everything(viewer.epoch)?;
         viewer.place.told(frame);
         Some(bytes)
     }

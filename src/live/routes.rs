@@ -147,14 +147,13 @@ async fn publish(
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
     let Leave::Until(ends) = here.check(&name, Role::Publish, &uri, &headers).await? else { return Err(none_publishes()) };
-    // what a message has beside its frame
+    // what a message has beside its frame; a frame that is too large by less than another one is read, and refused with its size
     let bounds = here.rooms.bounds;
-    let upgrade = bounded(upgrade, bounds.frame.max(bounds.sound) + 1024)?;
+    let upgrade = bounded(upgrade, 2 * bounds.frame.max(bounds.sound) + 1024)?;
     let entry = here.rooms.enter(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         held.keep_little();
-        let lease = publisher::serve(socket, &entry, &here, ends).await;
-        entry.linger(lease, &here.stop).await;
+        publisher::serve(socket, entry, &here, ends).await;
         drop(held);
     }))
 }

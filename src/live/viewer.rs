@@ -56,7 +56,9 @@ impl Drop for Counted<'_> {
 /// Serves a viewer until it or the room goes, or the token `ends` that it came by.
 pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, Watches), stop: CancellationToken, ends: Option<Instant>) {
     let Some(viewer) = room.join(kind) else {
-        return send_away(socket, Bye { reason: FULL.into(), again: true, cause: Cause::Full.into() }).await;
+        let full = Bye { reason: FULL.into(), again: true, cause: Cause::Full.into() };
+        let closed = || room.farewell().unwrap_or_else(|| gone(Cause::Lost));
+        return send_away(socket, if room.is_full() { full } else { closed() }).await;
     };
     let end = {
         let mut counted = Counted { room: &room, viewer };

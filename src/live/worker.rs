@@ -13,7 +13,7 @@ use tokio::sync::mpsc;
 
 use tmpi_core::live::wire;
 use tmpi_core::{DisparityMap, Photo};
-use tmpi_live::video::{Decoder, VideoError};
+use tmpi_live::video::{Decoder, FAILED, VideoError};
 use tmpi_live::{Frame, Geometry, depth};
 
 use super::PANICS;
@@ -93,7 +93,9 @@ impl Worker {
             // by when frames come, not by what a publisher says: whose clock stands still has geometry all the same
             let began = Instant::now();
             for Coded { frame, data, depth, at } in coded {
-                let outcome = match decoded(decoder.as_mut(), &data, depth.as_deref()) {
+                // a panic is one more frame that cannot be decoded
+                let decoded = catch_unwind(AssertUnwindSafe(|| decoded(decoder.as_mut(), &data, depth.as_deref())));
+                let outcome = match decoded.unwrap_or_else(|_| Err(VideoError::Broken(FAILED.into()))) {
                     Ok(picture) => {
                         if let Some((photo, depth)) = picture {
                             to.0.put(Frame { number: frame, at: at.saturating_duration_since(began), photo, depth }, at, &counted);
@@ -166,10 +168,14 @@ fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Res
 
 /// Makes the geometry of frame after frame, until there is none left or too many in a row panic.
 fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
-    let (mut driver, mut panics) = (make(), 0);
+    let (mut driver, mut panics) = (None, 0);
     while let Some((frame, at)) = slot.next() {
+        // nobody waits for those of before a change of the pictures' size
+        if !place.0.has_epoch(place.1) {
+            continue;
+        }
         let number = frame.number;
-        if catch_unwind(AssertUnwindSafe(|| made(place, &mut driver, frame, at))).is_ok() {
+        if catch_unwind(AssertUnwindSafe(|| made(place, driver.get_or_insert_with(make), frame, at))).is_ok() {
             panics = 0;
             continue;
         }
@@ -180,7 +186,7 @@ fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
             return;
         }
         // what it knew may be half of something; a new one tells all tiles
-        driver = make();
+        driver = None;
     }
 }
 
@@ -278,5 +284,40 @@ mod tests {
         assert!(tiles.iter().zip(&before.tiles).all(|(now, then)| now.planes != then.planes), "a tile of the scene before the cut is left");
         let (_, newest) = room.still().expect("the room goes on");
         assert_eq!(tiles, &newest.tiles.geometry.tiles);
+    }
+
+    /// Pictures of one pixel, or panics.
+    struct Pixel(bool);
+
+    impl Decoder for Pixel {
+        fn decode(&mut self, _: &[u8]) -> Result<Option<Photo>, VideoError> {
+            assert!(self.0, "as planned");
+            Ok(Some(Photo { width: 1, height: 1, rgb: vec![[0; 3]] }))
+        }
+    }
+
+    #[test]
+    fn a_decoder_that_panics_and_geometry_that_cannot_be_begun_are_told_of() {
+        let room = Arc::new(Room::new(Bounds::default()));
+        let epoch = room.publish(Model::hello(&Settings::default().empty(160, 120)), 0, 1);
+        let (done, mut told) = mpsc::channel(16);
+        let start = |decodes: bool| {
+            let geometry = || -> Geometry { panic!("as planned") };
+            Worker::start((Arc::clone(&room), epoch), Box::new(Pixel(decodes)), geometry, done.clone()).unwrap()
+        };
+        let mut next = |worker: &Worker, frame: u64| {
+            assert!(worker.take(Coded { frame, data: Bytes::new(), depth: None, at: Instant::now() }));
+            told.blocking_recv()
+        };
+        let broken = start(false);
+        for frame in 0..3 {
+            assert!(matches!(next(&broken, frame), Some(Decoded::Broken(_))));
+        }
+        let (worker, began) = (start(true), Instant::now());
+        let mut frames = 0..;
+        while next(&worker, frames.next().unwrap()) != Some(Decoded::Panics) {
+            assert!(began.elapsed() < Duration::from_secs(20), "geometry is not there, and nobody says so");
+            thread::sleep(Duration::from_millis(5));
+        }
     }
 }

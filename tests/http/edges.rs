@@ -8,12 +8,14 @@ use std::time::Instant;
 use bytes::Bytes;
 use tempfile::tempdir;
 use tmpi_core::Tile;
+use tmpi_core::live::wire::Bye;
+use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::{Model, read};
 
 use super::client::{get, request};
 use super::fixture::{figure, wait_until};
-use super::live::{Client, KEY, Publisher, frame};
+use super::live::{Client, KEY, Publisher, SIZE, frame, frame_of};
 use super::many::Shared;
 use super::process::Process;
 
@@ -213,4 +215,36 @@ fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_
     wait_until("the edge ends", || b.edges() == 0);
     wait_until("the origin has no viewer", || a.room("east", "").json()["viewers"] == 0);
     assert!(next_epoch(&mut Client::watch(b.addr, "west"), 0) > 0);
+}
+
+#[test]
+fn a_room_whose_pictures_changed_their_size_follows_its_publisher_to_another_node() {
+    let Some(shared) = Shared::start() else { return };
+    let (a, b) = (node(&shared, "node-12", &[]), node(&shared, "node-13", &[]));
+    let mut old = Publisher::new(a.addr, "loft");
+    old.publish(frame(10));
+    let mut viewer = Client::watch(a.addr, "loft");
+    let came = next_epoch(&mut viewer, 0);
+    old.publish(frame_of((SIZE.1, SIZE.0), 10));
+    let turned = next_epoch(&mut viewer, came);
+    let mut new = Publisher::new(b.addr, "loft");
+    new.publish(frame(20));
+    assert!(next_epoch(&mut viewer, turned) > turned);
+    assert_eq!((a.edges(), b.edges()), (1, 0));
+}
+
+#[test]
+fn who_watches_at_an_edge_is_told_at_once_that_the_publisher_has_said_goodbye() {
+    let Some(shared) = Shared::start() else { return };
+    let (a, b) = (node(&shared, "node-14", &[]), node(&shared, "node-15", &[]));
+    let mut publisher = Publisher::new(a.addr, "mill");
+    publisher.publish(frame(10));
+    // who would publish and says nothing keeps nobody from watching
+    let _silent = Client::at(b.addr, "/v1/live/mill/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
+    let mut viewer = Client::watch(b.addr, "mill");
+    assert!(next_epoch(&mut viewer, 0) > 0);
+    publisher.client.send(Kind::Bye(Bye::default()));
+    assert_eq!(viewer.farewell().cause(), Cause::Left);
+    // who comes a little later, too
+    assert_eq!(Client::watch(b.addr, "mill").farewell().cause(), Cause::Left);
 }

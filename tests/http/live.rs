@@ -51,11 +51,15 @@ pub fn server_with(data: &Path, change: impl FnOnce(Rooms) -> Rooms) -> Running 
     })
 }
 
-const SIZE: (u32, u32) = (160, 120);
+pub const SIZE: (u32, u32) = (160, 120);
 
 /// A bright square at `x`.
 pub fn frame(x: u32) -> Vec<u8> {
-    let (width, height) = SIZE;
+    frame_of(SIZE, x)
+}
+
+/// The same in a picture of that size.
+pub fn frame_of((width, height): (u32, u32), x: u32) -> Vec<u8> {
     let pixel = |i: u32| if (x..x + 32).contains(&(i % width)) && (40..80).contains(&(i / width)) { 220 } else { 60 };
     let rgba = (0..width * height).map(|i| [pixel(i), pixel(i), pixel(i), 255]).collect();
     encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
@@ -158,14 +162,21 @@ impl Publisher {
     }
 
     pub fn publish(&mut self, data: Vec<u8>) {
+        self.try_publish(data).unwrap_or_else(|bye| panic!("{bye:?}"));
+    }
+
+    /// Sends a frame once there is leave; why not where it is sent away.
+    pub fn try_publish(&mut self, data: Vec<u8>) -> Result<(), Bye> {
         while self.credit == 0 {
             match self.client.next() {
                 Some(Kind::Credit(c)) => self.credit += c.frames,
+                Some(Kind::Bye(bye)) => return Err(bye),
                 other => panic!("{other:?}"),
             }
         }
         self.credit -= 1;
         self.frame(data);
+        Ok(())
     }
 
     /// Sends a frame whose credit is the caller's to count.

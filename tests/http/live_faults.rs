@@ -1,18 +1,21 @@
 //! Rooms whose publishers or drivers of geometry do what they should not.
 
+use std::net::TcpListener;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 use tempfile::tempdir;
 use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi_core::live::wire::bye::Cause;
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Credit, Hello, Sound, Video};
-use tmpi_core::live::{Model, VERSION};
+use tmpi_core::live::wire::{Bye, Credit, Hello, Sound, Video};
+use tmpi_core::live::{Model, VERSION, write};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::Models;
 use tmpi_pipeline::depth::{DepthError, Estimator};
-use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::{self, Message};
 
 use super::live::{Bright, Client, Publisher, frame, server_with};
 
@@ -115,4 +118,38 @@ fn a_viewer_that_cannot_decode_what_it_has_gets_a_key_frame_of_the_publisher() {
     while !matches!(publisher.client.next(), Some(Kind::Credit(credit)) if credit.key) {}
     publisher.publish(frame(20));
     while !matches!(viewer.next(), Some(Kind::Video(video)) if video.frame == 1 && video.key) {}
+}
+
+#[test]
+fn the_program_that_watches_says_once_that_the_publisher_has_gone_and_asks_again_after_a_second() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let room = format!("http://{}/live/attic", listener.local_addr().unwrap());
+    let program = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["live", "watch", &room]).stderr(Stdio::piped()).spawn().unwrap();
+    let asked = [true, true, false].map(|again| {
+        let mut socket = tungstenite::accept(listener.accept().unwrap().0).unwrap();
+        let at = Instant::now();
+        let bye = Bye { reason: "the publisher has gone".into(), again, cause: Cause::Left.into() };
+        socket.send(Message::Binary(write(Kind::Bye(bye)))).unwrap();
+        at
+    });
+    let output = program.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert_eq!(said.matches("the publisher has gone").count(), 1, "{said}");
+    assert!(asked.windows(2).all(|w| w[1] - w[0] >= Duration::from_secs(1)), "{asked:?}");
+}
+
+#[test]
+fn who_watches_a_film_is_told_at_its_end_that_the_publisher_has_gone() {
+    let (dir, film) = (tempdir().unwrap(), tempdir().unwrap());
+    let server = server_with(dir.path(), |rooms| rooms);
+    for n in 0..3 {
+        std::fs::write(film.path().join(format!("{n}.jpg")), frame(10 + n)).unwrap();
+    }
+    let room = format!("http://{}/live/attic", server.addr);
+    let mut program = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+    let output = program.args(["live", "publish"]).arg(film.path()).args(["--room", &room]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // as a publisher that is waited for would not be
+    assert_eq!(Client::watch(server.addr, "attic").farewell().cause(), Cause::Left);
 }

@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use tempfile::tempdir;
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Hello, Video};
+use tmpi_core::live::wire::{Bye, Hello, Video};
 use tmpi_core::live::{VERSION, write};
 use tokio_tungstenite::tungstenite::Message;
 
 use super::fixture::wait_until;
-use super::live::{Client, Publisher, frame, hello, server};
+use super::live::{Client, Publisher, SIZE, frame, frame_of, hello, server};
 
 #[test]
 fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
@@ -140,4 +140,26 @@ fn a_viewer_that_stops_reading_holds_up_nobody_and_goes_on_with_whole_frames() {
         }
     }
     assert!(seen.len() as u64 + skipped >= FRAMES, "{} seen, {skipped} skipped", seen.len());
+}
+
+#[test]
+fn a_publisher_whose_frames_are_too_large_or_change_their_size_again_and_again_is_sent_away_for_good() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let says = |bye: Bye, words: &str| assert!(bye.reason.contains(words) && !bye.again, "{bye:?} does not say {words:?}");
+    // over what a frame may have, and over what is read at all
+    for bytes in [(1 << 20) + 2048, 3 << 20] {
+        let mut publisher = Publisher::once_free(server.addr, "attic");
+        publisher.publish(vec![0; bytes]);
+        says(publisher.client.farewell(), "over ");
+    }
+    let mut turning = Publisher::once_free(server.addr, "attic");
+    let bye = loop {
+        let size = if turning.number.is_multiple_of(2) { SIZE } else { (SIZE.1, SIZE.0) };
+        if let Err(bye) = turning.try_publish(frame_of(size, 10)) {
+            break bye;
+        }
+    };
+    says(bye, "change their size");
+    assert!(turning.number > 9, "a camera may be turned a few times");
 }

@@ -5,8 +5,8 @@ use std::time::Instant;
 use bytes::Bytes;
 use tokio_util::sync::CancellationToken;
 
-use tmpi_core::live::wire::Hello;
 use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Bye, Hello};
 
 use super::{Room, Viewer, Watches};
 use crate::live::ring::What;
@@ -25,20 +25,22 @@ impl Room {
             return None;
         }
         let edge = CancellationToken::new();
-        state.edge = Some(edge.clone());
+        (state.edge, state.farewell) = (Some(edge.clone()), None);
         drop(state);
         // edges of other nodes have to look elsewhere
         self.changed();
         Some(edge)
     }
 
-    /// This node is an edge of the room no more.
-    pub fn end_edge(&self, edge: &CancellationToken) {
+    /// This node is an edge of the room no more; who watches is told the origin's `farewell`, if there is one.
+    pub fn end_edge(&self, edge: &CancellationToken, farewell: Option<Bye>) {
         let mut state = self.lock();
         // a publisher that came here has ended it already
         if !edge.is_cancelled() {
-            state.edge = None;
+            (state.edge, state.farewell) = (None, farewell);
         }
+        drop(state);
+        self.changed();
     }
 
     /// The origin says `hello`, of which `chunks` are to be the tiles; false where the room is further already. The same epoch again goes on.
@@ -48,7 +50,7 @@ impl Room {
             return false;
         }
         if hello.epoch > state.epoch {
-            (state.epoch, state.farewell) = (hello.epoch, None);
+            (state.epoch, state.came, state.farewell) = (hello.epoch, hello.epoch, None);
             state.begin(hello, Some(chunks));
             drop(state);
             self.changed();

@@ -235,3 +235,17 @@ fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_g
     room.part(&viewers[0]);
     assert!(!room.is_full() && room.join(Watches::Itself).is_some());
 }
+
+#[test]
+fn tiles_of_the_next_epoch_are_not_sent_after_the_hello_of_the_last_one() {
+    let mut made = Made::new();
+    let mut viewer = made.room.join(Watches::Itself).unwrap();
+    assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH));
+    made.tiles = geometry(0.25);
+    assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
+    let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
+    made.room.keep(EPOCH + 1, Still::new(1, photo, made.tiles.clone()), |_| {});
+    assert!(made.room.tiles(&mut viewer).is_none());
+    assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH + 1));
+    assert!(made.room.tiles(&mut viewer).is_some());
+}
