@@ -26,7 +26,8 @@ fn path(file: &str) -> PathBuf {
 
 /// The module of GLSL texts as the WGSL files are now.
 fn module() -> String {
-    let mut out = String::from("// Made of the WGSL files beside this one by `TMPI_BLESS=shaders cargo test --test shaders`: change those.\n");
+    let mut out =
+        String::from("// Made of the WGSL files beside this one by `TMPI_BLESS=shaders cargo test --test shaders`: change those.\n");
     for (file, entries) in SHADERS {
         let source = fs::read_to_string(path(file)).unwrap();
         let parsed = naga::front::wgsl::parse_str(&source).unwrap_or_else(|e| panic!("{file}: {}", e.emit_to_string(&source)));
