@@ -14,7 +14,7 @@ import { button, copied, showDialog } from './share-dialog.js';
  */
 export async function open({ id, visibility, changed }) {
   const links = await linksOf(id, USUAL_SECONDS).catch(() => null);
-  if (!links) return showDialog(t('Who may see it'), element('p', '', t('Only who uploaded the photo says who may see it.')));
+  if (!links) return showDialog(t('Who may see it'), element('p', '', t('Only the person who uploaded the photo decides who may see it.')));
   const seen = select([
     ['private', t('Only me')],
     ['link', t('Anyone with the link')],
@@ -25,8 +25,8 @@ export async function open({ id, visibility, changed }) {
   said.setAttribute('role', 'status');
   let now = visibility ?? 'private';
   seen.value = now;
-  const link = endingLink(id, links, t('A link that ends'));
-  const ending = element('section', '', element('h3', '', t('A link that ends')), ...link.parts);
+  const link = endingLink(id, links, t('A link with an end date'));
+  const ending = element('section', '', element('h3', '', t('A link with an end date')), ...link.parts);
   ending.hidden = now !== 'private';
   seen.addEventListener('change', async () => {
     try {
@@ -68,10 +68,10 @@ function somebodyElse(manage, takeBack, anew) {
     try {
       await takeBack();
       link.text.value = absolute((await anew()) ?? '');
-      said.textContent = t('Links of before show nothing any more; these are new.');
+      said.textContent = t('Earlier links no longer work; these are new.');
     } catch (error) {
       // whoever was given the link does not take it back
-      said.textContent = error.status === 404 ? t('Only who uploaded the photo takes its links back.') : error.message;
+      said.textContent = error.status === 404 ? t('Only the person who uploaded the photo can take its links back.') : error.message;
     }
   });
   return [
@@ -101,7 +101,7 @@ function otherBrowser(id) {
     try {
       link.text.value = absolute(`/view/${encodeURIComponent(id)}#owner=${await ownerTicket()}`);
       shown.hidden = false;
-      said.textContent = t('Good for a quarter of an hour.');
+      said.textContent = t('Valid for 15 minutes.');
       // it comes below what is seen of the dialog
       said.scrollIntoView({ block: 'nearest' });
     } catch (error) {

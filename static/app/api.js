@@ -36,7 +36,7 @@ export function wordsOf(status, statusText, body) {
   const limit = /over the limit of (\d+) (bytes|pixels)/.exec(text);
   if (limit?.[2] === 'bytes') return t('The file is too large: at most {0} can be sent.', formatBytes(Number(limit[1])));
   if (limit) return t('The photo has too many pixels: at most {0} million can be made.', Math.floor(Number(limit[1]) / 1e6));
-  if (status === 412) return t('Somebody changed the photo meanwhile. Reload the page to see how it is now.');
+  if (status === 412) return t('Somebody changed the photo in the meantime. Reload the page to see the change.');
   return text;
 }
 

@@ -59,7 +59,7 @@ export async function prepared(file, converting) {
   }
   if (kind === 'film') throw new Error(t('This is a film, not a photo.'));
   // browsers draw the picture alone
-  converting(kind === 'HEIC' || kind === 'JPEG' ? t('If the photo brought depth along, it was lost in converting.') : '');
+  converting(kind === 'HEIC' || kind === 'JPEG' ? t('If the photo came with depth, it was lost in the conversion.') : '');
   const bitmap = await createImageBitmap(file).catch(() => null);
   // of what is small and unknown the server knows best what it is
   if (!bitmap && !kind && file.size <= SMALL_BYTES) return file;

@@ -70,5 +70,5 @@ function askToShow(id, changed) {
  * @param {string} code
  */
 function piece(title, note, code) {
-  return element('section', '', element('h3', '', title), element('p', '', note), ...copied(title, code).parts);
+  return element('section', 'piece', element('h3', '', title), element('p', '', note), ...copied(title, code).parts);
 }

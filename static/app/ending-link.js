@@ -48,7 +48,7 @@ export function endingLink(id, links, title, hash = '') {
   /** @param {PhotoLinks} made */
   function show({ page, expires }) {
     link.text.value = absolute(page) + hash;
-    said.textContent = expires ? t('Whoever has this link sees the photo until {0}, and changes nothing.', moment(expires)) : '';
+    said.textContent = expires ? t('Anyone with this link can see the photo until {0}, but not change it.', moment(expires)) : '';
   }
   /** Makes a link anew. */
   async function renew() {
@@ -65,6 +65,6 @@ export function endingLink(id, links, title, hash = '') {
   );
   show(links);
   const local = isLoopback() ? [element('p', '', t('This address works only on this machine. Others need the server’s name.'))] : [];
-  const parts = [said, ...local, element('div', 'fields', element('label', '', t('How long it is good'), time)), ...link.parts];
+  const parts = [said, ...local, element('div', 'fields', element('label', '', t('Valid for'), time)), ...link.parts];
   return { text: link.text, parts, renew };
 }

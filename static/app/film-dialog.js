@@ -32,7 +32,7 @@ const NAMES = /** @type {Record<string, string>} */ ({
  */
 export async function open({ viewer, file }) {
   const { head } = viewer;
-  if (!viewer.renderer || !head) throw new Error(t('A film can be made only where the browser draws.'));
+  if (!viewer.renderer || !head) throw new Error(t('A film can be made only where the browser itself draws the photo.'));
   const longest = Math.max(head.width, head.height);
   const small = { width: 640, height: 400, frameMs: 33 };
   const film = /** @type {const} */ (['mp4', 'webm']);

@@ -60,8 +60,8 @@ export async function open({ id, viewer, changed }) {
 function byOwnLink(title, address) {
   const own = new URLSearchParams(linkOf(location.search));
   const expires = Number(own.get('expires'));
-  if (!expires) return showDialog(title, element('p', '', t('Only who uploaded the photo can make a link by which others see it.')));
-  const said = t('Whoever has this link sees the photo until {0}, and changes nothing.', moment(expires));
+  if (!expires) return showDialog(title, element('p', '', t('Only the person who uploaded the photo can make a link for others.')));
+  const said = t('Anyone with this link can see the photo until {0}, but not change it.', moment(expires));
   return showDialog(title, element('section', '', element('p', '', said), ...copied(title, address).parts, ...sending(() => address)));
 }
 

@@ -19,7 +19,7 @@ export const givesUp = () =>
   ask(
     t('Give up the photos of this browser?'),
     t(
-      'This browser is an owner already. It could no longer see, change or delete the photos that were uploaded from it, and no other way leads back to them.',
+      'Photos were uploaded from this browser already. It could no longer see, change or delete them, and there is no other way back to them.',
     ),
     t('Give them up'),
   );

@@ -33,6 +33,7 @@ function say(text) {
 function show(state) {
   document.body.dataset.state = state;
   const on = ['live', 'again', 'connecting', 'paused'].includes(state);
+  document.body.classList.toggle('on', on);
   $('go').hidden = on;
   $('stop').hidden = !on;
   $('on-air').hidden = state !== 'live';
@@ -97,11 +98,12 @@ function onState(state, reason) {
   show(state);
   if (state === 'connecting') say(t('Connecting…'));
   else if (state === 'live') say(lacksSound() ? t('You are live, without sound: the microphone does not work.') : t('You are live.'));
-  else if (state === 'paused') say(t('Paused: the camera gives no picture here. It goes on by itself, as soon as this page is seen.'));
+  else if (state === 'paused')
+    say(t('Paused: the camera gives no picture while this page is hidden. It continues by itself once the page is visible.'));
   else if (state === 'again') say(t('The connection broke. Trying again…'));
   else {
     closeCamera();
-    say(reason ? t('It ended: {0}', t(reason)) : t('You are not live any more.'));
+    say(reason ? t('It ended: {0}', t(reason)) : t('You are no longer live.'));
     $('share').hidden = true;
   }
 }
@@ -137,8 +139,8 @@ async function share() {
   const until = Number(token?.split('.')[0]);
   const notes = [
     until
-      ? t('It is good until {0}.', moment(until))
-      : t('Rooms of this server are for this machine alone: it has no key to let others in.'),
+      ? t('It is valid until {0}.', moment(until))
+      : t('Rooms on this server are for this machine only: it has no key to let others in.'),
     ...(until && isLoopback() ? [t('This address works only on this machine. Others need the server’s name.')] : []),
   ];
   $('link-note').textContent = notes.join(' ');
@@ -158,7 +160,7 @@ async function check() {
   if (asked !== room) return;
   if (state === 'none') return stay(t('There is no such room on this server.'));
   if (state === 'refused' || (state !== 'away' && !mayPublish))
-    return stay(t('To go live here you need an invitation that has not ended. Ask the person who sent you the link for a new one.'));
+    return stay(t('To go live here you need an invitation that is still valid. Ask the person who sent you the link for a new one.'));
   if (!navigator.mediaDevices?.getUserMedia) return stay(t('The camera needs an address with https.'));
   say(publishing ? t('Somebody is live in this room already. Give yours another name.') : beforehand);
   await listCameras();

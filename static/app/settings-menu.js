@@ -116,7 +116,7 @@ export function settingsMenu({ id, viewer, named, say }) {
   $('settings-menu').addEventListener('toggle', (event) => {
     show();
     const closes = 'newState' in event && event.newState === 'closed';
-    if (closes && unsaved()) say(t('Not saved yet: that is in the settings’ menu.'));
+    if (closes && unsaved()) say(t('Not saved yet. Save it in the Settings menu.'));
   });
   // the browser asks whether to leave
   addEventListener('beforeunload', (event) => unsaved() && event.preventDefault());

@@ -93,7 +93,7 @@ export async function touchUpDialog() {
   );
   form.id = 'touch-form';
   form.setAttribute('role', 'radiogroup');
-  form.setAttribute('aria-label', t('What is painted is to be'));
+  form.setAttribute('aria-label', t('Depth of what is painted'));
   form.addEventListener('submit', (event) => event.preventDefault());
   const dialog = element(
     'dialog',

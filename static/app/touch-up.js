@@ -75,17 +75,17 @@ export async function openTouchUp({ id, photo, saved, say }) {
   }
 
   function hint() {
-    if (waiting) return tell(t('Now choose the place that it is to be as near as.'));
+    if (waiting) return tell(t('Now choose a place at the right depth.'));
     const last = now.drawn.at(-1);
     // the preview still has it, see depthOf
-    const goes = now.kept || !within.length ? '' : t('What was painted before goes when you save.');
+    const goes = now.kept || !within.length ? '' : t('Earlier strokes are removed when you save.');
     if (goes && !last) return tell(goes);
     const next =
       wish() === 'like'
-        ? t('First paint over what lies at the wrong depth; then choose the place that it is to be as near as.')
+        ? t('First paint over what is at the wrong depth, then choose a place at the right depth.')
         : last?.stroke.by !== undefined
-          ? t('Slide until the depth is right, or paint on.')
-          : t('Paint over what lies at the wrong depth; edges hold the outline.');
+          ? t('Move the slider until the depth is right, or keep painting.')
+          : t('Paint over what is at the wrong depth. The paint stops at edges in the photo.');
     tell(goes ? `${goes} ${next}` : next);
   }
 

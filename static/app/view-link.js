@@ -47,7 +47,7 @@ export async function shareLink(offset, say) {
   }
   try {
     await navigator.clipboard.writeText(url);
-    say(isLoopback() ? t('Link to this view copied. It works on this machine alone.') : t('Link to this view copied'));
+    say(isLoopback() ? t('Link to this view copied. It works only on this machine.') : t('Link to this view copied'));
   } catch {
     // no clipboard on a page without TLS
     const link = $('link', HTMLInputElement);

@@ -366,7 +366,7 @@ function showName(photo) {
   const name = photoName(photo);
   $('title').textContent = name;
   document.title = `${name} – tmpi`;
-  container.download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
+  container.download = `${name.replace(/[^\p{L}\p{M}\p{N}._-]+/gu, '-')}.tmpi`;
 }
 
 translatePage();

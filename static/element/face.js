@@ -35,7 +35,9 @@ const STYLE = `
     background: #ececea; color: #333; font: 15px/1.45 system-ui, sans-serif; text-align: center;
   }
   .error p { margin: 0; }
-  .error .reason { color: #5c5c5c; font-size: 0.9em; }
+  .error .reason { opacity: 0.85; font-size: 0.9em; }
+  .error .reason::first-letter { text-transform: uppercase; }
+  .error:not([hidden]) ~ button { display: none; }
 `;
 const CORNERS = 'M3 9V3h6M15 3h6v6M21 15v6h-6M9 21H3v-6';
 /** Attributes that give its name, the first that says anything. */

@@ -10,7 +10,7 @@ const GERMAN = {
   'Blur of what is out of focus': 'Unschärfe außerhalb des Fokus',
   '30 days': '30 Tage',
   'A day': 'Ein Tag',
-  'A link that ends': 'Ein Link, der endet',
+  'A link with an end date': 'Ein Link mit Enddatum',
   'A link to change it': 'Ein Link, um es zu ändern',
   'A secret: whoever opens this link can see, change and delete this photo, and no other, until you take it back.':
     'Ein Geheimnis: Wer diesen Link öffnet, kann dieses Foto sehen, ändern und löschen, und kein anderes, bis Sie ihn zurücknehmen.',
@@ -26,7 +26,7 @@ const GERMAN = {
     'Ein Geheimnis: Wer diesen Link rechtzeitig öffnet, kann alle Ihre Fotos sehen, ändern und löschen, und das lässt sich nicht zurücknehmen.',
   'For another browser of yours': 'Für einen anderen Ihrer Browser',
   'Give them up': 'Aufgeben',
-  'Good for a quarter of an hour.': 'Gilt eine Viertelstunde.',
+  'Valid for 15 minutes.': 'Gilt 15 Minuten.',
   'Make a link': 'Link machen',
   'The link for your other browser': 'Der Link für Ihren anderen Browser',
   'Give up the photos of this browser?': 'Die Fotos dieses Browsers aufgeben?',
@@ -35,34 +35,35 @@ const GERMAN = {
   'It makes this browser the owner of what another browser uploaded. Whoever made the link can see, change and delete what you upload from here. Go on only if you made it yourself.':
     'Er macht diesen Browser zum Besitzer dessen, was ein anderer hochgeladen hat. Wer den Link gemacht hat, kann sehen, ändern und löschen, was Sie von hier hochladen. Nur weiter, wenn er von Ihnen selbst ist.',
   'Let somebody else change it': 'Jemand anderem Änderungen erlauben',
-  'Links of before show nothing any more; these are new.': 'Frühere Links zeigen nichts mehr; diese sind neu.',
-  'How long it is good': 'Wie lange er gilt',
+  'Earlier links no longer work; these are new.': 'Frühere Links gelten nicht mehr; diese sind neu.',
+  'Valid for': 'Wie lange er gilt',
   'Let anyone with the link see it': 'Allen mit dem Link zeigen',
   'Only me': 'Nur ich',
-  'Only who uploaded the photo says who may see it.': 'Wer das Foto sehen darf, sagt nur, wer es hochgeladen hat.',
+  'Only the person who uploaded the photo decides who may see it.': 'Wer das Foto sehen darf, sagt nur, wer es hochgeladen hat.',
   'Only you can see this photo. On a page it is shown once anyone with the link can see it.':
     'Nur Sie können dieses Foto sehen. Auf einer Seite erscheint es, sobald jeder mit dem Link es sehen kann.',
-  'Only who uploaded the photo takes its links back.': 'Links zurücknehmen kann nur, wer das Foto hochgeladen hat.',
+  'Only the person who uploaded the photo can take its links back.': 'Links zurücknehmen kann nur, wer das Foto hochgeladen hat.',
   'Take all links back': 'Alle Links zurücknehmen',
-  'This browser is an owner already. It could no longer see, change or delete the photos that were uploaded from it, and no other way leads back to them.':
-    'Dieser Browser besitzt schon etwas. Er könnte die Fotos, die von ihm hochgeladen wurden, nicht mehr sehen, ändern oder löschen, und kein anderer Weg führt zu ihnen zurück.',
+  'Photos were uploaded from this browser already. It could no longer see, change or delete them, and there is no other way back to them.':
+    'Von diesem Browser wurden schon Fotos hochgeladen. Er könnte sie nicht mehr sehen, ändern oder löschen, und kein anderer Weg führt zu ihnen zurück.',
   'Who may see it': 'Wer es sehen darf',
   'Who may see it…': 'Wer es sehen darf …',
-  'Whoever has this link sees the photo until {0}, and changes nothing.': 'Wer diesen Link hat, sieht das Foto bis {0} und ändert nichts.',
+  'Anyone with this link can see the photo until {0}, but not change it.':
+    'Wer diesen Link hat, kann das Foto bis {0} sehen, aber nicht ändern.',
   'Only you can see this photo.': 'Nur Sie können dieses Foto sehen.',
   'Or let anyone who has its address see it, with no end date.': 'Oder allen zeigen, die seine Adresse haben, ohne Enddatum.',
-  'Only who uploaded the photo can make a link by which others see it.':
+  'Only the person who uploaded the photo can make a link for others.':
     'Einen Link, mit dem andere es sehen, macht nur, wer das Foto hochgeladen hat.',
-  'Link to this view copied. It works on this machine alone.': 'Link zu dieser Sicht kopiert. Er gilt nur auf diesem Rechner.',
+  'Link to this view copied. It works only on this machine.': 'Link zu dieser Sicht kopiert. Er gilt nur auf diesem Rechner.',
   Close: 'Schließen',
   Delete: 'Löschen',
   'Delete {0}': '{0} löschen',
   Depth: 'Tiefe',
   'Depth map': 'Tiefenkarte',
-  'Depth map of your own (a grey picture, near is bright; best a PNG of 16 bits), for one photo':
-    'Eigene Tiefenkarte (graues Bild, Nahes ist hell; am besten ein PNG mit 16 Bit), für ein Foto',
+  'Your own depth map, for one photo (a grey picture, near is bright; best a 16-bit PNG)':
+    'Eigene Tiefenkarte, für ein Foto (graues Bild, Nahes ist hell; am besten ein PNG mit 16 Bit)',
   'Depth: a map of your own.': 'Tiefe: eine eigene Karte.',
-  'Depth: as the photo brought it along.': 'Tiefe: wie das Foto sie mitbrachte.',
+  'Depth: from the photo itself.': 'Tiefe: aus dem Foto selbst.',
   'Depth: estimated by {0} in {1} s.': 'Tiefe: von {0} in {1} s geschätzt.',
   'the built-in network': 'dem eingebauten Netz',
   'The map has another shape than the photo and was stretched.': 'Die Karte hat eine andere Form als das Foto und wurde gestreckt.',
@@ -72,7 +73,7 @@ const GERMAN = {
   'drawn by the server': 'vom Server gezeichnet',
   'Drop photos or a folder here, paste one, or': 'Fotos oder einen Ordner hierher ziehen, einfügen oder',
   Full: 'Vollbild',
-  'JPEG, PNG, WebP, and what else your browser can show. Place and camera data are removed.':
+  'JPEG, PNG, WebP, and anything else your browser can show. Location and camera data are removed.':
     'JPEG, PNG, WebP und was der Browser sonst zeigen kann. Orts- und Kameradaten werden entfernt.',
   'A sample, to look around in: point at it, drag it, scroll to come closer.':
     'Ein Beispiel zum Umsehen: darauf zeigen, ziehen, scrollen, um näher zu kommen.',
@@ -82,7 +83,7 @@ const GERMAN = {
   'Choose photos to delete': 'Fotos zum Löschen auswählen',
   'Choose {0}': '{0} auswählen',
   Converting: 'Wird umgewandelt',
-  'If the photo brought depth along, it was lost in converting.': 'Falls das Foto Tiefe mitbrachte, ging sie beim Umwandeln verloren.',
+  'If the photo came with depth, it was lost in the conversion.': 'Falls das Foto Tiefe mitbrachte, ging sie beim Umwandeln verloren.',
   'Delete the photo': 'Foto löschen',
   'Dismiss failed': 'Fehler ausblenden',
   Done: 'Fertig',
@@ -94,11 +95,11 @@ const GERMAN = {
   'From another origin:': 'Von einer anderen Herkunft:',
   ': it takes no input.': ': nimmt keine Eingaben.',
   'A page with a content security policy has to allow this server:': 'Eine Seite mit Content Security Policy muss diesen Server erlauben:',
-  'Any origin may read photos; none but this one may change them.': 'Lesen darf Fotos jede Herkunft, ändern nur diese.',
+  'Any site may show these photos; only this one may change them.': 'Lesen darf Fotos jede Herkunft, ändern nur diese.',
   'Stereo, blur, depth': 'Stereo, Unschärfe, Tiefe',
   'such files': 'solche Dateien',
   'The file has {0}; at most {1} can be sent.': 'Die Datei hat {0}; höchstens {1} lassen sich senden.',
-  'Somebody changed the photo meanwhile. Reload the page to see how it is now.':
+  'Somebody changed the photo in the meantime. Reload the page to see the change.':
     'Jemand hat das Foto inzwischen geändert. Die Seite neu laden, um zu sehen, wie es jetzt ist.',
   'The file is too large: at most {0} can be sent.': 'Die Datei ist zu groß: höchstens {0} lassen sich senden.',
   'The photo has too many pixels: at most {0} million can be made.': 'Das Foto hat zu viele Pixel: höchstens {0} Millionen sind möglich.',
@@ -172,8 +173,8 @@ const GERMAN = {
   'This view (.png)': 'Diese Sicht (.png)',
   '3D photos on a page': '3D-Fotos auf einer Seite',
   'What it shows': 'Was es zeigt',
-  'To have one on yours': 'So kommt eines auf Ihre Seite',
-  'Moves by itself, and as you drag it, tilt it or press the arrow keys.':
+  'Put one on your page': 'So kommt eines auf Ihre Seite',
+  'Moves by itself, and when you drag it, tilt the device or press the arrow keys.':
     'Bewegt sich von selbst, und wie Sie es ziehen, neigen oder mit Pfeiltasten schieben.',
   'Back to how it was': 'Wie am Anfang',
   'Error: red is a pixel of parallax or more': 'Fehler: Rot ist ein Pixel Parallaxe oder mehr',
@@ -186,7 +187,7 @@ const GERMAN = {
   'Dolly: forward and back': 'Dolly: vor und zurück',
   'Dolly zoom: back, with the lens': 'Dolly-Zoom: zurück, mit dem Objektiv',
   'Zoom: into the nearest thing': 'Zoom: ins Nächste hinein',
-  'Not saved yet: that is in the settings’ menu.': 'Noch nicht gespeichert: Das geht im Menü „Vorgaben“.',
+  'Not saved yet. Save it in the Settings menu.': 'Noch nicht gespeichert: Das geht im Menü „Vorgaben“.',
   'There is no photo at this address, or only its owner can see it. Ask the person who sent you the link for a new one.':
     'Unter dieser Adresse ist kein Foto, oder nur sein Besitzer kann es sehen. Fragen Sie nach einem neuen Link, wo Sie diesen herhaben.',
   'Tilt to look around': 'Neigen und umsehen',
@@ -218,13 +219,13 @@ const GERMAN = {
   'Touch up the depth…': 'Tiefe ausbessern …',
   'Touch up the depth': 'Tiefe ausbessern',
   'Touching up the depth': 'Tiefe ausbessern',
-  'Paint over what lies at the wrong depth; edges hold the outline.':
-    'Übermalen, was in der falschen Tiefe liegt; Kanten halten den Umriss.',
-  'Slide until the depth is right, or paint on.': 'Schieben, bis die Tiefe stimmt, oder weitermalen.',
-  'First paint over what lies at the wrong depth; then choose the place that it is to be as near as.':
-    'Erst übermalen, was in der falschen Tiefe liegt; dann die Stelle wählen, so nah wie die es sein soll.',
-  'Now choose the place that it is to be as near as.': 'Nun die Stelle wählen, so nah wie die es sein soll.',
-  'What was painted before goes when you save.': 'Früher Gemaltes verschwindet beim Speichern.',
+  'Paint over what is at the wrong depth. The paint stops at edges in the photo.':
+    'Übermalen, was in der falschen Tiefe liegt. Die Farbe hält an Kanten im Foto.',
+  'Move the slider until the depth is right, or keep painting.': 'Schieben, bis die Tiefe stimmt, oder weitermalen.',
+  'First paint over what is at the wrong depth, then choose a place at the right depth.':
+    'Erst übermalen, was in der falschen Tiefe liegt, dann eine Stelle in der richtigen Tiefe wählen.',
+  'Now choose a place at the right depth.': 'Nun eine Stelle in der richtigen Tiefe wählen.',
+  'Earlier strokes are removed when you save.': 'Früher Gemaltes verschwindet beim Speichern.',
   'A photo has at most {0} strokes.': 'Ein Foto hat höchstens {0} Striche.',
   'Making the photo again…': 'Das Foto wird neu erstellt …',
   'The photo is not there yet.': 'Das Foto ist noch nicht da.',
@@ -233,7 +234,7 @@ const GERMAN = {
     'Das Foto: Pfeiltasten bewegen den Pinsel, mit Umschalt in kleinen Schritten; die Leertaste setzt ihn auf und ab',
   'The depth that comes of it: near is bright': 'Die Tiefe, die daraus wird: Nahes ist hell',
   'Its depth: near is bright': 'Seine Tiefe: Nahes ist hell',
-  'What is painted is to be': 'Gemaltes soll sein',
+  'Depth of what is painted': 'Tiefe des Gemalten',
   'Nearer or farther': 'Näher oder ferner',
   'As near as a place': 'So nah wie eine Stelle',
   'Far away, like the sky': 'Weit weg wie der Himmel',
@@ -242,11 +243,11 @@ const GERMAN = {
   Redo: 'Wiederholen',
   'Remove all': 'Alles entfernen',
   'Waiting for its turn': 'Wartet, bis es an der Reihe ist',
-  'Waiting for its turn, {0} before it': 'Wartet, {0} davor',
+  'Waiting for its turn, {0} ahead': 'Wartet, {0} davor',
   'Waiting to be sent': 'Wartet aufs Senden',
   'A film or GIF': 'Film oder GIF',
   'A film or GIF…': 'Film oder GIF …',
-  'A film can be made only where the browser draws.': 'Ein Film entsteht nur, wo der Browser selbst zeichnet.',
+  'A film can be made only where the browser itself draws the photo.': 'Ein Film entsteht nur, wo der Browser selbst zeichnet.',
   'As a page in one file': 'Als Seite in einer Datei',
   'As an element': 'Als Element',
   'Cancelled.': 'Abgebrochen.',
@@ -293,13 +294,12 @@ const GERMAN = {
   'Go live': 'Live gehen',
   'Go live with your camera': 'Mit der Kamera live gehen',
   'Go live: {0}': 'Live gehen: {0}',
-  'To go live here you need an invitation that has not ended. Ask the person who sent you the link for a new one.':
+  'To go live here you need an invitation that is still valid. Ask the person who sent you the link for a new one.':
     'Um hier live zu gehen, brauchen Sie eine Einladung, die noch gilt. Fragen Sie nach einem neuen Link, wo Sie diesen herhaben.',
-  'As many watch as there are places for. It is tried again by itself.':
-    'Alle Plätze zum Zusehen sind belegt. Ein neuer Versuch kommt von selbst.',
+  'The room is full. This page tries again by itself.': 'Der Raum ist voll. Diese Seite versucht es von selbst wieder.',
   'It ended: {0}': 'Zu Ende: {0}',
-  'Paused: the camera gives no picture here. It goes on by itself, as soon as this page is seen.':
-    'Pause: Die Kamera gibt hier kein Bild. Es geht von selbst weiter, sobald diese Seite zu sehen ist.',
+  'Paused: the camera gives no picture while this page is hidden. It continues by itself once the page is visible.':
+    'Pause: Die Kamera gibt kein Bild, solange diese Seite verdeckt ist. Es geht von selbst weiter, sobald sie zu sehen ist.',
   Live: 'Live',
   'Medium: 640 × 480': 'Mittel: 640 × 480',
   'Move the pointer or drag to look around.': 'Zeiger bewegen oder ziehen, um sich umzusehen.',
@@ -312,8 +312,8 @@ const GERMAN = {
     'In diesem Raum ist schon jemand live. Geben Sie Ihrem einen anderen Namen.',
   'Name of the room': 'Name des Raums',
   'Letters, digits, - and _': 'Buchstaben, Ziffern, - und _',
-  'It is good until {0}.': 'Er gilt bis {0}.',
-  'Rooms of this server are for this machine alone: it has no key to let others in.':
+  'It is valid until {0}.': 'Er gilt bis {0}.',
+  'Rooms on this server are for this machine only: it has no key to let others in.':
     'Räume dieses Servers sind nur für diesen Rechner: Er hat keinen Schlüssel, um andere einzulassen.',
   Sound: 'Ton',
   Start: 'Starten',
@@ -323,12 +323,12 @@ const GERMAN = {
     'Die Kamera ist für diese Seite nicht erlaubt. Im Browser erlauben und neu starten.',
   'The camera needs an address with https.': 'Die Kamera braucht eine Adresse mit https.',
   'The connection broke. Trying again…': 'Die Verbindung ist abgerissen. Neuer Versuch …',
-  'The live picture has ended. It goes on by itself when it is back.':
-    'Das Live-Bild ist zu Ende. Kommt es wieder, geht es von selbst weiter.',
-  'The live picture has ended: {0}. It goes on by itself when it is back.':
-    'Das Live-Bild ist zu Ende: {0}. Kommt es wieder, geht es von selbst weiter.',
+  'The live picture has ended. It continues by itself when somebody goes live again.':
+    'Das Live-Bild ist zu Ende. Es geht von selbst weiter, sobald wieder jemand live ist.',
+  'The live picture has ended: {0}. It continues by itself when somebody goes live again.':
+    'Das Live-Bild ist zu Ende: {0}. Es geht von selbst weiter, sobald wieder jemand live ist.',
   'The picture has no depth yet.': 'Das Bild hat noch keine Tiefe.',
-  'The picture is held up.': 'Das Bild stockt.',
+  'The picture is delayed.': 'Das Bild stockt.',
   'The server cannot be reached. Trying again…': 'Der Server ist nicht erreichbar. Neuer Versuch …',
   'The server says: {0}': 'Der Server sagt: {0}',
   'There is no such camera.': 'Diese Kamera gibt es nicht.',
@@ -336,7 +336,7 @@ const GERMAN = {
   'This browser cannot decode the video of this room.': 'Dieser Browser kann das Video dieses Raums nicht dekodieren.',
   'This browser cannot show the video of this room: {0}': 'Dieser Browser kann das Video dieses Raums nicht zeigen: {0}',
   'This browser shows the video without depth.': 'Dieser Browser zeigt das Video ohne Tiefe.',
-  'To watch this room you need a link that has not ended. Ask the person who sent you the link for a new one.':
+  'To watch this room you need a link that is still valid. Ask the person who sent you the link for a new one.':
     'Um hier zuzusehen, brauchen Sie einen Link, der noch gilt. Fragen Sie nach einem neuen, wo Sie diesen herhaben.',
   'What your camera sees': 'Was die Kamera sieht',
   'Anyone with this link can watch': 'Wer diesen Link hat, kann zusehen',
@@ -344,11 +344,11 @@ const GERMAN = {
   'You are live, without sound: the microphone does not work.': 'Sie sind live, ohne Ton: Das Mikrofon geht nicht.',
   'You are live.': 'Sie sind live.',
   'You are live. {0} watching.': 'Sie sind live. {0} sehen zu.',
-  'You are not live any more.': 'Sie sind nicht mehr live.',
+  'You are no longer live.': 'Sie sind nicht mehr live.',
   'Your browser will ask whether this page may use the camera. Nothing is sent before you start.':
     'Der Browser fragt, ob diese Seite die Kamera benutzen darf. Vor dem Start wird nichts gesendet.',
   'the camera was taken away': 'die Kamera wurde entfernt',
-  'the link’s token is not good any more': 'die Marke des Links gilt nicht mehr',
+  'the link is no longer valid': 'der Link gilt nicht mehr',
   '{0} frames/s': '{0} Bilder/s',
   '{0} watching': '{0} sehen zu',
   '{0} was deleted.': '{0} wurde gelöscht.',

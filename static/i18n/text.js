@@ -72,5 +72,5 @@ export function stageText(stage) {
  * @param {number} position
  */
 export function queueText(position) {
-  return position > 0 ? t('Waiting for its turn, {0} before it', position) : t('Waiting for its turn');
+  return position > 0 ? t('Waiting for its turn, {0} ahead', position) : t('Waiting for its turn');
 }

@@ -254,7 +254,7 @@ export class Publisher {
     if (!this.#tries) return '';
     const { state, mayPublish } = await look(this.#room.address, this.#room.token);
     if (state === 'none') return 'There is no such room on this server.';
-    return state === 'refused' || (state !== 'away' && !mayPublish) ? 'the link’s token is not good any more' : '';
+    return state === 'refused' || (state !== 'away' && !mayPublish) ? 'the link is no longer valid' : '';
   }
 
   /** A link that is dead says nothing of it. */

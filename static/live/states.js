@@ -19,15 +19,15 @@ function waiting(state) {
     case 'waiting':
       return t('Nobody is live here yet. The picture starts by itself.');
     case 'full':
-      return t('As many watch as there are places for. It is tried again by itself.');
+      return t('The room is full. This page tries again by itself.');
     case 'ended':
-      return t('The live picture has ended. It goes on by itself when it is back.');
+      return t('The live picture has ended. It continues by itself when somebody goes live again.');
     case 'away':
       return t('The server cannot be reached. Trying again…');
     case 'live':
       return t('Loading…');
     case 'stalled':
-      return t('The picture is held up.');
+      return t('The picture is delayed.');
     default:
       return '';
   }
@@ -40,7 +40,7 @@ function waiting(state) {
 function failure(state, reason) {
   switch (state) {
     case 'refused':
-      return t('To watch this room you need a link that has not ended. Ask the person who sent you the link for a new one.');
+      return t('To watch this room you need a link that is still valid. Ask the person who sent you the link for a new one.');
     case 'none':
       return t('There is no such room on this server.');
     default:
@@ -58,7 +58,7 @@ function failure(state, reason) {
 export function saying({ state, reason }) {
   if (FAILURES.has(state)) return { over: true, text: failure(state, reason) };
   if (state === 'ended' && reason)
-    return { over: false, text: t('The live picture has ended: {0}. It goes on by itself when it is back.', reason) };
+    return { over: false, text: t('The live picture has ended: {0}. It continues by itself when somebody goes live again.', reason) };
   if (reason) return { over: true, text: t('The server says: {0}', reason) };
   return { over: false, text: waiting(state) };
 }

@@ -108,7 +108,7 @@ describe('photos that bring their depth', () => {
   test('depth within the file is told, too', async () => {
     const { page, context, errors } = await dropped([['phone.jpg', 'image/jpeg', PHONE]]);
     const { text, depth } = await opened(page, 'phone.jpg');
-    assert.equal(text, 'Depth: as the photo brought it along.');
+    assert.equal(text, 'Depth: from the photo itself.');
     const row = depth.slice(24 * 64, 25 * 64);
     assert.ok(Math.abs(row[8] - 255 * 0.84) < 3 && Math.abs(row[56] - 255 * 0.36) < 3, `${row[8]} and ${row[56]}`);
     assert.deepEqual(errors, []);

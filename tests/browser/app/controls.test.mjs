@@ -246,7 +246,7 @@ describe('every control', () => {
         await $('share').click();
         await $('share-access').click();
         const dialog = page.getByRole('dialog', { name: 'Who may see it' });
-        await dialog.getByLabel('A link that ends', { exact: true }).waitFor();
+        await dialog.getByLabel('A link with an end date', { exact: true }).waitFor();
         await dialog.getByRole('button', { name: 'Close' }).click();
         await dialog.waitFor({ state: 'detached' });
       },
@@ -411,7 +411,7 @@ describe('every control', () => {
         assert.match(body, /name="quality"\r\n\r\n75\r\n/);
         assert.match(body, /name="max-error"\r\n\r\n1.15\r\n/);
       },
-      'input: Depth map of your own (a grey picture, near is bright; best a PNG of 16 bits), for one photo': async () => {
+      'input: Your own depth map, for one photo (a grey picture, near is bright; best a 16-bit PNG)': async () => {
         await $('depth-map').setInputFiles([file('map.png')]);
         refuse = true;
         await $('picker').setInputFiles([file('three.png')]);

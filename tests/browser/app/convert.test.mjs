@@ -6,7 +6,7 @@ import { boxPhoto } from '../support/pictures.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
 const bytes = (text) => Buffer.from(text, 'latin1');
-const LOSS = 'If the photo brought depth along, it was lost in converting.';
+const LOSS = 'If the photo came with depth, it was lost in the conversion.';
 const ftyp = (brands) => bytes(`\0\0\0\x18ftyp${brands}`);
 
 describe('files', () => {

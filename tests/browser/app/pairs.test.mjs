@@ -83,7 +83,7 @@ test('what made the depth is told in words', () => {
   assert.equal(depthSource(report('tmpi')), 'Depth: estimated by the built-in network in 0.03 s.');
   assert.equal(depthSource(report('depth-anything-v2-small-fp16')), 'Depth: estimated by Depth Anything V2 Small in 0.03 s.');
   assert.equal(depthSource(report('other-net')), 'Depth: estimated by other-net in 0.03 s.');
-  assert.equal(depthSource(report('carried', { depth: { stretched: false } })), 'Depth: as the photo brought it along.');
+  assert.equal(depthSource(report('carried', { depth: { stretched: false } })), 'Depth: from the photo itself.');
   assert.ok(depthSource(report('given', { depth: { stretched: true } })).includes('stretched'));
   assert.equal(depthSource({}), '');
   assert.ok(depthSource(report('tmpi', { depth_problem: 'it is torn' })).endsWith('it is torn'));

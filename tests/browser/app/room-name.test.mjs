@@ -29,7 +29,7 @@ describe('the page of who publishes', () => {
     await page.waitForFunction(() => document.body.dataset.state === 'live');
     assert.equal(await page.evaluate(() => location.pathname), '/live/free/publish');
     assert.equal(await page.locator('#link').inputValue(), `${suite.server.url}/live/free`);
-    await page.getByText('for this machine alone').waitFor();
+    await page.getByText('for this machine only').waitFor();
     await second.close();
     await first.context.close();
   });

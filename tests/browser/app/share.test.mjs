@@ -99,11 +99,11 @@ describe('sharing', () => {
     const { page, context, errors } = await open();
     await context.grantPermissions(['clipboard-read', 'clipboard-write']);
     const dialog = await dialogOf(page, '#share-access', 'Who may see it');
-    const ending = dialog.getByLabel('A link that ends', { exact: true });
+    const ending = dialog.getByLabel('A link with an end date', { exact: true });
     assert.equal(await ending.inputValue(), `${suite.server.url}/view/box?expires=86400&signature=5e`);
-    await dialog.getByLabel('How long it is good').selectOption('A week');
+    await dialog.getByLabel('Valid for').selectOption('A week');
     await page.waitForFunction(() => document.querySelector('.share-dialog textarea').value.includes('expires=604800&'));
-    await dialog.getByRole('button', { name: 'Copy: A link that ends' }).click();
+    await dialog.getByRole('button', { name: 'Copy: A link with an end date' }).click();
     await dialog.getByText('Copied').waitFor();
     assert.equal(await page.evaluate(() => navigator.clipboard.readText()), await ending.inputValue());
     const other = dialog.getByLabel('A link to change it', { exact: true });
@@ -121,7 +121,7 @@ describe('sharing', () => {
     const mine = dialog.getByLabel('The link for your other browser', { exact: true });
     assert.ok(await mine.isHidden(), 'none is made unasked');
     await dialog.getByRole('button', { name: 'Make a link' }).click();
-    const told = dialog.getByText('a quarter of an hour');
+    const told = dialog.getByText('Valid for 15 minutes');
     await told.waitFor();
     const [bottom, edge] = await told.evaluate((line) => [line, line.closest('dialog')].map((e) => e.getBoundingClientRect().bottom));
     assert.ok(bottom <= edge, 'what is new is seen');
@@ -144,7 +144,7 @@ describe('sharing', () => {
     suite.server.state.links = undefined;
     await page.keyboard.press('Escape');
     const none = await dialogOf(page, '#share-access', 'Who may see it');
-    await none.getByText('Only who uploaded the photo').waitFor();
+    await none.getByText('Only the person who uploaded the photo').waitFor();
     assert.equal(await none.locator('select, textarea').count(), 0);
     assert.equal(errors.length, 1, `the refusal alone: ${errors}`);
     await context.close();
@@ -162,10 +162,10 @@ describe('sharing', () => {
     const link = dialog.getByLabel('Link to this view', { exact: true });
     assert.equal(await link.inputValue(), `${suite.server.url}/view/box?expires=86400&signature=5e#pose=0.5,0,0`);
     await dialog.getByText('Only you can see this photo.').waitFor();
-    const said = dialog.getByText('Whoever has this link sees the photo until');
+    const said = dialog.getByText('Anyone with this link can see the photo until');
     await dialog.getByText('only on this machine').waitFor();
     const first = await said.textContent();
-    await dialog.getByLabel('How long it is good').selectOption('30 days');
+    await dialog.getByLabel('Valid for').selectOption('30 days');
     await page.waitForFunction(() => document.querySelector('.share-dialog textarea').value.includes('expires=2592000&'));
     assert.notEqual(await said.textContent(), first);
     assert.match(await link.inputValue(), /#pose=0\.5,0,0$/);
@@ -203,7 +203,7 @@ describe('sharing', () => {
         assert.equal(await dialog.getByRole('textbox').inputValue(), link);
         await dialog.getByText('2100').waitFor();
       } else {
-        await dialog.getByText('Only who uploaded the photo can make a link').waitFor();
+        await dialog.getByText('Only the person who uploaded the photo can make a link').waitFor();
         assert.equal(await dialog.getByRole('textbox').count(), 0);
       }
     }

@@ -239,7 +239,7 @@ describe('touch-up', () => {
     // all at once, and other strokes over what was there before any
     await start(page);
     await page.locator('#touch-clear').click();
-    assert.equal(await page.locator('#touch-status').textContent(), 'Paint over what lies at the wrong depth; edges hold the outline.');
+    assert.equal(await page.locator('#touch-status').textContent(), 'Paint over what is at the wrong depth. The paint stops at edges in the photo.');
     assert.ok(await near(middle, WALL));
     await slide(page, '#touch-size', radius);
     await paint(page, along);
@@ -300,7 +300,7 @@ describe('touch-up', () => {
     await page.getByLabel('As near as a place').check();
     await paint(page, [[0.9, 0.9]]);
     assert.ok(await page.locator('#touch-save').isDisabled(), 'the place is missing');
-    assert.match(await page.locator('#touch-status').textContent(), /choose the place/);
+    assert.match(await page.locator('#touch-status').textContent(), /choose a place/);
     await paint(page, [middle]);
     assert.equal(await previewed(page, [0.9, 0.9]), painted);
     await page.locator('#touch-cancel').click();
@@ -370,7 +370,7 @@ describe('touch-up', () => {
     }, `/v1/photos/${id}/strokes`);
     assert.equal(other, 200);
     await page.locator('#touch-save').click();
-    await page.waitForFunction(() => /Somebody changed the photo meanwhile/.test(document.getElementById('touch-status').textContent));
+    await page.waitForFunction(() => /Somebody changed the photo in the meantime/.test(document.getElementById('touch-status').textContent));
     assert.ok(await page.locator('#touch-save').isEnabled(), 'what was painted is still there');
     assert.deepEqual(
       errors.filter((e) => !/412/.test(e)),

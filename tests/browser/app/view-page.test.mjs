@@ -107,7 +107,7 @@ describe('the page of a photo', () => {
     await page.locator('#settings').click();
     await page.locator('#touch-up').click();
     await page.getByLabel('As near as a place').check();
-    await page.getByText('First paint over what lies at the wrong depth').waitFor();
+    await page.getByText('First paint over what is at the wrong depth').waitFor();
     const save = page.locator('#touch-save');
     assert.ok(await save.isDisabled());
     // WCAG 2.2, 1.4.3: readable, also where it cannot be pressed

@@ -168,7 +168,7 @@ describe('rooms in the element', () => {
     for (const given of ['', ` token="${token('cellar')}"`]) {
       const { page, context } = await open(`src="${suite.server.url}/live/attic"${given}`);
       const alert = page.getByRole('alert');
-      await alert.getByText(/you need a link that has not ended/).waitFor();
+      await alert.getByText(/you need a link that is still valid/).waitFor();
       await alert.getByText('The attic').waitFor();
       assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').state), 'refused');
       await shoot(page, 'element-room-refused');

@@ -126,7 +126,7 @@ describe('around a room', () => {
       window.still = true;
     });
     await state(publisher.page, 'paused');
-    await publisher.page.getByText('Paused: the camera gives no picture here.').waitFor();
+    await publisher.page.getByText('Paused: the camera gives no picture while this page is hidden.').waitFor();
     // who is not there is not sent away for saying nothing
     await publisher.page.waitForFunction(() => window.sockets.every(({ readyState }) => readyState === WebSocket.CLOSED));
     await publisher.page.evaluate(() => {
@@ -149,7 +149,7 @@ describe('around a room', () => {
     await publisher.page.route('**/v1/live/garden', (route) => route.fulfill({ status: 403, body: '{}' }));
     await publisher.page.evaluate(() => window.sockets.at(-1).close());
     // as the page is told of a connection that broke
-    await publisher.page.getByText('the link’s token is not good any more').waitFor();
+    await publisher.page.getByText('the link is no longer valid').waitFor();
     await state(publisher.page, 'ended');
     const opened = await publisher.page.evaluate(() => window.sockets.length);
     await publisher.page.clock.fastForward(60_000);
@@ -163,7 +163,7 @@ describe('around a room', () => {
     const full = { publishing: true, viewers: 1024, full: true, may_publish: false };
     const crowd = (page) => page.route('**/v1/live/hall', (route) => route.fulfill({ json: full }));
     const { page, context } = await suite.watch('hall', { prepare: crowd });
-    await page.getByText('As many watch as there are places for. It is tried again by itself.').waitFor();
+    await page.getByText('The room is full. This page tries again by itself.').waitFor();
     await page.unroute('**/v1/live/hall');
     await waitForMode(page, 'gpu');
     await context.close();

@@ -56,7 +56,7 @@ describe('a room', () => {
     assert.equal(await publisher.page.locator('#link').inputValue(), `${suite.server.url}/live/attic`);
     assert.deepEqual(await seriousViolations(publisher.page), []);
     await publisher.page.getByRole('button', { name: 'Stop' }).click();
-    await publisher.page.getByText('You are not live any more.').waitFor();
+    await publisher.page.getByText('You are no longer live.').waitFor();
     await page.waitForFunction(() => ['ended', 'stalled'].includes(document.body.dataset.state));
     await shoot(page, 'watch-stalled');
     // the same camera anew: who watches need do nothing

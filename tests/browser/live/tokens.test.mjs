@@ -11,7 +11,7 @@ import { roomSuite, shoot } from '../support/room.mjs';
 
 /** As if a proxy had passed the request on: nobody is this machine's own user then. */
 const STRANGER = { extraHTTPHeaders: { 'x-forwarded-for': '192.0.2.1' } };
-const REFUSED = /you need (?:a link|an invitation) that has not ended/;
+const REFUSED = /you need (?:a link|an invitation) that is still valid/;
 
 describe('tokens', () => {
   let key;
