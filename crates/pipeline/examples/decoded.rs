@@ -191,8 +191,28 @@ fn pngs() -> Files {
             files.push((format!("kind-{colour}-{depth}-{interlaced}.png"), png(colour, depth, interlaced, vec![])));
         }
     }
+    for interlaced in [false, true] {
+        let whole = png(2, 8, interlaced, vec![]);
+        let [no_end, half_end] = [12, 5].map(|bytes| whole[..whole.len() - bytes].to_vec());
+        let mut checksum = whole.clone();
+        // of the picture, before the end
+        checksum[whole.len() - 13] ^= 1;
+        let files_of = [("no-end", no_end), ("half-end", half_end), ("checksum", checksum), ("behind", [&whole[..], b"behind"].concat())];
+        files.extend(files_of.map(|(name, file)| (format!("{name}-{interlaced}.png"), file)));
+    }
+    for (colour, depth) in [(0, 1), (0, 2), (0, 4), (0, 8), (0, 16)] {
+        for place in [0, 1, (1u32 << depth) - 1] {
+            let clear = chunk(b"tRNS", &(place as u16).to_be_bytes());
+            files.push((format!("clear-{place}-{colour}-{depth}.png"), png(colour, depth, false, vec![clear])));
+        }
+    }
     for orientation in 1..=8 {
         files.push((format!("orientation-{orientation}.png"), png(2, 8, false, vec![chunk(b"eXIf", &tiff(orientation))])));
+        // behind the picture, where browsers do not look
+        let mut late = png(2, 8, false, vec![]);
+        late.truncate(late.len() - 12);
+        late.extend([chunk(b"eXIf", &tiff(orientation)), chunk(b"IEND", &[])].concat());
+        files.push((format!("orientation-{orientation}-late.png"), late));
     }
     files
 }

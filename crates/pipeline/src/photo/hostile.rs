@@ -124,9 +124,11 @@ fn a_png_cut_within_a_chunk_is_refused_by_the_check_and_its_memory_is_counted() 
     let limits = |decoder_memory| Limits { decoder_memory, ..Limits::default() };
     assert!(check(&file, &limits(40 * 30 * 8)).is_ok());
     assert!(matches!(check(&file, &limits(40 * 30 * 8 - 1)), Err(PhotoError::TooMuchMemory { .. })));
-    for end in [30, 40, file.len() - 20, file.len() - 1] {
+    for end in [30, 40, file.len() - 20, file.len() - 13] {
         assert!(check(&file[..end], &Limits::default()).is_err(), "cut to {end}");
     }
+    // behind the picture is the end alone
+    assert!((file.len() - 12..file.len()).all(|end| check(&file[..end], &Limits::default()).is_ok()));
 }
 
 #[test]

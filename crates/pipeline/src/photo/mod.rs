@@ -76,7 +76,8 @@ pub struct Decoded {
     /// The uploaded file without metadata, where its pixels are exactly `photo` (no rotation, no reduction, no alpha; JPEG or WebP).
     pub carried: Option<Vec<u8>>,
     /// True where the file is damaged or cut short, yet most of the picture is there; what is missing is grey or coarse. Told of
-    /// JPEG files that are decoded at their own size; others are refused, or decoded to a reduced size as far as they go.
+    /// JPEG files that are decoded at their own size, and of PNG files with a wrong checksum; others are refused, or decoded to a reduced size
+    /// as far as they go.
     pub damaged: bool,
 }
 
@@ -129,7 +130,7 @@ pub(crate) fn orientation(photo: &[u8]) -> u8 {
             let segments = segments::applications(photo);
             Facts::read(segments.iter().filter(|s| s.number == 1).find_map(|s| s.body.strip_prefix(b"Exif\0\0")))
         }
-        Some(PhotoFormat::Png) => png::scan(photo, &Limits::NONE).map_or(Facts::NONE, |png| Facts::read(png.exif)),
+        Some(PhotoFormat::Png) => png::scan(photo, &Limits::NONE).map_or(Facts::NONE, |png| png.facts()),
         Some(PhotoFormat::WebP) => webp::scan(photo).map_or(Facts::NONE, |webp| Facts::read(webp.exif.as_deref())),
         None => Facts::NONE,
     };
@@ -219,7 +220,7 @@ fn read_png(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, Phot
     let icc = decoder.icc_profile().map_err(broken)?;
     let profile = png.cicp.clone().or(icc.map(Profile::Icc));
     let photo = image_pixels(decoder, profile.as_ref(), samples)?.photo;
-    Ok(Raw { photo, size: (png.width, png.height), facts: Facts::read(png.exif), carried: None, damaged: false })
+    Ok(Raw { photo, size: (png.width, png.height), facts: png.facts(), carried: None, damaged: png.damaged })
 }
 
 fn read_webp(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {

@@ -5,9 +5,12 @@ use std::io::Cursor;
 use image::codecs::png::PngDecoder;
 
 use super::colour::Profile;
+use super::exif::Facts;
 use super::{Head, Limits, MAX_PROFILE, PhotoError, broken};
 
 const SIGNATURE: usize = 8;
+/// The chunk at the end of a file.
+const END: &[u8] = b"\0\0\0\0IEND\xAE\x42\x60\x82";
 /// Most bytes of a palette: 256 colours.
 const MAX_PALETTE: usize = 3 * 256;
 /// Memory for an unpacked colour profile and for rows on their way, beyond the pixels.
@@ -19,13 +22,17 @@ pub(crate) struct Png<'a> {
     /// Signature and the chunks that pixels and colours come from; of an animation the picture that stands still.
     stripped: Vec<u8>,
     /// TIFF structure of the EXIF chunk.
-    pub exif: Option<&'a [u8]>,
+    exif: Option<&'a [u8]>,
+    /// That chunk is behind the picture.
+    late: bool,
     /// Colours by their numbers, which come before a profile.
     pub(super) cicp: Option<Profile>,
     pub width: u32,
     pub height: u32,
     /// Bytes a pixel as decoded.
     pub bytes_per_pixel: u64,
+    /// The checksum of a piece of the picture is wrong: it may show, and other than it was written.
+    pub(super) damaged: bool,
 }
 
 /// Size of a PNG: its header chunk comes first and has a fixed length.
@@ -61,22 +68,36 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     Ok(Head::Size(width, height))
 }
 
-/// Reads all chunks; a file that ends within one was cut short. Size and memory are held to the limits first.
+/// Reads all chunks; a file that ends within the picture was cut short, one that ends behind it is whole. Size and memory are held to the
+/// limits first.
 pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, PhotoError> {
     head(bytes, limits)?;
     let (width, height) = size(bytes)?;
     limits.check_size(width, height)?;
     let Some(&[depth, colour]) = bytes.get(24..26) else { return Err(broken("the file is cut short")) };
     let mut channels = channels_of(colour)?;
-    let mut png = Png { stripped: Vec::with_capacity(bytes.len()), exif: None, cicp: None, width, height, bytes_per_pixel: 0 };
+    let mut png = Png {
+        stripped: Vec::with_capacity(bytes.len()),
+        exif: None,
+        late: false,
+        cicp: None,
+        width,
+        height,
+        bytes_per_pixel: 0,
+        damaged: false,
+    };
     png.stripped.extend_from_slice(&bytes[..SIGNATURE]);
     let (mut at, mut pictures) = (SIGNATURE, false);
     while at < bytes.len() {
-        let cut = || broken("the file is cut short");
-        let head: [u8; 8] = bytes.get(at..at + 8).and_then(|h| h.try_into().ok()).ok_or_else(cut)?;
-        let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]) as usize;
+        let head: Option<[u8; 8]> = bytes.get(at..at + 8).and_then(|h| h.try_into().ok());
+        let length = head.map_or(0, |h| u32::from_be_bytes([h[0], h[1], h[2], h[3]]) as usize);
         // length, name and checksum are 4 bytes each
-        let chunk = bytes.get(at..).and_then(|b| b.get(..length.checked_add(12)?)).ok_or_else(cut)?;
+        let (Some(head), Some(chunk)) = (head, bytes.get(at..).and_then(|b| b.get(..length.checked_add(12)?))) else {
+            if pictures && head.is_none_or(|head| &head[4..] != b"IDAT") {
+                break;
+            }
+            return Err(broken("the file is cut short"));
+        };
         at += chunk.len();
         match &head[4..] {
             b"tRNS" if !pictures => {
@@ -92,25 +113,33 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
             b"IHDR" | b"PLTE" | b"iCCP" => png.stripped.extend_from_slice(chunk),
             b"IDAT" => {
                 pictures = true;
-                png.stripped.extend_from_slice(chunk);
+                let (rest, checksum) = chunk.split_at(8 + length);
+                let sum = crc32fast::hash(&rest[4..]).to_be_bytes();
+                png.damaged |= sum != checksum;
+                png.stripped.extend_from_slice(rest);
+                png.stripped.extend_from_slice(&sum);
             }
-            b"eXIf" if png.exif.is_none() => png.exif = Some(&chunk[8..8 + length]),
-            b"IEND" => {
-                png.stripped.extend_from_slice(chunk);
-                break;
-            }
+            b"eXIf" if png.exif.is_none() => (png.exif, png.late) = (Some(&chunk[8..8 + length]), pictures),
+            b"IEND" => break,
             _ => {}
         }
     }
     if !pictures {
         return Err(broken("no picture data"));
     }
+    png.stripped.extend_from_slice(END);
     png.bytes_per_pixel = channels * if depth == 16 { 2 } else { 1 };
     limits.check_memory(memory((width, height), channels, depth))?;
     Ok(png)
 }
 
 impl Png<'_> {
+    /// What the EXIF chunk says. Where it is behind the picture it turns nothing: browsers that show the picture as it comes do not look there.
+    pub(super) fn facts(&self) -> Facts {
+        let facts = Facts::read(self.exif);
+        if self.late { Facts { orientation: 1, ..facts } } else { facts }
+    }
+
     /// The decoder, held to little memory beyond the pixels that it is asked for.
     pub(crate) fn decoder(&self) -> Result<PngDecoder<Cursor<&[u8]>>, PhotoError> {
         let mut bounds = image::Limits::no_limits();

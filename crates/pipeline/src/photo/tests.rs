@@ -222,11 +222,32 @@ fn cut_short_is_an_error_or_damage_at_every_length() {
             let harmless = format == ImageFormat::Png && end >= whole.len() - 12;
             // A byte of padding at the end of a WebP is none of the picture either
             let harmless = harmless || (format == ImageFormat::WebP && end == whole.len() - 1);
+            assert!(!harmless || cut.as_ref().is_ok_and(|d| !d.damaged), "{format:?} cut to {end} is whole");
             // Cut near its end a JPEG is damaged, and the last bytes may hold nothing but the end marker
             let harmless = harmless || (format == ImageFormat::Jpeg && end >= whole.len() - 2 - jpeg::READ_AHEAD);
             let harmless = harmless || cut.as_ref().is_ok_and(|d| format == ImageFormat::Jpeg && d.damaged && end > whole.len() / 2);
             assert!(cut.is_err() || harmless, "{format:?} cut to {end} of {} bytes", whole.len());
         }
+    }
+}
+
+#[test]
+fn a_wrong_checksum_of_a_png_is_damage_and_a_wrong_length_of_a_webp_is_none() {
+    let whole = file(picture(33, 17), ImageFormat::Png);
+    let data = whole.windows(4).position(|w| w == b"IDAT").unwrap();
+    let length = u32::from_be_bytes(*whole[data - 4..].first_chunk().unwrap()) as usize;
+    let mut wrong = whole.clone();
+    wrong[data + 4 + length] ^= 1;
+    let got = ok(&wrong);
+    assert!(got.damaged && got.photo == ok(&whole).photo && !ok(&whole).damaged);
+    // with metadata behind the picture that is cut short
+    let webp = file(picture(33, 17), ImageFormat::WebP);
+    for (more, behind) in [(100, &b""[..]), (0, b"XMP \xFF\xFF\0\0cut"), (100, b"EXIF")] {
+        let mut file = [&webp, behind].concat();
+        let riff = (webp.len() - 8 + behind.len() + more) as u32;
+        file[4..8].copy_from_slice(&riff.to_le_bytes());
+        let got = ok(&file);
+        assert!(got.photo == ok(&webp).photo && !got.damaged, "{more} {behind:?}");
     }
 }
 

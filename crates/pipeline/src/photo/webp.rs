@@ -102,17 +102,20 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     Ok(Head::Size(width, height))
 }
 
-/// Reads all chunks up to the length that the RIFF header tells; `bytes` starts with `RIFF....WEBP`.
+/// Reads all chunks up to the length that the RIFF header tells, or as far as the file goes: what is behind a whole picture is none of it.
+/// `bytes` starts with `RIFF....WEBP`.
 pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
     let riff = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]) as usize;
-    // An odd length without padding is common
-    let file = bytes.get(..riff.saturating_add(8)).or_else(|| (riff + 7 == bytes.len()).then_some(bytes));
-    let Some(mut rest) = file.and_then(|f| f.get(12..)) else { return Err(broken("the file is cut short")) };
+    let file = bytes.get(..riff.saturating_add(8)).unwrap_or(bytes);
+    let Some(mut rest) = file.get(12..) else { return Err(broken("the file is cut short")) };
     let mut webp = WebP::NONE;
     let mut body = Vec::with_capacity(rest.len());
     let (mut extended, mut pictures) = (false, 0);
     while rest.len() >= 8 {
-        let (name, content, tail) = chunk(rest)?;
+        let (name, content, tail) = match chunk(rest) {
+            Err(_) if pictures > 0 => break,
+            chunk => chunk?,
+        };
         rest = tail;
         match &name {
             b"VP8X" if !extended && pictures == 0 => {
