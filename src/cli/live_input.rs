@@ -62,9 +62,17 @@ pub(super) struct Plan {
 
 /// What `ffprobe` says of a source.
 #[derive(Debug, Default, Deserialize)]
+#[serde(default)]
 struct Probed {
-    #[serde(default)]
     streams: Vec<Stream>,
+    /// The first ones.
+    frames: Vec<Picture>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Picture {
+    side_data_list: Vec<SideData>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -111,7 +119,8 @@ impl Probed {
         if !matches!(video.pix_fmt.as_str(), "" | "yuv420p" | "yuvj420p") {
             return Some(format!("its pixels are {}", video.pix_fmt));
         }
-        if video.side_data_list.iter().any(SideData::turns) {
+        // by the container, or by the video itself
+        if video.side_data_list.iter().chain(self.frames.iter().flat_map(|f| &f.side_data_list)).any(SideData::turns) {
             return Some("its frames are to be turned".into());
         }
         if !matches!(video.sample_aspect_ratio.as_str(), "" | "N/A" | "0:1" | "1:1") {
@@ -137,7 +146,8 @@ impl Plan {
         let probed = match origin {
             Origin::Address(source) | Origin::Stream(source, _) => probe(source)?,
             Origin::Camera(_) => {
-                Some(Probed { streams: vec![Stream { codec_type: "video".into(), codec_name: "a camera's".into(), ..Stream::default() }] })
+                let camera = Stream { codec_type: "video".into(), codec_name: "a camera's".into(), ..Stream::default() };
+                Some(Probed { streams: vec![camera], ..Probed::default() })
             }
         };
         decided(input, probed.as_ref(), wanted, encoders)
@@ -234,8 +244,9 @@ fn printed(command: &mut Command) -> anyhow::Result<Option<Vec<u8>>> {
 }
 
 fn probe(source: &str) -> anyhow::Result<Option<Probed>> {
-    let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames,sample_aspect_ratio:stream_side_data=displaymatrix";
-    let text = printed(Command::new("ffprobe").args(["-loglevel", "error", "-of", "json", "-show_entries", entries, "-i", source]))?;
+    let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames,sample_aspect_ratio:stream_side_data=displaymatrix:frame_side_data=displaymatrix";
+    let asked = ["-loglevel", "error", "-of", "json", "-show_entries", entries, "-read_intervals", "%+#20", "-i", source];
+    let text = printed(Command::new("ffprobe").args(asked))?;
     text.map(|text| serde_json::from_slice(&text).context("what ffprobe says")).transpose()
 }
 
@@ -280,6 +291,14 @@ mod tests {
             (h264(r#","has_b_frames":2"#), "B-frames"),
             (h264(r#","side_data_list":[{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}]"#), "turned"),
             (h264(r#","side_data_list":[{"displaymatrix":"\n0: -65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"}]"#), "turned"),
+            // by the video itself
+            (
+                format!(
+                    r#"{}],"frames":[{{"side_data_list":[{{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}}]}}"#,
+                    h264("")
+                ),
+                "turned",
+            ),
             (h264(r#","sample_aspect_ratio":"4:3""#), "square"),
             (r#"{"codec_type":"video","codec_name":"hevc","pix_fmt":"yuv420p"}"#.into(), "hevc"),
             (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv422p10le"}"#.into(), "yuv422p10le"),

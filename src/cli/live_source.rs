@@ -6,7 +6,7 @@ use anyhow::{Context as _, bail};
 use bytes::Bytes;
 
 use tmpi_live::depth;
-use tmpi_live::units::{Splitter, Unit, is_bidirectional};
+use tmpi_live::units::{Splitter, Unit, is_bidirectional, is_turned};
 use tmpi_live::video::{self, JPEG, VideoError};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
@@ -77,8 +77,13 @@ impl Source {
             units.extend(splitter.push(piece)?);
         }
         units.extend(splitter.finish());
-        if units.iter().any(|unit| is_bidirectional(&unit.data)) {
-            return Err(VideoError::Unsupported("its frames do not come in the order in which they are shown (B-frames)".into()).into());
+        let obstacle = if units.iter().any(|unit| is_bidirectional(&unit.data)) {
+            Some("its frames do not come in the order in which they are shown (B-frames)")
+        } else {
+            units.iter().any(|unit| is_turned(&unit.data)).then_some("its frames are to be turned")
+        };
+        if let Some(why) = obstacle {
+            return Err(VideoError::Unsupported(why.into()).into());
         }
         Ok(Self::Units(units, 0))
     }
@@ -192,6 +197,23 @@ mod tests {
             // 50 packets a second; the first ones may come before anyone listens, the last after the last frame
             assert!(times.len() > 10 && times.is_sorted(), "{times:?}");
             assert!(times.windows(2).all(|t| t[1] > t[0]), "{times:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_film_whose_video_says_that_it_is_to_be_turned_is_encoded_upright() {
+        let folder = tempfile::tempdir().unwrap();
+        let turned = ["-c:v", "libx264", "-bf", "0", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90"];
+        for name in ["film.mp4", "film.h264"] {
+            let Some(film) = film(folder.path(), name, &[&turned[..], &["-an"]].concat()) else { return };
+            if name.ends_with("h264") {
+                let raw = Source::open(Origin::Stream(&film, 15.0), DepthKind::default(), Wanted::default()).await;
+                assert!(raw.is_err_and(|e| matches!(e.downcast_ref(), Some(VideoError::Unsupported(_)))));
+            }
+            let (frames, _) = read(&film, Wanted { transcode: name.ends_with("h264"), sound: false }).await;
+            let first = &frames.first().unwrap().data;
+            assert_eq!(video::size(&codec(first).unwrap(), first).unwrap(), Some((120, 160)), "{name}");
+            assert!(frames.iter().all(|frame| !is_turned(&frame.data)), "{name}");
         }
     }
 

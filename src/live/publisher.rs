@@ -83,6 +83,7 @@ impl From<&str> for Refused {
 
 const BIDIRECTIONAL: &str =
     "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
+const TURNED: &str = "the stream says that its pictures are to be turned as they are shown (display orientation); encode it upright: ffmpeg -c:v libx264 -bf 0";
 
 /// Publishes, once `seat` is taken; ends without a reason where the publisher has gone by itself.
 async fn session<'a>(
@@ -194,6 +195,17 @@ fn turned(fov_x: f64, before: (u32, u32), now: (u32, u32)) -> f64 {
     if fov_x == 0.0 { fov_x } else { 2.0 * ((fov_x.to_radians() / 2.0).tan() * now / before).atan().to_degrees() }
 }
 
+/// What no decoder of a browser says of H.264.
+fn in_order_and_upright(unit: &[u8]) -> Result<(), &'static str> {
+    if units::is_bidirectional(unit) {
+        Err(BIDIRECTIONAL)
+    } else if units::is_turned(unit) {
+        Err(TURNED)
+    } else {
+        Ok(())
+    }
+}
+
 /// Hands on what a publisher sends, which has the room.
 async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here: &Here, until: Until<'_>) -> Result<Gone, Refused> {
     let Here { rooms, stop, .. } = here;
@@ -242,8 +254,8 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                     // the threads of before end with what they have, and tell of it
                     show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
                 }
-                if show.hello.codec.starts_with("avc1.") && units::is_bidirectional(&video.data) {
-                    return Err(BIDIRECTIONAL.into());
+                if show.hello.codec.starts_with("avc1.") {
+                    in_order_and_upright(&video.data)?;
                 }
                 let (frame, data) = (video.frame, video.data.clone());
                 let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };

@@ -27,7 +27,24 @@ fn film(size: &str, arguments: &[&str]) -> Option<Vec<Unit>> {
     Some(units)
 }
 
-/// A publisher of H.264.
+/// The same in VP9.
+fn vp9_film(size: &str) -> Option<Vec<Unit>> {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1"), "-pix_fmt", "yuv420p"]);
+    command.args(["-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "8", "-lag-in-frames", "0", "-auto-alt-ref", "0"]);
+    let out = Need::Ffmpeg.or_skip(command.args(["-g", "5", "-f", "ivf", "-"]).output())?;
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let (mut units, mut rest) = (Vec::new(), &out.stdout[32..]);
+    while let Some((head, after)) = rest.split_first_chunk::<12>() {
+        let (frame, after) = after.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
+        // whether it is one that refers to others
+        units.push(Unit { data: frame.to_vec(), key: frame[0] & 4 == 0 });
+        rest = after;
+    }
+    Some(units)
+}
+
+/// A publisher of H.264 or VP9.
 struct Camera {
     client: Client,
     credit: u32,
@@ -37,7 +54,8 @@ struct Camera {
 impl Camera {
     fn new(addr: SocketAddr, room: &str, first: &Unit, (width, height): (u32, u32)) -> Self {
         let mut client = Client::at(addr, &format!("/v1/live/{room}/publish"), &[]).unwrap_or_else(|status| panic!("{status}"));
-        client.send(Kind::Hello(Hello { version: VERSION, codec: codec(&first.data).unwrap(), width, height, ..Hello::default() }));
+        let codec = codec(&first.data).unwrap_or_else(|| "vp09.00.10.08".into());
+        client.send(Kind::Hello(Hello { version: VERSION, codec, width, height, ..Hello::default() }));
         Self { client, credit: 0, number: 0 }
     }
 
@@ -111,6 +129,36 @@ fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_w
 }
 
 #[test]
+fn video_in_vp9_that_changes_its_size_is_shown_at_the_new_one_from_its_key_frame_on() {
+    let [Some(wide), Some(high), Some(large)] = ["320x240", "240x320", "640x360"].map(vp9_film) else { return };
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
+    camera.play(&wide);
+    let mut viewer = Client::watch(server.addr, "attic");
+    sees(&mut viewer, (320, 240));
+    for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
+        camera.play(film);
+        sees(&mut viewer, size);
+    }
+    // the same without a key frame: one is asked for
+    let late: Vec<_> = high.iter().filter(|unit| !unit.key).collect();
+    let mut sent = late.iter().cycle();
+    let mut asked = false;
+    while !asked {
+        while camera.credit > 0 {
+            camera.send(sent.next().unwrap()).unwrap();
+        }
+        match camera.client.next() {
+            Some(Kind::Credit(credit)) => (camera.credit, asked) = (camera.credit + credit.frames, credit.key),
+            other => panic!("{other:?}"),
+        }
+    }
+    camera.play(&high);
+    sees(&mut viewer, (240, 320));
+}
+
+#[test]
 fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs() {
     let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
     let dir = tempdir().unwrap();
@@ -122,11 +170,12 @@ fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs
 
 #[test]
 fn video_that_cannot_be_shown_ends_with_a_reason_that_publisher_and_watchers_read() {
-    let kinds: [(&[&str], &str); 4] = [
+    let kinds: [(&[&str], &str); 5] = [
         (&["-pix_fmt", "yuv422p"], "4:2:0"),
         (&["-pix_fmt", "yuv420p10le"], "8 bits"),
         (&["-pix_fmt", "yuv420p", "-x264-params", "interlaced=1"], "interlaced"),
         (&["-pix_fmt", "yuv420p", "-bf", "2", "-x264-params", "b-adapt=0"], "B-frames"),
+        (&["-pix_fmt", "yuv420p", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90"], "upright"),
     ];
     let Some(sound) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
     for (n, (arguments, word)) in kinds.into_iter().enumerate() {

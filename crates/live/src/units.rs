@@ -9,6 +9,8 @@ const KEY: u8 = 5;
 const SEI: u8 = 6;
 const PARAMETERS: u8 = 7;
 const DELIMITER: u8 = 9;
+/// Type of the SEI message that says how pictures are to be turned (ITU-T H.264, D.1).
+const ORIENTATION: usize = 47;
 
 /// One access unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -83,20 +85,62 @@ pub fn codec(unit: &[u8]) -> Option<String> {
 /// Whether a unit has a slice that refers to later pictures, too (a B slice): it is not shown in the order in which it comes.
 #[must_use]
 pub fn is_bidirectional(unit: &[u8]) -> bool {
-    let nals = unit.windows(4).enumerate().filter(|(_, w)| w[..3] == [0, 0, 1] && matches!(w[3] & 31, SLICE | KEY));
-    nals.filter_map(|(at, _)| unit.get(at + 4..)).any(|slice| matches!(slice_type(slice), Some(1 | 6)))
+    nals(unit, |kind| matches!(kind, SLICE | KEY)).any(|slice| matches!(slice_type(slice), Some(1 | 6)))
+}
+
+/// Whether a unit says that its picture is to be turned or mirrored as it is shown (a display orientation SEI message).
+#[must_use]
+pub fn is_turned(unit: &[u8]) -> bool {
+    nals(unit, |kind| kind == SEI).any(|nal| {
+        let end = nal.windows(3).position(|w| w[..2] == [0, 0] && w[2] <= 1).unwrap_or(nal.len());
+        turns(&without_stuffing(&nal[..end])).unwrap_or(false)
+    })
+}
+
+/// What is behind the heads of the NAL units of some types, up to the end of the access unit.
+fn nals(unit: &[u8], wanted: impl Fn(u8) -> bool) -> impl Iterator<Item = &[u8]> {
+    let heads = unit.windows(4).enumerate().filter(move |(_, w)| w[..3] == [0, 0, 1] && wanted(w[3] & 31));
+    heads.filter_map(|(at, _)| unit.get(at + 4..))
+}
+
+/// Bytes without those that keep start codes out (ITU-T H.264, 7.4.1).
+fn without_stuffing(bytes: &[u8]) -> Vec<u8> {
+    let (mut out, mut zeros) = (Vec::with_capacity(bytes.len()), 0);
+    for &byte in bytes {
+        if byte != 3 || zeros < 2 {
+            out.push(byte);
+        }
+        zeros = if byte == 0 { zeros + 1 } else { 0 };
+    }
+    out
+}
+
+/// Whether one of the messages of an SEI NAL unit turns the picture; none where they are cut short (ITU-T H.264, 7.3.2.3.1 and D.1.27).
+fn turns(mut messages: &[u8]) -> Option<bool> {
+    loop {
+        let [kind, size] = [number(&mut messages)?, number(&mut messages)?];
+        let (message, rest) = messages.split_at_checked(size)?;
+        if kind == ORIENTATION {
+            // whether that of before ends, whether left and right, above and below are exchanged; the angle
+            let &[flags, angle, last] = message.first_chunk()?;
+            return Some(flags & 0x80 == 0 && (flags & 0x7F, angle, last & 0xE0) != (0, 0, 0));
+        }
+        messages = rest;
+    }
+}
+
+/// A number of an SEI message: the sum of the bytes up to one that is not 255.
+fn number(bytes: &mut &[u8]) -> Option<usize> {
+    let end = bytes.iter().position(|&byte| byte != 0xFF)?;
+    let number = end * 0xFF + usize::from(bytes[end]);
+    *bytes = &bytes[end + 1..];
+    Some(number)
 }
 
 /// Type of a slice by its header (ITU-T H.264, 7.3.3).
 fn slice_type(slice: &[u8]) -> Option<u32> {
     // two numbers of 33 bits at most, and what keeps start codes out
-    let (mut head, mut zeros) = (Vec::with_capacity(16), 0);
-    for &byte in slice.iter().take(16) {
-        if byte != 3 || zeros < 2 {
-            head.push(byte);
-        }
-        zeros = if byte == 0 { zeros + 1 } else { 0 };
-    }
+    let head = without_stuffing(&slice[..slice.len().min(16)]);
     let mut bits = head.iter().flat_map(|byte| (0..8).rev().map(move |i| u32::from(byte >> i & 1)));
     let mut number = || {
         let zeros = bits.by_ref().take_while(|&bit| bit == 0).count();
@@ -168,5 +212,35 @@ mod tests {
         for cut in [&[][..], &[0], &[0; 16], &[0, 0, 3, 0, 0, 3]] {
             assert!(!is_bidirectional(&unit(&[cut])));
         }
+    }
+
+    #[test]
+    fn pictures_that_are_to_be_turned_are_noticed_behind_other_messages_and_others_are_none() {
+        assert!(pictures().iter().all(|unit| !is_turned(unit)));
+        let unit = |messages: &[u8]| [&[0, 0, 0, 1, 6][..], messages, &[0x80, 0, 0, 1, 0x65, 0x88, 0x84]].concat();
+        // the flags, 16 bits of the angle, when it is said again, a bit that says no more, and what fills the byte
+        for (message, is) in [
+            // a quarter, and the same mirrored; upside down; mirrored alone
+            ([0b0000_1000, 0, 0b0000_1010], true),
+            ([0b0100_1000, 0, 0b0000_1010], true),
+            ([0b0001_0000, 0, 0b0000_1010], true),
+            ([0b0100_0000, 0, 0b0000_1010], true),
+            ([0b0010_0000, 0, 0b0000_1010], true),
+            // upright; that of before ends
+            ([0, 0, 0b0000_1010], false),
+            ([0b1000_0000, 0, 0b0000_1010], false),
+        ] {
+            let own = [&[47, 3][..], &message].concat();
+            assert_eq!(is_turned(&unit(&own)), is, "{message:?}");
+            // behind 300 bytes of a user's own; with a byte 3 behind two of zero
+            let long = [&[5, 0xFF, 45][..], &[9; 300], &own].concat();
+            assert_eq!(is_turned(&unit(&long)), is, "{message:?}");
+            assert_eq!(is_turned(&unit(&[&[6, 2, 0, 0, 3][..], &own].concat())), is, "{message:?}");
+        }
+        let own = [47, 3, 0b0000_1000, 0, 0b0000_1010];
+        for cut in 0..own.len() {
+            assert!(!is_turned(&[&[0, 0, 1, 6], &own[..cut]].concat()));
+        }
+        assert!(!is_turned(&unit(&[0xFF; 40])) && !is_turned(&[&[0, 0, 1, 0x65][..], &own].concat()));
     }
 }
