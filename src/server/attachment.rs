@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use icu_properties::CodePointMapData;
+use icu_properties::props::{GeneralCategory, GeneralCategoryGroup};
 use tmpi_library::Photo;
 
 /// `Content-Disposition` (RFC 6266) of a file that is made of a photo: named by the photo's title, or by its id where it has none.
@@ -17,9 +19,11 @@ pub fn attachment(photo: &Photo, ending: &str) -> String {
     }
 }
 
-/// What a title leaves of a file name: letters, digits, dots, `_`, and `-` for all else.
+/// What a title leaves of a file name: letters with their marks, digits, dots, `_`, and `-` for all else.
 fn stem(title: &str) -> String {
-    let kept = title.split(|c: char| !(c.is_alphanumeric() || matches!(c, '.' | '_' | '-'))).filter(|part| !part.is_empty());
+    let categories = CodePointMapData::<GeneralCategory>::new();
+    let stays = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-') || GeneralCategoryGroup::Mark.contains(categories.get(c));
+    let kept = title.split(|c: char| !stays(c)).filter(|part| !part.is_empty());
     kept.collect::<Vec<_>>().join("-").trim_matches(['.', '-']).to_owned()
 }
 
@@ -41,9 +45,17 @@ mod tests {
 
     #[test]
     fn titles_become_file_names() {
-        for (title, name) in
-            [("By the lake", "By-the-lake"), ("a/b\\c\"d\r\n", "a-b-c-d"), ("..", ""), ("\u{1f300}", ""), ("Größe 3.5", "Größe-3.5")]
-        {
+        for (title, name) in [
+            ("By the lake", "By-the-lake"),
+            ("a/b\\c\"d\r\n", "a-b-c-d"),
+            ("..", ""),
+            ("\u{1f300}", ""),
+            ("Größe 3.5", "Größe-3.5"),
+            // marks that no letter has taken in
+            ("हिन्दी १", "हिन्दी-१"),
+            ("ภูเก็ต", "ภูเก็ต"),
+            ("e\u{301}te\u{301}", "e\u{301}te\u{301}"),
+        ] {
             assert_eq!(stem(title), name, "{title:?}");
         }
         assert_eq!(coded("ö-1"), "%C3%B6-1");

@@ -162,11 +162,20 @@ impl Config {
     }
 }
 
+/// What helps where an address cannot be listened on.
+fn hint(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => ", as another program does already: choose another port with --addr, or 0 for a free one",
+        std::io::ErrorKind::PermissionDenied => ": ports below 1024 often need more rights, choose another one with --addr",
+        _ => "",
+    }
+}
+
 /// Why the server does not run.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
     /// The address cannot be listened on.
-    #[error("cannot listen on {addr}")]
+    #[error("cannot listen on {addr}{}", hint(source))]
     Listen {
         /// The address.
         addr: SocketAddr,

@@ -132,7 +132,11 @@ impl Problem {
     /// The body is larger than `limit` bytes.
     #[must_use]
     pub fn too_large(limit: usize) -> Self {
-        Self::new(StatusCode::PAYLOAD_TOO_LARGE, "body-too-large", format!("the request's body is over the limit of {limit} bytes"))
+        Self::new(
+            StatusCode::PAYLOAD_TOO_LARGE,
+            "body-too-large",
+            format!("the request's body is over the limit of {limit} bytes, {:.1} MiB", limit as f64 / f64::from(1 << 20)),
+        )
     }
 
     /// Something broke here; the detail is kept out of the answer and goes to the log.

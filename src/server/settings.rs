@@ -1,7 +1,10 @@
 //! What the owner of a photo wants of its viewers: title, how far the camera goes, where it starts, what stays in place, which view
 //! stands for the photo. Kept beside the photo, changed by JSON merge patches (RFC 7396).
 
+use std::borrow::Cow;
+
 use axum::http::StatusCode;
+use icu_normalizer::ComposingNormalizerBorrowed;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -225,7 +228,7 @@ pub fn title_of_file(name: &str) -> Option<String> {
     let name = name.rsplit(['/', '\\']).next().unwrap_or_default();
     let is_ending = |end: &str| (2..=5).contains(&end.len()) && end.bytes().all(|b| b.is_ascii_alphanumeric());
     let stem = name.rsplit_once('.').filter(|(_, end)| is_ending(end)).map_or(name, |(stem, _)| stem);
-    let clean: String = stem.chars().filter(|c| !c.is_control()).take(TITLE).collect();
+    let clean: String = composed(stem).chars().filter(|c| !c.is_control()).take(TITLE).collect();
     let clean = clean.trim();
     let nameless = clean.is_empty() || NAMELESS.iter().any(|n| clean.eq_ignore_ascii_case(n));
     (!nameless).then(|| clean.to_owned())
@@ -236,12 +239,19 @@ fn optional<T>(value: &Value, read: impl FnOnce(&Value) -> Result<T, Problem>) -
 }
 
 fn title(name: &str, value: &Value) -> Result<String, Problem> {
-    let text = value.as_str().map(str::trim).ok_or_else(|| Problem::parameter(name, format!("must be text, not {value}")))?;
+    let text = value.as_str().ok_or_else(|| Problem::parameter(name, format!("must be text, not {value}")))?;
+    let text = composed(text.trim());
     let length = text.chars().count();
     if length == 0 || length > TITLE || text.chars().any(char::is_control) {
         return Err(Problem::parameter(name, format!("must have 1 to {TITLE} characters, none of them a control character")));
     }
-    Ok(text.to_owned())
+    Ok(text.into_owned())
+}
+
+/// Text in which letters have taken in their marks, as people type it (Unicode, form C): macOS names files otherwise, and who looks for such
+/// a name would not find it.
+fn composed(text: &str) -> Cow<'_, str> {
+    ComposingNormalizerBorrowed::new_nfc().normalize(text)
 }
 
 fn visibility(name: &str, value: &Value) -> Result<Visibility, Problem> {

@@ -357,7 +357,7 @@ fn a_port_in_use_is_an_error_that_names_it() {
     let output = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["serve", "--addr", &addr, "--data"]).arg(dir.path()).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(said.contains(&addr) && said.matches("in use").count() == 1, "{said}");
+    assert!(said.contains(&addr) && said.contains("another port with --addr") && said.matches("in use").count() == 1, "{said}");
     assert!(output.stdout.is_empty());
 }
 

@@ -296,6 +296,9 @@ fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
     assert_eq!(title(&said).as_deref(), Some("Zwei & <drei>"));
     let raw = request(server.addr, "POST", "/v1/photos?title=By%20the%20sea", &[], &jpeg(3)).json();
     assert_eq!(title(&raw).as_deref(), Some("By the sea"));
+    // as macOS writes names of files
+    let apart = named_form(&server, &[], "A\u{308}gypten a\u{300} la plage.jpg", &jpeg(6)).json();
+    assert_eq!(title(&apart).as_deref(), Some("Ägypten à la plage"));
     let nameless = named_form(&server, &[], "image.jpg", &jpeg(4)).json();
     assert_eq!(title(&nameless), None);
 
@@ -304,6 +307,9 @@ fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
     assert_eq!((&again["id"], title(&again).as_deref()), (&by_file["id"], Some("Söhne am Meer")));
     let renamed = named_form(&server, &[("title", "Mine")], "mine.jpg", &jpeg(1)).json();
     assert_eq!((&renamed["id"], title(&renamed).as_deref()), (&by_file["id"], Some("Mine")));
+    // and it is the first of the list then, though it is as old as it was
+    let list = get(server.addr, "/v1/photos").json();
+    assert_eq!((&list["photos"][0]["id"], &list["photos"][0]["created"]), (&by_file["id"], &by_file["created"]), "{list}");
 
     for (fields, field) in [(&[("title", "a"), ("title", "b")][..], "title"), (&[("file", "x")], "file")] {
         assert_eq!(named_form(&server, fields, "a.jpg", &jpeg(5)).problem(400)["field"], field);

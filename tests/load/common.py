@@ -281,6 +281,6 @@ def contents(server, photo, part):
 def multiply(server, photo, ids):
     """Enters a photo again under other ids, which share its contents, while the server is stopped."""
     with contextlib.closing(sqlite3.connect(server.data / "data/library.db")) as database, database:
-        columns = ", ".join(row[1] for row in database.execute("PRAGMA table_info(photos)") if row[1] not in ("id", "accepted_at"))
-        entered = f"INSERT INTO photos (id, accepted_at, {columns}) SELECT ?, ?, {columns} FROM photos WHERE id = ?"
-        database.executemany(entered, ((other, n, photo) for n, other in enumerate(ids)))
+        columns = ", ".join(row[1] for row in database.execute("PRAGMA table_info(photos)") if row[1] not in ("id", "accepted_at", "listed_at"))
+        entered = f"INSERT INTO photos (id, accepted_at, listed_at, {columns}) SELECT ?, ?, ?, {columns} FROM photos WHERE id = ?"
+        database.executemany(entered, ((other, n, n, photo) for n, other in enumerate(ids)))

@@ -34,6 +34,8 @@ CREATE TABLE photos (
     id TEXT PRIMARY KEY,
     owner TEXT REFERENCES owners (owner),
     accepted_at BIGINT NOT NULL,
+    -- when it was uploaded last
+    listed_at BIGINT NOT NULL,
     viewed_at BIGINT NOT NULL,
     class BIGINT NOT NULL,
     title TEXT,
@@ -52,9 +54,10 @@ CREATE TABLE photos (
     checked_at BIGINT NOT NULL
 );
 CREATE INDEX photos_by_age ON photos (accepted_at, id);
+CREATE INDEX photos_listed ON photos (listed_at, id);
 -- with the bytes, so that a quota is counted within the index
-CREATE INDEX photos_by_owner ON photos (owner, accepted_at, id, bytes);
-CREATE INDEX photos_by_state ON photos (state, accepted_at, id);
+CREATE INDEX photos_by_owner ON photos (owner, listed_at, id, bytes);
+CREATE INDEX photos_by_state ON photos (state, listed_at, id);
 CREATE INDEX photos_by_view ON photos (viewed_at, id);
 CREATE INDEX photos_by_check ON photos (state, checked_at);
 -- for metrics, which count and weigh all of them

@@ -75,7 +75,7 @@ pub(crate) fn names_of(blobs: &Blobs) -> Vec<String> {
 
 impl Library {
     /// Accepts an upload. The same photo with the same options is known already: it is tried again where it had failed, and healed where its results
-    /// are damaged; else nothing is written.
+    /// are damaged. Either way it comes first in the list.
     ///
     /// # Errors
     /// [`LibraryError::QueueFull`], [`LibraryError::QuotaExceeded`], [`LibraryError::StorageFull`], [`LibraryError::Unavailable`].
@@ -88,19 +88,36 @@ impl Library {
             PhotoState::Done | PhotoState::Damaged => Outcome::Healed,
         };
         if outcome == Outcome::Known {
-            return Ok(Accepted { photo, outcome });
+            return match self.list_first(photo.id).await {
+                Ok(photo) => Ok(Accepted { photo, outcome }),
+                // somebody has deleted it
+                Err(LibraryError::NotFound(_)) => self.accept_new(upload).await,
+                Err(error) => Err(error),
+            };
         }
         let mut contents = Contents::from([(Part::Upload, upload.photo)]);
         contents.extend(upload.depth.map(|depth| (Part::Depth, depth)));
         let again = Again { class: upload.class, asker: &upload.asker, from: Some(photo.state) };
         match self.make_again_with(&photo, contents, again).await {
-            Ok(photo) => Ok(Accepted { photo, outcome }),
+            Ok(photo) => Ok(Accepted { photo: self.list_first(photo.id).await?, outcome }),
             // a twin was quicker
             Err(LibraryError::Changed | LibraryError::NotReady) => {
-                Ok(Accepted { photo: self.get(photo.id).await?, outcome: Outcome::Known })
+                Ok(Accepted { photo: self.list_first(photo.id).await?, outcome: Outcome::Known })
             }
             Err(error) => Err(error),
         }
+    }
+
+    /// Puts a photo that was uploaded once more at the head of the list.
+    async fn list_first(&self, id: PhotoId) -> Result<Photo> {
+        let mut tx = self.database().write().await?;
+        photo_in(&mut tx, id).await?;
+        let update = format!("UPDATE photos SET listed_at = $1 WHERE id = $2 RETURNING {COLUMNS}");
+        let update = sqlx::query(AssertSqlSafe(update)).bind(tx.now).bind(id.to_string());
+        let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
+        tx.tell(Event::Photo(id));
+        tx.commit().await?;
+        Ok(photo)
     }
 
     async fn accept_new(&self, mut upload: Upload) -> Result<Accepted> {
@@ -137,8 +154,8 @@ impl Library {
             self.check_quota_in(&mut tx, owner, bytes as u64, upload.reservation.as_deref()).await?;
         }
         let insert = format!(
-            "INSERT INTO photos (id, owner, accepted_at, viewed_at, class, title, options, settings, settings_version, link_generation, state,
-             version, blobs, bytes, checked_at) VALUES ($1, $2, $3, $3, $4, $5, $6, $7, 1, 1, $8, 1, $9, $10, $3) ON CONFLICT (id) DO NOTHING RETURNING {COLUMNS}"
+            "INSERT INTO photos (id, owner, accepted_at, listed_at, viewed_at, class, title, options, settings, settings_version, link_generation,
+             state, version, blobs, bytes, checked_at) VALUES ($1, $2, $3, $3, $3, $4, $5, $6, $7, 1, 1, $8, 1, $9, $10, $3) ON CONFLICT (id) DO NOTHING RETURNING {COLUMNS}"
         );
         let now = tx.now;
         let insert = sqlx::query(AssertSqlSafe(insert)).bind(upload.id.to_string()).bind(owner.map(|o| o.as_str().to_owned())).bind(now);

@@ -172,6 +172,8 @@ pub struct Photo {
     pub owner: Option<Owner>,
     /// When it was accepted.
     pub accepted_at: Millis,
+    /// When it was uploaded last: the list shows those first that were uploaded last.
+    pub listed_at: Millis,
     /// When somebody looked at it last, or it was accepted.
     pub viewed_at: Millis,
     /// How urgent its making is.
@@ -201,7 +203,7 @@ pub struct Photo {
 }
 
 /// Columns of [`Photo`].
-pub(crate) const COLUMNS: &str = "id, owner, accepted_at, viewed_at, class, options, settings, settings_version, link_generation, state, version, finished_at, details, problem, blobs, bytes";
+pub(crate) const COLUMNS: &str = "id, owner, accepted_at, listed_at, viewed_at, class, options, settings, settings_version, link_generation, state, version, finished_at, details, problem, blobs, bytes";
 
 impl Photo {
     /// A content of it.
@@ -225,6 +227,7 @@ impl Photo {
             id: id.parse().map_err(|e| LibraryError::stored("id", e))?,
             owner: owner.map(Owner::from_column),
             accepted_at: row.try_get("accepted_at")?,
+            listed_at: row.try_get("listed_at")?,
             viewed_at: row.try_get("viewed_at")?,
             class: class_of(row)?,
             options: json(row, "options")?,

@@ -32,19 +32,19 @@ pub struct Filter {
 /// A place in the list. It stays where it is while photos come and go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cursor {
-    accepted_at: Millis,
+    listed_at: Millis,
     id: PhotoId,
 }
 
 impl From<&Photo> for Cursor {
     fn from(photo: &Photo) -> Self {
-        Self { accepted_at: photo.accepted_at, id: photo.id }
+        Self { listed_at: photo.listed_at, id: photo.id }
     }
 }
 
 impl fmt::Display for Cursor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}-{}", self.accepted_at, self.id)
+        write!(f, "{}-{}", self.listed_at, self.id)
     }
 }
 
@@ -53,14 +53,14 @@ impl FromStr for Cursor {
 
     fn from_str(text: &str) -> Result<Self> {
         let read = |text: &str| {
-            let (accepted_at, id) = text.split_once('-')?;
-            Some(Self { accepted_at: accepted_at.parse().ok()?, id: id.parse().ok()? })
+            let (listed_at, id) = text.split_once('-')?;
+            Some(Self { listed_at: listed_at.parse().ok()?, id: id.parse().ok()? })
         };
         read(text).ok_or_else(|| LibraryError::Invalid(format!("{text:?} is no place in the list")))
     }
 }
 
-/// A page of the list, newest first.
+/// A page of the list, what was uploaded last first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Page {
     /// Its photos.
@@ -91,12 +91,12 @@ impl Library {
         self.find(id).await?.ok_or(LibraryError::NotFound("photo"))
     }
 
-    /// At most `limit` photos behind `after`, newest first.
+    /// At most `limit` photos behind `after`, what was uploaded last first.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
     pub async fn list(&self, filter: &Filter, after: Option<Cursor>, limit: usize) -> Result<Page> {
-        let mut conditions = vec!["(accepted_at, id) < ($1, $2)".to_owned()];
+        let mut conditions = vec!["(listed_at, id) < ($1, $2)".to_owned()];
         let mut texts = Vec::new();
         let mut add = |condition: &str, text: String| {
             texts.push(text);
@@ -113,8 +113,8 @@ impl Library {
             add("LOWER(title) LIKE ? ESCAPE '!'", format!("%{escaped}%"));
         }
         let conditions = conditions.join(" AND ");
-        let select = format!("SELECT {COLUMNS} FROM photos WHERE {conditions} ORDER BY accepted_at DESC, id DESC LIMIT $3");
-        let (at, id) = after.map_or((Millis::MAX, String::new()), |after| (after.accepted_at, after.id.to_string()));
+        let select = format!("SELECT {COLUMNS} FROM photos WHERE {conditions} ORDER BY listed_at DESC, id DESC LIMIT $3");
+        let (at, id) = after.map_or((Millis::MAX, String::new()), |after| (after.listed_at, after.id.to_string()));
         let mut select = sqlx::query(AssertSqlSafe(select)).bind(at).bind(id).bind(limit as i64 + 1);
         for text in texts {
             select = select.bind(text);

@@ -21,7 +21,10 @@ async fn an_upload_is_accepted_once_and_known_after(bed: Bed) {
     let photo = make_next(&library).await;
     assert_eq!((photo.state, photo.details.clone().unwrap()["width"].as_i64()), (PhotoState::Done, Some(640)));
     assert_eq!(library.accept(upload(1, owner("ann"))).await.unwrap().outcome, Outcome::Known);
-    assert_eq!(library.get(photo.id).await.unwrap(), photo);
+    // it is the same, at the head of the list
+    let again = library.get(photo.id).await.unwrap();
+    assert!(again.listed_at > again.accepted_at || again.listed_at == photo.listed_at);
+    assert_eq!(Photo { listed_at: photo.listed_at, ..again }, photo);
     let container = library.blobs().read(Part::Container, photo.blob(Part::Container).unwrap()).await.unwrap();
     assert_eq!(container, "made of photo 1");
     assert_eq!(library.blobs().read_range(photo.blob(Part::Container).unwrap(), 8..13).await.unwrap(), "photo");

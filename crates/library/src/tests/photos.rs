@@ -33,7 +33,7 @@ async fn pages_are_newest_first_by_owner_state_and_title(bed: Bed) {
     make_next(&library).await;
     for limit in [1, 3, 7, 100] {
         let photos = all(&library, &Filter::default(), limit).await;
-        assert!(photos.len() == 20 && photos.windows(2).all(|two| (two[0].accepted_at, two[0].id) > (two[1].accepted_at, two[1].id)));
+        assert!(photos.len() == 20 && photos.windows(2).all(|two| (two[0].listed_at, two[0].id) > (two[1].listed_at, two[1].id)));
         let of_ann = Filter { owner: owner("ann").owner, ..Filter::default() };
         let theirs: Vec<_> = photos.iter().filter(|photo| photo.owner == of_ann.owner).cloned().collect();
         assert_eq!(all(&library, &of_ann, limit).await, theirs, "{limit}");
@@ -41,6 +41,11 @@ async fn pages_are_newest_first_by_owner_state_and_title(bed: Bed) {
     }
     let is_done = Filter { state: Some(PhotoState::Done), ..Filter::default() };
     assert_eq!(all(&library, &is_done, 9).await.len(), 1);
+    // what is uploaded once more comes first, and is as old as it was
+    let before = all(&library, &Filter::default(), 100).await.into_iter().find(|photo| photo.title() == Some("Photo 0")).unwrap();
+    let again = library.accept(upload(0, owner("ann"))).await.unwrap().photo;
+    assert_eq!((again.id, again.accepted_at), (before.id, before.accepted_at));
+    assert_eq!(all(&library, &Filter::default(), 7).await[0].listed_at, again.listed_at);
     let titled = |title: &str| Filter { title: Some(title.to_owned()), ..Filter::default() };
     assert_eq!(all(&library, &titled("PHOTO 1"), 9).await.len(), 11);
     assert_eq!(all(&library, &titled("photo%"), 9).await.len(), 0, "a character like others");
