@@ -239,7 +239,10 @@ describe('touch-up', () => {
     // all at once, and other strokes over what was there before any
     await start(page);
     await page.locator('#touch-clear').click();
-    assert.equal(await page.locator('#touch-status').textContent(), 'Paint over what is at the wrong depth. The paint stops at edges in the photo.');
+    assert.equal(
+      await page.locator('#touch-status').textContent(),
+      'Paint over what is at the wrong depth. The paint stops at edges in the photo.',
+    );
     assert.ok(await near(middle, WALL));
     await slide(page, '#touch-size', radius);
     await paint(page, along);
@@ -370,7 +373,9 @@ describe('touch-up', () => {
     }, `/v1/photos/${id}/strokes`);
     assert.equal(other, 200);
     await page.locator('#touch-save').click();
-    await page.waitForFunction(() => /Somebody changed the photo in the meantime/.test(document.getElementById('touch-status').textContent));
+    await page.waitForFunction(() =>
+      /Somebody changed the photo in the meantime/.test(document.getElementById('touch-status').textContent),
+    );
     assert.ok(await page.locator('#touch-save').isEnabled(), 'what was painted is still there');
     assert.deepEqual(
       errors.filter((e) => !/412/.test(e)),
