@@ -239,7 +239,7 @@ mod tests {
         }
         let own = [47, 3, 0b0000_1000, 0, 0b0000_1010];
         for cut in 0..own.len() {
-            assert!(!is_turned(&[&[0, 0, 1, 6], &own[..cut]].concat()));
+            assert!(!is_turned(&[&[0, 0, 1, 6][..], &own[..cut]].concat()));
         }
         assert!(!is_turned(&unit(&[0xFF; 40])) && !is_turned(&[&[0, 0, 1, 0x65][..], &own].concat()));
     }
