@@ -72,16 +72,13 @@ describe('the page of a photo', () => {
     assert.ok((await place(download)).bottom <= (await place(close)).top, 'nothing lies over it');
     await context.close();
   });
+});
 
-  test('in a frame says readably that there is none', async () => {
+describe('the page', () => {
+  const suite = roomSuite();
+  test('of a photo in a frame says readably that there is none', async () => {
     const { page, context } = await openPage(suite.browser, DESKTOP);
-    await page.goto(`${suite.server.url}/embed/box`);
-    await page.waitForFunction(() => customElements.get('tmpi-viewer'));
-    await page.evaluate(() => {
-      const viewer = document.querySelector('tmpi-viewer');
-      viewer.removeAttribute('poster');
-      viewer.setAttribute('src', '/nowhere');
-    });
+    await page.goto(`${suite.server.url}/embed/${'0'.repeat(32)}`);
     const reason = page.locator('tmpi-viewer .reason');
     await reason.waitFor();
     const { light, button } = await reason.evaluate((line) => {
@@ -94,12 +91,9 @@ describe('the page of a photo', () => {
     assert.equal(button, 'none', 'nothing to fill the screen with');
     await context.close();
   });
-});
 
-describe('the page of who publishes', () => {
-  const suite = roomSuite();
   for (const [screen, options] of Object.entries({ 'a desktop': DESKTOP, 'a phone': PHONE })) {
-    test(`has what comes next on ${screen} in sight`, async () => {
+    test(`of who publishes has what comes next on ${screen} in sight`, async () => {
       const room = screen.replace(' ', '-');
       const before = await openPage(suite.camera, { ...options, permissions: ['camera', 'microphone'] });
       await before.page.goto(`${suite.server.url}/live/${room}/publish`);
