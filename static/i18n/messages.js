@@ -59,7 +59,6 @@ const GERMAN = {
   Delete: 'Löschen',
   'Delete {0}': '{0} löschen',
   Depth: 'Tiefe',
-  'Depth map': 'Tiefenkarte',
   'Your own depth map, for one photo (a grey picture, near is bright; best a 16-bit PNG)':
     'Eigene Tiefenkarte, für ein Foto (graues Bild, Nahes ist hell; am besten ein PNG mit 16 Bit)',
   'Depth: a map of your own.': 'Tiefe: eine eigene Karte.',

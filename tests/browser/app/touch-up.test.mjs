@@ -273,7 +273,7 @@ describe('touch-up', () => {
     await page.locator('#touch-clear').click();
     // what goes is told for as long as it is seen
     await paint(page, [[0.1, 0.1]]);
-    assert.match(await page.locator('#touch-status').textContent(), /^What was painted before goes when you save\. /);
+    assert.match(await page.locator('#touch-status').textContent(), /^Earlier strokes are removed when you save\. /);
     await page.locator('#touch-save').click();
     await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
     assert.equal((await strokes(page, id)).length, 1);
