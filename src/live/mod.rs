@@ -8,6 +8,7 @@
 //! |---|---|
 //! | `access` | who may publish and watch |
 //! | `invite` | what pages ask of a room, and tokens for those who watch |
+//! | `here` | what handlers need of the server, and what lets a request in |
 //! | `routes` | the addresses, and the upgrade to web sockets |
 //! | `publisher`, `viewer` | one socket each |
 //! | `sound` | how much sound may come |
@@ -25,6 +26,7 @@ mod access;
 mod edge;
 mod fetch;
 mod gops;
+mod here;
 mod invite;
 mod origin;
 mod publisher;
@@ -47,14 +49,15 @@ pub(crate) use access::check_origin;
 pub use access::{Role, token};
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
+pub(crate) use here::Here;
 pub use origin::NodeAddress;
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
 
+use here::{busy, none_publishes};
 use origin::{Lease, Nodes};
 use room::Room;
-use routes::{busy, none_publishes};
 use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
 

@@ -14,6 +14,7 @@ mod cache;
 mod card;
 mod child;
 mod clock;
+mod coming;
 mod compress;
 mod conditional;
 mod exports;
@@ -306,7 +307,7 @@ impl Server {
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
-            live::routes::Here { rooms, stop: token.clone(), own }
+            live::Here { rooms, stop: token.clone(), own }
         });
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),

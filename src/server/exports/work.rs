@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use axum::http::StatusCode;
+use tokio_util::sync::CancellationToken;
 
 use super::recipe::Recipe;
 use super::write::{Work, late};
@@ -33,6 +34,17 @@ impl Sink for Until<'_> {
 
     fn deadline(&self) -> Option<Instant> {
         Some(self.1)
+    }
+}
+
+impl Shared {
+    /// Writes a file for who waits for it until it is `gone`, in another process where the server's maker has such; blocks.
+    ///
+    /// # Errors
+    /// As [`written`].
+    pub fn written(&self, recipe: &Recipe, of: (&[u8], &Done), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
+        let unwanted = || gone.is_cancelled();
+        written(self, recipe, of, &Wanted { unwanted: &unwanted, gives_way: false })
     }
 }
 

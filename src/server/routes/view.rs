@@ -9,7 +9,7 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Full, Shared, Stored, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
@@ -146,7 +146,7 @@ async fn draw(
     let asked = Instant::now();
     let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
     // decoding is a part of the work: who waits holds no scene
-    let slot = app.pool.enter(class, scene_bytes(done)).await?;
+    let slot = app.pool.enter(class, done.scene_bytes()).await?;
     let waited = asked.elapsed();
     if query.moving.is_some() {
         let recipe = Recipe::Film(Box::new(query.clone()), size);
