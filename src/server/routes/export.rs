@@ -59,7 +59,7 @@ pub async fn export(
     if let Some(response) = derived.known(&headers) {
         return Ok(response);
     }
-    clock.allow(app.limits.export);
+    clock.allow(app.limits.exports.timeout);
     let mut timing = Vec::new();
     let recipe = Recipe::File { format, model };
     let write = async {

@@ -111,7 +111,7 @@ pub async fn view(
     };
     let key = (version, derived.made.clone());
     let stored = if query.moving.is_some() {
-        clock.allow(app.limits.export);
+        clock.allow(app.limits.exports.timeout);
         app.exports.get(key, Box::pin(drawn.map_ok(Export))).await?.0
     } else {
         app.views.get(key, Box::pin(drawn)).await?
