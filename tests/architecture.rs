@@ -3,7 +3,7 @@
 //! `TMPI_BLESS=architecture cargo test --release --workspace --test architecture` draws the picture anew.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 
@@ -96,4 +96,158 @@ fn every_place_that_is_named_is_there() {
     for name in named {
         assert!(root().join(name).exists(), "{name}");
     }
+}
+
+/// Crates whose modules are looked at, and how many of them the largest import cycle has.
+const CYCLES: [(&str, usize); 7] = [
+    ("src", 3),
+    ("crates/core/src", 4),
+    ("crates/lab/src", 6),
+    ("crates/library/src", 3),
+    ("crates/live/src", 3),
+    ("crates/pipeline/src", 3),
+    ("crates/render/src", 3),
+];
+
+/// A module or an item by its names, from the crate's root.
+type Names = Vec<String>;
+
+/// The modules of a crate, as its files are, and what each of them imports.
+#[derive(Default)]
+struct Modules {
+    sources: BTreeMap<Names, String>,
+    /// Items that a module hands on, and the modules that they are of.
+    handed_on: BTreeMap<Names, Names>,
+}
+
+impl Modules {
+    fn read(root: &Path) -> Self {
+        let mut modules = Self::default();
+        let mut folders = vec![root.to_owned()];
+        while let Some(folder) = folders.pop() {
+            for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.extension().is_some_and(|e| e == "rs") {
+                    let mut names: Names =
+                        path.with_extension("").strip_prefix(root).unwrap().iter().map(|n| n.to_str().unwrap().to_owned()).collect();
+                    names.pop_if(|last| ["mod", "lib", "main"].contains(&last.as_str()));
+                    let source = std::fs::read_to_string(&path).unwrap();
+                    let code: String = source.lines().map(|line| line.split("//").next().unwrap().to_owned() + "\n").collect();
+                    let code = code.split("#[cfg(test)]\nmod ").next().unwrap().to_owned();
+                    if !names.iter().any(|name| name == "tests") {
+                        modules.sources.insert(names, code);
+                    }
+                }
+            }
+        }
+        let sources = modules.sources.clone();
+        for (names, source) in &sources {
+            for (path, _) in used(source).into_iter().filter(|(_, is_public)| *is_public) {
+                let of = modules.resolve(names, &path);
+                if of.len() > names.len() && of.starts_with(names) {
+                    modules.handed_on.insert([&names[..], &path[path.len() - 1..]].concat(), of);
+                }
+            }
+        }
+        modules
+    }
+
+    /// The module that a path in another leads to.
+    fn resolve(&self, from: &[String], path: &[String]) -> Names {
+        let mut at = from.to_vec();
+        for name in path {
+            match name.as_str() {
+                "crate" => at.clear(),
+                "self" => {}
+                "super" => drop(at.pop()),
+                _ => {
+                    let below = [&at[..], std::slice::from_ref(name)].concat();
+                    match self.handed_on.get(&below) {
+                        _ if self.sources.contains_key(&below) => at = below,
+                        Some(module) => at.clone_from(module),
+                        None => break,
+                    }
+                }
+            }
+        }
+        at
+    }
+
+    /// The modules that each imports, without those below it.
+    fn arrows<'a>(&'a self) -> BTreeMap<&'a Names, BTreeSet<Names>> {
+        let of = |(names, source): (&'a Names, &String)| {
+            let paths = used(source).into_iter().filter(|(_, is_public)| !is_public).map(|(path, _)| path);
+            let all = paths.chain(inline(source)).map(|path| self.resolve(names, &path));
+            (names, all.filter(|other| !other.starts_with(names) && self.sources.contains_key(other)).collect())
+        };
+        self.sources.iter().map(of).collect()
+    }
+
+    /// The largest set of modules each of which imports each other, directly or not.
+    fn largest_cycle(&self) -> Vec<Names> {
+        let arrows = self.arrows();
+        let reached: BTreeMap<&Names, BTreeSet<&Names>> = arrows.keys().map(|from| (*from, reached(&arrows, from))).collect();
+        let cycle = |from: &&Names| reached[*from].iter().filter(|to| reached[**to].contains(from)).copied().cloned().collect::<Vec<_>>();
+        reached.keys().map(cycle).max_by_key(Vec::len).unwrap_or_default()
+    }
+}
+
+/// All that is imported from a module on.
+fn reached<'a>(arrows: &'a BTreeMap<&Names, BTreeSet<Names>>, from: &'a Names) -> BTreeSet<&'a Names> {
+    let (mut all, mut next) = (BTreeSet::new(), vec![from]);
+    while let Some(module) = next.pop() {
+        next.extend(arrows[module].iter().filter(|to| all.insert(*to)));
+    }
+    all
+}
+
+/// Paths of the `use` declarations of a source, and whether they are public.
+fn used(source: &str) -> Vec<(Names, bool)> {
+    let mut all = Vec::new();
+    for declaration in source.split(';') {
+        let Some((before, tree)) = declaration.rsplit_once("use ") else { continue };
+        let before = before.rsplit(['\n', '}', '{']).next().unwrap().trim();
+        if before.is_empty() || before.starts_with("pub") {
+            let mut paths = Vec::new();
+            expand(&tree.split_whitespace().collect::<Vec<_>>().join(" "), &[], &mut paths);
+            all.extend(paths.into_iter().map(|path| (path, before.starts_with("pub"))));
+        }
+    }
+    all
+}
+
+/// Paths of a tree of a `use` declaration.
+fn expand(tree: &str, above: &[String], paths: &mut Vec<Names>) {
+    let (head, group) = tree.split_once('{').map_or((tree, None), |(head, rest)| (head, rest.rsplit_once('}').map(|(group, _)| group)));
+    let names = head.split(" as ").next().unwrap().split("::").map(str::trim).filter(|name| !name.is_empty());
+    let path: Names = above.iter().cloned().chain(names.map(str::to_owned)).collect();
+    let Some(group) = group else { return paths.push(path) };
+    let mut depth = 0;
+    let is_end = |c: char| {
+        depth += i32::from(c == '{') - i32::from(c == '}');
+        c == ',' && depth == 0
+    };
+    group.split(is_end).filter(|part| !part.trim().is_empty()).for_each(|part| expand(part, &path, paths));
+}
+
+/// Paths in the code itself, as `super::share::asker()`.
+fn inline(source: &str) -> Vec<Names> {
+    let words = source.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
+    // those that end with `::` are the heads of groups
+    let paths = words.filter(|word| (word.starts_with("crate::") || word.starts_with("super::")) && !word.ends_with("::"));
+    paths.map(|path| path.split("::").map(str::to_owned).collect()).collect()
+}
+
+#[test]
+fn no_import_cycle_of_modules_is_large() {
+    for (place, most) in CYCLES {
+        let modules = Modules::read(&root().join(place));
+        let cycle = modules.largest_cycle();
+        let said: Vec<String> = cycle.iter().map(|names| names.join("/")).collect();
+        assert!(cycle.len() <= most, "{place}: {said:?}");
+    }
+    let library = Modules::read(&root().join("crates/library/src"));
+    assert!(library.arrows().values().map(BTreeSet::len).sum::<usize>() > 50, "imports are seen");
+    assert!(!library.largest_cycle().is_empty());
 }

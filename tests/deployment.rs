@@ -116,7 +116,7 @@ fn every_call_of_the_server_is_one_that_it_takes() {
         }
     }
     let wrong = |argument: &str| !asked(&["serve".to_owned(), argument.to_owned()]).0;
-    assert!(wrong("--nonsense") && wrong("--max-pixels=0"), "wrong options and wrong values are noticed");
+    assert!(wrong("--nonsense") && wrong("--set=limits.pixels=0"), "wrong options and wrong values are noticed");
 }
 
 #[test]

@@ -6,6 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use serde_json::Value;
 use tmpi_testing::Need;
 
 /// Pages outside `docs`.
@@ -196,10 +197,8 @@ fn without_options_of_serve(command: &[String], text: &str) -> String {
     }
     let options = |text: &str| text.lines().filter_map(|l| l.trim().strip_prefix("--")).map(str::to_owned).collect::<Vec<_>>();
     let of_serve = options(&help(&["serve".to_owned()]));
-    for option in options(text) {
-        assert!(of_serve.contains(&option), "{command:?} has an option of its own: --{option}");
-    }
-    [text.split("\nOptions:\n").next().unwrap(), "\nOptions: those of `tmpi serve`\n"].concat()
+    let own: String = options(text).into_iter().filter(|o| !of_serve.contains(o)).map(|o| [", and --", &o].concat()).collect();
+    [text.split("\nOptions:\n").next().unwrap(), "\nOptions: those of `tmpi serve`", &own, "\n"].concat()
 }
 
 /// Adds the help of a command and of those below it.
@@ -219,12 +218,56 @@ fn add_help(command: &[String], page: &mut String) {
 fn the_command_line_reference_is_what_the_program_prints() {
     let mut page = "# Command line reference\n\nThis page is generated: `TMPI_BLESS=docs cargo test --test docs` writes it.\n".to_owned();
     add_help(&[], &mut page);
-    let path = root().join(CLI);
+    is_written(CLI, &page);
+}
+
+/// Holds a generated page against the one that is there, or writes it.
+fn is_written(name: &str, page: &str) {
+    let path = root().join(name);
     if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "docs") {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(&path, page).unwrap();
     } else {
         let written = fs::read_to_string(&path).unwrap_or_default();
-        assert!(written == page, "{CLI} is stale: TMPI_BLESS=docs cargo test --test docs writes it");
+        assert!(written == page, "{name} is stale: TMPI_BLESS=docs cargo test --test docs writes it");
     }
+}
+
+/// A page with every setting of the file.
+const CONFIGURATION: &str = "docs/reference/configuration.md";
+const CONFIGURATION_HEAD: &str = "# Configuration reference
+
+This page is generated from `tmpi config --schema`: `TMPI_BLESS=docs cargo test --test docs` writes it.
+
+`tmpi serve`, `work` and `config` read settings from the command line, from variables, and from the TOML file of `--config` or
+`TMPI_CONFIG`. The command line counts first, then variables, then the file, then the default. Unknown names and values out of range are errors.
+
+- Each option of [`tmpi serve`](command-line.md) is a key at the top of the file. Its variable is `TMPI_SERVE_` and its name: `--host` is `host = [\"photos.example.org\"]` and `TMPI_SERVE_HOST`.
+- Each setting below is a key of a table. `uploads` of `[rates]` is `TMPI_SERVE_RATES_UPLOADS`, and `--set rates.uploads=30`.
+
+`tmpi config` prints what holds and where it comes from.
+";
+
+/// A row for a setting of a table.
+fn row(key: &str, setting: &Value) -> String {
+    let number = |name: &str| setting[name].as_f64().map(|n| n.to_string());
+    let unit = setting["format"].as_str().filter(|format| !format.starts_with("uint") && *format != "double").unwrap_or_default();
+    let least = number("minimum").unwrap();
+    let range = number("maximum").map_or_else(|| format!("from {least}"), |most| format!("{least} to {most}"));
+    format!("| `{key}` | {} | {range} | {unit} | {} |\n", setting["default"], setting["description"].as_str().unwrap().replace('\n', " "))
+}
+
+#[test]
+fn the_configuration_reference_is_what_the_schema_says() {
+    let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).env_clear().args(["config", "--schema"]).output().unwrap();
+    assert!(out.status.success());
+    let schema: Value = serde_json::from_slice(&out.stdout).unwrap();
+    let mut page = CONFIGURATION_HEAD.to_owned();
+    for (name, table) in schema["properties"].as_object().unwrap().iter().filter(|(_, table)| table["properties"].is_object()) {
+        let rows: String = table["properties"].as_object().unwrap().iter().map(|(key, setting)| row(key, setting)).collect();
+        let words = table["description"].as_str().unwrap().replace('\n', " ");
+        let head = "| key | default | range | unit | what |\n|---|---|---|---|---|\n";
+        page.push_str(&["\n## ", name, "\n\n", &words, "\n\n", head, &rows].concat());
+    }
+    is_written(CONFIGURATION, &page);
 }

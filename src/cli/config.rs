@@ -1,9 +1,9 @@
 //! Settings of `tmpi serve` from a file and from the environment, and `tmpi config`, which checks them as `serve` does and tells what holds and
 //! where it comes from. `tmpi key`, `fsck` and `gc` take from them where the library is.
 //!
-//! A file is TOML with the names of the options: `queue = 200`, `host = ["photos.example.org"]`, `public-list = true`. What the command
-//! line says counts first, then `TMPI_SERVE_QUEUE` and the like, then the file, then the default. Values of the file go the way of the
-//! command line, so that they are checked alike and refused in the same words.
+//! A file is TOML with the names of the options, `host = ["photos.example.org"]`, and tables of what has no option, `[limits]` with
+//! `queue = 200`. What the command line says counts first, then `TMPI_SERVE_HOST`, `TMPI_SERVE_LIMITS_QUEUE` and the like, then the file, then
+//! the default. Values of the file go the way of the command line, so that they are checked alike and refused in the same words.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt::Write as _;
@@ -14,12 +14,17 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Args as _, Command};
 use toml::{Table, Value};
 
-use super::serve::{Effect, ServeArgs};
+use super::serve::ServeArgs;
+use super::settings::{self, Assignment, Setting};
+use crate::server::Limits;
 use tmpi_pipeline::networks::flags::ModelFlags;
 
 /// Show the settings that `serve` would have, as a file that --config takes, and where each comes from
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ConfigArgs {
+    /// Print the JSON schema of the file instead, for editors
+    #[arg(long)]
+    pub schema: bool,
     #[command(flatten)]
     pub serve: ServeArgs,
     /// What is told.
@@ -34,25 +39,16 @@ const OTHERS: [&str; 2] = ["fsck", "gc"];
 const KEY: &str = "key";
 /// Settings that are addresses, in which there may be secrets.
 const ADDRESSES: [&str; 5] = ["advertise", "blobs", "database", "network-url", "otlp"];
-/// Settings that processes that make photos for a server get besides those of networks. None of them may be a secret.
-const FOR_MAKERS: [&str; 12] = [
-    "backend",
-    "decoder-memory",
-    "job-memory",
-    "log",
-    "max-body",
-    "max-pixels",
-    "max-side",
-    "memory",
-    "renders",
-    "scene-cache",
-    "view-pixels",
-    "view-side",
-];
+/// Options that processes that make photos for a server get besides those of networks. None of them may be a secret.
+const FOR_MAKERS: [&str; 4] = ["backend", "log", "memory", SET];
 /// What the variables of settings begin with.
 const PREFIX: &str = "TMPI_SERVE_";
 /// The option that names the file.
 const FILE: &str = "config";
+/// The option for what has no option of its own.
+const SET: &str = "set";
+/// Options that are no settings.
+const NO_SETTINGS: [&str; 4] = [FILE, SET, "schema", "help"];
 
 /// Longest file, bytes.
 const LONGEST: u64 = 1 << 20;
@@ -91,58 +87,87 @@ fn called<'a>(all: &'a Command, given: &'a ArgMatches) -> Option<(&'a Command, &
 
 /// The variable of an option that has none yet.
 fn variable(arg: &Arg) -> Option<String> {
-    let long = arg.get_long().filter(|_| arg.get_env().is_none())?;
+    let long = arg.get_long().filter(|long| arg.get_env().is_none() && !NO_SETTINGS.contains(long))?;
     Some(format!("{PREFIX}{}", long.replace('-', "_").to_uppercase()))
 }
 
-/// The command line with what the file adds that it names, and the options that come from there.
+/// What does not come from the command line itself: names of settings.
+#[derive(Debug, Default)]
+pub(super) struct Sources {
+    file: Vec<String>,
+    variables: Vec<String>,
+}
+
+/// The command line with what variables and the file add to it, and what comes from where.
 ///
 /// # Errors
-/// A file that cannot be read or is no TOML, a name that is no option, a value that is no text, number, or list of them.
-pub(super) fn with_file(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<OsString>, Vec<String>), clap::Error> {
+/// A file that cannot be read or is no TOML, a name that is no setting, a value that is no text, number, or list of them, or out of range.
+pub(super) fn complete(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<OsString>, Sources), clap::Error> {
+    let mut sources = Sources::default();
     // what is wrong with the rest is told when it is read whole
-    let Ok(given) = all.clone().ignore_errors(true).try_get_matches_from(&line) else { return Ok((line, Vec::new())) };
-    let Some((command, given, settings)) = called(all, &given) else { return Ok((line, Vec::new())) };
-    only_settings(settings, std::env::vars_os().map(|(name, _)| name))?;
-    let Some(file) = given.get_one::<std::path::PathBuf>(FILE) else { return Ok((line, Vec::new())) };
-    let refused = |why: String| command.clone().error(ErrorKind::ValueValidation, format!("{}: {why}", file.display()));
-    let mut named = Vec::new();
-    for (key, value) in read(file).map_err(refused)? {
-        if setting(settings, &key).is_none() {
-            return Err(refused(format!("`{key}` is no setting; `tmpi serve --help` lists them as options")));
+    let Ok(given) = all.clone().ignore_errors(true).try_get_matches_from(&line) else { return Ok((line, sources)) };
+    let Some((command, given, settings)) = called(all, &given) else { return Ok((line, sources)) };
+    let refused = |why: String| command.clone().error(ErrorKind::ValueValidation, why);
+    let takes_all = command.get_arguments().any(|arg| arg.get_id() == SET);
+    let mut said: Vec<String> =
+        given.try_get_many::<Assignment>(SET).ok().flatten().into_iter().flatten().map(|one| one.setting.name()).collect();
+    let mut set = |setting: &'static Setting, value: &str, from: &mut Vec<String>| -> Result<(), String> {
+        setting.parse(value)?;
+        if takes_all && !said.contains(&setting.name()) {
+            line.push(format!("--{SET}={}={value}", setting.name()).into());
+            from.push(setting.name());
+            said.push(setting.name());
         }
+        Ok(())
+    };
+    for (name, value) in variables(settings, std::env::vars_os()).map_err(refused)? {
+        set(name, &value, &mut sources.variables).map_err(refused)?;
+    }
+    let Some(file) = given.get_one::<std::path::PathBuf>(FILE) else { return Ok((line, sources)) };
+    let refused = |why: String| refused(format!("{}: {why}", file.display()));
+    let unknown = |key: &str| refused(format!("`{key}` is no setting; `tmpi config` lists them"));
+    let mut flags = Vec::new();
+    for (key, value) in read(file).map_err(refused)? {
+        if let Value::Table(table) = &value {
+            for (name, value) in table {
+                let setting = settings::of_key(&key, name).ok_or_else(|| unknown(&format!("{key}.{name}")))?;
+                set(setting, &json(value), &mut sources.file).map_err(refused)?;
+            }
+            continue;
+        }
+        setting(settings, &key).ok_or_else(|| unknown(&key))?;
         let Some(option) = setting(command, &key) else { continue };
         let id = option.get_id().as_str();
         if matches!(given.value_source(id), Some(ValueSource::CommandLine | ValueSource::EnvVariable)) {
             continue;
         }
         let values = values(option, &value).map_err(|why| refused(format!("`{key}`: {why}")))?;
-        for value in &values {
-            line.push(if value.is_empty() { format!("--{key}") } else { format!("--{key}={value}") }.into());
-        }
-        if !values.is_empty() {
-            named.push(id.to_owned());
-        }
+        flags.extend(values.iter().map(|value| OsString::from(format!("--{key}={value}"))));
+        sources.file.push(id.to_owned());
     }
-    Ok((line, named))
+    line.extend(flags);
+    Ok((line, sources))
 }
 
 /// The option of a command that a key of a file stands for.
 fn setting<'a>(command: &'a Command, key: &str) -> Option<&'a Arg> {
-    command.get_arguments().find(|a| a.get_long() == Some(key) && key != FILE && !a.is_hide_set())
+    command.get_arguments().find(|a| a.get_long() == Some(key) && !NO_SETTINGS.contains(&key) && !a.is_hide_set())
 }
 
+/// What variables say of settings that have no option.
+///
 /// # Errors
 /// A variable that begins as those of settings do, and is none: as a rule it is misspelt.
-fn only_settings(command: &Command, mut names: impl Iterator<Item = OsString>) -> Result<(), clap::Error> {
+fn variables(command: &Command, all: impl Iterator<Item = (OsString, OsString)>) -> Result<Vec<(&'static Setting, String)>, String> {
     let known: Vec<&OsStr> = command.get_arguments().filter_map(Arg::get_env).collect();
-    match names.find(|name| name.to_str().is_some_and(|n| n.starts_with(PREFIX)) && !known.contains(&name.as_os_str())) {
-        Some(name) => {
-            let text = format!("the variable {} is no setting; `tmpi serve --help` lists them as options", name.display());
-            Err(command.clone().error(ErrorKind::ValueValidation, text))
-        }
-        None => Ok(()),
-    }
+    let ours = all.filter(|(name, _)| name.to_str().is_some_and(|n| n.starts_with(PREFIX)) && !known.contains(&name.as_os_str()));
+    ours.map(|(name, value)| {
+        let name = name.to_string_lossy();
+        let setting = settings::of_variable(PREFIX, &name);
+        let setting = setting.ok_or_else(|| format!("the variable {name} is no setting; `tmpi config` lists them"))?;
+        Ok((setting, value.to_string_lossy().into_owned()))
+    })
+    .collect()
 }
 
 fn read(file: &Path) -> Result<Table, String> {
@@ -165,6 +190,10 @@ pub(crate) fn fuzz(text: &str) {
         Err(why) => assert!(!why.is_empty()),
         Ok(table) => {
             for (key, value) in table {
+                if let Value::Table(table) = &value {
+                    let named = |(name, value): (&String, &Value)| settings::of_key(&key, name)?.parse(&json(value)).err();
+                    assert!(table.iter().filter_map(named).all(|why| !why.is_empty()));
+                }
                 let Some(option) = setting(command, &key) else { continue };
                 match values(option, &value) {
                     Err(why) => assert!(!why.is_empty()),
@@ -175,21 +204,19 @@ pub(crate) fn fuzz(text: &str) {
     }
 }
 
-/// What a value of a file is on the command line; a switch has no value there.
+/// A value of a file as JSON.
+fn json(value: &Value) -> String {
+    serde_json::to_value(value).map_or_else(|error| error.to_string(), |value| value.to_string())
+}
+
+/// What a value of a file is on the command line.
 fn values(option: &Arg, value: &Value) -> Result<Vec<String>, String> {
-    if matches!(option.get_action(), ArgAction::SetTrue) {
-        return match value {
-            Value::Boolean(true) => Ok(vec![String::new()]),
-            Value::Boolean(false) => Ok(Vec::new()),
-            _ => Err("true or false is expected".into()),
-        };
-    }
     let one = |value: &Value| match value {
-        // an empty one would read as a switch
+        Value::Boolean(is) => Ok(is.to_string()),
         Value::String(text) if !text.is_empty() => Ok(text.clone()),
         Value::Integer(n) => Ok(n.to_string()),
         Value::Float(x) => Ok(x.to_string()),
-        _ => Err("a text or a number is expected".to_owned()),
+        _ => Err("a text, a number, true or false is expected".to_owned()),
     };
     match value {
         Value::Array(all) if matches!(option.get_action(), ArgAction::Append) || option.get_value_delimiter().is_some() => {
@@ -209,10 +236,6 @@ pub(super) fn for_makers(command: &Command, given: &ArgMatches) -> Vec<OsString>
         if !matches!(given.value_source(id), Some(ValueSource::CommandLine | ValueSource::EnvVariable)) {
             continue;
         }
-        if matches!(option.get_action(), ArgAction::SetTrue) {
-            line.extend(given.get_flag(id).then(|| format!("--{long}").into()));
-            continue;
-        }
         for value in given.get_raw(id).into_iter().flatten() {
             let mut text = OsString::from(format!("--{long}="));
             text.push(value);
@@ -223,15 +246,19 @@ pub(super) fn for_makers(command: &Command, given: &ArgMatches) -> Vec<OsString>
 }
 
 /// What holds, as a file that `--config` takes, each line with where its value comes from; defaults, and what follows from others, are comments.
-pub(super) fn shown(command: &Command, given: &ArgMatches, from_file: &[String], effects: &[Effect]) -> String {
+///
+/// # Errors
+/// What is wrong with the settings.
+pub(super) fn shown(command: &Command, given: &ArgMatches, sources: &Sources, args: &ServeArgs) -> anyhow::Result<String> {
+    let (limits, effects) = args.effects()?;
     let mut text = String::new();
     for option in command.get_arguments().filter(|a| !a.is_hide_set()) {
         let (id, Some(long)) = (option.get_id().as_str(), option.get_long()) else { continue };
-        if [FILE, "help"].contains(&long) {
+        if NO_SETTINGS.contains(&long) {
             continue;
         }
         let source = match given.value_source(id) {
-            _ if from_file.iter().any(|f| f == id) => "file",
+            _ if sources.file.iter().any(|f| f == id) => "file",
             Some(ValueSource::CommandLine) => "command line",
             Some(ValueSource::EnvVariable) => "environment",
             _ => "",
@@ -251,13 +278,43 @@ pub(super) fn shown(command: &Command, given: &ArgMatches, from_file: &[String],
             all => writeln!(text, "{begin}{long} = [{}]{end}", all.join(", ")),
         };
     }
-    text
+    let said: Vec<String> = given.get_many::<Assignment>(SET).into_iter().flatten().map(|one| one.setting.name()).collect();
+    text.push_str(&shown_tables(&limits, &said, sources)?);
+    Ok(text)
+}
+
+/// The tables of it.
+fn shown_tables(limits: &Limits, said: &[String], sources: &Sources) -> serde_json::Result<String> {
+    let limits = serde_json::to_value(limits)?;
+    let (mut text, mut table) = (String::new(), "");
+    for setting in settings::all() {
+        let (name, Setting { table: of, key, .. }) = (setting.name(), setting);
+        if of != table {
+            table = of;
+            let _ = writeln!(text, "\n[{table}]");
+        }
+        let value = setting.value(&limits);
+        let from = |names: &[String]| names.contains(&name);
+        let _ = if !from(said) {
+            writeln!(text, "# {key} = {value}")
+        } else if from(&sources.file) {
+            writeln!(text, "{key} = {value} # file")
+        } else {
+            writeln!(text, "{key} = {value} # {}", if from(&sources.variables) { "environment" } else { "command line" })
+        };
+    }
+    Ok(text)
+}
+
+/// The JSON schema of the file.
+pub(super) fn schema(command: &Command) -> serde_json::Value {
+    settings::file_schema(command, |option| option.get_long().is_some_and(|long| setting(command, long).is_some()))
 }
 
 /// A value as TOML; secrets in addresses are left out.
 fn literal(value: &str, option: &Arg) -> String {
     let whole = value.parse::<i64>().is_ok_and(|n| n.to_string() == value);
-    if matches!(option.get_action(), ArgAction::SetTrue) || whole {
+    if whole {
         return value.to_owned();
     }
     let is_address = value.contains("://") || option.get_long().is_some_and(|long| ADDRESSES.contains(&long));

@@ -2,8 +2,6 @@
 
 mod batch;
 mod better;
-mod bounds;
-mod clients;
 pub(crate) mod config;
 mod depth;
 mod export;
@@ -26,6 +24,7 @@ mod pairs;
 mod progress;
 mod render;
 mod serve;
+mod settings;
 mod store;
 
 use std::io::{IsTerminal, Write};
@@ -91,14 +90,18 @@ struct Usage(String);
 /// The name of the command and what it is to do, by the command line with what a file of settings adds.
 fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
     let definition = command();
-    let (line, from_file) = config::with_file(&definition, std::env::args_os().collect())?;
+    let (line, sources) = config::complete(&definition, std::env::args_os().collect())?;
     let all = definition.clone().try_get_matches_from(line)?;
     let mut cli = Cli::from_arg_matches(&all)?;
     if let Some((name, given)) = all.subcommand()
         && let Some(called) = definition.find_subcommand(name)
     {
         match &mut cli.command {
-            Command::Config(args) => args.shown = config::shown(called, given, &from_file, &args.serve.effects()),
+            Command::Config(args) if args.schema => args.shown = format!("{:#}", config::schema(called)),
+            Command::Config(args) => {
+                let wrong = |error: anyhow::Error| called.clone().error(ErrorKind::ValueValidation, error);
+                args.shown = config::shown(called, given, &sources, &args.serve).map_err(wrong)?;
+            }
             Command::Serve(args) | Command::Work(WorkArgs { serve: args }) => args.for_makers = config::for_makers(called, given),
             _ => {}
         }
@@ -156,7 +159,9 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Serve(args) => serve::run(args),
         Command::Work(args) => serve::run(args.serve.at_work()?),
         Command::Config(args) => {
-            args.serve.check()?;
+            if !args.schema {
+                args.serve.check()?;
+            }
             result(args.shown.trim_end())
         }
         Command::Fsck(args) => store::fsck(&args),

@@ -5,38 +5,27 @@ use std::io::Write as _;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
 
 use anyhow::Context as _;
 
 use super::better::BetterNetwork;
-use super::bounds::BoundArgs;
-use super::clients::ClientArgs;
+use super::settings::{Assignment, applied, assignment};
 use super::{Usage, files};
-pub(super) use checks::Effect;
 use sha2::{Digest as _, Sha256};
 use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, Collector, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Tls, VARIABLE, allocate_in_one_place, hex,
-    keep_from_others, make_for_a_server, stop_signal,
+    Better, ClientAddress, Collector, Config, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Role, Server, Tls, VARIABLE,
+    allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
 use tmpi_render::{self, Backend};
 
-/// More than readers of a container take would be made and never shown.
-const MOST_MEGAPIXELS: i64 = (tmpi_core::container::MAX_PIXELS / 1_000_000) as i64;
-
 /// Open files besides connections.
 #[cfg(unix)]
 const SPARE_FILES: u64 = 512;
-/// Milliseconds that the geometry of a room's frame may take, where nothing else is said. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3,
-/// 13.1 and 17.5 ms of processor a frame, views of 23.4, 23.3, 23.4 and 23.3 dB, flicker .070, .064, .054 and .080 levels, edges 2.1, 2.2, 2.1 and 2.2 pixels short.
-/// At 640×480 12, 20, 30 and 45 (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short. With 20 instead of 30 pictures come a sixth sooner where all
-/// share two cores (`glass-to-glass.mjs`); but at 640×480 there more tiles wait, and what moves is seen torn where they meet others more often.
-const LIVE_BUDGET_MS: f64 = 20.0;
 
 /// Take photos over HTTP and serve what is made of them
 #[derive(Clone, Debug, clap::Args)]
@@ -45,10 +34,13 @@ pub(super) struct ServeArgs {
         long,
         env = "TMPI_CONFIG",
         value_name = "FILE",
-        help = "File of settings, TOML with the names of these options; what is said here, or by variables like TMPI_SERVE_QUEUE, counts more"
+        help = "TOML file of settings: these options, and tables of limits. Variables such as TMPI_SERVE_ADDR and this command line count more"
     )]
     #[allow(dead_code, reason = "read before all else, with what is in it")]
     config: Option<PathBuf>,
+    /// A setting that has no option of its own, as rates.uploads=30; `tmpi config` lists them; may be repeated
+    #[arg(long, value_parser = assignment, value_name = "TABLE.KEY=VALUE")]
+    set: Vec<Assignment>,
     /// Address and port to listen on, or the port alone for this machine; port 0 takes a free one, 0.0.0.0:8080 lets others in
     #[arg(long, default_value = "127.0.0.1:8080", value_parser = address, value_name = "ADDR")]
     addr: SocketAddr,
@@ -81,77 +73,35 @@ pub(super) struct ServeArgs {
     /// What this node of several does
     #[arg(long, value_enum, default_value_t, requires = "database")]
     role: Role,
-    /// Seconds after which a job is taken up again where nothing is heard of its worker
-    #[arg(long, default_value_t = Limits::LEASE.as_secs() as u32, value_parser = clap::value_parser!(u32).range(2..=600), value_name = "S")]
-    lease: u32,
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
     /// Name under which the server answers besides localhost and its address, as a proxy passes it on in Host; may be repeated
     #[arg(long = "host", value_name = "NAME")]
     hosts: Vec<String>,
-    /// Let everybody who can reach the server list all photos, not only this machine's own user
-    #[arg(long)]
-    public_list: bool,
-    /// Whether to ask who comes: `open`, or `private`, where photos are their owners' alone (see `tmpi key`); private beyond loopback and with --host, else open
+    /// Whether to ask who comes; private beyond loopback and with --host, else open
     #[arg(long, value_enum, value_name = "WHO")]
     access: Option<Access>,
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "NETWORK[,NETWORK…]",
+        help = "Proxies in front, by address, by network as 10.0.0.0/8, or `private` for all private networks and this machine: \
+                what they say of who comes counts, so that clients are told apart"
+    )]
+    trusted_proxies: Vec<Network>,
+    /// How those say it; what others say counts for nothing
+    #[arg(long, value_enum, requires = "trusted_proxies", default_value_t, value_name = "HOW")]
+    client_address: ClientAddress,
     /// What draws views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
     /// Photos that are made at a time
-    #[arg(long, default_value_t = Limits::WORKERS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
     workers: u16,
-    /// Photos that may wait; one more is answered 429
-    #[arg(long, default_value_t = Limits::QUEUE, value_name = "N")]
-    queue: usize,
-    /// Largest body of a request, in MiB
-    #[arg(long, default_value_t = (Limits::BODY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..=4096), value_name = "MIB")]
-    max_body: u32,
-    /// Largest photo, in megapixels
-    #[arg(long, default_value_t = (tmpi_pipeline::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..=MOST_MEGAPIXELS), value_name = "MP")]
-    max_pixels: u32,
-    /// Views that are drawn at a time
-    #[arg(long, default_value_t = Limits::VIEWS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
-    views: u16,
-    /// Memory of the machine for all of the server, in MiB: caches, work and making photos share it; what is said of one of them counts more
+    /// Memory of the machine for all of the server, in MiB: caches, work and making photos share it; what is set of one of them counts more
     #[arg(long, value_parser = clap::value_parser!(u32).range(192..), value_name = "MIB")]
     memory: Option<u32>,
-    /// Memory for decoded scenes, in MiB, and as much again for what views are drawn from on the processor [default: 256]
-    #[arg(long, value_name = "MIB")]
-    scene_cache: Option<u32>,
-    /// Connections at a time
-    #[arg(long, default_value_t = Limits::CONNECTIONS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
-    connections: u32,
-    /// Connections at a time from one address; a proxy is one, unless it is trusted
-    #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
-    connections_per_address: u32,
-    #[command(flatten)]
-    clients: ClientArgs,
-    /// Memory for work on scenes that are not kept, in MiB, and as much again for films and files; one that needs more is worked on alone [default: 1024]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
-    work_memory: Option<u32>,
-    /// Disk for files to download that were written already, in MiB
-    #[arg(long, default_value_t = (Limits::EXPORT_CACHE >> 20) as u32, value_name = "MIB")]
-    export_cache: u32,
-    /// Seconds that a request may take, from the end of its body
-    #[arg(long, default_value_t = Limits::REQUEST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
-    request_timeout: u32,
-    /// Seconds that making a photo of up to 12 megapixels may take; larger ones have as much more
-    #[arg(long, default_value_t = Limits::JOB.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
-    job_timeout: u32,
-    /// Memory that making photos may take, in MiB: larger ones are made smaller, or refused, and side by side are made as many as fit [default: 6144]
-    #[arg(long, value_parser = clap::value_parser!(u32).range(160..), value_name = "MIB")]
-    job_memory: Option<u32>,
-    /// Seconds after which unused memory returns to the system: scenes, files, processes that made photos
-    #[arg(long, default_value_t = Limits::REST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
-    rest: u32,
-    /// Seconds after SIGTERM for which everything is still served but /readyz says 503, so that proxies look elsewhere; 5, on loopback 0
-    #[arg(long, value_parser = clap::value_parser!(u32).range(0..=3600), value_name = "S")]
-    lame_duck: Option<u32>,
-    /// Seconds that requests and jobs under way have left after that
-    #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
-    drain: u32,
     /// How the log on standard error is written
     #[arg(long, value_enum, default_value_t, value_name = "FORM")]
     pub log: super::Log,
@@ -159,17 +109,11 @@ pub(super) struct ServeArgs {
         long,
         value_name = "URL",
         help = "Send traces to the collector at this address by OTLP over HTTP, as http://127.0.0.1:4318; \
-                OTEL_EXPORTER_OTLP_ENDPOINT names it, too"
+                OTEL_EXPORTER_OTLP_ENDPOINT names it, too, and OTEL_TRACES_SAMPLER_ARG the share that is sent, 0 to 1"
     )]
     otlp: Option<String>,
-    /// Share of the traces that begin here that are sent, 0 to 1; those that began elsewhere are sent where their traceparent says so
-    #[arg(long, default_value_t = 1.0, value_parser = share, value_name = "SHARE")]
-    otlp_ratio: f64,
-    /// Have no rooms for moving photos
-    #[arg(long)]
-    no_live: bool,
     /// File with a key of at least 32 bytes, by which `live token` lets others into rooms; without it they are for this machine's own user
-    #[arg(long, value_name = "FILE", conflicts_with = "no_live")]
+    #[arg(long, value_name = "FILE")]
     live_key: Option<PathBuf>,
     #[arg(
         long,
@@ -179,11 +123,8 @@ pub(super) struct ServeArgs {
     )]
     advertise: Option<NodeAddress>,
     /// Depth network of rooms, named as for --depth-model; the embedded one keeps up with a camera, those that take seconds for a photo do not
-    #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE", conflicts_with = "no_live")]
+    #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE")]
     live_depth_model: DepthModel,
-    /// Milliseconds that the geometry of a room's frame may take: where depth, planes or tiles took longer there are fewer of them
-    #[arg(long, default_value_t = LIVE_BUDGET_MS, value_name = "MS")]
-    live_budget_ms: f64,
     /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
     #[arg(long, value_name = "URL")]
     network_url: Option<String>,
@@ -192,8 +133,6 @@ pub(super) struct ServeArgs {
     network_sha256: Option<Digest>,
     #[command(flatten)]
     models: ModelFlags,
-    #[command(flatten)]
-    bounds: BoundArgs,
     /// The command line of processes that make photos.
     #[arg(skip)]
     pub for_makers: Vec<OsString>,
@@ -202,12 +141,16 @@ pub(super) struct ServeArgs {
 /// Whether to ask who comes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Access {
-    /// Requests need no authentication.
+    /// Requests need no authentication; only this machine's own user may list photos
     Open,
-    /// Photos are their owners' alone.
+    /// Requests need no authentication, and everyone may list photos
+    Public,
+    /// Photos are their owners' alone (see `tmpi key`)
     Private,
 }
 
+/// The variable that says which share of the traces that begin here is sent; those that began elsewhere are sent where their `traceparent` says so.
+const SHARE: &str = "OTEL_TRACES_SAMPLER_ARG";
 /// Bytes that the key of tokens has at least.
 const LEAST_KEY: usize = 32;
 
@@ -221,8 +164,8 @@ impl ServeArgs {
     }
 
     /// What rooms are made with; none where there are to be none.
-    fn rooms(&self, photos: &Models) -> anyhow::Result<Option<Rooms>> {
-        if self.no_live {
+    fn rooms(&self, photos: &Models, bounds: live::Bounds) -> anyhow::Result<Option<Rooms>> {
+        if bounds.rooms == 0 {
             return Ok(None);
         }
         let key = self.room_key()?;
@@ -230,7 +173,7 @@ impl ServeArgs {
             Some(settings) => models::load(&settings)?,
             None => photos.clone(),
         };
-        let rooms = Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key }).bounded(self.bounds.rooms());
+        let rooms = Rooms::new(live::Config { models, frame_ms: bounds.budget_ms, key }).bounded(bounds);
         Ok(Some(match self.advertise.clone() {
             Some(address) => rooms.shared(address),
             None => rooms,
@@ -254,48 +197,28 @@ impl ServeArgs {
     }
 
     /// Where traces go; nowhere where nobody said so.
-    fn traces(&self) -> Option<Collector> {
-        let usual = || std::env::var(checks::COLLECTOR).ok().filter(|url| !url.is_empty());
-        self.otlp.clone().or_else(usual).map(|url| Collector { url, ratio: self.otlp_ratio })
+    fn traces(&self) -> anyhow::Result<Option<Collector>> {
+        let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+        let Some(url) = self.otlp.clone().or_else(|| variable(checks::COLLECTOR)) else { return Ok(None) };
+        let share = |text: String| text.parse::<f64>().ok().filter(|share| (0.0..=1.0).contains(share));
+        let wrong = || Usage(format!("{SHARE}: a number from 0 to 1 is expected"));
+        let ratio = variable(SHARE).map_or(Some(1.0), share).ok_or_else(wrong)?;
+        Ok(Some(Collector { url, ratio }))
     }
 
-    /// The limits that the arguments give.
-    fn limits(&self) -> Limits {
-        let body = (self.max_body as usize) << 20;
-        let shared = self.memory.map_or_else(Limits::default, |mib| Limits::of_memory(u64::from(mib) << 20));
-        let mib = |said: Option<u32>, usual: usize| said.map_or(usual, |mib| (mib as usize) << 20);
-        let job_memory = self.job_memory.map_or(shared.job_memory, |mib| u64::from(mib) << 20);
-        let pixels = u64::from(self.max_pixels) * 1_000_000;
-        let photo = tmpi_pipeline::photo::Limits { bytes: body, pixels, memory: job_memory, ..Default::default() };
-        let mut limits = Limits {
-            photo,
-            body,
-            queue: self.queue,
-            workers: usize::from(self.workers),
-            views: usize::from(self.views),
-            scene_cache: mib(self.scene_cache, shared.scene_cache),
-            job: Duration::from_secs(u64::from(self.job_timeout)),
-            job_memory,
-            connections: self.connections as usize,
-            connections_per_address: self.connections_per_address as usize,
-            work_memory: mib(self.work_memory, shared.work_memory),
-            export_cache: (self.export_cache as usize) << 20,
-            request: Duration::from_secs(u64::from(self.request_timeout)),
-            lame_duck: match self.lame_duck {
-                Some(seconds) => Duration::from_secs(u64::from(seconds)),
-                None if self.addr.ip().is_loopback() => Duration::ZERO,
-                None => Limits::LAME_DUCK,
-            },
-            drain: Duration::from_secs(u64::from(self.drain)),
-            rest: Duration::from_secs(u64::from(self.rest)),
-            lease: Duration::from_secs(u64::from(self.lease)),
-            ..shared
-        };
-        // all who come by a proxy have one address
-        let by_themselves = !self.addr.ip().is_loopback() && (self.hosts.is_empty() || self.tls_cert.is_some());
-        self.clients.put(&mut limits, by_themselves);
-        self.bounds.put(&mut limits);
-        limits
+    /// The limits that hold: what was set of them, else what follows from the flags.
+    fn limits(&self) -> anyhow::Result<Limits> {
+        let mut usual = self.memory.map_or_else(Limits::default, |mib| Limits::of_memory(u64::from(mib) << 20));
+        let is_local = self.addr.ip().is_loopback();
+        if !is_local {
+            usual.lame_duck = Limits::LAME_DUCK;
+        }
+        // all who come by a proxy have one address, unless it tells them apart
+        let by_themselves = !is_local && (self.hosts.is_empty() || self.tls_cert.is_some());
+        if by_themselves || !self.trusted_proxies.is_empty() {
+            usual.rates = Rates::FOR_STRANGERS;
+        }
+        Ok(Limits { workers: self.workers.into(), ..applied(&usual, &self.set)? })
     }
 }
 
@@ -309,35 +232,30 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     }
 }
 
-/// A share of a whole.
-fn share(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|share| (0.0..=1.0).contains(share)).ok_or_else(|| "a number from 0 to 1 is wanted".into())
-}
-
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let makes_for_another = std::env::var_os(VARIABLE).is_some();
     if !makes_for_another {
         args.check()?;
     }
-    let (limits, private) = (args.limits(), args.is_private());
-    let (settings, traces, proxies) = (args.models.settings(), args.traces(), args.clients.proxies());
+    let (limits, private, public_list) = (args.limits()?, args.is_private(), args.access == Some(Access::Public));
+    let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies, args.client_address));
     let models = models::load(&settings)?;
-    let maker = PipelineMaker::new(models.clone(), &limits).identified(&identity(&settings)?);
+    let maker = PipelineMaker::new(models.clone(), limits.photo()).identified(&identity(&settings)?);
     if makes_for_another {
-        let drawing = || tmpi_render::select_within(args.backend, limits.scene_cache).map_err(|e| format!("renderer: {e}"));
+        let drawing = || tmpi_render::select_within(args.backend, limits.cache.scenes).map_err(|e| format!("renderer: {e}"));
         make_for_a_server(&maker, &limits, &drawing);
         return Ok(());
     }
     keep_from_others();
-    let rooms = args.rooms(&models)?;
+    let rooms = args.rooms(&models, limits.live)?;
     allocate_in_one_place();
     if let Err(error) = tmpi_pipeline::networks::available() {
         tracing::error!("photos without a depth map of their own wait until ONNX Runtime is there. {error}");
     }
     #[cfg(unix)]
-    open_files(u64::from(args.connections) + SPARE_FILES);
-    let renderer = tmpi_render::select_within(args.backend, limits.scene_cache).context("renderer")?;
+    open_files(limits.connections as u64 + SPARE_FILES);
+    let renderer = tmpi_render::select_within(args.backend, limits.cache.scenes).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
     let maker = ProcessMaker::new(maker, args.for_makers, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     if !private && !args.addr.ip().is_loopback() {
@@ -345,7 +263,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, admin, data, database, blobs, role, pages, mut hosts, public_list, tls_cert, tls_key, advertise, .. } = args;
+    let ServeArgs { addr, admin, data, database, blobs, role, pages, mut hosts, tls_cert, tls_key, advertise, .. } = args;
     hosts.extend(advertise.map(|address| address.host().to_owned()));
     let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, role, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
@@ -399,7 +317,11 @@ fn open_files(wanted: u64) {
         let _ = unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) };
     }
     if most < wanted {
-        tracing::warn!(most, wanted, "the system lets this process open fewer files than it may need: raise it, or lower --connections");
+        tracing::warn!(
+            most,
+            wanted,
+            "the system lets this process open fewer files than it may need: raise it, or lower limits.connections"
+        );
     }
 }
 

@@ -16,9 +16,9 @@ use tokio::time::timeout;
 
 use super::access::Role;
 use super::gops::{Group, Part};
+use super::here::{Here, Leave, none_publishes};
 use super::origin::Nodes;
 use super::room::{Newest, Room};
-use super::routes::{Here, Leave, none_publishes};
 use crate::server::{Coding, Entity, Held, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 

@@ -10,7 +10,7 @@ use tmpi_core::live::wire::bye::Cause;
 use utoipa::ToSchema;
 
 use super::access::{Role, end_of, token, token_of};
-use super::routes::{Here, Leave, seconds};
+use super::here::{Here, Leave, seconds};
 use crate::server::{NoBody, Pairs, Problem};
 
 /// How long a token to watch is good where this machine's own user asks for it.

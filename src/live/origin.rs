@@ -21,7 +21,7 @@ use tokio_util::task::AbortOnDropHandle;
 use tmpi_core::live::MAX_MESSAGE;
 
 use super::edge::EdgeError;
-use super::routes::none_publishes;
+use super::here::none_publishes;
 use crate::server::Problem;
 
 /// How long a room is a node's that says nothing more, and how often a node says that it has it.

@@ -17,10 +17,10 @@ use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{Geometry, Settings, units, video};
 
+use super::here::{ENDED, Here, ended};
 use super::origin::{Lease, lost};
 use super::ring::What;
 use super::room::Room;
-use super::routes::{ENDED, Here, ended};
 use super::sound::Allowance;
 use super::viewer::gone;
 use super::worker::{Coded, Decoded, Worker};

@@ -16,8 +16,8 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
+use super::here::{ENDED, ended};
 use super::room::{Next, Room, Viewer, Watches};
-use super::routes::{ENDED, ended};
 use super::{HEARTBEAT, send_away};
 
 /// Why a viewer finds no place.

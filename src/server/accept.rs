@@ -61,8 +61,8 @@ struct Http {
 impl Http {
     fn new(limits: &Limits) -> Self {
         let (mut one, mut two) = (http1::Builder::new(), http2::Builder::new(TokioExecutor::new()));
-        one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(limits.header);
-        two.timer(TokioTimer::new()).max_header_list_size(limits.header as u32).max_concurrent_streams(limits.streams_at_once);
+        one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
+        two.timer(TokioTimer::new()).max_header_list_size(Limits::HEADER_BYTES as u32).max_concurrent_streams(limits.streams_at_once);
         two.initial_stream_window_size(WINDOWS.0).initial_connection_window_size(WINDOWS.1);
         two.keep_alive_interval(PING.0).keep_alive_timeout(PING.1);
         Self { one, two }

@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 use super::Config;
 use super::access::Guard;
 use super::cache::Cache;
-use super::exports::{self, Recipe, Wanted};
+use super::coming::Coming;
 use super::hosts::Hosts;
 use super::identity;
 pub use super::kept::{Derived, Disk, Export, Full, Stored, Version};
@@ -29,7 +29,6 @@ use super::rates::Rates;
 use super::share::{Places, asker};
 use super::telemetry::Telemetry;
 use super::traces;
-use super::upload::Coming;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
@@ -40,8 +39,6 @@ use tmpi_render::Renderer;
 /// Shared state; cheap to clone.
 pub type App = Arc<Shared>;
 
-/// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
-const SCENE_BYTES: u64 = 13;
 /// How long a fault of the server counts that no job has met again: jobs are tried again each minute at least.
 const TROUBLE: Duration = Duration::from_mins(2);
 
@@ -131,14 +128,14 @@ impl Shared {
             memory: Memory::new(limits.job_memory),
             maker,
             download: Download::default(),
-            scenes: Cache::resting(limits.scene_cache, limits.rest),
-            files: Cache::resting(limits.file_cache, limits.rest),
-            levels: Cache::resting(limits.file_cache / 4, limits.rest),
-            views: Cache::resting(limits.view_cache, limits.rest),
-            exports: Cache::new(limits.export_cache),
+            scenes: Cache::resting(limits.cache.scenes, limits.rest),
+            files: Cache::resting(limits.cache.files, limits.rest),
+            levels: Cache::resting(limits.cache.files / 4, limits.rest),
+            views: Cache::resting(limits.cache.views, limits.rest),
+            exports: Cache::new(limits.cache.exports),
             pool: Pool::new(&limits),
             uploads: Coming::new(&limits),
-            rates: Rates::new(&limits),
+            rates: Rates::new(&limits.rates),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: Places::new(limits.streams),
             storage: Mutex::default(),
@@ -316,7 +313,7 @@ impl Shared {
         let made = key.clone();
         let names = sections.map(<[_]>::to_vec);
         let make = async {
-            let slot = self.pool.enter(Class::Derived, scene_bytes(&done)).await?;
+            let slot = self.pool.enter(Class::Derived, done.scene_bytes()).await?;
             let (whole, disk) = (self.container_of(photo).await?, self.disk());
             let make = move || {
                 let mut bytes = Vec::from(whole);
@@ -361,7 +358,7 @@ impl Shared {
     }
 
     /// The decoded scene of a made photo, and how long decoding took if it was not at hand. `slot` was entered with
-    /// [`scene_bytes`].
+    /// [`Done::scene_bytes`].
     ///
     /// # Errors
     /// As [`Shared::file`].
@@ -377,15 +374,6 @@ impl Shared {
         };
         let scene = self.scenes.get(version, decode).await?;
         Ok((scene, took))
-    }
-
-    /// Writes a file for who waits for it until it is `gone`, in another process where the server's maker has such; blocks.
-    ///
-    /// # Errors
-    /// As [`exports::written`].
-    pub fn written(&self, recipe: &Recipe, of: (&[u8], &Done), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
-        let unwanted = || gone.is_cancelled();
-        exports::written(self, recipe, of, &Wanted { unwanted: &unwanted, gives_way: false })
     }
 
     /// Lets go of what nobody has asked for over [`Limits::rest`].
@@ -434,10 +422,4 @@ pub fn strokes_of(bytes: Option<&[u8]>) -> Vec<Stroke> {
             Vec::new()
         })
     })
-}
-
-/// Memory that work on the scene of a photo takes, in bytes.
-#[must_use]
-pub fn scene_bytes(done: &Done) -> u64 {
-    SCENE_BYTES * u64::from(done.width) * u64::from(done.height) + done.atlas_bytes
 }

@@ -2,6 +2,9 @@
 
 use tmpi_library::{Part, Photo, PhotoState};
 
+/// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
+const SCENE_BYTES: u64 = 13;
+
 /// A finished photo.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Done {
@@ -22,6 +25,12 @@ impl Done {
     #[must_use]
     pub fn details(width: u32, height: u32) -> serde_json::Value {
         serde_json::json!({ "width": width, "height": height })
+    }
+
+    /// Memory that work on the scene takes, in bytes.
+    #[must_use]
+    pub fn scene_bytes(&self) -> u64 {
+        SCENE_BYTES * u64::from(self.width) * u64::from(self.height) + self.atlas_bytes
     }
 
     /// That of a photo; none where it is not finished.

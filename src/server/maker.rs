@@ -133,8 +133,8 @@ pub struct PipelineMaker {
 impl PipelineMaker {
     /// A maker with the networks and the limits of photos.
     #[must_use]
-    pub fn new(models: Models, limits: &Limits) -> Self {
-        Self { models, limits: limits.photo, identity: identity::PIPELINE.into() }
+    pub fn new(models: Models, limits: photo::Limits) -> Self {
+        Self { models, limits, identity: identity::PIPELINE.into() }
     }
 
     /// Memory that photos may take, in bytes.

@@ -14,6 +14,7 @@ mod cache;
 mod card;
 mod child;
 mod clock;
+mod coming;
 mod compress;
 mod conditional;
 mod exports;
@@ -47,6 +48,7 @@ mod time;
 mod timed;
 mod tls;
 mod traces;
+mod units;
 mod upkeep;
 mod upload;
 mod work;
@@ -65,7 +67,7 @@ pub use accept::Held;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
 pub(crate) use conditional::{Coding, Entity, respond};
-pub use limits::Limits;
+pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
@@ -157,7 +159,7 @@ impl Config {
     /// Where the library is, and what bounds it.
     fn library(&self) -> tmpi_library::Config {
         let Self { data, database, blobs, limits, .. } = self;
-        let reserve = limits.reserve;
+        let reserve = limits.reserve();
         tmpi_library::Config { data: data.clone(), database: database.clone(), blobs: blobs.clone(), limits: limits.library(), reserve }
     }
 }
@@ -315,7 +317,7 @@ impl Server {
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
-            live::routes::Here { rooms, stop: token.clone(), own }
+            live::Here { rooms, stop: token.clone(), own }
         });
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),

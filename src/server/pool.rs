@@ -107,7 +107,7 @@ impl Pool {
             lanes: [
                 lane(limits.views, limits.views_waiting, 1),
                 lane(limits.views, limits.views_waiting, 1),
-                lane(limits.exports, limits.exports_waiting, 10),
+                lane(limits.exports.workers, limits.exports.waiting, 10),
             ],
             memory: [(); 2].map(|()| Arc::new(Semaphore::new(most as usize))),
             most,
@@ -194,6 +194,7 @@ impl Slot {
 mod tests {
     use std::time::Duration;
 
+    use super::super::limits::Exports;
     use super::super::share::ASKER;
     use super::*;
 
@@ -201,8 +202,7 @@ mod tests {
         let limits = Limits {
             views: slots,
             views_waiting: waiting,
-            exports: slots,
-            exports_waiting: waiting,
+            exports: Exports { workers: slots, waiting, ..Exports::default() },
             work_memory: (memory * UNIT) as usize,
             ..Limits::default()
         };

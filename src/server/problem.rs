@@ -241,10 +241,10 @@ impl From<LibraryError> for Problem {
             LibraryError::QuotaExceeded { quota, used, asked, limit } => {
                 let detail = match quota {
                     Quota::Photos => format!(
-                        "you have {used} photos, and {limit} is the limit (--quota-photos): delete one, and there is room for another"
+                        "you have {used} photos, and {limit} is the limit (quotas.photos): delete one, and there is room for another"
                     ),
                     Quota::Bytes => format!(
-                        "your photos take {used} bytes, this one {asked}, and {limit} is the limit (--quota-mib): delete some, and there is room"
+                        "your photos take {used} bytes, this one {asked}, and {limit} is the limit (quotas.size): delete some, and there is room"
                     ),
                 };
                 Self::new(StatusCode::FORBIDDEN, "quota", detail)

@@ -11,7 +11,7 @@ use axum::http::{HeaderName, Method, StatusCode};
 use axum::response::Response;
 
 use super::conditional::insert;
-use super::limits::Limits;
+use super::limits;
 use super::problem::Problem;
 use super::share::customer;
 
@@ -113,11 +113,11 @@ pub struct Told(Vec<Standing>);
 impl Rates {
     /// Those of `limits`.
     #[must_use]
-    pub fn new(limits: &Limits) -> Self {
+    pub fn new(limits: &limits::Rates) -> Self {
         Self {
-            requests: Buckets::new("requests", limits.rate_requests),
-            uploads: Buckets::new("uploads", limits.rate_uploads),
-            views: Buckets::new("views", limits.rate_views),
+            requests: Buckets::new("requests", limits.requests),
+            uploads: Buckets::new("uploads", limits.uploads),
+            views: Buckets::new("views", limits.views),
         }
     }
 
@@ -206,7 +206,7 @@ mod tests {
     fn a_network_of_64_bits_is_one_and_who_cannot_be_told_apart_is_not_counted() {
         assert_eq!(address("2001:db8::1"), address("2001:db8::2"));
         assert_ne!(address("2001:db8::1"), address("2001:db8:0:1::1"));
-        let rates = Rates::new(&Limits { rate_requests: 1, ..Limits::default() });
+        let rates = Rates::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
         let take = |asker| rates.take(asker, &Method::GET, "/").1;
         assert!((0..9).all(|_| take(Asker::of(None, None)).is_ok()));
         let one = || Some(address("192.0.2.1"));
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn whoever_asks_for_the_head_of_a_view_alone_has_asked_for_a_view() {
-        let rates = Rates::new(&Limits { rate_views: 1, ..Limits::default() });
+        let rates = Rates::new(&limits::Rates { views: 1, ..limits::Rates::default() });
         for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
             let take = |method| rates.take(Some(Asker::Key(n.to_string())), &method, path).1;
             assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");

@@ -39,7 +39,7 @@ pub async fn probe(app: App, has_objects: bool) {
 
 /// Has deleted what is over, again and again.
 pub async fn sweep(app: App) {
-    let usual = app.limits.retain_sweep.min(app.limits.exports_for);
+    let usual = app.limits.retain_sweep.min(app.limits.exports.keep);
     let mut pause = FIRST_SWEEP.min(usual);
     loop {
         tokio::time::sleep(pause).await;

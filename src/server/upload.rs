@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
@@ -17,14 +17,13 @@ use tokio::io::AsyncWriteExt;
 use super::admission::Admission;
 use super::app::{App, Shared};
 use super::body;
+use super::coming::Ticket;
 use super::file_name::file_name;
 use super::form::Bounded;
-use super::limits::Limits;
 use super::maker::HeadOf;
 use super::options;
 use super::problem::Problem;
 use super::settings::{Settings, title_of_file};
-use super::share::{Share, Shares, asker};
 use tmpi_library::{Class, Content, Digest, LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::Options;
 
@@ -71,60 +70,19 @@ impl Drop for Fresh {
     }
 }
 
-/// Uploads that come in.
-#[derive(Debug)]
-pub struct Coming {
-    count: AtomicUsize,
-    beyond: usize,
-    shares: Shares,
-}
-
-/// Leave for an upload to come in.
-pub struct Ticket<'a> {
-    of: &'a Coming,
-    _share: Share,
-}
-
-impl Drop for Ticket<'_> {
-    fn drop(&mut self) {
-        self.of.count.fetch_sub(1, Ordering::AcqRel);
+/// Leave to come in, before a byte of the body is taken.
+///
+/// # Errors
+/// 429 where as many come in already as may, 503 while the server stops.
+async fn leave(app: &App) -> Result<Ticket<'_>, Problem> {
+    if app.stop.is_cancelled() {
+        return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
     }
-}
-
-impl Coming {
-    /// By the limits of a server.
-    #[must_use]
-    pub fn new(limits: &Limits) -> Self {
-        let beyond = limits.uploads_beyond;
-        Self { count: AtomicUsize::new(0), beyond, shares: Shares::half_of(limits.queue.saturating_add(beyond)) }
-    }
-
-    /// Leave for one more where the queue has `free` places. A few come in though it is full: they may be of photos that are known. None
-    /// where as many come in already as may, or half of them from this address: an upload may take an hour.
-    fn take(&self, free: usize) -> Option<Ticket<'_>> {
-        let share = self.shares.take(asker())?;
-        let before = self.count.fetch_add(1, Ordering::AcqRel);
-        // dropped where it is refused
-        let ticket = Ticket { of: self, _share: share };
-        (before < free.saturating_add(self.beyond)).then_some(ticket)
-    }
-}
-
-impl<'a> Ticket<'a> {
-    /// Before a byte of the body is taken.
-    ///
-    /// # Errors
-    /// 429 where as many come in already as may, 503 while the server stops.
-    pub async fn take(app: &'a App) -> Result<Self, Problem> {
-        if app.stop.is_cancelled() {
-            return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
-        }
-        let free = app.library.free_places().await? as usize;
-        app.uploads.take(free).ok_or_else(|| {
-            let detail = "as many photos are waiting and coming in as may";
-            Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(5)
-        })
-    }
+    let free = app.library.free_places().await? as usize;
+    app.uploads.take(free).ok_or_else(|| {
+        let detail = "as many photos are waiting and coming in as may";
+        Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(5)
+    })
 }
 
 /// Everything of an upload.
@@ -193,7 +151,7 @@ fn known(name: &str, kinds: &str) -> Result<(), Problem> {
 pub async fn take(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Photo, Problem> {
     // what is wrong is told first
     let chosen = chosen(query)?;
-    let _leave = Ticket::take(app).await?;
+    let _leave = leave(app).await?;
     take_chosen(app, chosen, request, owner).await
 }
 
@@ -389,20 +347,7 @@ where
 
 #[cfg(test)]
 mod tests {
-    use super::super::share::ASKER;
     use super::*;
-
-    #[test]
-    fn an_address_has_half_of_the_places_to_come_in() {
-        let coming = Coming::new(&Limits { queue: 3, uploads_beyond: 1, ..Limits::default() });
-        let ask = |address: Option<&str>| ASKER.sync_scope(address.map(|a| a.parse().unwrap()), || coming.take(3));
-        let slow = (ask(Some("192.0.2.1")), ask(Some("192.0.2.1")));
-        assert!(slow.0.is_some() && slow.1.is_some() && ask(Some("192.0.2.1")).is_none(), "a third");
-        let others = (ask(Some("192.0.2.2")), ask(None));
-        assert!(others.0.is_some() && others.1.is_some() && ask(Some("192.0.2.3")).is_none(), "a fifth");
-        drop(others);
-        assert!(coming.take(0).is_none() && coming.take(1).is_none() && coming.take(2).is_some());
-    }
 
     #[test]
     fn an_option_is_given_once_however_it_is_spelt() {

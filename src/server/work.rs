@@ -46,7 +46,7 @@ impl Workers {
     pub fn start(app: &App) -> Self {
         let abort = Arc::<AtomicBool>::default();
         let of = |count: usize, kinds| (0..count).map(move |_| kinds);
-        let all = of(app.limits.workers, MAKES).chain(of(app.limits.exports, WRITES));
+        let all = of(app.limits.workers, MAKES).chain(of(app.limits.exports.workers, WRITES));
         let tasks = all.map(|kinds| tokio::spawn(work(Arc::clone(app), kinds, Arc::clone(&abort)))).collect();
         Self { tasks, abort }
     }
@@ -382,7 +382,7 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
         Ok(_) => "done",
         Err(LibraryError::LeaseLost) => "cancelled",
         Err(LibraryError::Invalid(detail)) => {
-            let detail = format!("{detail} (--exports-mib)");
+            let detail = format!("{detail} (exports.disk)");
             end(lease, doing, End::Failed(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", detail))).await
         }
         Err(error @ LibraryError::StorageFull) => end(lease, doing, End::Failed(error.into())).await,

@@ -19,68 +19,77 @@ fn options_count_before_variables_those_before_the_file_and_that_before_defaults
     let f = Folder::new();
     f.write(
         "tmpi.toml",
-        b"# ours\nqueue = 10\nworkers = 3\nviews = 5\nretain-days = 9\nhost = [\"a.example\", \"b.example\"]\nlive-budget-ms = 12.5\n",
+        b"# ours\nworkers = 3\nmemory = 500\nhost = [\"a.example\", \"b.example\"]\n\n[limits]\nqueue = 10\nviews = 5\nconnections = 11\n\n\
+          [retention]\ndays = 9\n[live]\nbudget-ms = 12.5\n",
     );
     let file = ["--config", "tmpi.toml"];
-    let variables = [("TMPI_SERVE_WORKERS", "4"), ("TMPI_SERVE_VIEWS", "6")];
-    let run = config(&f, &variables, &[&file[..], &["--views", "7"]].concat()).succeeds();
+    let variables = [("TMPI_SERVE_WORKERS", "4"), ("TMPI_SERVE_LIMITS_VIEWS", "6"), ("TMPI_SERVE_LIMITS_QUEUE", "7")];
+    let run = config(&f, &variables, &[&file[..], &["--memory", "600", "--set", "limits.views=8"]].concat()).succeeds();
     assert_eq!(run.err, "");
     for line in [
-        "queue = 10 # file",
         "workers = 4 # environment",
-        "views = 7 # command line",
-        "retain-days = 9 # file",
+        "memory = 600 # command line",
         "host = [\"a.example\", \"b.example\"] # file",
-        "live-budget-ms = \"12.5\" # file",
         "# addr = \"127.0.0.1:8080\"",
-        "# max-pixels = 50",
-        "# lame-duck = 0",
         "# access = \"private\"",
-        "# rate-requests = 0",
-        "# least-free = 64 # or a twentieth of a smaller disk",
-        "# quota-photos =",
+        "[limits]",
+        "queue = 7 # environment",
+        "views = 8 # command line",
+        "connections = 11 # file",
+        "# pixels = 50",
+        "# lame-duck = 0",
+        "# least-free = 0",
+        "[rates]",
+        "# requests = 0",
+        "[quotas]",
+        "# photos = 0",
+        "days = 9 # file",
+        "budget-ms = 12.5 # file",
     ] {
         has(&run, line);
     }
     // the file by the environment; and what is told is a file that says the same
     f.write("again.toml", run.out.as_bytes());
     let again = config(&f, &[("TMPI_CONFIG", "again.toml")], &[]).succeeds();
-    has(&again, "views = 7 # file");
+    has(&again, "views = 8 # file");
     let values = |run: &Run| run.out.lines().map(|l| l.split(" #").next().unwrap().to_owned()).collect::<Vec<_>>();
     assert_eq!(values(&again), values(&run));
-    has(&config(&f, &[("TMPI_SERVE_PUBLIC_LIST", "true")], &[]).succeeds(), "public-list = true # environment");
 }
 
 #[test]
-fn every_option_of_serve_may_stand_in_a_file() {
+fn every_option_of_serve_may_stand_in_a_file_and_the_schema_has_it() {
     let f = Folder::new();
     let help = f.run(&["serve", "--help"]).succeeds().out;
     let told = config(&f, &[], &[]).succeeds().out;
+    let schema: serde_json::Value = serde_json::from_str(&config(&f, &[], &["--schema"]).succeeds().out).unwrap();
     let options: Vec<&str> = help.lines().filter_map(|l| l.trim_start().strip_prefix("--")?.split([' ', '[']).next()).collect();
-    assert!(options.len() > 20);
-    for option in options.iter().filter(|o| !["config", "help"].contains(*o)) {
+    assert!((20..40).contains(&options.len()), "{options:?}");
+    for option in options.iter().filter(|o| !["config", "set", "help"].contains(*o)) {
         assert!(told.lines().any(|l| l.trim_start_matches("# ").starts_with(&format!("{option} ="))), "{option}:\n{told}");
+        assert!(schema["properties"][option]["description"].is_string(), "{option}");
     }
+    assert_eq!(schema["properties"]["limits"]["properties"]["body"]["format"], "MiB");
 }
 
 #[test]
 fn what_cannot_be_meant_is_refused_with_its_name() {
     let f = Folder::new();
     for (text, words) in [
-        ("quue = 3", &["tmpi.toml", "quue", "--help"][..]),
+        ("quue = 3", &["tmpi.toml", "quue", "tmpi config"][..]),
+        ("[limits]\nquue = 3", &["tmpi.toml", "limits.quue", "tmpi config"]),
+        ("[quue]\nqueue = 3", &["tmpi.toml", "quue.queue"]),
         ("config = \"b.toml\"", &["config"]),
-        ("queue = \"many\"", &["queue", "many"]),
-        ("queue = true", &["queue", "number"]),
-        ("queue = [1, 2]", &["queue"]),
-        ("public-list = 1", &["public-list", "true or false"]),
+        ("[limits]\nqueue = \"many\"", &["tmpi.toml", "limits.queue", "many"]),
+        ("[limits]\nqueue = true", &["limits.queue", "number"]),
+        ("[limits]\nqueue = [1, 2]", &["limits.queue"]),
+        ("limits = 3", &["limits"]),
+        ("queue = 3", &["queue"]),
         ("host = \"\"", &["host"]),
-        ("max-pixels = 100000", &["max-pixels", "100000"]),
-        ("[limits]\nqueue = 1", &["limits"]),
-        ("queue = 1\nqueue = 2", &["tmpi.toml", "queue"]),
+        ("[limits]\npixels = 100000", &["tmpi.toml", "limits.pixels", "1 to 50", "100000"]),
+        ("[limits]\nqueue = 1\nqueue = 2", &["tmpi.toml", "queue"]),
         ("queue =", &["tmpi.toml"]),
         // what serve looks at before it begins
-        ("public-list = true\naccess = \"private\"", &["--public-list", "--access open"]),
-        ("quota-photos = 3", &["--quota-photos", "--access private"]),
+        ("[quotas]\nphotos = 3", &["quotas", "--access private"]),
         ("advertise = \"http://127.0.0.1:8080\"", &["--database"]),
         ("blobs = \"s3://host/folder\"", &["--blobs", "--database"]),
         ("otlp = \"127.0.0.1\"", &["--otlp", "http://127.0.0.1:4318"]),
@@ -91,8 +100,12 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
         f.run(&["serve", "--config", "tmpi.toml"]).fails(2, words);
     }
     config(&f, &[], &["--config", "nowhere.toml"]).fails(2, &["nowhere.toml"]);
-    config(&f, &[("TMPI_SERVE_QUEUE", "many")], &[]).fails(2, &["queue", "many"]);
-    config(&f, &[("TMPI_SERVE_QUUE", "3")], &[]).fails(2, &["TMPI_SERVE_QUUE", "--help"]);
+    config(&f, &[("TMPI_SERVE_LIMITS_QUEUE", "many")], &[]).fails(2, &["limits.queue", "many"]);
+    config(&f, &[("TMPI_SERVE_WORKERS", "many")], &[]).fails(2, &["--workers", "many"]);
+    config(&f, &[("OTEL_EXPORTER_OTLP_ENDPOINT", "http://127.0.0.1:4318"), ("OTEL_TRACES_SAMPLER_ARG", "2")], &[])
+        .fails(2, &["OTEL_TRACES_SAMPLER_ARG", "0 to 1"]);
+    config(&f, &[], &["--set", "limits.queue=many"]).fails(2, &["--set", "limits.queue", "many"]);
+    config(&f, &[("TMPI_SERVE_QUUE", "3")], &[]).fails(2, &["TMPI_SERVE_QUUE", "tmpi config"]);
     // other commands have nothing to do with it
     f.write("tmpi.toml", b"quue = 3");
     let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
@@ -123,17 +136,15 @@ fn what_follows_from_others_is_shown_as_it_is_used() {
     for line in [
         "addr = \"127.0.0.1:8081\" # command line",
         "# access = \"open\"",
-        "# scene-cache = 6 # 6553600 bytes",
+        "# scenes = 6",
         "# otlp = \"http://…@127.0.0.1:4318\" # OTEL_EXPORTER_OTLP_ENDPOINT",
-        "# live-rooms = 16",
-        "# max-header = 32",
-        "# streams-at-once = 64",
+        "# rooms = 16",
         "# link-days = 366",
     ] {
         has(&run, line);
     }
     let run = config(&f, &[], &["--addr", "0.0.0.0:80", "--data", "photos"]).succeeds();
-    for line in ["# access = \"private\"", "# lame-duck = 5", "# rate-requests = 6000", "data = \"photos\" # command line"] {
+    for line in ["# access = \"private\"", "# lame-duck = 5", "# requests = 6000", "data = \"photos\" # command line"] {
         has(&run, line);
     }
 }
@@ -176,7 +187,7 @@ fn keys_are_those_of_the_server_that_the_settings_are_of() {
     let of = |variables: &[(&str, &str)], args: &[&str]| key(&f, variables, &[&["list"][..], args].concat()).succeeds().out.lines().count();
     assert_eq!(of(&[("TMPI_SERVE_DATA", "served")], &[]), 1);
     // by the file and by variables; what the line says counts first
-    f.write("tmpi.toml", b"data = \"served\"\nqueue = 3\n");
+    f.write("tmpi.toml", b"data = \"served\"\n[limits]\nqueue = 3\n");
     key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &add).succeeds();
     assert_eq!((of(&[("TMPI_CONFIG", "tmpi.toml")], &[]), of(&[], &["--data", "served"])), (2, 2));
     key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &["list", "--data", "other"]).fails(2, &["other"]);

@@ -55,7 +55,6 @@ fn usage_errors_name_flag_and_range() {
     f.run(&["make", "box.png", "box.jpg", "-o", "all.tmpi"]).fails(2, &["folder"]);
     f.run(&["make", "box.png", "-o", "x.tmpi", "--force", "--skip-existing"]).fails(2, &["--skip-existing"]);
     f.run(&["serve", "--addr", "nowhere"]).fails(2, &["--addr", "127.0.0.1:8080"]);
-    f.run(&["serve", "--addr", "0.0.0.0:0", "--public-list"]).fails(2, &["--public-list", "--access open"]);
     f.run(&["make", "box.png", "box.jpg", "-o", "out"]).fails(2, &["out/box.tmpi"]);
     f.run(&["depth", "box.png", "-o", "x.tif"]).fails(2, &[".png or .pfm"]);
     let render = |extra: &[&str]| f.run(&[&["render", "box.tmpi", "-o", "x.png"], extra].concat());

@@ -11,7 +11,7 @@ use tmpi_pipeline::{MakeError, Options, Sink, photo};
 use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, Response, form, post_form, request};
-use crate::fixture::{Running, contents, depth_map, incoming, jpeg, picture, wait_until, way_with};
+use crate::fixture::{Running, contents, depth_map, incoming, jpeg, picture, wait_until, way_within};
 
 /// The real way of a photo, which looks at it only once it is whole.
 struct Late(PipelineMaker);
@@ -31,10 +31,9 @@ fn patient() -> Limits {
     Limits { body_read: Duration::from_hours(1), ..Limits::default() }
 }
 
-fn start(limits: Limits) -> (tempfile::TempDir, Running) {
+fn start(limits: Limits, photo: photo::Limits) -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
-    let maker = Arc::new(way_with(&limits));
-    let server = Running::start(dir.path(), limits, maker);
+    let server = Running::start(dir.path(), limits, Arc::new(way_within(photo)));
     (dir, server)
 }
 
@@ -78,7 +77,7 @@ fn says(mut problem: Value) -> Value {
 
 #[test]
 fn a_header_of_a_picture_that_is_too_large_is_refused_while_the_client_sends_no_more() {
-    let (dir, server) = start(patient());
+    let (dir, server) = start(patient(), patient().photo());
     for format in PictureFormat::ALL {
         let first = claims(format, 60_000);
         let raw = stalled(server.addr, "/v1/photos", format.media_type(), &first);
@@ -99,7 +98,7 @@ fn a_header_of_a_picture_that_is_too_large_is_refused_while_the_client_sends_no_
 
 #[test]
 fn what_is_no_picture_is_refused_by_its_first_bytes() {
-    let (dir, server) = start(patient());
+    let (dir, server) = start(patient(), patient().photo());
     let page = b"<!doctype html><title>A photo</title>";
     assert_eq!(stalled(server.addr, "/v1/photos", "image/jpeg", page).problem(415)["field"], "photo");
     let heic = stalled(server.addr, "/v1/photos", "image/jpeg", b"\0\0\0\x24ftypheic\0\0\0\0mif1heic").problem(415);
@@ -111,7 +110,7 @@ fn what_is_no_picture_is_refused_by_its_first_bytes() {
 
 #[test]
 fn a_header_that_comes_byte_by_byte_is_read_as_one_that_comes_at_once() {
-    let (_dir, server) = start(patient());
+    let (_dir, server) = start(patient(), patient().photo());
     let chunked = |bytes: &[u8], ends: bool| {
         let mut connection = Connection::open(server.addr);
         let raw = connection.raw();
@@ -136,7 +135,7 @@ fn a_header_that_comes_byte_by_byte_is_read_as_one_that_comes_at_once() {
 
 #[test]
 fn a_picture_whose_size_stands_far_behind_is_judged_once_it_is_whole() {
-    let (_dir, server) = start(patient());
+    let (_dir, server) = start(patient(), patient().photo());
     let metadata = [&[0xFF, 0xE1, 0xFF, 0xFF][..], &vec![7; 0xFFFF - 2]].concat().repeat(5);
     let behind = |file: &[u8]| [&file[..2], &metadata, &file[2..]].concat();
     let photo = behind(&jpeg(3));
@@ -149,8 +148,7 @@ fn a_picture_whose_size_stands_far_behind_is_judged_once_it_is_whole() {
 
 #[test]
 fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
-    let usual = patient();
-    let (_dir, server) = start(Limits { photo: photo::Limits { memory: 90 << 20, ..usual.photo }, ..usual });
+    let (_dir, server) = start(patient(), photo::Limits { memory: 90 << 20, ..patient().photo() });
     let large = claims(PictureFormat::Png, 4000);
     let raw = stalled(server.addr, "/v1/photos", "image/png", &large).problem(413);
     assert!(raw["detail"].as_str().unwrap().contains(&(90 << 20).to_string()), "{raw}");
@@ -167,14 +165,10 @@ fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
 
 #[test]
 fn early_and_late_verdicts_are_one() {
-    let limits = || {
-        let usual = patient();
-        let photo = photo::Limits { pixels: 6_000_000, side: 4000, memory: 400 << 20, decoder_memory: 20_000_000, ..usual.photo };
-        Limits { photo, ..usual }
-    };
-    let (_dir, early) = start(limits());
+    let photo = || photo::Limits { pixels: 6_000_000, side: 4000, memory: 400 << 20, decoder_memory: 20_000_000, ..patient().photo() };
+    let (_dir, early) = start(patient(), photo());
     let dir = tempfile::tempdir().unwrap();
-    let late = Running::start(dir.path(), limits(), Arc::new(Late(way_with(&limits()))));
+    let late = Running::start(dir.path(), patient(), Arc::new(Late(way_within(photo()))));
     let mut bodies =
         vec![b"<svg xmlns='http://www.w3.org/2000/svg'/>".to_vec(), b"GIF89a\x50\0\x3c\0\x80\0\0".to_vec(), vec![0; 5], jpeg(4)];
     for format in PictureFormat::ALL {

@@ -40,7 +40,7 @@ struct Renewing {
 
 impl Renewing {
     fn new() -> Arc<Self> {
-        let with = |name| PipelineMaker::new(Models { depth: Arc::new(Called(name)), theta: None, psi: None }, &Limits::default());
+        let with = |name| PipelineMaker::new(Models { depth: Arc::new(Called(name)), theta: None, psi: None }, Limits::default().photo());
         Arc::new(Self { worse: with(WORSE), better: with(BETTER), is_here: AtomicBool::new(false) })
     }
 

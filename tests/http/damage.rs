@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tmpi::server::Limits;
+use tmpi::server::{Caches, Limits};
 use tmpi_render::PictureFormat;
 
 use crate::client::get;
@@ -87,7 +87,7 @@ fn whoever_asks_for_a_damaged_photo_is_told() {
     };
     for (photo, large) in [(picture(1, PictureFormat::Jpeg), false), (noise, true)] {
         // nothing stays open or at hand
-        let made = made(Limits { file_cache: 0, scene_cache: 0, view_cache: 0, ..Limits::default() }, photo);
+        let made = made(Limits { cache: Caches { scenes: 0, files: 0, views: 0, ..Caches::default() }, ..Limits::default() }, photo);
         assert_eq!(made.whole.len() > 256 << 10, large);
         for ask in ["atlas", "view?w=40", "atlas?level=1", "atlas?sections=photo", "export?format=zip", "atlas?region=0,0,40,40"] {
             for (kind, damage) in made.kinds() {

@@ -202,7 +202,7 @@ fn an_edge_asks_its_viewers_for_their_own_tokens() {
 #[test]
 fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_may_be() {
     let Some(shared) = Shared::start() else { return };
-    let (a, b) = (node(&shared, "node-10", &[]), node(&shared, "node-11", &["--live-rooms", "1"]));
+    let (a, b) = (node(&shared, "node-10", &[]), node(&shared, "node-11", &["--set", "live.rooms=1"]));
     let mut publishers = ["east", "west"].map(|room| Publisher::new(a.addr, room));
     for publisher in &mut publishers {
         publisher.publish(frame(10));

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use tmpi::server::Limits;
+use tmpi::server::{Exports, Limits};
 
 use crate::access::{HOST, id, private, secret, upload as upload_as};
 use crate::client::{Response, get, post_form, request};
@@ -35,6 +35,10 @@ fn ended(addr: SocketAddr, location: &str, state: &str) -> Value {
 
 fn files(data: &Path) -> usize {
     contents(data, "", "export").len()
+}
+
+fn keeping(exports: Exports) -> Limits {
+    Limits { exports, ..Limits::default() }
 }
 
 fn start(limits: Limits) -> (tempfile::TempDir, Running, String) {
@@ -134,18 +138,18 @@ fn files_make_room_for_others_and_go_when_nobody_fetches_them() {
     let bytes = |parameters| written(server.addr, &photo, parameters)["bytes"].as_u64().unwrap();
     let (glb, zip) = (bytes("format=glb"), bytes("format=zip"));
     // room for either
-    let (dir, server, photo) = start(Limits { exports_bytes: glb + zip - 1, ..Limits::default() });
+    let (dir, server, photo) = start(keeping(Exports { bytes: glb + zip - 1, ..Exports::default() }));
     let first = written(server.addr, &photo, "format=glb");
     written(server.addr, &photo, "format=zip");
     get(server.addr, first["links"]["self"].as_str().unwrap()).problem(404);
     assert_eq!(files(dir.path()), 1);
-    let (dir, server, photo) = start(Limits { exports_bytes: glb.min(zip) - 1, ..Limits::default() });
+    let (dir, server, photo) = start(keeping(Exports { bytes: glb.min(zip) - 1, ..Exports::default() }));
     let ordered = order(server.addr, &photo, "format=glb");
     let failed = ended(server.addr, ordered.header("location").unwrap(), "failed");
     assert_eq!(failed["problem"]["type"], "urn:tmpi:problem:export-too-large");
     get(server.addr, failed["links"]["file"].as_str().unwrap()).problem(422);
     assert_eq!(files(dir.path()), 0);
-    let (dir, server, photo) = start(Limits { exports_for: Duration::from_millis(300), ..Limits::default() });
+    let (dir, server, photo) = start(keeping(Exports { keep: Duration::from_millis(300), ..Exports::default() }));
     let ordered = order(server.addr, &photo, "format=glb");
     wait_until("it has gone", || get(server.addr, ordered.header("location").unwrap()).status == 404);
     assert_eq!(files(dir.path()), 0);
@@ -155,7 +159,7 @@ fn files_make_room_for_others_and_go_when_nobody_fetches_them() {
 fn one_more_than_may_wait_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let drawing = Arc::new(crate::fixture::SlowDrawing::default());
-    let limits = Limits { exports_waiting: 1, ..Limits::default() };
+    let limits = keeping(Exports { waiting: 1, ..Exports::default() });
     let server = Running::drawing(dir.path(), limits, Arc::new(pipeline()), drawing.clone());
     let photo = server.upload(&jpeg(1));
     server.wait(&photo, "done");
@@ -231,7 +235,7 @@ mod processes {
 
     /// A server with a finished photo, and the process that wrote a page of it.
     fn with_writer(data: &Path, arguments: &[&str], photo: &[u8]) -> (Process, String) {
-        let server = Process::start_with(data, &[&["--drain", "5", "--rest", "600"], arguments].concat());
+        let server = Process::start_with(data, &[&["--set", "limits.drain=5", "--set", "limits.rest=600"], arguments].concat());
         let id = upload_with(server.addr, photo, &[]);
         wait_until("it is done", || get(server.addr, &format!("/v1/photos/{id}")).json()["state"] == "done");
         written(server.addr, &id, "format=html");
@@ -268,7 +272,7 @@ mod processes {
     #[test]
     fn a_file_that_takes_too_long_is_given_up_and_the_next_one_is_written() {
         let dir = tempfile::tempdir().unwrap();
-        let (server, photo) = with_writer(dir.path(), &["--export-timeout", "8"], &large(1));
+        let (server, photo) = with_writer(dir.path(), &["--set", "exports.timeout=8"], &large(1));
         let writer = server.hold_writer();
         let zip = working(server.addr, &photo, "format=zip");
         let failed = ended(server.addr, &zip, "failed");
@@ -299,7 +303,7 @@ mod processes {
     #[test]
     fn a_crash_in_the_middle_leaves_no_half_file_and_it_is_written_after_all() {
         let dir = tempfile::tempdir().unwrap();
-        let (mut server, photo) = with_writer(dir.path(), &["--lease", "3"], &large(1));
+        let (mut server, photo) = with_writer(dir.path(), &["--set", "limits.lease=3"], &large(1));
         let html = order(server.addr, &photo, "format=html").json()["links"]["file"].as_str().unwrap().to_owned();
         let writer = server.hold_writer();
         let zip = working(server.addr, &photo, "format=zip");

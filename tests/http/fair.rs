@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use tmpi::server::{Fault, Limits, Maker, Product};
+use tmpi::server::{Caches, Fault, Limits, Maker, Product};
 use tmpi_pipeline::{MakeError, Options, Sink};
 use tmpi_render::{PictureFormat, View, encode};
 
@@ -76,7 +76,7 @@ fn a_film_ends_with_its_client() {
 #[test]
 fn who_waits_holds_no_scene_and_memory_bounds_what_is_drawn_at_a_time() {
     const PHOTOS: u8 = 6;
-    let limits = Limits { views: 8, work_memory: 2 << 20, scene_cache: 0, ..Limits::default() };
+    let limits = Limits { views: 8, work_memory: 2 << 20, cache: Caches { scenes: 0, ..Caches::default() }, ..Limits::default() };
     let (_dir, server, photos, drawing) = start(limits, PHOTOS);
     let clients: Vec<_> = photos.iter().map(|photo| ask(&server, &format!("{photo}/view?w={HELD}"))).collect();
     // a scene takes a part of the unit in which memory is given out

@@ -11,8 +11,7 @@ use tmpi::live::{Config as RoomConfig, Rooms};
 use tmpi::server::{Config, Fault, HeadOf, Limits, Maker, PipelineMaker, Product, Server};
 use tmpi_core::{Camera, DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::{DepthError, Estimator};
-use tmpi_pipeline::{MakeError, Models, Options};
-use tmpi_pipeline::{Progress, Sink};
+use tmpi_pipeline::{MakeError, Models, Options, Progress, Sink, photo};
 use tmpi_render::{Backend, PictureFormat, RenderError, Renderer, View, encode};
 
 use crate::client;
@@ -34,11 +33,11 @@ impl Estimator for Ramp {
 
 /// The real pipeline, with a ramp for a depth network.
 pub fn pipeline() -> PipelineMaker {
-    way_with(&Limits::default())
+    way_within(Limits::default().photo())
 }
 
 /// The same under other limits.
-pub fn way_with(limits: &Limits) -> PipelineMaker {
+pub fn way_within(limits: photo::Limits) -> PipelineMaker {
     PipelineMaker::new(Models { depth: Arc::new(Ramp), theta: None, psi: None }, limits)
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use tmpi::server::{Fault, Limits, Reserve};
+use tmpi::server::{Fault, Limits};
 use tmpi_pipeline::photo;
 
 use crate::client::{Connection, get, post_form, request};
@@ -48,11 +48,7 @@ fn the_default_body_limit_is_told_before_the_body_is_read_to_its_end() {
 #[test]
 fn the_photo_at_its_limits_and_one_over() {
     let (pixels, side) = (80 * 60, 80);
-    let with = |photo: photo::Limits| {
-        let models = || tmpi::server::Limits { photo, ..Limits::default() };
-        let maker = crate::fixture::way_with(&models());
-        start(models(), Arc::new(maker))
-    };
+    let with = |photo| start(Limits::default(), Arc::new(crate::fixture::way_within(photo)));
     let (_a, at) = with(photo::Limits { pixels, side, ..photo::Limits::default() });
     let id = at.upload(&jpeg(1));
     at.wait(&id, "done");
@@ -109,19 +105,16 @@ fn a_header_that_is_too_large_is_refused() {
     let send = |bytes: usize| request(server.addr, "GET", "/healthz", &[("x-long", &"a".repeat(bytes))], &[]).status;
     assert_eq!(send(Limits::HEADER_BYTES - 1000), 200);
     assert_eq!(send(Limits::HEADER_BYTES + 1), 431);
-    let (_dir, server) = start(Limits { header: 8 << 10, ..Limits::default() }, Arc::new(pipeline()));
-    let send = |bytes: usize| request(server.addr, "GET", "/healthz", &[("x-long", &"a".repeat(bytes))], &[]).status;
-    assert_eq!((send(7 << 10), send(9 << 10)), (200, 431));
 }
 
 #[test]
 fn as_much_of_the_disk_is_kept_free_as_was_said() {
-    for reserve in [Reserve { bytes: Some(u64::MAX), files: None }, Reserve { bytes: None, files: Some(u64::MAX) }] {
-        let (_dir, server) = start(Limits { reserve, ..Limits::default() }, Arc::new(pipeline()));
+    for (least_free, least_free_files) in [(u64::MAX, 0), (0, u64::MAX)] {
+        let (_dir, server) = start(Limits { least_free, least_free_files, ..Limits::default() }, Arc::new(pipeline()));
         let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
         let value = |name: &str| metrics.lines().find_map(|line| line.strip_prefix(name)?.trim().parse::<f64>().ok());
         assert!(value("tmpi_data_free_bytes ").is_some_and(|bytes| bytes > 0.0), "{metrics}");
-        if reserve.files.is_some() && value("tmpi_data_free_files ").is_none() {
+        if least_free_files > 0 && value("tmpi_data_free_files ").is_none() {
             // a file system on which files have no limit
             continue;
         }

@@ -193,7 +193,7 @@ pub fn hello() -> Hello {
 #[test]
 fn rooms_hold_to_the_bounds_that_were_said() {
     let dir = tempdir().unwrap();
-    let bounds = Bounds { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100 };
+    let bounds = Bounds { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..Bounds::default() };
     let server = server_with(dir.path(), |rooms| rooms.bounded(bounds));
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));

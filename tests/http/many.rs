@@ -32,7 +32,7 @@ impl Shared {
 
     /// At a port that is known before.
     pub fn node_at(&self, port: u16, name: &str, arguments: &[&str]) -> Process {
-        let shared = ["--database", &self.database, "--blobs", "s3://photos/tmpi", "--drain", "5", "--lease", "3"];
+        let shared = ["--database", &self.database, "--blobs", "s3://photos/tmpi", "--set", "limits.drain=5", "--set", "limits.lease=3"];
         let variables = Engine::s3_variables(self.objects.addr);
         let mut environment: Vec<(&str, &str)> = variables.iter().map(|(name, value)| (*name, value.as_str())).collect();
         environment.push(("AWS_ALLOW_HTTP", "true"));

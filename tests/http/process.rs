@@ -21,7 +21,7 @@ pub struct Process {
 
 impl Process {
     pub fn start(data: &Path) -> Self {
-        Self::start_with(data, &["--drain", "5"])
+        Self::start_with(data, &["--set", "limits.drain=5"])
     }
 
     pub fn start_with(data: &Path, arguments: &[&str]) -> Self {
@@ -238,7 +238,7 @@ fn processes_that_make_photos_get_no_credentials() {
         ("AZURE_STORAGE_ACCOUNT_KEY", "a-secret"),
         ("GOOGLE_SERVICE_ACCOUNT_KEY", "a-secret"),
         ("OTEL_EXPORTER_OTLP_HEADERS", "authorization=a-secret"),
-        ("TMPI_SERVE_JOB_MEMORY", "5000"),
+        ("TMPI_SERVE_LIMITS_JOB_MEMORY", "5000"),
         ("TMPI_MODELS", "/nowhere"),
     ];
     let server = Process::start_in(dir.path(), &["--network-url", "http://user:a-secret@localhost/"], &environment);
@@ -248,14 +248,14 @@ fn processes_that_make_photos_get_no_credentials() {
     wait_until("there is a process that makes photos", || server.maker().is_some() && read("environ").contains("TMPI_MAKES_PHOTOS=1"));
     let (environment, line) = (read("environ"), read("cmdline"));
     assert!(!environment.contains("a-secret") && !line.contains("a-secret"), "{environment} {line}");
-    assert!(environment.contains("TMPI_MODELS=/nowhere") && line.contains("--job-memory=5000"), "{environment} {line}");
+    assert!(environment.contains("TMPI_MODELS=/nowhere") && line.contains("--set=limits.job-memory=5000"), "{environment} {line}");
 }
 
 #[test]
 #[cfg(unix)]
 fn the_log_is_an_object_a_line_where_that_is_wanted() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Process::start_with(dir.path(), &["--log", "json", "--drain", "5"]);
+    let server = Process::start_with(dir.path(), &["--log", "json", "--set", "limits.drain=5"]);
     let answer = request(server.addr, "GET", "/nothing\"}", &[("x-request-id", "mine-1")], b"");
     assert_eq!(answer.status, 404);
     let (_, log) = server.terminate();
@@ -462,7 +462,7 @@ fn a_deleted_photo_is_stopped_within_its_stage_and_the_next_one_is_made() {
 #[test]
 fn a_job_that_takes_too_long_is_given_up_and_the_next_one_is_made() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Process::start_with(dir.path(), &["--job-timeout", "1"]);
+    let server = Process::start_with(dir.path(), &["--set", "limits.job-timeout=1"]);
     let maker = server.hold();
     let long = upload_with(server.addr, &slow(5), &[]);
     server.wait_for_photo();
@@ -477,7 +477,7 @@ fn a_job_that_takes_too_long_is_given_up_and_the_next_one_is_made() {
 #[test]
 fn a_photo_that_takes_more_memory_than_it_may_ends_its_process_alone() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Process::start_with(dir.path(), &["--job-memory", "777"]);
+    let server = Process::start_with(dir.path(), &["--set", "limits.job-memory=777"]);
     wait_until("the process is bounded to what jobs may take", || {
         server.maker().and_then(|pid| Held(pid).figure("limits", "Max data size", 1)) == Some(777 << 20)
     });
@@ -497,7 +497,7 @@ fn a_photo_that_takes_more_memory_than_it_may_ends_its_process_alone() {
 #[test]
 fn what_takes_more_memory_than_there_is_for_it_is_refused_with_limit_and_need() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Process::start_with(dir.path(), &["--job-memory", "512"]);
+    let server = Process::start_with(dir.path(), &["--set", "limits.job-memory=512"]);
     let (large, depth) = (sized(6, 4000, 3000), depth_map());
     let (content_type, body) = form(&[("photo", &large), ("depth", &depth), ("planes", b"8")]);
     let refused = request(server.addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body).problem(413);
@@ -519,7 +519,7 @@ fn what_takes_more_memory_than_there_is_for_it_is_refused_with_limit_and_need() 
 #[test]
 fn a_second_signal_ends_it_at_once() {
     let dir = tempfile::tempdir().unwrap();
-    let mut server = Process::start_with(dir.path(), &["--drain", "600"]);
+    let mut server = Process::start_with(dir.path(), &["--set", "limits.drain=600"]);
     let _maker = server.hold();
     upload_with(server.addr, &slow(8), &[]);
     server.wait_for_photo();

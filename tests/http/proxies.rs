@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 
-use tmpi::server::{ClientAddress, Config, Limits, Network, Proxies, Server};
+use tmpi::server::{ClientAddress, Config, Limits, Network, Proxies, Rates, Server};
 use tmpi_render::Backend;
 
 use crate::client::{Connection, Response, request};
@@ -43,9 +43,13 @@ fn left(answer: &Response) -> Option<&str> {
     answer.header("ratelimit")
 }
 
+const fn only_requests(requests: u32) -> Rates {
+    Rates { requests, uploads: 0, views: 0 }
+}
+
 #[test]
 fn clients_behind_a_trusted_proxy_are_told_apart() {
-    let limits = || Limits { rate_requests: 2, ..Limits::default() };
+    let limits = || Limits { rates: only_requests(2), ..Limits::default() };
     for (told, name, values) in [
         (ClientAddress::XForwardedFor, "x-forwarded-for", ["198.51.100.1, 192.0.2.1", "192.0.2.2"]),
         (ClientAddress::Forwarded, "forwarded", ["for=198.51.100.1, for=192.0.2.1;proto=https", "for=\"192.0.2.2:80\""]),
@@ -65,7 +69,7 @@ fn clients_behind_a_trusted_proxy_are_told_apart() {
 #[test]
 fn what_nobody_trusts_changes_nothing() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits { rate_requests: 1, ..Limits::default() }, Arc::new(pipeline()));
+    let server = Running::start(dir.path(), Limits { rates: only_requests(1), ..Limits::default() }, Arc::new(pipeline()));
     for n in 0..3 {
         // who comes by loopback cannot be told apart, and no header tells otherwise
         let answer = request(server.addr, "GET", "/healthz", &[("x-forwarded-for", "192.0.2.1")], &[]);
@@ -78,7 +82,7 @@ fn what_nobody_trusts_changes_nothing() {
 #[test]
 fn the_proxy_protocol_tells_who_comes_with_each_connection() {
     let dir = tempfile::tempdir().unwrap();
-    let limits = Limits { rate_requests: 2, connections_per_address: 2, ..Limits::default() };
+    let limits = Limits { rates: only_requests(2), connections_per_address: 2, ..Limits::default() };
     let server = behind(dir.path(), ClientAddress::ProxyProtocol, limits);
     let ask = |connection: &mut Connection| connection.request("GET", "/openapi.json", &[("x-forwarded-for", "198.51.100.3")], &[]);
     let mut two =

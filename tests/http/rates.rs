@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use tmpi::server::Limits;
+use tmpi::server::{Limits, Rates};
 
 use crate::access::{ask, private_within};
 use crate::client::{Response, request};
@@ -19,7 +19,7 @@ fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
 #[test]
 fn a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not() {
     let dir = tempfile::tempdir().unwrap();
-    let limits = Limits { rate_requests: 1000, rate_uploads: 2, rate_views: 3, ..Limits::default() };
+    let limits = Limits { rates: Rates { requests: 1000, uploads: 2, views: 3 }, ..Limits::default() };
     let server = private_within(dir.path(), Arc::new(pipeline()), limits);
     let key = |name: &str| format!("Bearer {}", keys::add(dir.path(), name, &[Scope::Upload, Scope::Read], None).unwrap());
     let (site, second_of_site, other) = (key("site"), key("site"), key("other"));
@@ -48,8 +48,11 @@ fn a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not() {
 fn whoever_cannot_be_told_apart_is_not_counted() {
     // all who come by a proxy on this machine have its address
     let dir = tempfile::tempdir().unwrap();
-    let server =
-        Running::start(dir.path(), Limits { rate_requests: 1, rate_uploads: 1, rate_views: 1, ..Limits::default() }, Arc::new(pipeline()));
+    let server = Running::start(
+        dir.path(),
+        Limits { rates: Rates { requests: 1, uploads: 1, views: 1 }, ..Limits::default() },
+        Arc::new(pipeline()),
+    );
     for _ in 0..4 {
         let answer = request(server.addr, "GET", "/healthz", &[], &[]);
         assert_eq!((answer.status, answer.header("ratelimit")), (200, None));

@@ -404,7 +404,7 @@ fn health_and_metrics() {
         ("queue", usual.queue),
         ("connections", usual.connections),
         ("views_waiting", usual.views_waiting),
-        ("exports_waiting", usual.exports_waiting),
+        ("exports_waiting", usual.exports.waiting),
     ] {
         assert_eq!(value(&format!("tmpi_{name}_limit ")), limit as f64, "{name}");
     }

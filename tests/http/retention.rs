@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tmpi::server::Limits;
+use tmpi::server::{Limits, Quotas, Retention};
 
 use crate::access::{ask, private_within, secret};
 use crate::client::{Connection, get, request};
@@ -17,7 +17,7 @@ fn size(data: &std::path::Path, id: &str) -> u64 {
 #[test]
 fn an_owner_has_so_many_photos_and_others_have_theirs() {
     let dir = tempfile::tempdir().unwrap();
-    let server = private_within(dir.path(), Arc::new(pipeline()), Limits { quota_photos: Some(2), ..Limits::default() });
+    let server = private_within(dir.path(), Arc::new(pipeline()), Limits { quotas: Quotas { photos: 2, bytes: 0 }, ..Limits::default() });
     let (ann, bob) = (secret("a"), secret("b"));
     let upload = |who: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", who), ("prefer", "wait=60")], &jpeg(seed));
     let first = upload(&ann, 1).json()["id"].as_str().unwrap().to_owned();
@@ -51,7 +51,8 @@ fn an_owner_has_so_many_bytes_also_after_a_restart() {
     let taken = size(dir.path(), "");
     server.stop();
     let next = jpeg(2);
-    let within = |bytes: u64| private_within(dir.path(), Arc::new(pipeline()), Limits { quota_bytes: Some(bytes), ..Limits::default() });
+    let within =
+        |bytes: u64| private_within(dir.path(), Arc::new(pipeline()), Limits { quotas: Quotas { photos: 0, bytes }, ..Limits::default() });
     let server = within(taken + next.len() as u64 - 1);
     let refused = ask(&server, "POST", "/v1/photos", &headers, &next).problem(403);
     assert!(refused["detail"].as_str().unwrap().contains("(--quota-mib)"), "{refused}");
@@ -63,8 +64,9 @@ fn an_owner_has_so_many_bytes_also_after_a_restart() {
 #[test]
 fn photos_go_by_their_age_and_say_when() {
     let dir = tempfile::tempdir().unwrap();
-    let limits = |retain: Option<Duration>| Limits { retain, retain_sweep: Duration::from_millis(200), ..Limits::default() };
-    let server = Running::start(dir.path(), limits(Some(Duration::from_hours(24))), Arc::new(pipeline()));
+    let limits =
+        |age: Duration| Limits { retention: Retention { age, bytes: 0 }, retain_sweep: Duration::from_millis(200), ..Limits::default() };
+    let server = Running::start(dir.path(), limits(Duration::from_hours(24)), Arc::new(pipeline()));
     let id = server.upload(&jpeg(1));
     let state = server.wait(&id, "done");
     let (created, expires) = (state["created"].as_str().unwrap(), state["expires"].as_str().unwrap());
@@ -72,7 +74,7 @@ fn photos_go_by_their_age_and_say_when() {
     std::thread::sleep(Duration::from_millis(600));
     assert_eq!(server.state(&id)["state"], "done", "not before");
     server.stop();
-    let server = Running::start(dir.path(), limits(Some(Duration::from_millis(1))), Arc::new(pipeline()));
+    let server = Running::start(dir.path(), limits(Duration::from_millis(1)), Arc::new(pipeline()));
     wait_until("it is gone", || get(server.addr, &format!("/v1/photos/{id}")).status == 404);
     wait_until("nothing is left", || contents(dir.path(), &id, "").is_empty());
     wait_until("it is counted", || {
@@ -80,7 +82,7 @@ fn photos_go_by_their_age_and_say_when() {
         metrics.contains("\ntmpi_photos_retired_total{reason=\"age\"} 1\n")
     });
     server.stop();
-    let server = Running::start(dir.path(), limits(None), Arc::new(pipeline()));
+    let server = Running::start(dir.path(), limits(Duration::ZERO), Arc::new(pipeline()));
     let id = server.upload(&jpeg(1));
     assert!(server.wait(&id, "done")["expires"].is_null());
 }
@@ -88,7 +90,11 @@ fn photos_go_by_their_age_and_say_when() {
 #[test]
 fn photos_that_nobody_looks_at_make_room_for_others() {
     let dir = tempfile::tempdir().unwrap();
-    let limits = |room| Limits { retain_bytes: Some(room), retain_sweep: Duration::from_millis(200), ..Limits::default() };
+    let limits = |room| Limits {
+        retention: Retention { age: Duration::ZERO, bytes: room },
+        retain_sweep: Duration::from_millis(200),
+        ..Limits::default()
+    };
     let server = Running::start(dir.path(), limits(u64::MAX), Arc::new(pipeline()));
     let ids: Vec<String> = (1..4).map(|seed| server.upload(&jpeg(seed))).collect();
     for id in &ids {

@@ -47,7 +47,7 @@ def main():
     running = {}
     for name, env in kinds():
         # a cache of one scene: every view of another photo decodes it anew
-        server = Server("--scene-cache", "1", "--rest", str(REST), env=env)
+        server = Server("--set", "cache.scenes=1", "--set", f"limits.rest={REST}", env=env)
         time.sleep(1)
         idle, photos = server.resident_mib(), []
         for seed in range(4):

@@ -4,7 +4,7 @@ import argparse, base64, struct, time, zlib
 from common import Server, Table, Watch, check, chunk, end, noise, png, ramp, size_of, small
 
 # Seconds for the answer to an upload; peaks of resident memory in MiB: of the server, and of the process that makes photos, whose own bound
-# --job-memory is. 50 megapixels take up to 3.6 GiB.
+# limits.job-memory is. 50 megapixels take up to 3.6 GiB.
 ANSWER, SERVER, MAKER, MAKER_FULL = 10, 1024, 2048, 6144
 
 
@@ -83,7 +83,7 @@ def main():
     table = Table("upload", "bytes", "answer", "after", "ended as", "after ", "others median", "worst", "not 200", "server", "maker")
     for name, make in cases:
         photo, query = make()
-        server = Server("--job-memory", str(most))
+        server = Server("--set", f"limits.job-memory={most}")
         with Watch(server) as watch:
             time.sleep(0.5)
             began = time.monotonic()

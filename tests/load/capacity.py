@@ -61,7 +61,7 @@ def main():
         engine, log = store(Path(folder))
         env = {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{engine.port}", "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1", "AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test"}
         database = engines.Postgres(Path(folder))
-        at = ("--database", database.url, "--blobs", "s3://photos/tmpi", "--queue", "1000")
+        at = ("--database", database.url, "--blobs", "s3://photos/tmpi", "--set", "limits.queue=1000")
         serve, work = Server(*at, "--role", "serve", env=env), Server(*at, "--role", "work", env=env)
         # the first photo loads networks and libraries
         status, first = serve.upload(smooth(0.1))

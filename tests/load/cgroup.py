@@ -74,7 +74,7 @@ def within(table, mib, arguments, megapixels, makes_large):
 
 def flat(table, jobs, views, abandoned):
     """Resident memory after each sixth of all this. Photos go again after it: of each that stays the index has some 2.4 kB."""
-    server = Server("--queue", "100000")
+    server = Server("--set", "limits.queue=100000")
     sizes, depth = [], ramp()
     first, ids = None, []
     for part in range(6):

@@ -5,7 +5,7 @@ from common import check, contents, end, ramp, small, Server, Table
 
 
 def crashes(table, kills, uploads):
-    server = Server("--queue", "200")
+    server = Server("--set", "limits.queue=200")
     photos, accepted = queue.Queue(), {}
     for seed in range(uploads):
         photos.put((seed, small(seed)))

@@ -13,7 +13,7 @@ def node(postgres, s3):
         "TMPI_SERVE_DATABASE": postgres.url,
         "AWS_ENDPOINT_URL": f"http://127.0.0.1:{s3.port}", "AWS_ALLOW_HTTP": "true", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1",
     }
-    args = ("--advertise", f"http://127.0.0.1:{port}", "--blobs", "s3://photos/tmpi", "--connections", "4096", "--connections-per-address", "4096")
+    args = ("--advertise", f"http://127.0.0.1:{port}", "--blobs", "s3://photos/tmpi", "--set", "limits.connections=4096", "--set", "limits.connections-per-address=4096")
     return Server(*args, env=env, port=port)
 
 

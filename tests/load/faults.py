@@ -12,7 +12,7 @@ def full_disk(table, uploads):
         return
     server = None
     try:
-        server = Server("--queue", "200", data=folder)
+        server = Server("--set", "limits.queue=200", data=folder)
         server.log.close()
         server.log = open("/dev/null", "a")
         filler = Path(folder, "filler")

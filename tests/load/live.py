@@ -498,7 +498,7 @@ def main():
     subprocess.run([LAB, "live-bench", "--only", "measured", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
     stream = str(Path(folder.name) / "measured.h264")
     if args.only in (None, "viewers"):
-        server = Server("--connections", "4096", "--connections-per-address", "4096")
+        server = Server("--set", "limits.connections=4096", "--set", "limits.connections-per-address=4096")
         seconds = args.seconds or (600 if args.full else 40)
         table = Table("viewers", "stalled", "for", "frames/s", "lost by the others", "first view, median", "worst", "resident before / joined / most", "last third − first",
                       "in a socket", "live again", "CPU of the server", "of it a viewer and frame", "load")

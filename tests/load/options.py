@@ -11,7 +11,7 @@ def main():
     args = args.parse_args()
     megapixels = args.megapixels or (12 if args.full else 0.2)
     photo, depth = noise(megapixels), noise(megapixels, 1, 16)
-    server = Server("--job-timeout", "3600", "--queue", "4", "--request-timeout", "600")
+    server = Server("--set", "limits.job-timeout=3600", "--set", "limits.queue=4", "--set", "limits.request-timeout=600")
     table = Table("options", "answer", "ended as", "after", "maker", "atlas", "level", "view", "zip")
     corners = [
         dict(tile=tile, planes=planes, view_box=box, max_error=0)

@@ -23,7 +23,7 @@ class Nodes:
         store = (self.s3.place.host, self.s3.port) if apart else ("127.0.0.1", self.proxy.port)
         env = {"AWS_ENDPOINT_URL": f"http://{store[0]}:{store[1]}", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1", "AWS_ALLOW_HTTP": "true"}
         jumping = {**env, **(self.clock.env if clock else {})}
-        common = ("--database", self.database.url, "--blobs", "s3://photos/tmpi", "--queue", "10000", "--lease", str(LEASE))
+        common = ("--database", self.database.url, "--blobs", "s3://photos/tmpi", "--set", "limits.queue=10000", "--set", f"limits.lease={LEASE}")
         self.serve = [Server(*common, "--role", "serve", env=e) for e in (env, jumping)]
         workers = zip(places[1:], (env, jumping))
         self.work = [Server(*common, "--access", "open", "--role", "work", env=e, prefix=p.prefix, host=p.host) for p, e in workers]

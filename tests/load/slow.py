@@ -21,7 +21,7 @@ def main():
     full = args.parse_args().full
     table = Table("what", "outcome", "after", "others median", "worst", "not 200", "server", "maker")
 
-    server = Server("--connections", "4096", "--connections-per-address", "4096")
+    server = Server("--set", "limits.connections=4096", "--set", "limits.connections-per-address=4096")
     photo = noise(18 if full else 1.5)
     rate = (64 << 10) if full else (512 << 10)
     with Watch(server) as watch:
@@ -91,7 +91,7 @@ def main():
 
     # views of many large photos at once: one photo under many ids
     count, megapixels = (66, 49.9) if full else (66, 2)
-    server = Server("--job-timeout", "1800")
+    server = Server("--set", "limits.job-timeout=1800")
     status, answer = server.upload(smooth(megapixels), ramp(), timeout=300)
     state = server.wait(answer["id"], 3600)
     check(state["state"] == "done", f"the photo is made: {state}")

@@ -5,7 +5,7 @@ from pathlib import Path
 from common import ROOT, Server, Table, Watch, check, chunk, end, form, png, ramp, small
 
 # Seconds for the answer to an upload, and for another client's to a small question meanwhile; seconds until an accepted photo is made or
-# given up; peaks of resident memory in MiB: of the server, and of the process that makes photos, whose own bound --job-memory is.
+# given up; peaks of resident memory in MiB: of the server, and of the process that makes photos, whose own bound limits.job-memory is.
 ANSWER, OTHERS, ENDS, SERVER, MAKER = 10, 5, 120, 1024, 2048
 
 
@@ -120,7 +120,7 @@ def main():
             sys.exit(f"there is no folder {folder}")
     count = args.count or (400 if args.full else 40)
     print(f"an answer within {ANSWER} s, others' within {OTHERS} s, an end within {ENDS} s, server {SERVER} MiB, maker {MAKER} MiB at most\n")
-    server = Server("--job-memory", str(MAKER))
+    server = Server("--set", f"limits.job-memory={MAKER}")
     status, good = server.upload(small(2, 96, 72), ramp())
     check(status in (201, 202) and server.wait(good["id"])["state"] == "done", "a photo is made")
     groups = [(str(folder), of_folder(folder)) for folder in args.folders] + list(crafted(count, args.seed))

@@ -82,7 +82,7 @@ def main():
     args = args.parse_args()
     many = "200" if args.full else "20"
     door = ("127.0.0.1", free_port())
-    server = Server("--queue", "100000", "--admin", "{}:{}".format(*door))
+    server = Server("--set", "limits.queue=100000", "--admin", "{}:{}".format(*door))
     with tempfile.TemporaryDirectory(prefix="tmpi-openapi-") as folder:
         public, admin = Path(folder) / "openapi.json", Path(folder) / "admin.json"
         public.write_bytes(server.get("/openapi.json")[2])

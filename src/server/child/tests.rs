@@ -20,7 +20,7 @@ impl Estimator for Flat {
 }
 
 fn maker(command: fn() -> io::Result<Command>, data: &Path) -> ProcessMaker {
-    let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
+    let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, Limits::default().photo());
     let scratch = scratch::folder(data);
     ProcessMaker { checks, idle: Mutex::default(), command: Box::new(command), scratch, better: None, renewed: OnceLock::new() }
 }

@@ -1,9 +1,11 @@
 //! Files to download: what they are made by, and how they are written.
 
+mod query;
 mod recipe;
 mod work;
 mod write;
 
+pub use query::ExportQuery;
 pub use recipe::Recipe;
 pub use work::{Wanted, written};
 pub use write::{Drawing, TITLE, Work, late};

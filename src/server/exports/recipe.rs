@@ -1,11 +1,11 @@
 //! What a file to download is made by: its format and parameters.
 
+use super::query::ExportQuery;
 use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures, ORA_BYTES};
-use crate::server::app::scene_bytes;
 use crate::server::limits::Limits;
 use crate::server::made::Done;
 use crate::server::problem::Problem;
-use crate::server::routes::{ExportQuery, Pairs, StereoKind, ViewQuery};
+use crate::server::routes::{Pairs, StereoKind, ViewQuery};
 use tmpi_render::{AnimationFormat, Arrangement, Path};
 
 /// Memory of a process that writes a file, in bytes, without the photo; like the other figures, above what was measured on 12 megapixels.
@@ -114,7 +114,7 @@ impl Recipe {
     /// Memory of a process that writes it, in bytes.
     #[must_use]
     pub fn memory(&self, done: &Done) -> u64 {
-        let scene = if matches!(self, Self::File { format: ExportFormat::Html, .. }) { 0 } else { scene_bytes(done) };
+        let scene = if matches!(self, Self::File { format: ExportFormat::Html, .. }) { 0 } else { done.scene_bytes() };
         PROCESS + scene + self.own(done)
     }
 
@@ -124,7 +124,7 @@ impl Recipe {
     pub fn is_cheap(&self, done: &Done) -> bool {
         match self {
             Self::File { format: ExportFormat::Html, .. } => true,
-            Self::File { .. } => scene_bytes(done) <= CHEAP,
+            Self::File { .. } => done.scene_bytes() <= CHEAP,
             Self::Film(..) => false,
         }
     }

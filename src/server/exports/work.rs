@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use axum::http::StatusCode;
+use tokio_util::sync::CancellationToken;
 
 use super::recipe::Recipe;
 use super::write::{Work, late};
@@ -36,17 +37,28 @@ impl Sink for Until<'_> {
     }
 }
 
+impl Shared {
+    /// Writes a file for who waits for it until it is `gone`, in another process where the server's maker has such; blocks.
+    ///
+    /// # Errors
+    /// As [`written`].
+    pub fn written(&self, recipe: &Recipe, of: (&[u8], &Done), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
+        let unwanted = || gone.is_cancelled();
+        written(self, recipe, of, &Wanted { unwanted: &unwanted, gives_way: false })
+    }
+}
+
 /// Writes a file of `container`, in another process where the server's maker has such; blocks.
 ///
 /// # Errors
 /// 503 where it is not wanted any more or takes too long, 422 where it took down what wrote it as often as may be, and what writing it meets.
 pub fn written(app: &Shared, recipe: &Recipe, (container, done): (&[u8], &Done), wanted: &Wanted<'_>) -> Result<Vec<u8>, Problem> {
     let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export is not wanted any more").retry_after(1);
-    let sink = Until(wanted, Instant::now() + app.limits.export);
+    let sink = Until(wanted, Instant::now() + app.limits.exports.timeout);
     let over = || sink.cancelled() || Instant::now() >= sink.1;
     let way = if wanted.gives_way { Way::Gives } else { Way::First };
     let Some(_memory) = app.memory.wait_for(recipe.memory(done), way, over) else {
-        let busy = "there was no memory for this file in the time that it may take (--job-memory, --export-timeout)";
+        let busy = "there was no memory for this file in the time that it may take (limits.job-memory, exports.timeout)";
         let busy = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", busy).retry_after(10);
         return Err(if sink.cancelled() { cancelled() } else { busy() });
     };

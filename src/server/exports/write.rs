@@ -62,7 +62,7 @@ fn is_over(sink: &dyn Sink) -> bool {
 /// The answer to who wants what takes too long.
 #[must_use]
 pub fn late() -> Problem {
-    let detail = "writing the file takes longer than it may (--export-timeout): ask for fewer frames, a smaller size or another format";
+    let detail = "writing the file takes longer than it may (exports.timeout): ask for fewer frames, a smaller size or another format";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
 }
 

@@ -107,7 +107,7 @@ impl ExportState {
         let key = job.key().unwrap_or_default().to_owned();
         let photo = format!("/v1/photos/{}", job.photo);
         let this = format!("{photo}/exports/{key}");
-        let stays = app.limits.exports_for.as_millis() as i64;
+        let stays = app.limits.exports.keep.as_millis() as i64;
         Self {
             key,
             state,
@@ -212,7 +212,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
         Ok(ordered) => Ok(ExportState::of(&app, &ordered.job).answer(StatusCode::OK)),
         Err(LibraryError::QueueFull { share, retry_after, .. }) => {
             let detail = match share {
-                Share::All => "as many files wait to be written as may (--exports-waiting)",
+                Share::All => "as many files wait to be written as may (exports.waiting)",
                 Share::Owner | Share::Address => "half of the places to wait are yours already",
             };
             Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(retry_after.as_secs().max(1)))

@@ -38,7 +38,6 @@ use super::app::App;
 use super::limits::Limits;
 use super::middleware;
 pub(super) use admin::router as admin_router;
-pub(super) use export::ExportQuery;
 pub(crate) use query::{NoBody, Pairs};
 pub(super) use state::Progress as Stage;
 pub(super) use view_query::{StereoKind, ViewQuery};
@@ -261,7 +260,7 @@ fn foreign(_: ProtectionError) -> Response {
 }
 
 /// Rooms.
-fn rooms_router(here: live::routes::Here) -> Router {
+fn rooms_router(here: live::Here) -> Router {
     let (watching, _) = live::routes::watching_api().split_for_parts();
     let (publishing, _) = live::routes::publishing_api().split_for_parts();
     let watching = watching.method_not_allowed_fallback(no_method).layer((map_response(say_methods), rooms_cors()));
@@ -269,7 +268,7 @@ fn rooms_router(here: live::routes::Here) -> Router {
 }
 
 /// The whole service, with rooms where there are any; counters are for operators alone where these have a door of their own.
-pub fn router(app: App, rooms: Option<live::routes::Here>) -> Router {
+pub fn router(app: App, rooms: Option<live::Here>) -> Router {
     let (router, _) = if app.has_admin { pages_api() } else { own_api() }.split_for_parts();
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS

@@ -215,7 +215,7 @@ pub struct ListQuery {
 /// List photos, newest first.
 ///
 /// Only for this machine's own user: where the server is bound beyond loopback, is asked under another name than loopback's, or a proxy
-/// passes the request on, the list is closed unless the server was started with `--public-list`. With `--access private` it shows one's own.
+/// passes the request on, the list is closed unless the server was started with `--access public`. With `--access private` it shows one's own.
 #[utoipa::path(
     get, path = "/v1/photos", tag = "photos", params(ListQuery),
     responses(
@@ -227,11 +227,11 @@ pub struct ListQuery {
 pub async fn list(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     if app.guard.is_none() && !app.public_list && !app.hosts.is_own(request.headers()) {
         let detail =
-            "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --public-list opens the list to all";
+            "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --access public opens the list to all";
         return Err(Problem::new(StatusCode::FORBIDDEN, "list-closed", detail));
     }
     let pairs = Pairs::read(request.uri(), &["limit", "after"])?;
-    let most = app.limits.page;
+    let most = crate::server::Limits::PAGE;
     let limit = pairs.get("limit").map_or(Ok(DEFAULT_PAGE.min(most)), |text| {
         let n = text.parse().ok().filter(|n| (1..=most).contains(n));
         n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {most}, not {text:?}")))

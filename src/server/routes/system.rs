@@ -116,7 +116,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         gauge("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
         gauge("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
         gauge("tmpi_views_waiting_limit", "Views that may wait, and, apart from them, levels and parts", app.limits.views_waiting as f64),
-        gauge("tmpi_exports_waiting_limit", "Films and files that may wait", app.limits.exports_waiting as f64),
+        gauge("tmpi_exports_waiting_limit", "Films and files that may wait", app.limits.exports.waiting as f64),
         gauge("tmpi_exports_stored_bytes", "Bytes of files that were written as jobs", counts.exports_bytes as f64),
         gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_kinds(&[Kind::Export, Kind::Film])),
         gauge("tmpi_batch_queued", "Photos of many that wait", batch as f64),

@@ -9,7 +9,7 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Full, Shared, Stored, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
@@ -111,7 +111,7 @@ pub async fn view(
     };
     let key = (version, derived.made.clone());
     let stored = if query.moving.is_some() {
-        clock.allow(app.limits.export);
+        clock.allow(app.limits.exports.timeout);
         app.exports.get(key, Box::pin(drawn.map_ok(Export))).await?.0
     } else {
         app.views.get(key, Box::pin(drawn)).await?
@@ -146,7 +146,7 @@ async fn draw(
     let asked = Instant::now();
     let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
     // decoding is a part of the work: who waits holds no scene
-    let slot = app.pool.enter(class, scene_bytes(done)).await?;
+    let slot = app.pool.enter(class, done.scene_bytes()).await?;
     let waited = asked.elapsed();
     if query.moving.is_some() {
         let recipe = Recipe::Film(Box::new(query.clone()), size);

@@ -218,7 +218,7 @@ impl ViewQuery {
     /// 400 where all views together are over the limits; without a size in the query, views of a larger photo are reduced instead.
     pub fn size(&self, photo: (u32, u32), limits: &Limits) -> Result<(u32, u32), Problem> {
         let (columns, rows) = self.arrangement().map_or((1, 1), Arrangement::grid);
-        self.renders_within(limits.renders)?;
+        self.renders_within(Limits::RENDERS)?;
         let (most_wide, most_high) = (limits.view_side / columns, limits.view_side / rows);
         let frames = self.moving.map_or(1, |m| u64::from(m.frames));
         let most = limits.view_pixels / (u64::from(columns) * u64::from(rows)) * FILM / frames.max(FILM);

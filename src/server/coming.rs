@@ -1,0 +1,63 @@
+//! How many uploads come in at a time.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use super::limits::Limits;
+use super::share::{Share, Shares, asker};
+
+/// Uploads that come in.
+#[derive(Debug)]
+pub struct Coming {
+    count: AtomicUsize,
+    beyond: usize,
+    shares: Shares,
+}
+
+/// Leave for an upload to come in.
+pub struct Ticket<'a> {
+    of: &'a Coming,
+    _share: Share,
+}
+
+impl Drop for Ticket<'_> {
+    fn drop(&mut self) {
+        self.of.count.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+impl Coming {
+    /// By the limits of a server.
+    #[must_use]
+    pub fn new(limits: &Limits) -> Self {
+        let beyond = limits.uploads_beyond;
+        Self { count: AtomicUsize::new(0), beyond, shares: Shares::half_of(limits.queue.saturating_add(beyond)) }
+    }
+
+    /// Leave for one more where the queue has `free` places. A few come in though it is full: they may be of photos that are known. None
+    /// where as many come in already as may, or half of them from this address: an upload may take an hour.
+    pub fn take(&self, free: usize) -> Option<Ticket<'_>> {
+        let share = self.shares.take(asker())?;
+        let before = self.count.fetch_add(1, Ordering::AcqRel);
+        // dropped where it is refused
+        let ticket = Ticket { of: self, _share: share };
+        (before < free.saturating_add(self.beyond)).then_some(ticket)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::share::ASKER;
+    use super::*;
+
+    #[test]
+    fn an_address_has_half_of_the_places_to_come_in() {
+        let coming = Coming::new(&Limits { queue: 3, uploads_beyond: 1, ..Limits::default() });
+        let ask = |address: Option<&str>| ASKER.sync_scope(address.map(|a| a.parse().unwrap()), || coming.take(3));
+        let slow = (ask(Some("192.0.2.1")), ask(Some("192.0.2.1")));
+        assert!(slow.0.is_some() && slow.1.is_some() && ask(Some("192.0.2.1")).is_none(), "a third");
+        let others = (ask(Some("192.0.2.2")), ask(None));
+        assert!(others.0.is_some() && others.1.is_some() && ask(Some("192.0.2.3")).is_none(), "a fifth");
+        drop(others);
+        assert!(coming.take(0).is_none() && coming.take(1).is_none() && coming.take(2).is_some());
+    }
+}

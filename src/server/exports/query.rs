@@ -1,0 +1,97 @@
+//! What a client says of a file to download.
+
+use axum::http::Uri;
+
+use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures};
+use crate::server::problem::Problem;
+use crate::server::routes::Pairs;
+
+/// Format of an export.
+#[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct ExportQuery {
+    /// `html`, `glb`, `ora` or `zip`; `html` if it is not given.
+    #[param(value_type = Option<String>)]
+    pub format: ExportFormat,
+    /// Space of a `glb`: `relief`, which fits into the frame that viewers put around a model, or `metric`, with far things far away;
+    /// `relief` if it is not given.
+    #[param(value_type = Option<String>)]
+    pub shape: ModelShape,
+    /// Textures of a `glb`: `plain`, JPEG and PNG, which every program reads, or `webp`, which are smaller and need `EXT_texture_webp`; `plain` if it
+    /// is not given.
+    #[param(value_type = Option<String>)]
+    pub textures: ModelTextures,
+    /// Version as in the photo's `links`: the file is kept for a year then.
+    #[param(rename = "v")]
+    pub version: Option<String>,
+}
+
+impl ExportQuery {
+    /// Reads the query.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is unknown, given twice or wrong.
+    pub fn read(uri: &Uri) -> Result<Self, Problem> {
+        Self::of(Pairs::read(uri, &["format", "shape", "textures", "v"])?)
+    }
+
+    /// The same of parameters that are known.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is wrong.
+    pub fn of(mut pairs: Pairs) -> Result<Self, Problem> {
+        let format = pairs.get("format").map_or(Ok(ExportFormat::default()), |value| {
+            let known = ExportFormat::from_extension(value);
+            known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb, ora or zip, not {value:?}")))
+        })?;
+        for name in ["shape", "textures"] {
+            if format != ExportFormat::Glb && pairs.get(name).is_some() {
+                return Err(Problem::parameter(name, "goes with format=glb"));
+            }
+        }
+        let shape = pairs.get("shape").map(|value| match value {
+            "relief" => Ok(ModelShape::Relief),
+            "metric" => Ok(ModelShape::Metric),
+            _ => Err(Problem::parameter("shape", format!("must be relief or metric, not {value:?}"))),
+        });
+        let textures = pairs.get("textures").map(|value| match value {
+            "plain" => Ok(ModelTextures::Plain),
+            "webp" => Ok(ModelTextures::WebP),
+            _ => Err(Problem::parameter("textures", format!("must be plain or webp, not {value:?}"))),
+        });
+        let (shape, textures) = (shape.transpose()?.unwrap_or_default(), textures.transpose()?.unwrap_or_default());
+        Ok(Self { format, shape, textures, version: pairs.take("v") })
+    }
+
+    /// What a model is.
+    #[must_use]
+    pub const fn model(&self) -> ModelOptions {
+        ModelOptions { shape: self.shape, textures: self.textures }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wrong_parameters_are_named() {
+        let read = |query: &str| ExportQuery::read(&format!("/export?{query}").parse().unwrap());
+        assert_eq!(read("").unwrap().format, ExportFormat::Html);
+        assert_eq!(read("format=GLB").unwrap().format, ExportFormat::Glb);
+        assert_eq!(read("format=glb&shape=metric").unwrap().shape, ModelShape::Metric);
+        for (query, field) in [
+            ("format=gltf", "format"),
+            ("format=", "format"),
+            ("format=zip&format=zip", "format"),
+            ("w=3", "w"),
+            ("shape=metric", "shape"),
+            ("format=glb&shape=flat", "shape"),
+            ("textures=webp", "textures"),
+            ("format=glb&textures=jpeg", "textures"),
+        ] {
+            let p = read(query).unwrap_err();
+            assert_eq!((p.status, p.field.as_deref()), (400, Some(field)), "{query}");
+        }
+    }
+}
