@@ -50,11 +50,17 @@ impl Options {
 
     /// The same, with the longest side at most `side`.
     fn memory_at(&self, file: (u32, u32), map: Option<(u32, u32)>, side: Option<u32>) -> u64 {
-        let (w, h) = crate::photo::reduced_size(file, side);
         let planes = match self.planes {
             PlaneCount::Fixed(n) => n,
             PlaneCount::Auto => LEAST,
         };
+        self.memory_with(file, map, side, planes)
+    }
+
+    /// The same, with so many planes a tile, without its background, in the mean.
+    #[must_use]
+    pub fn memory_with(&self, file: (u32, u32), map: Option<(u32, u32)>, side: Option<u32>, planes: u32) -> u64 {
+        let (w, h) = crate::photo::reduced_size(file, side);
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
         // what is decoded is let go before planes are placed
         let other = |size: (u32, u32)| if size == (w, h) { 0 } else { BASE + area(size) * DECODED + area((w, h)) * PHOTO };
