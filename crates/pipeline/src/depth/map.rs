@@ -408,8 +408,9 @@ mod tests {
     fn a_map_as_the_photo_was_stored_turns_with_it() {
         // stored 40 × 30, upright 30 × 40; columns become rows
         let lying = wide(40, 30, |x, _| if x < 20 { 6_000 } else { 60_000 });
-        let beside =
-            |file: &[u8], size, orientation| from_map_beside(file, DepthKind::Disparity, &Limits::default(), size, orientation).unwrap();
+        let beside = |file: &[u8], size, orientation| {
+            from_map_beside(file, DepthKind::Disparity, &Limits::default(), size, orientation).map(|read| (read.map, read.size)).unwrap()
+        };
         for (orientation, first, last) in [(6, 6_000.0, 60_000.0), (8, 60_000.0, 6_000.0), (5, 6_000.0, 60_000.0), (7, 60_000.0, 6_000.0)] {
             let (map, size) = beside(&lying, (30, 40), orientation);
             assert_eq!((size, map.width, map.height), ((30, 40), 30, 40));
