@@ -11,7 +11,7 @@ use tmpi_core::live::{Layers, Model, When};
 use tmpi_core::{DisparityMap, Photo, Rect, container};
 use tmpi_live::depth as measured_depth;
 use tmpi_live::units::Splitter;
-use tmpi_pipeline::depth::{self as maps, DepthKind};
+use tmpi_pipeline::depth::{self as maps, DepthKind, Read};
 use tmpi_pipeline::{networks, photo, strokes};
 
 use crate::{cli, server};
@@ -243,7 +243,7 @@ fn depth(data: &[u8]) -> usize {
 /// A photo with depth of its own. Promised: as for a user's depth map.
 fn carried(data: &[u8]) -> usize {
     if let Ok(Some(found)) = maps::carried(data)
-        && let Ok((map, _)) = found.read(&PHOTO, 21, 13)
+        && let Ok(Read { map, .. }) = found.read(&PHOTO, 21, 13)
     {
         assert_eq!(map.delta.len(), 21 * 13);
         assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));

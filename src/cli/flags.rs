@@ -56,8 +56,9 @@ pub(super) struct MakeFlags {
     /// Picture quality, 1 to 100
     #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
     pub quality: u8,
-    /// Parallax error that planes may leave, in pixels: over a view box that is given, else over one of 0.03
-    #[arg(long, value_parser = max_error, default_value = "0.5", value_name = "PX")]
+    /// Parallax error that planes may leave, in pixels between where views from the corners of the view box show a point and where
+    /// they should
+    #[arg(long, value_parser = max_error, default_value = "1.75", value_name = "PX")]
     pub max_error: f64,
     /// Half extents of the box of camera positions, in units of the nearest distance; viewers go half as far as the usual one by
     /// themselves

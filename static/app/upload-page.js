@@ -20,9 +20,9 @@ import { forgetRow, resume, startUploads, upload } from './uploads.js';
  * @type {Record<string, Record<string, number>>}
  */
 const QUALITIES = {
-  small: { quality: 75, 'max-error': 1.15 },
+  small: { quality: 75, 'max-error': 4 },
   good: {},
-  best: { quality: 97, 'max-error': 0.25 },
+  best: { quality: 97, 'max-error': 0.9 },
 };
 
 /** @param {string} id */

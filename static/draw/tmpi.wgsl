@@ -17,7 +17,7 @@
 //     0  R column 0: x y z, unused        48  t: x y z, near                                 96  target width, target height (pixels)
 //    16  R column 1: x y z, unused        64  reference camera: fx fy cx cy (pixels)        104  half: half a tile, pixels
 //    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes, 4 error
-//     near: depth 1, in units of the nearest distance of the photo; the server takes 1e-3.
+//     near: depth 1, in units of the nearest distance of the photo; the server takes 1/1024.
 //
 // Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
 //     0  location 0: plane a b c, page (whole part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)

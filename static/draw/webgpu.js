@@ -15,7 +15,7 @@ import { copyPipeline, copyTexture } from './webgpu-copy.js';
 
 const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
 /** Disparity 1/NEAR is the nearest that is drawn. */
-const NEAR = 1e-3;
+const NEAR = 1 / 1024;
 const DEPTH_FORMAT = 'depth32float';
 /** Texels and views of stacks of soft layers: 8 bits would round after every layer. */
 const WIDE_FORMAT = 'rgba16float';

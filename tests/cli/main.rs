@@ -106,7 +106,8 @@ fn make_writes_a_container_and_a_report() {
     has(&report, &["left_out.planes", "left_out.tiles_not_refined", "left_out.texels", "left_out.bytes"]);
     has(&report, &["bytes.total", "bytes.index", "bytes.photo", "bytes.alpha", "bytes.hidden"]);
     has(&report, &["error.depth_mae", "error.depth_mse", "error.depth_q25", "error.identity_psnr", "error.codec_psnr"]);
-    assert_eq!(report.pointer("/error/prune_max_abs"), Some(&Value::Null), "there, and null as it is not measured");
+    has(&report, &["error.planes.mean_px", "error.planes.bound_px", "error.planes.missed_tiles", "error.identity_tiles"]);
+    assert_eq!(report.pointer("/error/prune"), Some(&Value::Null), "there, and null as it is not measured");
     for stage in report["stages"].as_array().unwrap() {
         has(stage, &["name", "ms", "cpu_ms"]);
     }

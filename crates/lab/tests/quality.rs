@@ -89,7 +89,7 @@ fn subject(seed: u64, map: Map) -> Subject {
 impl Subject {
     fn make(&self) -> Made {
         let view_box = ViewBox { x: BOX, y: BOX, z: BOX };
-        let options = Options { fov_x: Some(self.camera.intrinsics.fov_x(SIZE.0)), view_box, ..Options::default() };
+        let options = Options { fov_x: Some(self.camera.intrinsics.fov_x(SIZE.0)), view_box, max_error: 0.5, ..Options::default() };
         make(&self.models, &Limits::default(), &self.file, self.given.as_deref(), &options, &Silent).unwrap()
     }
 

@@ -17,6 +17,8 @@ const MIGRATIONS: [&str; 1] = [include_str!("../migrations/1.sql")];
 /// Connections that read, and those of a PostgreSQL node.
 const READERS: u32 = 4;
 const CONNECTIONS: u32 = 10;
+/// Time after which PostgreSQL ends a transaction that does nothing.
+const ABANDONED: Duration = Duration::from_secs(5);
 /// Longest wait for a connection, or for another process that writes.
 const WAIT: Duration = Duration::from_secs(10);
 
@@ -88,7 +90,15 @@ impl Database {
     /// Opens PostgreSQL at `url`.
     pub async fn postgres(url: &str) -> Result<Self> {
         install_default_drivers();
-        let pool = AnyPoolOptions::new().max_connections(CONNECTIONS).acquire_timeout(WAIT).connect(url).await?;
+        let options = AnyPoolOptions::new().max_connections(CONNECTIONS).acquire_timeout(WAIT);
+        // a transaction whose future was dropped half way holds its locks until then
+        let options = options.after_connect(|connection, _| {
+            Box::pin(async move {
+                let timeout = format!("SET idle_in_transaction_session_timeout = {}", ABANDONED.as_millis());
+                connection.execute(sqlx::raw_sql(AssertSqlSafe(timeout))).await.map(drop)
+            })
+        });
+        let pool = options.connect(url).await?;
         Self::ready(Kind::Postgres, pool.clone(), pool, Events::open(Some(url)).await?).await
     }
 

@@ -33,15 +33,18 @@ pub const PARALLAX: f64 = 0.25;
 /// 80 leaves little of the frames in which labels follow, where tiles are late besides. Where frames come more seldom none rests: what moves goes far between two.
 pub const REST: Duration = Duration::from_millis(80);
 
-/// Parallax error that planes of a room may leave, in pixels, where nothing else is said: twice a photo's. `tmpi-lab live-bench` compares: less than
-/// half the bytes and less flicker, and views of estimated depth are as good.
-pub const MAX_ERROR: f64 = 1.0;
+/// Parallax error that planes of a room may leave, in pixels over the view box, where nothing else is said: twice a photo's. `tmpi-lab live-bench` compares:
+/// less than half the bytes and less flicker, and views of estimated depth are as good.
+pub const MAX_ERROR: f64 = 2.0 * Options::MAX_ERROR;
 
 /// Share of that error where depth is measured: planes are then what views lose the most by, and few.
 const MEASURED: f64 = 0.5;
 
 /// Pixels of parallax up to which a change of a pixel's estimated depth is mostly the network's own trembling, and the share of it that is taken.
 const TREMBLES: (f64, f32) = (1.5, 0.4);
+
+/// Share of that error by which measured depth of a pixel must leave the known one to count as changed.
+const CHANGED: f64 = 0.3;
 
 /// Share of a tile's pixels whose measured depth must leave the known one for the tile to count as changed though its colours did not.
 const DEPTH_CHANGED: f64 = 0.02;
@@ -242,7 +245,7 @@ impl Geometry {
             state.take(&due, &grid, &mut Vec::new());
         }
         if let Some(depth) = &frame.depth {
-            state.take_depth(depth, &grid, target(&state.geometry, options.max_error), change.across);
+            state.take_depth(depth, &grid, target(&state.geometry, CHANGED * options.max_error), change.across);
         }
         let known = state.known;
         // a clock that was put back gives no reason to wait for it

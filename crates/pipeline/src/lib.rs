@@ -15,6 +15,6 @@ pub mod strokes;
 
 pub use error::StageError;
 pub use run::{
-    Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Progress,
-    Report, STAGES, Silent, Sink, StageTime, Switch, TileSize, make,
+    Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Moved, Movement, Options, PlaneCount,
+    PlaneError, PlaneMethod, Progress, PruneError, Reduction, Report, STAGES, Silent, Sink, StageTime, Switch, TileSize, make,
 };

@@ -6,11 +6,13 @@ pub fn psnr(a: &[u8], b: &[u8]) -> f64 {
     // sums of 32 bits are twice as many a step, and hold 65 535 squares of 8 bits
     let part = |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum::<u32>();
     let sum: u64 = a.chunks(1 << 15).zip(b.chunks(1 << 15)).map(|both| u64::from(part(both))).sum();
-    if sum == 0 {
-        return EQUAL;
-    }
-    let mse = sum as f64 / a.len().min(b.len()) as f64;
-    (10.0 * (255.0 * 255.0 / mse).log10()).min(EQUAL)
+    psnr_of(sum as f64 / a.len().min(b.len()).max(1) as f64)
+}
+
+/// PSNR in dB of a mean squared difference of 8-bit values; [`EQUAL`] where there is none.
+#[must_use]
+pub fn psnr_of(mean_squared: f64) -> f64 {
+    if mean_squared > 0.0 { (10.0 * (255.0 * 255.0 / mean_squared).log10()).min(EQUAL) } else { EQUAL }
 }
 
 /// PSNR reported for equal pictures, where it is infinite.

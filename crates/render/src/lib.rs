@@ -27,8 +27,9 @@ use std::sync::Arc;
 
 use tmpi_core::{Camera, Scene, SceneError};
 
-/// What is nearer to the camera than this is not drawn, in units of the photo's nearest distance: depth 1 of the depth buffer.
-pub const NEAR: f64 = 1e-3;
+/// What is nearer to the camera than this is not drawn, in units of the photo's nearest distance: depth 1 of the depth buffer. A power of two: a
+/// surface at exactly this distance is drawn by every backend, as `f32` rounds neither it nor the step that leads there.
+pub const NEAR: f64 = 1.0 / 1024.0;
 
 /// Sampled alpha from which `cpu` and `gpu` take a texel as opaque.
 pub const OPAQUE: f32 = 0.99;

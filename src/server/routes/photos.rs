@@ -68,7 +68,7 @@ pub struct UploadForm {
     max_size: Option<u32>,
     /// Picture quality, 1 to 100.
     quality: Option<u8>,
-    /// Parallax error that planes may leave, in pixels.
+    /// Parallax error that planes may leave, in pixels between where views from the corners of the view box show a point and where they should.
     max_error: Option<f64>,
     /// Half extents of the view box, `X,Y,Z`.
     view_box: Option<String>,

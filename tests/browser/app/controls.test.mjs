@@ -409,7 +409,7 @@ describe('every control', () => {
         await $('picker').setInputFiles([file('two.png')]);
         const body = await sent(3);
         assert.match(body, /name="quality"\r\n\r\n75\r\n/);
-        assert.match(body, /name="max-error"\r\n\r\n1.15\r\n/);
+        assert.match(body, /name="max-error"\r\n\r\n4\r\n/);
       },
       'input: Your own depth map, for one photo (a grey picture, near is bright; best a 16-bit PNG)': async () => {
         await $('depth-map').setInputFiles([file('map.png')]);

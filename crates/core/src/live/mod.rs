@@ -13,7 +13,7 @@ mod history;
 mod key_frame;
 mod layers;
 mod model;
-mod motion;
+pub mod motion;
 pub mod prior;
 #[doc(hidden)]
 pub mod wire;

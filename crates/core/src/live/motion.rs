@@ -75,6 +75,7 @@ pub struct Motion<'a> {
 
 impl<'a> Motion<'a> {
     /// Both frames, the second so much later, are of the geometry's size, and so is its visible `surface`.
+    #[must_use]
     pub fn new(geometry: &'a Geometry, surface: &'a Surface, (was, now): (&'a [u32], &'a [u32]), time: Duration) -> Self {
         let mut changed = vec![0; now.len()];
         mark_others(was, now, &mut changed);
@@ -86,6 +87,7 @@ impl<'a> Motion<'a> {
 
     /// How the nearer things of a tile have gone, where they have; they are looked for also where those of it and the tiles beside it would be by
     /// the ways they went `before`.
+    #[must_use]
     pub fn way(&self, index: u32, before: &[Option<Way>]) -> Option<Way> {
         let grid = &self.geometry.grid;
         let (columns, rows) = (grid.columns(), grid.rows());
@@ -107,6 +109,7 @@ impl<'a> Motion<'a> {
 
     /// A tile in the second frame, by the way that its nearer things went; none where it is as before. What comes into it from a tile beside it and
     /// lies on no plane of its own gets one, without a slant.
+    #[must_use]
     pub fn moved(&self, index: u32, Way { x: dx, y: dy, .. }: Way) -> Option<Tile> {
         let (grid, tile) = (&self.geometry.grid, self.geometry.tiles.get(index as usize)?);
         let rect = grid.rect(index);

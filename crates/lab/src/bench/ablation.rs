@@ -15,7 +15,7 @@ use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::networks::Network;
 use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::planes::{Method, NEIGHBOUR, Placement, overlap_disagreement, place};
-use tmpi_pipeline::{MakeError, Options};
+use tmpi_pipeline::{MakeError, Movement, Options};
 use tmpi_render::{Cpu, Reference, Renderer};
 
 /// What is done otherwise than by default.
@@ -103,8 +103,8 @@ impl<'a> Prepared<'a> {
         let options = Options::default();
         let (w, h) = (self.photo.width, self.photo.height);
         let grid = Grid::new(w, h, 64);
-        let parallax = self.subject.view_box.parallax(&self.intrinsics, Rect { x: 0, y: 0, w, h });
-        let placement = options.placement(options.max_error, parallax);
+        let most = Movement::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
+        let placement = options.placement(options.max_error, most);
         let placement = match without {
             Without::Slant => Placement { method: Method::Optimal, most: 64, ..placement },
             Without::Smoothing => Placement { neighbour: 0.0, ..placement },
@@ -117,7 +117,7 @@ impl<'a> Prepared<'a> {
             _ => &self.snapped,
         };
         let tiles = place(map, None, &grid, &placement);
-        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: self.subject.view_box, tiles };
+        let mut geometry = Geometry { grid, intrinsics: self.intrinsics, view_box: options.view_box, tiles };
         if without != Without::Backgrounds {
             layers::add_backgrounds(&mut geometry, map);
         }
@@ -355,7 +355,7 @@ pub(super) fn moves(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
             ("near ÷ elsewhere", near / elsewhere),
             ("near, % of pixels", share),
         ];
-        Point { setting: (*name).into(), x: elsewhere, y: near, figures, default: true, pareto: false }
+        Point { setting: (*name).into(), x: elsewhere, y: near, figures, default: true, ..Point::default() }
     });
     Ok(Experiment {
         id: "moves",

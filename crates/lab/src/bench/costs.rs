@@ -6,7 +6,7 @@ use super::{Axis, BenchError, Curve, Experiment, Point};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks;
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::run::budget::{Costs, fit};
+use tmpi_pipeline::run::budget::{Costs, Measured, fit};
 use tmpi_pipeline::{self, Made, Options};
 
 /// Operating points: times the parallax error that is asked for.
@@ -34,23 +34,24 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str))
     progress("costs of this machine");
     let mut costs = Costs::default();
     let mut before = Vec::new();
-    let mut points = vec![Vec::new(); FACTORS.len()];
+    let mut points = Vec::new();
     for s in scenes {
         let mut busy = 0.0;
-        for (factor, measured) in FACTORS.into_iter().zip(&mut points) {
+        for factor in FACTORS {
             let budget_ms = (factor <= 1.0).then_some(PLENTY);
-            let options = Options { max_error: Options::default().max_error * factor, budget_ms, ..Options::default() };
+            let options = Options { max_error: Options::MAX_ERROR * factor, budget_ms, ..Options::default() };
             let runs = bench.runs(s, &Depth::Known, &options)?;
             let mp = runs.first().map_or(1.0, megapixels);
             if let Some(b) = runs.first().and_then(|m| m.report.budget.as_ref()) {
                 busy = b.busy;
                 before.push(median_of(&runs, |m| stages(m, &BEFORE)) / mp);
             }
-            measured.push((busy, median_of(&runs, |m| stages(m, &["planes", "layers", "refine", "encode", "verify"])) / mp));
+            let ms = median_of(&runs, |m| stages(m, &["planes", "layers", "refine", "encode", "verify"])) / mp;
+            points.push(Measured { factor, busy, ms });
         }
     }
     costs.before = median(before);
-    costs.points = FACTORS.into_iter().zip(&points).map(|(factor, measured)| fit(factor, measured)).collect();
+    (costs.plain, costs.points) = fit(&FACTORS, &points);
     if let (true, Some(s)) = (networks::available().is_ok(), scenes.first()) {
         // two sizes tell what grows from what does not
         let ms = |max_size: Option<u32>| -> Result<(f64, f64), BenchError> {
@@ -70,35 +71,45 @@ pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -
     progress("budgets");
     let mut curves = Vec::new();
     for s in scenes.iter().take(3) {
-        let mut points = Vec::new();
+        let map = s.disparity.as_deref().map(tmpi_pipeline::depth::to_png).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
+        let make = |budget_ms: Option<f64>| {
+            let options = Options { budget_ms, fov_x: s.fov_x, ..Options::default() };
+            tmpi_pipeline::make(bench.models, &Limits::default(), &s.file, map.as_deref(), &options, &Silent)
+                .map_err(|source| BenchError::Make { subject: s.name.clone(), source })
+        };
+        let mut points: Vec<Point> = Vec::new();
         for asked in [25.0, 50.0, 100.0, 200.0, 500.0] {
-            let options = Options { budget_ms: Some(asked), fov_x: s.fov_x, view_box: s.view_box, ..Options::default() };
-            let map =
-                s.disparity.as_deref().map(tmpi_pipeline::depth::to_png).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
-            let make = || {
-                tmpi_pipeline::make(bench.models, &Limits::default(), &s.file, map.as_deref(), &options, &Silent)
-                    .map_err(|source| BenchError::Make { subject: s.name.clone(), source })
-            };
-            let runs = (0..bench.repeats).map(|_| make()).collect::<Result<Vec<_>, _>>()?;
+            let runs = (0..bench.repeats).map(|_| make(Some(asked))).collect::<Result<Vec<_>, _>>()?;
             let budget = |of: fn(&tmpi_pipeline::Budget) -> f64| median_of(&runs, |m| m.report.budget.as_ref().map_or(0.0, of));
             let chose = runs.last().and_then(|m| m.report.budget.as_ref()).map_or(String::new(), |b| format!("{}: {}", b.chose, b.reason));
             let outcome = budget(|b| b.outcome_ms);
-            points.push(Point {
-                setting: format!("--budget-ms {asked} chose {chose}"),
-                x: asked,
-                y: outcome,
-                figures: vec![("predicted, ms", budget(|b| b.predicted_ms)), ("outcome over budget, %", 100.0 * (outcome / asked - 1.0))],
-                ..Point::default()
-            });
+            points.push(point(format!("--budget-ms {asked} chose {chose}"), &runs, outcome));
+            if let Some(p) = points.last_mut() {
+                p.figures
+                    .extend([("predicted, ms", budget(|b| b.predicted_ms)), ("outcome over budget, %", 100.0 * (outcome / asked - 1.0))]);
+            }
         }
+        let unbounded = (0..bench.repeats).map(|_| make(None)).collect::<Result<Vec<_>, _>>()?;
+        points.push(point("without a budget".into(), &unbounded, median_of(&unbounded, |m| m.report.total_ms)));
         curves.push(Curve { name: s.name.clone(), points });
     }
     Ok(Experiment {
         id: "budget",
         title: "Budgets of run time".into(),
-        about: "What --budget-ms made of it, by the costs that TMPI_COSTS names, else by the built-in ones.".into(),
-        x: Axis { label: "asked for, ms", log: true, up: None },
-        y: Axis { label: "took, ms", log: true, up: None },
+        about: "What --budget-ms made of it, by the costs that TMPI_COSTS names, else by the built-in ones, and what no budget takes. The error \
+                is in pixels of the photo's own size: a photo that was made smaller has larger ones."
+            .into(),
+        x: Axis { label: "took, ms", log: true, up: Some(false) },
+        y: Axis { label: "parallax error, px", log: true, up: Some(false) },
         curves,
     })
+}
+
+/// A point of time against error.
+fn point(setting: String, runs: &[Made], ms: f64) -> Point {
+    let scale = |m: &Made| m.report.error.reduction.map_or(1.0, |r| r.scale);
+    let error = median_of(runs, |m| m.report.error.planes.mean_px / scale(m));
+    let reduced = runs.last().and_then(|m| m.report.error.reduction?.psnr);
+    let figures = reduced.map(|psnr| ("photo reduced and enlarged, dB", psnr)).into_iter().collect();
+    Point { setting, x: ms, y: error, figures, ..Point::default() }
 }

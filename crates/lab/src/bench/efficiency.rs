@@ -4,10 +4,10 @@ use super::measure::median;
 use super::scaling::Workshop;
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::scenes;
-use tmpi_core::{Grid, Rect, ViewBox};
-use tmpi_pipeline::Report;
+use tmpi_core::{Grid, Rect};
 use tmpi_pipeline::clock::Clock;
 use tmpi_pipeline::planes::{Method, Placement, discretisation_error, place};
+use tmpi_pipeline::{Options, Report};
 
 /// The paper's picture.
 const SIZE: (u32, u32) = (630, 350);
@@ -103,7 +103,7 @@ pub(super) fn clustering(repeats: usize, progress: &dyn Fn(&str)) -> Experiment 
                 times.push((clock.cpu_ms(), clock.ms()));
             }
             let mae = discretisation_error(map, &grid, &tiles).0;
-            let parallax = ViewBox::default().parallax(k, whole);
+            let parallax = Options::VIEW_BOX.parallax(k, whole);
             cpu += median(times.iter().map(|t| t.0).collect()) / maps.len() as f64;
             wall += median(times.iter().map(|t| t.1).collect()) / maps.len() as f64;
             error += mae * 1e3 / maps.len() as f64;

@@ -4,7 +4,7 @@ use super::measure::{Bench, Depth};
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, Settings};
 use tmpi_core::{DisparityMap, ViewBox};
-use tmpi_pipeline::networks;
+use tmpi_pipeline::networks::{self, models};
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 const MS: Axis = Axis { label: "making, ms", log: true, up: Some(false) };
@@ -14,8 +14,24 @@ const PARALLAX: Axis = Axis { label: "parallax error, px", log: true, up: Some(f
 const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
-/// Settings of a curve: words, options, disparity.
-type Set = (String, Options, Depth);
+/// A point of a curve.
+struct Set {
+    /// As on the command line.
+    words: String,
+    options: Options,
+    depth: Depth,
+    /// Level of the container that is looked at.
+    level: u8,
+    /// It is what ships.
+    default: bool,
+}
+
+impl Set {
+    fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
+        let default = options == Options::default();
+        Self { words: words.into(), options, depth, level: 0, default }
+    }
+}
 
 /// One experiment to be.
 struct Plan {
@@ -28,15 +44,13 @@ struct Plan {
 
 impl Plan {
     fn run(self, bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
-        let defaults = Options::default();
         let (x, y) = self.axes;
         let mut curves = Vec::new();
         for (name, settings) in self.curves {
             let mut points: Vec<Point> = Vec::new();
-            for (setting, options, depth) in settings {
-                let mut p = bench.point(subjects, &depth, &options, setting, (x.label, y.label))?;
-                p.default = options == defaults;
-                points.push(p);
+            for Set { words, options, depth, level, default } in settings {
+                let p = bench.point_of_level(subjects, &depth, &options, level, words, (x.label, y.label))?;
+                points.push(Point { default, ..p });
             }
             curves.push(Curve { name: name.into(), points });
         }
@@ -47,11 +61,11 @@ impl Plan {
 fn known(setting: impl Into<String>, change: impl FnOnce(&mut Options)) -> Set {
     let mut options = Options::default();
     change(&mut options);
-    (setting.into(), options, Depth::Known)
+    Set::new(setting, options, Depth::Known)
 }
 
 fn errors(quick: bool) -> Vec<Set> {
-    let all: &[f64] = if quick { &[0.25, 0.5, 1.0, 2.0, 4.0] } else { &[0.1, 0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.0, 4.0, 8.0] };
+    let all: &[f64] = if quick { &[0.5, 1.0, 1.75, 3.5, 7.0] } else { &[0.35, 0.5, 0.75, 1.0, 1.4, 1.75, 2.5, 3.5, 7.0, 14.0] };
     all.iter().map(|&e| known(format!("--max-error {e}"), |o| o.max_error = e)).collect()
 }
 
@@ -86,7 +100,7 @@ fn tiles(quick: bool) -> Plan {
         ("tiles of 128", TileSize::Pixels(128)),
         ("tiles of 256", TileSize::Pixels(256)),
     ];
-    let errors: &[f64] = if quick { &[0.5, 1.0, 4.0] } else { &[0.25, 0.5, 1.0, 2.0, 4.0] };
+    let errors: &[f64] = if quick { &[1.75, 3.5, 14.0] } else { &[0.9, 1.75, 3.5, 7.0, 14.0] };
     let of = |&(name, tile): &(&'static str, TileSize)| {
         let one = |&e: &f64| known(format!("{name}, --max-error {e}"), |o| (o.tile, o.max_error) = (tile, e));
         (name, errors.iter().map(one).collect())
@@ -149,7 +163,7 @@ fn steps(refined: bool) -> Plan {
     ];
     let of = |depth: &Depth| {
         let there = all.iter().filter(|(_, o)| refined || o.refine != Switch::On);
-        there.map(|(s, o)| (s.clone(), o.clone(), depth.clone())).collect::<Vec<Set>>()
+        there.map(|(s, o)| Set::new(s.as_str(), o.clone(), depth.clone())).collect::<Vec<Set>>()
     };
     Plan {
         id: "steps",
@@ -166,7 +180,7 @@ fn denoise(theta: bool) -> Plan {
         [("off", Denoise::Off), ("classic", Denoise::Classic), ("auto", Denoise::Auto), ("theta", Denoise::Theta)]
             .into_iter()
             .filter(|(_, d)| theta || *d != Denoise::Theta)
-            .map(|(name, d)| (format!("--denoise {name}"), Options { denoise: d, ..Options::default() }, depth.clone()))
+            .map(|(name, d)| Set::new(format!("--denoise {name}"), Options { denoise: d, ..Options::default() }, depth.clone()))
             .collect()
     };
     Plan {
@@ -208,6 +222,89 @@ fn prune(quick: bool) -> Plan {
     }
 }
 
+/// How far cameras may go, by what it costs.
+fn view_box(quick: bool) -> Plan {
+    let usual = Options::VIEW_BOX;
+    let all: &[f64] = if quick { &[0.5, 1.0, 2.0] } else { &[0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0] };
+    let one = |&s: &f64| {
+        let v = ViewBox { x: usual.x * s, y: usual.y * s, z: usual.z * s };
+        known(format!("--view-box {},{},{}", v.x, v.y, v.z), |o| o.view_box = v)
+    };
+    Plan {
+        id: "view-box",
+        title: "View box",
+        about: "How far from the photo's own place cameras may go, at the same parallax error: what it takes, and how near views within half of the usual box are to the exact ones.",
+        axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
+        curves: vec![("view box", all.iter().map(one).collect())],
+    }
+}
+
+/// Photos made smaller before anything else, and containers made smaller afterwards.
+fn sizes(quick: bool) -> [Plan; 2] {
+    let all: &[u32] = if quick { &[96, 192] } else { &[96, 160, 240, 360, 480] };
+    let mut smaller: Vec<Set> = all.iter().map(|&n| known(format!("--max-size {n}"), |o| o.max_size = Some(n))).collect();
+    smaller.push(known("as it is", |_| {}));
+    let level = |level: u8| Set { level, default: level == 0, ..known(format!("level {level}"), |_| {}) };
+    [
+        Plan {
+            id: "size",
+            title: "Largest side",
+            about: "The photo reduced before it is made; views are drawn at the photo's own size.",
+            axes: (MS, VIEW),
+            curves: vec![("largest side", smaller)],
+        },
+        Plan {
+            id: "levels",
+            title: "Levels of a container",
+            about: "A container at 1, 1/2, 1/4 and 1/8 of its size, as small screens and slow links get it; views are drawn at the photo's own size.",
+            axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
+            curves: vec![("levels", (0..=tmpi_core::container::LEVELS).map(level).collect())],
+        },
+    ]
+}
+
+/// A network that is given a setting.
+fn network(words: String, default: bool, settings: &models::Settings) -> Option<Set> {
+    let models = models::load(settings).ok()?;
+    Some(Set { default, ..Set::new(words, Options::default(), Depth::By(models.depth)) })
+}
+
+/// What can be set of the depth network.
+fn depth_settings(quick: bool, given: &models::Settings) -> Plan {
+    let with = |change: &dyn Fn(&mut models::Settings)| {
+        let mut settings = given.clone();
+        change(&mut settings);
+        settings
+    };
+    let own = |v: f64, own: f64| (v - own).abs() < 1e-12;
+    let numbers: &[f64] = if quick { &[0.0, 1.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
+    let smoothing = given.depth_smoothing.unwrap_or(given.depth.smoothing);
+    let smoothed = numbers.iter().map(|s| smoothing.max(0.01) * s);
+    let smoothed =
+        smoothed.filter_map(|s| network(format!("--depth-smoothing {s}"), own(s, smoothing), &with(&|n| n.depth_smoothing = Some(s))));
+    let ramp = given.depth_ramp.unwrap_or(given.depth.ramp);
+    let ramps = numbers.iter().map(|s| 0.25 * s).chain([ramp]);
+    let ramps = ramps.filter_map(|r| network(format!("--depth-ramp {r}"), own(r, ramp), &with(&|n| n.depth_ramp = Some(r))));
+    let areas: &[u32] = if quick { &[50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
+    let mut pixels: Vec<Set> = areas
+        .iter()
+        .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), &with(&|n| n.depth_pixels = Some(p))))
+        .collect();
+    pixels.extend(network("its own size".into(), given.depth_pixels.is_none(), given));
+    let flip = given.flip.unwrap_or(given.depth.flip);
+    let flips = [false, true].into_iter().filter_map(|f| network(format!("--flip {f}"), f == flip, &with(&|n| n.flip = Some(f))));
+    Plan {
+        id: "network",
+        title: "Settings of the depth network",
+        about: "Size that the network works at, smoothing of its map, a vertical ramp added to it, and the mean with the mirrored photo.",
+        axes: (
+            Axis { label: "depth, ms", log: true, up: Some(false) },
+            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
+        ),
+        curves: vec![("pixels", pixels), ("smoothing", smoothed.collect()), ("ramp", ramps.collect()), ("mirror image", flips.collect())],
+    }
+}
+
 fn depth() -> Plan {
     Plan {
         id: "depth",
@@ -217,7 +314,7 @@ fn depth() -> Plan {
             Axis { label: "depth, ms", log: true, up: Some(false) },
             Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
         ),
-        curves: vec![("estimated", vec![("as given by --depth-model".into(), Options::default(), Depth::Estimated)])],
+        curves: vec![("estimated", vec![Set::new("as given by --depth-model", Options::default(), Depth::Estimated)])],
     }
 }
 
@@ -237,11 +334,13 @@ pub(super) fn on_scenes(
     let quick = settings.quick;
     // the first run of a process pays for its threads and its memory
     bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
-    let mut plans = vec![planes(quick, (MS, VIEW)), tiles(quick), steps(bench.psi().is_some()), quality(quick), prune(quick)];
+    let mut plans =
+        vec![planes(quick, (MS, VIEW)), tiles(quick), steps(bench.psi().is_some()), quality(quick), prune(quick), view_box(quick)];
+    plans.extend(sizes(quick));
     if let Err(reason) = networks::available() {
         skipped.push(format!("depth and denoise networks: {}", brief(&reason)));
     } else {
-        plans.extend([denoise(bench.models.theta.is_some()), depth()]);
+        plans.extend([denoise(bench.models.theta.is_some()), depth(), depth_settings(quick, &settings.networks)]);
     }
     let mut all = Vec::new();
     for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {

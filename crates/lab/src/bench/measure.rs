@@ -11,6 +11,7 @@ use crate::oracle::OracleDepth;
 use tmpi_core::container;
 use tmpi_core::{DisparityMap, Photo, Scene};
 use tmpi_pipeline::Silent;
+use tmpi_pipeline::depth::Estimator;
 use tmpi_pipeline::networks::{self, Network};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Made, Models, Options};
@@ -34,6 +35,8 @@ pub(super) enum Depth {
     Known,
     /// By the network, whatever is known.
     Estimated,
+    /// By another one, whatever is known.
+    By(Arc<dyn Estimator>),
     /// What is known, spoilt.
     Spoilt(fn(&DisparityMap) -> DisparityMap),
     /// What is known, spoilt, and given as a file.
@@ -51,16 +54,24 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
     }
 }
 
-/// Sums of figures by name, for means.
+/// Figures by name, of all subjects.
 #[derive(Default)]
-struct Sums(Vec<(&'static str, f64)>);
+struct Figures(Vec<(&'static str, Vec<f64>)>);
 
-impl Sums {
+impl Figures {
     fn add(&mut self, name: &'static str, value: f64) {
         match self.0.iter_mut().find(|(n, _)| *n == name) {
-            Some((_, sum)) => *sum += value,
-            None => self.0.push((name, value)),
+            Some((_, all)) => all.push(value),
+            None => self.0.push((name, vec![value])),
         }
+    }
+
+    /// Mean and deviation; NaN where there is no such figure.
+    fn of(&self, name: &str) -> [f64; 2] {
+        let Some((_, all)) = self.0.iter().find(|f| f.0 == name) else { return [f64::NAN; 2] };
+        let n = all.len() as f64;
+        let mean = all.iter().sum::<f64>() / n;
+        [mean, (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()]
     }
 }
 
@@ -79,25 +90,41 @@ impl Bench<'_> {
         setting: String,
         axes: (&str, &str),
     ) -> Result<Point, BenchError> {
-        let mut sums = Sums::default();
+        self.point_of_level(subjects, depth, options, 0, setting, axes)
+    }
+
+    /// The same of the container at `1 / 2^level` of its size.
+    pub fn point_of_level(
+        &self,
+        subjects: &[Subject],
+        depth: &Depth,
+        options: &Options,
+        level: u8,
+        setting: String,
+        axes: (&str, &str),
+    ) -> Result<Point, BenchError> {
+        let mut figures = Figures::default();
         for s in subjects {
-            for (name, value) in self.figures(s, depth, options)? {
-                sums.add(name, value / subjects.len() as f64);
+            for (name, value) in self.figures(s, depth, options, level)? {
+                figures.add(name, value);
             }
         }
-        let of = |name: &str| sums.0.iter().find(|f| f.0 == name).map_or(f64::NAN, |f| f.1);
-        Ok(Point { setting, x: of(axes.0), y: of(axes.1), figures: sums.0, ..Point::default() })
+        let ([x, _], [y, spread]) = (figures.of(axes.0), figures.of(axes.1));
+        let means = figures.0.iter().map(|(name, _)| (*name, figures.of(name)[0])).collect();
+        Ok(Point { setting, x, y, spread, figures: means, ..Point::default() })
     }
 
     /// Makes a subject as often as repeats are asked for.
     pub fn runs(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<Made>, BenchError> {
-        let own = options.view_box == Options::VIEW_BOX;
-        let view_box = if own { s.view_box } else { options.view_box };
-        let options = Options { fov_x: options.fov_x.or(s.fov_x), view_box, ..options.clone() };
+        let options = Options { fov_x: options.fov_x.or(s.fov_x), ..options.clone() };
         let mut models = self.models.clone();
         let map = match (depth, &s.disparity) {
             (Depth::Known, Some(d)) => Some(d.clone()),
             (Depth::Given(how), Some(d)) => Some(Arc::new(how(d))),
+            (Depth::By(network), _) => {
+                models.depth = Arc::clone(network);
+                None
+            }
             (Depth::Spoilt(how), Some(d)) => {
                 models.depth = Arc::new(OracleDepth(how(d)));
                 None
@@ -113,7 +140,7 @@ impl Bench<'_> {
         Ok(runs)
     }
 
-    fn figures(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<(&'static str, f64)>, BenchError> {
+    fn figures(&self, s: &Subject, depth: &Depth, options: &Options, level: u8) -> Result<Vec<(&'static str, f64)>, BenchError> {
         let runs = self.runs(s, depth, options)?;
         let over = |f: &dyn Fn(&tmpi_pipeline::Report) -> f64| median(runs.iter().map(|m| f(&m.report)).collect());
         let stages = |wanted: &dyn Fn(&str) -> bool, cpu: bool| {
@@ -121,28 +148,35 @@ impl Bench<'_> {
         };
         let Some(made) = runs.last() else { return Ok(Vec::new()) };
         let r = &made.report;
+        let file = container::level(&made.container, level)?;
         let mut all = vec![
             ("making, ms", stages(&|n| !APART.contains(&n), false)),
             ("making, cpu ms", stages(&|n| !APART.contains(&n), true)),
             ("planes, cpu ms", stages(&|n| n == "planes", true)),
             ("depth, ms", stages(&|n| n == "depth", false)),
             ("planes a tile", r.planes_per_tile),
-            ("container, KB", r.bytes.total as f64 / 1000.0),
+            ("container, KB", file.len() as f64 / 1000.0),
             ("depth MAE, 1e-3", r.error.depth_mae * 1e3),
             ("depth MSE, 1e-3", r.error.depth_mse * 1e3),
             ("depth Q25, 1e-3", r.error.depth_q25 * 1e3),
             ("identity, dB", r.error.identity_psnr),
         ];
-        all.push(("view box, ±", if options.view_box == Options::VIEW_BOX { s.view_box.x } else { options.view_box.x }));
-        all.extend(r.error.prune_max_abs.map(|v| ("largest difference, levels", v)));
-        all.extend(r.error.prune_share_off.map(|v| ("left out wrongly, % of pixels", v * 100.0)));
+        all.push(("view box, ±", options.view_box.x));
+        all.extend(
+            r.error
+                .planes
+                .bound_px
+                .map(|_| ("tiles over the bound, %", 100.0 * r.error.planes.missed_tiles as f64 / r.tiles.max(1) as f64)),
+        );
+        if let Some(p) = r.error.prune {
+            all.push(("largest difference, levels", p.max_abs.into()));
+            all.push(("left out wrongly, % of pixels", p.share_off * 100.0));
+        }
         all.push(("verifying, ms", stages(&|n| n == "verify", false)));
-        let scene = Arc::new(container::decode(&made.container)?);
+        let scene = Arc::new(container::decode(&file)?);
         let held = scene.texels.class.iter().filter(|c| **c != 0).count() as f64;
         all.push(("texels for each pixel", held / (f64::from(r.width) * f64::from(r.height))));
-        let whole = tmpi_core::Rect { x: 0, y: 0, w: scene.grid.width, h: scene.grid.height };
-        let reach = scene.view_box.parallax(&scene.intrinsics, whole);
-        all.push(("parallax error, px", r.error.depth_mae * reach.0.max(reach.1)));
+        all.push(("parallax error, px", r.error.planes.mean_px));
         if let Some(truth) = &s.disparity {
             all.push(("disparity error, 1e-3", 1e3 * aligned_error(&made.disparity, truth)));
         }

@@ -60,8 +60,8 @@ pub(super) fn against(bench: &Bench, photos: &[Subject], progress: &dyn Fn(&str)
     };
     let settings = [
         ("defaults", Options::default()),
-        ("--max-error 0.25", with(&|o| o.max_error = 0.25)),
-        ("--max-error 1", with(&|o| o.max_error = 1.0)),
+        ("--max-error 0.9", with(&|o| o.max_error = 0.9)),
+        ("--max-error 3.5", with(&|o| o.max_error = 3.5)),
         ("--snap off", with(&|o| o.snap = Switch::Off)),
         ("--plane-method lloyd --planes 4", with(&|o| (o.plane_method, o.planes) = (PlaneMethod::Lloyd, PlaneCount::Fixed(4)))),
     ];

@@ -2,7 +2,7 @@
 //!
 //! Rendered scenes tell the error of whole views (PSNR, SSIM, L1 over the view less 15 % on each side). Photos have no second
 //! view; for them the error is how far, in pixels over the view box, planes move the picture wrongly against the disparity they
-//! were fitted to.
+//! were fitted to. A point is a mean over all subjects, with the deviation over them.
 
 mod ablation;
 mod costs;
@@ -42,10 +42,12 @@ pub struct Settings {
     pub only: Vec<String>,
     /// The networks.
     pub models: Models,
+    /// What they were loaded by: the depth network's own settings are varied.
+    pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
 /// Short names of the experiments, in the order in which they are done.
-pub const EXPERIMENTS: [&str; 20] = [
+pub const EXPERIMENTS: [&str; 24] = [
     "scaling",
     "efficiency",
     "clustering",
@@ -55,8 +57,12 @@ pub const EXPERIMENTS: [&str; 20] = [
     "ramps",
     "quality",
     "prune",
+    "view-box",
+    "size",
+    "levels",
     "denoise",
     "depth",
+    "network",
     "without",
     "labels",
     "moves",
@@ -83,6 +89,8 @@ pub struct Point {
     pub x: f64,
     /// Position on the vertical axis.
     pub y: f64,
+    /// Deviation of that over the subjects; 0 of one.
+    pub spread: f64,
     /// True for the defaults.
     pub default: bool,
     /// True where no other point of the experiment is better in both.
@@ -286,7 +294,7 @@ impl Results {
         for e in &self.experiments {
             for (c, p) in e.curves.iter().flat_map(|c| c.points.iter().map(move |p| (c, p))) {
                 let head = format!("{},{},{},{},{}", e.id, quoted(&c.name), quoted(&p.setting), p.default, p.pareto);
-                for (name, value) in [(e.x.label, p.x), (e.y.label, p.y)].iter().chain(&p.figures) {
+                for (name, value) in [(e.x.label, p.x), (e.y.label, p.y), ("spread", p.spread)].iter().chain(&p.figures) {
                     // a String takes everything
                     let _ = writeln!(out, "{head},{},{value}", quoted(name));
                 }
@@ -331,7 +339,7 @@ mod tests {
             skipped: vec!["gpu: none & nothing".into()],
             seconds: 1.0,
         };
-        assert_eq!(results.csv().lines().count(), 1 + 2 * 2);
+        assert_eq!(results.csv().lines().count(), 1 + 2 * 3);
         assert!(results.csv().contains("\"c, \"\"d\"\"\""));
         let page = html(&results);
         assert!(page.contains("about &lt;it&gt;") && page.contains("none &amp; nothing") && page.matches("<circle").count() >= 2);

@@ -30,7 +30,7 @@ pub fn html(r: &Results) -> String {
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
          <title>tmpi-lab bench</title><style>{STYLE}</style><h1>tmpi-lab bench</h1>\
          <p>What every approximation costs and what error it makes. Filled points: no other setting of the plot is better in both. \
-         The dotted line joins them. A ring: the defaults. Hover over a point for its setting.</p><dl>"
+         The dotted line joins them. A ring: the defaults. A bar: one deviation over the scenes. Hover over a point for its setting.</p><dl>"
     );
     let gigabytes = m.memory as f64 / 1e9;
     let load = m.load.map_or(String::new(), |l| format!(", load {l:.1} at the end"));
@@ -72,8 +72,9 @@ fn table(e: &Experiment) -> String {
     }
     let few = e.curves.iter().map(|c| c.points.len()).sum::<usize>() <= 1;
     let mut out = format!(
-        "<details{}><summary>All figures</summary><div class=\"wide\"><table><tr><th>curve<th>setting",
-        if few { " open" } else { "" }
+        "<details{}><summary>All figures</summary><div class=\"wide\"><table><tr><th>curve<th>setting<th>± {}",
+        if few { " open" } else { "" },
+        escaped(e.y.label)
     );
     for n in &names {
         let _ = write!(out, "<th>{}", escaped(n));
@@ -81,6 +82,7 @@ fn table(e: &Experiment) -> String {
     for (c, p) in e.curves.iter().flat_map(|c| c.points.iter().map(move |p| (c, p))) {
         let class = if p.default { " class=\"default\"" } else { "" };
         let _ = write!(out, "<tr{class}><td>{}<td>{}", escaped(&c.name), escaped(&p.setting));
+        let _ = write!(out, "<td>{}", number(p.spread));
         for n in &names {
             let value = match *n {
                 n if n == e.x.label => Some(p.x),

@@ -101,6 +101,17 @@ pub(super) fn svg(e: &Experiment) -> String {
                     &format!("<circle cx=\"{a:.1}\" cy=\"{b:.1}\" r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/>"),
                 );
             }
+            if let (Some(top), Some(bottom)) = (y.at(p.y + p.spread), y.at(p.y - p.spread))
+                && p.spread > 0.0
+            {
+                let (top, bottom) = [top, bottom].map(|v| v.clamp(BORDER[1], HEIGHT - BORDER[3])).into();
+                put(
+                    &mut out,
+                    &format!(
+                        "<line x1=\"{a:.1}\" x2=\"{a:.1}\" y1=\"{top:.1}\" y2=\"{bottom:.1}\" stroke=\"{colour}\" stroke-opacity=\".35\"/>"
+                    ),
+                );
+            }
             let fill = if p.pareto { colour } else { "var(--paper)" };
             let tip = escaped(&format!("{}: {} {}, {} {}", p.setting, number(p.x), e.x.label, number(p.y), e.y.label));
             put(

@@ -9,8 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use super::BenchError;
 use crate::scenes;
 use tmpi_core::container::PhotoFormat;
-use tmpi_core::{Camera, DisparityMap, Photo, Pose, ViewBox};
-use tmpi_pipeline::Options;
+use tmpi_core::{Camera, DisparityMap, Photo, Pose};
 use tmpi_pipeline::depth::{self, DepthKind};
 use tmpi_pipeline::photo::Limits;
 
@@ -27,7 +26,6 @@ pub(super) struct Subject {
     /// Seed of a rendered scene.
     pub seed: Option<u64>,
     pub fov_x: Option<f64>,
-    pub view_box: ViewBox,
     /// Exact views.
     pub views: Vec<(Camera, Photo)>,
 }
@@ -63,7 +61,6 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
         disparity: Some(Arc::new(picture.disparity)),
         seed: Some(seed),
         fov_x: Some(camera.intrinsics.fov_x(width)),
-        view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
         views: views.into(),
     })
 }
@@ -122,7 +119,7 @@ pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, B
             found += 1;
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let disparity = beside(&path, &file)?.map(Arc::new);
-            all.push(Subject { name, file, disparity, seed: None, fov_x: None, view_box: Options::VIEW_BOX, views: Vec::new() });
+            all.push(Subject { name, file, disparity, seed: None, fov_x: None, views: Vec::new() });
         }
         if found == 0 {
             return Err(BenchError::File { path: folder.clone(), reason: "holds no photo".into() });

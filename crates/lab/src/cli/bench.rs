@@ -75,8 +75,9 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     if let Some(What::Serve(args)) = &args.what {
         return serve(args);
     }
-    let models = models::load(&args.models.settings())?;
-    let settings = Settings { quick: args.quick, photos: args.photos.clone(), only: args.only.clone(), models };
+    let networks = args.models.settings();
+    let models = models::load(&networks)?;
+    let settings = Settings { quick: args.quick, photos: args.photos.clone(), only: args.only.clone(), models, networks };
     let results = bench::run(&settings, &|what| note(&format!("tmpi-lab bench: {what}")))?;
     write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
     write(&args.output.join("results.csv"), results.csv().as_bytes())?;

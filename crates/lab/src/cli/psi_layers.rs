@@ -3,12 +3,12 @@
 use tmpi_core::TexturedLayer;
 use tmpi_core::{Class, Geometry, Grid, Rect, TileFrame, ViewBox};
 use tmpi_lab::scenes::{Picture, Scene, hidden_colours};
-use tmpi_pipeline::Options;
 use tmpi_pipeline::depth;
 use tmpi_pipeline::edges;
 use tmpi_pipeline::layers;
 use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::planes::place;
+use tmpi_pipeline::{Movement, Options};
 
 /// Half the side of the view box, as in the bench.
 const BOX: f64 = 0.06;
@@ -24,8 +24,8 @@ pub(super) fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> 
     let (w, h) = (photo.width, photo.height);
     let map = if spoilt { edges::snap(photo, &depth::halved(&picture.disparity)) } else { edges::clean(photo, &picture.disparity) };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
-    let parallax = view_box.parallax(&camera.intrinsics, Rect { x: 0, y: 0, w, h });
-    let tiles = place(&map, None, &grid, &Options::default().placement(Options::default().max_error, parallax));
+    let most = Movement::new(camera.intrinsics, Options::VIEW_BOX).most(Rect { x: 0, y: 0, w, h });
+    let tiles = place(&map, None, &grid, &Options::default().placement(Options::MAX_ERROR, most));
     let mut geometry = Geometry { grid, intrinsics: camera.intrinsics, view_box, tiles };
     layers::add_backgrounds(&mut geometry, &map);
     let shapes = geometry.masks();

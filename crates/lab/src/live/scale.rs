@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_live::align;
 use tmpi_pipeline::Models;
-use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::depth::{DepthError, Estimate, Estimator};
 
 /// The truth of the frame under way.
 #[derive(Clone, Default)]
@@ -50,8 +50,8 @@ impl Estimator for Scaled {
         self.network.sizes(width, height)
     }
 
-    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
-        self.network.estimate_at(photo, size).map(|(map, ms)| (self.truth.brought(map), ms))
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<Estimate, DepthError> {
+        self.network.estimate_at(photo, size).map(|e| Estimate { map: self.truth.brought(e.map), ..e })
     }
 }
 

@@ -222,7 +222,7 @@ mod tests {
             models,
             depth: false,
             true_scale: false,
-            max_error: 1.0,
+            max_error: tmpi_live::MAX_ERROR,
             parallax: 0.25,
             rest: tmpi_live::REST,
             late: 0,

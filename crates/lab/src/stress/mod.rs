@@ -5,8 +5,12 @@ mod borders;
 mod clustering;
 mod compositing;
 mod inpainting;
+mod layers;
+mod maps;
 mod photos;
 mod raycast;
+mod reference;
+mod rooms;
 pub mod scenes;
 mod views;
 
@@ -103,10 +107,13 @@ pub fn run() -> Checked {
     let mut checked = Checked::default();
     let hosts = Hosts::new(&mut checked.skipped);
     clustering::run(&mut checked);
+    maps::run(&mut checked);
+    layers::run(&mut checked);
+    rooms::run(&mut checked);
     views::run(&mut checked, &hosts);
     compositing::run(&mut checked, &hosts);
     photos::run(&mut checked, &hosts);
-    inpainting::run(&mut checked);
+    inpainting::run(&mut checked, &hosts);
     checked
 }
 

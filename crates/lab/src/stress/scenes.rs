@@ -77,6 +77,22 @@ pub fn flat(width: u32, height: u32, delta: f64) -> Scene {
     b.0
 }
 
+/// Columns that lie on planes of these disparities in turn, in tiles; hidden texels of the planes behind.
+#[must_use]
+pub fn close(deltas: &[f64]) -> Scene {
+    let mut b = Builder::new(Grid::new(160, 100, 64));
+    for tile in 0..b.0.grid.tiles() {
+        for (i, delta) in deltas.iter().enumerate() {
+            b.layer(tile, Plane::fronto_parallel(*delta), (1.0, 1.0), |x, _| match (x / 20) as usize % deltas.len() {
+                shown if shown == i => Texel::Photo(255),
+                shown if shown > i => Texel::Hidden([90, 60 + 40 * i as u8, 30], 255),
+                _ => Texel::Empty,
+            });
+        }
+    }
+    b.0
+}
+
 /// Layers of one colour each over the whole photo.
 #[must_use]
 pub fn stack(width: u32, height: u32, colours: &[[u8; 4]], delta: &[f64]) -> Scene {

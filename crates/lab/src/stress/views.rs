@@ -3,10 +3,10 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::scenes::{all, cameras, flat};
+use super::scenes::{all, cameras, close, flat};
 use super::{Checked, Hosts, cast};
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
-use tmpi_render::{RenderError, Renderer};
+use tmpi_render::{NEAR, RenderError, Renderer};
 
 /// Levels of 255 from which a pixel counts as wrong.
 const LEVELS: f64 = 8.0;
@@ -18,7 +18,7 @@ const WITHOUT_ORDER: [(&str, &str); 2] = [("translucent stack", "edge-on"), ("tr
 
 /// Percent of pixels that may be wrong: quad edges differ between rasterisers; in `f32` a pixel on the line where two surfaces cross
 /// may show the other one, in `f64` only where tiles overlap on one surface.
-fn bound(host: &dyn Renderer) -> f64 {
+pub(super) fn bound(host: &dyn Renderer) -> f64 {
     match host.name() {
         "reference" => 0.02,
         "cpu" => 0.05,
@@ -27,7 +27,7 @@ fn bound(host: &dyn Renderer) -> f64 {
 }
 
 /// Percent of pixels of a view that are wrong in one of the `channels`; infinite where nothing was drawn.
-fn wrong(host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, want: &[[f64; 4]], channels: &Range<usize>) -> f64 {
+pub(super) fn wrong(host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, want: &[[f64; 4]], channels: &Range<usize>) -> f64 {
     let Ok(view) = host.render(scene, camera) else { return f64::INFINITY };
     let off = |p: &[u8; 4], q: &[f64; 4]| channels.clone().any(|c| (f64::from(p[c]) - q[c]).abs() > LEVELS);
     let bad = view.rgba.iter().zip(want).filter(|(p, q)| off(p, q)).count();
@@ -70,7 +70,24 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
         if gpu {
             checked.case("planes", "translucent stack from beside (alpha alone)", host.name(), unit, bound(host), || worst(&excused));
         }
+        near(checked, host);
         refusals(checked, host);
+    }
+}
+
+/// Cameras ever nearer to the nearest surface, up to where it is no longer drawn, and past that.
+fn near(checked: &mut Checked, host: &dyn Renderer) {
+    let scenes = [("two values", close(&[0.0, 1.0])), ("nearest alone", close(&[1.0])), ("three values", close(&[0.0, 0.999, 1.0]))];
+    for (name, scene) in scenes {
+        let scene = Arc::new(scene);
+        for tz in [0.9, 0.99, 0.997, 0.998, 0.999, 0.999_02, 1.0 - NEAR, 0.9991, 0.9993, 0.9995] {
+            let camera =
+                Camera { pose: Pose::at(0.0, 0.0, tz), intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height };
+            let want = cast(&scene, &camera);
+            checked.case("near", &format!("{name}, {tz:.4} of the way"), host.name(), "% of pixels", bound(host), || {
+                wrong(host, &scene, &camera, &want, &(0..4))
+            });
+        }
     }
 }
 

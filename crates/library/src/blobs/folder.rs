@@ -9,6 +9,7 @@ use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::UNIX_EPOCH;
 
 use bytes::Bytes;
@@ -19,6 +20,8 @@ use crate::names::Millis;
 
 /// Folder of what is being written.
 const INCOMING: &str = "incoming";
+/// Number of the next file there.
+static NEXT: AtomicU64 = AtomicU64::new(0);
 
 /// Room of a disk that uploads may not take, so that what was accepted can be finished: what was said, or as much as is usual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -231,7 +234,9 @@ impl Folder {
     fn write_one(&self, write: &Write, place: &Path) -> io::Result<()> {
         match &write.source {
             Source::Bytes(bytes) => {
-                let fresh = self.root.join(INCOMING).join(write.name.replace('/', "-"));
+                // of two that write the same name, neither finds the other's half
+                let n = NEXT.fetch_add(1, Ordering::Relaxed);
+                let fresh = self.root.join(INCOMING).join(format!("{}-{}-{n}", write.name.replace('/', "-"), std::process::id()));
                 let written = self.files.write(&fresh, bytes).and_then(|()| self.files.rename(&fresh, place));
                 if written.is_err() {
                     // what filled the disk must not keep it full

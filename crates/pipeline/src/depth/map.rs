@@ -3,7 +3,7 @@
 use image::{ColorType, ImageDecoder};
 use rayon::prelude::*;
 
-use super::{DepthError, DepthKind};
+use super::{DepthError, DepthKind, Read};
 use tmpi_core::container::PhotoFormat;
 
 use crate::photo::{self, Head, Limits, PhotoError, png};
@@ -119,7 +119,7 @@ impl Sample for u16 {
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
 pub fn from_map(bytes: &[u8], kind: DepthKind, limits: &Limits, width: u32, height: u32) -> Result<(DisparityMap, (u32, u32)), DepthError> {
-    from_map_beside(bytes, kind, limits, (width, height), 1)
+    from_map_beside(bytes, kind, limits, (width, height), 1).map(|read| (read.map, read.size))
 }
 
 /// As [`from_map`], beside a photo whose upright size is given and that its EXIF `orientation` (1 to 8) turned. Where the map has the shape
@@ -133,18 +133,28 @@ pub fn from_map_beside(
     limits: &Limits,
     (width, height): (u32, u32),
     orientation: u8,
-) -> Result<(DisparityMap, (u32, u32)), DepthError> {
+) -> Result<Read, DepthError> {
     let Grey { width: w, height: h, values } = grey(bytes, limits)?;
     let lies = orientation >= 5 && fits((w, h), (height, width)) && !fits((w, h), (width, height));
     let (values, (w, h)) = photo::pixels::turned(values, (w, h), if lies { orientation } else { 1 });
-    let delta = match kind {
-        DepthKind::Disparity => values,
-        DepthKind::Metric => from_metric(values, w as usize)?,
-    };
-    if (w, h) == (width, height) {
-        return Ok((DisparityMap { width, height, delta }, (w, h)));
-    }
-    Ok((resize(&delta, (w as usize, h as usize), (width, height)), (w, h)))
+    Ok(match kind {
+        DepthKind::Disparity => Read::new(values, (w, h), (width, height)),
+        DepthKind::Metric => {
+            let all = values.len().max(1) as f64;
+            let Metric { delta, unknown, clipped } = from_metric(values, w as usize)?;
+            let [filled, clipped] = [unknown, clipped].map(|n| Some(n as f64 / all));
+            Read { filled, clipped, ..Read::new(delta, (w, h), (width, height)) }
+        }
+    })
+}
+
+/// Disparity of a map in metres.
+struct Metric {
+    delta: Vec<f32>,
+    /// Count of its values that were not known.
+    unknown: usize,
+    /// Count of those that lay before the nearest distance.
+    clipped: usize,
 }
 
 /// Whether a map of a size has the shape of a photo.
@@ -154,13 +164,14 @@ pub fn fits(map: (u32, u32), photo: (u32, u32)) -> bool {
 }
 
 /// `δ = z_near / z`, at most 1, where `z_near` is the nearest depth but for [`OUTLIERS`]; an unknown value (0) takes the farther of its known neighbours in the row, a row of unknowns the row above or below.
-fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Vec<f32>, DepthError> {
+fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Metric, DepthError> {
     let mut sorted: Vec<f32> = z.iter().copied().filter(|&v| v > 0.0).collect();
     if sorted.is_empty() {
         return Err(DepthError::Map("it has no known depth: every value is 0".into()));
     }
     let rank = (sorted.len() as f64 * OUTLIERS) as usize;
     let near = *sorted.select_nth_unstable_by(rank, f32::total_cmp).1;
+    let (unknown, clipped) = (z.len() - sorted.len(), sorted.iter().filter(|v| **v < near).count());
     for v in &mut z {
         *v = if *v > 0.0 { (near / *v).min(1.0) } else { f32::NAN };
     }
@@ -195,7 +206,7 @@ fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Vec<f32>, DepthError> {
             z.copy_within(nearest * w..(nearest + 1) * w, y * w);
         }
     }
-    Ok(z)
+    Ok(Metric { delta: z, unknown, clipped })
 }
 
 /// Another size: linear within a surface, the nearest sample where the four around a place belong to two surfaces;
@@ -397,8 +408,9 @@ mod tests {
     fn a_map_as_the_photo_was_stored_turns_with_it() {
         // stored 40 × 30, upright 30 × 40; columns become rows
         let lying = wide(40, 30, |x, _| if x < 20 { 6_000 } else { 60_000 });
-        let beside =
-            |file: &[u8], size, orientation| from_map_beside(file, DepthKind::Disparity, &Limits::default(), size, orientation).unwrap();
+        let beside = |file: &[u8], size, orientation| {
+            from_map_beside(file, DepthKind::Disparity, &Limits::default(), size, orientation).map(|read| (read.map, read.size)).unwrap()
+        };
         for (orientation, first, last) in [(6, 6_000.0, 60_000.0), (8, 60_000.0, 6_000.0), (5, 6_000.0, 60_000.0), (7, 60_000.0, 6_000.0)] {
             let (map, size) = beside(&lying, (30, 40), orientation);
             assert_eq!((size, map.width, map.height), ((30, 40), 30, 40));

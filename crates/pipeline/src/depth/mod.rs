@@ -80,12 +80,52 @@ pub trait Estimator: Send + Sync {
         Vec::new()
     }
 
-    /// As [`Estimator::estimate`], by the network at one of [`Estimator::sizes`], whichever it is nothing else changes; and the milliseconds that
-    /// the network took by itself, 0 where that is not told.
+    /// As [`Estimator::estimate`], by the network at one of [`Estimator::sizes`], whichever it is nothing else changes.
     ///
     /// # Errors
     /// [`DepthError::Onnx`] where the network cannot run.
-    fn estimate_at(&self, photo: &Photo, _size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
-        Ok((self.estimate(photo)?, 0.0))
+    fn estimate_at(&self, photo: &Photo, _size: (u32, u32)) -> Result<Estimate, DepthError> {
+        Ok(self.estimate(photo)?.into())
+    }
+}
+
+/// What an [`Estimator`] gives.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    /// Disparity at the photo's size.
+    pub map: DisparityMap,
+    /// The same at the network's own size, before it was enlarged, where it was.
+    pub small: Option<DisparityMap>,
+    /// Milliseconds that the network took by itself; 0 where that is not told.
+    pub network_ms: f64,
+}
+
+impl From<DisparityMap> for Estimate {
+    fn from(map: DisparityMap) -> Self {
+        Self { map, small: None, network_ms: 0.0 }
+    }
+}
+
+/// A depth map that was read.
+#[derive(Clone, Debug)]
+pub struct Read {
+    /// Disparity at the photo's size.
+    pub map: DisparityMap,
+    /// The file's own size, upright.
+    pub size: (u32, u32),
+    /// Disparity at that size, where it is another one.
+    pub own: Option<DisparityMap>,
+    /// Share of its pixels, 0 to 1, that were unknown and took the depth of a neighbour; none of a map that has no unknown ones.
+    pub filled: Option<f64>,
+    /// Share of its pixels, 0 to 1, that were nearer than the nearest distance, and were put there; none of a map that has its own.
+    pub clipped: Option<f64>,
+}
+
+impl Read {
+    /// Brings values of a map of size `(w, h)` to the size of the photo.
+    fn new(delta: Vec<f32>, (w, h): (u32, u32), (width, height): (u32, u32)) -> Self {
+        let own = DisparityMap { width: w, height: h, delta };
+        let (map, own) = if (w, h) == (width, height) { (own, None) } else { (map::resized(&own, width, height), Some(own)) };
+        Self { map, size: (w, h), own, filled: None, clipped: None }
     }
 }

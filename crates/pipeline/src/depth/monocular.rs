@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::ports::{Ports, Values};
 use super::smooth::smooth;
-use super::{Adapter, DepthError, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
+use super::{Adapter, DepthError, Estimate, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
 use crate::clock::Clock;
 use crate::networks::{Beside, Config, Network, OnnxError, Session};
 use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes, resize_opencv};
@@ -161,14 +161,14 @@ impl Estimator for Monocular {
     }
 
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        self.estimate_at(photo, self.adapter.network_size(photo.width, photo.height)).map(|(map, _)| map)
+        self.estimate_at(photo, self.adapter.network_size(photo.width, photo.height)).map(|estimate| estimate.map)
     }
 
     fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
         self.adapter.sizes(width, height)
     }
 
-    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<Estimate, DepthError> {
         let clock = Clock::start();
         let mut map = self.raw_at(photo, size)?;
         let network_ms = clock.ms();
@@ -179,7 +179,7 @@ impl Estimator for Monocular {
             // Smoothing draws values together; where little is left, it was noise and stays little
             normalise(&mut map.delta, NOISE);
         }
-        Ok((upsample(photo, &map), network_ms))
+        Ok(Estimate { map: upsample(photo, &map), small: Some(map), network_ms })
     }
 
     fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {

@@ -18,6 +18,7 @@ mod jpeg_pixels;
 mod limits;
 pub(crate) mod pixels;
 pub(crate) mod png;
+mod reduced;
 mod resample;
 mod resample_bytes;
 mod resample_opencv;
@@ -54,6 +55,7 @@ pub use taps::Taps;
 use self::colour::Profile;
 use self::exif::Facts;
 use self::frame::{Colour, Layout};
+pub use self::reduced::Reduction;
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
 
@@ -79,6 +81,8 @@ pub struct Decoded {
     /// JPEG files that are decoded at their own size, and of PNG files with a wrong checksum; others are refused, or decoded to a reduced size
     /// as far as they go.
     pub damaged: bool,
+    /// What making it smaller did; none where it has the file's size.
+    pub reduction: Option<Reduction>,
 }
 
 /// Bytes of a colour profile, at most; larger ones are passed over. Those of printers take 0.5 to 3 MB, those of cameras some kB.
@@ -173,8 +177,13 @@ fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32
 fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
     let Raw { mut photo, size, facts, mut carried, damaged } = raw;
     let (width, height) = reduced_size(size, max_size);
+    let mut reduction = ((width, height) != size).then(|| Reduction { scale: share(width.max(height), size.0.max(size.1)), psnr: None });
     if (photo.width, photo.height) != (width, height) {
-        photo = resize(&photo, width, height);
+        let small = resize(&photo, width, height);
+        if let (Some(reduction), true) = (&mut reduction, (photo.width, photo.height) == size) {
+            reduction.psnr = Some(reduced::psnr(&small, &photo));
+        }
+        photo = small;
     }
     if (width, height) != size || facts.orientation != 1 {
         carried = None;
@@ -184,7 +193,11 @@ fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
     let long = f64::from(photo.width.max(photo.height));
     let focal = facts.focal_35.map_or(Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(photo.width), |f| f / 36.0 * long);
     let intrinsics = Intrinsics::centred(photo.width, photo.height, focal);
-    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), carried, damaged }
+    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), carried, damaged, reduction }
+}
+
+fn share(part: u32, whole: u32) -> f64 {
+    f64::from(part) / f64::from(whole.max(1))
 }
 
 fn broken(error: impl std::fmt::Display) -> PhotoError {

@@ -47,7 +47,7 @@ pub fn place_tile_from(samples: &Samples, placement: &Placement, last: &Tile) ->
             samples.assign(&planes, &mut labels, &mut errors);
         }
         if super::sample::percentile_99(&mut errors) <= target {
-            return super::finish(samples, planes, placement);
+            return super::finish(samples, planes, placement).tile;
         }
     }
     place_tile(samples, placement)

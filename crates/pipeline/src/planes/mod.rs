@@ -15,8 +15,9 @@ use rayon::prelude::*;
 pub use carried::{place_again, place_tile_from};
 use lloyd::Histogram;
 use optimal::Table;
-pub use potts::NEIGHBOUR;
+pub use potts::{NEIGHBOUR, smooth_labels};
 pub use sample::Samples;
+pub(crate) use sample::percentile_99;
 pub(crate) use slanted::fit_points;
 use tmpi_core::{DisparityMap, Grid, Plane, Rect, Tile};
 
@@ -72,13 +73,28 @@ pub enum Method {
 /// `confidence` is a weight per pixel in (0, 1] where there is one. Values of either map that are not finite weigh nothing.
 #[must_use]
 pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Tile> {
+    place_rounded(delta, confidence, grid, placement).into_iter().map(|r| r.tile).collect()
+}
+
+/// The same, with what rounding to the container's grid did.
+#[must_use]
+pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Rounded> {
     (0..grid.tiles())
         .into_par_iter()
         .map_init(Samples::default, |samples, tile| {
             samples.gather(delta, confidence, grid, tile);
-            place_tile(samples, placement)
+            place_tile_rounded(samples, placement)
         })
         .collect()
+}
+
+/// A tile whose planes lie on the container's grid.
+#[derive(Clone, Debug)]
+pub struct Rounded {
+    /// The tile.
+    pub tile: Tile,
+    /// Most that its planes changed by being put there, anywhere on the tile, in δ.
+    pub rounding: f64,
 }
 
 /// Share of tiles, 0 to 1, whose best single slanted plane misses `target` (99th percentile of |δ error|).
@@ -95,6 +111,10 @@ pub fn busy_share(delta: &DisparityMap, grid: &Grid, target: f64) -> f64 {
 /// Places the planes of one tile.
 #[must_use]
 pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
+    place_tile_rounded(samples, placement).tile
+}
+
+fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     let most = placement.most.clamp(1, MAX_PLANES) as usize;
     if placement.method == Method::Slanted {
         return finish(samples, slanted::fit(samples, most, placement.target), placement);
@@ -123,13 +143,16 @@ pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
 }
 
 /// Puts planes on the container's grid, drops those that no pixel lies on, orders the rest and labels the pixels.
-fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Tile {
+fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Rounded {
+    // a tile reaches from -1 to 1 in either direction: in one of its corners all three add up
+    let change = |p: &Plane, q: &Plane| (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs();
+    let rounding = planes.iter().map(|p| change(p, &p.quantised())).fold(0.0, f64::max);
     let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
     planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
     planes.dedup();
     let (mut nearest, mut error) = (Vec::new(), Vec::new());
     samples.assign(&planes, &mut nearest, &mut error);
-    finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement)
+    Rounded { tile: finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement), rounding }
 }
 
 /// Smooths the labels of planes that are in order and on the container's grid, and drops the planes that no pixel lies on.

@@ -176,7 +176,7 @@ fn usable(weight: f32) -> f32 {
 }
 
 /// 99th percentile; 0 where there is no value.
-pub(super) fn percentile_99(values: &mut [f32]) -> f64 {
+pub(crate) fn percentile_99(values: &mut [f32]) -> f64 {
     if values.is_empty() {
         return 0.0;
     }

@@ -16,7 +16,9 @@ pub struct Costs {
     pub depth: f64,
     /// What else it takes where depth is estimated, a megapixel: enlarging, and snapping blurred edges.
     pub depth_megapixel: f64,
-    /// Planes and all that follows, by operating point, from the best to the cheapest.
+    /// Planes and all that follows where one plane does for every tile, a megapixel: the same at any error.
+    pub plain: f64,
+    /// What other tiles take beyond that, by operating point, from the best to the cheapest.
     pub points: Vec<Rate>,
 }
 
@@ -25,9 +27,7 @@ pub struct Costs {
 pub struct Rate {
     /// Times the parallax error that was asked for.
     pub factor: f64,
-    /// Milliseconds a megapixel that one plane a tile does for.
-    pub plain: f64,
-    /// Milliseconds a megapixel more where it does not.
+    /// Milliseconds a megapixel more where one plane does not do for the error that was asked for.
     pub busy: f64,
 }
 
@@ -39,6 +39,8 @@ const BUSY: f64 = 0.4;
 const CAUTION: f64 = 1.1;
 /// Smallest size that a photo is reduced to, longest side in pixels.
 const LEAST_SIDE: f64 = 64.0;
+/// A photo is reduced to this share of its sides at most: to bring it nearer to its own size would save less than reducing takes.
+const WORTH_REDUCING: f64 = 0.85;
 /// What takes its time at any size is joined by at least this share of it: to reduce a photo further would cost much of the picture
 /// and save little of the time.
 const WORTH_IT: f64 = 0.25;
@@ -47,12 +49,13 @@ impl Default for Costs {
     /// Two cores of a server processor, between what `tmpi-lab bench --only budget` found in a slow hour and in a
     /// quick one. That writes those of any machine.
     fn default() -> Self {
-        let rate = |factor, plain, busy| Rate { factor, plain, busy };
+        let rate = |factor, busy| Rate { factor, busy };
         Self {
             before: 40.0,
             depth: 25.0,
             depth_megapixel: 40.0,
-            points: vec![rate(1.0, 62.0, 190.0), rate(2.0, 65.0, 140.0), rate(4.0, 78.0, 78.0), rate(8.0, 88.0, 40.0)],
+            plain: 66.0,
+            points: vec![rate(1.0, 182.0), rate(2.0, 138.0), rate(4.0, 100.0), rate(8.0, 80.0)],
         }
     }
 }
@@ -81,13 +84,13 @@ impl Costs {
         let cheapest = self.cheapest(BUSY)?;
         let megapixels = f64::from(width) * f64::from(height) / 1e6;
         let (fixed, more) = if estimated { (self.depth, self.depth_megapixel) } else { (0.0, 0.0) };
-        let rate = (self.before + more + cheapest.plain + cheapest.busy * BUSY) * CAUTION;
+        let rate = (self.before + more + self.plain + cheapest.busy * BUSY) * CAUTION;
         let room = (budget - fixed).max(fixed * WORTH_IT) / rate;
         if room >= megapixels {
             return None;
         }
         let longest = f64::from(width.max(height));
-        let side = (longest * (room / megapixels).sqrt()).max(LEAST_SIDE).min(longest);
+        let side = (longest * (room / megapixels).sqrt().min(WORTH_REDUCING)).max(LEAST_SIDE).min(longest);
         Some(side as u32)
     }
 
@@ -95,34 +98,73 @@ impl Costs {
     /// take and whether they are enough.
     #[must_use]
     pub fn choose(&self, left: f64, megapixels: f64, busy: f64) -> (Rate, f64, bool) {
-        let takes = |r: &Rate| megapixels * (r.plain + r.busy * busy);
+        let takes = |r: &Rate| megapixels * (self.plain + r.busy * busy);
         let fits = self.points.iter().find(|r| takes(r) * CAUTION <= left);
-        let rate = fits.or_else(|| self.cheapest(busy)).copied().unwrap_or(Rate { factor: 1.0, plain: 0.0, busy: 0.0 });
+        let rate = fits.or_else(|| self.cheapest(busy)).copied().unwrap_or(Rate { factor: 1.0, busy: 0.0 });
         (rate, takes(&rate), fits.is_some())
     }
 
     /// The operating point that takes the least time at this share of busy tiles; the best of equals.
     fn cheapest(&self, busy: f64) -> Option<&Rate> {
-        let takes = |r: &Rate| r.plain + r.busy * busy;
-        self.points.iter().min_by(|a, b| takes(a).total_cmp(&takes(b)))
+        self.points.iter().min_by(|a, b| (a.busy * busy).total_cmp(&(b.busy * busy)))
     }
 }
 
-/// Fits `plain + busy · share` to `(share, milliseconds a megapixel)` by least squares, both at least 0.
+/// A photo that was made at one of the operating points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measured {
+    /// Times the parallax error that was asked for.
+    pub factor: f64,
+    /// Share of tiles, 0 to 1, that one plane does not do for at the error that was asked for.
+    pub busy: f64,
+    /// Milliseconds a megapixel that planes and all that follows took.
+    pub ms: f64,
+}
+
+/// Fits `plain + busy · share` by least squares, `plain` the same for all points; gives it and the points in the order of `factors`. Nothing is
+/// below 0, and no point takes more than the one before: with a larger error there is less to do.
 #[must_use]
-pub fn fit(factor: f64, measured: &[(f64, f64)]) -> Rate {
-    let n = measured.len().max(1) as f64;
-    let (mx, my) = (measured.iter().map(|m| m.0).sum::<f64>() / n, measured.iter().map(|m| m.1).sum::<f64>() / n);
-    let var: f64 = measured.iter().map(|m| (m.0 - mx).powi(2)).sum();
-    let cov: f64 = measured.iter().map(|m| (m.0 - mx) * (m.1 - my)).sum();
-    let slope = if var > 1e-9 { (cov / var).max(0.0) } else { 0.0 };
-    let plain = my - slope * mx;
-    if plain >= 0.0 {
-        return Rate { factor, plain, busy: slope };
+pub fn fit(factors: &[f64], measured: &[Measured]) -> (f64, Vec<Rate>) {
+    #[derive(Default)]
+    struct Sums {
+        n: f64,
+        x: f64,
+        y: f64,
+        xx: f64,
+        xy: f64,
     }
-    // through the origin
-    let (xx, xy) = measured.iter().fold((0.0, 0.0), |(a, b), m| (a + m.0 * m.0, b + m.0 * m.1));
-    Rate { factor, plain: 0.0, busy: if xx > 0.0 { xy / xx } else { 0.0 } }
+    let sums: Vec<Sums> = factors
+        .iter()
+        .map(|factor| {
+            let own = measured.iter().filter(|m| m.factor.total_cmp(factor).is_eq());
+            own.fold(Sums::default(), |s, m| Sums {
+                n: s.n + 1.0,
+                x: s.x + m.busy,
+                y: s.y + m.ms,
+                xx: s.xx + m.busy * m.busy,
+                xy: s.xy + m.busy * m.ms,
+            })
+        })
+        .collect();
+    // each point's own slope eliminated from the normal equation of the common part
+    let slope_of_x = |s: &Sums| if s.xx > 0.0 { s.x / s.xx } else { 0.0 };
+    let (above, below) = sums.iter().fold((0.0, 0.0), |(a, b), s| (a + s.y - s.xy * slope_of_x(s), b + s.n - s.x * slope_of_x(s)));
+    // where all are equally busy, nothing tells the common part from the rest: half of the least is as good a guess as any
+    let least = measured.iter().map(|m| m.ms).fold(f64::INFINITY, f64::min);
+    let plain = if below > 1e-9 {
+        (above / below).max(0.0)
+    } else if least.is_finite() {
+        least / 2.0
+    } else {
+        0.0
+    };
+    let plain = plain.min(if least.is_finite() { least } else { plain });
+    let mut most = f64::INFINITY;
+    let points = factors.iter().zip(&sums).map(|(&factor, s)| {
+        most = most.min(if s.xx > 0.0 { ((s.xy - plain * s.x) / s.xx).max(0.0) } else { 0.0 });
+        Rate { factor, busy: most }
+    });
+    (plain, points.collect())
 }
 
 #[cfg(test)]
@@ -130,26 +172,52 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_found_again_and_never_below_0() {
-        let line: Vec<(f64, f64)> = [0.1, 0.3, 0.8].map(|x| (x, 200.0 + 300.0 * x)).into();
-        let r = fit(2.0, &line);
-        assert!((r.plain - 200.0).abs() < 1e-6 && (r.busy - 300.0).abs() < 1e-6);
-        let steep = fit(1.0, &[(0.5, 10.0), (1.0, 100.0)]);
-        assert!(steep.plain >= 0.0 && steep.busy > 0.0);
-        assert!((fit(1.0, &[(0.5, 40.0)]).plain - 40.0).abs() < 1e-9);
-        assert!(fit(1.0, &[]).plain.abs() < 1e-9);
+    fn a_common_part_and_slopes_are_found_again_and_never_rise() {
+        let factors = [1.0, 2.0, 8.0];
+        let all = |busy: [f64; 3], slope: [f64; 3]| -> Vec<Measured> {
+            let one = |(factor, slope): (f64, f64)| busy.map(|busy| Measured { factor, busy, ms: 60.0 + slope * busy });
+            factors.into_iter().zip(slope).flat_map(one).collect()
+        };
+        let (plain, points) = fit(&factors, &all([0.1, 0.3, 0.8], [200.0, 150.0, 40.0]));
+        assert!((plain - 60.0).abs() < 1e-6);
+        assert!(points.iter().zip([200.0, 150.0, 40.0]).all(|(p, want)| (p.busy - want).abs() < 1e-6), "{points:?}");
+        let (_, rising) = fit(&factors, &all([0.1, 0.3, 0.8], [100.0, 150.0, 40.0]));
+        assert!(rising.windows(2).all(|p| p[0].busy >= p[1].busy), "{rising:?}");
+        for measured in [Vec::new(), all([0.5; 3], [10.0; 3]), all([0.0; 3], [10.0; 3]), all([0.1, 0.5, 1.0], [-50.0, -90.0, -900.0])] {
+            let (plain, points) = fit(&factors, &measured);
+            assert!(plain >= 0.0 && points.len() == 3 && points.iter().all(|p| p.busy >= 0.0), "{plain} {points:?}");
+        }
     }
 
     #[test]
-    fn where_nothing_fits_no_point_would_take_less() {
+    fn no_budget_costs_more_than_none() {
         let c = Costs::default();
-        for busy in (0..=100).map(|percent| f64::from(percent) / 100.0) {
-            let (rate, takes, fits) = c.choose(0.0, 0.5, busy);
-            let least = c.points.iter().map(|r| 0.5 * (r.plain + r.busy * busy)).fold(f64::INFINITY, f64::min);
-            assert!(!fits && (takes - least).abs() < 1e-9, "at {busy}: {rate:?} takes {takes}, another {least}");
+        for busy in [0.0, 0.5, 0.9] {
+            let takes = |r: &Rate| 0.5 * (c.plain + r.busy * busy);
+            let without = takes(&c.points[0]);
+            for budget in (0..400).map(f64::from) {
+                let (rate, predicted, fits) = c.choose(budget, 0.5, busy);
+                assert!(
+                    predicted <= without && (predicted - takes(&rate)).abs() < 1e-9,
+                    "{budget} ms at {busy}: {predicted}, without {without}"
+                );
+                assert!(fits || c.points.iter().all(|p| takes(p) >= predicted), "{budget} ms at {busy}: {rate:?} is not the cheapest");
+                assert!(fits == (predicted * CAUTION <= budget));
+            }
         }
         // one plane does for every tile of a flat photo, whatever the error: the best point is the quickest
         assert!((c.choose(0.0, 0.5, 0.0).0.factor - 1.0).abs() < 1e-9);
+        assert!((c.choose(0.0, 0.5, 0.9).0.factor - 8.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_photo_is_never_reduced_by_so_little_that_reducing_takes_longer() {
+        let c = Costs::default();
+        for budget in 1..2000 {
+            if let Some(side) = c.side(f64::from(budget), (1280, 720), false) {
+                assert!(f64::from(side) <= 1280.0 * WORTH_REDUCING, "{budget} ms: {side}");
+            }
+        }
     }
 
     #[test]

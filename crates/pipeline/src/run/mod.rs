@@ -5,13 +5,15 @@
 pub mod budget;
 mod make;
 pub mod memory;
+mod movement;
 mod options;
 mod progress;
 mod prune;
 mod report;
 mod stage;
 pub mod stages;
-mod tile_error;
+#[cfg(test)]
+mod tests;
 
 use std::sync::Arc;
 
@@ -22,11 +24,13 @@ use crate::depth::{DepthError, Estimator};
 use crate::networks::Network;
 use crate::networks::models::{PSI, THETA};
 use crate::photo::PhotoError;
+pub use crate::photo::Reduction;
 
 pub use make::make;
+pub use movement::{Movement, TileError};
 pub use options::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 pub use progress::{Progress, Silent, Sink};
-pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, Report, StageTime};
+pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, Moved, PlaneError, PruneError, Report, StageTime};
 pub use stage::{Context, Stage};
 pub use stages::STAGES;
 

@@ -2,21 +2,16 @@
 
 use std::sync::Arc;
 
-use tmpi_core::{Camera, Class, Geometry, LayerMask, Photo, Pose, Scene, TexturedLayer, compose, texture};
+use rayon::prelude::*;
+
+use tmpi_core::{Camera, Class, Geometry, Intrinsics, LayerMask, Photo, Pose, Rect, Scene, TexturedLayer, compose, texture};
 use tmpi_render::difference::{max_abs, share_off};
 use tmpi_render::{Cpu, RenderError, Renderer};
 
+use super::PruneError;
+
 /// Longest side of the views that are compared, in pixels.
 const SIDE: u32 = 512;
-
-/// What leaving out changed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Change {
-    /// Largest difference of any channel in any view, in levels.
-    pub max_abs: u8,
-    /// Share of pixels, 0 to 1, that differ by more than [`LEVELS`], in the view where it is largest.
-    pub share: f64,
-}
 
 /// Levels from which a pixel counts as changed.
 const LEVELS: u8 = 8;
@@ -26,17 +21,68 @@ const LEVELS: u8 = 8;
 ///
 /// # Errors
 /// [`RenderError`] where a view cannot be drawn.
-pub fn verify(photo: &Photo, geometry: &Geometry) -> Result<Change, RenderError> {
+pub fn verify(photo: &Photo, geometry: &Geometry) -> Result<PruneError, RenderError> {
+    compare(photo, geometry, cameras)
+}
+
+/// Tiles of a grid for each sample of [`sample`]: 4 tiles, a sixteenth, of which the layers are made anew, with and without.
+const TILES: u32 = 64;
+
+/// The same of small parts of the photo alone: 2×2 tiles each, those around the tile with the most planes among every [`TILES`], as if
+/// there were nothing around them, seen from two opposite corners of the view box. None where there are too few tiles for that to take little of the time.
+///
+/// # Errors
+/// [`RenderError`] where a view cannot be drawn.
+pub fn sample(photo: &Photo, geometry: &Geometry) -> Result<Option<PruneError>, RenderError> {
+    let (grid, tiles) = (&geometry.grid, geometry.tiles.len() as u32);
+    if tiles < TILES / 2 || grid.columns() < 2 || grid.rows() < 2 {
+        return Ok(None);
+    }
+    let starts: Vec<u32> = (0..tiles).step_by(TILES as usize).collect();
+    let one = |start: &u32| {
+        // the first of equals
+        let busiest = (*start..(start + TILES).min(tiles)).rev().max_by_key(|i| geometry.tiles[*i as usize].planes.len()).unwrap_or(*start);
+        let (column, row) = ((busiest % grid.columns()).min(grid.columns() - 2), (busiest / grid.columns()).min(grid.rows() - 2));
+        let (photo, geometry) = part(photo, geometry, (column, row));
+        compare(&photo, &geometry, |scene| opposite(scene).into())
+    };
+    let changes = starts.par_iter().map(one).collect::<Result<Vec<PruneError>, _>>()?;
+    Ok(changes.into_iter().reduce(|a, b| PruneError {
+        max_abs: a.max_abs.max(b.max_abs),
+        share_off: a.share_off.max(b.share_off),
+        tiles: a.tiles + b.tiles,
+    }))
+}
+
+/// 2×2 tiles from a column and a row on, as a photo of their own.
+fn part(photo: &Photo, geometry: &Geometry, (column, row): (u32, u32)) -> (Photo, Geometry) {
+    let Geometry { grid, intrinsics: k, view_box, tiles } = geometry;
+    let (rect, own) = grid.part(column..column + 2, row..row + 2);
+    let line = |y: u32| &photo.rgb[y as usize * photo.width as usize + rect.x as usize..][..rect.w as usize];
+    let rgb = (rect.y..rect.y + rect.h).flat_map(line).copied().collect();
+    let tiles = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| tiles[((row + y) * grid.columns() + column + x) as usize].clone());
+    let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
+    let Rect { w: width, h: height, .. } = rect;
+    (Photo { width, height, rgb }, Geometry { grid: own, intrinsics, view_box: *view_box, tiles: tiles.into() })
+}
+
+/// Two opposite corners of the view box, at the photo's own size.
+fn opposite(scene: &Scene) -> [Camera; 2] {
+    let (v, width, height) = (scene.view_box, scene.photo.width, scene.photo.height);
+    [1.0, -1.0].map(|s| Camera { pose: Pose::at(s * v.x, s * v.y, s * v.z), intrinsics: scene.intrinsics, width, height })
+}
+
+fn compare(photo: &Photo, geometry: &Geometry, cameras: impl Fn(&Scene) -> Vec<Camera>) -> Result<PruneError, RenderError> {
     let all = texture(photo, geometry, geometry.masks_unpruned());
     let kept: Vec<Vec<TexturedLayer>> = all.iter().zip(geometry.masks()).map(|(all, kept)| cut(all, &kept.layers)).collect();
     let compose = |tiles| Arc::new(compose(photo.clone(), geometry, tiles));
     let (all, kept) = (compose(all), compose(kept));
     let cpu = Cpu::default();
-    let mut change = Change { max_abs: 0, share: 0.0 };
+    let mut change = PruneError { tiles: geometry.tiles.len(), ..PruneError::default() };
     for camera in cameras(&all) {
         let (a, b) = (cpu.render(&all, &camera)?.rgba, cpu.render(&kept, &camera)?.rgba);
         change.max_abs = change.max_abs.max(max_abs(&a, &b));
-        change.share = change.share.max(share_off(&a, &b, LEVELS));
+        change.share_off = change.share_off.max(share_off(&a, &b, LEVELS));
     }
     Ok(change)
 }
@@ -101,7 +147,7 @@ mod tests {
     fn what_is_left_out_is_not_seen_from_the_view_box() {
         let (photo, geometry) = scene(ViewBox { x: 0.05, y: 0.03, z: 0.02 });
         assert!(geometry.masks()[0].never_seen > 0);
-        assert_eq!(verify(&photo, &geometry).unwrap(), Change { max_abs: 0, share: 0.0 });
+        assert_eq!(verify(&photo, &geometry).unwrap(), PruneError { max_abs: 0, share_off: 0.0, tiles: 1 });
         let count = |b: &Geometry| cameras(&layers_of(&photo, b)).len();
         assert_eq!(count(&geometry), 8 + 6);
     }

@@ -11,10 +11,9 @@ mod multi;
 mod tests;
 mod xmp;
 
-use super::DepthError;
-use super::map::{Grey, grey, resize};
+use super::map::{Grey, grey};
+use super::{DepthError, Read};
 use crate::photo::{self, Limits};
-use tmpi_core::DisparityMap;
 
 /// Depth within a photo's file.
 #[derive(Clone, Debug, PartialEq)]
@@ -107,11 +106,11 @@ fn google(format: Option<&str>, near: Option<&str>, far: Option<&str>) -> Result
 }
 
 impl Carried {
-    /// The map at the photo's size `width × height`, upright as the photo, and the size of the picture that it comes from.
+    /// The map at the photo's size `width × height`, upright as the photo.
     ///
     /// # Errors
     /// [`DepthError::Carried`] says what is wrong with the picture.
-    pub fn read(&self, limits: &Limits, width: u32, height: u32) -> Result<(DisparityMap, (u32, u32)), DepthError> {
+    pub fn read(&self, limits: &Limits, width: u32, height: u32) -> Result<Read, DepthError> {
         let limits = Limits { pixels: limits.pixels.min(self.pixels), ..*limits };
         let Grey { width: w, height: h, mut values } = grey(&self.picture, &limits).map_err(|e| DepthError::Carried(e.to_string()))?;
         for v in &mut values {
@@ -126,9 +125,6 @@ impl Carried {
             other => other,
         };
         let (values, (w, h)) = photo::pixels::turned(values, (w, h), orientation);
-        if (w, h) == (width, height) {
-            return Ok((DisparityMap { width, height, delta: values }, (w, h)));
-        }
-        Ok((resize(&values, (w as usize, h as usize), (width, height)), (w, h)))
+        Ok(Read::new(values, (w, h), (width, height)))
     }
 }

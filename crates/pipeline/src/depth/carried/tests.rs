@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{Models, Options, Switch};
-use tmpi_core::Photo;
+use tmpi_core::{DisparityMap, Photo};
 
 const W: u32 = 64;
 const H: u32 = 48;
@@ -138,7 +138,7 @@ fn multi(fields: &[(&str, &str)]) -> Vec<u8> {
 /// δ at the left and at the right of a photo's map, once for PNG and within what a JPEG leaves.
 fn ends(file: &[u8]) -> (f32, f32) {
     let found = carried(file).unwrap().unwrap();
-    let (map, size) = found.read(&Limits::default(), W, H).unwrap();
+    let Read { map, size, .. } = found.read(&Limits::default(), W, H).unwrap();
     assert_eq!((map.width, map.height, size), (W, H, (W / 2, H / 2)));
     assert!(map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
     (map.delta[(H / 2 * W + 3) as usize], map.delta[(H / 2 * W + W - 4) as usize])
@@ -226,7 +226,7 @@ fn depth_is_found_whatever_lies_behind_the_last_picture() {
 fn a_photo_on_its_side_has_its_map_turned_with_it() {
     let file = on_its_side(&gdepth("RangeInverse", "1", "5"));
     let found = carried(&file).unwrap().unwrap();
-    let (map, size) = found.read(&Limits::default(), H, W).unwrap();
+    let Read { map, size, .. } = found.read(&Limits::default(), H, W).unwrap();
     assert_eq!(size, (H / 2, W / 2));
     let at = |x: u32, y: u32| map.delta[(y * H + x) as usize];
     // columns of the stored map are rows now, its left at the top
@@ -256,7 +256,7 @@ fn a_map_turns_with_its_photo_where_the_shapes_tell_nothing_and_not_where_it_is_
     ] {
         let file = on_its_side(&gdepth_with(&colours(photo.0, photo.1), columns(map.0, map.1), "RangeInverse", "1", "5"));
         let found = carried(&file).unwrap().unwrap();
-        let (upright, _) = found.read(&Limits::default(), photo.1, photo.0).unwrap();
+        let upright = found.read(&Limits::default(), photo.1, photo.0).unwrap().map;
         let (left, right) = (upright.delta[0], upright.delta[photo.1 as usize - 1]);
         assert_eq!((left - right).abs() < 0.1, turns, "a photo of {photo:?} with a map of {map:?}: {left} and {right}");
     }
@@ -268,7 +268,7 @@ fn a_map_may_be_larger_than_its_photo_but_not_than_memory_allows() {
         |w, h| gdepth_with(&photo(), GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 51 } else { 204 }])), "RangeInverse", "1", "5");
     let read = |file: &[u8], limits: &Limits, w, h| carried(file).unwrap().unwrap().read(limits, w, h);
     for (w, h) in [(W, H), (W, H + 1), (3 * W, 3 * H), (1000, 750)] {
-        let (map, size) = read(&with(w, h), &Limits::default(), W, H).unwrap();
+        let Read { map, size, .. } = read(&with(w, h), &Limits::default(), W, H).unwrap();
         assert_eq!((size, map.width, map.height), ((w, h), W, H));
         near((map.delta[3], map.delta[W as usize - 4]), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
     }
@@ -325,7 +325,7 @@ proptest! {
         file[at] = value;
         file.truncate(cut.max(2));
         if let Ok(Some(found)) = carried(&file)
-            && let Ok((map, _)) = found.read(&Limits::default(), W, H)
+            && let Ok(Read { map, .. }) = found.read(&Limits::default(), W, H)
         {
             prop_assert!(map.delta.len() == (W * H) as usize && map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
         }

@@ -74,10 +74,10 @@ fn every_shape_of_photo_gives_finite_values_in_range() {
 fn the_first_size_is_that_of_estimate_and_smaller_ones_are_run_as_they_are_asked_for() {
     let (network, p) = (with(|x, y| (x + 2 * y) as f32), photo(320, 240));
     let sizes = network.sizes(320, 240);
-    assert_eq!(network.estimate_at(&p, sizes[0]).unwrap().0, network.estimate(&p).unwrap());
+    assert_eq!(network.estimate_at(&p, sizes[0]).unwrap().map, network.estimate(&p).unwrap());
     for size in sizes {
         assert_eq!(network.raw_at(&p, size).map(|m| (m.width, m.height)).unwrap(), size);
-        let (map, ms) = network.estimate_at(&p, size).unwrap();
+        let Estimate { map, network_ms: ms, .. } = network.estimate_at(&p, size).unwrap();
         assert!((map.width, map.height) == (320, 240) && ms >= 0.0 && ms.is_finite());
     }
 }

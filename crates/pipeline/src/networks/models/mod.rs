@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::Models;
-use crate::depth::{ADAPTERS, Adapter, DepthError, Estimator, Monocular, SizeRule};
+use crate::depth::{ADAPTERS, Adapter, DepthError, Estimate, Estimator, Monocular, SizeRule};
 use crate::networks::library::Once;
 use crate::networks::{Beside, Config, Network, OnnxError, Session, Tensor, outline};
 use tmpi_core::{DisparityMap, Photo};
@@ -190,7 +190,7 @@ impl Estimator for Depth {
         self.get().map_or_else(|_| Vec::new(), |network| network.sizes(width, height))
     }
 
-    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<Estimate, DepthError> {
         self.get()?.estimate_at(photo, size)
     }
 }

@@ -88,11 +88,10 @@ impl run::Stage for Depth {
             Source::Network => None,
             Source::Given(file, orientation) => {
                 let kind = context.options.depth_kind;
-                let (map, size) = depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?;
-                Some(("given", "given", map, size))
+                Some(("given", "given", depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?))
             }
             Source::Carried(carried) => match carried.read(context.limits, width, height) {
-                Ok((map, size)) => Some(("carried", carried.format, map, size)),
+                Ok(read) => Some(("carried", carried.format, read)),
                 Err(error) if context.options.photo_depth == Switch::On => return Err(error.into()),
                 Err(error) => {
                     context.report.input.depth_problem = Some(error.to_string());
@@ -101,23 +100,27 @@ impl run::Stage for Depth {
             },
         };
         let given = read.is_some();
-        let mut delta = if let Some((name, format, map, (w, h))) = read {
+        let (mut delta, own) = if let Some((name, format, read)) = read {
             context.report.depth_model = name.into();
+            let (w, h) = read.size;
             let stretched = !depth::fits((w, h), (width, height));
             context.report.input.depth = Some(run::InputDepth { source: format.into(), width: w, height: h, stretched });
-            map
+            (context.report.error.depth_filled, context.report.error.depth_clipped) = (read.filled, read.clipped);
+            (read.map, read.own)
         } else {
             context.report.depth_model = context.models.depth.name().into();
             let network = &context.models.depth;
-            let (map, ms) =
-                self.size.map_or_else(|| network.estimate(photo).map(|map| (map, 0.0)), |size| network.estimate_at(photo, size))?;
-            self.network_ms = ms;
-            map
+            let size = self.size.or_else(|| network.sizes(width, height).first().copied());
+            let estimate =
+                size.map_or_else(|| network.estimate(photo).map(depth::Estimate::from), |size| network.estimate_at(photo, size))?;
+            self.network_ms = if self.size.is_some() { estimate.network_ms } else { 0.0 };
+            (estimate.map, estimate.small)
         };
         // anything that is no disparity lies at infinity: no input may give NaN further on
         for d in &mut delta.delta {
             *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
         }
+        context.report.error.resampling = context.movement.zip(own).map(|(movement, own)| movement.resampled(&own, &delta));
         Ok(Estimated { delta, confidence: None, given })
     }
 }
@@ -132,18 +135,28 @@ impl run::Stage for Denoise {
     type Output = Estimated;
 
     fn run(&mut self, (photo, mut map): (&Photo, Estimated), context: &mut Context) -> Result<Estimated, MakeError> {
-        match context.options.denoise {
+        let movement = context.movement;
+        // not told of a map that stays as it is
+        let moved = |before: &DisparityMap, after: &DisparityMap| movement.filter(|_| before != after).map(|m| m.between(before, after));
+        let clean = match context.options.denoise {
             run::Denoise::Theta => {
                 // Without Θ the options were refused before
                 if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::confidence::wanted(&map.delta)) {
                     let (clean, confidence) = denoise::confidence::run(theta.as_ref(), photo, &map.delta)?;
-                    (map.delta, map.confidence) = (clean, Some(confidence));
+                    map.confidence = Some(confidence);
+                    Some(clean)
+                } else {
+                    None
                 }
             }
             // It looks for degradation first
-            run::Denoise::Auto => map.delta = denoise::local_planes::denoise(&map.delta),
-            run::Denoise::Classic => map.delta = denoise::median_guided::denoise(photo, &map.delta),
-            run::Denoise::Off => {}
+            run::Denoise::Auto => Some(denoise::local_planes::denoise(&map.delta)),
+            run::Denoise::Classic => Some(denoise::median_guided::denoise(photo, &map.delta)),
+            run::Denoise::Off => None,
+        };
+        if let Some(clean) = clean {
+            context.report.error.denoise = moved(&map.delta, &clean);
+            map.delta = clean;
         }
         Ok(map)
     }
@@ -163,7 +176,10 @@ impl run::Stage for Snap {
         if switch != Switch::Off {
             // snapping true depth costs quality, and a map that is given may be either
             let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
-            map.delta = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
+            let snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
+            let movement = context.movement.filter(|_| snapped != map.delta);
+            context.report.error.snap = movement.map(|m| m.between(&map.delta, &snapped));
+            map.delta = snapped;
         }
         Ok(map)
     }

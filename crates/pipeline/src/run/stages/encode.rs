@@ -1,6 +1,6 @@
 //! The container.
 
-use tmpi_core::container::{self, Carried};
+use tmpi_core::container::{self, Carried, Carries};
 use tmpi_core::{Geometry, Photo, Scene, compose};
 
 use super::Layered;
@@ -21,6 +21,8 @@ pub struct Encoded {
     pub geometry: Geometry,
     /// The photo's file.
     pub carried: Carried,
+    /// What does not follow from photo, planes and labels.
+    pub carries: Carries,
 }
 
 impl Stage for Encode {
@@ -33,6 +35,6 @@ impl Stage for Encode {
         let scene = compose(photo, &geometry, tiles);
         let (container, bytes) = container::encode(&geometry, &scene, &carried, carries)?;
         context.report.bytes = bytes.into();
-        Ok(Encoded { container, scene, geometry, carried })
+        Ok(Encoded { container, scene, geometry, carried, carries })
     }
 }

@@ -69,13 +69,13 @@ impl Stage for Refine {
     }
 }
 
-/// Counts what there is and what was left out, against the most planes that a tile may have, each as large as its tile.
+/// Counts what there is and what was left out: planes against the most that a tile may have, texels against layers as large as their tile.
 fn count(report: &mut Report, geometry: &Geometry, masks: &[LayerMasks], placement: &Placement) {
     report.tiles = masks.len();
     report.planes = masks.iter().map(|m| m.layers.len()).sum();
     report.planes_per_tile = report.planes as f64 / report.tiles.max(1) as f64;
     let placed: usize = geometry.tiles.iter().map(|t| t.planes.len()).sum();
-    let full: usize = (0..geometry.grid.tiles()).map(|t| geometry.grid.rect(t).area()).sum::<usize>() * placement.most as usize;
+    let full: usize = masks.iter().zip(0..).map(|(m, t)| m.layers.len() * geometry.grid.rect(t).area()).sum();
     let kept: usize = masks.iter().flat_map(|m| &m.layers).map(|l| l.class.iter().filter(|c| **c != 0).count()).sum();
     report.texels = kept;
     report.left_out = LeftOut {

@@ -5,7 +5,7 @@ use tmpi_core::{Intrinsics, Photo};
 
 use crate::photo::{self, Decoded};
 use crate::run::budget::Costs;
-use crate::run::{Context, Input, MakeError, Stage};
+use crate::run::{Context, Input, MakeError, Movement, Stage};
 
 /// Bytes of a file → photo and camera.
 #[derive(Debug, Default)]
@@ -42,13 +42,15 @@ impl Stage for Prepare {
             None => None,
         };
         let decoded = photo::decode(file, context.limits, reduced.or(options.max_size))?;
-        let Decoded { photo, original, format, mut intrinsics, carried: uploaded, damaged, .. } = decoded;
+        let Decoded { photo, original, format, mut intrinsics, carried: uploaded, damaged, reduction, .. } = decoded;
         options.check_readable(photo.width, photo.height)?;
         if let Some(fov) = options.fov_x {
             intrinsics = Intrinsics::from_fov_x(photo.width, photo.height, fov);
         }
         context.report.input = Input { width: original.0, height: original.1, bytes: file.len(), damaged, ..context.report.input.clone() };
         (context.report.width, context.report.height) = (photo.width, photo.height);
+        context.report.error.reduction = reduction;
+        context.movement = Some(Movement::new(intrinsics, options.view_box));
         Ok(Prepared { photo, intrinsics, format, uploaded, reduced })
     }
 }

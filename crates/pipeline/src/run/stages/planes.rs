@@ -3,10 +3,9 @@
 use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 
 use super::{Estimated, Prepared};
-use crate::planes::{Placement, busy_share, discretisation_error, place, place_again};
+use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::budget::Costs;
-use crate::run::tile_error::tile_errors;
-use crate::run::{Budget, Context, ErrorFigures, MakeError, PlaneCount, Stage, memory};
+use crate::run::{Budget, Context, MakeError, Movement, PlaneCount, PlaneError, Stage, TileError, memory};
 use tmpi_core::container::{most_planes, readable};
 
 /// Disparity → planes and labels of every tile.
@@ -94,24 +93,26 @@ impl Stage for Planes {
         let (options, delta) = (context.options, &map.delta);
         let (w, h) = (delta.width, delta.height);
         let grid = options.grid(w, h);
-        let parallax = options.judged().parallax(&prepared.intrinsics, Rect { x: 0, y: 0, w, h });
+        let movement = Movement::new(prepared.intrinsics, options.view_box);
+        let most_px = movement.most(Rect { x: 0, y: 0, w, h });
         let mut max_error = options.max_error;
         if let Some(asked) = options.budget_ms {
-            let budget = fit(context, asked, (delta, &grid), parallax, prepared.reduced, &mut max_error);
+            let budget = fit(context, asked, (delta, &grid), most_px, prepared.reduced, &mut max_error);
             context.report.budget = Some(budget);
         }
-        let mut placement = options.placement(max_error, parallax);
+        let mut placement = options.placement(max_error, most_px);
         let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles };
         if let Some(carried) = &mut self.carried {
             placement.most = placement.most.min(most_planes(&grid)).min(carried.most.unwrap_or(u32::MAX));
             return Ok(Placed { geometry: scene(carried.place(map, &grid, &placement)), placement });
         }
-        let mut tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+        let confidence = map.confidence.as_deref();
+        let (mut tiles, mut rounding) = parted(place_rounded(delta, confidence, &grid, &placement));
         let most = most_planes(&grid);
         if most < placement.most && !readable(&grid, &tiles) {
             // small tiles on a large photo: fewer planes, which readers take whatever the photo
             placement.most = most;
-            tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+            (tiles, rounding) = parted(place_rounded(delta, confidence, &grid, &placement));
         }
         let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
         let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
@@ -119,12 +120,42 @@ impl Stage for Planes {
         if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
             // a large photo of which nearly every tile is busy: fewer planes, so that it is made at all
             placement.most = room;
-            tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+            (tiles, rounding) = parted(place_rounded(delta, confidence, &grid, &placement));
         }
-        let (depth_mae, depth_mse, depth_q25) = discretisation_error(delta, &grid, &tiles);
-        let tile_px = tile_errors(delta, &grid, &tiles, parallax.0.max(parallax.1));
-        context.report.error = ErrorFigures { depth_mae, depth_mse, depth_q25, tile_px, ..ErrorFigures::default() };
-        Ok(Placed { geometry: scene(tiles), placement })
+        let input = &context.report.input;
+        let map_size = input.depth.as_ref().map(|d| (d.width, d.height));
+        let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
+        context.report.memory_bound_bytes = options.memory_with((input.width, input.height), map_size, Some(w.max(h)), planes as u32);
+        let geometry = scene(tiles);
+        let error = &mut context.report.error;
+        (error.depth_mae, error.depth_mse, error.depth_q25) = discretisation_error(delta, &grid, &geometry.tiles);
+        let tiles = movement.of_planes(delta, &geometry);
+        error.tile_px = tiles.iter().map(|t| (t.mean * 1e3).round() / 1e3).collect();
+        error.planes = PlaneError { most_planes: placement.most, ..summed(&tiles, placement.target.map(|_| max_error)) };
+        let moves = rounding.iter().zip(0..).map(|(delta, i)| delta * movement.most(grid.rect(i)));
+        error.planes.rounding_px = moves.fold(0.0, f64::max);
+        Ok(Placed { geometry, placement })
+    }
+}
+
+/// Tiles, and what rounding did to the planes of each, in δ.
+fn parted(all: Vec<Rounded>) -> (Vec<Tile>, Vec<f64>) {
+    all.into_iter().map(|r| (r.tile, r.rounding)).unzip()
+}
+
+/// The errors of all tiles, which were to stay below a bound if there is one.
+fn summed(tiles: &[TileError], bound_px: Option<f64>) -> PlaneError {
+    let pixels = tiles.iter().map(|t| t.pixels).sum::<usize>().max(1) as f64;
+    let mean = |of: fn(&TileError) -> f64| tiles.iter().map(|t| of(t) * t.pixels as f64).sum::<f64>() / pixels;
+    let over: Vec<f64> = tiles.iter().filter_map(|t| bound_px.map(|b| t.p99 - b)).filter(|o| *o > 0.0).collect();
+    PlaneError {
+        mean_px: mean(|t| t.mean),
+        bound_px,
+        missed_tiles: over.len(),
+        missed_mean_px: over.iter().sum::<f64>() / over.len().max(1) as f64,
+        missed_most_px: over.iter().copied().fold(0.0, f64::max),
+        smoothing_px: mean(|t| t.smoothing),
+        ..PlaneError::default()
     }
 }
 
@@ -133,12 +164,12 @@ fn fit(
     context: &Context,
     asked_ms: f64,
     (delta, grid): (&DisparityMap, &Grid),
-    parallax: (f64, f64),
+    most_px: f64,
     reduced: Option<u32>,
     max_error: &mut f64,
 ) -> Budget {
     let elapsed = context.elapsed_ms();
-    let busy = busy_share(delta, grid, *max_error / parallax.0.max(parallax.1).max(1.0));
+    let busy = busy_share(delta, grid, *max_error / most_px.max(1.0));
     let megapixels = f64::from(delta.width) * f64::from(delta.height) / 1e6;
     let (rate, ms, enough) = Costs::of_this_machine().choose(asked_ms - elapsed, megapixels, busy);
     *max_error *= rate.factor;

@@ -1,14 +1,19 @@
 //! What a made photo shows, against what it was made of.
 
-use tmpi_core::Scene;
-use tmpi_core::container::Carried;
-use tmpi_render::difference::psnr;
+use std::ops::Range;
+
+use tmpi_core::container::{self, Carries, Part, PhotoRows};
+use tmpi_core::{Intrinsics, Layer, Photo, Rect, Scene};
+use tmpi_render::difference::{psnr, psnr_of};
 use tmpi_render::draw_reference_view;
 
 use super::Encoded;
-use crate::run::{Context, MakeError, Stage, prune};
+use crate::run::{Context, MakeError, PruneError, Stage, prune};
 
-/// Measures the identity view, the carried photo and, where it is asked for, what leaving out changed.
+/// Of so many rows of tiles one is drawn from the container: all of them would take half as long as making.
+const ROWS: u32 = 12;
+
+/// Measures the carried photo, what a reader shows from the photo's own place, and what leaving out changed.
 #[derive(Debug, Default)]
 pub struct Verify;
 
@@ -18,24 +23,100 @@ impl Stage for Verify {
     type Output = ();
 
     fn run(&mut self, made: &Encoded, context: &mut Context) -> Result<(), MakeError> {
-        let (identity, codec) = rayon::join(|| identity_psnr(&made.scene), || codec_psnr(&made.scene, &made.carried));
-        let error = &mut context.report.error;
-        (error.identity_psnr, error.codec_psnr) = (identity?, codec?);
-        if context.options.verify_prune {
-            let change = prune::verify(&made.scene.photo, &made.geometry)?;
-            error.prune_max_abs = Some(change.max_abs.into());
-            error.prune_share_off = Some(change.share);
-        }
+        let all = context.options.verify_prune;
+        let (seen, pruned) = rayon::join(|| seen(made), || pruned(made, all));
+        let (seen, error) = (seen?, &mut context.report.error);
+        (error.codec_psnr, error.identity_psnr, error.identity_tiles) = (seen.codec_psnr, seen.identity_psnr, seen.tiles);
+        error.hidden_psnr = seen.hidden_psnr;
+        error.prune = pruned?;
         Ok(())
     }
 }
 
-fn identity_psnr(scene: &Scene) -> Result<f64, MakeError> {
-    let view = draw_reference_view(scene)?;
-    let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
-    Ok(psnr(rgb.as_flattened(), scene.photo.rgb.as_flattened()))
+fn pruned(made: &Encoded, all: bool) -> Result<Option<PruneError>, MakeError> {
+    Ok(if all { Some(prune::verify(&made.scene.photo, &made.geometry)?) } else { prune::sample(&made.scene.photo, &made.geometry)? })
 }
 
-fn codec_psnr(scene: &Scene, carried: &Carried) -> Result<f64, MakeError> {
-    Ok(psnr(carried.decode()?.rgb.as_flattened(), scene.photo.rgb.as_flattened()))
+/// What a reader of the container sees.
+struct Seen {
+    codec_psnr: f64,
+    identity_psnr: f64,
+    /// Count of tiles in the view that this is of.
+    tiles: usize,
+    hidden_psnr: Option<f64>,
+}
+
+fn seen(made: &Encoded) -> Result<Seen, MakeError> {
+    let photo = &made.scene.photo;
+    if made.carries != Carries::default() {
+        // what a network gave is carried for all tiles together
+        let read = container::decode(&made.container)?;
+        let hidden = || psnr(read.texels.hidden.as_flattened(), made.scene.texels.hidden.as_flattened());
+        let mut difference = Difference::default();
+        difference.add(photo.rgb.as_flattened(), &read, 0..photo.height)?;
+        return Ok(Seen {
+            codec_psnr: psnr(read.photo.rgb.as_flattened(), photo.rgb.as_flattened()),
+            identity_psnr: difference.psnr(),
+            tiles: made.geometry.tiles.len(),
+            hidden_psnr: made.carries.hidden.map(|_| hidden()),
+        });
+    }
+    let Photo { width, height, rgb } = made.carried.decode()?;
+    let codec_psnr = psnr(rgb.as_flattened(), photo.rgb.as_flattened());
+    let rows = PhotoRows { width, height, top: 0, rgb };
+    let (grid, mut difference, mut tiles) = (made.geometry.grid, Difference::default(), 0);
+    for block in (0..grid.rows()).step_by(ROWS as usize) {
+        let row = block.midpoint((block + ROWS).min(grid.rows()) - 1);
+        let part = container::decode_rows(&made.container, &(row..row + 1), &rows, None)?;
+        let (rect, scene) = alone(made, row, part, &rows);
+        // the rows of pixels on which no other tiles lie
+        let from = if row == 0 { 0 } else { (row - 1) * grid.stride + grid.size };
+        let to = if row + 1 == grid.rows() { height } else { (row + 1) * grid.stride };
+        let own = from.min(to)..to;
+        let want = &photo.rgb[own.start as usize * width as usize..own.end as usize * width as usize];
+        difference.add(want.as_flattened(), &scene, own.start - rect.y..own.end - rect.y)?;
+        tiles += grid.columns() as usize;
+    }
+    Ok(Seen { codec_psnr, identity_psnr: difference.psnr(), tiles, hidden_psnr: None })
+}
+
+/// A row of tiles as a scene of its own, and where its pixels lie in the photo.
+fn alone(made: &Encoded, row: u32, part: Part, photo: &PhotoRows) -> (Rect, Scene) {
+    let grid = &made.geometry.grid;
+    let (rect, own) = grid.part(0..grid.columns(), row..row + 1);
+    let (k, width) = (made.geometry.intrinsics, rect.w as usize);
+    let rgb = photo.rgb[rect.y as usize * width..(rect.y + rect.h) as usize * width].to_vec();
+    let moved = |l: Layer| Layer { tile: l.tile - row * grid.columns(), rect: Rect { y: l.rect.y - rect.y, ..l.rect }, ..l };
+    let scene = Scene {
+        grid: own,
+        intrinsics: Intrinsics { cy: k.cy - f64::from(rect.y), ..k },
+        view_box: made.geometry.view_box,
+        photo: Photo { width: rect.w, height: rect.h, rgb },
+        layers: part.layers.into_iter().map(moved).collect(),
+        texels: part.texels,
+    };
+    (rect, scene)
+}
+
+/// Squared differences of colours.
+#[derive(Default)]
+struct Difference {
+    squares: f64,
+    values: usize,
+}
+
+impl Difference {
+    /// Adds some rows of a scene's view from the photo's own place, against the colours that they should have.
+    fn add(&mut self, want: &[u8], scene: &Scene, rows: Range<u32>) -> Result<(), MakeError> {
+        let view = draw_reference_view(scene)?;
+        let width = view.width as usize;
+        let shown = view.rgba[rows.start as usize * width..rows.end as usize * width].iter().flat_map(|p| [p[0], p[1], p[2]]);
+        self.squares += shown.zip(want).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum::<f64>();
+        self.values += want.len();
+        Ok(())
+    }
+
+    fn psnr(&self) -> f64 {
+        psnr_of(self.squares / self.values.max(1) as f64)
+    }
 }

@@ -1,0 +1,247 @@
+//! Disparity maps: cleaning, snapping, enlarging, and smoothing of labels.
+
+use super::Checked;
+use super::reference::{guided, smoothed_labels};
+use tmpi_core::{DisparityMap, Grid, Photo, Plane};
+use tmpi_pipeline::denoise::{local_planes, median_guided};
+use tmpi_pipeline::depth::upsample;
+use tmpi_pipeline::edges;
+use tmpi_pipeline::planes::{NEIGHBOUR, Samples, smooth_labels};
+
+pub(super) fn run(checked: &mut Checked) {
+    denoise(checked, "local planes", local_planes::denoise);
+    denoise(checked, "median and guided filter", |map| median_guided::denoise(&grey(map.width, map.height, |_, _| 128), map));
+    snap(checked, "snap", edges::snap);
+    snap(checked, "clean", edges::clean);
+    enlarge(checked, upsample);
+    labels(checked, smooth_labels);
+}
+
+/// Even numbers of 0 to 1, the same everywhere.
+fn uniform(seed: u32) -> impl FnMut() -> f32 {
+    let mut state = u64::from(seed) + 1;
+    move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1 << 24) as f32
+    }
+}
+
+fn map(width: u32, height: u32, mut delta: impl FnMut(u32, u32) -> f32) -> DisparityMap {
+    DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
+}
+
+fn grey(width: u32, height: u32, value: impl Fn(u32, u32) -> u8) -> Photo {
+    Photo { width, height, rgb: (0..width * height).map(|i| [value(i % width, i / width); 3]).collect() }
+}
+
+/// Largest difference; infinite where sizes differ or something is no number.
+fn apart(a: &DisparityMap, b: &DisparityMap) -> f64 {
+    if (a.width, a.height, a.delta.len()) != (b.width, b.height, b.delta.len()) {
+        return f64::INFINITY;
+    }
+    let off = |(a, b): (&f32, &f32)| if a.is_finite() { f64::from((a - b).abs()) } else { f64::INFINITY };
+    a.delta.iter().zip(&b.delta).map(off).fold(0.0, f64::max)
+}
+
+/// Root of the mean squared difference, less so many pixels on each side.
+fn deviation(a: &DisparityMap, b: &DisparityMap, border: u32) -> f64 {
+    let inner = |i: usize| {
+        let (x, y) = (i as u32 % a.width, i as u32 / a.width);
+        x >= border && y >= border && x + border < a.width && y + border < a.height
+    };
+    let squares: Vec<f64> =
+        a.delta.iter().zip(&b.delta).enumerate().filter(|(i, _)| inner(*i)).map(|(_, (a, b))| f64::from(a - b).powi(2)).collect();
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+}
+
+/// What no step may leave: the range of the map around each pixel; by how much it is left.
+fn beyond(before: &DisparityMap, after: &DisparityMap, reach: u32) -> f64 {
+    let off = |i: usize, d: f32| {
+        let (x, y) = (i as u32 % before.width, i as u32 / before.width);
+        let columns = x.saturating_sub(reach)..(x + reach + 1).min(before.width);
+        let near = (y.saturating_sub(reach)..(y + reach + 1).min(before.height))
+            .flat_map(|y| columns.clone().map(move |x| before.delta[(y * before.width + x) as usize]));
+        let (low, high) = near.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
+        if d.is_finite() { f64::from((low - d).max(d - high).max(0.0)) } else { f64::INFINITY }
+    };
+    after.delta.iter().enumerate().map(|(i, d)| off(i, *d)).fold(0.0, f64::max)
+}
+
+type Maps = Vec<(&'static str, DisparityMap)>;
+
+/// Maps without noise: steps, slopes and ends of what there can be.
+fn clean_maps() -> Maps {
+    vec![
+        ("one value", map(60, 40, |_, _| 0.5)),
+        ("infinity alone", map(60, 40, |_, _| 0.0)),
+        ("two values 1e-7 apart", map(60, 40, |x, _| if x < 30 { 0.5 } else { 0.500_000_1 })),
+        ("two values, 0 and 1", map(60, 40, |x, _| if x < 30 { 0.0 } else { 1.0 })),
+        ("a slope in steps of 16 bits", map(60, 40, |x, y| (x * 20 + y * 7) as f32 / 65_535.0)),
+        ("one column", map(1, 500, |_, y| y as f32 / 499.0)),
+        ("one row", map(500, 1, |x, _| x as f32 / 499.0)),
+        ("one pixel", map(1, 1, |_, _| 0.7)),
+    ]
+}
+
+/// `kernel` cleans a map. On what has no noise local planes change nothing; whatever they do stays within the map.
+pub(super) fn denoise(checked: &mut Checked, subject: &'static str, kernel: impl Fn(&DisparityMap) -> DisparityMap) {
+    const FAMILY: &str = "denoising";
+    for (name, clean) in clean_maps() {
+        // the guided filter rounds corners of slopes, and ends of a step
+        let bound = if subject == "local planes" { 0.0 } else { 0.51 };
+        checked.case(FAMILY, name, subject, "δ", bound, || apart(&kernel(&clean), &clean));
+    }
+    let flat = map(80, 60, |_, _| 0.5);
+    checked.case(FAMILY, "holes of one pixel", subject, "δ", 1e-6, || {
+        let holed = map(80, 60, |x, y| if x % 7 == 3 && y % 5 == 2 { 0.0 } else { 0.5 });
+        apart(&kernel(&holed), &flat)
+    });
+    let mut even = uniform(1);
+    let mut noise = move || ((0..12).map(|_| even()).sum::<f32>() - 6.0) * 1e-3f32.sqrt();
+    let truths: Maps = vec![
+        ("noise on one value", flat),
+        ("noise on a slope", map(80, 60, |x, y| 0.2 + 0.005 * x as f32 + 0.002 * y as f32)),
+        ("noise on a step", map(80, 60, |x, _| if x < 40 { 0.2 } else { 0.7 })),
+    ];
+    // the guided filter blurs a step that the photo does not have
+    for (name, truth) in truths.into_iter().filter(|(name, _)| subject == "local planes" || *name != "noise on a step") {
+        let noisy = map(truth.width, truth.height, |x, y| (truth.delta[(y * truth.width + x) as usize] + noise()).clamp(0.0, 1.0));
+        // a third of the noise that was put in, whose deviation is .032
+        checked.case(FAMILY, name, subject, "δ, deviation", 0.0105, || deviation(&kernel(&noisy), &truth, 8));
+    }
+    let mut even = uniform(2);
+    let wild = map(50, 40, |_, _| even());
+    checked.case(FAMILY, "nothing but noise of 0 to 1", subject, "δ out of range", 1e-5, || beyond(&wild, &kernel(&wild), 50));
+}
+
+/// `kernel` draws ramps to the photo's edges.
+pub(super) fn snap(checked: &mut Checked, subject: &'static str, kernel: impl Fn(&Photo, &DisparityMap) -> DisparityMap) {
+    const FAMILY: &str = "snapping";
+    let edge = |w, h| grey(w, h, move |x, _| if x < w / 2 { 20 } else { 230 });
+    for (name, clean) in clean_maps() {
+        let photo = edge(clean.width, clean.height);
+        checked.case(FAMILY, &format!("{name}, unchanged"), subject, "δ", 1e-6, || {
+            // a step lies where the photo's edge does
+            apart(&kernel(&photo, &clean), &clean)
+        });
+    }
+    let step = map(60, 40, |x, _| if x < 30 { 0.2 } else { 0.8 });
+    if subject == "snap" {
+        for (name, half) in [("a step blurred over 3 pixels", 1u32), ("a step blurred over 5 pixels", 2)] {
+            let blurred = map(60, 40, |x, _| {
+                let columns = x.saturating_sub(half)..(x + half + 1).min(60);
+                let n = columns.len() as f32;
+                columns.map(|x| if x < 30 { 0.2 } else { 0.8 }).sum::<f32>() / n
+            });
+            checked.case(FAMILY, name, subject, "δ", 0.02, || apart(&kernel(&edge(60, 40), &blurred), &step));
+        }
+    }
+    let mut even = uniform(3);
+    let wild = map(50, 40, |_, _| even());
+    let mut even = uniform(4);
+    let sixteen = map(50, 40, |_, _| (even() * 65_535.0).round() / 65_535.0 * 1e-3);
+    let zigzag = map(50, 40, |x, _| (x as i32 % 10 - 5).unsigned_abs() as f32 / 5.0);
+    for (name, before) in [("noise of 0 to 1", wild), ("noise near the horizon", sixteen), ("zigzag", zigzag)] {
+        // three passes look 3, 2 and 3 pixels around
+        checked.case(FAMILY, &format!("{name}, no new values"), subject, "δ out of range", 0.0, || {
+            beyond(&before, &kernel(&edge(50, 40), &before), 8)
+        });
+    }
+}
+
+/// `kernel` brings a small map to the photo's size.
+pub(super) fn enlarge(checked: &mut Checked, kernel: impl Fn(&Photo, &DisparityMap) -> DisparityMap) {
+    const FAMILY: &str = "enlarging";
+    let noise = |w: u32, h: u32| {
+        let mut even = uniform(5);
+        Photo { width: w, height: h, rgb: (0..w * h).map(|_| [0; 3].map(|_: u8| (even() * 255.0) as u8)).collect() }
+    };
+    let mut even = uniform(6);
+    let mut wild = |w, h| map(w, h, |_, _| even());
+    let cases: [(&str, Photo, DisparityMap); 7] = [
+        ("noise by noise", noise(90, 70), wild(90, 70)),
+        ("noise by one colour", grey(90, 70, |_, _| 77), wild(90, 70)),
+        ("two values by two colours", grey(90, 70, |x, _| if x < 45 { 0 } else { 255 }), map(90, 70, |x, _| f32::from(u8::from(x < 43)))),
+        ("two values 1e-7 apart", noise(90, 70), map(90, 70, |x, _| if x < 45 { 0.5 } else { 0.500_000_1 })),
+        ("one row", noise(200, 1), wild(200, 1)),
+        ("one column", noise(1, 200), wild(1, 200)),
+        ("one pixel", noise(1, 1), wild(1, 1)),
+    ];
+    for (name, photo, small) in cases {
+        // values of 0 to 1 in `f32`, slopes of a photo's colours over the root of epsilon (.01)
+        checked.case(FAMILY, &format!("{name}, against the definition"), "guided filter", "δ", 1e-4, || {
+            let want = guided(&photo, &small);
+            let got = kernel(&photo, &small);
+            if got.delta.len() != want.len() {
+                return f64::INFINITY;
+            }
+            got.delta
+                .iter()
+                .zip(want)
+                .map(|(g, w)| (f64::from(*g) - w).abs())
+                .fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) })
+        });
+    }
+    for (name, (w, h)) in [("to 16 times the size", (320u32, 240u32)), ("to one row", (300, 1)), ("to one column", (1, 300))] {
+        checked.case(FAMILY, &format!("one value {name}"), "guided filter", "δ", 1e-5, || {
+            apart(&kernel(&noise(w, h), &map(20, 15, |_, _| 0.3)), &map(w, h, |_, _| 0.3))
+        });
+    }
+}
+
+/// `kernel` smooths labels: samples, planes, labels, target, weight of a neighbour.
+pub(super) fn labels(checked: &mut Checked, kernel: impl Fn(&Samples, &[Plane], &mut [u8], f64, f32)) {
+    // sixty-fourths, that no label is decided by rounding
+    let sixty_fourths = |v: f32| (v * 64.0).round() / 64.0;
+    let mut even = uniform(7);
+    let planes = [Plane { a: 0.25, b: 0.125, c: 0.0 }, Plane { a: 0.25, b: -0.125, c: 0.0625 }, Plane { a: -0.0625, b: 0.25, c: 0.0 }];
+    let cases: [(&str, DisparityMap); 6] = [
+        ("noise", map(64, 64, |_, _| sixty_fourths(even()))),
+        ("between planes that cross", map(64, 64, |_, _| 0.25)),
+        ("near the horizon", map(64, 64, |x, _| if x < 20 { 0.0 } else { 1.0 / 64.0 })),
+        ("two values", map(64, 64, |x, y| f32::from(u8::from((x / 3 + y / 5).is_multiple_of(2))))),
+        ("one row", map(64, 1, |x, _| (x % 5) as f32 / 16.0)),
+        ("one column", map(1, 64, |_, y| (y % 5) as f32 / 16.0)),
+    ];
+    for (name, delta) in cases {
+        for target in [0.5, 0.0625] {
+            checked.case("label smoothing", &format!("{name}, target {target}"), "conditional modes", "pixels", 0.0, || {
+                let mut samples = Samples::default();
+                samples.gather(&delta, None, &Grid::new(delta.width, delta.height, 64), 0);
+                let mut got: Vec<u8> = (0..samples.len()).map(|i| ((i * 7 / 3 + i / 64) % planes.len()) as u8).collect();
+                let mut want = got.clone();
+                kernel(&samples, &planes, &mut got, target, NEIGHBOUR);
+                smoothed_labels(&samples, &planes, &mut want, target, f64::from(NEIGHBOUR));
+                got.iter().zip(&want).filter(|(g, w)| g != w).count() as f64
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts of cases that fail where the kernel is right, and where it is not.
+    fn failed(cases: impl Fn(&mut Checked)) -> usize {
+        let mut checked = Checked::default();
+        cases(&mut checked);
+        checked.failed()
+    }
+
+    #[test]
+    fn a_fault_of_each_kernel_is_caught() {
+        let shifted = |mut map: DisparityMap| {
+            map.delta[0] += 0.02;
+            map
+        };
+        assert!(failed(|c| denoise(c, "local planes", |m| shifted(local_planes::denoise(m)))) > 0);
+        // as if the second pass had not run
+        assert!(failed(|c| denoise(c, "local planes", DisparityMap::clone)) > 0);
+        assert!(failed(|c| snap(c, "snap", |p, m| shifted(edges::snap(p, m)))) > 0);
+        assert!(failed(|c| snap(c, "snap", edges::clean)) > 0);
+        assert!(failed(|c| enlarge(c, |p, m| shifted(upsample(p, m)))) > 0);
+        let one_more = |s: &Samples, p: &[Plane], l: &mut [u8], t: f64, n: f32| smooth_labels(s, p, l, t, 1.5 * n);
+        assert!(failed(|c| labels(c, one_more)) > 0);
+    }
+}

@@ -1,0 +1,86 @@
+//! Kernels by their definitions, in `f64`, without any cleverness.
+
+use tmpi_core::{DisparityMap, Photo, Plane};
+use tmpi_pipeline::planes::Samples;
+
+/// Half the window of the guided filter, as a share of the root of the pixels, and what is added to a variance.
+const RADIUS: f64 = 0.006;
+const EPSILON: f64 = 1e-4;
+
+/// The guided filter by colour (He, Sun and Tang 2010) at the photo's size, of at most 100 000 pixels: `δ = a · rgb + b` fitted in each window,
+/// the models of all windows about a pixel in the mean.
+pub(super) fn guided(photo: &Photo, map: &DisparityMap) -> Vec<f64> {
+    let (w, h) = (photo.width as usize, photo.height as usize);
+    let radius = ((w as f64 * h as f64).sqrt() * RADIUS).round().max(1.0) as usize;
+    let window = |i: usize| {
+        let (x, y) = (i % w, i / w);
+        let columns = x.saturating_sub(radius)..(x + radius + 1).min(w);
+        (y.saturating_sub(radius)..(y + radius + 1).min(h)).flat_map(move |y| columns.clone().map(move |x| y * w + x))
+    };
+    let colour = |i: usize| photo.rgb[i].map(|v| f64::from(v) / 255.0);
+    let model = |i: usize| {
+        let n = window(i).count() as f64;
+        let mean = |f: &dyn Fn(usize) -> f64| window(i).map(f).sum::<f64>() / n;
+        let (c, d): ([f64; 3], f64) = (std::array::from_fn(|k| mean(&|j| colour(j)[k])), mean(&|j| f64::from(map.delta[j])));
+        let mut system = [[0.0; 4]; 3];
+        for (row, line) in system.iter_mut().enumerate() {
+            for (column, value) in line.iter_mut().enumerate() {
+                *value = mean(&|j| {
+                    let other = if column < 3 { colour(j)[column] - c[column] } else { f64::from(map.delta[j]) - d };
+                    (colour(j)[row] - c[row]) * other
+                });
+            }
+            line[row] += EPSILON;
+        }
+        let a = solved(system);
+        [a[0], a[1], a[2], d - a.iter().zip(c).map(|(a, c)| a * c).sum::<f64>()]
+    };
+    let models: Vec<[f64; 4]> = (0..w * h).map(model).collect();
+    let value = |i: usize| {
+        let n = window(i).count() as f64;
+        let m: [f64; 4] = std::array::from_fn(|k| window(i).map(|j| models[j][k]).sum::<f64>() / n);
+        (colour(i).iter().zip(m).map(|(c, m)| c * m).sum::<f64>() + m[3]).clamp(0.0, 1.0)
+    };
+    (0..w * h).map(value).collect()
+}
+
+/// Gauss's elimination with the largest pivot.
+fn solved(mut system: [[f64; 4]; 3]) -> [f64; 3] {
+    for k in 0..3 {
+        let pivot = (k..3).max_by(|a, b| system[*a][k].abs().total_cmp(&system[*b][k].abs())).unwrap_or(k);
+        system.swap(k, pivot);
+        for row in 0..3 {
+            if row != k {
+                let share = system[row][k] / system[k][k];
+                for column in 0..4 {
+                    system[row][column] -= share * system[k][column];
+                }
+            }
+        }
+    }
+    std::array::from_fn(|k| system[k][3] / system[k][k])
+}
+
+/// Iterated conditional modes (Besag 1986): pixel by pixel, four times over, each takes the label of itself or of one of its four neighbours that
+/// costs the least. A label costs the square of its error in units of the target, and so much for each of the eight neighbours that has another;
+/// another label than before may be off by the target at most.
+pub(super) fn smoothed_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f64, neighbour: f64) {
+    let (w, h) = (s.width, labels.len() / s.width);
+    let error = |i: usize, l: u8| {
+        (planes[usize::from(l)].disparity(f64::from(s.us()[i]), f64::from(s.vs()[i])) - f64::from(s.deltas()[i])).abs() / target
+    };
+    for i in (0..4).flat_map(|_| 0..w * h) {
+        let (x, y) = (i % w, i / w);
+        let around = (y.saturating_sub(1)..(y + 2).min(h)).flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| y * w + x));
+        let near: Vec<usize> = around.filter(|j| *j != i).collect();
+        let cost = |l: u8, labels: &[u8]| error(i, l).powi(2) + neighbour * near.iter().filter(|j| labels[**j] != l).count() as f64;
+        let sides = [(y > 0).then(|| i - w), (y + 1 < h).then(|| i + w), (x > 0).then(|| i - 1), (x + 1 < w).then(|| i + 1)];
+        let mut best = labels[i];
+        for l in sides.into_iter().flatten().map(|j| labels[j]) {
+            if error(i, l) <= 1.0 && cost(l, labels) < cost(best, labels) {
+                best = l;
+            }
+        }
+        labels[i] = best;
+    }
+}

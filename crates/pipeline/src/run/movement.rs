@@ -1,0 +1,239 @@
+//! Errors of disparity in pixels: how far they move a point in the views of a photo.
+
+use rayon::prelude::*;
+
+use tmpi_core::{DisparityMap, Geometry, Intrinsics, Rect, Tile, ViewBox};
+
+use super::report::Moved;
+
+/// Values that are compared between maps of two sizes, at most.
+const SAMPLES: usize = 1 << 16;
+/// Least distance, in units of the nearest, between a surface and a camera of the view box. Boxes that reach into a surface have no bound
+/// on what an error of disparity does there.
+const LEAST_DISTANCE: f64 = 0.05;
+
+/// What an error of disparity does in the farthest views of a view box.
+///
+/// A camera moved by `(X, Y, Z)` shows a point of disparity δ at `x` pixels from the principal point at `(x − f·X·δ) / (1 − Z·δ)`. Two
+/// disparities a and b are therefore shown `|a − b| · (f·X + |x|·Z) / ((1 − Z·a)(1 − Z·b))` pixels apart, at most, by the box's corners.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Movement {
+    intrinsics: Intrinsics,
+    view_box: ViewBox,
+}
+
+impl Movement {
+    /// In views of a photo from a box.
+    #[must_use]
+    pub const fn new(intrinsics: Intrinsics, view_box: ViewBox) -> Self {
+        Self { intrinsics, view_box }
+    }
+
+    /// Pixels between where disparities `a` and `b` of the photo's place `(x, y)` are shown by the camera of the box that shows them the
+    /// farthest apart; right or down, whichever is more.
+    #[must_use]
+    pub fn pixels(&self, (x, y): (f64, f64), a: f64, b: f64) -> f64 {
+        let (k, v) = (&self.intrinsics, &self.view_box);
+        let step = (k.fx * v.x + (x - k.cx).abs() * v.z).max(k.fy * v.y + (y - k.cy).abs() * v.z);
+        (a - b).abs() * step / (self.distance(a) * self.distance(b))
+    }
+
+    /// Pixels that an error of 1 in δ is at most anywhere within `rect`, of surfaces no nearer than the nearest distance.
+    #[must_use]
+    pub fn most(&self, rect: Rect) -> f64 {
+        let (x, y) = self.view_box.parallax(&self.intrinsics, rect);
+        x.max(y) / self.distance(1.0).powi(2)
+    }
+
+    /// Distance of a surface from the camera of the box that is nearest to it, as a share of its distance from the photo's.
+    fn distance(&self, delta: f64) -> f64 {
+        (1.0 - self.view_box.z * delta).max(LEAST_DISTANCE)
+    }
+
+    /// How far a map of one size moved from what it was, over all pixels.
+    #[must_use]
+    pub fn between(&self, before: &DisparityMap, after: &DisparityMap) -> Moved {
+        let width = (before.width as usize).max(1);
+        let row = |(y, (a, b)): (usize, (&[f32], &[f32]))| {
+            let each = a.iter().zip(b).enumerate();
+            each.filter(|(_, (a, b))| a.to_bits() != b.to_bits()).fold([0.0, 0.0], |[sum, most], (x, (a, b))| {
+                let px = self.pixels((x as f64 + 0.5, y as f64 + 0.5), f64::from(*a), f64::from(*b));
+                [sum + px, f64::max(most, px)]
+            })
+        };
+        // added up in the order of the rows: the same on any count of threads
+        let rows: Vec<[f64; 2]> = before.delta.par_chunks(width).zip(after.delta.par_chunks(width)).enumerate().map(row).collect();
+        moved(rows.into_iter(), before.delta.len(), false)
+    }
+
+    /// How far a map brought to the photo's size, `after`, is from what it was before at the centres of the pixels that it had.
+    #[must_use]
+    pub fn resampled(&self, before: &DisparityMap, after: &DisparityMap) -> Moved {
+        let (w, h) = (before.width as usize, before.height as usize);
+        let step = before.delta.len().div_ceil(SAMPLES).max(1);
+        let scale = [f64::from(after.width) / w.max(1) as f64, f64::from(after.height) / h.max(1) as f64];
+        let one = |i: usize| {
+            let place = ((i % w) as f64 + 0.5, (i / w) as f64 + 0.5);
+            let place = (place.0 * scale[0], place.1 * scale[1]);
+            let px = self.pixels(place, f64::from(before.delta[i]), at(after, place));
+            if px.is_finite() { [px, px] } else { [0.0; 2] }
+        };
+        // a step that shares no factor with the width, so that no column is missed
+        let step = (step..=step + w).find(|s| step == 1 || gcd(*s, w) == 1).unwrap_or(step);
+        let places: Vec<usize> = (0..before.delta.len()).step_by(step).collect();
+        moved(places.iter().map(|i| one(*i)), places.len(), step > 1)
+    }
+
+    /// What planes do to the map that they were fitted to, tile by tile.
+    #[must_use]
+    pub fn of_planes(&self, delta: &DisparityMap, geometry: &Geometry) -> Vec<TileError> {
+        let one = |errors: &mut Vec<f32>, (index, tile): (usize, &Tile)| self.of_tile(delta, geometry, (index as u32, tile), errors);
+        geometry.tiles.par_iter().enumerate().map_init(Vec::new, one).collect()
+    }
+
+    fn of_tile(&self, delta: &DisparityMap, geometry: &Geometry, (index, tile): (u32, &Tile), errors: &mut Vec<f32>) -> TileError {
+        let grid = &geometry.grid;
+        let (rect, centre, half) = (grid.rect(index), grid.centre(index), grid.half());
+        errors.clear();
+        let (mut sum, mut nearest) = (0.0, 0.0);
+        for (i, label) in tile.labels.iter().enumerate() {
+            let (x, y) = (rect.x + i as u32 % rect.w, rect.y + i as u32 / rect.w);
+            let place = (f64::from(x) + 0.5, f64::from(y) + 0.5);
+            let (u, v) = ((place.0 - centre.0) / half, (place.1 - centre.1) / half);
+            let known = f64::from(delta.delta[y as usize * delta.width as usize + x as usize]);
+            let Some(plane) = tile.planes.get(usize::from(*label)) else { continue };
+            let px = self.pixels(place, plane.disparity(u, v), known);
+            let least = || tile.planes.iter().map(|p| p.disparity(u, v)).min_by(|a, b| (a - known).abs().total_cmp(&(b - known).abs()));
+            nearest += if tile.planes.len() > 1 { least().map_or(px, |d| self.pixels(place, d, known)) } else { px };
+            sum += px;
+            errors.push(px as f32);
+        }
+        let n = errors.len().max(1) as f64;
+        TileError { mean: sum / n, p99: crate::planes::percentile_99(errors), smoothing: (sum - nearest) / n, pixels: errors.len() }
+    }
+}
+
+/// What the planes of a tile do to the map that they were fitted to, in pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TileError {
+    /// Mean over its pixels.
+    pub mean: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Part of the mean that is there as labels were smoothed: that beyond the nearest plane's.
+    pub smoothing: f64,
+    /// Count of its pixels.
+    pub pixels: usize,
+}
+
+fn moved(each: impl Iterator<Item = [f64; 2]>, count: usize, sampled: bool) -> Moved {
+    let [sum, most] = each.fold([0.0, 0.0], |all: [f64; 2], one| [all[0] + one[0], all[1].max(one[1])]);
+    Moved { mean_px: sum / count.max(1) as f64, most_px: most, sampled }
+}
+
+/// δ between the pixels of a map.
+fn at(map: &DisparityMap, (x, y): (f64, f64)) -> f64 {
+    let (w, h) = (map.width as usize, map.height as usize);
+    let place = |p: f64, n: usize| {
+        let p = (p - 0.5).clamp(0.0, (n - 1) as f64);
+        (p as usize, (p as usize + 1).min(n - 1), p.fract())
+    };
+    let ((x0, x1, fx), (y0, y1, fy)) = (place(x, w), place(y, h));
+    let value = |x: usize, y: usize| f64::from(map.delta[y * w + x]);
+    let line = |y: usize| value(x0, y) * (1.0 - fx) + value(x1, y) * fx;
+    line(y0) * (1.0 - fy) + line(y1) * fy
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tmpi_core::{Camera, Grid, Plane, Pose, homography};
+
+    const BOX: ViewBox = ViewBox { x: 0.12, y: 0.08, z: 0.06 };
+
+    fn movement() -> Movement {
+        Movement::new(Intrinsics { fx: 60.0, fy: 62.0, cx: 51.0, cy: 29.0 }, BOX)
+    }
+
+    #[test]
+    fn pixels_are_those_of_the_box_s_farthest_camera() {
+        let m = movement();
+        let k = m.intrinsics;
+        for (place, a, b) in [((3.5, 20.5), 0.2, 0.9), ((99.5, 59.5), 1.0, 0.98), ((51.0, 29.0), 0.0, 1.0), ((20.5, 1.5), 0.5, 0.5)] {
+            let corners = (0..8).map(|i| {
+                let side = |bit: u32, v: f64| if i >> bit & 1 == 0 { v } else { -v };
+                let pose = Pose::at(side(0, BOX.x), side(1, BOX.y), side(2, BOX.z));
+                let camera = Camera { pose, intrinsics: k, width: 100, height: 60 };
+                let shown = |delta: f64| {
+                    let h = homography([0.0, 0.0, delta], &k, &camera);
+                    let [x, y, w] = h.map(|row| row[0] * place.0 + row[1] * place.1 + row[2]);
+                    [x / w, y / w]
+                };
+                let (a, b) = (shown(a), shown(b));
+                (a[0] - b[0]).abs().max((a[1] - b[1]).abs())
+            });
+            let farthest = corners.fold(0.0, f64::max);
+            let px = m.pixels(place, a, b);
+            assert!((px - farthest).abs() < 1e-9, "{place:?} {a} {b}: {px}, drawn {farthest}");
+            let all = Rect { x: 0, y: 0, w: 100, h: 60 };
+            assert!(px <= (a - b).abs() * m.most(all) + 1e-9);
+        }
+    }
+
+    fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
+        DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
+    }
+
+    #[test]
+    fn what_a_step_changes_is_told_in_pixels() {
+        let m = movement();
+        let before = map(100, 60, |x, _| x as f32 / 200.0);
+        assert_eq!(m.between(&before, &before), Moved::default());
+        let mut after = before.clone();
+        after.delta[30 * 100 + 50] += 0.25;
+        let want = m.pixels((50.5, 30.5), 0.25, 0.5);
+        let got = m.between(&before, &after);
+        assert!((got.most_px - want).abs() < 1e-6 && (got.mean_px - want / 6000.0).abs() < 1e-9 && !got.sampled);
+    }
+
+    #[test]
+    fn a_ramp_that_is_enlarged_moves_nowhere_and_a_step_that_is_blurred_does() {
+        let m = movement();
+        let ramp = map(50, 30, |x, y| x as f32 * 0.01 + y as f32 * 0.002);
+        let enlarged = map(100, 60, |x, y| (x as f32 / 2.0 - 0.25) * 0.01 + (y as f32 / 2.0 - 0.25) * 0.002);
+        // rounding, and the border, beyond which there is nothing between
+        assert!(m.resampled(&ramp, &enlarged).mean_px < 1e-3, "{:?}", m.resampled(&ramp, &enlarged));
+        let flat = map(100, 60, |_, _| 0.5);
+        let step = map(50, 30, |x, _| if x < 25 { 0.25 } else { 0.75 });
+        let moved = m.resampled(&step, &flat);
+        assert!(moved.mean_px > 0.25 * 60.0 * 0.08 && !moved.sampled, "{moved:?}");
+        let large = map(1000, 600, |_, _| 0.5);
+        assert_eq!(m.resampled(&large, &flat), Moved { mean_px: 0.0, most_px: 0.0, sampled: true });
+    }
+
+    #[test]
+    fn a_plane_beside_the_map_errs_by_what_views_show() {
+        let grid = Grid::new(100, 60, 64);
+        let delta = map(100, 60, |_, _| 0.5);
+        let tile = |index: u32, planes: Vec<Plane>, label: fn(usize) -> u8| {
+            let labels = (0..grid.rect(index).area()).map(label).collect();
+            Tile { planes, labels, background: None }
+        };
+        let plane = Plane::fronto_parallel;
+        // the second is labelled wrongly at every second pixel
+        let tiles = vec![tile(0, vec![plane(0.5)], |_| 0), tile(1, vec![plane(0.4), plane(0.5)], |i| (i % 2) as u8)];
+        let geometry = Geometry { grid, intrinsics: movement().intrinsics, view_box: BOX, tiles };
+        let got = movement().of_planes(&delta, &geometry);
+        assert_eq!((got[0].mean, got[0].p99, got[0].smoothing), (0.0, 0.0, 0.0));
+        let r = grid.rect(1);
+        let pixels = (0..r.area()).filter(|i| i % 2 == 0);
+        let places = pixels.map(|i| (f64::from(r.x + i as u32 % r.w) + 0.5, f64::from(r.y + i as u32 / r.w) + 0.5));
+        let sum: f64 = places.map(|p| movement().pixels(p, 0.4, 0.5)).sum();
+        assert!((got[1].mean - sum / r.area() as f64).abs() < 1e-9 && (got[1].smoothing - got[1].mean).abs() < 1e-9);
+        assert!(got[1].p99 > 1.5 * got[1].mean && got[1].p99 <= 0.1 * movement().most(r) + 1e-6);
+    }
+}
