@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use tmpi_core::live::{Model, wire};
-use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::depth::{DepthError, Estimate, Estimator};
 use tmpi_pipeline::run::stages::Snap;
 
 use super::estimate::snap_part;
@@ -193,9 +193,9 @@ impl Estimator for Choice {
         vec![(width, height), (width / 2, height / 2), (width / 4, height / 4)]
     }
 
-    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<Estimate, DepthError> {
         self.ran.lock().unwrap().push(size);
-        Ok((self.estimate(photo)?, 1e-3))
+        Ok(Estimate { network_ms: 1e-3, ..self.estimate(photo)?.into() })
     }
 }
 
