@@ -160,3 +160,8 @@ pub fn become_it(mut command: Command) -> Result<(), Fault> {
 pub fn become_it(command: Command) -> Result<(), Fault> {
     run(command)
 }
+
+/// Processors of this machine.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}

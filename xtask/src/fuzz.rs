@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
-use crate::command::{self, Fault, cargo, output, root, run_quietly};
+use crate::command::{self, Fault, cargo, cores, output, root, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
 const TARGETS: [&str; 28] = [
@@ -98,10 +98,6 @@ pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
         workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
     });
     if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
-}
-
-fn cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Seconds for each target where all of them together may take so many minutes.

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use serde_json::Value;
 
-use crate::command::{Fault, Profile, cargo, data, run, say, shown};
+use crate::command::{Fault, Profile, cargo, cores, data, run, say, shown};
 use crate::{runtime, tools};
 
 /// A test program that cargo has built.
@@ -85,6 +85,8 @@ impl TestProgram {
         let start = Instant::now();
         let mut command = Command::new(&self.executable);
         command.current_dir(&self.folder).env("CARGO_MANIFEST_DIR", &self.folder).env("TMPI_DATA", data());
+        // most tests of the server wait more than they compute
+        command.env("RUST_TEST_THREADS", (2 * cores()).to_string());
         runtime::name_to(&mut command);
         tools::name_to(&mut command);
         let output = command.output().map_err(|e| Fault::new(format!("{} does not start: {e}", self.executable.display())))?;
@@ -112,7 +114,7 @@ impl Counts {
 /// Test programs that run side by side: some tests wait more than they compute.
 const PROGRAMS: usize = 2;
 
-/// Runs all test programs, the largest first; their tests run on as many threads as the machine has cores.
+/// Runs all test programs, the largest first; their tests run on twice as many threads as the machine has cores.
 ///
 /// # Errors
 /// The programs of which a test failed.
