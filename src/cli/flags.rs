@@ -58,7 +58,7 @@ pub(super) struct MakeFlags {
     pub quality: u8,
     /// Parallax error that planes may leave, in pixels between where views from the corners of the view box show a point and where
     /// they should
-    #[arg(long, value_parser = max_error, default_value = "1.75", value_name = "PX")]
+    #[arg(long, value_parser = max_error, default_value = "1", value_name = "PX")]
     pub max_error: f64,
     /// Half extents of the box of camera positions, in units of the nearest distance; viewers go half as far as the usual one by
     /// themselves

@@ -22,7 +22,7 @@ import { forgetRow, resume, startUploads, upload } from './uploads.js';
 const QUALITIES = {
   small: { quality: 75, 'max-error': 4 },
   good: {},
-  best: { quality: 97, 'max-error': 0.9 },
+  best: { quality: 97, 'max-error': 0.5 },
 };
 
 /** @param {string} id */

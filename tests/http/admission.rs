@@ -148,10 +148,10 @@ fn a_picture_whose_size_stands_far_behind_is_judged_once_it_is_whole() {
 
 #[test]
 fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
-    let (_dir, server) = start(patient(), photo::Limits { memory: 90 << 20, ..patient().photo() });
+    let (_dir, server) = start(patient(), photo::Limits { memory: 122 << 20, ..patient().photo() });
     let large = claims(PictureFormat::Png, 4000);
     let raw = stalled(server.addr, "/v1/photos", "image/png", &large).problem(413);
-    assert!(raw["detail"].as_str().unwrap().contains(&(90 << 20).to_string()), "{raw}");
+    assert!(raw["detail"].as_str().unwrap().contains(&(122 << 20).to_string()), "{raw}");
     let (content_type, body) = open_form(&[("photo", &large)]);
     assert_eq!(says(stalled(server.addr, "/v1/photos", &content_type, &body).problem(413)), says(raw), "no option makes room for it");
     // one for which there is room where it is reduced, which a form may say behind it

@@ -309,9 +309,9 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
 /// A depth map of which the pixels are damaged, which nobody sees by its headers.
 pub fn spoilt_map() -> Vec<u8> {
     let mut map = depth_map();
-    // within the checksum of the pixels, before the end chunk of twelve bytes
-    let at = map.len() - 14;
-    map[at] ^= 1;
+    // what is compressed does not begin as it must
+    let at = map.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
+    map[at] ^= 0xff;
     map
 }
 

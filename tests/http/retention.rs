@@ -24,7 +24,7 @@ fn an_owner_has_so_many_photos_and_others_have_theirs() {
     assert!(matches!(upload(&ann, 2).status, 201 | 202));
     let refused = upload(&ann, 3).problem(403);
     assert_eq!(refused["type"], "urn:tmpi:problem:quota");
-    assert!(refused["detail"].as_str().unwrap().contains("2 is the limit (--quota-photos)"), "{refused}");
+    assert!(refused["detail"].as_str().unwrap().contains("2 is the limit (quotas.photos)"), "{refused}");
     // before a byte of the body is sent
     let mut connection = Connection::open(server.addr);
     let head = format!(
@@ -55,7 +55,7 @@ fn an_owner_has_so_many_bytes_also_after_a_restart() {
         |bytes: u64| private_within(dir.path(), Arc::new(pipeline()), Limits { quotas: Quotas { photos: 0, bytes }, ..Limits::default() });
     let server = within(taken + next.len() as u64 - 1);
     let refused = ask(&server, "POST", "/v1/photos", &headers, &next).problem(403);
-    assert!(refused["detail"].as_str().unwrap().contains("(--quota-mib)"), "{refused}");
+    assert!(refused["detail"].as_str().unwrap().contains("(quotas.size)"), "{refused}");
     server.stop();
     let server = within(taken + next.len() as u64);
     assert!(matches!(ask(&server, "POST", "/v1/photos", &headers, &next).status, 201 | 202));

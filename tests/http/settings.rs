@@ -25,7 +25,7 @@ fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) 
 }
 
 #[test]
-fn a_photo_sent_again_takes_its_title_and_keeps_its_place() {
+fn a_photo_sent_again_takes_its_title_and_comes_first() {
     let (dir, server, photo) = with_photo(Limits::default());
     let first = photo.rsplit('/').next().unwrap().to_owned();
     let second = server.upload(&picture(2, PictureFormat::Png));
@@ -42,11 +42,11 @@ fn a_photo_sent_again_takes_its_title_and_keeps_its_place() {
     // without a title it keeps its own
     assert_eq!(send("").json()["settings"]["title"], "By the lake");
     let page = get(server.addr, "/v1/photos?limit=1").json();
-    assert_eq!(page["photos"][0]["id"], second);
-    assert_eq!(get(server.addr, page["next"].as_str().unwrap()).json()["photos"][0]["id"], first);
+    assert_eq!(page["photos"][0]["id"], first);
+    assert_eq!(get(server.addr, page["next"].as_str().unwrap()).json()["photos"][0]["id"], second);
     server.stop();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    assert_eq!(listed(&server), [second, first]);
+    assert_eq!(listed(&server), [first, second]);
     assert_eq!(request(server.addr, "DELETE", &photo, &[], &[]).status, 204);
     assert_eq!(listed(&server).len(), 1);
 }

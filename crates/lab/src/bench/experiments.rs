@@ -100,7 +100,7 @@ fn tiles(quick: bool) -> Plan {
         ("tiles of 128", TileSize::Pixels(128)),
         ("tiles of 256", TileSize::Pixels(256)),
     ];
-    let errors: &[f64] = if quick { &[1.75, 3.5, 14.0] } else { &[0.9, 1.75, 3.5, 7.0, 14.0] };
+    let errors: &[f64] = if quick { &[1.0, 3.5, 14.0] } else { &[1.0, 1.75, 3.5, 7.0, 14.0] };
     let of = |&(name, tile): &(&'static str, TileSize)| {
         let one = |&e: &f64| known(format!("{name}, --max-error {e}"), |o| (o.tile, o.max_error) = (tile, e));
         (name, errors.iter().map(one).collect())

@@ -158,7 +158,7 @@ pub fn fit(factors: &[f64], measured: &[Measured]) -> (f64, Vec<Rate>) {
     } else {
         0.0
     };
-    let plain = plain.min(if least.is_finite() { least } else { plain });
+    let plain = if least.is_finite() { plain.min(least.max(0.0)) } else { plain };
     let mut most = f64::INFINITY;
     let points = factors.iter().zip(&sums).map(|(&factor, s)| {
         most = most.min(if s.xx > 0.0 { ((s.xy - plain * s.x) / s.xx).max(0.0) } else { 0.0 });

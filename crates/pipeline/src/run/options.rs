@@ -141,9 +141,9 @@ impl Options {
     pub const VIEW_BOX: ViewBox = ViewBox { x: 0.12, y: 0.12, z: 0.06 };
 
     /// The usual parallax error, in pixels at the corners of the view box.
-    /// `tmpi-lab bench --quick --only planes` compares: views of 34.48 dB, 26.5 KB and 2.67 planes a tile at 0.5, 34.37 dB, 26.1 KB and 2.02 at 1.75, and
-    /// 32.44 dB, 26.0 KB and 1.66 at 3.5.
-    pub const MAX_ERROR: f64 = 1.75;
+    /// `tmpi-lab bench --quick --only planes` compares views, bytes and planes a tile: 34.48 dB, 26.5 KB and 2.67 at 0.5; 34.48 dB, 26.3 KB and 2.33 at
+    /// 1.0; 34.37 dB, 26.1 KB and 2.02 at 1.75; 32.44 dB, 26.0 KB and 1.66 at 3.5.
+    pub const MAX_ERROR: f64 = 1.0;
 
     /// How planes are to be placed for an error of `max_error` pixels, where one of 1 in δ is at most `most` pixels ([`super::Movement::most`]).
     #[must_use]
