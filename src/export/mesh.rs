@@ -106,7 +106,8 @@ pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity
             out.push(polygon.iter().map(|&p| Corner { position: space.position(p, delta_at(p)), pixel: p }).collect());
         }
     };
-    if least < far {
+    // all of it may lie on the farthest plane
+    if least < far || most <= far {
         add(&cut(&corners, |p| far - delta.of(p)), &|_| far);
     }
     if most > far {

@@ -159,9 +159,8 @@ async fn hold<T: Send + 'static>(
     loop {
         tokio::select! {
             done = &mut done => {
-                // of several stages the last is the one that holds
-                if let Some(last) = std::iter::from_fn(|| told.try_recv().ok()).last() {
-                    tell(lease, doing, &last).await;
+                while let Ok(progress) = told.try_recv() {
+                    tell(lease, doing, &progress).await;
                 }
                 return done.map_err(|_| End::Failed(Problem::internal("the job panicked", &"see above")));
             }

@@ -252,6 +252,12 @@ impl Tx {
         self.events.push(event);
     }
 
+    /// Rolls back, now: where it is only dropped, its locks are held until its connection is used again.
+    pub async fn rollback(self) {
+        // a connection that is broken has no locks
+        let _ = self.inner.rollback().await;
+    }
+
     /// Commits, and tells the events.
     pub async fn commit(mut self) -> Result<()> {
         let events = std::mem::take(&mut self.events);

@@ -80,7 +80,10 @@ impl Library {
                 drop(tx);
                 Ok(Ordered { job: self.job(order.kind, photo.id, Some(order.key)).await?, new: false })
             }
-            Err(error) => Err(error),
+            Err(error) => {
+                tx.rollback().await;
+                Err(error)
+            }
         }
     }
 
