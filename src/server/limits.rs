@@ -80,7 +80,7 @@ pub struct Limits {
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(max = 3600))]
     pub lame_duck: Duration,
-    /// Time that requests and jobs in progress have left after that.
+    /// Time that requests and jobs in progress have after the server stops taking new ones.
     #[serde(with = "In::<SECOND>")]
     pub drain: Duration,
     /// Disk that stays free for accepted photos: with less, uploads are answered 507. 0 is 64 MiB, or a twentieth of a smaller disk.
@@ -96,7 +96,7 @@ pub struct Limits {
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(max = 63_072_000))]
     pub hsts: Duration,
-    /// Time from the end of one integrity check of all containers to the next.
+    /// Time between two checks of a photo's contents against their digests.
     #[serde(rename = "verify-interval", with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub look_over: Duration,
