@@ -153,7 +153,8 @@ fn main() -> ExitCode {
         return ExitCode::FAILURE;
     }
     let models = Models { depth: Arc::new(Ramp), theta: None, psi: None };
-    let product = PipelineMaker::new(models, Limits::default()).make(&picture(0), None, &Options::default(), &Silent).unwrap();
+    let product =
+        PipelineMaker::new(models, tmpi_pipeline::photo::Limits::default()).make(&picture(0), None, &Options::default(), &Silent).unwrap();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
     println!("a photo takes {} s; {EACH} photos a worker", COST.as_secs());
     println!("| workers | photos a second | of linear |");
