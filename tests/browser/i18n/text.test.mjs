@@ -30,7 +30,7 @@ describe('text', () => {
 
   test('places in the queue, values and sentences', () => {
     assert.equal(queueText(0), 'Waiting for its turn');
-    assert.equal(queueText(3), 'Waiting for its turn, 3 before it');
+    assert.equal(queueText(3), 'Waiting for its turn, 3 ahead');
     assert.equal(t('{1} before {0}', 'a', 'b'), 'b before a');
     assert.equal(sentence('no.'), 'No.');
   });
