@@ -119,8 +119,7 @@ impl Probed {
         if !matches!(video.pix_fmt.as_str(), "" | "yuv420p" | "yuvj420p") {
             return Some(format!("its pixels are {}", video.pix_fmt));
         }
-        // by the container, or by the video itself
-        if video.side_data_list.iter().chain(self.frames.iter().flat_map(|f| &f.side_data_list)).any(SideData::turns) {
+        if video.side_data_list.iter().any(SideData::turns) {
             return Some("its frames are to be turned".into());
         }
         if !matches!(video.sample_aspect_ratio.as_str(), "" | "N/A" | "0:1" | "1:1") {
@@ -128,6 +127,13 @@ impl Probed {
         }
         let whole = matches!(video.field_order.as_str(), "" | "progressive" | "unknown");
         (!whole).then(|| "it is interlaced".into())
+    }
+
+    /// Whether the video says by itself, and not its container, that it is to be turned: ffmpeg 5.1 turns only the frames that say so, which key
+    /// frames alone may do, and squeezes the others into the turned size.
+    fn turns_within(&self) -> bool {
+        let by_container = self.streams.iter().flat_map(|s| &s.side_data_list).any(SideData::turns);
+        !by_container && self.frames.iter().flat_map(|f| &f.side_data_list).any(SideData::turns)
     }
 
     fn has_sound(&self) -> bool {
@@ -207,6 +213,12 @@ fn decided(
     }
     if probed.is_some_and(|p| p.streams.iter().all(|s| s.codec_type != "video")) {
         bail!("the source has no video");
+    }
+    if probed.is_some_and(Probed::turns_within) {
+        bail!(
+            "the video says by itself that it is to be turned (display orientation), of which versions of ffmpeg make different things; \
+             turn it first: ffmpeg -noautorotate -i IN -vf transpose=cclock -c:v libx264 OUT"
+        );
     }
     let obstacle = if wanted.transcode { Some("--transcode".into()) } else { probed.and_then(Probed::obstacle) };
     let sound = wanted.sound && probed.is_some_and(Probed::has_sound);
@@ -291,19 +303,16 @@ mod tests {
             (h264(r#","has_b_frames":2"#), "B-frames"),
             (h264(r#","side_data_list":[{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}]"#), "turned"),
             (h264(r#","side_data_list":[{"displaymatrix":"\n0: -65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"}]"#), "turned"),
-            // by the video itself
-            (
-                format!(
-                    r#"{}],"frames":[{{"side_data_list":[{{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}}]}}"#,
-                    h264("")
-                ),
-                "turned",
-            ),
             (h264(r#","sample_aspect_ratio":"4:3""#), "square"),
             (r#"{"codec_type":"video","codec_name":"hevc","pix_fmt":"yuv420p"}"#.into(), "hevc"),
             (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv422p10le"}"#.into(), "yuv422p10le"),
             (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv420p","field_order":"tt"}"#.into(), "interlaced"),
         ];
+        let within = format!(
+            r#"{}],"frames":[{{"side_data_list":[{{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}}]}}"#,
+            h264("")
+        );
+        assert!(plan(&within, SOUND_TOO, &["libx264"]).is_err_and(|e| e.to_string().contains("transpose")), "by the video itself");
         for (streams, why) in streams {
             let plan = plan(&streams, SOUND_TOO, &["aac", "libopenh264", "libx264"]).expect("a plan");
             let args = args(&plan, None);

@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_film_whose_video_says_that_it_is_to_be_turned_is_encoded_upright() {
+    async fn a_film_whose_video_says_that_it_is_to_be_turned_is_refused_with_what_helps() {
         let folder = tempfile::tempdir().unwrap();
         let turned = ["-c:v", "libx264", "-bf", "0", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90"];
         for name in ["film.mp4", "film.h264"] {
@@ -210,10 +210,9 @@ mod tests {
                 let raw = Source::open(Origin::Stream(&film, 15.0), DepthKind::default(), Wanted::default()).await;
                 assert!(raw.is_err_and(|e| matches!(e.downcast_ref(), Some(VideoError::Unsupported(_)))));
             }
-            let (frames, _) = read(&film, Wanted { transcode: name.ends_with("h264"), sound: false }).await;
-            let first = &frames.first().unwrap().data;
-            assert_eq!(video::size(&codec(first).unwrap(), first).unwrap(), Some((120, 160)), "{name}");
-            assert!(frames.iter().all(|frame| !is_turned(&frame.data)), "{name}");
+            let wanted = Wanted { transcode: true, sound: false };
+            let refused = Source::open(Origin::Address(&film), DepthKind::default(), wanted).await;
+            assert!(refused.is_err_and(|e| e.to_string().contains("transpose")), "{name}");
         }
     }
 

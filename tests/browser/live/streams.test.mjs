@@ -57,13 +57,6 @@ describe('streams', () => {
     return file;
   }
 
-  /** The same, as the video says itself. */
-  function turnedWithin(film, ending) {
-    const file = join(folder, `turned-within.${ending}`);
-    ffmpeg(['-i', film, '-c', 'copy', '-bsf:v', 'h264_metadata=display_orientation=insert:rotate=90', file]);
-    return file;
-  }
-
   /** A film of one picture in H.264 that goes on for as long as a test may take; the size and the colours that ffmpeg is to read it by. */
   function film(name, { size = '320x240', filters = 'null', parameters = '', more = [], seconds = 60 }) {
     const file = join(folder, name);
@@ -148,8 +141,6 @@ describe('streams', () => {
     const lying = film('lying.mp4', { filters: 'format=yuv420p', more: ['-profile:v', 'baseline'] });
     for (const [room, file] of [
       ['turned', turned(lying)],
-      ['turned-within', turnedWithin(lying, 'mp4')],
-      ['turned-raw', turnedWithin(lying, 'h264')],
       ['fields', film('fields.h264', { filters: 'format=yuv420p', parameters: 'interlaced=1' })],
     ]) {
       const publisher = publish(room, file);
