@@ -118,10 +118,11 @@ async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Pause before a lost room is looked for again, one whose publisher has gone, and one that is full; how long one that nobody publishes in is, and one that cannot be reached.
+/// Pause before it connects again: after the connection broke, after the publisher has gone, and after the room was full.
 const AGAIN: Duration = Duration::from_millis(100);
 const AFTER_PUBLISHER: Duration = Duration::from_secs(1);
 const AFTER_FULL: Duration = Duration::from_secs(5);
+/// How long it waits for a publisher, and for a server that does not answer.
 const COME_BACK: Duration = Duration::from_secs(10);
 const PATIENCE: Duration = Duration::from_secs(30);
 

@@ -76,7 +76,7 @@ pub(super) async fn ended(at: Option<Instant>) {
 }
 
 pub(super) fn none_publishes() -> Problem {
-    Problem::not_found("nobody publishes in this room")
+    Problem::not_found("the room has no publisher")
 }
 
 pub(super) fn busy() -> Problem {

@@ -50,7 +50,7 @@ pub async fn serve(mut socket: WebSocket, entry: Entry, here: &Here, ends: Optio
             entry.linger(lease, &here.stop).await;
         }
     };
-    // a link that is dead holds up nobody who watches
+    // a dead connection must not delay viewers
     tokio::join!(told, lingers);
 }
 

@@ -170,7 +170,7 @@ fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Res
 fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
     let (mut driver, mut panics) = (None, 0);
     while let Some((frame, at)) = slot.next() {
-        // nobody waits for those of before a change of the pictures' size
+        // a change of size made frames of the epoch before it useless
         if !place.0.has_epoch(place.1) {
             continue;
         }
@@ -316,7 +316,7 @@ mod tests {
         let (worker, began) = (start(true), Instant::now());
         let mut frames = 0..;
         while next(&worker, frames.next().unwrap()) != Some(Decoded::Panics) {
-            assert!(began.elapsed() < Duration::from_secs(20), "geometry is not there, and nobody says so");
+            assert!(began.elapsed() < Duration::from_secs(20), "no geometry came, and no error");
             thread::sleep(Duration::from_millis(5));
         }
     }

@@ -213,7 +213,7 @@ pub struct Exports {
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub timeout: Duration,
-    /// Time for which a finished file is kept that nobody downloads.
+    /// Time for which a finished file is kept after its last download.
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub keep: Duration,

@@ -260,7 +260,7 @@ impl Library {
     }
 }
 
-/// Refuses a blob store that is not this database's: `gc` would take what is another library's for nobody's.
+/// Refuses a blob store of another library: `gc` would delete its blobs as orphans.
 async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
     let id = links::stored_secret(database, "library").await?;
     match blobs.library().await? {

@@ -33,7 +33,7 @@ impl ServeArgs {
         let wrong = |text: &str| Err(Usage(text.into()).into());
         let limits = self.limits()?;
         if !self.is_private() && limits.quotas != Quotas::default() {
-            return wrong("quotas are for --access private: with --access open, which is the default on loopback, photos are nobody's");
+            return wrong("quotas are for --access private: with --access open, which is the default on loopback, photos have no owners");
         }
         if self.blobs.is_some() != self.database.is_some() {
             return wrong("--blobs and --database go together: what nodes share is in both");

@@ -178,7 +178,7 @@ impl BlobStore {
             blobs.insert(part, Blob { name, bytes: content.bytes, digest: content.digest });
         }
         if let Err(error) = self.put_all(writes).await {
-            // some of them may be there; a store that does not answer now keeps nobody waiting
+            // some may have been written; an object store may not answer now, so the caller does not wait for it
             let (store, names) = (self.clone(), blobs.into_values().map(|blob| blob.name).collect::<Vec<_>>());
             match &self.0 {
                 Place::Folder(_) => store.discard(names).await,
