@@ -33,9 +33,9 @@ pub const PARALLAX: f64 = 0.25;
 /// 80 leaves little of the frames in which labels follow, where tiles are late besides. Where frames come more seldom none rests: what moves goes far between two.
 pub const REST: Duration = Duration::from_millis(80);
 
-/// Parallax error that planes of a room may leave, in pixels over the view box, where nothing else is said: twice a photo's. `tmpi-lab live-bench` compares:
+/// Default parallax error that planes of a room may leave, in pixels at the corners of the view box. `tmpi-lab live-bench` compares it with half of it:
 /// less than half the bytes and less flicker, and views of estimated depth are as good.
-pub const MAX_ERROR: f64 = 2.0 * Options::MAX_ERROR;
+pub const MAX_ERROR: f64 = 3.5;
 
 /// Share of that error where depth is measured: planes are then what views lose the most by, and few.
 const MEASURED: f64 = 0.5;
