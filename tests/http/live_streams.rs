@@ -114,33 +114,29 @@ fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_w
     else {
         return;
     };
+    changes_its_size([&wide, &high, &large]);
+}
+
+/// Publishes films of 320×240, 240×320 and 640×360 pixels one after the other; a viewer sees each at its size.
+fn changes_its_size([wide, high, large]: [&[Unit]; 3]) {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
-    camera.play(&wide);
+    camera.play(wide);
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
-    for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
+    for (film, size) in [(high, (240, 320)), (large, (640, 360)), (wide, (320, 240))] {
         camera.play(film);
         sees(&mut viewer, size);
     }
-    // who comes later, too
+    // a later viewer, too
     sees(&mut Client::watch(server.addr, "attic"), (320, 240));
 }
 
 #[test]
 fn video_in_vp9_that_changes_its_size_is_shown_at_the_new_one_from_its_key_frame_on() {
     let [Some(wide), Some(high), Some(large)] = ["320x240", "240x320", "640x360"].map(vp9_film) else { return };
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
-    let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
-    camera.play(&wide);
-    let mut viewer = Client::watch(server.addr, "attic");
-    sees(&mut viewer, (320, 240));
-    for (film, size) in [(&high, (240, 320)), (&large, (640, 360)), (&wide, (320, 240))] {
-        camera.play(film);
-        sees(&mut viewer, size);
-    }
+    changes_its_size([&wide, &high, &large]);
 }
 
 #[test]

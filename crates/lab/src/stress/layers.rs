@@ -337,13 +337,8 @@ pub(super) fn regions(checked: &mut Checked, kernel: impl Fn(&[u8], &Tiles) -> O
 
 #[cfg(test)]
 mod tests {
+    use super::super::failed;
     use super::*;
-
-    fn failed(cases: impl Fn(&mut Checked)) -> usize {
-        let mut checked = Checked::default();
-        cases(&mut checked);
-        checked.failed()
-    }
 
     /// Masks of which one texel of a far layer is changed.
     fn spoilt(mut masks: Vec<LayerMasks>, from: Class, to: Class) -> Vec<LayerMasks> {

@@ -220,14 +220,8 @@ pub(super) fn labels(checked: &mut Checked, kernel: impl Fn(&Samples, &[Plane], 
 
 #[cfg(test)]
 mod tests {
+    use super::super::failed;
     use super::*;
-
-    /// Counts of cases that fail where the kernel is right, and where it is not.
-    fn failed(cases: impl Fn(&mut Checked)) -> usize {
-        let mut checked = Checked::default();
-        cases(&mut checked);
-        checked.failed()
-    }
 
     #[test]
     fn a_fault_of_each_kernel_is_caught() {

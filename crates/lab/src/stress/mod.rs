@@ -125,6 +125,14 @@ pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
     checked
 }
 
+/// Count of the cases that fail, for tests that plant faults.
+#[cfg(test)]
+fn failed(cases: impl Fn(&mut Checked)) -> usize {
+    let mut checked = Checked::default();
+    cases(&mut checked);
+    checked.failed()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

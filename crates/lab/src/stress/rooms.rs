@@ -119,15 +119,11 @@ pub(super) fn following(checked: &mut Checked, kernel: impl Fn(&Geometry, (&[u32
 
 #[cfg(test)]
 mod tests {
+    use super::super::failed;
     use super::*;
 
     #[test]
     fn a_fault_of_each_kernel_is_caught() {
-        let failed = |cases: &dyn Fn(&mut Checked)| {
-            let mut checked = Checked::default();
-            cases(&mut checked);
-            checked.failed()
-        };
         // least squares in place of the ratio of spreads
         let least_squares = |new: &DisparityMap, last: &DisparityMap, _: &[bool]| {
             let n = new.delta.len() as f64;
@@ -137,7 +133,7 @@ mod tests {
             let scale = mean(&|a, b| (a - x) * (b - y)) / mean(&|a, _| (a - x) * (a - x)).max(1e-12);
             Affine { scale, shift: y - scale * x }
         };
-        assert!(failed(&|c| alignment(c, least_squares)) > 0);
-        assert!(failed(&|c| following(c, |geometry, _| geometry.tiles.clone())) > 0);
+        assert!(failed(|c| alignment(c, least_squares)) > 0);
+        assert!(failed(|c| following(c, |geometry, _| geometry.tiles.clone())) > 0);
     }
 }
