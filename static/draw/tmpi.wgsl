@@ -1,5 +1,5 @@
 // Draws a tiled multiplane image for a camera. One file for the server (wgpu) and the browser (WebGPU), default features only; for
-// WebGL2 `cargo xtask shaders` translates it.
+// WebGL2 `crates/render/tests/shaders.rs` translates it.
 //
 // Geometry is linear in homogeneous coordinates; nothing is divided by depth. For a corner (x, y) of a layer's rectangle, in
 // reference pixels (texel i covers [i, i+1]):

@@ -20,7 +20,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-pub use raycast::cast;
+pub use raycast::{cast, cast_in_layer_order};
 use tmpi_pipeline::Models;
 use tmpi_render::{Cpu, Gpu, Reference, Renderer};
 

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use tmpi_core::{Camera, Pose, Scene};
-use tmpi_render::{NEAR, border_margin};
+use tmpi_render::{NEAR, OPAQUE, border_margin};
 
 /// A layer, unpacked, at its own place or mirrored beyond the photo's borders: there the ray is mirrored instead.
 struct Sheet {
@@ -23,9 +23,44 @@ struct Sheet {
     mirrors: [Option<f64>; 2],
 }
 
-/// The view, premultiplied, 0 to 255 a channel.
+/// What a ray meets of a layer.
+struct Hit {
+    /// Target disparity.
+    delta: f64,
+    /// Of the sheet.
+    index: usize,
+    /// Disparity at the middle of the sheet's rectangle.
+    mean: f64,
+    /// Premultiplied colour, 0 to 255.
+    rgba: [f64; 4],
+}
+
+/// The view, premultiplied, 0 to 255 a channel: all that a ray meets, the nearest first.
 #[must_use]
 pub fn cast(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
+    cast_in(scene, camera, |hits| hits.sort_by(|a, b| b.delta.total_cmp(&a.delta).then(b.index.cmp(&a.index))))
+}
+
+/// The view as `tmpi.wgsl` defines it, which a GPU draws: the nearest opaque sample, and before it the soft ones in the order of their layers' mean
+/// disparities. It differs from [`cast`] where soft layers cross each other.
+#[must_use]
+pub fn cast_in_layer_order(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
+    let forward = if turned(&camera.pose, [0.0, 0.0, 1.0])[2] < 0.0 { -1.0 } else { 1.0 };
+    let is_opaque = |hit: &Hit| hit.rgba[3] >= f64::from(OPAQUE) * 255.0;
+    cast_in(scene, camera, |hits| {
+        hits.sort_by(|a, b| b.delta.total_cmp(&a.delta).then(b.index.cmp(&a.index)));
+        if let Some(nearest) = hits.iter().position(is_opaque) {
+            hits.truncate(nearest + 1);
+            let rgba = &mut hits[nearest].rgba;
+            *rgba = rgba.map(|v| v * 255.0 / rgba[3]);
+        }
+        let soft = hits.len() - usize::from(hits.last().is_some_and(is_opaque));
+        hits[..soft].sort_by(|a, b| (forward * b.mean).total_cmp(&(forward * a.mean)).then(b.index.cmp(&a.index)));
+    })
+}
+
+/// What each pixel's ray meets, brought into order from front to back, and blended.
+fn cast_in(scene: &Scene, camera: &Camera, order: impl Fn(&mut Vec<Hit>) + Sync) -> Vec<[f64; 4]> {
     let margin = border_margin(scene);
     let sheets: Vec<Sheet> = (0..scene.layers.len()).flat_map(|i| sheets(scene, i, margin)).collect();
     let (k, out) = (&scene.intrinsics, &camera.intrinsics);
@@ -39,11 +74,11 @@ pub fn cast(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
             let ray = pixel(turned(&camera.pose, [(x - out.cx) / out.fx, (y - out.cy) / out.fy, 1.0]));
             hits.clear();
             for (index, s) in sheets.iter().enumerate() {
-                hits.extend(s.meet(ray, place).map(|(delta, rgba)| (delta, index, rgba)));
+                hits.extend(s.meet(ray, place).map(|(delta, rgba)| Hit { delta, index, mean: s.mean(), rgba }));
             }
-            hits.sort_by(|a: &(f64, usize, [f64; 4]), b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
+            order(hits);
             let (mut sum, mut through) = ([0.0; 4], 1.0);
-            for (_, _, rgba) in hits.iter() {
+            for Hit { rgba, .. } in hits.iter() {
                 for (s, v) in sum.iter_mut().zip(rgba) {
                     *s += through * v;
                 }
@@ -120,6 +155,12 @@ fn sheet(scene: &Scene, index: usize) -> Sheet {
 }
 
 impl Sheet {
+    /// Disparity at the middle of its rectangle.
+    fn mean(&self) -> f64 {
+        let [x, y, w, h] = self.rect;
+        dot(&self.n, &[x + w / 2.0, y + h / 2.0, 1.0])
+    }
+
     /// Target disparity and premultiplied colour where the ray meets the layer, if it does.
     fn meet(&self, ray: [f64; 3], place: [f64; 3]) -> Option<(f64, [f64; 4])> {
         let [ray, place] = [ray, place].map(|mut v| {

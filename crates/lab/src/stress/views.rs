@@ -1,10 +1,9 @@
 //! Planes and cameras: every scene for every camera on every renderer, against rays cast in `f64`.
 
-use std::ops::Range;
 use std::sync::Arc;
 
 use super::scenes::{all, cameras, close, flat};
-use super::{Checked, Hosts, cast};
+use super::{Checked, Hosts, cast, cast_in_layer_order};
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
 use tmpi_render::{NEAR, RenderError, Renderer};
 
@@ -26,10 +25,10 @@ pub(super) fn bound(host: &dyn Renderer) -> f64 {
     }
 }
 
-/// Percent of pixels of a view that are wrong in one of the `channels`; infinite where nothing was drawn.
-pub(super) fn wrong(host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, want: &[[f64; 4]], channels: &Range<usize>) -> f64 {
+/// Percent of pixels of a view that are wrong; infinite where nothing was drawn.
+pub(super) fn wrong(host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, want: &[[f64; 4]]) -> f64 {
     let Ok(view) = host.render(scene, camera) else { return f64::INFINITY };
-    let off = |p: &[u8; 4], q: &[f64; 4]| channels.clone().any(|c| (f64::from(p[c]) - q[c]).abs() > LEVELS);
+    let off = |p: &[u8; 4], q: &[f64; 4]| (0..4).any(|c| (f64::from(p[c]) - q[c]).abs() > LEVELS);
     let bad = view.rgba.iter().zip(want).filter(|(p, q)| off(p, q)).count();
     if view.rgba.len() != want.len() {
         return f64::INFINITY;
@@ -48,9 +47,10 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
         let host = host.as_ref();
         let gpu = host.name() == "gpu";
         let excused = |s: usize, c: usize| gpu && WITHOUT_ORDER.contains(&(scenes[s].0, names[c]));
-        // in whatever order soft layers are drawn, together they cover as much
-        let channels = |s: usize, c: usize| if excused(s, c) { 3..4 } else { 0..4 };
-        let share = |s: usize, c: usize| wrong(host, &scenes[s].1, &wanted[s][c].0, &wanted[s][c].1, &channels(s, c));
+        let share = |s: usize, c: usize| {
+            let (scene, (camera, want)) = (&scenes[s].1, &wanted[s][c]);
+            if excused(s, c) { wrong(host, scene, camera, &cast_in_layer_order(scene, camera)) } else { wrong(host, scene, camera, want) }
+        };
         let shares: Vec<Vec<f64>> = (0..scenes.len())
             .map(|s| {
                 let one = |c: usize| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| share(s, c))).unwrap_or(f64::INFINITY);
@@ -68,7 +68,9 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
             checked.case("cameras", name, host.name(), unit, bound(host), || worst(&|s, a| a == c && !excused(s, a)));
         }
         if gpu {
-            checked.case("planes", "translucent stack from beside (alpha alone)", host.name(), unit, bound(host), || worst(&excused));
+            checked.case("planes", "translucent stack from beside, in the order of layers", host.name(), unit, bound(host), || {
+                worst(&excused)
+            });
         }
         near(checked, host);
         refusals(checked, host);
@@ -85,7 +87,7 @@ fn near(checked: &mut Checked, host: &dyn Renderer) {
                 Camera { pose: Pose::at(0.0, 0.0, tz), intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height };
             let want = cast(&scene, &camera);
             checked.case("near", &format!("{name}, {tz:.4} of the way"), host.name(), "% of pixels", bound(host), || {
-                wrong(host, &scene, &camera, &want, &(0..4))
+                wrong(host, &scene, &camera, &want)
             });
         }
     }
