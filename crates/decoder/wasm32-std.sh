@@ -9,6 +9,8 @@ if [ ! -x "$root/usr/bin/rustc" ]; then
   (
     cd "$root"
     fetch() { apt-get -qq download "$@"; for d in *.deb; do dpkg -x "$d" .; done; rm -f ./*.deb; }
+    # the newest compiler is among the security updates
+    apt-get -qq update || true
     needs() { apt-cache depends "$1" | sed -n "s/.*Depends: *\($2[0-9.]*\).*/\1/p" | sort -V | tail -1; }
     std=$(needs libstd-rust-web-dev libstd-rust-web-)
     fetch rustc-web rust-web-src libstd-rust-web-dev "$std" "$(needs "$std" libllvm)"

@@ -13,6 +13,6 @@ pub mod simd;
 
 pub use layers::{Geometry, Inpainter, LayerMask, LayerMasks, Memory, Pyramid, TexturedLayer, Tile, TileFrame, compose, grown, texture};
 pub use scene::{
-    Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, Photo, Plane, Pose, Rect, Scene, SceneError, Texels, ViewBox, homography,
-    mat3_mul, mat3_vec,
+    BorderBlur, Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, Photo, Plane, Pose, Rect, Scene, SceneError, Texels, ViewBox,
+    homography, mat3_mul, mat3_vec,
 };

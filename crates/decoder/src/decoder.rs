@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use tmpi_core::container::{Part, PhotoRows, Piece, decode_rows, strip};
-use tmpi_core::{Class, Photo, Texels};
+use tmpi_core::{BorderBlur, Class, Photo, Texels};
 
 /// What can be read out.
 #[derive(Clone, Copy, Debug)]
@@ -33,6 +33,8 @@ pub struct Decoder {
     input: Vec<u8>,
     container: Vec<u8>,
     photo: PhotoRows,
+    /// Of the photo, once a piece beyond its borders is asked for.
+    blur: Option<BorderBlur>,
     hidden: Option<Photo>,
     part: Part,
     numbers: Vec<u8>,
@@ -51,6 +53,7 @@ impl Decoder {
             input: Vec::new(),
             container: Vec::new(),
             photo,
+            blur: None,
             hidden: None,
             part: Part { layers: Vec::new(), texels },
             numbers: Vec::new(),
@@ -118,7 +121,9 @@ impl Decoder {
     pub fn strip(&mut self, size: (usize, usize), straight: bool) -> Result<i32, String> {
         let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
         let pieces = numbers.as_chunks().0.iter().map(Piece::of);
-        self.strip = strip(&self.part, &self.photo, pieces, size, straight).ok_or("a piece does not fit")?;
+        let photo = &self.photo;
+        let blur = self.blur.get_or_insert_with(|| BorderBlur::new(&photo.rgb, [photo.width, photo.height], photo.top));
+        self.strip = strip(&self.part, (photo, blur), pieces, size, straight).ok_or("a piece does not fit")?;
         Ok(1)
     }
 

@@ -78,18 +78,25 @@ fn no_corner_of_the_view_box_sees_past_the_border() {
 }
 
 #[test]
-fn beyond_the_border_the_scene_is_its_own_mirror_image() {
+fn beyond_the_border_the_scene_is_its_own_mirror_image_and_blurs() {
     let mut scene = flat(160, 100, 1.0);
+    // stripes of eight pixels
+    for (x, p) in (0..160).cycle().zip(&mut scene.photo.rgb) {
+        *p = [x / 4 % 2 * 240; 3];
+    }
     scene.view_box = ViewBox { x: 0.1, y: 0.0, z: 0.0 };
     let scene = Arc::new(scene);
     // ten pixels of parallax
     let pose = Pose::at(-10.0 / scene.intrinsics.fx, 0.0, 0.0);
     let view = Reference.render(&scene, &camera(&scene, pose, 160, 100)).unwrap();
-    for y in 0..100 {
-        for x in 0..10 {
-            let (got, want) = (view.rgba[y * 160 + 9 - x], scene.photo.at(x as u32, y as u32));
-            assert!(got[3] == 255 && (0..3).all(|c| got[c].abs_diff(want[c]) <= 1), "{x} {y}: {got:?} {want:?}");
-        }
+    for row in view.rgba.chunks(160) {
+        // from the border outwards: the first stripe, then the next two
+        let beyond: Vec<u8> = row[..10].iter().rev().map(|p| p[0]).collect();
+        assert!(row[..10].iter().all(|p| p[3] == 255), "{row:?}");
+        let contrast = |pixels: &[u8]| pixels.iter().max().unwrap() - pixels.iter().min().unwrap();
+        assert!(beyond[0] < 10 && beyond[5] > 120, "mirrored: {beyond:?}");
+        assert!((40..200).contains(&contrast(&beyond[4..])), "blurred: {beyond:?}");
+        assert!((10..160).all(|x| [0, 240].contains(&row[x][0])), "within the photo it is sharp");
     }
 }
 

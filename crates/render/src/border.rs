@@ -1,9 +1,10 @@
 //! A scene is continued beyond the photo's borders by its mirror image, so that no camera of the view box sees past them.
 //!
 //! What is mirrored is the scene, not the picture: planes tilt the other way, and hidden texels stay behind what hides them, so the
-//! continuation moves like the photo does. Derived from the scene when it is drawn; no container holds it.
+//! continuation moves like the photo does. Its colours are blurred, the more the farther out ([`BorderBlur`]). Derived from the scene when
+//! it is drawn; no container holds it.
 
-use tmpi_core::{Camera, Mat3, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
+use tmpi_core::{BorderBlur, Camera, Mat3, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
 
 /// The widest margin, as a share of the photo's longer side. A view box that needs more sees past it at its corners.
 const WIDEST: f64 = 1.0 / 4.0;
@@ -92,23 +93,60 @@ impl Piece {
         self.rows(scene, &scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()])
     }
 
-    /// Appends its texels to `out`, row-major; `layer` are all texels of its layer.
-    pub fn expand(&self, scene: &Scene, layer: &[[u8; 4]], out: &mut Vec<[u8; 4]>) {
-        for row in self.texels(scene, layer) {
-            if self.mirrored[0] { out.extend(row.iter().rev()) } else { out.extend_from_slice(row) }
-        }
-    }
-
-    /// Rows of its texels from its upper one on, each from left to right of the layer; `layer` are all texels of that.
-    pub fn texels<'a>(&self, scene: &Scene, layer: &'a [[u8; 4]]) -> impl Iterator<Item = &'a [[u8; 4]]> {
-        let mut rows = self.rows(scene, layer);
-        let upwards = self.mirrored[1];
-        std::iter::from_fn(move || if upwards { rows.next_back() } else { rows.next() })
-    }
-
     /// Whether it lies beyond a border.
     pub fn is_mirrored(&self) -> bool {
         self.mirrored != [false; 2]
+    }
+}
+
+/// Expands the texels of a scene's pieces; pieces of a layer that come one after the other share the work.
+pub(super) struct Expander<'a> {
+    scene: &'a Scene,
+    blur: &'a BorderBlur,
+    /// All texels of the layer at hand, with the colours of pieces that are mirrored as `of` says.
+    layer: Vec<[u8; 4]>,
+    of: Option<(usize, [bool; 2])>,
+}
+
+impl<'a> Expander<'a> {
+    /// For pieces of `scene`; `blur` comes from [`border_blur`].
+    pub const fn new(scene: &'a Scene, blur: &'a BorderBlur) -> Self {
+        Self { scene, blur, layer: Vec::new(), of: None }
+    }
+
+    /// Rows of a piece's texels from its upper one on, each from left to right of the layer: backward where it is mirrored in x.
+    pub fn rows(&mut self, piece: &Piece) -> impl Iterator<Item = &[[u8; 4]]> {
+        let Self { scene, blur, layer, of } = self;
+        if *of != Some((piece.layer, piece.mirrored)) {
+            layer.clear();
+            if piece.is_mirrored() {
+                let (width, photo) = (scene.photo.width as usize, &scene.photo.rgb);
+                let own = |x: usize, y: usize, count: usize| &photo[y * width + x..][..count];
+                scene.expand_layer_with(piece.layer, |x, y, n, row| blur.row(x, y, own(x, y, n), piece.mirrored, row), layer);
+            } else {
+                scene.expand_layer(piece.layer, layer);
+            }
+            *of = Some((piece.layer, piece.mirrored));
+        }
+        let mut rows = piece.rows(scene, layer);
+        let upwards = piece.mirrored[1];
+        std::iter::from_fn(move || if upwards { rows.next_back() } else { rows.next() })
+    }
+
+    /// Appends a piece's texels to `out`, row-major.
+    pub fn append(&mut self, piece: &Piece, out: &mut Vec<[u8; 4]>) {
+        for row in self.rows(piece) {
+            if piece.mirrored[0] { out.extend(row.iter().rev()) } else { out.extend_from_slice(row) }
+        }
+    }
+}
+
+/// What blurs the mirrored ones of a scene's pieces; empty where there is none.
+pub(super) fn border_blur(scene: &Scene, pieces: &[Piece]) -> BorderBlur {
+    if pieces.iter().any(Piece::is_mirrored) {
+        BorderBlur::new(&scene.photo.rgb, [scene.photo.width, scene.photo.height], 0)
+    } else {
+        BorderBlur::default()
     }
 }
 
@@ -225,7 +263,8 @@ mod tests {
         let area = |p: &Piece| p.size[0] as usize * p.size[1] as usize;
         let outside: usize = all[1..].iter().map(area).sum();
         assert_eq!(outside, (100 + 2 * x as usize) * (60 + 2 * y as usize) - 6000);
-        // mirrored: the disparity is continuous across the border, and texels repeat there
+        // mirrored: the disparity is continuous across the border, and texels repeat there but for their blur
+        let blur = border_blur(&scene, &all);
         let half = scene.grid.half();
         for p in &all {
             let own = &all[0];
@@ -234,11 +273,12 @@ mod tests {
             let delta = |p: &Piece, x: f64, y: f64| p.plane.disparity((x - p.centre.0) / half, (y - p.centre.1) / half);
             let want = delta(own, reflected(at[0], 100.0), reflected(at[1], 60.0));
             assert!((delta(p, at[0], at[1]) - want).abs() < 1e-12, "{p:?}");
-            let (mut layer, mut texels) = (Vec::new(), Vec::new());
-            scene.expand_layer(0, &mut layer);
-            p.expand(&scene, &layer, &mut texels);
-            let place = reflected(at[1], 60.0) as usize * 100 + reflected(at[0], 100.0) as usize;
-            assert_eq!((texels.len(), texels[0]), (area(p), layer[place]));
+            let mut texels = Vec::new();
+            Expander::new(&scene, &blur).append(p, &mut texels);
+            let (x, y) = (reflected(at[0], 100.0) as usize, reflected(at[1], 60.0) as usize);
+            let mut want = Vec::new();
+            blur.row(x, y, &scene.photo.rgb[y * 100 + x..][..1], p.mirrored, &mut want);
+            assert_eq!((texels.len(), &texels[0][..3]), (area(p), &want[0][..]));
         }
     }
 

@@ -2,10 +2,10 @@
 
 use std::sync::{Arc, Weak};
 
-use tmpi_core::{Scene, SceneError};
+use tmpi_core::{BorderBlur, Scene, SceneError};
 
 use super::OPAQUE;
-use super::border::{Piece, pieces};
+use super::border::{Expander, Piece, border_blur, pieces};
 use super::cpu::ReferenceView;
 
 /// What the texels of a piece allow to be left out.
@@ -103,7 +103,7 @@ impl Prepared {
             parts.push((piece, own));
             rest = after;
         }
-        expand(scene, parts, count);
+        expand(scene, &border_blur(scene, &pieces), parts, count);
         Self { pieces, texels, first, order, reference: ReferenceView::default() }
     }
 
@@ -118,10 +118,10 @@ impl Prepared {
 /// Writes the texels of pieces into their places, `count` of them.
 ///
 /// Threads of its own, not rayon's: one of those may wait for this scene while it holds what this waits for.
-fn expand(scene: &Scene, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
+fn expand(scene: &Scene, blur: &BorderBlur, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(count / THREAD_TEXELS);
     if threads < 2 {
-        return expand_some(scene, &mut parts);
+        return expand_some(scene, blur, &mut parts);
     }
     std::thread::scope(|scope| {
         let mut rest = &mut parts[..];
@@ -134,25 +134,19 @@ fn expand(scene: &Scene, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize)
             let (some, after) = rest.split_at_mut(enough.map_or(rest.len(), |i| i + 1));
             rest = after;
             if rest.is_empty() {
-                expand_some(scene, some);
+                expand_some(scene, blur, some);
             } else {
-                scope.spawn(|| expand_some(scene, some));
+                scope.spawn(|| expand_some(scene, blur, some));
             }
         }
     });
 }
 
-fn expand_some(scene: &Scene, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
-    let mut layer = Vec::new();
-    let mut expanded = None;
+fn expand_some(scene: &Scene, blur: &BorderBlur, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
+    let mut expander = Expander::new(scene, blur);
     for (piece, out) in parts {
-        if expanded != Some(piece.layer) {
-            layer.clear();
-            scene.expand_layer(piece.layer, &mut layer);
-            expanded = Some(piece.layer);
-        }
         let width = piece.size[0] as usize;
-        for (row, out) in piece.texels(scene, &layer).zip(out.chunks_mut(width + 1)) {
+        for (row, out) in expander.rows(piece).zip(out.chunks_mut(width + 1)) {
             out[..width].copy_from_slice(row);
             if piece.mirrored[0] {
                 out[..width].reverse();
@@ -249,11 +243,11 @@ mod tests {
         let scene = discs(640, 480).1;
         let prepared = Prepared::new(&scene).unwrap();
         assert!(prepared.texels.len() > 3 * THREAD_TEXELS && prepared.pieces.iter().any(Piece::is_mirrored));
+        let blur = border_blur(&scene, &prepared.pieces);
         for &i in &prepared.order {
             let (piece, first) = (&prepared.pieces[i], prepared.first[i]);
-            let (mut layer, mut own) = (Vec::new(), Vec::new());
-            scene.expand_layer(piece.layer, &mut layer);
-            piece.expand(&scene, &layer, &mut own);
+            let mut own = Vec::new();
+            Expander::new(&scene, &blur).append(piece, &mut own);
             let (w, h) = (piece.size[0] as usize, piece.size[1] as usize);
             let texel = |i: usize| own[(i / (w + 1)).min(h - 1) * w + (i % (w + 1)).min(w - 1)];
             assert!((0..padded(piece)).all(|i| prepared.texels[first + i] == texel(i)), "{piece:?}");

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::border::pieces;
+use super::border::{Expander, border_blur, pieces};
 use super::footprint::Footprint;
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene};
@@ -38,12 +38,14 @@ impl Renderer for Reference {
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         check(camera)?;
         scene.validate()?;
-        let seen: Vec<Seen> = (pieces(scene).iter().enumerate())
+        let pieces = pieces(scene);
+        let blur = border_blur(scene, &pieces);
+        let mut expander = Expander::new(scene, &blur);
+        let seen: Vec<Seen> = (pieces.iter().enumerate())
             .filter_map(|(index, piece)| {
                 let footprint = Footprint::new(scene, piece, camera)?;
-                let (mut layer, mut texels) = (Vec::new(), Vec::new());
-                scene.expand_layer(piece.layer, &mut layer);
-                piece.expand(scene, &layer, &mut texels);
+                let mut texels = Vec::new();
+                expander.append(piece, &mut texels);
                 Some(Seen { footprint, index, size: piece.size.map(|v| v as usize), texels })
             })
             .collect();

@@ -2,7 +2,7 @@
 
 use super::{Part, PhotoRows};
 use crate::scene::colour;
-use crate::{Class, Layer};
+use crate::{BorderBlur, Class, Layer};
 
 /// A part of a layer in a strip.
 #[derive(Clone, Copy, Debug)]
@@ -40,11 +40,11 @@ impl Piece {
     }
 }
 
-/// Premultiplied or straight RGBA of a strip of `size`, row by row; none where a piece does not fit.
+/// Premultiplied or straight RGBA of a strip of `size`, row by row; none where a piece does not fit. `blur` is of the same rows as `photo`.
 #[must_use]
 pub fn strip(
     part: &Part,
-    photo: &PhotoRows,
+    (photo, blur): (&PhotoRows, &BorderBlur),
     pieces: impl Iterator<Item = Piece>,
     size: (usize, usize),
     straight: bool,
@@ -52,7 +52,13 @@ pub fn strip(
     let mut out = vec![[0; 4]; size.0.checked_mul(size.1)?];
     for piece in pieces {
         let layer = part.layers.get(piece.layer).filter(|layer| piece.fits(layer, size))?;
-        expand(part, layer, &piece, &mut Rows { photo, words: Vec::new() }, &mut out, size.0);
+        let rows = Rows { photo, words: Vec::new() };
+        if piece.mirrored == (false, false) {
+            expand(part, layer, &piece, &mut { rows }, &mut out, size.0);
+        } else {
+            let mirrored = [piece.mirrored.0, piece.mirrored.1];
+            expand(part, layer, &piece, &mut Blurred { rows, blur, mirrored, rgb: Vec::new() }, &mut out, size.0);
+        }
     }
     if !straight {
         out.iter_mut().for_each(premultiply);
@@ -85,12 +91,37 @@ struct Rows<'a> {
     words: Vec<u32>,
 }
 
+impl Rows<'_> {
+    fn rgb(&self, x: usize, y: usize, count: usize) -> &[[u8; 3]] {
+        &self.photo.rgb[(y - self.photo.top as usize) * self.photo.width as usize + x..][..count]
+    }
+}
+
 impl Colours for Rows<'_> {
     fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32] {
-        let at = (y - self.photo.top as usize) * self.photo.width as usize + x;
-        self.words.resize(count, 0);
-        colour::words(&self.photo.rgb[at..at + count], &mut self.words);
+        let mut words = std::mem::take(&mut self.words);
+        words.resize(count, 0);
+        colour::words(self.rgb(x, y, count), &mut words);
+        self.words = words;
         &self.words
+    }
+}
+
+/// What continues the photo beyond its borders.
+struct Blurred<'a> {
+    rows: Rows<'a>,
+    blur: &'a BorderBlur,
+    mirrored: [bool; 2],
+    rgb: Vec<[u8; 3]>,
+}
+
+impl Colours for Blurred<'_> {
+    fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32] {
+        self.rgb.clear();
+        self.blur.row(x, y, self.rows.rgb(x, y, count), self.mirrored, &mut self.rgb);
+        self.rows.words.resize(count, 0);
+        colour::words(&self.rgb, &mut self.rows.words);
+        &self.rows.words
     }
 }
 
@@ -106,7 +137,7 @@ impl Colours for Words<'_> {
     }
 }
 
-fn expand(part: &Part, l: &Layer, piece: &Piece, photo: &mut impl Colours, out: &mut [[u8; 4]], width: usize) {
+fn expand(part: &Part, l: &Layer, piece: &Piece, photo: &mut dyn Colours, out: &mut [[u8; 4]], width: usize) {
     let (w, h) = piece.size;
     let hidden_of = |class: &[u8]| class.iter().filter(|&&c| c == Class::Hidden as u8).count();
     let texel = |v: usize| l.first_texel + v * l.rect.w as usize;

@@ -3,6 +3,7 @@
 //! Camera: x right, y down, z forward. Pixel centres lie at half-integers. Depth is always written as disparity
 //! `δ = 1/z`: infinity is 0, the nearest surface of a photo is 1, so lengths are in units of the nearest distance.
 
+mod border_blur;
 mod camera;
 pub(crate) mod colour;
 #[cfg(feature = "digest")]
@@ -11,6 +12,7 @@ mod grid;
 mod multiplane;
 mod plane;
 
+pub use border_blur::BorderBlur;
 pub use camera::{Camera, Intrinsics, Mat3, Pose, ViewBox, homography, mat3_mul, mat3_vec};
 pub use grid::{Grid, Rect};
 pub use multiplane::{Class, DisparityMap, Layer, Photo, Scene, SceneError, Texels};

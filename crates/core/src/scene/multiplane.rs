@@ -159,15 +159,22 @@ impl Scene {
 
     /// Straight-alpha RGBA texels of layer `index`, row-major in its rectangle, appended to `out`; empty texels are 0.
     pub fn expand_layer(&self, index: usize, out: &mut Vec<[u8; 4]>) {
+        let (width, photo) = (self.photo.width as usize, &self.photo.rgb);
+        self.expand_layer_with(index, |x, y, count, row| row.extend_from_slice(&photo[y * width + x..][..count]), out);
+    }
+
+    /// The same with other colours for visible texels: `colours` appends those of so many pixels of the photo from `(x, y)` on.
+    pub fn expand_layer_with(&self, index: usize, colours: impl Fn(usize, usize, usize, &mut Vec<[u8; 3]>), out: &mut Vec<[u8; 4]>) {
         let l = &self.layers[index];
         let mut hidden = self.texels.hidden[l.first_hidden..].iter();
         let own = l.first_texel..l.first_texel + l.rect.area();
         let (class, alpha) = (&self.texels.class[own.clone()], &self.texels.alpha[own]);
         let width = l.rect.w as usize;
+        let mut visible = Vec::with_capacity(width);
         for (y, (class, alpha)) in (l.rect.y..).zip(class.chunks(width).zip(alpha.chunks(width))) {
-            let row = y as usize * self.photo.width as usize + l.rect.x as usize;
-            let own = &self.photo.rgb[row..row + width];
-            out.extend(own.iter().zip(class.iter().zip(alpha)).map(|(p, (&c, &a))| {
+            visible.clear();
+            colours(l.rect.x as usize, y as usize, width, &mut visible);
+            out.extend(visible.iter().zip(class.iter().zip(alpha)).map(|(p, (&c, &a))| {
                 let [r, g, b] = match c {
                     c if c == Class::Photo as u8 => *p,
                     c if c == Class::Hidden as u8 => hidden.next().copied().unwrap_or_default(),

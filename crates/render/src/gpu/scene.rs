@@ -6,7 +6,7 @@ use wgpu::util::DeviceExt;
 
 use super::device::{COLOUR, Device, WIDE};
 use super::pack::{Packing, pack};
-use crate::border::{Piece, pieces};
+use crate::border::{Expander, Piece, border_blur, pieces};
 use crate::prepared::{Content, back_to_front};
 use crate::{OPAQUE, RenderError};
 use tmpi_core::Scene;
@@ -147,17 +147,12 @@ impl Plan {
         let p = &self.packing;
         let texture = device.atlas(p.width, p.height, p.pages, format);
         let mut page = vec![T::zeroed(); p.width as usize * p.height as usize];
-        let (mut layer, mut texels) = (Vec::new(), Vec::new());
+        let (blur, mut texels) = (border_blur(scene, &self.pieces), Vec::new());
+        let mut expander = Expander::new(scene, &blur);
         for number in 0..p.pages {
-            let mut expanded = None;
             for (piece, place) in self.pieces.iter().zip(&p.places).filter(|(_, place)| place.page == number) {
-                if expanded != Some(piece.layer) {
-                    layer.clear();
-                    scene.expand_layer(piece.layer, &mut layer);
-                    expanded = Some(piece.layer);
-                }
                 texels.clear();
-                piece.expand(scene, &layer, &mut texels);
+                expander.append(piece, &mut texels);
                 let width = piece.size[0] as usize;
                 for (y, row) in texels.chunks(width).enumerate() {
                     let start = (place.y as usize + y) * p.width as usize + place.x as usize;

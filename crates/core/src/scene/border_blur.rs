@@ -1,0 +1,151 @@
+//! Colours that continue a photo beyond its borders: its mirror image, blurred the more the farther out.
+//!
+//! A sharp mirror image shows a second face beside one that the frame cuts. The blur takes from a pyramid of means, so its cost does
+//! not depend on its width.
+
+/// Coarsest level: means of 64 × 64 pixels. A blurred pixel follows from pixels within 96 of it in each axis, which is what a band of
+/// rows has beside its tiles.
+const COARSEST: usize = 6;
+
+/// How fast the blur grows: its half-width is one pixel more for each so many pixels beyond the border.
+const PIXELS_PER_RADIUS: f32 = 2.0;
+
+/// Blurs rows of a photo for their mirror images, each pixel by its distance from the border at which it is mirrored.
+#[derive(Clone, Debug, Default)]
+pub struct BorderBlur {
+    /// Size of the whole photo.
+    size: [usize; 2],
+    /// From means of 2 × 2 pixels on.
+    levels: Vec<Level<Vec<[u8; 3]>>>,
+}
+
+/// Some rows of a level of the pyramid.
+#[derive(Clone, Debug)]
+struct Level<T> {
+    /// Number of the first row in the whole picture's level.
+    top: usize,
+    width: usize,
+    texels: T,
+}
+
+impl BorderBlur {
+    /// Of a photo of `size` (width, height), of which `rgb` has the rows from `top` on.
+    #[must_use]
+    pub fn new(rgb: &[[u8; 3]], size: [u32; 2], top: u32) -> Self {
+        let size = size.map(|v| v as usize);
+        let mut levels: Vec<Level<Vec<_>>> = Vec::with_capacity(COARSEST);
+        for _ in 0..COARSEST {
+            let next = levels.last().map_or_else(|| Level { top: top as usize, width: size[0], texels: rgb }.halved(), Level::halved);
+            levels.push(next);
+        }
+        Self { size, levels }
+    }
+
+    /// Appends the blurred colours of pixels from column `x` on of row `y`, which are `mirrored` in x, in y, at the nearer border; `sharp` are
+    /// their own colours.
+    pub fn row(&self, x: usize, y: usize, sharp: &[[u8; 3]], mirrored: [bool; 2], out: &mut Vec<[u8; 3]>) {
+        let beyond = |at: usize, axis: usize| if mirrored[axis] { at.min(self.size[axis] - 1 - at) as f32 + 0.5 } else { 0.0 };
+        let down = beyond(y, 1);
+        out.extend(sharp.iter().zip(x..).map(|(own, x)| self.pixel(x, y, own.map(f32::from), beyond(x, 0).max(down))));
+    }
+
+    /// The colour of a pixel that is shown so many pixels beyond a border.
+    fn pixel(&self, x: usize, y: usize, own: [f32; 3], beyond: f32) -> [u8; 3] {
+        // the logarithm, but straight between powers of two
+        let radius = (1.0 + beyond / PIXELS_PER_RADIUS).min((1 << COARSEST) as f32);
+        let fine = (radius as usize).ilog2() as usize;
+        let share = radius / (1 << fine) as f32 - 1.0;
+        let of = |level: usize| if level == 0 { own } else { self.levels[level - 1].at(x, y, level) };
+        let (a, b) = (of(fine), of((fine + 1).min(COARSEST)));
+        std::array::from_fn(|c| (a[c] + share * (b[c] - a[c]) + 0.5) as u8)
+    }
+}
+
+impl<T: AsRef<[[u8; 3]]>> Level<T> {
+    /// A texel of the whole level, or the nearest one that is kept.
+    fn texel(&self, x: usize, y: usize) -> [u8; 3] {
+        let texels = self.texels.as_ref();
+        let rows = texels.len() / self.width.max(1);
+        let row = y.saturating_sub(self.top).min(rows.saturating_sub(1));
+        texels.get(row * self.width + x.min(self.width.saturating_sub(1))).copied().unwrap_or_default()
+    }
+
+    /// Means of 2 × 2 texels.
+    fn halved(&self) -> Level<Vec<[u8; 3]>> {
+        let rows = self.texels.as_ref().len() / self.width.max(1);
+        let (top, width) = (self.top / 2, self.width.div_ceil(2));
+        let mean = |(x, y): (usize, usize)| {
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| self.texel(2 * x + i, 2 * y + j));
+            std::array::from_fn(|c| ((four.iter().map(|t| u16::from(t[c])).sum::<u16>() + 2) / 4) as u8)
+        };
+        let places = (top..(self.top + rows).div_ceil(2)).flat_map(|y| (0..width).map(move |x| (x, y)));
+        Level { top, width, texels: places.map(mean).collect() }
+    }
+
+    /// The colour at the centre of pixel `(x, y)` of the photo, bilinear between the centres of this level's texels.
+    fn at(&self, x: usize, y: usize, level: usize) -> [f32; 3] {
+        let scale = 1.0 / (1 << level) as f32;
+        let place = |at: usize| {
+            let at = ((at as f32 + 0.5) * scale - 0.5).max(0.0);
+            (at as usize, at.fract())
+        };
+        let ((x, fx), (y, fy)) = (place(x), place(y));
+        let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| self.texel(x + i, y + j).map(f32::from));
+        let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
+        std::array::from_fn(|c| four.iter().zip(weights).map(|(t, w)| t[c] * w).sum())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: [u32; 2] = [300, 260];
+
+    fn photo() -> Vec<[u8; 3]> {
+        (0..SIZE[0] * SIZE[1]).map(|i| [(i % 300 / 8 % 2 * 200) as u8, (i / 300) as u8, (i * 7919 % 251) as u8]).collect()
+    }
+
+    fn blurred(rgb: &[[u8; 3]], top: u32, y: u32) -> Vec<[u8; 3]> {
+        let mut out = Vec::new();
+        let own = &rgb[((y - top) * SIZE[0]) as usize..][..SIZE[0] as usize];
+        BorderBlur::new(rgb, SIZE, top).row(0, y as usize, own, [true, false], &mut out);
+        out
+    }
+
+    #[test]
+    fn a_plain_photo_stays_as_it_is() {
+        let plain = vec![[9, 200, 77]; 300 * 260];
+        assert!((0..260).all(|y| blurred(&plain, 0, y).iter().all(|c| *c == [9, 200, 77])));
+    }
+
+    #[test]
+    fn stripes_fade_with_the_distance_from_the_border() {
+        let row = blurred(&photo(), 0, 130);
+        // red alternates between 0 and 200 each 8 pixels: how far a period reaches
+        let contrast = |from: usize| {
+            let reds: Vec<i32> = row[from..from + 16].iter().map(|c| i32::from(c[0])).collect();
+            reds.iter().max().unwrap() - reds.iter().min().unwrap()
+        };
+        assert!(contrast(0) > 150, "{}", contrast(0));
+        assert!(contrast(48) < 20 && contrast(236) < 20, "{} {}", contrast(48), contrast(236));
+        assert!(contrast(120) <= contrast(16) && contrast(16) <= contrast(0));
+    }
+
+    #[test]
+    fn a_band_of_rows_gives_the_colours_of_the_whole_photo() {
+        let photo = photo();
+        let (top, bottom) = (10, 250);
+        let band = &photo[top as usize * 300..bottom as usize * 300];
+        for y in top + 96..bottom - 96 {
+            assert_eq!(blurred(band, top, y), blurred(&photo, 0, y), "row {y}");
+        }
+    }
+
+    #[test]
+    fn a_photo_of_one_pixel_is_its_colour() {
+        let mut out = Vec::new();
+        BorderBlur::new(&[[1, 2, 3]], [1, 1], 0).row(0, 0, &[[1, 2, 3]], [true; 2], &mut out);
+        assert_eq!(out, [[1, 2, 3]]);
+    }
+}
