@@ -1,23 +1,23 @@
 #!/usr/bin/env python3
-"""What lies in docker/, held against the tools that read it: one line for each of them, `passed`, `FAILED` or `skipped` with the reason.
+"""Checks docker/ with the tools that read it: one line for each of them, `passed`, `FAILED` or `skipped` with the reason.
 
-    python3 docker/check.py             ends with status 1 where something fails
-    python3 docker/check.py --require   also where something is skipped
+    python3 docker/check.py             exits with status 1 if a check fails
+    python3 docker/check.py --require   also if a check is skipped
 
-Python's standard library alone. Tools are taken from PATH, or from where a variable of their name says: PROMTOOL=/opt/prometheus/promtool.
-To have most of them: pip install -r docker/requirements.txt; promtool comes with Prometheus. Where compositions are read by
-no docker compose, COMPOSE_SCHEMA may name compose-spec.json, the schema of their specification (pip install jsonschema pyyaml). The program
-is target/release/tmpi, or what TMPI names; of it the names of all metrics are asked."""
+Needs only Python's standard library. Tools come from PATH, or from a variable with their name: PROMTOOL=/opt/prometheus/promtool.
+pip install -r docker/requirements.txt installs most of them; promtool is part of Prometheus. Without docker compose, COMPOSE_SCHEMA
+may name compose-spec.json, the schema of compositions (pip install jsonschema pyyaml). The names of all metrics come from the program:
+target/release/tmpi, or the one that TMPI names."""
 import argparse, json, os, re, shutil, subprocess, sys, tempfile, urllib.request
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
-# what compositions and configurations want to be told, none of it a secret of anybody's
+# variables that compositions and configurations need; none is a real secret
 ENVIRONMENT = {
     "TMPI_HOST": "photos.example.org",
 }
-# ends that a counter or a histogram has beside its name
+# suffixes of counters and histograms
 ENDS = ("_total", "_bucket", "_sum", "_count", "_created")
 SECONDS = 120
 
@@ -33,7 +33,7 @@ class Failed(Exception):
 def tool(name):
     """Path of a tool."""
     named = os.environ.get(re.sub(r"\W", "_", name).upper())
-    # those that pip has put beside this very Python
+    # tools that pip installed beside this Python
     beside = str(Path(sys.executable).parent)
     found = named or shutil.which(name) or shutil.which(name, path=beside)
     if not found:
@@ -42,7 +42,7 @@ def tool(name):
 
 
 def run(*command, cwd=HERE):
-    """What a tool says; a failure where it is not content."""
+    """Output of a tool; fails if the tool does."""
     try:
         done = subprocess.run([str(c) for c in command], cwd=cwd, env={**os.environ, **ENVIRONMENT}, capture_output=True, text=True, timeout=SECONDS)
     except OSError as error:
@@ -55,7 +55,7 @@ def run(*command, cwd=HERE):
 
 
 def composer():
-    """A command that reads compositions, with a daemon or without."""
+    """A command that reads compositions, with or without a daemon."""
     try:
         docker = tool("docker")
         run(docker, "compose", "version")
@@ -74,7 +74,7 @@ def compositions():
     except Skipped as none:
         return compositions_by_schema(none)
     with tempfile.TemporaryDirectory(prefix="tmpi-check-") as folder:
-        # beside secrets of nobody's: files that are named have to be there
+        # with dummy secrets, because the named files must exist
         copy = Path(folder) / "docker"
         shutil.copytree(HERE, copy, ignore=shutil.ignore_patterns("secrets"))
         (copy / "secrets").mkdir()
@@ -85,7 +85,7 @@ def compositions():
 
 
 def compositions_by_schema(none):
-    """Where nothing reads them, their form alone."""
+    """Only the syntax, if no tool can read them."""
     schema = os.environ.get("COMPOSE_SCHEMA")
     if not schema:
         raise Skipped(f"{none}, and COMPOSE_SCHEMA names no compose-spec.json")
@@ -109,7 +109,7 @@ def proxies():
     caddy = tool("caddy")
     for file in sorted((HERE / "caddy").glob("*.Caddyfile")):
         run(caddy, "validate", "--adapter", "caddyfile", "--config", file)
-        # prints what is not in its place
+        # prints differences in formatting
         run(caddy, "fmt", "--diff", file)
 
 
@@ -142,19 +142,19 @@ def kustomizations():
 def unit():
     analyze = tool("systemd-analyze")
     with tempfile.TemporaryDirectory(prefix="tmpi-check-") as folder:
-        # the program is not where it is to be installed
+        # the program is not at its installed path
         copy = Path(folder) / "tmpi.service"
         copy.write_text((HERE / "tmpi.service").read_text().replace("/opt/tmpi/tmpi ", "/bin/true "))
         run(analyze, "verify", copy)
 
 
 def asked(path):
-    """A figure as it is asked for, as the program has it: without the end that Prometheus adds."""
+    """The program's name of a metric: without the suffix that Prometheus adds."""
     return [path, *(path.removesuffix(end) for end in ENDS if path.endswith(end))]
 
 
 def metrics():
-    """Names of what a node tells, of rooms too."""
+    """Names of a node's metrics, including those of rooms."""
     program = os.environ.get("TMPI", str(ROOT / "target/release/tmpi"))
     if not Path(program).is_file():
         raise Skipped(f"there is no {program}")
@@ -173,7 +173,7 @@ def metrics():
     told = set(re.findall(r"^# TYPE (\w+)", text, re.MULTILINE))
     if "tmpi_uptime_seconds" not in told and len(told) < 20:
         raise Failed(f"few metrics: {sorted(told)}")
-    # those of which nothing has been counted yet are not told
+    # metrics without any count yet are missing
     return told.union(*(re.findall(r'"(tmpi_[a-z_]+)"', file.read_text()) for file in (ROOT / "src").rglob("*.rs")))
 
 
@@ -204,7 +204,7 @@ CHECKS = {
 
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--require", action="store_true", help="what is skipped has failed")
+    arguments.add_argument("--require", action="store_true", help="a skipped check fails")
     require = arguments.parse_args().require
     bad = False
     for name, check in CHECKS.items():

@@ -1,4 +1,4 @@
-//! Runs the target named by `TMPI_FUZZ` on the bytes that libFuzzer finds.
+//! Runs the target that `TMPI_FUZZ` names under libFuzzer.
 #![no_main]
 
 use std::sync::OnceLock;
@@ -9,7 +9,7 @@ use tmpi::fuzzing::{Run, TARGETS};
 #[path = "memory.rs"]
 mod memory;
 
-/// Whoever calls a video decoder catches its panics; the hook that libFuzzer's crate sets would end the run before that.
+/// Callers of video decoders catch their panics, but the hook of libFuzzer's crate would abort first.
 fn pass_over_decoders() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {

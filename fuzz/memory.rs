@@ -1,4 +1,4 @@
-//! Counts what is allocated, and holds a target to what it says it may take.
+//! Counts allocated memory and checks it against the bound that a target returns.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -15,7 +15,7 @@ fn taken(bytes: usize) {
     MOST.fetch_max(NOW.fetch_add(bytes, Relaxed) + bytes, Relaxed);
 }
 
-// SAFETY: every call is handed on to the system's allocator as it is
+// SAFETY: every call is passed to the system's allocator unchanged
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         taken(layout.size());
@@ -46,7 +46,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Runs a target and panics where it took more memory than it may. One at a time: the memory of the whole process is counted.
+/// Runs a target and panics if it took more memory than its bound. Not in parallel: the count is for the whole process.
 pub fn hold(run: Run, data: &[u8]) {
     static ALONE: Mutex<()> = Mutex::new(());
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);

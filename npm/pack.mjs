@@ -6,17 +6,17 @@ import { extname, join, resolve } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
 const ROOT = fileURLToPath(new URL('../', import.meta.url));
-/** Folders of static/ that the element is made of, and the kinds of files that a browser asks for. */
+/** Folders of static/ that the element uses, and the kinds of files that a browser requests. */
 const FOLDERS = ['decode', 'draw', 'element', 'i18n', 'input', 'live', 'view'];
 const KINDS = new Set(['.js', '.wasm', '.wgsl']);
-/** What goes live is a page of the server's alone. */
+/** Publishing is only on the server's own page. */
 const PUBLISHING = ['encoders.js', 'frames.js', 'microphone.js', 'microphone-worklet.js', 'publisher.js'].map((name) => `live/${name}`);
 const OWN = ['README.md', 'tmpi-viewer.d.ts', 'rest.js', 'rest.d.ts', 'upload.html'];
 const LICENCES = ['LICENSE-MIT', 'LICENSE-APACHE'];
 
 /**
  * Puts the package together and packs it.
- * @param {string} folder that it is written to; what lies there is removed
+ * @param {string} folder output folder; its contents are removed
  * @returns {string} path of the archive
  */
 export function pack(folder) {

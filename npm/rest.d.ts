@@ -1,6 +1,6 @@
-/** A problem document (RFC 9457), as the server answers whatever it refuses. */
+/** A problem document (RFC 9457): the server's answer when it refuses a request. */
 export interface Problem {
-  /** Kind of the problem, a URI that stays the same: `urn:tmpi:problem:…`. */
+  /** Kind of the problem, a stable URI: `urn:tmpi:problem:…`. */
   type: string;
   title: string;
   /** HTTP status. */
@@ -9,14 +9,14 @@ export interface Problem {
   /** Field, parameter or option that is at fault. */
   field?: string;
   request_id?: string;
-  /** Seconds after which another try may succeed. */
+  /** Seconds after which you may try again. */
   retry_after?: number;
 }
 
 /**
- * `refused`: the server refused, `problem` says why. `not-made`: the photo could not be made, or is damaged. `deleted`: it was deleted meanwhile.
- * `late`: it was not made in time. `silence`: nothing came. `connection`: none could be made, or it broke. `too-large`: more bytes than were
- * allowed. `answer`: none of this interface's. `input`: what was asked for cannot be asked.
+ * `refused`: the server refused, `problem` says why. `not-made`: making the photo failed, or it is damaged. `deleted`: it was deleted
+ * meanwhile. `late`: it was not made in time. `silence`: no data came. `connection`: it failed or broke. `too-large`: the answer exceeds
+ * the limit. `answer`: the answer is not understood. `input`: the arguments are invalid.
  */
 export type Reason = 'refused' | 'not-made' | 'deleted' | 'late' | 'silence' | 'connection' | 'too-large' | 'answer' | 'input';
 
@@ -29,19 +29,19 @@ export class TmpiError extends Error {
 }
 
 export interface ClientOptions {
-  /** A key of `tmpi key add`, or an owner's secret. Never in a page: whoever reads the page has it. */
+  /** A key of `tmpi key add`, or an owner's secret. Never put it in a page: every reader of the page would have it. */
   key?: string;
   /** A link to a page that ends with `#owner=` and an owner's secret. */
   ownerLink?: string;
-  /** A link by which one photo can be seen and changed, and no other: `manage` of a {@link PhotoLink}, or `links.manage` of an upload. */
+  /** A link that gives access to see and change one photo only: `manage` of a {@link PhotoLink}, or `links.manage` of an upload. */
   manageLink?: string;
-  /** Milliseconds of silence after which a request is given up; 60000. */
+  /** Milliseconds without data after which a request is given up; 60000. */
   silence?: number;
-  /** Milliseconds before another try, at most; 30000. */
+  /** Maximum milliseconds between tries; 30000. */
   longestPause?: number;
-  /** How often a request is sent, at most; 4. */
+  /** Maximum number of tries of a request; 4. */
   tries?: number;
-  /** Bytes of a container, picture or export that are taken; 512 MiB. */
+  /** Maximum bytes of a container, picture or export; 512 MiB. */
   maxBytes?: number;
 }
 
@@ -52,11 +52,11 @@ export interface UploadOptions {
   /** 1 to 200 characters; else the file's name. */
   title?: string;
   visibility?: Visibility;
-  /** A depth map in place of the estimated depth. */
+  /** A depth map to use instead of the estimated depth. */
   depth?: Picture;
   /** Options of `tmpi make` by their names. */
   options?: Record<string, string | number>;
-  /** Seconds that the server may wait for the photo to be made before it answers. */
+  /** Maximum seconds that the server waits for the photo to be made before it answers. */
   wait?: number;
   signal?: AbortSignal;
 }
@@ -67,7 +67,7 @@ export interface Offset {
   z: number;
 }
 
-/** What a photo's owner wants of viewers. */
+/** Settings that a photo's owner chose for viewers. */
 export interface Settings {
   version: number;
   title?: string;
@@ -80,7 +80,7 @@ export interface Settings {
   poster?: Offset;
 }
 
-/** Settings to change: what is missing stays, null leaves it to viewers. */
+/** Settings to change: a missing field stays as it is, null leaves it to viewers. */
 export type Change = {
   [K in Exclude<keyof Settings, 'version'>]?: Settings[K] extends Offset | undefined ? Partial<Offset> | null : Settings[K] | null;
 };
@@ -93,7 +93,7 @@ export interface Progress {
   elapsed_ms: number;
 }
 
-/** Paths on the server; {@link Tmpi.address} makes addresses of them. */
+/** Paths on the server; {@link Tmpi.address} turns them into addresses. */
 export interface Links {
   self: string;
   atlas: string;
@@ -101,7 +101,7 @@ export interface Links {
   poster: string;
   page: string;
   embed: string;
-  /** Page by which to see and change this photo, for `manageLink`: a secret, told once to whoever uploads without one. */
+  /** Page to see and change this photo, for `manageLink`: a secret, returned once, only to an uploader without credentials. */
   manage?: string;
 }
 
@@ -120,7 +120,7 @@ export interface PhotoState {
   width?: number;
   height?: number;
   version?: string;
-  /** A network that is at hand and better than the one that estimated its depth, for whoever may have it made again. */
+  /** A better network than the one that estimated the depth, if the server has one and the caller may have the photo made again. */
   better_depth?: string;
   visibility?: Visibility;
   settings: Settings;
@@ -142,7 +142,7 @@ export type TmpiEvent =
   | { type: 'deleted'; data: Record<string, never> };
 
 export interface WaitOptions {
-  /** Milliseconds, at most; 600000. */
+  /** Maximum milliseconds; 600000. */
   limit?: number;
   signal?: AbortSignal;
   onEvent?: (event: TmpiEvent) => void;
@@ -153,18 +153,18 @@ export interface Stroke {
   points: [number, number][];
   /** As a share of the photo's longer side, 0.002 to 0.25. */
   radius: number;
-  /** Disparity to add; less than 0 is farther. One of `by`, `like` and `to`. */
+  /** Disparity to add; below 0 is farther. Set one of `by`, `like` and `to`. */
   by?: number;
-  /** As near as this place. */
+  /** As near as this point. */
   like?: [number, number];
-  /** This disparity, 0 is infinitely far. */
+  /** This disparity; 0 is infinitely far. */
   to?: number;
 }
 
 export interface AtlasQuery {
-  /** 0 the photo's own size, 1 half of it, 2 a quarter, 3 an eighth. */
+  /** 0 is the photo's own size, 1 half of it, 2 a quarter, 3 an eighth. */
   level?: 0 | 1 | 2 | 3;
-  /** In place of a level: the smallest whose longer side has at least so many pixels. */
+  /** Instead of a level: the smallest level whose longer side has at least this many pixels. */
   fit?: number;
   /** Left, top, width and height in pixels of the photo at its own size. */
   region?: [number, number, number, number];
@@ -211,46 +211,46 @@ export interface PhotoLink {
   query?: string;
   /** Seconds since 1970. */
   expires?: number;
-  /** Page by which others see and change this photo, for `manageLink`: a secret, good until {@link Tmpi.takeLinksBack}. */
+  /** Page for others to see and change this photo, for `manageLink`: a secret, valid until {@link Tmpi.takeLinksBack}. */
   manage?: string;
-  /** Where whoever asks can let another browser be the same owner; missing where they have no secret of their own to pass on. */
+  /** Route that issues tickets for other browsers; missing if the caller has no owner's secret. */
   ticket?: string;
 }
 
-/** A server, as one caller sees it. All methods reject with a {@link TmpiError}, or with the reason of a `signal`. */
+/** A server, as one caller sees it. All methods reject with a {@link TmpiError}, or with the reason of an aborted `signal`. */
 export class Tmpi {
   constructor(base: string, options?: ClientOptions);
-  /** Address of a path that the server told; throws where it leads to another server. */
+  /** Address of a path that the server returned; throws if it leads to another server. */
   address(path: string): string;
-  /** Once this is answered, the photo is on the server's disk. */
+  /** Once this resolves, the photo is on the server's disk. */
   upload(photo: Picture, options?: UploadOptions): Promise<PhotoState>;
   state(id: string): Promise<Tagged<PhotoState>>;
-  /** What happens to a photo, until it is made or will not be. */
+  /** Events of a photo until it is made, fails or is deleted. */
   events(id: string, options?: { signal?: AbortSignal }): AsyncGenerator<TmpiEvent, void>;
-  /** Follows the events; where these break off it asks for the state, ever more seldom. */
+  /** Follows the events; if they break off, polls the state at growing intervals. */
   wait(id: string, options?: WaitOptions): Promise<PhotoState>;
   list(query?: { limit?: number; after?: string }): Promise<PhotoList>;
   /** All photos, newest first, a page of `limit` at a time. */
   photos(limit?: number): AsyncGenerator<PhotoState, void>;
   report(id: string): Promise<Record<string, unknown>>;
-  /** With `seen`, the tag of a state, only if its settings are still those. */
+  /** With `seen`, the ETag of a state, changes the settings only if they are still the same. */
   change(id: string, settings: Change, seen?: string): Promise<Tagged<PhotoState>>;
   strokes(id: string): Promise<Tagged<{ version: number; strokes: Stroke[] }>>;
   /** Replaces all strokes; the photo is made again with them. */
   touchUp(id: string, strokes: Stroke[], seen?: string): Promise<Tagged<PhotoState>>;
-  /** A link by which others read the photo for `seconds`, a day; and one by which they change it. */
+  /** A link with which others can read the photo for `seconds` (default: a day), and one with which they can change it. */
   link(id: string, seconds?: number): Promise<PhotoLink>;
-  /** All links to a photo, those that end and those to change it, are good no longer; for its owner alone. */
+  /** Revokes all links to a photo, to see it and to change it; only its owner may call it. */
   takeLinksBack(id: string): Promise<void>;
   delete(id: string): Promise<void>;
-  /** The container; null where `etag` is still its tag. */
+  /** The container; null if `etag` still matches. */
   atlas(id: string, query?: AtlasQuery): Promise<TmpiFile>;
   atlas(id: string, query: AtlasQuery | undefined, etag: string | undefined): Promise<TmpiFile | null>;
   view(id: string, query?: ViewQuery): Promise<TmpiFile>;
   export(id: string, format?: 'html' | 'glb' | 'ora' | 'zip', shape?: 'relief' | 'metric'): Promise<TmpiFile>;
   thumbnail(id: string): Promise<TmpiFile>;
-  /** Grey PNG of 16 bits, larger is nearer. */
+  /** A 16-bit grey PNG; larger is nearer. */
   depth(id: string): Promise<TmpiFile>;
-  /** A frame for a page of any site: of a photo that whoever has its address may see, or by a link, until that ends. */
+  /** A frame for a page of any site. Its photo has visibility `link`, or a link that has not expired. */
   embed(state: PhotoState, link?: PhotoLink): string;
 }

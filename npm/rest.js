@@ -1,17 +1,17 @@
-// A client of tmpi's HTTP interface, for browsers and Node 20 or newer: `fetch`, and nothing else. Types: rest.d.ts.
+// A client of tmpi's HTTP interface, for browsers and Node 20 or newer, built on `fetch` alone. Types: rest.d.ts.
 //
-// What reads, and uploads of an owner, are tried again after a broken connection, after silence, and after 429 and 503; everything else after 429
-// alone, where nothing was done. `Retry-After` is honoured.
+// Reads, and uploads with credentials, are retried after a broken connection, after silence, and after 429 and 503. Other requests are
+// retried only after 429, where the server did nothing. `Retry-After` is honoured.
 
 const MIB = 1 << 20;
 const JSON_BYTES = 16 * MIB;
 const PROBLEM_BYTES = 64 << 10;
 const EVENT_CHARACTERS = MIB;
-/** Pause before the first other try. */
+/** Pause before the second try. */
 const FIRST_PAUSE_MS = 250;
-/** An export may take the server so long, and says nothing meanwhile. */
+/** An export may take this long, without any data meanwhile. */
 const EXPORT_MS = 600_000;
-/** Bytes a millisecond that the server wants of an upload, at least. */
+/** Minimum bytes per millisecond that the server accepts for an upload. */
 const SLOWEST = 8;
 const ENDS = new Set(['done', 'failed', 'damaged', 'deleted']);
 
@@ -47,7 +47,7 @@ function sleep(ms, signal) {
   });
 }
 
-/** Aborts once nothing came for a while, or when the caller wants it. */
+/** Aborts after a while without data, or when the caller aborts. */
 class Patience {
   /** @param {number} ms @param {AbortSignal} [outer] */
   constructor(ms, outer) {
@@ -118,7 +118,7 @@ function problemOf(response, bytes) {
   try {
     problem = JSON.parse(new TextDecoder().decode(bytes));
   } catch {
-    // somebody's between here and the server
+    // a proxy between here and the server answered
   }
   if (typeof problem?.title !== 'string')
     problem = { type: 'about:blank', title: statusText, detail: new TextDecoder().decode(bytes.subarray(0, 256)) };
@@ -163,7 +163,7 @@ export class Tmpi {
     this.authorization = bearer && `Bearer ${bearer}`;
   }
 
-  /** Address of a path that the server told. @param {string} path */
+  /** Address of a path that the server returned. @param {string} path */
   address(path) {
     const url = new URL(path, this.base);
     if (url.origin !== this.base.origin) throw new TmpiError('answer', `${path} is of another server`);
@@ -205,7 +205,7 @@ export class Tmpi {
     }
   }
 
-  /** Pause before another try, spread so that clients that were refused together do not come back together. @param {number} tries */
+  /** Pause before another try, spread so that clients refused together do not return together. @param {number} tries */
   pause(tries) {
     return Math.min(FIRST_PAUSE_MS * 2 ** (tries - 1), this.limits.longestPause) * (0.5 + Math.random() / 2);
   }
@@ -251,7 +251,7 @@ export class Tmpi {
     const size = blob.size + (depth instanceof Blob ? depth.size : (depth?.byteLength ?? 0));
     const call = { method: 'POST', headers, safe: Boolean(this.authorization), signal };
     const silence = this.limits.silence + wait * 1000 + size / SLOWEST;
-    // a form would call the photo by the name of a file that it has not
+    // in a form, an unnamed photo would be sent under the file name `blob`
     if (!depth && !(photo instanceof File)) {
       const type = 'application/octet-stream';
       return this.json('/v1/photos', { ...call, headers: { ...headers, 'content-type': type }, silence, query: fields, body: blob });
@@ -263,7 +263,7 @@ export class Tmpi {
     return this.json('/v1/photos', { ...call, silence, body: form });
   }
 
-  /** Headers that say who asks. @returns {Record<string, string>} */
+  /** The `Authorization` header, if there is one. @returns {Record<string, string>} */
   own() {
     return this.authorization ? { authorization: this.authorization } : {};
   }
@@ -276,7 +276,7 @@ export class Tmpi {
   /** @param {string} id @param {{signal?: AbortSignal}} [options] */
   async *events(id, { signal } = {}) {
     const opened = await this.ask(this.photo(id, '/events'), { signal }, async (response) => response);
-    // the stream has a patience of its own: the request's ended with its head
+    // the stream has its own patience: the request's ended with the response's head
     const reader = opened.body.getReader();
     const decoder = new TextDecoder();
     let text = '';
@@ -323,7 +323,7 @@ export class Tmpi {
           }
         } catch (error) {
           both.throwIfAborted();
-          // a photo that is not there does not come; whatever else goes wrong with events, its state may be had
+          // a missing photo stays missing; after any other failure of the events, the state may still be available
           if (!(error instanceof TmpiError) || ['not-made', 'deleted', 'input'].includes(error.reason) || Number(error.status) < 429)
             throw error;
         }
@@ -381,7 +381,7 @@ export class Tmpi {
 
   /** @param {string} id @param {number} [seconds] */
   async link(id, seconds) {
-    // nothing is kept of a link
+    // the server stores nothing for a link
     return this.json(this.photo(id, '/links'), { method: 'POST', query: { seconds }, safe: true });
   }
 

@@ -1,5 +1,5 @@
-//! What the readers of foreign bytes are fuzzed with. `fuzz/` runs these targets on bytes that libFuzzer finds, `tests/fuzz.rs` on
-//! the seeds and on changes of them. Not part of the interface.
+//! Fuzzing targets for the readers of foreign bytes. `fuzz/` runs them under libFuzzer, `tests/fuzz.rs` on the seeds and on changes of
+//! them. Not part of the public interface. Each target checks its **promise** and returns a bound of the memory that it may take.
 
 use std::fmt::Display;
 use std::str::FromStr;
@@ -20,7 +20,7 @@ mod container_file;
 mod room;
 mod script;
 
-/// Runs a reader on the bytes and panics where it breaks a promise; gives the most bytes of memory that it may have taken.
+/// Runs a reader on the bytes and panics if it breaks its promise; returns the bound of its memory in bytes.
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
@@ -55,18 +55,17 @@ pub const TARGETS: [(&str, Run); 28] = [
     ("config", config),
 ];
 
-/// What a reader may take for whatever it is given: threads, tables, messages.
+/// Memory that any reader may take on any input: threads, tables, messages.
 const LEAST: usize = 4 << 20;
 /// Memory for the tiles of the largest room, and for the chunks of a message.
 const ROOM: usize = 8 << 20;
-/// Pixels above which a container is not decoded here: it would be slow, not wrong.
+/// Containers with more pixels are not decoded here, because that would be slow.
 const SLOW: u64 = 128 * 128;
 
-/// A whole container, as anyone may send it, as it is and with checksums put right. Promised: an error or a scene that holds together; memory by
-/// bytes, pixels and texels.
+/// A container, as given and with corrected checksums. Promise: an error or a consistent scene; memory by bytes, pixels and texels.
 fn container(data: &[u8]) -> usize {
     let most = decoded(data);
-    // a fuzzer would hardly ever get behind a checksum
+    // a fuzzer hardly ever guesses a checksum
     container_file::with_checksums(data).map_or(most, |data| most.max(decoded(&data)) + 2 * data.len())
 }
 
@@ -75,7 +74,7 @@ fn decoded(data: &[u8]) -> usize {
         assert!(container::decode(data).is_err(), "a container without a readable index was read");
         return LEAST + 2 * data.len();
     };
-    // never larger than what it came from and what it says it holds
+    // bounded by the file and by the sizes in its index
     let most = LEAST + 8 * data.len() + 64 * size.pixels as usize + 12 * size.texels as usize;
     let sections = container::sections(data);
     if size.pixels > SLOW || size.texels > 64 * SLOW {
@@ -88,10 +87,10 @@ fn decoded(data: &[u8]) -> usize {
     most
 }
 
-/// Memory for building a container of the largest size that is built, and for reading it.
+/// Memory for building and reading the largest container built here.
 const BUILT: usize = 256 << 20;
 
-/// A container that is built, up to the size of a photo, then changed here and there. Promised: as of [`levels`], where it is not large.
+/// A container that is built, up to the size of a photo, and then changed in places. Promise: that of [`levels`], if it is not large.
 fn built(data: &[u8]) -> usize {
     if let Some(file) = container_file::build(data) {
         if container::fuzzing::size(&file).is_ok_and(|size| size.pixels <= SLOW) {
@@ -103,8 +102,8 @@ fn built(data: &[u8]) -> usize {
     BUILT
 }
 
-/// What is made of a container that somebody else wrote: levels, regions, some of its sections, the same unpacked. Promised: an error, the
-/// container itself, or one that is read; whatever is made of one that is read is no error.
+/// Files derived from a foreign container: levels, regions, chosen sections, unpacked. Promise: an error, the container itself, or a
+/// readable container; no error if the original is readable.
 fn levels(data: &[u8]) -> usize {
     if container::fuzzing::size(data).is_ok_and(|size| size.pixels <= SLOW && size.texels <= 64 * SLOW) {
         read_all(container_file::with_checksums(data).as_deref().unwrap_or(data));
@@ -125,11 +124,11 @@ fn read_all(file: &[u8]) {
     let Ok(geometry) = geometry else { return };
     let (width, height) = (geometry.grid.width, geometry.grid.height);
     let readable = |made: Result<Vec<u8>, _>| match made {
-        // tiles that cannot be halved, or all of them: the container as it came
+        // unchanged: the tiles cannot be halved, or the region has all of them
         Ok(made) if made == file => None,
-        Ok(made) => Some(container::decode(&made).unwrap_or_else(|e| panic!("what was written is not read: {e}"))),
+        Ok(made) => Some(container::decode(&made).unwrap_or_else(|e| panic!("a derived container cannot be read: {e}"))),
         Err(error) => {
-            assert!(whole.is_err(), "nothing can be made of a container that is read: {error}");
+            assert!(whole.is_err(), "a readable container cannot be derived from: {error}");
             None
         }
     };
@@ -144,7 +143,7 @@ fn read_all(file: &[u8]) {
     }
 }
 
-/// The labels of a grid. Promised: labels below their tile's count, and what is written of them is read again.
+/// The labels of a grid. Promise: labels below their tile's count, which survive writing and reading.
 fn labels(data: &[u8]) -> usize {
     let Some((head, stream)) = data.split_first_chunk::<8>() else { return LEAST };
     let grid = container::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
@@ -153,19 +152,19 @@ fn labels(data: &[u8]) -> usize {
     LEAST + 8 * data.len() + 64 * (grid.width * grid.height) as usize
 }
 
-/// The planes of a grid, unpacked. Promised: what is read is written again, byte by byte.
+/// The planes of a grid, unpacked. Promise: writing them gives the same bytes.
 fn planes(data: &[u8]) -> usize {
     let Some((head, columns)) = data.split_first_chunk::<4>() else { return LEAST };
     let grid = container::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
     let tiles = grid.tiles() as usize;
     let given = columns.len().saturating_sub(tiles) / 6;
-    // now and then another count than the bytes hold
+    // sometimes a count that does not fit the bytes
     let count = if head[3] < 250 { given } else { given + usize::from(head[3]) };
     container::fuzzing::planes(&grid, count, columns);
     LEAST + 32 * data.len() + 128 * tiles
 }
 
-/// A query for a view, a line end, and a `Range`. Promised: an error that names a parameter, or a camera within the limits.
+/// A query for a view, a line end, and a `Range`. Promise: an error that names a parameter, or a camera within the limits.
 fn query(data: &[u8]) -> usize {
     let text = String::from_utf8_lossy(data);
     let (query, range) = text.split_once('\n').unwrap_or((&text, "bytes=0-"));
@@ -178,7 +177,7 @@ fn query(data: &[u8]) -> usize {
     LEAST + 64 * data.len()
 }
 
-/// Limits under which a photo is decoded here: a larger one would be slow, not wrong.
+/// Limits of photos that are decoded here; larger ones would be slow.
 const PHOTO: photo::Limits = photo::Limits {
     bytes: 64 << 20,
     pixels: SLOW,
@@ -186,61 +185,61 @@ const PHOTO: photo::Limits = photo::Limits {
     decoder_memory: photo::Limits::DECODER_MEMORY,
     memory: u64::MAX,
 };
-/// What a decoder may take for tables, rows and an unpacked profile, whatever it is given.
+/// Memory that any decoder may take on any input: tables, rows and an unpacked profile.
 const DECODER: usize = 24 << 20;
 
-/// A photo of any format, at its own size and reduced. Promised: its first bytes tell nothing else than the whole; what was checked without
-/// decoding is refused for its data alone; a photo that holds together; what is carried is the same photo; memory by bytes and pixels.
+/// A photo of any format, at its own size and reduced. Promise: the early check agrees with the check of the whole file; decoding refuses
+/// a checked photo only for its data; the photo is consistent; the file as carried decodes to the same photo; memory by bytes and pixels.
 fn photo(data: &[u8]) -> usize {
     let checked = photo::check(data, &PHOTO);
     for end in [data.len().min(32), data.len() / 2] {
         if let Err(early) = photo::head(&data[..end], &PHOTO) {
             let late = checked.as_ref().map_err(ToString::to_string);
-            assert!(late == Err(early.to_string()), "what is refused by its first bytes is {late:?} as a whole");
+            assert!(late == Err(early.to_string()), "refused by its first bytes, but {late:?} as a whole");
         }
     }
     for most in [None, Some(5)] {
         match photo::decode(data, &PHOTO, most) {
             Ok(got) => {
-                assert!(checked.is_ok(), "a photo was decoded that the check refuses");
+                assert!(checked.is_ok(), "decoded a photo that the check refuses");
                 assert_eq!(got.photo.rgb.len(), got.photo.width as usize * got.photo.height as usize);
                 assert!(got.intrinsics.is_valid());
                 if let Some(file) = got.carried {
                     let again = photo::decode(&file, &PHOTO, None).map(|d| d.photo);
-                    assert!(again.is_ok_and(|p| p == got.photo), "what is carried is another photo");
+                    assert!(again.is_ok_and(|p| p == got.photo), "the carried file is another photo");
                 }
             }
             Err(photo::PhotoError::Broken(text)) => assert!(!text.contains("the decoder failed"), "a decoder panicked"),
-            Err(_) => assert!(checked.is_err(), "a photo was checked that is over the limits"),
+            Err(_) => assert!(checked.is_err(), "the check accepts a photo over the limits"),
         }
     }
     LEAST + DECODER + 8 * data.len() + 64 * SLOW as usize
 }
 
-/// A TIFF structure. Promised: an orientation and a focal length in their ranges, and no memory taken.
+/// A TIFF structure. Promise: an orientation and a focal length in their ranges, and hardly any memory.
 fn exif(data: &[u8]) -> usize {
     photo::fuzzing::exif(data);
     1 << 10
 }
 
-/// A colour profile. Promised: an answer; memory by its bytes and the tables of a conversion.
+/// A colour profile. Promise: no panic; memory by its bytes and the tables of a conversion.
 fn icc(data: &[u8]) -> usize {
     photo::fuzzing::icc(data);
     LEAST + DECODER + 32 * data.len()
 }
 
-/// A user's depth map, for a photo of another size. Promised: finite values, one for each pixel; what is read was not refused before.
+/// A user's depth map, for a photo of another size. Promise: a finite value for each pixel; the check accepts every map that can be read.
 fn depth(data: &[u8]) -> usize {
     let kind = if data.last().is_some_and(|b| b % 2 == 1) { DepthKind::Metric } else { DepthKind::Disparity };
     if let Ok((map, _)) = maps::from_map(data, kind, &PHOTO, 21, 13) {
-        assert!(maps::check(data, &PHOTO).is_ok(), "a map was read that the check refuses");
+        assert!(maps::check(data, &PHOTO).is_ok(), "read a map that the check refuses");
         assert_eq!(map.delta.len(), 21 * 13);
         assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
     }
     LEAST + DECODER + 8 * data.len() + 64 * SLOW as usize
 }
 
-/// A photo with depth of its own. Promised: as for a user's depth map.
+/// A photo with embedded depth. Promise: as for a user's depth map.
 fn carried(data: &[u8]) -> usize {
     if let Ok(Some(found)) = maps::carried(data)
         && let Ok(Read { map, .. }) = found.read(&PHOTO, 21, 13)
@@ -251,19 +250,20 @@ fn carried(data: &[u8]) -> usize {
     LEAST + DECODER + 16 * data.len() + 64 * SLOW as usize
 }
 
-/// The body of a form whose boundary is `x`. Promised: an error of the request, or its options.
+/// The body of a form with the boundary `x`. Promise: a client error, or options.
 fn multipart(data: &[u8]) -> usize {
     server::fuzzing::multipart(data);
     LEAST + 16 * data.len()
 }
 
-/// A merge patch of settings. Promised: an error that names its field, or settings that are read again as they were written.
+/// A merge patch of settings. Promise: an error that names its field, or settings that survive writing and reading.
 fn patch(data: &[u8]) -> usize {
     server::fuzzing::patch(data);
     LEAST + 64 * data.len()
 }
 
-/// A message of a room, as it is and with checksums put right. Promised: an error, or tiles that hold together; memory by bytes and by the most that a room can be.
+/// A message of a room, as given and with corrected checksums. Promise: an error or consistent tiles; memory by bytes and by the largest
+/// room.
 fn message(data: &[u8]) -> usize {
     tmpi_core::live::fuzz_message(data);
     if let Some(data) = room::with_checksums(data) {
@@ -272,7 +272,8 @@ fn message(data: &[u8]) -> usize {
     LEAST + ROOM + 64 * data.len()
 }
 
-/// Tiles of a room that is built, then changed here and there. Promised: an error, or tiles that hold together and can be shown; memory by the pixels.
+/// Tiles of a room that are built and then changed in places. Promise: an error, or consistent tiles that can be shown; memory by the
+/// pixels.
 fn room(data: &[u8]) -> usize {
     let (hello, messages) = room::build(data);
     let pixels = hello.width as usize * hello.height as usize;
@@ -281,7 +282,7 @@ fn room(data: &[u8]) -> usize {
     for message in messages {
         let bytes = tmpi_core::live::write(Kind::Geometry(message.clone()));
         let again = tmpi_core::live::read(bytes);
-        assert!(again.is_err() || again.is_ok_and(|again| again == Kind::Geometry(message.clone())), "a message is read otherwise");
+        assert!(again.is_err() || again.is_ok_and(|again| again == Kind::Geometry(message.clone())), "reading the message again differs");
         let _ = model.take(&message);
     }
     let Some(geometry) = model.geometry() else { return most + 128 * pixels };
@@ -297,7 +298,7 @@ fn room(data: &[u8]) -> usize {
     most + 2048 * pixels
 }
 
-/// A stream of H.264, in pieces. Promised: what is split is what came, whatever the pieces.
+/// A stream of H.264, in pieces. Promise: the units contain the stream's bytes, for any sizes of the pieces.
 fn units(data: &[u8]) -> usize {
     let Some((size, stream)) = data.split_first() else { return LEAST };
     let split = |size: usize| {
@@ -312,11 +313,11 @@ fn units(data: &[u8]) -> usize {
     LEAST + 16 * data.len()
 }
 
-/// Frames of H.264 as a publisher sends them, of 64×48 pixels. Promised: an error or a picture of that size; memory by it.
+/// A publisher's H.264 frames of 64×48 pixels. Promise: an error or a picture of that size; memory by the size.
 fn video(data: &[u8]) -> usize {
     const SIZE: (u32, u32) = (64, 48);
     let most = LEAST + ROOM + 16 * data.len();
-    // whoever built it without a decoder has nothing to break
+    // builds without a decoder have nothing to test
     let Ok(mut decoder) = tmpi_live::video::decoder("avc1.42e01e", SIZE) else { return most };
     let mut splitter = Splitter::default();
     let mut units = splitter.push(data).unwrap_or_default();
@@ -329,7 +330,7 @@ fn video(data: &[u8]) -> usize {
     most
 }
 
-/// Frames of VP9, each behind its length in two bytes, of 64×48 pixels. Promised: as of [`video`].
+/// VP9 frames of 64×48 pixels, each after its length in two bytes. Promise: that of [`video`].
 fn vp9(mut data: &[u8]) -> usize {
     const SIZE: (u32, u32) = (64, 48);
     let most = LEAST + ROOM + 16 * data.len();
@@ -344,8 +345,8 @@ fn vp9(mut data: &[u8]) -> usize {
     most
 }
 
-/// Depth that a publisher's camera measured, of a frame whose sides are in the first two bytes. Promised: an error, or a map of that size within 0
-/// to 1 that is the same after it was packed again; memory by that size, whatever the bytes unpack to.
+/// Measured depth of a publisher's camera, for a frame whose sides are in the first two bytes. Promise: an error, or a map of that size
+/// within 0 to 1 that survives packing; memory by that size, whatever the bytes unpack to.
 fn measured(data: &[u8]) -> usize {
     let Some((head, packed)) = data.split_first_chunk::<2>() else { return LEAST };
     let (width, height) = (u32::from(head[0]) + 1, u32::from(head[1]) + 1);
@@ -354,13 +355,13 @@ fn measured(data: &[u8]) -> usize {
         assert_eq!((map.width, map.height, map.delta.len()), (width, height, count));
         assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
         let again = measured_depth::pack(&map).and_then(|packed| measured_depth::unpack(&packed, width, height));
-        assert!(again.is_ok_and(|again| again == map), "what was packed again is another map");
+        assert!(again.is_ok_and(|again| again == map), "the map differs after packing");
     }
     LEAST + 2 * data.len() + 64 * count
 }
 
-/// A merge patch of strokes, applied to a small photo. Promised: an error with a field where it is JSON, or strokes that are read again as they
-/// were written and leave a map finite and within 0 to 1; memory by its bytes.
+/// A merge patch of strokes, applied to a small photo. Promise: an error, with a field if it is JSON, or strokes that survive writing and
+/// reading and leave a finite map within 0 to 1; memory by its bytes.
 fn touch_up(data: &[u8]) -> usize {
     let most = LEAST + 128 * data.len();
     let strokes = match strokes::patch(data) {
@@ -378,13 +379,13 @@ fn touch_up(data: &[u8]) -> usize {
     most
 }
 
-/// The start of a connection by the PROXY protocol. Promised: an error, or an address and a length that does not depend on what follows.
+/// The start of a connection by the PROXY protocol. Promise: an error, or an address and a length that do not depend on the bytes after it.
 fn proxy(data: &[u8]) -> usize {
     server::fuzzing::announcement(&data[..data.len().min(4096)]);
     LEAST
 }
 
-/// What proxies say in headers, a line each. Promised: nobody is believed who is not trusted; an address, and an origin.
+/// Headers of proxies, one per line. Promise: headers of untrusted proxies do not count; an address, and an origin.
 fn forwarded(data: &[u8]) -> usize {
     let text = String::from_utf8_lossy(data);
     let mut lines = text.lines();
@@ -392,7 +393,7 @@ fn forwarded(data: &[u8]) -> usize {
     LEAST + 64 * data.len()
 }
 
-/// An address with a signed link in it. Promised: the rest has none, and a link is read as it was written.
+/// An address with a signed link. Promise: the address without it has none, and a link survives writing and reading.
 fn link(data: &[u8]) -> usize {
     if let Ok(uri) = String::from_utf8_lossy(data).parse::<Uri>() {
         server::fuzzing::link(&uri);
@@ -400,7 +401,7 @@ fn link(data: &[u8]) -> usize {
     LEAST + 64 * data.len()
 }
 
-/// A place in the list of photos, an id, a signed link. Promised: an error, or the same when it is written and read again.
+/// A cursor of the list of photos, an id, a signed link. Promise: an error, or a value that survives writing and reading.
 fn names(data: &[u8]) -> usize {
     let text = String::from_utf8_lossy(data);
     same_again::<tmpi_library::Cursor>(&text);
@@ -412,11 +413,11 @@ fn names(data: &[u8]) -> usize {
 fn same_again<T: FromStr + Display + PartialEq>(text: &str) {
     if let Ok(read) = text.parse::<T>() {
         let written = read.to_string();
-        assert!(written.parse::<T>().is_ok_and(|again| again == read), "{written} is read otherwise than {text}");
+        assert!(written.parse::<T>().is_ok_and(|again| again == read), "{written} and {text} give different values");
     }
 }
 
-/// A network's file, as far as it is read before ONNX Runtime sees it. Promised: none, or a picture input; memory by its bytes.
+/// The outline of a network's file, read before ONNX Runtime loads it. Promise: none, or a picture input; memory by its bytes.
 fn onnx(data: &[u8]) -> usize {
     if let Some(outline) = networks::outline(&mut std::io::Cursor::new(data)) {
         assert!(matches!(outline.shape.len(), 4 | 5) && outline.shape.iter().all(|extent| *extent >= -1));
@@ -425,7 +426,7 @@ fn onnx(data: &[u8]) -> usize {
     LEAST + 16 * data.len()
 }
 
-/// A file of settings. Promised: a reason, or texts for the command line.
+/// A file of settings. Promise: an error, or arguments for the command line.
 fn config(data: &[u8]) -> usize {
     cli::config::fuzz(&String::from_utf8_lossy(data));
     LEAST + 256 * data.len()
@@ -436,7 +437,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_task_that_fuzzes_knows_every_target() {
+    fn xtask_fuzz_knows_every_target() {
         let task = include_str!("../xtask/src/fuzz.rs");
         let list = task.split("const TARGETS").nth(1).and_then(|t| t.split(';').nth(1)).unwrap();
         for (name, _) in TARGETS {

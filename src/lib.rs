@@ -1,5 +1,5 @@
-//! The program: command line, server and exports of tiled multiplane images. What it does with photos stands in the crates
-//! `tmpi-core`, `tmpi-pipeline` and `tmpi-render`.
+//! The program: command line, server and exports of tiled multiplane images. The crates `tmpi-core`, `tmpi-pipeline` and `tmpi-render` do
+//! the work on photos.
 
 mod assets;
 pub mod cli;

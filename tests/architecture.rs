@@ -1,6 +1,6 @@
-//! ARCHITECTURE.md holds: the picture of the crates is what cargo says, arrows run one way, every place named is there.
+//! Checks ARCHITECTURE.md: the graph matches `cargo metadata`, arrows run one way, every named path exists.
 //!
-//! `TMPI_BLESS=architecture cargo test --release --workspace --test architecture` draws the picture anew.
+//! `TMPI_BLESS=architecture cargo test --release --workspace --test architecture` writes the graph.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,7 +9,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// The crates along the way of a photo: each may know those before it alone.
+/// The crates in order: each may depend only on those before it.
 const ORDER: [&str; 11] = [
     "tmpi-core",
     "tmpi-client",
@@ -30,7 +30,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Pairs (who, whom) of crates of this workspace, of which the first knows the second in ordinary builds.
+/// Pairs (crate, dependency) within this workspace, in ordinary builds.
 fn arrows() -> BTreeSet<(String, String)> {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let out = Command::new(cargo)
@@ -50,7 +50,7 @@ fn arrows() -> BTreeSet<(String, String)> {
 }
 
 #[test]
-fn the_picture_of_the_crates_is_what_cargo_says() {
+fn the_graph_of_the_crates_matches_cargo() {
     let drawn = arrows().iter().map(|(who, whom)| format!("  {whom} --> {who}\n")).collect::<Vec<_>>().concat();
     let path = root().join("ARCHITECTURE.md");
     let page = std::fs::read_to_string(&path).unwrap();
@@ -89,7 +89,7 @@ fn the_program_links_nothing_of_the_lab() {
 }
 
 #[test]
-fn every_place_that_is_named_is_there() {
+fn every_named_path_exists() {
     let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
     let named: Vec<&str> = page.split('`').skip(1).step_by(2).filter(|n| n.contains('/') && !n.contains(' ')).collect();
     assert!(named.len() > 20, "{named:?}");
@@ -98,7 +98,7 @@ fn every_place_that_is_named_is_there() {
     }
 }
 
-/// Crates whose modules are looked at, and how many of them the largest import cycle has.
+/// Crates, and the largest number of modules that an import cycle may have.
 const CYCLES: [(&str, usize); 7] = [
     ("src", 3),
     ("crates/core/src", 4),
@@ -109,14 +109,14 @@ const CYCLES: [(&str, usize); 7] = [
     ("crates/render/src", 3),
 ];
 
-/// A module or an item by its names, from the crate's root.
+/// Path of a module or an item from the crate's root.
 type Names = Vec<String>;
 
-/// The modules of a crate, as its files are, and what each of them imports.
+/// The modules of a crate by file, and their imports.
 #[derive(Default)]
 struct Modules {
     sources: BTreeMap<Names, String>,
-    /// Items that a module hands on, and the modules that they are of.
+    /// Items that a module re-exports, and the modules that define them.
     handed_on: BTreeMap<Names, Names>,
 }
 
@@ -153,7 +153,7 @@ impl Modules {
         modules
     }
 
-    /// The module that a path in another leads to.
+    /// The module that a path resolves to.
     fn resolve(&self, from: &[String], path: &[String]) -> Names {
         let mut at = from.to_vec();
         for name in path {
@@ -174,7 +174,7 @@ impl Modules {
         at
     }
 
-    /// The modules that each imports, without those below it.
+    /// The modules that each module imports, without its own submodules.
     fn arrows<'a>(&'a self) -> BTreeMap<&'a Names, BTreeSet<Names>> {
         let of = |(names, source): (&'a Names, &String)| {
             let paths = used(source).into_iter().filter(|(_, is_public)| !is_public).map(|(path, _)| path);
@@ -184,7 +184,7 @@ impl Modules {
         self.sources.iter().map(of).collect()
     }
 
-    /// The largest set of modules each of which imports each other, directly or not.
+    /// The largest set of modules that import each other, directly or not.
     fn largest_cycle(&self) -> Vec<Names> {
         let arrows = self.arrows();
         let reached: BTreeMap<&Names, BTreeSet<&Names>> = arrows.keys().map(|from| (*from, reached(&arrows, from))).collect();
@@ -193,7 +193,7 @@ impl Modules {
     }
 }
 
-/// All that is imported from a module on.
+/// All modules reachable from a module.
 fn reached<'a>(arrows: &'a BTreeMap<&Names, BTreeSet<Names>>, from: &'a Names) -> BTreeSet<&'a Names> {
     let (mut all, mut next) = (BTreeSet::new(), vec![from]);
     while let Some(module) = next.pop() {
@@ -217,7 +217,7 @@ fn used(source: &str) -> Vec<(Names, bool)> {
     all
 }
 
-/// Paths of a tree of a `use` declaration.
+/// Paths of a `use` tree.
 fn expand(tree: &str, above: &[String], paths: &mut Vec<Names>) {
     let (head, group) = tree.split_once('{').map_or((tree, None), |(head, rest)| (head, rest.rsplit_once('}').map(|(group, _)| group)));
     let names = head.split(" as ").next().unwrap().split("::").map(str::trim).filter(|name| !name.is_empty());
@@ -231,10 +231,10 @@ fn expand(tree: &str, above: &[String], paths: &mut Vec<Names>) {
     group.split(is_end).filter(|part| !part.trim().is_empty()).for_each(|part| expand(part, &path, paths));
 }
 
-/// Paths in the code itself, as `super::share::asker()`.
+/// Paths in expressions, such as `super::share::asker()`.
 fn inline(source: &str) -> Vec<Names> {
     let words = source.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
-    // those that end with `::` are the heads of groups
+    // paths that end with `::` begin a group
     let paths = words.filter(|word| (word.starts_with("crate::") || word.starts_with("super::")) && !word.ends_with("::"));
     paths.map(|path| path.split("::").map(str::to_owned).collect()).collect()
 }

@@ -1,5 +1,4 @@
-//! Dependencies keep to the lists of deny.toml: licences, versions, sources. `cargo deny` reads the same lists and knows advisories
-//! besides, for which it needs the network.
+//! Checks dependencies against deny.toml without the network: licences, versions, sources. `cargo deny` also checks advisories.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,7 +17,7 @@ fn lists() -> toml::Table {
 fn packages() -> Vec<Value> {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let mut command = Command::new(cargo);
-    // what other platforms need may not be here yet
+    // not `--offline`: packages of other platforms may not be fetched yet
     command.args(["metadata", "--locked", "--all-features", "--format-version", "1"]).current_dir(env!("CARGO_MANIFEST_DIR"));
     let out = command.output().expect("cargo runs");
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -26,7 +25,7 @@ fn packages() -> Vec<Value> {
     metadata["packages"].as_array().expect("a list of packages").clone()
 }
 
-/// Those of others.
+/// Packages from outside the workspace.
 fn foreign() -> Vec<Value> {
     packages().into_iter().filter(|p| !p["source"].is_null()).collect()
 }
@@ -35,23 +34,23 @@ fn text<'a>(value: &'a Value, field: &str) -> &'a str {
     value[field].as_str().unwrap_or_default()
 }
 
-/// Words of a list of deny.toml.
+/// Strings of a list in deny.toml.
 fn words(list: &toml::Value) -> Vec<&str> {
     list.as_array().unwrap().iter().map(|w| w.as_str().unwrap()).collect()
 }
 
-/// Whether a licence is among those `allowed`; `A/B` is the old way to write `A OR B`.
+/// True if a licence expression is `allowed`; `A/B` is an old form of `A OR B`.
 fn permitted(licence: &str, allowed: &[Expression]) -> bool {
     let of = |req: &LicenseReq| allowed.iter().any(|a| a.requirements().any(|r| r.req == *req));
     Expression::parse_mode(licence, ParseMode::LAX).is_ok_and(|e| e.evaluate(of))
 }
 
-/// Whether an expression names a licence, exceptions included, and not one whose name is longer.
+/// True if an expression names exactly this licence, including its exceptions.
 fn names(expression: &Expression, licence: &str) -> bool {
     Expression::parse(licence).is_ok_and(|l| l.requirements().all(|l| expression.requirements().any(|r| r.req == l.req)))
 }
 
-/// Names that are there in several versions, and which.
+/// Packages with several versions.
 fn duplicates(packages: &[Value]) -> BTreeMap<&str, BTreeSet<&str>> {
     let mut all = BTreeMap::<&str, BTreeSet<&str>>::new();
     for p in packages {
@@ -66,14 +65,14 @@ fn expressions(list: &toml::Value) -> Vec<Expression> {
 }
 
 #[test]
-fn licences_are_those_allowed_and_each_is_needed() {
+fn licences_are_allowed_and_every_allowed_one_is_used() {
     let (lists, packages) = (lists(), foreign());
     let allowed = expressions(&lists["licenses"]["allow"]);
     assert!(packages.len() > 200, "{}", packages.len());
     let bad: Vec<_> =
         packages.iter().filter(|p| !permitted(text(p, "license"), &allowed)).map(|p| (text(p, "name"), text(p, "license"))).collect();
     assert!(bad.is_empty(), "{bad:?}");
-    // a list that allows more than there is hides what comes later
+    // an unused entry would allow a later dependency unnoticed
     for word in words(&lists["licenses"]["allow"]) {
         let named = |p: &&Value| Expression::parse_mode(text(p, "license"), ParseMode::LAX).is_ok_and(|e| names(&e, word));
         assert!(packages.iter().any(|p| named(&p)), "no dependency has the licence {word}");
@@ -98,7 +97,7 @@ fn licences_are_judged_as_expressions() {
 }
 
 #[test]
-fn versions_are_single_but_for_those_listed() {
+fn only_listed_crates_have_several_versions() {
     let (lists, packages) = (lists(), foreign());
     let listed: BTreeSet<&str> = lists["bans"]["skip"].as_array().unwrap().iter().map(|s| s["crate"].as_str().unwrap()).collect();
     let (mut more, mut used) = (Vec::new(), BTreeSet::new());
@@ -112,11 +111,11 @@ fn versions_are_single_but_for_those_listed() {
     }
     assert!(more.is_empty(), "in several versions: {more:?}");
     let idle: Vec<_> = listed.iter().filter(|s| !used.contains(**s)).collect();
-    assert!(idle.is_empty(), "listed, but there in one version: {idle:?}");
+    assert!(idle.is_empty(), "listed, but present in one version: {idle:?}");
 }
 
 #[test]
-fn sources_are_the_registry_alone_and_versions_are_asked_for() {
+fn sources_are_crates_io_only_and_versions_are_not_wildcards() {
     let lists = lists();
     assert_eq!(lists["sources"]["unknown-registry"].as_str(), Some("deny"));
     for p in foreign() {
@@ -131,7 +130,7 @@ fn sources_are_the_registry_alone_and_versions_are_asked_for() {
 }
 
 #[test]
-fn banned_crates_are_not_there() {
+fn banned_crates_are_absent() {
     let (lists, packages) = (lists(), foreign());
     let all = lists["bans"]["deny"].as_array().unwrap();
     assert!(!all.is_empty());

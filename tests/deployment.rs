@@ -1,4 +1,4 @@
-//! What `docker/` and the threat model name is there: options of the program and their values, metrics, tests.
+//! Checks the names in `docker/` and the threat model: options and their values, metrics, tests.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::collections::BTreeSet;
@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Files that call the server, and how often.
+/// Files that start the server, and how often.
 const CALLERS: [(&str, usize); 7] = [
     ("Dockerfile", 1),
     ("compose.yaml", 1),
@@ -16,9 +16,9 @@ const CALLERS: [(&str, usize); 7] = [
     ("kubernetes/cluster/serve.yaml", 1),
     ("kubernetes/cluster/work.yaml", 1),
 ];
-/// Texts that name options in a sentence.
+/// Texts that mention options.
 const TEXTS: [&str; 3] = ["docker/README.md", "docker/prometheus/alerts.yaml", "docs/threat-model.md"];
-/// Options of `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py` in them.
+/// Options of other programs in these texts: `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py`.
 const OF_OTHERS: [&str; 12] = [
     "--scope",
     "--create",
@@ -33,7 +33,7 @@ const OF_OTHERS: [&str; 12] = [
     "--detach",
     "--require",
 ];
-/// Ends that a counter or a histogram has beside its name.
+/// Suffixes of counters and histograms.
 const ENDS: [&str; 4] = ["_total", "_bucket", "_sum", "_count"];
 
 fn read(file: &str) -> String {
@@ -41,7 +41,7 @@ fn read(file: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Texts of all files below a folder of the repository, one after the other.
+/// The text of all files below a folder of the repository.
 fn below(folder: &str) -> String {
     let mut folders: Vec<PathBuf> = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)];
     let mut all = String::new();
@@ -59,7 +59,7 @@ fn below(folder: &str) -> String {
     all
 }
 
-/// Words of small letters, digits and `also` that begin with `start` and a letter, and do not go on from another word.
+/// Words that begin with `start` and a letter, and consist of lower-case letters, digits and `also`.
 fn words(text: &str, start: &str, also: char) -> BTreeSet<String> {
     let is_of = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == also;
     let begins = |at: usize| !text[..at].ends_with(|c: char| c.is_ascii_alphanumeric() || "-_.".contains(c));
@@ -68,7 +68,7 @@ fn words(text: &str, start: &str, also: char) -> BTreeSet<String> {
     text.match_indices(start).filter(|(at, _)| begins(*at) && goes_on(*at)).map(|(at, _)| whole(at)).collect()
 }
 
-/// `serve` or `work` and the arguments behind it, of each call of the server in a file: a list of YAML, a line of a unit, the command of an image.
+/// The arguments of each call of the server in a file, from `serve` or `work` on: in YAML, a systemd unit or a Dockerfile.
 fn calls(text: &str) -> Vec<Vec<String>> {
     let owned = |words: Vec<&str>| words.into_iter().map(str::to_owned).collect::<Vec<String>>();
     let mut all: Vec<Vec<String>> = Vec::new();
@@ -94,21 +94,21 @@ fn calls(text: &str) -> Vec<Vec<String>> {
     all
 }
 
-/// Whether the program takes this call, and what it says; it starts nothing.
+/// Parses a call without starting anything: whether the program accepts it, and its output.
 fn asked(call: &[String]) -> (bool, String) {
-    // each argument is read, with its value, before the one that asks for help is
+    // clap parses each argument with its value before `--help`
     let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(call).arg("--help").output().unwrap();
     let said = if out.status.success() { out.stdout } else { out.stderr };
     (out.status.success(), String::from_utf8_lossy(&said).into_owned())
 }
 
 #[test]
-fn every_call_of_the_server_is_one_that_it_takes() {
+fn every_call_of_the_server_is_valid() {
     for (file, count) in CALLERS {
         let calls = calls(&read(&format!("docker/{file}")));
         assert_eq!(calls.len(), count, "{file}: {calls:?}");
         for call in calls {
-            // nobody is sent to a node that only makes photos
+            // a node that only works has no public address
             let door = if call[0] == "work" { "--admin" } else { "--addr" };
             assert!(call.iter().any(|argument| argument.starts_with(door)), "{file}: {call:?}");
             let (taken, said) = asked(&call);
@@ -120,7 +120,7 @@ fn every_call_of_the_server_is_one_that_it_takes() {
 }
 
 #[test]
-fn every_option_that_a_text_names_is_one_of_the_server() {
+fn every_mentioned_option_exists() {
     let known = words(&asked(&["serve".to_owned()]).1, "--", '-');
     assert!(known.contains("--data"), "{known:?}");
     for file in TEXTS {
@@ -131,7 +131,7 @@ fn every_option_that_a_text_names_is_one_of_the_server() {
 }
 
 #[test]
-fn every_metric_of_alerts_and_dashboard_is_one_of_the_program() {
+fn every_metric_of_alerts_and_dashboard_exists() {
     let sources = below("src");
     for folder in ["docker/prometheus", "docker/grafana"] {
         let named = words(&below(folder), "tmpi_", '_');
@@ -148,7 +148,7 @@ fn every_metric_of_alerts_and_dashboard_is_one_of_the_program() {
 #[test]
 fn every_metric_of_the_program_is_on_the_dashboard() {
     let (sources, dashboard) = (below("src"), words(&below("docker/grafana"), "tmpi_", '_'));
-    // as they are registered, or given with their help
+    // in either form in which the sources register metrics
     let given = sources.match_indices("(\"tmpi_").filter_map(|(at, _)| sources[at + 2..].split_once("\", \"").map(|(name, _)| name));
     let names: BTreeSet<&str> = given.filter(|name| name.chars().all(|c| c.is_ascii_lowercase() || c == '_')).collect();
     assert!(names.len() > 30 && names.contains("tmpi_requests"), "{names:?}");
@@ -158,7 +158,7 @@ fn every_metric_of_the_program_is_on_the_dashboard() {
 }
 
 #[test]
-fn every_test_that_the_threat_model_names_is_there() {
+fn every_test_in_the_threat_model_exists() {
     let sources = below("tests/http") + &below("src");
     let text = read("docs/threat-model.md");
     let quoted = text.split('`').skip(1).step_by(2);

@@ -1,5 +1,5 @@
-//! The documentation holds: links lead somewhere, every page is in the table of contents, commands are those of the program, and blocks marked
-//! `<!-- runs -->` run.
+//! Checks the documentation: links resolve, every page is in the table of contents, commands have valid options, and blocks marked `<!--
+//! runs -->` run.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::fs;
@@ -9,10 +9,10 @@ use std::process::Command;
 use serde_json::Value;
 use tmpi_testing::Need;
 
-/// Pages outside `docs`.
+/// Checked pages outside `docs`.
 const OTHERS: [&str; 6] =
     ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "docker/README.md", "training/README.md", "tests/load/README.md"];
-/// Marks the code block that follows as one that runs, in a folder with `photo.jpg`.
+/// Marks the next code block to run, in a folder with `photo.jpg`.
 const RUNS: &str = "<!-- runs -->";
 
 fn root() -> &'static Path {
@@ -90,7 +90,7 @@ impl Page {
 }
 
 #[test]
-fn internal_links_lead_to_files_and_headings() {
+fn internal_links_resolve() {
     let pages = pages();
     let mut count = 0;
     for page in &pages {
@@ -119,7 +119,7 @@ fn every_page_is_in_the_table_of_contents() {
     assert!(missing.is_empty(), "{missing:?}");
 }
 
-/// Arguments of a line that calls the program, without what a shell does besides.
+/// Arguments of a line that calls the program, without comments and redirections.
 fn arguments(line: &str) -> Option<Vec<String>> {
     let words = line.strip_prefix("tmpi ")?;
     let words = words.split(" #").next()?.split(" > ").next()?;
@@ -129,14 +129,14 @@ fn arguments(line: &str) -> Option<Vec<String>> {
 #[test]
 fn commands_have_the_options_of_the_program() {
     let folder = tempfile::tempdir().unwrap();
-    // read as soon as it is named
+    // the program reads this file while it parses its arguments
     fs::write(folder.path().join("strokes.json"), r#"{"version": 1, "strokes": []}"#).unwrap();
     let mut count = 0;
     for page in pages() {
         for line in page.blocks().iter().flat_map(|b| &b.lines) {
             let Some(arguments) = arguments(line) else { continue };
             count += 1;
-            // each argument is read, with its value, before the one that asks for help is
+            // clap parses each argument with its value before `--help`
             let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(arguments).arg("--help").current_dir(&folder).output().unwrap();
             assert!(out.status.success(), "{}: {line}\n{}", page.name, String::from_utf8_lossy(&out.stderr));
         }
@@ -176,10 +176,10 @@ fn has_ffmpeg() -> Result<(), String> {
     Command::new("ffmpeg").arg("-version").output().map(drop).map_err(|e| format!("ffmpeg: {e}"))
 }
 
-/// A page with the help of every command.
+/// The page with the help of every command.
 const CLI: &str = "docs/reference/command-line.md";
 
-/// What the program prints on `--help`, whatever the environment says.
+/// The output of `--help`, with an empty environment.
 fn help(command: &[String]) -> String {
     let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).env_clear().args(command).arg("--help").output().unwrap();
     assert!(out.status.success(), "{command:?}");
@@ -190,7 +190,7 @@ fn help(command: &[String]) -> String {
 /// Commands that take all options of `tmpi serve`.
 const LIKE_SERVE: [&str; 2] = ["work", "config"];
 
-/// The help of a command; where it takes the options of `tmpi serve`, it refers to them.
+/// The help of a command, with a reference to `tmpi serve` in place of the same options.
 fn without_options_of_serve(command: &[String], text: &str) -> String {
     if !matches!(command, [name] if LIKE_SERVE.contains(&name.as_str())) {
         return text.to_owned();
@@ -201,7 +201,7 @@ fn without_options_of_serve(command: &[String], text: &str) -> String {
     [text.split("\nOptions:\n").next().unwrap(), "\nOptions: those of `tmpi serve`", &own, "\n"].concat()
 }
 
-/// Adds the help of a command and of those below it.
+/// Adds the help of a command and its subcommands.
 fn add_help(command: &[String], page: &mut String) {
     let text = help(command);
     let text = without_options_of_serve(command, &text);
@@ -215,13 +215,13 @@ fn add_help(command: &[String], page: &mut String) {
 }
 
 #[test]
-fn the_command_line_reference_is_what_the_program_prints() {
+fn the_command_line_reference_is_current() {
     let mut page = "# Command line reference\n\nThis page is generated: `TMPI_BLESS=docs cargo test --test docs` writes it.\n".to_owned();
     add_help(&[], &mut page);
     is_written(CLI, &page);
 }
 
-/// Holds a generated page against the one that is there, or writes it.
+/// Compares a generated page with the file, or writes it.
 fn is_written(name: &str, page: &str) {
     let path = root().join(name);
     if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "docs") {
@@ -233,7 +233,7 @@ fn is_written(name: &str, page: &str) {
     }
 }
 
-/// A page with every setting of the file.
+/// The page with every setting.
 const CONFIGURATION: &str = "docs/reference/configuration.md";
 const CONFIGURATION_HEAD: &str = "# Configuration reference
 
@@ -248,7 +248,7 @@ This page is generated from `tmpi config --schema`: `TMPI_BLESS=docs cargo test 
 `tmpi config` prints what holds and where it comes from.
 ";
 
-/// A row for a setting of a table.
+/// A row for a setting.
 fn row(key: &str, setting: &Value) -> String {
     let number = |name: &str| setting[name].as_f64().map(|n| n.to_string());
     let unit = setting["format"].as_str().filter(|format| !format.starts_with("uint") && *format != "double").unwrap_or_default();
@@ -258,7 +258,7 @@ fn row(key: &str, setting: &Value) -> String {
 }
 
 #[test]
-fn the_configuration_reference_is_what_the_schema_says() {
+fn the_configuration_reference_is_current() {
     let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).env_clear().args(["config", "--schema"]).output().unwrap();
     assert!(out.status.success());
     let schema: Value = serde_json::from_slice(&out.stdout).unwrap();

@@ -1,6 +1,6 @@
-//! The fuzzing targets on their seeds, and on changes of these by a fixed generator. `cargo xtask fuzz` goes on from there.
+//! Runs the fuzzing targets on their seeds and on reproducible changes of these. `cargo xtask fuzz` runs them under libFuzzer.
 #![allow(clippy::unwrap_used, reason = "test")]
-#![allow(unsafe_code, reason = "an allocator that counts and hands on")]
+#![allow(unsafe_code, reason = "an allocator that counts")]
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use tmpi::fuzzing::{Run, TARGETS};
 #[path = "../fuzz/memory.rs"]
 mod memory;
 
-/// Changes of each seed; `TMPI_FUZZ_CHANGES` sets another count, for a longer run where libFuzzer cannot be built.
+/// Changes of each seed; `TMPI_FUZZ_CHANGES` sets another count, for longer runs without libFuzzer.
 const CHANGES: usize = 400;
 
 /// Targets that build or read a whole container each time take a tenth of the changes.
@@ -25,7 +25,7 @@ impl Random {
     }
 }
 
-/// One to four of: a byte set, a bit flipped, a stretch cut out, a stretch doubled, an end cut off.
+/// One to four changes: a byte set, a bit flipped, a range removed, a range duplicated, the end cut off.
 fn changed(seed: &[u8], random: &mut Random) -> Vec<u8> {
     let mut data = seed.to_vec();
     for _ in 0..=random.below(4) {
@@ -70,8 +70,8 @@ fn targets_hold_on_seeds_and_on_changes_of_them() {
             }
         }
     }
-    // one after the other: the memory of the whole process is counted
-    metadata_of_many_megabytes_takes_no_more_than_a_few_times_its_size();
+    // not in parallel: the count is for the whole process
+    huge_metadata_takes_a_few_times_its_size_in_memory();
 }
 
 /// A chunk of PNG with its checksum.
@@ -91,7 +91,7 @@ fn orientation(kind: u16, count: u32) -> Vec<u8> {
     tiff
 }
 
-fn metadata_of_many_megabytes_takes_no_more_than_a_few_times_its_size() {
+fn huge_metadata_takes_a_few_times_its_size_in_memory() {
     let run = TARGETS.iter().find(|(name, _)| *name == "png").unwrap().1;
     let seed = &seeds("png")[0].1;
     let with = |chunk: Vec<u8>| [&seed[..33], &chunk, &seed[33..]].concat();

@@ -1,4 +1,4 @@
-//! Depth networks that are fetched: from a server that cuts, spoils and refuses; and which one is used then.
+//! Fetching depth networks from a server that breaks off or sends wrong bytes, and which network is used afterwards.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::io::{BufRead, BufReader, Write};
@@ -20,7 +20,7 @@ use client::{get, request};
 
 /// Stands in for a depth network: the mean of a picture's channels.
 const NETWORK: &[u8] = include_bytes!("onnx/mean.onnx");
-/// Name of the file that is worth fetching.
+/// The network that `auto` fetches.
 const NAME: &str = "depth-anything-v2-small-fp16";
 
 #[derive(Clone, Copy, PartialEq)]
@@ -33,7 +33,7 @@ enum Mood {
 struct Standin {
     url: String,
     mood: Arc<Mutex<Mood>>,
-    /// First bytes that were asked for.
+    /// Offsets of the requests.
     asked: Arc<Mutex<Vec<usize>>>,
 }
 
@@ -84,7 +84,7 @@ impl Place {
         self.0.path().join("models")
     }
 
-    /// The built program, in this place and with its networks alone.
+    /// The built program in this folder, with only its networks.
     fn command(&self) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
         let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
@@ -95,7 +95,7 @@ impl Place {
         command
     }
 
-    /// Standard output and standard error of a run that succeeds.
+    /// Standard output and standard error of a successful run.
     fn run(&self, args: &[&str]) -> (String, String) {
         let output = self.command().args(args).output().unwrap();
         let text = |b| String::from_utf8(b).unwrap();
@@ -109,7 +109,7 @@ impl Place {
         self.run(&["models", "get", "auto", "--url", &server.url, "--sha256", sha256, "-q"])
     }
 
-    /// The network that a report names.
+    /// The network in the report of a new run.
     fn used(&self, more: &[&str]) -> String {
         self.run(&[&["make", "photo.png", "-o", "photo.tmpi", "-qf", "--report", "report.json"], more].concat());
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path().join("report.json")).unwrap()).unwrap();
@@ -117,7 +117,7 @@ impl Place {
     }
 }
 
-/// A server that may fetch its network from a stand-in.
+/// A server that fetches its network from a stand-in.
 struct Serving {
     child: Child,
     addr: SocketAddr,
@@ -140,7 +140,7 @@ impl Serving {
         answer.json()
     }
 
-    /// Has the network fetched, and waits for the end of that.
+    /// Starts fetching the network and waits for the end.
     fn fetch(&self) -> Value {
         assert_eq!(request(self.addr, "POST", "/v1/network", &[], &[]).status, 202);
         let end = Instant::now() + Duration::from_mins(1);
@@ -154,7 +154,7 @@ impl Serving {
         }
     }
 
-    /// A request that waits for its photo; the photo's id, its version, and the network of its report.
+    /// Sends a request and waits for its photo; returns the photo's id, its version, and the network of its report.
     fn made(&self, path: &str, body: &[u8]) -> [String; 3] {
         let answer = request(self.addr, "POST", path, &[("prefer", "wait=25")], body);
         assert!(matches!(answer.status, 200 | 201), "{}", String::from_utf8_lossy(&answer.body));
@@ -183,14 +183,14 @@ fn a_server_fetches_a_better_network_while_it_runs() {
     assert_eq!((&before["name"], &before["better"]["name"], before.get("problem")), (&json!("tmpi"), &json!(NAME), None));
     let old = there.then(|| server.made("/v1/photos", &photo));
 
-    // strangers: by way of a proxy, and pages of other sites
+    // strangers behind a proxy, and pages of other sites, are refused
     let proxied = ("x-forwarded-for", "203.0.113.1");
     assert_eq!(request(server.addr, "GET", "/v1/network", &[proxied], &[]).status, 403);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[proxied], &[]).status, 403);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[("sec-fetch-site", "cross-site")], &[]).status, 403);
-    assert!(standin.asked.lock().unwrap().is_empty(), "nobody who may has asked");
+    assert!(standin.asked.lock().unwrap().is_empty(), "no refused request fetches anything");
 
-    // cut off in the middle: told, and gone on with
+    // a download that breaks off is reported and continued
     *standin.mood.lock().unwrap() = Mood::Cuts;
     let cut = server.fetch();
     assert!(cut["problem"].as_str().unwrap().contains("broke off") && cut["better"]["name"] == NAME, "{cut}");
@@ -209,35 +209,35 @@ fn a_server_fetches_a_better_network_while_it_runs() {
         assert_eq!((other != id, network.as_str()), (true, NAME), "an upload is another photo with another network");
     }
 
-    // one that is here is used from the start, and nothing is offered
+    // after a restart the fetched network is used, and no better one is offered
     drop(server);
     let server = Serving::start(&place, &standin.url, &digest);
     assert_eq!((&server.network()["name"], server.network().get("better")), (&json!(NAME), None));
 }
 
 #[test]
-fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
+fn auto_uses_the_best_installed_network_and_works_without() {
     let (place, server) = (Place::new(), standin());
     let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
     let there = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
 
-    // nobody answers: told in one line, and the embedded network is used
-    let nobody = "http://127.0.0.1:1/model.onnx";
+    // no answer: one line of error, and the embedded network is used
+    let unreachable = "http://127.0.0.1:1/model.onnx";
     let auto = |more: &[&str]| place.run(&[&["models", "get", "auto", "--sha256", digest.as_str()], more].concat());
-    for more in [&["--url", nobody][..], &["--url", nobody, "-q"]] {
+    for more in [&["--url", unreachable][..], &["--url", unreachable, "-q"]] {
         let (out, err) = auto(more);
-        assert!(out.is_empty() && err.lines().count() == 1 && err.contains("embedded") && err.contains(nobody), "{err}");
+        assert!(out.is_empty() && err.lines().count() == 1 && err.contains("embedded") && err.contains(unreachable), "{err}");
     }
     if there {
         assert_eq!(place.used(&[]), "tmpi");
     }
 
-    // another file than was wanted leaves nothing
+    // a file with a wrong digest leaves nothing
     let (_, err) = place.get(&server, Mood::Spoils, &digest);
     assert!(err.contains("digest") && err.contains("embedded"), "{err}");
     assert_eq!(std::fs::read_dir(place.models()).unwrap().count(), 0);
 
-    // cut off in the middle: what came is kept, and the rest is asked for
+    // a download that breaks off is kept, and the next one requests the rest
     let (_, err) = place.get(&server, Mood::Cuts, &digest);
     assert!(err.contains("broke off"), "{err}");
     let file = place.models().join(format!("{NAME}.onnx"));
@@ -247,13 +247,13 @@ fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
     assert_eq!(*server.asked.lock().unwrap(), [0, 0, NETWORK.len() / 2]);
     assert_eq!(std::fs::read(&file).unwrap(), NETWORK);
 
-    // where it comes from is told as it comes
+    // without `-q` the address is printed
     std::fs::remove_file(&file).unwrap();
     let (_, err) = auto(&["--url", &server.url]);
     assert_eq!(err.trim(), server.url);
     server.asked.lock().unwrap().pop();
 
-    // it is there: nobody is asked again
+    // an installed network is not fetched again
     let (out, _) = place.get(&server, Mood::Well, &digest);
     assert_eq!((Path::new(out.trim()), server.asked.lock().unwrap().len()), (file.as_path(), 3));
     if there {
@@ -263,27 +263,27 @@ fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
 }
 
 #[test]
-fn a_worse_network_that_is_there_stops_nobody_from_a_better_one() {
+fn a_worse_installed_network_does_not_prevent_fetching_a_better_one() {
     let (place, standin) = (Place::new(), standin());
     let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
     let worse = place.models().join("dpt-large.onnx");
     std::fs::create_dir_all(place.models()).unwrap();
     std::fs::write(&worse, NETWORK).unwrap();
 
-    // a server offers it, and says what it is better than
+    // the server offers the better network and lists those that it is better than
     let server = Serving::start(&place, &standin.url, &digest);
     let now = server.network();
     assert_eq!((&now["name"], &now["better"]["name"], &now["better_than"][0]), (&json!("dpt-large"), &json!(NAME), &json!("dpt-hybrid")));
     drop(server);
 
-    // where it cannot be fetched the one that is there is used
+    // if it cannot be fetched, the installed network is used
     let (out, err) = place.run(&["models", "get", "auto", "--url", "http://127.0.0.1:1/model.onnx", "--sha256", &digest]);
     assert_eq!((Path::new(out.trim()), err.lines().count()), (worse.as_path(), 1), "{err}");
     assert!(err.contains("dpt-large.onnx is used"), "{err}");
     let (out, _) = place.get(&standin, Mood::Well, &digest);
     assert_eq!(Path::new(out.trim()), place.models().join(format!("{NAME}.onnx")));
 
-    // one that is as good is enough
+    // an equally good network is enough
     std::fs::rename(out.trim(), place.models().join("moge-2-small.onnx")).unwrap();
     let (out, _) = place.get(&standin, Mood::Well, &digest);
     assert_eq!((Path::new(out.trim()), standin.asked.lock().unwrap().len()), (place.models().join("moge-2-small.onnx").as_path(), 1));

@@ -1,4 +1,4 @@
-//! Which photos a command is to work on, and where what is made of each goes.
+//! The photos that a command works on, and the output file of each.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,25 +9,24 @@ use super::files::extension;
 use super::pairs::pairs;
 use super::{Usage, note};
 
-/// Endings of the files of a folder that are taken as photos.
+/// Extensions of the files in a folder that count as photos.
 const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
-/// Endings of pictures that are not read; whoever names a folder of them should know.
+/// Extensions of images that are not supported. The program reports how many it skips.
 const OTHERS: [&str; 9] = ["heic", "heif", "avif", "gif", "tif", "tiff", "bmp", "jxl", "dng"];
-/// Ending of a container.
 const CONTAINER: &str = "tmpi";
 
-/// A photo, and the container to make of it.
+/// A photo and its output container.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Item {
     pub photo: PathBuf,
     pub output: PathBuf,
-    /// The depth map that lies beside it, where it was found in a folder.
+    /// The depth map beside it, if the photo was found in a folder.
     pub depth: Option<PathBuf>,
-    /// Found in a folder, not named.
+    /// The photo was found in a folder, not named by the user.
     found: bool,
 }
 
-/// What is to be made.
+/// The photos to make.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Batch {
     pub items: Vec<Item>,
@@ -36,12 +35,12 @@ pub(super) struct Batch {
 }
 
 impl Batch {
-    /// The photos that `named` stands for – files, and folders with all that is below them, with the depth maps beside their photos – and where their containers go: to the
-    /// file `output`, or into the folder of that name, below which the folders of photos come again.
+    /// Collects the photos of `named` and their outputs. `named` holds files, and folders, which are searched recursively; depth maps there
+    /// go with their photos. `output` is a file, or a folder that mirrors the structure of the input folders.
     ///
     /// # Errors
-    /// [`Usage`] where `output` does not fit, two photos would go to one file, or a photo would be overwritten; a folder that cannot be
-    /// read, or holds no photo.
+    /// [`Usage`] if `output` has the wrong kind, two photos have the same output, or an output would overwrite a photo; another error if a
+    /// folder cannot be read or holds no photo.
     pub fn of(named: &[PathBuf], output: &Path) -> anyhow::Result<Self> {
         let text = output.as_os_str().to_string_lossy();
         let slash = text.ends_with(['/', std::path::MAIN_SEPARATOR]);
@@ -84,7 +83,7 @@ impl Batch {
     }
 }
 
-/// Photos of a folder that have one name but for their ending keep the ending: `a.jpg.tmpi`, `a.png.tmpi`.
+/// Photos of a folder whose names differ only in their extension keep it: `a.jpg.tmpi`, `a.png.tmpi`.
 fn apart(mut items: Vec<Item>) -> Vec<Item> {
     let mut count: BTreeMap<PathBuf, usize> = BTreeMap::new();
     for item in &items {
@@ -99,7 +98,7 @@ fn apart(mut items: Vec<Item>) -> Vec<Item> {
     items
 }
 
-/// The items, where each has a file of its own and none is a photo's.
+/// Checks that no two items share an output and that no output is a photo.
 fn checked(items: Vec<Item>) -> Result<Vec<Item>, Usage> {
     let photos: BTreeSet<&Path> = items.iter().map(|i| i.photo.as_path()).collect();
     let mut taken: BTreeMap<&Path, &Path> = BTreeMap::new();
@@ -114,8 +113,8 @@ fn checked(items: Vec<Item>) -> Result<Vec<Item>, Usage> {
     Ok(items)
 }
 
-/// Photos in a folder and in those below it, by name; hidden ones and links to folders are passed over. `others` counts pictures of
-/// other kinds by their endings.
+/// Photos in a folder and its subfolders, sorted by name. Hidden entries and links to folders are skipped. `others` counts unsupported
+/// images by extension.
 fn below(folder: &Path, others: &mut BTreeMap<String, usize>) -> anyhow::Result<Vec<PathBuf>> {
     let context = || format!("reading {}", folder.display());
     let listing = std::fs::read_dir(folder).with_context(context)?;

@@ -6,18 +6,18 @@ use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
 use tmpi_pipeline::networks::models::registry::{Published, best, folder, worth_fetching};
 
-/// The published network that is worth fetching, and what the server is started with.
+/// A published network that is worth fetching, and the server's model flags.
 pub(super) struct BetterNetwork {
     flags: ModelFlags,
     published: &'static Published,
     url: Option<String>,
     sha256: Digest,
-    /// It is the file that was published.
+    /// The digest is the publisher's, so the published size holds, too.
     pinned: bool,
 }
 
 impl BetterNetwork {
-    /// None where the network was chosen by hand, or one as good is here. `url` and `sha256` stand for the publisher's.
+    /// `None` if the user chose the network, or one as good is installed. `url` and `sha256` override the publisher's.
     pub(super) fn of(flags: &ModelFlags, url: Option<String>, sha256: Option<Digest>) -> Option<Self> {
         let published = worth_fetching(flags.settings().depth.name).filter(|_| flags.depth_model.auto)?;
         let pinned = sha256.is_none();
@@ -36,8 +36,8 @@ impl Better for BetterNetwork {
         let url = self.url.as_deref().unwrap_or(self.published.url);
         let wanted = Wanted { url, bytes: self.pinned.then_some(self.published.bytes), sha256: self.sha256 };
         fetch(&wanted, &self.published.file(), |have, _| progress(have)).map_err(|e| e.to_string())?;
-        // as whoever starts now finds it
-        let (adapter, file) = best(&folder()).ok_or("it was fetched, and is gone")?;
+        // the network that a server started now would use
+        let (adapter, file) = best(&folder()).ok_or("the fetched network has disappeared")?;
         let settings = self.flags.with_network(adapter, file);
         Ok(Renewed { network: settings.name().to_owned(), identity: identity(&settings).map_err(|e| format!("{e:#}"))? })
     }

@@ -1,9 +1,9 @@
-//! Settings of `tmpi serve` from a file and from the environment, and `tmpi config`, which checks them as `serve` does and tells what holds and
-//! where it comes from. `tmpi key`, `fsck` and `gc` take from them where the library is.
+//! Settings of `tmpi serve` from a file and the environment, and `tmpi config`, which checks them as `serve` does and prints the effective
+//! values with their sources. `tmpi key`, `fsck` and `gc` read the library's location from them.
 //!
-//! A file is TOML with the names of the options, `host = ["photos.example.org"]`, and tables of what has no option, `[limits]` with
-//! `queue = 200`. What the command line says counts first, then `TMPI_SERVE_HOST`, `TMPI_SERVE_LIMITS_QUEUE` and the like, then the file, then
-//! the default. Values of the file go the way of the command line, so that they are checked alike and refused in the same words.
+//! The file is TOML with the names of the options, `host = ["photos.example.org"]`, and tables of settings without an option, `[limits]`
+//! with `queue = 200`. The command line takes precedence, then `TMPI_SERVE_HOST`, `TMPI_SERVE_LIMITS_QUEUE` and the like, then the file,
+//! then the default. Values of the file are appended to the command line, so that clap checks them in the same way.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt::Write as _;
@@ -19,7 +19,7 @@ use super::settings::{self, Assignment, Setting};
 use crate::server::Limits;
 use tmpi_pipeline::networks::flags::ModelFlags;
 
-/// Show the settings that `serve` would have, as a file that --config takes, and where each comes from
+/// Show the effective settings of `serve` and their sources, as a file for --config
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ConfigArgs {
     /// Print the JSON schema of the file instead, for editors
@@ -27,33 +27,33 @@ pub(super) struct ConfigArgs {
     pub schema: bool,
     #[command(flatten)]
     pub serve: ServeArgs,
-    /// What is told.
+    /// The text to print.
     #[arg(skip)]
     pub shown: String,
 }
 
 /// Commands that take these settings.
 const COMMANDS: [&str; 3] = ["serve", "work", "config"];
-/// Those that take the settings that they have an option for, and the one of which each command does.
+/// Commands that take only the settings for which they have an option. [`KEY`] has subcommands that do.
 const OTHERS: [&str; 2] = ["fsck", "gc"];
 const KEY: &str = "key";
-/// Settings that are addresses, in which there may be secrets.
+/// Settings that are URLs, which may contain secrets.
 const ADDRESSES: [&str; 5] = ["advertise", "blobs", "database", "network-url", "otlp"];
-/// Options that processes that make photos for a server get besides those of networks. None of them may be a secret.
+/// Options, besides those of networks, that a server passes to the processes that make photos. None may be a secret.
 const FOR_MAKERS: [&str; 4] = ["backend", "log", "memory", SET];
-/// What the variables of settings begin with.
+/// Prefix of the variables.
 const PREFIX: &str = "TMPI_SERVE_";
 /// The option that names the file.
 const FILE: &str = "config";
-/// The option for what has no option of its own.
+/// The option for settings without an option of their own.
 const SET: &str = "set";
-/// Options that are no settings.
+/// Options that are not settings.
 const NO_SETTINGS: [&str; 4] = [FILE, SET, "schema", "help"];
 
-/// Longest file, bytes.
+/// Longest file in bytes.
 const LONGEST: u64 = 1 << 20;
 
-/// The definition with every option of `serve` open to the environment.
+/// Gives every option of `serve` an environment variable.
 pub(super) fn with_environment(all: Command) -> Command {
     let open = |command: Command, is_one: &dyn Fn(&Arg) -> bool| {
         command.mut_args(|arg| match variable(&arg).filter(|_| is_one(&arg)) {
@@ -71,7 +71,7 @@ pub(super) fn with_environment(all: Command) -> Command {
     })
 }
 
-/// The command that was called, if it takes settings, what was given of it, and the one that has all settings.
+/// The called command, if it takes settings, with its matches, and the command that defines all settings.
 fn called<'a>(all: &'a Command, given: &'a ArgMatches) -> Option<(&'a Command, &'a ArgMatches, &'a Command)> {
     let (name, given) = given.subcommand()?;
     let command = all.find_subcommand(name)?;
@@ -85,26 +85,26 @@ fn called<'a>(all: &'a Command, given: &'a ArgMatches) -> Option<(&'a Command, &
     COMMANDS.contains(&name).then_some((command, given, command))
 }
 
-/// The variable of an option that has none yet.
+/// The name of an option's variable; `None` if it has one already or is not a setting.
 fn variable(arg: &Arg) -> Option<String> {
     let long = arg.get_long().filter(|long| arg.get_env().is_none() && !NO_SETTINGS.contains(long))?;
     Some(format!("{PREFIX}{}", long.replace('-', "_").to_uppercase()))
 }
 
-/// What does not come from the command line itself: names of settings.
+/// Names of the settings that do not come from the command line.
 #[derive(Debug, Default)]
 pub(super) struct Sources {
     file: Vec<String>,
     variables: Vec<String>,
 }
 
-/// The command line with what variables and the file add to it, and what comes from where.
+/// Appends the settings of the variables and the file to the command line, and returns their sources.
 ///
 /// # Errors
-/// A file that cannot be read or is no TOML, a name that is no setting, a value that is no text, number, or list of them, or out of range.
+/// The file is unreadable or not TOML, a setting is unknown, or its value has the wrong type or is out of range.
 pub(super) fn complete(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<OsString>, Sources), clap::Error> {
     let mut sources = Sources::default();
-    // what is wrong with the rest is told when it is read whole
+    // errors elsewhere are reported when the whole line is parsed
     let Ok(given) = all.clone().ignore_errors(true).try_get_matches_from(&line) else { return Ok((line, sources)) };
     let Some((command, given, settings)) = called(all, &given) else { return Ok((line, sources)) };
     let refused = |why: String| command.clone().error(ErrorKind::ValueValidation, why);
@@ -149,15 +149,15 @@ pub(super) fn complete(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<Os
     Ok((line, sources))
 }
 
-/// The option of a command that a key of a file stands for.
+/// The option for a key of the file.
 fn setting<'a>(command: &'a Command, key: &str) -> Option<&'a Arg> {
     command.get_arguments().find(|a| a.get_long() == Some(key) && !NO_SETTINGS.contains(&key) && !a.is_hide_set())
 }
 
-/// What variables say of settings that have no option.
+/// The variables of settings without an option.
 ///
 /// # Errors
-/// A variable that begins as those of settings do, and is none: as a rule it is misspelt.
+/// A variable has the prefix but is not a setting: most likely it is misspelt.
 fn variables(command: &Command, all: impl Iterator<Item = (OsString, OsString)>) -> Result<Vec<(&'static Setting, String)>, String> {
     let known: Vec<&OsStr> = command.get_arguments().filter_map(Arg::get_env).collect();
     let ours = all.filter(|(name, _)| name.to_str().is_some_and(|n| n.starts_with(PREFIX)) && !known.contains(&name.as_os_str()));
@@ -182,7 +182,7 @@ fn parse(text: &str) -> Result<Table, String> {
     text.parse::<Table>().map_err(|e| e.to_string().trim_end().to_owned())
 }
 
-/// Reads the text of a file, and what it says of options: each value is refused with a reason, or is so many texts of the command line.
+/// Fuzz target: parses a file and its values. Every refusal must have a reason.
 pub(crate) fn fuzz(text: &str) {
     static SERVE: std::sync::OnceLock<Command> = std::sync::OnceLock::new();
     let command = SERVE.get_or_init(|| ServeArgs::augment_args(Command::new(COMMANDS[0])));
@@ -209,7 +209,7 @@ fn json(value: &Value) -> String {
     serde_json::to_value(value).map_or_else(|error| error.to_string(), |value| value.to_string())
 }
 
-/// What a value of a file is on the command line.
+/// A value of the file as values of the command line.
 fn values(option: &Arg, value: &Value) -> Result<Vec<String>, String> {
     let one = |value: &Value| match value {
         Value::Boolean(is) => Ok(is.to_string()),
@@ -226,7 +226,7 @@ fn values(option: &Arg, value: &Value) -> Result<Vec<String>, String> {
     }
 }
 
-/// The command line of the processes that make photos for a server that was given these settings.
+/// The command line of the processes that make photos for a server with these settings.
 pub(super) fn for_makers(command: &Command, given: &ArgMatches) -> Vec<OsString> {
     let networks = ModelFlags::augment_args(Command::new(""));
     let is_one = |long: &str| FOR_MAKERS.contains(&long) || networks.get_arguments().any(|arg| arg.get_long() == Some(long));
@@ -245,10 +245,10 @@ pub(super) fn for_makers(command: &Command, given: &ArgMatches) -> Vec<OsString>
     line
 }
 
-/// What holds, as a file that `--config` takes, each line with where its value comes from; defaults, and what follows from others, are comments.
+/// The effective settings as a file for `--config`, each line with its source. Defaults and derived values are comments.
 ///
 /// # Errors
-/// What is wrong with the settings.
+/// The settings are invalid.
 pub(super) fn shown(command: &Command, given: &ArgMatches, sources: &Sources, args: &ServeArgs) -> anyhow::Result<String> {
     let (limits, effects) = args.effects()?;
     let mut text = String::new();
@@ -266,7 +266,7 @@ pub(super) fn shown(command: &Command, given: &ArgMatches, sources: &Sources, ar
         let effect = effects.iter().find(|effect| effect.option == long);
         let said: Vec<&str> =
             [source, effect.and_then(|e| e.note.as_deref()).unwrap_or_default()].into_iter().filter(|s| !s.is_empty()).collect();
-        // some defaults may not be said where what they belong to is not
+        // comment defaults out: some options are only valid together with others
         let begin = if source.is_empty() { "# " } else { "" };
         let end = if said.is_empty() { String::new() } else { format!(" # {}", said.join(", ")) };
         let raw = given.get_raw(id).into_iter().flatten().map(|v| v.to_string_lossy().into_owned());
@@ -283,7 +283,7 @@ pub(super) fn shown(command: &Command, given: &ArgMatches, sources: &Sources, ar
     Ok(text)
 }
 
-/// The tables of it.
+/// The tables of the file.
 fn shown_tables(limits: &Limits, said: &[String], sources: &Sources) -> serde_json::Result<String> {
     let limits = serde_json::to_value(limits)?;
     let (mut text, mut table) = (String::new(), "");
@@ -311,18 +311,18 @@ pub(super) fn schema(command: &Command) -> serde_json::Value {
     settings::file_schema(command, |option| option.get_long().is_some_and(|long| setting(command, long).is_some()))
 }
 
-/// A value as TOML; secrets in addresses are left out.
+/// A value as TOML, with the secrets in URLs hidden.
 fn literal(value: &str, option: &Arg) -> String {
     let whole = value.parse::<i64>().is_ok_and(|n| n.to_string() == value);
     if whole {
         return value.to_owned();
     }
     let is_address = value.contains("://") || option.get_long().is_some_and(|long| ADDRESSES.contains(&long));
-    // texts of JSON are texts of TOML
+    // JSON strings are valid TOML strings
     serde_json::Value::String(if is_address { without_secrets(value) } else { value.to_owned() }).to_string()
 }
 
-/// An address without user and password, without the values of its query, and without what is behind `#`.
+/// A URL with user, password, query values and fragment hidden.
 pub(super) fn without_secrets(address: &str) -> String {
     let cut =
         |text: &str, at: char| text.split_once(at).map_or_else(|| (text.to_owned(), None), |(a, b)| (a.to_owned(), Some(b.to_owned())));
@@ -330,7 +330,7 @@ pub(super) fn without_secrets(address: &str) -> String {
     let (address, query) = cut(&address, '?');
     let (scheme, place) = address.split_once("://").map_or((String::new(), address.as_str()), |(s, rest)| (format!("{s}://"), rest));
     let authority = place.split('/').next().unwrap_or_default();
-    // a password with a slash ends the authority too early: no port is a word
+    // a slash in the password ends the authority too early: the "port" is then not a number
     let is_cut = !authority.contains('@') && authority.rsplit_once(':').is_some_and(|(_, port)| !port.bytes().all(|b| b.is_ascii_digit()));
     let users = if is_cut { place } else { authority }.rfind('@');
     let place = users.map_or_else(|| place.to_owned(), |at| format!("…{}", &place[at..]));
@@ -339,7 +339,7 @@ pub(super) fn without_secrets(address: &str) -> String {
     format!("{scheme}{place}{query}{}", if fragment.is_some() { "#…" } else { "" })
 }
 
-/// An error without the secrets of the value that it is about.
+/// Hides the secrets of an error's invalid value.
 pub(super) fn told_without_secrets(mut error: clap::Error) -> clap::Error {
     if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue)
         && (value.contains('@') || value.contains("://"))

@@ -24,7 +24,7 @@ pub(super) struct DepthArgs {
     /// 16-bit grey PNG (value / 65535, 1 is nearest) or PFM (32-bit floats)
     #[arg(short, long, value_name = "OUT.{png,pfm}")]
     output: PathBuf,
-    /// As the network gave it, at its own size; in a PNG stretched to the whole range
+    /// The network's output at its own size; a PNG is stretched to the full range
     #[arg(long)]
     raw: bool,
     /// JSON on standard output
@@ -54,7 +54,7 @@ pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
         models.depth.raw(&photo).with_context(|| name.clone())?
     } else {
         let bar = DepthAlone(Bars::new(args.quiet).bar(&name));
-        // Planes come after disparity and have no part in it: as few and as plain as can be
+        // Planes do not affect the disparity: use the cheapest options
         let options = Options {
             planes: PlaneCount::Fixed(1),
             plane_method: PlaneMethod::Linear,

@@ -11,33 +11,34 @@ use crate::export::{ExportFormat, ExportOptions, ModelOptions, ModelShape, Model
 use tmpi_core::Rect;
 use tmpi_core::container::{self, LEVELS, RegionPhoto, Tiles};
 
-/// Write a container, or a part of it, as a page, a glTF model, layers for editors of pictures, an archive of its parts or a container
+/// Export a container, or a part of it, as a web page, a glTF model, layers for image editors, an archive of its parts or a container
 #[derive(Clone, Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct ExportArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
-    /// File to write: a page that opens from disk, a binary glTF model, layers for editors of pictures (.ora: 3 to 8 as large as the photo, and the depth
-    /// map), photo, tiles and planes in an archive, or a container
+    /// File to write: a page that opens from disk, a binary glTF model, layers for image editors (.ora: 3 to 8 of the photo's size, and the
+    /// depth map), an archive of photo, tiles and planes, or a container
     #[arg(short, long, value_name = "OUT.{html,glb,ora,zip,tmpi}")]
     output: PathBuf,
-    /// Only the tiles over this rectangle, in pixels of the photo; its part of the photo is coded anew
+    /// Export only the tiles over this rectangle, in pixels of the photo; re-encodes that part of the photo
     #[arg(long, value_name = "X,Y,W,H")]
     region: Option<Rect>,
-    /// Half (1), a quarter (2) or an eighth (3) of the size
+    /// Reduce to half (1), a quarter (2) or an eighth (3) of the size
     #[arg(long, default_value_t = 0, value_name = "0-3", value_parser = clap::value_parser!(u8).range(..=i64::from(LEVELS)))]
     level: u8,
-    /// Code the region's photo without loss
+    /// Encode the region's photo without loss
     #[arg(long, requires = "region")]
     lossless: bool,
-    /// A glTF model in the photo's own space, with far things far away, instead of a relief that fits into a viewer's frame
+    /// Write the glTF model in the photo's own space, at real distances, instead of a relief that fits into a viewer's frame
     #[arg(long)]
     metric: bool,
-    /// Layers of a glTF model as WebP: a fraction of the bytes, for programs that have the glTF extension for WebP (three.js, model-viewer, Blender 4)
+    /// Write the glTF model's layers as WebP: far smaller, for programs that support the glTF extension for WebP (three.js, model-viewer,
+    /// Blender 4)
     #[arg(long)]
     webp: bool,
-    /// Title of the page; without it the container's name
+    /// Title of the page; default: the container's name
     #[arg(long, value_name = "TEXT")]
     title: Option<String>,
     /// As JSON
@@ -45,12 +46,12 @@ pub(super) struct ExportArgs {
     json: bool,
 }
 
-/// What the flags leave of a container.
+/// The region and level of the container that the flags select.
 fn part_of(whole: &[u8], args: &ExportArgs) -> anyhow::Result<Vec<u8>> {
     let context = || args.input.display().to_string();
     let Some(region) = args.region else { return container::level(whole, args.level).with_context(context) };
     let tiles = Tiles::over_region(whole, region).with_context(context)?;
-    let tiles = tiles.ok_or_else(|| Usage("--region must hold a pixel and lie within the photo".into()))?;
+    let tiles = tiles.ok_or_else(|| Usage("--region must contain a pixel and lie within the photo".into()))?;
     let photo = if args.lossless { RegionPhoto::Lossless } else { RegionPhoto::Jpeg };
     container::region(whole, &tiles, args.level, photo).with_context(context)
 }
@@ -74,7 +75,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let whole = files::read(&args.input)?;
     let container = if args.region.is_some() || args.level > 0 { part_of(&whole, args)? } else { whole.clone() };
     let context = || args.input.display().to_string();
-    // a container that cannot be read must not become a page that cannot be shown
+    // do not make a broken page from a broken container
     let scene = container::decode(&container).with_context(context)?;
     let stem = args.input.file_stem().unwrap_or_default().to_string_lossy();
     let shape = if args.metric { ModelShape::Metric } else { ModelShape::Relief };

@@ -5,12 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-/// Contents of a file.
 pub(super) fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| format!("reading {}", path.display()))
 }
 
-/// Writes a file whole or not at all: under another name first, then renamed. Missing folders are made.
+/// Writes a file atomically, by a temporary file that it renames. Creates missing folders.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let context = || format!("writing {}", path.display());
     if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty()) {
@@ -19,13 +18,12 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let part = beside(path);
     let done = std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path));
     if done.is_err() {
-        // What could not be finished is of no use
         let _ = std::fs::remove_file(&part);
     }
     done.with_context(context)
 }
 
-/// A hidden name in the same folder, so that renaming stays on one file system.
+/// A hidden temporary name in the same folder, so that the rename stays on one file system.
 fn beside(path: &Path) -> PathBuf {
     let mut name = OsString::from(".");
     name.push(path.file_name().unwrap_or_default());
@@ -33,7 +31,7 @@ fn beside(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Ending of a file name in lower case, or nothing.
+/// The extension in lower case, or an empty string.
 pub(super) fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
 }

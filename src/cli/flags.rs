@@ -1,87 +1,87 @@
-//! Flags that several commands share. Ranges are those of [`Options::validate`]; an error names flag and range.
+//! Flags that several commands share. [`Options::validate`] defines the ranges; an error names the flag and its range.
 
 use tmpi_core::ViewBox;
 use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::strokes::Stroke;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
-/// How a photo is read and its depth found.
+/// How to read a photo and estimate its depth.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct DepthFlags {
-    /// Depth that the photo brings along (Google's depth map metadata, Dynamic Depth, portraits of iPhones sent as JPEG); on: fail without
+    /// Use the depth embedded in the photo (Google's depth map metadata, Dynamic Depth, portraits of iPhones sent as JPEG); on: fail
+    /// without it
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub photo_depth: Switch,
-    /// Cleaning of the depth map
+    /// How to denoise the depth map
     #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
     pub denoise: Denoise,
-    /// Snapping of blurred depth edges to colour edges
+    /// Snap blurred depth edges to colour edges
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub snap: Switch,
-    /// Longest side in pixels; larger photos are reduced
+    /// Longest side in pixels; larger photos are scaled down
     #[arg(long, value_parser = max_size, value_name = "PX")]
     pub max_size: Option<u32>,
 }
 
 impl DepthFlags {
-    /// The options that the flags stand for; all others are the usual ones.
+    /// The pipeline's options; those without a flag here keep their defaults.
     pub(super) fn options(&self) -> Options {
         let Self { photo_depth, snap, denoise, max_size } = *self;
         Options { photo_depth, snap, denoise, max_size, ..Options::default() }
     }
 }
 
-/// How a photo is made.
+/// How to make a photo.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct MakeFlags {
     #[command(flatten)]
     pub depth: DepthFlags,
-    /// How the values of the depth map are meant
+    /// Meaning of the values in the depth map
     #[arg(long, value_enum, default_value_t, value_name = "KIND")]
     pub depth_kind: DepthKind,
-    /// Horizontal field of view of the photo in degrees; without it EXIF, else 81.5
+    /// Horizontal field of view of the photo in degrees; default: from EXIF, else 81.5
     #[arg(long, value_parser = fov_x, value_name = "DEG")]
     pub fov_x: Option<f64>,
-    /// Planes a tile: the fewest that meet --max-error, or a fixed number
+    /// Planes per tile: the fewest that meet --max-error, or a fixed number
     #[arg(long, value_parser = planes, default_value = "auto", value_name = "auto|N")]
     pub planes: PlaneCount,
-    /// How planes are placed
+    /// How to place planes
     #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
     pub plane_method: PlaneMethod,
     /// Tile size in pixels, or one tile for the whole photo
     #[arg(long, value_parser = tile, default_value = "64", value_name = "H|full")]
     pub tile: TileSize,
-    /// Refinement of layers by the network psi.onnx in the folder of networks (`TMPI_MODELS`); auto: none
+    /// Refine layers with the network psi.onnx in the folder of networks (`TMPI_MODELS`); auto: off
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub refine: Switch,
     /// Picture quality, 1 to 100
     #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
     pub quality: u8,
-    /// Parallax error that planes may leave, in pixels between where views from the corners of the view box show a point and where
-    /// they should
+    /// Largest parallax error of the planes, in pixels: how far a point may be off in views from the corners of the view box
     #[arg(long, value_parser = max_error, default_value = "1", value_name = "PX")]
     pub max_error: f64,
-    /// Half extents of the box of camera positions, in units of the nearest distance; viewers go half as far as the usual one by
-    /// themselves
+    /// Half extents of the box of camera positions, in units of the nearest distance; viewers on their own move half as far as the default
+    /// box
     #[arg(long, value_parser = view_box, default_value = "0.12,0.12,0.06", value_name = "X,Y,Z")]
     pub view_box: ViewBox,
-    /// Milliseconds that making may take: the size and a parallax error of --max-error or more are chosen for it, by the costs
-    /// that `tmpi-lab bench` found on this machine (a file named by `TMPI_COSTS`)
+    /// Time budget in milliseconds: chooses the size, and a parallax error of at least --max-error, by the costs that `tmpi-lab bench`
+    /// measured on this machine (the file in `TMPI_COSTS`)
     #[arg(long, value_parser = budget_ms, value_name = "MS")]
     pub budget_ms: Option<f64>,
-    /// Measure what leaving out texels that are never seen changes at the corners of the view box; takes about as long as making
+    /// Measure how pruning invisible texels changes the views from the corners of the view box; takes about as long as making
     #[arg(long)]
     pub verify_prune: bool,
-    /// Strokes that put the depth of the photo right, a JSON file as the server's /v1/photos/ID/strokes gives it
+    /// JSON file of strokes that correct the photo's depth, as returned by the server's /v1/photos/ID/strokes
     #[arg(long, value_parser = strokes, value_name = "FILE.json")]
     pub strokes: Option<Strokes>,
 }
 
-/// Strokes of a file.
+/// Strokes from a file.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Strokes(Vec<Stroke>);
 
 impl MakeFlags {
-    /// The options that the flags stand for.
+    /// The pipeline's options.
     pub(super) fn options(&self) -> Options {
         Options {
             depth_kind: self.depth_kind,
@@ -101,7 +101,7 @@ impl MakeFlags {
     }
 }
 
-/// `set` on default options, refused where the value is out of range.
+/// Validates `value` by setting it on default options.
 fn checked<T: Copy>(value: T, set: impl FnOnce(&mut Options, T)) -> Result<T, String> {
     let mut options = Options::default();
     set(&mut options, value);
@@ -161,7 +161,7 @@ fn budget_ms(text: &str) -> Result<f64, String> {
 }
 
 fn view_box(text: &str) -> Result<ViewBox, String> {
-    let &[x, y, z] = numbers(text)?.as_slice() else { return Err("three numbers are wanted".into()) };
+    let &[x, y, z] = numbers(text)?.as_slice() else { return Err("expected three numbers".into()) };
     checked(ViewBox { x, y, z }, |o, v| o.view_box = v)
 }
 

@@ -9,10 +9,10 @@ use super::{files, result};
 use tmpi_core::Class;
 use tmpi_core::container;
 
-/// Characters of a bar that stands for all bytes.
+/// Characters of a full bar.
 const BAR: f64 = 40.0;
 
-/// Tell what is in a container
+/// Show what a container holds
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct InfoArgs {
     /// The container
@@ -21,7 +21,7 @@ pub(super) struct InfoArgs {
     /// As JSON
     #[arg(long)]
     json: bool,
-    /// Only the SHA-256 of what it decodes to: layers, classes, alphas, hidden colours
+    /// Print only the SHA-256 of the decoded scene: layers, classes, alphas, hidden colours
     #[arg(long, conflicts_with = "json")]
     digest: bool,
 }
@@ -34,7 +34,7 @@ pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
     if args.digest {
         return result(&scene.digest());
     }
-    // A container that was decoded has its whole header
+    // a container that decodes has a complete header
     let version = bytes.get(4..8).map_or([0, 0], |v| [u16::from_le_bytes([v[0], v[1]]), u16::from_le_bytes([v[2], v[3]])]);
     let (g, k, b) = (&scene.grid, &scene.intrinsics, &scene.view_box);
     let tiles = g.tiles();

@@ -8,7 +8,7 @@ use super::library::LibraryArgs;
 use super::result;
 use crate::server::rfc3339;
 
-/// Give out and take back keys of a server that asks who comes
+/// Create, list and revoke API keys of a server with `--access private`
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct KeyArgs {
     #[command(subcommand)]
@@ -17,32 +17,32 @@ pub(super) struct KeyArgs {
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum What {
-    /// Print a fresh key, which is kept nowhere; keys of one name have the same photos
+    /// Create a key and print it; the server does not store the key itself. Keys with the same name own the same photos
     Add {
-        /// Whose it is: letters, digits, dots, - and _
+        /// Name of the owner: letters, digits, dots, - and _
         name: String,
-        /// What it is good for: upload, read, metrics, admin (everything, with everybody's photos)
+        /// What the key allows: upload, read, metrics, admin (everything, on all photos)
         #[arg(long, value_parser = scope, value_delimiter = ',', required = true, value_name = "SCOPE[,SCOPE…]")]
         scope: Vec<Scope>,
-        /// Days for which it is good; without it for ever
+        /// Days until the key expires; without it, never
         #[arg(long, value_parser = clap::value_parser!(u32).range(1..=36_500), value_name = "N")]
         days: Option<u32>,
-        /// Make the library where there is none yet
+        /// Create the library if it does not exist
         #[arg(long)]
         create: bool,
         #[command(flatten)]
         server: LibraryArgs,
     },
-    /// List the keys, without themselves
+    /// List the keys, without their secrets
     List {
         #[command(flatten)]
         server: LibraryArgs,
     },
-    /// Take back all keys of a name, at once
+    /// Revoke all keys of a name, effective at once
     Remove {
-        /// Whose they are
+        /// Name of the owner
         name: String,
-        /// Only the one that `key list` shows with this id
+        /// Revoke only the key with this id, as `key list` shows it
         #[arg(long, value_name = "ID")]
         id: Option<String>,
         #[command(flatten)]
@@ -52,10 +52,9 @@ enum What {
 
 fn scope(name: &str) -> Result<Scope, String> {
     let names = Scope::ALL.map(Scope::name).join(", ");
-    Scope::ALL.into_iter().find(|scope| scope.name() == name).ok_or_else(|| format!("one of {names} is wanted"))
+    Scope::ALL.into_iter().find(|scope| scope.name() == name).ok_or_else(|| format!("expected one of {names}"))
 }
 
-/// What there is to know of a key, as a line of a list.
 fn line(key: &Key) -> String {
     let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
     let end = key.expires_at.map_or_else(String::new, |at| format!(", until {}", rfc3339(at)));
@@ -76,7 +75,7 @@ pub(super) fn run(args: &KeyArgs) -> anyhow::Result<()> {
         }
         What::Remove { name, id, server } => {
             let count = server.with(false, async |library| Ok(library.remove_keys(name, id.as_deref()).await?))?;
-            eprintln!("{count} {} no longer good", if count == 1 { "key is" } else { "keys are" });
+            eprintln!("{count} {} revoked", if count == 1 { "key" } else { "keys" });
             Ok(())
         }
     }

@@ -1,4 +1,4 @@
-//! Where a library is, for the commands that look into one that a server uses.
+//! Opens a server's library, for commands that work on it.
 
 use std::path::PathBuf;
 
@@ -7,14 +7,14 @@ use tmpi_library::{Config, Library};
 
 use super::Usage;
 
-/// As options of `tmpi serve`, of its file, and of its variables.
+/// The location of the library. The options, the settings file and the variables are those of `tmpi serve`.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct LibraryArgs {
-    /// File of settings that the server is started with; where its library is is read there
+    /// Settings file of the server, which names its library
     #[arg(long, env = "TMPI_CONFIG", value_name = "FILE")]
-    #[allow(dead_code, reason = "read before all else, with what is in it")]
+    #[allow(dead_code, reason = "`config::complete` reads it")]
     config: Option<PathBuf>,
-    /// Directory that the server keeps its photos in
+    /// Directory in which the server keeps its photos
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
     /// Database that several nodes share
@@ -26,14 +26,12 @@ pub(super) struct LibraryArgs {
 }
 
 impl LibraryArgs {
-    /// Does `work` with the library, which is made where there is none and `create` says so.
+    /// Opens the library, or creates it if `create` is set, and runs `work` on it.
     pub fn with<T>(&self, create: bool, work: impl AsyncFnOnce(&Library) -> anyhow::Result<T>) -> anyhow::Result<T> {
         let Self { data, database, blobs, .. } = self;
         if !create && database.is_none() && !data.join("library.db").exists() {
-            let text = format!(
-                "{}: no server keeps photos there; --data, --database or --config says where it does, and key add --create makes it",
-                data.display()
-            );
+            let text =
+                format!("{}: no library there; give --data, --database or --config, or create one with key add --create", data.display());
             return Err(Usage(text).into());
         }
         let config = Config { database: database.clone(), blobs: blobs.clone(), ..Config::of_folder(data) };

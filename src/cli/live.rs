@@ -24,7 +24,7 @@ enum What {
     Token(TokenArgs),
 }
 
-/// Print a token that lets its holder into a room
+/// Print a token that admits its holder to a room
 #[derive(Clone, Debug, clap::Args)]
 struct TokenArgs {
     /// Name of the room
@@ -32,10 +32,10 @@ struct TokenArgs {
     /// File with the server's key, as given to `serve --live-key`
     #[arg(long, value_name = "FILE")]
     key: PathBuf,
-    /// For who publishes; else for who watches
+    /// Token for publishing; default: for watching
     #[arg(long)]
     publish: bool,
-    /// Hours for which it is good
+    /// Hours until it expires
     #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=100_000), value_name = "N")]
     hours: u32,
 }
@@ -52,5 +52,5 @@ fn token(args: &TokenArgs) -> anyhow::Result<()> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs();
     let role = if args.publish { Role::Publish } else { Role::Watch };
     let token = rooms::token(&files::read(&args.key)?, role, &args.room, now + u64::from(args.hours) * 3600);
-    result(&token.context("the key is none")?)
+    result(&token.context("the key is invalid")?)
 }

@@ -1,4 +1,4 @@
-//! What `tmpi live publish` and `tmpi live watch` share: the program as a client of a room.
+//! The client of a room, which `tmpi live publish` and `tmpi live watch` share.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -16,12 +16,12 @@ use tmpi_core::live::MAX_MESSAGE;
 
 pub(super) type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 
-/// Time that an address has to answer.
+/// Timeout for connecting to one address.
 const ANSWER: Duration = Duration::from_secs(3);
-/// What a page's address has before a token.
+/// Precedes the token in the URL of a page.
 const FRAGMENT: &str = "#token=";
 
-/// Addresses of a room, at one node or several, of which one is tried after the other.
+/// The URLs of a room at one or several nodes, tried one after another.
 pub(super) struct Addresses<'a> {
     all: &'a [String],
     token: Option<&'a str>,
@@ -29,27 +29,26 @@ pub(super) struct Addresses<'a> {
 }
 
 impl<'a> Addresses<'a> {
-    /// Of a room's pages, or of the room itself; a token may stand behind `#token=` in them.
+    /// Takes the URLs of the room's pages, or of the room itself. Each may end in `#token=` and a token.
     pub(super) const fn new(all: &'a [String], token: Option<&'a str>) -> Self {
         Self { all, token, at: 0 }
     }
 
-    /// Whether there are several.
     pub(super) const fn are_several(&self) -> bool {
         self.all.len() > 1
     }
 
-    /// Leaves the one that was tried last for the end.
+    /// Moves on to the next URL; the current one comes last.
     pub(super) fn go_on(&mut self) {
         self.at = (self.at + 1) % self.all.len().max(1);
     }
 
-    /// Connects to the first that lets in.
+    /// Connects to the first URL that accepts the connection.
     ///
     /// # Errors
-    /// [`Unreached`], where none does.
+    /// [`Unreached`] if none does.
     pub(super) async fn connect(&mut self, what: &str) -> Result<Socket, Unreached> {
-        let mut unreached = Unreached { nobody: true, error: anyhow::anyhow!("there is no address") };
+        let mut unreached = Unreached { nobody: true, error: anyhow::anyhow!("no address") };
         for _ in 0..self.all.len() {
             match timeout(ANSWER, connect(&self.all[self.at], what, self.token)).await {
                 Ok(Ok(socket)) => return Ok(socket),
@@ -62,11 +61,11 @@ impl<'a> Addresses<'a> {
     }
 }
 
-/// Why no address of a room lets in.
+/// Why no URL accepted the connection.
 pub(super) struct Unreached {
-    /// All of them know of no publisher.
+    /// Every node answered that the room has no publisher.
     pub(super) nobody: bool,
-    /// What the last one said.
+    /// The error of the last URL.
     pub(super) error: anyhow::Error,
 }
 
@@ -76,7 +75,7 @@ impl From<anyhow::Error> for Unreached {
     }
 }
 
-/// Connects to a room by the address of its page or of the room itself. A token goes into a header: addresses are written into logs.
+/// Connects to a room by the URL of its page or of the room itself. The token goes into a header, because servers log URLs.
 async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, Unreached> {
     let (room, own) = room.split_once(FRAGMENT).map_or((room, None), |(room, token)| (room, Some(token)));
     let (socket, address) = match room.strip_prefix("https://") {
@@ -88,7 +87,7 @@ async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, 
     let name = path.strip_suffix("/publish").unwrap_or(path).rsplit('/').next().unwrap_or_default();
     let mut request = format!("{socket}://{host}/v1/live/{name}/{what}").into_client_request().context("a room's address")?;
     if let Some(token) = token.or(own) {
-        request.headers_mut().insert(AUTHORIZATION, format!("Bearer {token}").parse().context("a token that is none")?);
+        request.headers_mut().insert(AUTHORIZATION, format!("Bearer {token}").parse().context("the token is malformed")?);
     }
     let mut config = WebSocketConfig::default();
     config.max_message_size = Some(MAX_MESSAGE);
@@ -104,7 +103,7 @@ async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, 
     }
 }
 
-/// This machine's clock in microseconds.
+/// Unix time in microseconds.
 pub(super) fn micros() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64)
 }

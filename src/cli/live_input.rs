@@ -1,4 +1,4 @@
-//! What `tmpi live publish` asks ffmpeg for: which source, and whether its video can be passed on as it is.
+//! The ffmpeg command of `tmpi live publish`: which source it reads, and whether it copies or encodes the video.
 
 use std::process::{Command, Stdio};
 
@@ -8,42 +8,41 @@ use serde::Deserialize;
 use super::Usage;
 use super::live_program::is_paced;
 
-/// Encoders of H.264 that need no hardware of their own, the best first, and what makes them give frames in order and at once.
+/// H.264 encoders that need no special hardware, best first, with the arguments for low latency and frames in display order.
 const ENCODERS: [(&str, &[&str]); 4] = [
     ("libx264", &["-profile:v", "baseline", "-preset", "veryfast", "-tune", "zerolatency", "-crf", "23"]),
     ("libopenh264", &["-profile:v", "constrained_baseline", "-b:v", "1500k"]),
     ("h264_videotoolbox", &["-profile:v", "baseline", "-realtime", "1", "-b:v", "1500k"]),
     ("h264_mf", &["-b:v", "1500k"]),
 ];
-/// The encoder of sound.
 const OPUS: &str = "libopus";
-/// Frames that are encoded here are whole, their pixels are square, their sides 1280 pixels at most and even, their colours BT.709 in the usual range.
+/// Encoded frames are progressive, with square pixels, even sides of at most 1280 pixels, and BT.709 colours in limited range.
 const FILTERS: &str = "yadif=deint=interlaced,scale='iw*if(gt(sar,0),sar,1)':ih,setsar=1,\
     scale=w='min(iw,1280)':h='min(ih,1280)':force_original_aspect_ratio=decrease:force_divisible_by=2:out_color_matrix=bt709:out_range=tv,\
     setparams=colorspace=bt709:range=tv";
-/// Frames from one key frame to the next: who comes late or lost something waits for no more than these.
+/// Frames from one key frame to the next: the longest wait of a viewer who joins or has lost a frame.
 const GROUP: &str = "60";
 
-/// Sound as the publishing page has it (`static/live/microphone.js`): samples a second, channels.
+/// Sample rate and channels of the sound, as on the publishing page (`static/live/microphone.js`).
 pub(super) const SOUND: (u32, u32) = (48_000, 1);
 
 /// Where frames come from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Origin<'a> {
-    /// A file or an address, as `ffmpeg -i` takes it.
+    /// A file or a URL for `ffmpeg -i`.
     Address(&'a str),
-    /// A file of H.264, and how many frames of it make a second.
+    /// A raw H.264 file and its frame rate.
     Stream(&'a str, f64),
-    /// A camera of this machine; the system's first one where it has no name.
+    /// A camera of this machine; without a name, the system's first.
     Camera(Option<&'a str>),
 }
 
-/// What a user wants of it.
+/// What the user asked for.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Wanted {
-    /// Video is encoded anew, whatever it is.
+    /// Always encode the video.
     pub(super) transcode: bool,
-    /// Sound, where there is any.
+    /// Publish the sound, if the source has any.
     pub(super) sound: bool,
 }
 
@@ -52,20 +51,20 @@ pub(super) struct Wanted {
 pub(super) struct Plan {
     /// Arguments that name the source.
     input: Vec<String>,
-    /// Encoder of the video; none: it is passed on as it is.
+    /// Encoder of the video; `None` copies it.
     encoder: Option<&'static str>,
-    /// Sound is read as well.
+    /// The source's sound is read, too.
     pub(super) sound: bool,
-    /// What a user is told of it.
+    /// Notices for the user.
     pub(super) notices: Vec<String>,
 }
 
-/// What `ffprobe` says of a source.
+/// The output of `ffprobe`.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 struct Probed {
     streams: Vec<Stream>,
-    /// The first ones.
+    /// The first frames.
     frames: Vec<Picture>,
 }
 
@@ -82,9 +81,9 @@ struct Stream {
     codec_name: String,
     pix_fmt: String,
     field_order: String,
-    /// Frames by which the order of decoding and that of showing differ: B-frames, or P-frames that were put in another order.
+    /// Reorder depth between decoding and display: above 0 for B-frames or reordered P-frames.
     has_b_frames: u32,
-    /// Width of a pixel by its height, `4:3`.
+    /// Width to height of a pixel, `4:3`.
     sample_aspect_ratio: String,
     side_data_list: Vec<SideData>,
 }
@@ -92,12 +91,12 @@ struct Stream {
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 struct SideData {
-    /// How pictures are to be turned and mirrored: lines of three numbers, each behind its address.
+    /// The rotation and mirroring for display: lines of an offset and three numbers.
     displaymatrix: String,
 }
 
 impl SideData {
-    /// Whether pictures are to be shown otherwise than they come.
+    /// Whether the matrix rotates or mirrors the picture.
     fn turns(&self) -> bool {
         let rows: Vec<Vec<i64>> =
             self.displaymatrix.lines().map(|line| line.split_whitespace().filter_map(|n| n.parse().ok()).collect()).collect();
@@ -107,20 +106,20 @@ impl SideData {
 }
 
 impl Probed {
-    /// Why the video cannot be passed on as it is; none where it can.
+    /// Why the video cannot be copied; `None` if it can.
     fn obstacle(&self) -> Option<String> {
         let video = self.streams.iter().find(|s| s.codec_type == "video")?;
         if video.codec_name != "h264" {
             return Some(format!("its video is {}", video.codec_name));
         }
         if video.has_b_frames > 0 {
-            return Some("its frames do not come in the order in which they are shown (B-frames)".into());
+            return Some("its frames are not in display order (B-frames)".into());
         }
         if !matches!(video.pix_fmt.as_str(), "" | "yuv420p" | "yuvj420p") {
             return Some(format!("its pixels are {}", video.pix_fmt));
         }
         if video.side_data_list.iter().any(SideData::turns) {
-            return Some("its frames are to be turned".into());
+            return Some("its frames are rotated".into());
         }
         if !matches!(video.sample_aspect_ratio.as_str(), "" | "N/A" | "0:1" | "1:1") {
             return Some("its pixels are not square".into());
@@ -129,8 +128,8 @@ impl Probed {
         (!whole).then(|| "it is interlaced".into())
     }
 
-    /// Whether the video says by itself, and not its container, that it is to be turned: ffmpeg 5.1 turns only the frames that say so, which key
-    /// frames alone may do, and squeezes the others into the turned size.
+    /// Whether the video stream, and not its container, carries the rotation. ffmpeg 5.1 then rotates only the frames that carry it, often
+    /// the key frames alone, and squeezes the others into the rotated size.
     fn turns_within(&self) -> bool {
         let by_container = self.streams.iter().flat_map(|s| &s.side_data_list).any(SideData::turns);
         !by_container && self.frames.iter().flat_map(|f| &f.side_data_list).any(SideData::turns)
@@ -142,13 +141,13 @@ impl Probed {
 }
 
 impl Plan {
-    /// Looks at a source, and at what this machine's ffmpeg can do.
+    /// Probes the source and the encoders of this machine's ffmpeg.
     ///
     /// # Errors
-    /// It has no video, or video that has to be encoded and no encoder; there is no camera of that kind.
+    /// The source has no video, its video needs an encoder that ffmpeg lacks, or the system has no such camera.
     pub(super) fn new(origin: Origin<'_>, wanted: Wanted) -> anyhow::Result<Self> {
         let input = input(origin, std::env::consts::OS)?;
-        // what a camera gives is taken as it is asked for: it cannot be opened twice, and few have H.264 and sound
+        // a camera is not probed: it cannot be opened twice, and few have H.264 and sound
         let probed = match origin {
             Origin::Address(source) | Origin::Stream(source, _) => probe(source)?,
             Origin::Camera(_) => {
@@ -159,7 +158,7 @@ impl Plan {
         decided(input, probed.as_ref(), wanted, encoders)
     }
 
-    /// The program, which writes H.264 to its output, and sends sound to that port of this machine by RTP.
+    /// The ffmpeg command. It writes H.264 to its standard output and sends sound by RTP to `port` on this machine.
     pub(super) fn command(&self, port: Option<u16>) -> Command {
         let mut command = Command::new("ffmpeg");
         command.args(["-loglevel", "error"]).args(&self.input).args(["-map", "0:v:0", "-an"]);
@@ -193,14 +192,14 @@ fn input(origin: Origin<'_>, system: &str) -> anyhow::Result<Vec<String>> {
             ("macos", name) => args(&["-f", "avfoundation", "-framerate", "30", "-i", &format!("{}:none", name.unwrap_or("0"))]),
             ("windows", Some(name)) => args(&["-f", "dshow", "-i", &format!("video={name}")]),
             ("windows", None) => {
-                bail!(Usage("--camera: name it here, as `ffmpeg -list_devices true -f dshow -i dummy` has it".into()))
+                bail!(Usage("--camera needs a name on Windows: `ffmpeg -list_devices true -f dshow -i dummy` lists them".into()))
             }
-            _ => bail!(Usage(format!("--camera: not known how on {system}; give the address that ffmpeg reads it by"))),
+            _ => bail!(Usage(format!("--camera does not work on {system}; give the URL by which ffmpeg reads the camera"))),
         },
     })
 }
 
-/// What is done with what was found of a source; `encoders` names those of this machine's ffmpeg.
+/// Decides how to read a source by its probe; `encoders` lists those of this machine's ffmpeg.
 fn decided(
     input: Vec<String>,
     probed: Option<&Probed>,
@@ -209,15 +208,15 @@ fn decided(
 ) -> anyhow::Result<Plan> {
     let mut plan = Plan { input, encoder: None, sound: false, notices: Vec::new() };
     if probed.is_none() {
-        plan.notices.push("there is no ffprobe to look at the source with: video is passed on as it is, sound is left out".into());
+        plan.notices.push("ffprobe is not installed: the video is passed on unchanged, the sound is left out".into());
     }
     if probed.is_some_and(|p| p.streams.iter().all(|s| s.codec_type != "video")) {
         bail!("the source has no video");
     }
     if probed.is_some_and(Probed::turns_within) {
         bail!(
-            "the video says by itself that it is to be turned (display orientation), of which versions of ffmpeg make different things; \
-             turn it first: ffmpeg -noautorotate -i IN -vf transpose=cclock -c:v libx264 OUT"
+            "the video stream carries a rotation (display orientation), which versions of ffmpeg handle differently; \
+             rotate the video first: ffmpeg -noautorotate -i IN -vf transpose=cclock -c:v libx264 OUT"
         );
     }
     let obstacle = if wanted.transcode { Some("--transcode".into()) } else { probed.and_then(Probed::obstacle) };
@@ -229,9 +228,8 @@ fn decided(
     let has = |name: &str| known.iter().any(|k| k == name);
     if let Some(why) = obstacle {
         let encoder = ENCODERS.iter().map(|(name, _)| *name).find(|name| has(name));
-        let encoder =
-            encoder.with_context(|| format!("the video has to be encoded ({why}), and this ffmpeg has no encoder of H.264 for it"))?;
-        plan.notices.push(format!("the video is encoded by {encoder}: {why}"));
+        let encoder = encoder.with_context(|| format!("the video has to be encoded ({why}), and this ffmpeg has no encoder of H.264"))?;
+        plan.notices.push(format!("{encoder} encodes the video: {why}"));
         plan.encoder = Some(encoder);
     }
     plan.sound = sound && has(OPUS);
@@ -241,7 +239,7 @@ fn decided(
     Ok(plan)
 }
 
-/// What a program prints; none where there is no such program.
+/// The standard output of a command; `None` if the program is not installed.
 fn printed(command: &mut Command) -> anyhow::Result<Option<Vec<u8>>> {
     let name = command.get_program().to_string_lossy().into_owned();
     match command.stdin(Stdio::null()).output() {
@@ -259,7 +257,7 @@ fn probe(source: &str) -> anyhow::Result<Option<Probed>> {
     let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames,sample_aspect_ratio:stream_side_data=displaymatrix:frame_side_data=displaymatrix";
     let asked = ["-loglevel", "error", "-of", "json", "-show_entries", entries, "-read_intervals", "%+#20", "-i", source];
     let text = printed(Command::new("ffprobe").args(asked))?;
-    text.map(|text| serde_json::from_slice(&text).context("what ffprobe says")).transpose()
+    text.map(|text| serde_json::from_slice(&text).context("the output of ffprobe")).transpose()
 }
 
 fn encoders() -> anyhow::Result<Vec<String>> {
@@ -301,8 +299,8 @@ mod tests {
         assert!(args(&copied, None).contains("-c:v copy") && copied.notices.is_empty() && !copied.sound);
         let streams = [
             (h264(r#","has_b_frames":2"#), "B-frames"),
-            (h264(r#","side_data_list":[{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}]"#), "turned"),
-            (h264(r#","side_data_list":[{"displaymatrix":"\n0: -65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"}]"#), "turned"),
+            (h264(r#","side_data_list":[{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}]"#), "rotated"),
+            (h264(r#","side_data_list":[{"displaymatrix":"\n0: -65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"}]"#), "rotated"),
             (h264(r#","sample_aspect_ratio":"4:3""#), "square"),
             (r#"{"codec_type":"video","codec_name":"hevc","pix_fmt":"yuv420p"}"#.into(), "hevc"),
             (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv422p10le"}"#.into(), "yuv422p10le"),
@@ -339,7 +337,7 @@ mod tests {
         assert!(!plan(&both, Wanted::default(), &[OPUS]).expect("a plan").sound);
         let without = plan(&both, SOUND_TOO, &["libx264"]).expect("a plan");
         assert!(!without.sound && without.notices[0].contains(OPUS));
-        // as it was without ffprobe
+        // without ffprobe
         let blind = decided(vec![], None, SOUND_TOO, || Ok(vec![])).expect("a plan");
         assert!(!blind.sound && blind.encoder.is_none() && blind.notices.len() == 1);
     }

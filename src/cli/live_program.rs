@@ -1,4 +1,4 @@
-//! A program whose H.264 `tmpi live publish` passes on.
+//! Runs the program whose H.264 `tmpi live publish` passes on.
 
 use std::collections::VecDeque;
 use std::io::{BufRead as _, BufReader, Read as _};
@@ -11,9 +11,9 @@ use tokio::sync::Notify;
 
 use tmpi_live::units::{Splitter, Unit};
 
-/// Units that wait to be sent; of a live source older ones are then left out.
+/// Most units that wait to be sent; a live source then drops the older ones.
 const WAITING: usize = 4;
-/// What addresses of sources begin with that go on whether anyone reads them or not, and whether these keep their own pace.
+/// Prefixes of live sources, which run on even if unread, and whether ffmpeg reads them at their own pace.
 const LIVE: [(&str, bool); 10] = [
     ("rtsp://", true),
     ("rtsps://", true),
@@ -23,52 +23,52 @@ const LIVE: [(&str, bool); 10] = [
     ("rtp://", true),
     ("udp://", true),
     ("/dev/", true),
-    // it may be a file
+    // may be a file
     ("http://", false),
     ("https://", false),
 ];
 
-/// Whether a source goes on whether anyone reads it or not.
+/// Whether a source runs on even if unread.
 pub(super) fn is_live(source: &str) -> bool {
     LIVE.iter().any(|(start, _)| source.starts_with(start))
 }
 
-/// Whether a source keeps its own pace, so that it is read as it comes.
+/// Whether a source sets its own pace.
 pub(super) fn is_paced(source: &str) -> bool {
     LIVE.iter().any(|&(start, paced)| paced && source.starts_with(start))
 }
 
-/// A program that runs.
+/// A running program.
 pub(super) struct Program {
     child: Child,
     name: String,
     units: Arc<Units>,
-    /// Gives the last line that it complained with.
+    /// Returns the last line of standard error.
     complaints: Option<JoinHandle<String>>,
 }
 
-/// Units between the thread that reads them and who sends them.
+/// The queue between the thread that reads units and the task that sends them.
 #[derive(Default)]
 struct Units {
     queue: Mutex<Queue>,
-    /// For who sends.
+    /// Wakes the sender.
     filled: Notify,
-    /// For who reads, where nothing may be left out.
+    /// Wakes the reader if the source is not live.
     emptied: Condvar,
 }
 
 #[derive(Default)]
 struct Queue {
     units: VecDeque<Unit>,
-    /// Something was left out to which the next units may refer.
+    /// A unit was dropped to which the next units may refer.
     waits_for_key: bool,
     left_out: u64,
-    /// There is no more, or nobody wants any.
+    /// The program's output has ended, or the receiver has gone.
     end: Option<anyhow::Result<()>>,
 }
 
 impl Queue {
-    /// Takes a unit of a live source: where too many wait the newest wins, but only a key frame can follow what is left out.
+    /// Queues a unit of a live source. When the queue is full, it drops all units, and new ones up to the next key frame.
     fn push_newest(&mut self, unit: Unit) {
         if self.units.len() >= WAITING {
             self.left_out += self.units.len() as u64;
@@ -89,7 +89,7 @@ impl Units {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a unit; false where nobody wants any.
+    /// Queues a unit; false if the receiver has gone.
     fn push(&self, unit: Unit, live: bool) -> bool {
         let mut queue = self.lock();
         if live {
@@ -109,7 +109,7 @@ impl Units {
         self.emptied.notify_one();
     }
 
-    /// The next unit; none at the end.
+    /// The next unit; `None` at the end.
     async fn next(&self) -> anyhow::Result<Option<Unit>> {
         loop {
             {
@@ -128,10 +128,10 @@ impl Units {
 }
 
 impl Program {
-    /// Starts it; of one that is `live`, units are left out that are not taken in time.
+    /// Starts a program; if it is `live`, units that are not taken in time are dropped.
     ///
     /// # Errors
-    /// It cannot be started.
+    /// The program cannot be started.
     pub(super) fn start(command: &mut Command, live: bool) -> anyhow::Result<Self> {
         let name = command.get_program().to_string_lossy().into_owned();
         let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -140,7 +140,7 @@ impl Program {
         let complaints = child.stderr.take().map(|lines| {
             std::thread::spawn(move || {
                 let mut last = String::new();
-                // what is no text is no reason to stop reading: the program would wait for ever
+                // read on past invalid UTF-8: a full pipe would block the program
                 for line in BufReader::new(lines).split(b'\n').map_while(Result::ok) {
                     let line = String::from_utf8_lossy(&line).trim().to_owned();
                     eprintln!("{line}");
@@ -155,14 +155,14 @@ impl Program {
         Ok(Self { child, name, units, complaints })
     }
 
-    /// The next unit; none at the end.
+    /// The next unit; `None` at the end.
     ///
     /// # Errors
-    /// The program has failed, or gives no H.264.
+    /// The program failed, or its output is not H.264.
     pub(super) async fn next(&mut self) -> anyhow::Result<Option<Unit>> {
         let unit = self.units.next().await?;
         if unit.is_none() {
-            // its output is at its end, so it ends
+            // its output has ended, so the program ends
             let status = self.child.wait()?;
             let last = self.complaints.take().and_then(|lines| lines.join().ok()).unwrap_or_default();
             if !status.success() {
@@ -172,13 +172,13 @@ impl Program {
         Ok(unit)
     }
 
-    /// Units that were left out as newer ones came.
+    /// Units that were dropped in favour of newer ones.
     pub(super) fn left_out(&self) -> u64 {
         self.units.lock().left_out
     }
 }
 
-/// Reads units until there is none left, or nobody wants any.
+/// Reads units until the output ends or the receiver has gone.
 fn read(mut out: ChildStdout, to: &Units, live: bool) -> anyhow::Result<()> {
     let (mut splitter, mut buffer) = (Splitter::default(), vec![0; 1 << 16]);
     loop {
@@ -201,7 +201,7 @@ fn read(mut out: ChildStdout, to: &Units, live: bool) -> anyhow::Result<()> {
 impl Drop for Program {
     fn drop(&mut self) {
         self.units.end(Ok(()));
-        // it may have ended by itself
+        // it may have ended already
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -24,50 +24,51 @@ use super::live_sound::Sound;
 use super::live_source::{Frame, Source};
 use super::{note, result};
 
-/// Time for which a frame waits for the server's leave to send it, before it is left out.
+/// How long a frame waits for credit before it is dropped.
 const PATIENCE: Duration = Duration::from_millis(250);
-/// Time by which frames of files may follow each other too fast, to catch up.
+/// How far frames of files may be late and still be sent faster than their rate, to catch up.
 const CATCH_UP: Duration = Duration::from_millis(100);
-/// Pause before a lost connection is tried again, and how often.
+/// Pause before reconnecting, and the number of attempts.
 const AGAIN: Duration = Duration::from_millis(500);
 const TRIES: u32 = 60;
-/// Time for which a room may be taken that this program published in before: the server has yet to notice that the link broke.
+/// How long to retry a taken room after publishing in it: the server may not have noticed yet that the old connection broke.
 const OWN_SEAT: Duration = Duration::from_secs(15);
-/// Silence after which a connection is taken for dead: the server says something each second.
+/// Silence after which the connection counts as lost: the server sends something every second.
 const SILENCE: Duration = Duration::from_secs(4);
-/// Time in which a frame has to go out.
+/// Timeout for sending a message.
 const STUCK: Duration = Duration::from_secs(10);
 
-/// Send frames into a room: a folder of JPEG files, a file of H.264, a camera, or whatever ffmpeg reads
+/// Publish frames in a room: a folder of JPEG files, an H.264 file, a camera, or anything that ffmpeg reads
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct PublishArgs {
-    /// Folder of JPEG files, which are sent in the order of their names, with the depth of a PNG of the same name if there is one; a stream of H.264 (.h264); or what `ffmpeg -i` takes, of which the
-    /// video is passed on as it is where it is H.264 in the order in which it is shown, and else encoded anew, and the sound goes along as Opus
+    /// Folder of JPEG files, sent in the order of their names, each with the depth of a PNG of the same name if there is one; a raw H.264
+    /// file (.h264); or any input of `ffmpeg -i`: H.264 without B-frames is passed on unchanged, other video is re-encoded, sound is sent
+    /// as Opus
     #[arg(value_name = "FOLDER|FILE|URL", required_unless_present = "camera")]
     source: Option<String>,
-    /// A camera of this machine, without sound: a device of v4l2 on Linux (/dev/video0 where none is named), a number or name of avfoundation on
-    /// macOS (0), a name of dshow on Windows
+    /// A camera of this machine, without sound: a v4l2 device on Linux (default /dev/video0), a number or name of avfoundation on macOS
+    /// (default 0), a dshow name on Windows
     #[arg(long, conflicts_with = "source", num_args = 0..=1, default_missing_value = "", value_name = "NAME")]
     camera: Option<String>,
-    /// Encode the video anew by ffmpeg, whatever it is
+    /// Always re-encode the video
     #[arg(long)]
     transcode: bool,
     /// Leave the sound out
     #[arg(long)]
     no_sound: bool,
-    /// The room's address; several, separated by commas, where nodes share it: a lost one is left for the next
+    /// URL of the room; several, separated by commas, if nodes share it: when one fails, the client goes on to the next
     #[arg(long, visible_alias = "to", value_delimiter = ',', default_value = "http://127.0.0.1:8080/live/room", value_name = "URL[,URL…]")]
     room: Vec<String>,
     /// Token for the room
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
-    /// Frames a second of files
+    /// Frame rate of files
     #[arg(long, default_value_t = 30.0, value_name = "N")]
     rate: f64,
-    /// Begin again at the end, so many times
+    /// Play the source this many times
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     times: u32,
-    /// What 16-bit PNG files beside the frames hold, whose depth is then taken from them
+    /// Meaning of the values in PNG depth maps beside the frames
     #[arg(long, value_enum, default_value_t, value_name = "KIND")]
     depth_kind: DepthKind,
     /// Horizontal field of view of the camera in degrees
@@ -75,13 +76,13 @@ pub(super) struct PublishArgs {
     fov_x: Option<f64>,
 }
 
-/// What is said of a source, by its first frame.
+/// The HELLO message of a source, from its first frame.
 fn hello(source: &Source, first: &Frame, fov_x: Option<f64>, sound: bool) -> anyhow::Result<Hello> {
     let codec = match source {
         Source::Folder(..) => JPEG.to_owned(),
         _ => codec(&first.data).context("the stream does not begin with a key frame")?,
     };
-    let (width, height) = video::size(&codec, &first.data)?.context("the stream does not say how large its pictures are")?;
+    let (width, height) = video::size(&codec, &first.data)?.context("the stream does not state the size of its pictures")?;
     let hello = Hello { version: VERSION, codec, width, height, fov_x: fov_x.unwrap_or(0.0), ..Hello::default() };
     Ok(if sound { Hello { sound: "opus".into(), sound_rate: SOUND.0, sound_channels: SOUND.1, ..hello } } else { hello })
 }
@@ -94,13 +95,13 @@ pub(super) fn publish(args: &PublishArgs) -> anyhow::Result<()> {
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(publishing(args))
 }
 
-/// Whether a source is a file of H.264, which is read without ffmpeg.
+/// Whether a source is a raw H.264 file, which needs no ffmpeg.
 fn is_stream(source: &str) -> bool {
     let path = Path::new(source);
     path.extension().is_some_and(|e| e == "h264" || e == "264") && !path.is_dir() && !is_live(source)
 }
 
-/// A source, its first frame and what is said of it.
+/// A source, its first frame and its HELLO message.
 struct Opened {
     source: Source,
     sound: Option<Sound>,
@@ -110,7 +111,7 @@ struct Opened {
 
 async fn open(origin: Origin<'_>, args: &PublishArgs, wanted: Wanted) -> anyhow::Result<Opened> {
     let (mut source, sound) = Source::open(origin, args.depth_kind, wanted).await?;
-    let first = source.next().await?.context("there is no frame")?;
+    let first = source.next().await?.context("the source has no frame")?;
     let hello = hello(&source, &first, args.fov_x, sound.is_some())?;
     Ok(Opened { source, sound, first, hello })
 }
@@ -124,9 +125,9 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
     };
     let wanted = Wanted { transcode: args.transcode, sound: !args.no_sound };
     let opened = match open(origin, args, wanted).await {
-        // what looks right from outside may not be: then as with what does not
+        // the probe may miss that rooms cannot take the video: encode it
         Err(error) if !wanted.transcode && matches!(error.downcast_ref(), Some(VideoError::Unsupported(_))) => {
-            note(&format!("tmpi live publish: the video is encoded anew: {error}"));
+            note(&format!("tmpi live publish: re-encoding the video: {error}"));
             open(origin, args, Wanted { transcode: true, ..wanted }).await?
         }
         opened => opened?,
@@ -150,17 +151,17 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
     result(&format!("{frames} frames in {seconds:.1} s, {left_out} left out, {:.0} kbit/s{sounds}", bytes as f64 * 8e-3 / seconds))
 }
 
-/// Why a room is no longer published in.
+/// Why publishing on a connection ended.
 enum End {
-    /// The server says that there is no use in coming back, or the source failed.
+    /// The server does not allow coming back, or the source failed.
     Refused(anyhow::Error),
-    /// The connection has broken, or the server stops.
+    /// The connection broke, or the server is stopping.
     Lost(anyhow::Error),
-    /// The room has a publisher, which may be this one before its link broke.
+    /// The room has a publisher, possibly this program's broken connection.
     Taken(anyhow::Error),
 }
 
-/// How often it was tried again.
+/// Counts reconnection attempts.
 #[derive(Default)]
 struct Again {
     tries: u32,
@@ -169,10 +170,11 @@ struct Again {
 }
 
 impl Again {
-    /// Why it is to be tried again after a connection by which the count of frames went from `before` to `frames`.
+    /// Decides whether to reconnect after a connection on which the frame count went from `before` to `frames`; returns the error to
+    /// report.
     ///
     /// # Errors
-    /// It is not.
+    /// The error, if publishing is over.
     fn after(&mut self, end: End, before: u64, frames: u64, now: Instant) -> anyhow::Result<anyhow::Error> {
         if frames > before {
             *self = Self::default();
@@ -202,23 +204,23 @@ struct Sender {
     times: u32,
     due: Instant,
     pause: Duration,
-    /// Silence after which a connection is taken for dead.
+    /// See [`SILENCE`].
     silence: Duration,
     sent: Sent,
 }
 
 impl Sender {
-    /// Sends frames until there is none left, over one connection after the other.
+    /// Sends frames to the end of the source; reconnects when a connection breaks.
     ///
     /// # Errors
-    /// Nobody lets it in, or there is no use in coming back.
+    /// The first connection fails, or reconnecting is useless.
     async fn publish(&mut self, addresses: &mut Addresses<'_>, hello: &Hello) -> anyhow::Result<()> {
         let mut again = Again::default();
         loop {
             let before = self.sent.frames;
             let ended = match addresses.connect("publish").await {
                 Ok(socket) => self.send(socket, hello).await,
-                // what was wrong from the start is no lost connection
+                // an error on the first attempt is final
                 Err(Unreached { error, .. }) if before == 0 => return Err(error),
                 Err(Unreached { error, .. }) => Err(End::Lost(error)),
             };
@@ -226,9 +228,9 @@ impl Sender {
                 Ok(()) => return Ok(()),
                 Err(end) => {
                     let error = again.after(end, before, self.sent.frames, Instant::now())?;
-                    eprintln!("tmpi live publish: {error:#}; again");
+                    eprintln!("tmpi live publish: {error:#}; reconnecting");
                     addresses.go_on();
-                    // another node may be asked at once, but not all of them in turn without end
+                    // try another node at once, but do not cycle through all of them without a pause
                     if !addresses.are_several() || again.tries > 1 {
                         sleep(AGAIN).await;
                     }
@@ -237,7 +239,7 @@ impl Sender {
         }
     }
 
-    /// Sends frames until there is none left.
+    /// Sends frames to the end of the source over one connection.
     async fn send(&mut self, mut socket: Socket, hello: &Hello) -> Result<(), End> {
         send(&mut socket, Kind::Hello(hello.clone())).await?;
         let live = self.source.is_paced();
@@ -254,7 +256,7 @@ impl Sender {
             if heard.credit == 0 && (frame.key || !waits_for_key) {
                 heard.listen(&mut socket, Instant::now() + PATIENCE, true).await?;
             }
-            // the newest wins: what there is no leave for is left out, and what refers to it
+            // without credit, drop the frame and those that refer to it
             waits_for_key |= heard.credit == 0;
             if heard.credit > 0 && (!waits_for_key || frame.key) {
                 (heard.credit, waits_for_key) = (heard.credit - 1, false);
@@ -271,16 +273,16 @@ impl Sender {
             }
             self.wait(&mut socket, &mut heard).await?;
         }
-        // what is under way comes back as credit; the source is at its end whatever becomes of the rest
+        // let frames in flight arrive; errors no longer matter
         let _ = heard.listen(&mut socket, Instant::now() + PATIENCE, false).await;
-        // who watches need not wait for more
+        // tells viewers not to wait
         let bye = message::Bye { reason: "the source has ended".into(), ..message::Bye::default() };
         let _ = send(&mut socket, Kind::Bye(bye)).await;
         let _ = socket.close(None).await;
         Ok(())
     }
 
-    /// Waits for the next frame. Meanwhile what the server says is heard, and sound is passed on.
+    /// Waits for the next frame. Meanwhile it handles the server's messages and passes on sound.
     async fn wait(&mut self, socket: &mut Socket, heard: &mut Heard) -> Result<(), End> {
         loop {
             let Self { source, sound, next, times, .. } = self;
@@ -296,7 +298,7 @@ impl Sender {
     }
 }
 
-/// The next packet of sound, which there never is without.
+/// The next packet of sound; pending for ever without sound.
 async fn packet(sound: Option<&mut Sound>) -> (u64, Bytes) {
     match sound {
         Some(sound) => sound.next().await,
@@ -304,7 +306,7 @@ async fn packet(sound: Option<&mut Sound>) -> (u64, Bytes) {
     }
 }
 
-/// Goes on to the next frame; given up in between it has done nothing, but for a source that has no sound.
+/// Advances to the next frame. Cancel safe for sources with sound.
 async fn advance(source: &mut Source, next: &mut Option<Frame>, times: &mut u32) -> anyhow::Result<()> {
     *next = source.next().await?;
     if next.is_none() && *times > 1 {
@@ -315,7 +317,6 @@ async fn advance(source: &mut Source, next: &mut Option<Frame>, times: &mut u32)
     Ok(())
 }
 
-/// Sends a message.
 async fn send(socket: &mut Socket, kind: Kind) -> Result<(), End> {
     match timeout(STUCK, socket.send(Message::Binary(write(kind)))).await {
         Ok(sent) => sent.map_err(|e| End::Lost(anyhow::Error::from(e).context("the connection broke"))),
@@ -323,25 +324,25 @@ async fn send(socket: &mut Socket, kind: Kind) -> Result<(), End> {
     }
 }
 
-/// What the server has said.
+/// State of the server's messages.
 struct Heard {
-    /// Frames that it lets be sent.
+    /// Number of frames that may be sent.
     credit: u32,
-    /// When it said something last.
+    /// Time of the last message.
     at: Instant,
-    /// Silence after which it is taken for dead.
+    /// See [`SILENCE`].
     silence: Duration,
 }
 
 impl Heard {
-    /// Takes what it says until then, or `or_credit` until it lets a frame be sent.
+    /// Handles messages until `until`, or, with `or_credit`, until there is credit.
     async fn listen(&mut self, socket: &mut Socket, until: Instant, or_credit: bool) -> Result<(), End> {
         loop {
             let Ok(came) = timeout_at(until.min(self.at + self.silence), socket.next()).await else {
                 if self.at.elapsed() < self.silence {
                     return Ok(());
                 }
-                return Err(End::Lost(anyhow::anyhow!("the server has said nothing for {:.1} s", self.silence.as_secs_f64())));
+                return Err(End::Lost(anyhow::anyhow!("the server sent nothing for {:.1} s", self.silence.as_secs_f64())));
             };
             self.at = Instant::now();
             let message = match came {
@@ -368,7 +369,7 @@ impl Heard {
         }
     }
 
-    /// Takes what it says until the connection breaks.
+    /// Handles messages until the connection breaks.
     async fn until_lost(&mut self, socket: &mut Socket) -> Result<(), End> {
         loop {
             self.listen(socket, Instant::now() + self.silence, false).await?;
@@ -388,8 +389,8 @@ mod tests {
 
     use super::*;
 
-    /// A server that lets frames be sent and is silent on the first connection, and on others goes on to say something; `heard` is told of each
-    /// connection, and of each key frame of later ones.
+    /// A server that gives credit and then stays silent on the first connection, but not on later ones. `heard` counts the connections, and
+    /// the key frames of later ones.
     async fn forgetful(listener: TcpListener, heard: &[AtomicU32; 2]) -> anyhow::Result<()> {
         loop {
             let mut socket = accept_async(listener.accept().await?.0).await?;
@@ -400,7 +401,7 @@ mod tests {
                 let message = match timeout(Duration::from_millis(20), socket.next()).await {
                     Ok(Some(Ok(message))) => message,
                     Ok(_) => break,
-                    // it may have gone by now
+                    // the client may have gone
                     Err(_) if !silent && socket.send(credit(0)).await.is_err() => break,
                     Err(_) => continue,
                 };

@@ -1,4 +1,4 @@
-//! Sound that a program sends here: packets of Opus by RTP (RFC 3550, RFC 7587), each as it is.
+//! Receives Opus packets from a program by RTP (RFC 3550, RFC 7587) and passes them on unchanged.
 
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -9,22 +9,22 @@ use tokio::time::sleep;
 
 use super::live_client::micros;
 
-/// Bytes before a packet: the header without lists and extensions, as ffmpeg writes it.
+/// Length of an RTP header without CSRC list and extensions, as ffmpeg writes it.
 const HEAD: usize = 12;
-/// What its first byte then is: the version, 2, and nothing else.
+/// First byte of such a header: version 2, no flags.
 const PLAIN: u8 = 0x80;
-/// Types of packets that are reports of the sender's (RTCP), with the bit that marks others.
+/// RTCP packet types, where RTP has the marker bit and the payload type.
 const REPORTS: std::ops::RangeInclusive<u8> = 200..=207;
-/// Ticks of a packet's clock a second.
+/// RTP clock rate.
 const TICKS: u64 = 48_000;
-/// Microseconds by which that clock and this machine's may differ, before it is set anew: the source paused.
+/// Microseconds by which that clock may drift from this machine's before it is reset: the source paused.
 const APART: u64 = 300_000;
-/// Bytes of a packet at most: what Opus has in 20 ms at its highest rate, and more.
+/// Longest packet in bytes: more than 20 ms of Opus at its highest bit rate.
 const MOST: usize = 4096;
-/// Pause after an error of the system.
+/// Pause after a socket error.
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// A port of this machine at which sound comes. What is not read in time is lost: nothing is queued beyond what the system holds.
+/// A local port that receives sound. Nothing is queued beyond the socket's buffer: packets that are not read in time are lost.
 pub(super) struct Sound {
     socket: UdpSocket,
     port: u16,
@@ -33,10 +33,10 @@ pub(super) struct Sound {
 }
 
 impl Sound {
-    /// Opens a port, which no other machine reaches.
+    /// Opens a port on loopback.
     ///
     /// # Errors
-    /// The system gives none.
+    /// The socket cannot be bound.
     pub(super) async fn open() -> std::io::Result<Self> {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await?;
         let port = socket.local_addr()?.port();
@@ -47,7 +47,7 @@ impl Sound {
         self.port
     }
 
-    /// The next packet, and when it sounds, in microseconds by this machine's clock. Nothing is lost where this is given up.
+    /// The next packet and its time in microseconds by this machine's clock. Cancel safe.
     pub(super) async fn next(&mut self) -> (u64, Bytes) {
         loop {
             match self.socket.recv(&mut self.buffer).await {
@@ -58,26 +58,26 @@ impl Sound {
                         return (time, Bytes::copy_from_slice(data));
                     }
                 }
-                // on some systems the sender's end is one
+                // on some systems the end of the sender shows up as an error
                 Err(_) => sleep(PAUSE).await,
             }
         }
     }
 
-    /// Forgets what came and was not read: it is late.
+    /// Drops unread packets: they are late.
     pub(super) fn skip(&mut self) {
         while self.socket.try_recv(&mut self.buffer).is_ok() {}
     }
 }
 
-/// Stream, time and content of a packet; none where it is none of sound.
+/// Stream (SSRC), timestamp and payload of a packet; `None` if it is not sound.
 fn packet(bytes: &[u8]) -> Option<(u32, u32, &[u8])> {
     let (head, data) = bytes.split_first_chunk::<HEAD>()?;
     let number = |at: usize| u32::from_be_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
     (head[0] == PLAIN && !REPORTS.contains(&head[1]) && !data.is_empty()).then(|| (number(8), number(4), data))
 }
 
-/// Time of packets by their own clock, which goes evenly, set by this machine's.
+/// Maps the packets' timestamps, which are evenly spaced, to this machine's clock.
 #[derive(Debug, Default)]
 struct Clock {
     stream: Option<u32>,
@@ -86,7 +86,7 @@ struct Clock {
 }
 
 impl Clock {
-    /// Microseconds of a packet that came `now`; none for one of another stream than the first.
+    /// Time of a packet that arrived at `now`, in microseconds; `None` for any stream but the first.
     fn at(&mut self, stream: u32, ticks: u32, now: u64) -> Option<u64> {
         if *self.stream.get_or_insert(stream) != stream {
             return None;
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(clock.at(8, tick(50), 6_000_000), None, "another sender");
         assert_eq!(clock.at(7, tick(50), 9_000_000), Some(9_000_000), "the source paused");
         assert_eq!(clock.at(7, tick(51), 9_010_000), Some(9_020_000));
-        // a jump of the count is none of the sound's
+        // a jump of the timestamps does not shift the sound
         assert_eq!(clock.at(7, tick(51).wrapping_sub(960), 9_040_000), Some(9_040_000));
     }
 

@@ -1,4 +1,4 @@
-//! Where `tmpi live publish` has its frames from.
+//! The frame sources of `tmpi live publish`.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ use super::live_program::{Program, is_live};
 use super::live_sound::Sound;
 use super::note;
 
-/// What is sent of a frame.
+/// A frame to send.
 #[derive(Clone)]
 pub(super) struct Frame {
     pub(super) data: Bytes,
@@ -25,19 +25,19 @@ pub(super) struct Frame {
 
 /// Frames of a file, a folder or a program.
 pub(super) enum Source {
-    /// Files of a folder, the next of them, and what depth maps beside them hold.
+    /// Files of a folder, the index of the next, and the kind of the depth maps beside them.
     Folder(Vec<PathBuf>, usize, DepthKind),
-    /// Units that were read, and the next of them.
+    /// Units in memory, and the index of the next.
     Units(Vec<Unit>, usize),
-    /// Units that come when they come.
+    /// A running program that sets the pace.
     Program(Program),
 }
 
 impl Source {
-    /// The frames of an origin, and its sound, where it has some that is wanted.
+    /// Opens the frames of an origin, and its sound if it has sound and `wanted` asks for it.
     ///
     /// # Errors
-    /// There is no such file, or no frame in it; ffmpeg cannot read it.
+    /// The file does not exist or has no frame, or ffmpeg cannot read it.
     pub(super) async fn open(origin: Origin<'_>, depth: DepthKind, wanted: Wanted) -> anyhow::Result<(Self, Option<Sound>)> {
         let files = match origin {
             Origin::Address(source) if Path::new(source).is_dir() => Some(Self::folder(Path::new(source), depth)?),
@@ -66,10 +66,10 @@ impl Source {
         Ok(Self::Folder(files, 0, depth))
     }
 
-    /// A stream of H.264 that rooms take as it is.
+    /// Reads a raw H.264 file that rooms accept unchanged.
     ///
     /// # Errors
-    /// [`VideoError::Unsupported`] where they do not.
+    /// [`VideoError::Unsupported`] if they do not.
     fn stream(file: &Path) -> anyhow::Result<Self> {
         let mut splitter = Splitter::default();
         let mut units = Vec::new();
@@ -78,9 +78,9 @@ impl Source {
         }
         units.extend(splitter.finish());
         let obstacle = if units.iter().any(|unit| is_bidirectional(&unit.data)) {
-            Some("its frames do not come in the order in which they are shown (B-frames)")
+            Some("its frames are not in display order (B-frames)")
         } else {
-            units.iter().any(|unit| is_turned(&unit.data)).then_some("its frames are to be turned")
+            units.iter().any(|unit| is_turned(&unit.data)).then_some("its frames are rotated")
         };
         if let Some(why) = obstacle {
             return Err(VideoError::Unsupported(why.into()).into());
@@ -88,17 +88,17 @@ impl Source {
         Ok(Self::Units(units, 0))
     }
 
-    /// Whether frames come when they come.
+    /// Whether the source sets the pace of its frames.
     pub(super) const fn is_paced(&self) -> bool {
         matches!(self, Self::Program(_))
     }
 
-    /// Units that were left out as newer ones came.
+    /// Units that were dropped in favour of newer ones.
     pub(super) fn left_out(&self) -> u64 {
         if let Self::Program(program) = self { program.left_out() } else { 0 }
     }
 
-    /// The next frame; none at the end.
+    /// The next frame; `None` at the end.
     pub(super) async fn next(&mut self) -> anyhow::Result<Option<Frame>> {
         let unit = match self {
             Self::Folder(files, at, kind) => {
@@ -125,7 +125,7 @@ impl Source {
     }
 }
 
-/// Packs the depth map that lies beside a frame.
+/// Packs the depth map beside a frame.
 fn measured(file: &Path, kind: DepthKind, frame: &[u8]) -> anyhow::Result<Bytes> {
     let name = || file.display().to_string();
     let (width, height) = video::size(JPEG, frame)?.with_context(name)?;
@@ -145,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// A second of test pictures and a tone, as ffmpeg encodes them; none where there is no ffmpeg.
+    /// One second of test pictures and a tone, encoded by ffmpeg; `None` without ffmpeg.
     fn film(folder: &Path, name: &str, codec: &[&str]) -> Option<String> {
         let file = folder.join(name);
         let mut command = Command::new("ffmpeg");
@@ -156,7 +156,7 @@ mod tests {
         Some(file.to_string_lossy().into_owned())
     }
 
-    /// All frames, and the times of the packets of sound that come with them.
+    /// All frames, and the times of the sound packets among them.
     async fn read(origin: &str, wanted: Wanted) -> (Vec<Frame>, Vec<u64>) {
         let (mut source, mut sound) = Source::open(Origin::Address(origin), DepthKind::default(), wanted).await.unwrap();
         let (mut frames, mut times) = (Vec::new(), Vec::new());

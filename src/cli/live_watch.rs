@@ -23,57 +23,57 @@ use super::live_client::{Addresses, Socket, micros};
 use super::render::pose;
 use super::{files, result};
 
-/// Silence after which a server is taken for lost: it says something each second.
+/// Silence after which the server counts as lost: it sends something every second.
 const SILENCE: Duration = Duration::from_secs(3);
 
-/// Watch a room: print what comes, and keep it
+/// Watch a room: print statistics, and optionally record or render it
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct WatchArgs {
-    /// The room's address; several, separated by commas, where nodes share it: a lost one is left for the next
+    /// URL of the room; several, separated by commas, if nodes share it: when one fails, the client goes on to the next
     #[arg(value_delimiter = ',', default_value = "http://127.0.0.1:8080/live/room", value_name = "URL[,URL…]")]
     room: Vec<String>,
     /// Token for the room
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
-    /// End after so many seconds
+    /// Stop after this many seconds
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// Write every message to this file, each after its length in four bytes, little endian
+    /// Write every message to this file, each preceded by its length in four bytes, little endian
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Draw what the camera at --pose sees into this folder, as numbered PNG files
+    /// Render the view from --pose into this folder, as numbered PNG files
     #[arg(long, value_name = "DIR")]
     render: Option<PathBuf>,
-    /// Where that camera is and looks, as for `render`
+    /// Position and direction of the camera, as for `render`
     #[arg(long, requires = "render", value_parser = pose, allow_hyphen_values = true, default_value = "0,0,0", value_name = "TX,TY,TZ[,YAW,PITCH,ROLL]")]
     pose: Pose,
-    /// Draw one of so many frames
+    /// Render every Nth frame
     #[arg(long, requires = "render", value_parser = clap::value_parser!(u64).range(1..), default_value_t = 30, value_name = "N")]
     every: u64,
-    /// A line of JSON each second
+    /// Print a line of JSON each second
     #[arg(long)]
     json: bool,
 }
 
-/// What came within a second.
+/// Statistics of one second.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 struct Second {
     frames: u64,
     video_bytes: u64,
     geometry_bytes: u64,
     tiles: u64,
-    /// Views that were drawn.
+    /// Rendered views.
     drawn: u64,
-    /// Milliseconds from a frame's time until it was here, the longest; it is the publisher's clock.
+    /// Longest time from a frame's timestamp, by the publisher's clock, to its arrival.
     latency_ms: f64,
-    /// Of the server.
+    /// From here on: reported by the server.
     viewers: u32,
     skipped: u64,
     geometry_ms: f64,
     tiles_left_out: f64,
 }
 
-/// Watches until the room ends, or the time is over.
+/// Watches until the room ends or `--seconds` are over.
 pub(super) fn watch(args: &WatchArgs) -> anyhow::Result<()> {
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(watching(args))
 }
@@ -84,16 +84,16 @@ async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
     let (begun, second) = (Instant::now(), Second::default());
     let mut watcher = Watcher { args, end: end.map(Into::into), record, begun, second, frames: 0, told: String::new() };
     let mut addresses = Addresses::new(&args.room, args.token.as_deref());
-    // since when nothing has come, once something had
+    // set once a connection has succeeded: since when no frame has come, and why
     let mut lost: Option<(Instant, End)> = None;
     loop {
         watcher.begun = Instant::now();
         let (before, ended) = match (addresses.connect("subscribe").await, &lost) {
             (Ok(socket), _) => (watcher.frames, watcher.watch(socket).await?),
-            // what was wrong from the start is no lost connection
+            // an error on the first attempt is final
             (Err(unreached), None) => return Err(unreached.error),
             (Err(unreached), Some((since, end))) => {
-                // a room waits for its publisher, which may come to another node
+                // the publisher may come back at another node
                 let over = matches!(end, End::Gone(_)) && !addresses.are_several() || since.elapsed() > COME_BACK;
                 if unreached.nobody && over {
                     return Ok(());
@@ -126,19 +126,19 @@ const AFTER_FULL: Duration = Duration::from_secs(5);
 const COME_BACK: Duration = Duration::from_secs(10);
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// How watching at one address ends.
+/// How watching at one URL ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     /// For good.
     Over,
-    /// The server says why, and that one may come back.
+    /// The server gave a cause and allows coming back.
     Gone(Cause),
     /// The connection broke.
     Lost,
 }
 
 impl End {
-    /// Time before the room is looked for again.
+    /// Pause before the next connection.
     const fn pause(self) -> Duration {
         match self {
             Self::Gone(Cause::Left | Cause::Rejected) => AFTER_PUBLISHER,
@@ -154,14 +154,14 @@ struct Watcher<'a> {
     record: Option<std::fs::File>,
     begun: Instant,
     second: Second,
-    /// All that came.
+    /// Frames in total.
     frames: u64,
-    /// What the server said last of why it sends nothing.
+    /// The last reason that the server gave for ending, so that it is printed once.
     told: String,
 }
 
 impl Watcher<'_> {
-    /// Ready when the time is over.
+    /// Completes when `--seconds` are over.
     async fn over(&self) {
         match self.end {
             Some(end) => sleep_until(end).await,
@@ -169,7 +169,7 @@ impl Watcher<'_> {
         }
     }
 
-    /// Waits so long; false where the time is over before.
+    /// Waits for `pause`; false if `--seconds` are over first.
     async fn waits(&self, pause: Duration) -> bool {
         timeout(pause, self.over()).await.is_err()
     }
@@ -203,7 +203,7 @@ impl Watcher<'_> {
         }
     }
 
-    /// Takes a message; gives how watching ends where it does.
+    /// Handles a message; returns how watching ends if it does.
     fn take(&mut self, bytes: Bytes, shown: &mut Option<Shown>, waits: &mut bool) -> anyhow::Result<Option<End>> {
         let (length, second, args) = (bytes.len() as u64, &mut self.second, self.args);
         match read(bytes)? {
@@ -252,10 +252,10 @@ impl Watcher<'_> {
     }
 }
 
-/// What is known of a room, and what is shown of it.
+/// The state of a room, and its pictures with `--render`.
 struct Shown {
     model: Model,
-    /// Of who draws.
+    /// With `--render`.
     pictures: Option<Pictures>,
 }
 
@@ -263,13 +263,13 @@ struct Pictures {
     decoder: Box<dyn Decoder>,
     layers: Layers,
     renderer: Cpu,
-    /// The newest frame, with its number and when it was taken, until its tiles or the next one come.
+    /// The newest frame, with its number and timestamp, until its tiles or the next frame come.
     waits: Option<(u64, Duration, Photo)>,
-    /// When the frame that is shown was taken.
+    /// Timestamp of the shown frame.
     shown: Duration,
-    /// Tiles that came since a frame was shown.
+    /// Tiles that came since the shown frame.
     changed: Vec<u32>,
-    /// The newest frame that any of them is of.
+    /// The newest frame of these tiles.
     tiles_of: Option<u64>,
 }
 
@@ -281,18 +281,18 @@ impl Shown {
         Ok(Self { model: Model::new(hello)?, pictures: draws.then(decoder).transpose()?.map(of) })
     }
 
-    /// Takes a frame, and the one before it as it is, where its tiles have not come; true where that was drawn.
+    /// Takes a frame. Shows the previous frame without its tiles if they have not come; true if that frame was rendered.
     fn frame(&mut self, video: &Video, args: &WatchArgs) -> anyhow::Result<bool> {
         let drawn = self.settle(args)?;
         if let Some(pictures) = &mut self.pictures {
-            // a frame that is damaged comes right with the next key
+            // the next key frame repairs a damaged one
             let decoded = pictures.decoder.decode(&video.data).ok().flatten();
             pictures.waits = decoded.map(|photo| (video.frame, Duration::from_micros(video.time), photo));
         }
         Ok(drawn)
     }
 
-    /// Takes tiles; gives how many changed, and whether the frame that they are of was drawn.
+    /// Takes tiles; returns how many changed, and whether their frame was rendered.
     fn tiles(&mut self, tiles: &wire::Geometry, args: &WatchArgs) -> anyhow::Result<(usize, bool)> {
         let changed = self.model.take(tiles)?;
         let count = changed.len();
@@ -303,7 +303,7 @@ impl Shown {
         Ok((count, of_it && self.settle(args)?))
     }
 
-    /// Shows the frame that waits, as pages do, and draws it where it is its turn; true where it was.
+    /// Shows the waiting frame, as the page does, and renders it if `--every` selects it; true if it was rendered.
     fn settle(&mut self, args: &WatchArgs) -> anyhow::Result<bool> {
         let (Some(pictures), Some(folder)) = (&mut self.pictures, &args.render) else { return Ok(false) };
         let Some(geometry) = self.model.geometry() else { return Ok(false) };

@@ -50,7 +50,7 @@ enum Command {
     Depth(depth::DepthArgs),
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
-    /// Make photos that other nodes serve, as `serve --role work` does
+    /// Make photos that other nodes serve, like `serve --role work`
     Work(WorkArgs),
     Config(config::ConfigArgs),
     Fsck(store::FsckArgs),
@@ -65,16 +65,16 @@ enum Command {
     },
 }
 
-/// Those of `serve`, but for the role.
+/// The options of `serve` without the role.
 #[derive(Debug, clap::Args)]
 struct WorkArgs {
     #[command(flatten)]
     serve: serve::ServeArgs,
 }
 
-/// The definition as it is read and shown.
+/// The command line's definition.
 fn command() -> clap::Command {
-    // what it does is said, and beside a node that serves it has a place and a folder of its own
+    // `work` fixes the role; its own address and folder let it run beside a node that serves
     let all = Cli::command().mut_subcommand("work", |c| {
         let c = c.mut_arg("role", |a| a.hide(true)).mut_arg("addr", |a| a.default_value("127.0.0.1:0"));
         c.mut_arg("data", |a| a.default_value("tmpi-work"))
@@ -82,12 +82,12 @@ fn command() -> clap::Command {
     config::with_environment(all)
 }
 
-/// A command line that cannot be meant; exit code 2.
+/// A usage error; exit code 2.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Usage(String);
 
-/// The name of the command and what it is to do, by the command line with what a file of settings adds.
+/// Parses the command line and the settings that the file and the environment add. Returns the name of the subcommand, too.
 fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
     let definition = command();
     let (line, sources) = config::complete(&definition, std::env::args_os().collect())?;
@@ -122,7 +122,7 @@ pub fn main() -> ExitCode {
         Ok(parsed) => parsed,
         Err(error) => {
             let error = config::told_without_secrets(error);
-            // Nothing is left to do where even this cannot be written
+            // nothing is left to do if this fails
             let _ = error.print();
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
@@ -135,7 +135,7 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if error.is::<Usage>() => {
             let mut all = command();
-            // usage and advice are those of the command that was called
+            // show the usage of the subcommand
             all.build();
             let called = name.as_deref().and_then(|name| all.find_subcommand(name)).cloned();
             let _ = called.unwrap_or(all).error(ErrorKind::ValueValidation, error).print();
@@ -178,23 +178,22 @@ fn run(command: Command) -> anyhow::Result<()> {
     }
 }
 
-/// How logs are written.
+/// Format of the log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 enum Log {
-    /// Lines for people
+    /// Lines of text
     #[default]
     Text,
-    /// An object a line, for collectors
+    /// One JSON object per line
     Json,
 }
 
 /// Logs to standard error; `RUST_LOG` overrides the level.
 fn log_to_stderr(level: &str, form: Log) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    // A second call, as in tests, changes nothing
     let ansi = std::io::stderr().is_terminal();
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(ansi);
-    // where nobody reads, telling that would end the program
+    // if standard error is closed, reporting that would end the program
     let log = log.log_internal_errors(false);
     let _ = match form {
         Log::Text => log.try_init(),
@@ -202,17 +201,16 @@ fn log_to_stderr(level: &str, form: Log) {
     };
 }
 
-/// Writes one line to standard error, where somebody reads it.
+/// Writes one line to standard error; ignores errors.
 fn note(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// Tells a failure.
 fn fault(error: &anyhow::Error) {
     note(&format!("tmpi: {}", reasons(error)));
 }
 
-/// An error and what it comes from, each reason once: some texts hold those below them.
+/// An error and its causes, each once: some messages include those of their causes.
 fn reasons(error: &anyhow::Error) -> String {
     let mut all = String::new();
     for reason in error.chain().map(ToString::to_string) {
@@ -225,7 +223,7 @@ fn reasons(error: &anyhow::Error) -> String {
     all
 }
 
-/// Whoever reads the results has had enough.
+/// Whether the reader of the results has closed the pipe.
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
 }

@@ -11,7 +11,7 @@ use tmpi_pipeline::networks::models::beside;
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
 use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, folder, published, usual, worth_fetching};
 
-/// List and fetch depth networks that others have published
+/// List and fetch published depth networks
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ModelsArgs {
     #[command(subcommand)]
@@ -20,22 +20,22 @@ pub(super) struct ModelsArgs {
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum Command {
-    /// Names, sizes, licences and addresses, and which are here
+    /// List names, sizes, licences and URLs, and which networks are installed
     List {
         /// JSON on standard output
         #[arg(long)]
         json: bool,
     },
-    /// Fetch a network; a download that broke off goes on where it was
+    /// Fetch a network; resumes an interrupted download
     Get {
-        /// Its name; any name for an address of your own; auto for the one that is worth fetching where there is none as good yet, which is no
-        /// error where it cannot be fetched: the best that is there is used then, else the embedded one
+        /// Name of the network; any name with --url; auto fetches the recommended network unless one as good is installed. If auto cannot
+        /// fetch it, that is no error: the best installed network is used, else the embedded one
         #[arg(value_name = "NAME")]
         name: String,
-        /// Address of an ONNX file that is not in the list
+        /// URL of an ONNX file that is not in the list
         #[arg(long, requires = "sha256", value_name = "URL")]
         url: Option<String>,
-        /// Digest that the file must have, 64 hexadecimal digits
+        /// Expected SHA-256 of the file, 64 hexadecimal digits
         #[arg(long, requires = "url", value_name = "HEX")]
         sha256: Option<Digest>,
         /// File to write instead of NAME.onnx in the folder of networks
@@ -58,7 +58,7 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
             }
             let Err(error) = get(BETTER, url.as_deref().zip(*sha256), output.clone(), *quiet) else { return Ok(()) };
             let used = here.as_ref().map_or("the embedded one".into(), |(_, file)| file.display().to_string());
-            note(&format!("no better depth network, {used} is used: {}", reasons(&error)));
+            note(&format!("could not fetch a better depth network; using {used}: {}", reasons(&error)));
             here.map_or(Ok(()), |(_, file)| result(&file.display().to_string()))
         }
         Command::Get { name, url, sha256, output, quiet } => get(name, url.as_deref().zip(*sha256), output.clone(), *quiet),
@@ -76,7 +76,7 @@ fn list(json: bool) -> anyhow::Result<()> {
             });
             result(&line.to_string())?;
         } else {
-            let state = if here { p.file().display().to_string() } else { format!("not here: tmpi models get {}", p.name) };
+            let state = if here { p.file().display().to_string() } else { format!("not installed: tmpi models get {}", p.name) };
             let weights = p.weights.map_or_else(String::new, |w| format!("\n  {}\n  sha256 {}", w.url, w.sha256));
             let megabytes = p.total() as f64 / 1e6;
             result(&format!("{}\n  {megabytes:.1} MB, {}\n  {}\n  sha256 {}{weights}\n  {state}", p.name, p.licence, p.url, p.sha256))?;
@@ -104,18 +104,18 @@ fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: 
     let file = output.unwrap_or_else(|| folder().join(format!("{name}.onnx")));
     let licence = known.filter(|_| own.is_none()).map_or_else(String::new, |p| format!("\nlicence: {}", p.licence));
     let mut about = (!quiet).then(|| format!("{url}{licence}"));
-    // weights come before the file that names them: whoever starts meanwhile finds both or neither
+    // fetch the weights before the file that names them: a server that starts meanwhile finds both or neither
     if let Some(weights) = known.and_then(|p| p.weights).filter(|_| own.is_none()) {
         let wanted = Wanted { url: weights.url, bytes: Some(weights.bytes), sha256: weights.sha256.parse().map_err(Usage)? };
         fetch_shown(&wanted, &file.with_extension("onnx_data"), quiet, &mut about)?;
     }
     if !fetch_shown(&Wanted { url, bytes, sha256 }, &file, quiet, &mut about)? && !quiet {
-        note("it was here already");
+        note("already installed");
     }
     result(&file.display().to_string())
 }
 
-/// [`fetch`] with a bar on a terminal; `about` is told once there is an answer, so that without a network the fault alone is.
+/// [`fetch`] with a progress bar on a terminal. Prints `about` once the download has begun, so that without a network only the error shows.
 fn fetch_shown(wanted: &Wanted<'_>, file: &Path, quiet: bool, about: &mut Option<String>) -> anyhow::Result<bool> {
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(0));
     if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("[{bar:30}] {bytes}/{total_bytes} {bytes_per_sec} {eta}")) {

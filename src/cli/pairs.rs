@@ -1,26 +1,26 @@
-//! Photos of folders and the depth maps that lie beside them, told by their names as the upload page does (`static/app/pairs.js`).
+//! Pairs the photos of a folder with the depth maps beside them by name, by the rules of the upload page (`static/app/pairs.js`).
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-/// Ends of the name of a depth map, without its extension and behind a separator.
+/// Suffixes of a depth map's name, after a separator and without the extension.
 const ENDS: [&str; 10] = ["depth", "depth-", "depth_", "depth ", "depthmap", "depth-map", "depth_map", "depth map", "disparity", "disp"];
 const SEPARATORS: [char; 4] = ['-', '_', '.', ' '];
 
-/// The name without its last extension, in small letters.
+/// The file name without its last extension, in lower case.
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
     name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_owned()
 }
 
-/// The name of the photo that a file of this name would be a map of.
+/// The name of the photo to which a depth map of this name would belong.
 fn photo_of(map: &str) -> Option<&str> {
     let before = |end: &&str| map.strip_suffix(*end)?.strip_suffix(SEPARATORS).filter(|photo| !photo.is_empty());
     ENDS.iter().filter_map(before).max_by_key(|photo| photo.len())
 }
 
-/// Each photo with its map, in the order of the photos. A map belongs to a photo of its own folder, and of those that are called alike to the
-/// first; of several maps of a photo the first is taken, and the others are no photos either. A map without a photo is a photo like any other.
+/// Each photo with its map, in the order of the photos. A map belongs to the first photo of that name in its folder. If a photo has several
+/// maps, the first is used and the others are dropped. A map without a photo counts as a photo.
 pub(super) fn pairs(files: Vec<PathBuf>) -> Vec<(PathBuf, Option<PathBuf>)> {
     let mut named: HashMap<(PathBuf, String), usize> = HashMap::new();
     let folder = |file: &Path| file.parent().unwrap_or(Path::new("")).to_owned();
@@ -59,7 +59,7 @@ mod tests {
         for map in ["A-Depth.jpg", "a.depthmap.webp", "a_depth_map.png", "a disparity.png", "a_disp.png", "a.depth .png", "a_depth-.png"] {
             assert_eq!(named(&["a.jpg", map]), wanted(&[("a.jpg", Some(map))]), "{map}");
         }
-        // of photos that are called alike the first
+        // the first of several photos with the same name
         assert_eq!(named(&["a.jpg", "a.png", "a_depth.png"]), wanted(&[("a.jpg", Some("a_depth.png")), ("a.png", None)]));
     }
 
@@ -68,7 +68,7 @@ mod tests {
         for file in ["depth.png", "in-depth.jpg", "_depth.png", "adepth.png", "b_depths.png"] {
             assert_eq!(named(&[file, "a.jpg"]), wanted(&[(file, None), ("a.jpg", None)]), "{file}");
         }
-        // the second map of a photo is no photo
+        // a second map of a photo does not count as a photo
         assert_eq!(named(&["a.jpg", "a_depth.png", "a-depth.png"]), wanted(&[("a.jpg", Some("a_depth.png"))]));
     }
 

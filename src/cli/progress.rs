@@ -1,4 +1,4 @@
-//! Progress on standard error: a bar a photo on a terminal, plain lines elsewhere.
+//! Progress on standard error: one bar per photo on a terminal, plain lines elsewhere.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
@@ -6,19 +6,19 @@ use std::io::IsTerminal;
 use super::{note, result};
 use tmpi_pipeline::{Progress, Sink};
 
-/// Bars of photos that are worked on side by side.
+/// Progress bars of photos that are made in parallel.
 pub(super) struct Bars {
     all: MultiProgress,
     quiet: bool,
 }
 
 impl Bars {
-    /// Without a bar yet; `quiet` shows none.
+    /// Starts without bars; `quiet` shows none.
     pub(super) fn new(quiet: bool) -> Self {
         Self { all: MultiProgress::new(), quiet }
     }
 
-    /// Starts one for the photo `name`.
+    /// Adds a bar for the photo `name`.
     pub(super) fn bar(&self, name: &str) -> Bar {
         let line = (!self.quiet && std::io::stderr().is_terminal()).then(|| {
             let bar = self.all.add(ProgressBar::new(1));
@@ -31,12 +31,12 @@ impl Bars {
         Bar { name: name.to_owned(), line, quiet: self.quiet }
     }
 
-    /// Writes one line of results, not into a bar.
+    /// Writes one line of results without breaking a bar.
     pub(super) fn result(&self, line: &str) -> anyhow::Result<()> {
         self.all.suspend(|| result(line))
     }
 
-    /// Writes one line to standard error, not into a bar.
+    /// Writes one line to standard error without breaking a bar.
     pub(super) fn note(&self, line: &str) {
         self.all.suspend(|| note(line));
     }
@@ -78,7 +78,7 @@ impl Sink for Bar {
     }
 }
 
-/// Tells of the stages that make a depth map, and of none that follow.
+/// Reports only the stages that make a depth map.
 pub(super) struct DepthAlone(pub(super) Bar);
 
 impl Sink for DepthAlone {

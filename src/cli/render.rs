@@ -13,51 +13,52 @@ use tmpi_core::container;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
 use tmpi_render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, Outlook, PictureFormat, Rig};
 
-/// Draw a container from another place
+/// Render a view of a container from another position
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct RenderArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
-    /// Picture to write: PNG and WebP with alpha, JPEG over black. With --path: an animated WebP or an MP4 film, both written by ffmpeg,
-    /// or numbered PNG or JPEG frames
+    /// Image to write: PNG and WebP with alpha, JPEG over black. With --path: an animated WebP or an MP4 film, both by ffmpeg, or numbered
+    /// PNG or JPEG frames
     #[arg(short, long, value_name = "OUT.{png,jpg,webp,mp4}")]
     output: PathBuf,
-    /// Where the camera is (right, down, forward, in units of the nearest distance) and looks (degrees)
+    /// Position of the camera (right, down, forward, in units of the nearest distance) and its direction (degrees)
     #[arg(long, value_parser = pose, allow_hyphen_values = true, default_value = "0,0,0", value_name = "TX,TY,TZ[,YAW,PITCH,ROLL]")]
     pose: Pose,
-    /// Picture size; without it the photo's
+    /// Image size; default: the photo's
     #[arg(long, value_parser = size, value_name = "WxH")]
     size: Option<(u32, u32)>,
-    /// Horizontal field of view in degrees; without it the photo's
+    /// Horizontal field of view in degrees; default: the photo's
     #[arg(long, value_parser = fov_x, value_name = "DEG")]
     fov_x: Option<f64>,
-    /// What draws
+    /// Renderer
     #[arg(long, value_enum, default_value_t, value_name = "HOST")]
     backend: Backend,
-    /// Two views side by side, this far apart, in units of the nearest distance
+    /// Render two views side by side, this far apart, in units of the nearest distance
     #[arg(long, value_parser = ipd, allow_hyphen_values = true, value_name = "IPD")]
     stereo: Option<f64>,
-    /// With --stereo: one picture for red and cyan glasses
+    /// With --stereo: one image for red and cyan glasses
     #[arg(long, requires = "stereo")]
     anaglyph: bool,
-    /// Views from left to right over the width of the view box, at most 0.06, as light-field displays take them; --size is that of each
+    /// Render a quilt for light-field displays: views from left to right over the width of the view box, at most 0.06; --size is that of
+    /// each view
     #[arg(long, value_parser = Arrangement::quilt, conflicts_with = "stereo", value_name = "COLUMNSxROWS")]
     quilt: Option<Arrangement>,
-    /// With --stereo or --quilt: disparity that lies in the screen; what is nearer stands before it. Without it that of the middle of
-    /// the photo's area, as in the viewer
+    /// With --stereo or --quilt: disparity at the depth of the screen; nearer things stand before it. Default: the median over the photo's
+    /// area, as in the viewer
     #[arg(long, value_parser = focus, value_name = "DISPARITY")]
     focus: Option<f64>,
-    /// Move the camera once around, as far as viewers move the photo by themselves
+    /// Move the camera along a loop, as far as viewers move on their own
     #[arg(long, value_enum, value_name = "PATH")]
     path: Option<tmpi_render::Path>,
-    /// How many frames; a film has 30 a second
+    /// Number of frames; a film has 30 a second
     #[arg(long, requires = "path", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 60, value_name = "N")]
     frames: u32,
     /// Quality of a JPEG or of an animation, 1 to 100
     #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
     quality: u8,
-    /// A line of JSON on standard output for each picture
+    /// Print a line of JSON for each image
     #[arg(long)]
     json: bool,
 }
@@ -66,7 +67,7 @@ pub(super) struct RenderArgs {
 pub(super) fn pose(text: &str) -> Result<Pose, String> {
     let all = numbers(text)?;
     if !(3..=6).contains(&all.len()) {
-        return Err("three to six numbers are wanted".into());
+        return Err("expected three to six numbers".into());
     }
     let at = |i: usize| all.get(i).copied().unwrap_or(0.0);
     Ok(Pose { tx: at(0), ty: at(1), tz: at(2), yaw: at(3), pitch: at(4), roll: at(5) })
@@ -84,14 +85,10 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let film = AnimationFormat::from_extension(&ending).filter(|_| args.path.is_some());
     let endings = if args.path.is_some() { ".png, .jpg, .jpeg, .webp or .mp4" } else { ".png, .jpg, .jpeg or .webp" };
     let format = PictureFormat::from_extension(&ending).or(film.map(|_| PictureFormat::default()));
-    // a film needs to be told how the camera goes
+    // a film needs --path
     let film_alone =
         args.path.is_none() && PictureFormat::from_extension(&ending).is_none() && AnimationFormat::from_extension(&ending).is_some();
-    let hint = if film_alone {
-        format!(", or name the camera's way of a film by --path {}", tmpi_render::Path::NAMES.join("|"))
-    } else {
-        String::new()
-    };
+    let hint = if film_alone { format!("; for a film give --path {}", tmpi_render::Path::NAMES.join("|")) } else { String::new() };
     let format = format.ok_or_else(|| Usage(format!("--output {} must end in {endings}{hint}", args.output.display())))?;
     let bytes = files::read(&args.input)?;
     let scene = Arc::new(container::decode(&bytes).with_context(|| args.input.display().to_string())?);
@@ -166,13 +163,13 @@ fn focus(text: &str) -> Result<f64, String> {
     }
 }
 
-/// True where one of the cameras stands outside the view box.
+/// Whether one of the cameras is outside the view box.
 fn is_outside(view_box: &ViewBox, pose: &Pose, rig: Option<&Rig>) -> bool {
     let reach = rig.map_or(0.0, |rig| rig.baseline / 2.0);
     [-reach, reach].iter().any(|&shift| !tmpi_render::holds(view_box, &pose.shifted([shift, 0.0, 0.0])))
 }
 
-/// The cameras where several are asked for.
+/// The cameras of `--stereo` or `--quilt`.
 fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
     let (arrangement, baseline) = match (args.quilt, args.stereo) {
         (Some(quilt), _) => (quilt, (2.0 * scene.view_box.x).min(Outlook::TRAVEL)),

@@ -23,147 +23,147 @@ use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
 use tmpi_render::{self, Backend};
 
-/// Open files besides connections.
+/// Open files needed besides connections.
 #[cfg(unix)]
 const SPARE_FILES: u64 = 512;
 
-/// Take photos over HTTP and serve what is made of them
+/// Run the server: take photos over HTTP and serve the 3D photos made from them
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ServeArgs {
     #[arg(
         long,
         env = "TMPI_CONFIG",
         value_name = "FILE",
-        help = "TOML file of settings: these options, and tables of limits. Variables such as TMPI_SERVE_ADDR and this command line count more"
+        help = "TOML file of settings: these options, and tables of limits. Variables such as TMPI_SERVE_ADDR and the command line override it"
     )]
-    #[allow(dead_code, reason = "read before all else, with what is in it")]
+    #[allow(dead_code, reason = "`config::complete` reads it")]
     config: Option<PathBuf>,
-    /// A setting that has no option of its own, as rates.uploads=30; `tmpi config` lists them; may be repeated
+    /// A setting without an option of its own, for example rates.uploads=30; `tmpi config` lists them; may be repeated
     #[arg(long, value_parser = assignment, value_name = "TABLE.KEY=VALUE")]
     set: Vec<Assignment>,
-    /// Address and port to listen on, or the port alone for this machine; port 0 takes a free one, 0.0.0.0:8080 lets others in
+    /// Address and port to listen on; a port alone listens on loopback, port 0 takes a free one, 0.0.0.0:8080 accepts other machines
     #[arg(long, default_value = "127.0.0.1:8080", value_parser = address, value_name = "ADDR")]
     addr: SocketAddr,
-    /// Speak TLS: file of the certificate and those that signed it, in PEM; read again when it changes
+    /// Serve TLS with the certificate chain in this PEM file; reloaded when it changes
     #[arg(long, requires = "tls_key", value_name = "FILE")]
     tls_cert: Option<PathBuf>,
-    /// File of its private key, in PEM
+    /// PEM file with the certificate's private key
     #[arg(long, requires = "tls_cert", value_name = "FILE")]
     tls_key: Option<PathBuf>,
-    /// Address and port for operators, who ask for /metrics, /healthz, /readyz, POST /drain and POST /purge/ID there: everybody who reaches it may
+    /// Address and port of the admin listener, with /metrics, /healthz, /readyz, POST /drain and POST /purge/ID. It has no authentication
     #[arg(long, value_parser = address, value_name = "ADDR")]
     admin: Option<SocketAddr>,
-    /// Directory that keeps photos and what is made of them
+    /// Directory for photos and everything made from them
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
     #[arg(
         long,
         value_name = "URL",
-        help = "Database that several nodes share, postgres://USER:PASSWORD@HOST/NAME; the variable TMPI_SERVE_DATABASE keeps the password off the \
-                list of processes. SQLite in DIR without it"
+        help = "Database that several nodes share, postgres://USER:PASSWORD@HOST/NAME; set TMPI_SERVE_DATABASE instead to keep the password off the \
+                list of processes. Default: SQLite in DIR"
     )]
     database: Option<String>,
     #[arg(
         long,
         value_name = "URL",
         help = "Object store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX, with the usual variables AWS_…, \
-                GOOGLE_… or AZURE_…; a folder in DIR without it"
+                GOOGLE_… or AZURE_…. Default: a folder in DIR"
     )]
     blobs: Option<String>,
-    /// What this node of several does
+    /// What this node does
     #[arg(long, value_enum, default_value_t, requires = "database")]
     role: Role,
-    /// Read the pages from this directory instead of from the program
+    /// Serve the web pages from this directory instead of the embedded ones
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
-    /// Name under which the server answers besides localhost and its address, as a proxy passes it on in Host; may be repeated
+    /// Host name that the server accepts besides localhost and its address, as it arrives in the Host header; may be repeated
     #[arg(long = "host", value_name = "NAME")]
     hosts: Vec<String>,
-    /// Whether to ask who comes; private beyond loopback and with --host, else open
+    /// Whether requests need authentication; default: private beyond loopback and with --host, else open
     #[arg(long, value_enum, value_name = "WHO")]
     access: Option<Access>,
     #[arg(
         long,
         value_delimiter = ',',
         value_name = "NETWORK[,NETWORK…]",
-        help = "Proxies in front, by address, by network as 10.0.0.0/8, or `private` for all private networks and this machine: \
-                what they say of who comes counts, so that clients are told apart"
+        help = "Proxies in front of the server, whose client address header it trusts: addresses, networks such as 10.0.0.0/8, or `private` for \
+                all private networks and this machine"
     )]
     trusted_proxies: Vec<Network>,
-    /// How those say it; what others say counts for nothing
+    /// Header in which those proxies name the client; ignored from others
     #[arg(long, value_enum, requires = "trusted_proxies", default_value_t, value_name = "HOW")]
     client_address: ClientAddress,
-    /// What draws views
+    /// Renderer of views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
-    /// Photos that are made at a time
+    /// Number of photos to make in parallel
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
     workers: u16,
-    /// Memory of the machine for all of the server, in MiB: caches, work and making photos share it; what is set of one of them counts more
+    /// Memory of the whole server in MiB, which caches, work and making photos share; a setting for one of them overrides its share
     #[arg(long, value_parser = clap::value_parser!(u32).range(192..), value_name = "MIB")]
     memory: Option<u32>,
-    /// How the log on standard error is written
+    /// Format of the log on standard error
     #[arg(long, value_enum, default_value_t, value_name = "FORM")]
     pub log: super::Log,
     #[arg(
         long,
         value_name = "URL",
-        help = "Send traces to the collector at this address by OTLP over HTTP, as http://127.0.0.1:4318; \
-                OTEL_EXPORTER_OTLP_ENDPOINT names it, too, and OTEL_TRACES_SAMPLER_ARG the share that is sent, 0 to 1"
+        help = "Send traces to this collector by OTLP over HTTP, for example http://127.0.0.1:4318; \
+                OTEL_EXPORTER_OTLP_ENDPOINT sets it, too, and OTEL_TRACES_SAMPLER_ARG the share to send, 0 to 1"
     )]
     otlp: Option<String>,
-    /// File with a key of at least 32 bytes, by which `live token` lets others into rooms; without it they are for this machine's own user
+    /// File with a key of at least 32 bytes that signs the tokens of `live token`; without it only this machine's own user may enter rooms
     #[arg(long, value_name = "FILE")]
     live_key: Option<PathBuf>,
     #[arg(
         long,
         requires = "database",
         value_name = "URL",
-        help = "Address at which other nodes of the same --database reach this one, as http://10.0.0.3:8080: rooms can be watched at all of them then"
+        help = "URL at which other nodes of the same --database reach this one, for example http://10.0.0.3:8080. Every node then serves its rooms"
     )]
     advertise: Option<NodeAddress>,
-    /// Depth network of rooms, named as for --depth-model; the embedded one keeps up with a camera, those that take seconds for a photo do not
+    /// Depth network of rooms, as for --depth-model; the embedded one keeps up with a camera, networks that take seconds per photo do not
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE")]
     live_depth_model: DepthModel,
-    /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
+    /// URL of the better depth network that the page offers to fetch, instead of its publisher's; the digest must still match
     #[arg(long, value_name = "URL")]
     network_url: Option<String>,
-    /// Digest of that file where it is another, 64 hexadecimal digits
+    /// SHA-256 of that file if it is a different one, 64 hexadecimal digits
     #[arg(long, requires = "network_url", value_name = "HEX")]
     network_sha256: Option<Digest>,
     #[command(flatten)]
     models: ModelFlags,
-    /// The command line of processes that make photos.
+    /// Command line of the processes that make photos.
     #[arg(skip)]
     pub for_makers: Vec<OsString>,
 }
 
-/// Whether to ask who comes.
+/// Whether requests need authentication.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Access {
     /// Requests need no authentication; only this machine's own user may list photos
     Open,
     /// Requests need no authentication, and everyone may list photos
     Public,
-    /// Photos are their owners' alone (see `tmpi key`)
+    /// Only owners have access to their photos (see `tmpi key`)
     Private,
 }
 
-/// The variable that says which share of the traces that begin here is sent; those that began elsewhere are sent where their `traceparent` says so.
+/// Share of the traces started here that is sent. Traces from elsewhere follow the sampled flag of their `traceparent`.
 const SHARE: &str = "OTEL_TRACES_SAMPLER_ARG";
-/// Bytes that the key of tokens has at least.
+/// Fewest bytes of the token key.
 const LEAST_KEY: usize = 32;
 
 impl ServeArgs {
-    /// The same of a node that makes photos alone.
+    /// The arguments of `tmpi work`: a node that only makes photos.
     pub(super) fn at_work(self) -> anyhow::Result<Self> {
         if self.database.is_none() {
-            return Err(Usage("--database: a node that makes photos has to be told of the database that they are in".into()).into());
+            return Err(Usage("--database is required: a worker shares the database of the nodes that serve".into()).into());
         }
         Ok(Self { role: Role::Work, ..self })
     }
 
-    /// What rooms are made with; none where there are to be none.
+    /// The rooms; `None` if they are disabled.
     fn rooms(&self, photos: &Models, bounds: live::Bounds) -> anyhow::Result<Option<Rooms>> {
         if bounds.rooms == 0 {
             return Ok(None);
@@ -180,23 +180,22 @@ impl ServeArgs {
         }))
     }
 
-    /// The key of tokens.
+    /// The key that signs tokens.
     fn room_key(&self) -> anyhow::Result<Option<Vec<u8>>> {
         let key = self.live_key.as_deref().map(files::read).transpose()?;
         if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
-            return Err(Usage(format!("--live-key: a key has {LEAST_KEY} bytes at least")).into());
+            return Err(Usage(format!("--live-key: the key must have at least {LEAST_KEY} bytes")).into());
         }
         Ok(key)
     }
 
-    /// Whether to ask who comes.
     fn is_private(&self) -> bool {
-        // names are for those who come by a proxy
+        // a host name suggests clients from elsewhere, through a proxy
         let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty();
         self.access.map_or(usual, |access| access == Access::Private)
     }
 
-    /// Where traces go; nowhere where nobody said so.
+    /// The trace collector, if one is configured.
     fn traces(&self) -> anyhow::Result<Option<Collector>> {
         let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
         let Some(url) = self.otlp.clone().or_else(|| variable(checks::COLLECTOR)) else { return Ok(None) };
@@ -206,14 +205,14 @@ impl ServeArgs {
         Ok(Some(Collector { url, ratio }))
     }
 
-    /// The limits that hold: what was set of them, else what follows from the flags.
+    /// The effective limits: explicit settings override those that follow from the flags.
     fn limits(&self) -> anyhow::Result<Limits> {
         let mut usual = self.memory.map_or_else(Limits::default, |mib| Limits::of_memory(u64::from(mib) << 20));
         let is_local = self.addr.ip().is_loopback();
         if !is_local {
             usual.lame_duck = Limits::LAME_DUCK;
         }
-        // all who come by a proxy have one address, unless it tells them apart
+        // behind a proxy all clients share one address, unless the proxy is trusted to name them
         let by_themselves = !is_local && (self.hosts.is_empty() || self.tls_cert.is_some());
         if by_themselves || !self.trusted_proxies.is_empty() {
             usual.rates = Rates::FOR_STRANGERS;
@@ -222,13 +221,15 @@ impl ServeArgs {
     }
 }
 
-/// An address with its port; a port alone, or that of `localhost`, is this machine's own.
+/// Parses an address with a port. A port alone, or `localhost:PORT`, stands for loopback.
 fn address(text: &str) -> Result<SocketAddr, String> {
     let port = text.strip_prefix("localhost:").or_else(|| text.strip_prefix(':')).unwrap_or(text);
     match (text.parse(), port.parse()) {
         (Ok(whole), _) => Ok(whole),
         (_, Ok(port)) => Ok(SocketAddr::from((Ipv4Addr::LOCALHOST, port))),
-        _ => Err("an address and a port are wanted, as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080; 8080 alone is this machine's".into()),
+        _ => {
+            Err("expected an address and a port, such as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080; 8080 alone listens on loopback".into())
+        }
     }
 }
 
@@ -251,7 +252,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let rooms = args.rooms(&models, limits.live)?;
     allocate_in_one_place();
     if let Err(error) = tmpi_pipeline::networks::available() {
-        tracing::error!("photos without a depth map of their own wait until ONNX Runtime is there. {error}");
+        tracing::error!("photos without a depth map wait until ONNX Runtime is available. {error}");
     }
     #[cfg(unix)]
     open_files(limits.connections as u64 + SPARE_FILES);
@@ -260,7 +261,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let maker = ProcessMaker::new(maker, args.for_makers, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     if !private && !args.addr.ip().is_loopback() {
         tracing::warn!(
-            "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
+            "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
         );
     }
     let ServeArgs { addr, admin, data, database, blobs, role, pages, mut hosts, tls_cert, tls_key, advertise, .. } = args;
@@ -278,29 +279,29 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         }
         let mut stdout = std::io::stdout();
         if let Some(admin) = server.admin_addr() {
-            tracing::info!("operators ask at http://{admin}");
+            tracing::info!("admin listener at http://{admin}");
         }
-        // whoever waits for this line may have gone
+        // the reader of this line may have gone
         let _ = writeln!(stdout, "{}://{}", server.scheme(), server.addr()).and_then(|()| stdout.flush());
         let stop = async {
             stop_signal().await;
-            // whoever asks twice does not want to wait
+            // a second signal skips draining
             tokio::spawn(async {
                 stop_signal().await;
                 tracing::warn!("stopping at once");
-                #[allow(clippy::disallowed_methods, reason = "that is what was asked for; what was accepted is on disk")]
+                #[allow(clippy::disallowed_methods, reason = "the user asked for it; accepted photos are on disk")]
                 std::process::exit(1);
             });
         };
         server.run(stop).await;
         anyhow::Ok(())
     })?;
-    // a job that outlived the drain time is taken up at the next start
+    // the next start resumes a job that outlived the drain time
     runtime.shutdown_background();
     Ok(())
 }
 
-/// Has the process open as many files as it may need, as far as the system lets it: each connection is one.
+/// Raises the limit of open files to `wanted`, as far as the system allows.
 #[cfg(unix)]
 #[allow(unsafe_code, reason = "two calls of libc on a struct of ours")]
 #[allow(clippy::unnecessary_cast, clippy::useless_conversion, reason = "the width differs by system")]
@@ -317,15 +318,11 @@ fn open_files(wanted: u64) {
         let _ = unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) };
     }
     if most < wanted {
-        tracing::warn!(
-            most,
-            wanted,
-            "the system lets this process open fewer files than it may need: raise it, or lower limits.connections"
-        );
+        tracing::warn!(most, wanted, "the limit of open files is too low: raise it, or lower limits.connections");
     }
 }
 
-/// What photos depend on besides the program: a better network makes them anew.
+/// Identifies the networks on which photos depend: a photo is made again with another network.
 pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
     let mut digest: Option<String> = None;
@@ -333,7 +330,7 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
         let weights = models::beside(file)?.into_iter().map(|(_, file)| file);
         for file in std::iter::once(file.clone()).chain(weights) {
             let bytes = std::fs::read(&file).with_context(|| file.display().to_string())?;
-            // one digest of a file alone, as it always was; those of several one after another
+            // for one file its digest, for several their digests concatenated
             digest = Some(digest.unwrap_or_default() + &hex(&Sha256::digest(bytes)));
         }
     }
@@ -342,7 +339,7 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     if let Some(ramp) = depth_ramp {
         text = format!("{text} {ramp:?}");
     }
-    // networks that an option may ask for
+    // optional networks
     for name in [models::THETA, models::PSI] {
         match std::fs::read(folder.join(name)) {
             Ok(bytes) => text = format!("{text} {name} {}", hex(&Sha256::digest(bytes))),

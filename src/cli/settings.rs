@@ -1,6 +1,7 @@
-//! Settings of `tmpi serve` that have no flag of their own: the fields of [`Limits`], by the schema that is made of them.
+//! Settings of `tmpi serve` without a flag of their own: the fields of [`Limits`], by their JSON schema.
 //!
-//! One is a key in a table of the file, as `uploads` of `[rates]`; the variable `TMPI_SERVE_RATES_UPLOADS`; or `--set rates.uploads=30`.
+//! You set one by a key in a table of the file, as `uploads` of `[rates]`, by the variable `TMPI_SERVE_RATES_UPLOADS`, or by
+//! `--set rates.uploads=30`.
 
 use std::sync::LazyLock;
 
@@ -10,29 +11,27 @@ use serde_json::{Map, Value, json};
 
 use crate::server::Limits;
 
-/// The table of fields that are in no group.
+/// The table of ungrouped fields.
 const PLAIN: &str = "limits";
 
 /// A setting.
 #[derive(Debug)]
 pub(super) struct Setting {
-    /// Its table.
     pub table: String,
-    /// Its key there.
+    /// Its key in the table.
     pub key: String,
-    /// What it may be.
+    /// Its JSON schema.
     schema: Value,
 }
 
 /// A setting and its value.
 #[derive(Clone, Debug)]
 pub(super) struct Assignment {
-    /// Which.
     pub setting: &'static Setting,
     value: Value,
 }
 
-/// The schema of [`Limits`], with groups in place.
+/// The schema of [`Limits`], with subschemas inlined.
 fn schema() -> Value {
     let settings = SchemaSettings::draft2020_12().with(|s| s.inline_subschemas = true);
     settings.into_generator().into_root_schema_for::<Limits>().to_value()
@@ -47,7 +46,7 @@ fn tables() -> Vec<(String, Value)> {
     std::iter::once((PLAIN.to_owned(), whole)).chain(groups).collect()
 }
 
-/// All of them, table by table.
+/// All settings, table by table.
 pub(super) fn all() -> &'static [Setting] {
     static ALL: LazyLock<Vec<Setting>> = LazyLock::new(|| {
         let of = |(table, schema): (String, Value)| {
@@ -59,19 +58,19 @@ pub(super) fn all() -> &'static [Setting] {
     &ALL
 }
 
-/// That of a key in a table.
+/// The setting of a key in a table.
 pub(super) fn of_key(table: &str, key: &str) -> Option<&'static Setting> {
     all().iter().find(|setting| setting.table == table && setting.key == key)
 }
 
-/// That of a variable, whose name begins with `prefix`.
+/// The setting of a variable whose name begins with `prefix`.
 pub(super) fn of_variable(prefix: &str, name: &str) -> Option<&'static Setting> {
     let name = name.strip_prefix(prefix)?;
     all().iter().find(|setting| setting.name().replace(['.', '-'], "_").to_uppercase() == name)
 }
 
 impl Setting {
-    /// Its table and its key.
+    /// `TABLE.KEY`.
     pub fn name(&self) -> String {
         format!("{}.{}", self.table, self.key)
     }
@@ -82,10 +81,10 @@ impl Setting {
         &table[&self.key]
     }
 
-    /// Reads what is said of it.
+    /// Parses a value.
     ///
     /// # Errors
-    /// No number within its range: the text names both.
+    /// The value is not a number in the setting's range; the message names both.
     pub fn parse(&'static self, text: &str) -> Result<Assignment, String> {
         let bound = |name: &str| self.schema[name].as_f64();
         let is_whole = self.schema["type"] != "number";
@@ -102,17 +101,17 @@ impl Setting {
 /// Reads `TABLE.KEY=VALUE`.
 ///
 /// # Errors
-/// There is no such setting, or its value is wrong.
+/// The setting is unknown, or its value is invalid.
 pub(super) fn assignment(text: &str) -> Result<Assignment, String> {
     let named = text.split_once('=').and_then(|(name, value)| Some((name.trim().split_once('.')?, value.trim())));
     let ((table, key), value) = named.ok_or("TABLE.KEY=VALUE is expected, as rates.uploads=30")?;
     of_key(table, key).ok_or_else(|| format!("{table}.{key} is no setting; `tmpi config` lists them"))?.parse(value)
 }
 
-/// `usual` with what was said.
+/// `usual` with the assignments applied.
 ///
 /// # Errors
-/// None that [`Setting::parse`] has not told before.
+/// None for assignments from [`Setting::parse`].
 pub(super) fn applied(usual: &Limits, said: &[Assignment]) -> serde_json::Result<Limits> {
     let mut all = serde_json::to_value(usual)?;
     for Assignment { setting, value } in said {
@@ -122,7 +121,7 @@ pub(super) fn applied(usual: &Limits, said: &[Assignment]) -> serde_json::Result
     serde_json::from_value(all)
 }
 
-/// The schema of the file: flags of `serve` beside the tables.
+/// The schema of the file: the flags of `serve` and the tables.
 pub(super) fn file_schema(flags: &Command, is_flag: impl Fn(&clap::Arg) -> bool) -> Value {
     let mut properties = Map::new();
     for flag in flags.get_arguments().filter(|flag| is_flag(flag)) {
@@ -153,7 +152,7 @@ mod tests {
         let usual = serde_json::to_value(Limits::default()).unwrap();
         assert!(all().len() > 30);
         for setting in all() {
-            // one more than usual, or one less where that is the most
+            // one more than the default, or one less if that is the maximum
             let old = setting.value(&usual).as_f64().unwrap();
             let [more, less] = [1.0, -1.0].map(|by| setting.parse(&(old + by).to_string()));
             let said = more.or(less).unwrap();

@@ -1,11 +1,11 @@
-//! `tmpi fsck` and `tmpi gc`: the library of a server.
+//! `tmpi fsck` and `tmpi gc`.
 
 use serde_json::json;
 
 use super::library::LibraryArgs;
 use super::{note, result};
 
-/// Check whether all that belongs to each photo is there as it was written; servers may run meanwhile
+/// Check that every file of every photo exists and is intact; servers may run meanwhile
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct FsckArgs {
     #[command(flatten)]
@@ -15,7 +15,7 @@ pub(super) struct FsckArgs {
     json: bool,
 }
 
-/// Remove contents that no photo refers to any more, a day after they were written; servers may run meanwhile
+/// Remove files that no photo refers to and that are at least a day old; servers may run meanwhile
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct GcArgs {
     #[command(flatten)]
@@ -32,7 +32,7 @@ pub(super) fn fsck(args: &FsckArgs) -> anyhow::Result<()> {
     }
     let all: Vec<_> = damage.iter().map(|found| json!({ "photo": found.photo, "part": found.part, "detail": found.detail })).collect();
     result(&if args.json { serde_json::to_string_pretty(&json!({ "damaged": all }))? } else { format!("{} damaged", all.len()) })?;
-    anyhow::ensure!(damage.is_empty(), "the library is not as it should be: upload the damaged photos again");
+    anyhow::ensure!(damage.is_empty(), "the library is damaged: upload the damaged photos again");
     Ok(())
 }
 

@@ -16,16 +16,16 @@ use tmpi_core::container::encode_jpeg;
 use tmpi_core::{Class, Layer, Photo, Scene};
 use tmpi_render::OPAQUE;
 
-/// Quality of a photo that must be encoded anew because glTF knows no WebP.
+/// Quality of a photo that must be re-encoded because core glTF does not support WebP.
 const QUALITY: u8 = 95;
-/// Quality of layers as WebP: a quarter smaller than at 90, and nobody sees which is which.
+/// Quality of layers as WebP: a quarter smaller than at 90, without a visible difference.
 const LAYER_QUALITY: f32 = 82.0;
 /// Quality of what is opaque and not the photo: the background of a relief, and pages of layers without holes.
 const OPAQUE_QUALITY: u8 = 85;
 /// Longest side of a WebP picture.
 const WEBP_SIDE: u32 = 16_383;
 
-/// What space a model is put into.
+/// The space of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelShape {
     /// As a relief, a quarter as deep as the photo is long, which fits into the frame that viewers put around a model.
@@ -35,7 +35,7 @@ pub enum ModelShape {
     Metric,
 }
 
-/// What the textures of a model are.
+/// The texture format of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelTextures {
     /// JPEG where nothing is transparent, else PNG: every program that reads glTF reads these.
@@ -45,7 +45,7 @@ pub enum ModelTextures {
     WebP,
 }
 
-/// What a model is.
+/// Options of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ModelOptions {
     /// The space that it is put into.
@@ -146,7 +146,7 @@ fn page_texture(scene: &Scene, page: &pages::Page, textures: ModelTextures) -> R
     Ok(("image/webp", coded.map_err(|e| ExportError::WebP(format!("{e:?}")))?.to_vec()))
 }
 
-/// The photo's file where glTF can hold it, else the photo encoded anew.
+/// The photo's file if glTF supports its format, else the re-encoded photo.
 fn photo_texture(photo: &PhotoFile<'_>, scene: &Scene) -> Result<(&'static str, Vec<u8>), ExportError> {
     if photo.codec != "webp" {
         return Ok((photo.media_type(), photo.bytes.to_vec()));

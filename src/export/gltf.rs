@@ -154,7 +154,7 @@ impl File {
         if used.contains(&WEBP) {
             root["extensionsRequired"] = json!([WEBP]);
         }
-        // glTF forbids empty lists: a scene of which nothing can be seen has a camera alone
+        // glTF forbids empty lists: a scene without visible layers has only a camera
         if self.images.is_empty() {
             for key in ["meshes", "materials", "textures", "images", "samplers", "accessors", "bufferViews", "buffers", "extensionsUsed"] {
                 root.as_object_mut().map(|all| all.remove(key));

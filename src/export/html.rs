@@ -25,12 +25,12 @@ const ENTRY_NAME: &str = "page.js";
 /// shown where there is no script.
 ///
 /// # Errors
-/// [`ExportError::Atlas`] where the container is none.
+/// [`ExportError::Atlas`] if the container is invalid.
 pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
     let script = script()?;
     let hash = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text)));
-    // nothing outside this page, by order to the browser; scripts are this page's own and the worker made of it
+    // the policy forbids everything outside this page; scripts are the page's own and its worker
     let policy = format!(
         "default-src 'none'; script-src {} data: blob: 'wasm-unsafe-eval'; worker-src data: blob:; connect-src data: blob:; img-src data: blob:; style-src {}; \
          base-uri 'none'; form-action 'none'",

@@ -25,7 +25,7 @@ use tmpi_core::Scene;
 use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::depth::DepthError;
 
-/// What a scene can be written as.
+/// Export formats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ExportFormat {
@@ -100,20 +100,20 @@ pub enum ExportError {
     /// A description cannot be written as JSON.
     #[error("writing JSON: {0}")]
     Json(#[from] serde_json::Error),
-    /// Nobody waits for it any more.
-    #[error("the export is not wanted any more")]
+    /// The export was cancelled.
+    #[error("the export was cancelled")]
     Cancelled,
     /// The result would be larger than its format can hold.
     #[error("the scene is too large for a {0} file")]
     TooLarge(&'static str),
 }
 
-/// What some formats ask for.
+/// Options of some formats.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ExportOptions<'a> {
-    /// Names a page for people.
+    /// Title of a page.
     pub title: &'a str,
-    /// What a model is.
+    /// Options of a model.
     pub model: ModelOptions,
 }
 

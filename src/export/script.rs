@@ -78,7 +78,7 @@ impl Module<'_> {
         let mut lines = text.lines();
         while let Some(line) = lines.next() {
             if starts_comment(line) {
-                // nobody reads them there
+                // drop documenting comments
                 if !line.trim_end().ends_with("*/") {
                     let _ = lines.by_ref().find(|l| l.trim_end().ends_with("*/"));
                 }

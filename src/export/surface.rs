@@ -24,8 +24,8 @@ pub(super) fn visible_disparity(scene: &Scene) -> DisparityMap {
     DisparityMap { width: g.width, height: g.height, delta }
 }
 
-/// The photo with other colours where `hidden` says: such as pixels have whose δ is `limit` or less, from as near as there are any.
-/// `delta` has the δ of each pixel, 0 or more. What has no such source takes the photo's mean.
+/// The photo with the `hidden` pixels replaced by the colours of nearby pixels whose δ is `limit` or less.
+/// `delta` has the δ of each pixel, 0 or more. Without such a source, pixels get the photo's mean colour.
 pub(super) fn filled(photo: &Photo, delta: &[f32], limit: f32, hidden: impl Fn(usize) -> bool) -> Photo {
     let grid = Grid::full(photo.width, photo.height);
     let most = delta.iter().fold(limit, |m, &d| m.max(d)).max(f32::MIN_POSITIVE);

@@ -1,5 +1,4 @@
-//! Who may publish in a room and who may watch it: this machine's own user, and whoever has a token, which is checked here without
-//! asking anyone.
+//! Access to rooms: this machine's own user and holders of a token may publish or watch. Checking a token needs no database.
 //!
 //! A token is `EXPIRES.SIGNATURE`: seconds since 1970, and the first 16 bytes of HMAC-SHA-256 by the server's key over
 //! `ROLE ROOM EXPIRES`, as hexadecimal digits.
@@ -11,10 +10,10 @@ use sha2::Sha256;
 
 use crate::server::{Problem, hex, same};
 
-/// What a token is for.
+/// What a token allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// Being seen.
+    /// Publishing.
     Publish,
     /// Watching.
     Watch,
@@ -38,13 +37,13 @@ fn signature(key: &[u8], role: Role, room: &str, expires: u64) -> Option<[u8; SI
     mac.finalize().into_bytes().first_chunk().copied()
 }
 
-/// A token for a room until `expires`, in seconds since 1970; none where the key is none.
+/// A token for a room until `expires`, in seconds since 1970; `None` if the key is invalid.
 #[must_use]
 pub fn token(key: &[u8], role: Role, room: &str, expires: u64) -> Option<String> {
     signature(key, role, room, expires).map(|s| format!("{expires}.{}", hex(&s)))
 }
 
-/// When a token ends, in seconds since 1970, where it is for this room and role and is still good. Who may publish may watch, too.
+/// Expiry of a token in seconds since 1970; `None` if the token is not valid now for this room and role. A publisher may watch, too.
 #[must_use]
 pub fn end_of(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Option<u64> {
     let (expires, signed) = token.split_once('.')?;
@@ -55,12 +54,12 @@ pub fn end_of(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Opti
     (good && now < expires).then_some(expires)
 }
 
-/// What a page puts before a token where it names the protocols that it speaks over a web socket, the one place where it may say anything.
+/// Prefix of a token among the WebSocket protocols: the one header of a WebSocket that a page can set.
 const AMONG_PROTOCOLS: &str = "token.";
-/// The protocol of a room's web sockets.
+/// The protocol of a room's WebSockets.
 pub const PROTOCOL: &str = "tmpi.live.v1";
 
-/// The token that comes with a request, where not by its address: as a bearer (RFC 6750), or among the protocols of a web socket.
+/// The token in a request's headers: a bearer token (RFC 6750), or one among the WebSocket protocols.
 #[must_use]
 pub fn token_of(headers: &HeaderMap) -> Option<&str> {
     let text = |name| headers.get(name).and_then(|v: &axum::http::HeaderValue| v.to_str().ok());
@@ -69,7 +68,7 @@ pub fn token_of(headers: &HeaderMap) -> Option<&str> {
     bearer.or_else(among)
 }
 
-/// Refuses pages of other sites: a browser names the page's origin, and lets it open web sockets to anywhere.
+/// Refuses requests from pages of other sites: browsers let a page open WebSockets to any server, but send the page's origin.
 ///
 /// # Errors
 /// 403.
@@ -78,7 +77,7 @@ pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
     if let Some(site) = headers.get("sec-fetch-site") {
         return if site == "same-origin" || site == "none" { Ok(()) } else { Err(foreign()) };
     }
-    // no browser, or one that does not say
+    // not a browser, or one that sends no origin
     let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
     let origin = origin.to_str().ok().and_then(|o| o.parse::<Uri>().ok()).and_then(|o| o.authority().cloned());
     let host = headers.get(header::HOST).and_then(|h| h.to_str().ok()).and_then(|h| h.parse::<Authority>().ok());

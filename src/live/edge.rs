@@ -1,4 +1,4 @@
-//! An edge of a room: this node watches the room once at its origin, as any viewer does, and serves its own viewers from a ring of what came.
+//! An edge of a room: this node subscribes to the room at its origin once, like a viewer, and serves its own viewers from its ring.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,35 +20,35 @@ use super::room::Room;
 use super::tiles::Chunks;
 use super::{COME_BACK, Entry};
 
-/// Silence after which an origin is taken for dead, which says something each second.
+/// Silence after which the origin counts as lost: it sends something every second.
 const SILENCE: Duration = Duration::from_secs(3);
-/// Pause before the origin is looked for again.
+/// Pause before looking up the origin again.
 const AGAIN: Duration = Duration::from_millis(200);
 /// Time without viewers after which the subscription ends.
 const UNWATCHED: Duration = Duration::from_secs(3);
-/// Pause between two looks whether anybody watches, and between two words to the origin of how many do.
+/// Interval for checking the number of viewers, and for reporting it to the origin.
 const LOOK: Duration = Duration::from_millis(500);
 const COUNT: Duration = Duration::from_secs(2);
 
-/// Why a subscription ended before its time.
+/// Why a subscription failed.
 #[derive(Debug, thiserror::Error)]
 pub enum EdgeError {
-    /// The origin's address is none.
-    #[error("the origin's address is none")]
+    /// The origin's address is invalid.
+    #[error("the origin's address is invalid")]
     Address,
-    /// The origin says nothing.
-    #[error("the origin says nothing")]
+    /// The origin is silent.
+    #[error("the origin is silent")]
     Silent,
     /// The origin has closed the connection.
     #[error("the origin has closed the connection")]
     Closed,
-    /// The origin sent no room, or an older one than is known.
-    #[error("the origin sent no room, or an older one than is known")]
+    /// The origin sent an invalid HELLO, or one of an older epoch.
+    #[error("the origin sent an invalid HELLO, or one of an older epoch")]
     Stale,
-    /// The connection broke, or there was none.
+    /// The connection failed.
     #[error(transparent)]
     Socket(#[from] tungstenite::Error),
-    /// The database cannot be asked.
+    /// The database cannot be reached.
     #[error(transparent)]
     Library(#[from] LibraryError),
 }
@@ -56,13 +56,14 @@ pub enum EdgeError {
 /// Why a subscription ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum End {
-    /// Nobody watches here.
+    /// The room has no viewers here.
     Unwatched,
-    /// The origin said so.
+    /// The origin ended it.
     Bye(Bye),
 }
 
-/// Serves a room from its origins, one after the other, until nobody watches it, its publisher comes here, or there is none for [`COME_BACK`].
+/// Serves a room from its origins, one after the other, until it has no viewers here, its publisher comes to this node, or no origin has
+/// sent anything for [`COME_BACK`].
 pub async fn run(nodes: Arc<Nodes>, entry: Entry, ended: CancellationToken) {
     let now = Instant::now();
     let mut edge = Edge { nodes: &nodes, name: &entry.name, room: &entry.room, epoch: 0, heard: now, watched: now };
@@ -78,22 +79,22 @@ struct Edge<'a> {
     nodes: &'a Nodes,
     name: &'a str,
     room: &'a Room,
-    /// That the origin said last.
+    /// Epoch of the origin's last HELLO.
     epoch: u64,
-    /// When an origin said something last.
+    /// When an origin last sent something.
     heard: Instant,
-    /// When somebody watched last.
+    /// When the room last had viewers here.
     watched: Instant,
 }
 
 impl Edge<'_> {
-    /// Ends with what the last origin says to who watches, where the publisher is gone for good.
+    /// Returns the origin's farewell for viewers if the publisher has gone for good.
     async fn follow(&mut self) -> Option<Bye> {
         let mut gone = false;
         loop {
             let ended = match self.nodes.origin(self.name).await {
                 Ok(Some(origin)) => self.subscribe(&origin).await,
-                // released by the origin that said so
+                // the origin said that it lost the publisher, and has released the room
                 Ok(None) if gone => return None,
                 Ok(None) => Err(EdgeError::Closed),
                 Err(error) => Err(error.into()),
@@ -120,7 +121,7 @@ impl Edge<'_> {
         self.watched.elapsed() > UNWATCHED
     }
 
-    /// Hands on what one origin sends.
+    /// Relays one origin.
     async fn subscribe(&mut self, origin: &Origin) -> Result<End, EdgeError> {
         let mut socket = self.nodes.subscribe(origin, self.name).await?;
         let (mut look, mut told, mut told_at) = (interval(LOOK), 0, None::<Instant>);
@@ -158,9 +159,9 @@ impl Edge<'_> {
         }
     }
 
-    /// Takes a message; gives why the subscription ends where it does.
+    /// Handles a message; returns how the subscription ends if it does.
     fn take(&mut self, bytes: Bytes) -> Result<Option<End>, EdgeError> {
-        // kinds that are not known are of newer programs
+        // unknown kinds come from newer versions
         let Ok(kind) = read(bytes.clone()) else { return Ok(None) };
         match kind {
             Kind::Bye(bye) => return Ok(Some(End::Bye(bye))),

@@ -1,4 +1,4 @@
-//! The newest frame and groups of pictures by plain HTTP: an edge asks the room's origin for them.
+//! The newest frame and groups of pictures by plain HTTP. An edge forwards these requests to the room's origin.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,24 +22,24 @@ use super::room::{Newest, Room};
 use crate::server::{Coding, Entity, Held, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
-/// Time for which the next group of pictures is waited for.
+/// How long a request waits for the next group.
 const NEXT_GROUP: Duration = Duration::from_secs(5);
-/// Headers of a frame's number, and of the epoch that it is of.
+/// Headers with a frame's number and epoch.
 const FRAME: &str = "x-tmpi-frame";
 const EPOCH: &str = "x-tmpi-epoch";
-/// Messages of a room one after the other, each after its length in four bytes, little endian.
+/// Media type of a room's messages, each preceded by its length in four bytes, little endian.
 const MESSAGES: &str = "application/vnd.tmpi.live";
 
-/// Where the frames of a room are.
+/// The node with the frames of a room.
 enum Source {
-    /// At this node.
+    /// This node.
     Here(Arc<Room>),
-    /// At the room's origin.
+    /// The room's origin.
     Origin(Arc<Nodes>, Origin),
 }
 
 impl Source {
-    /// Where the frames of a room are for who has this leave: other nodes ask the origin alone.
+    /// Finds the node with the frames of a room. Requests of other nodes are not forwarded.
     async fn of(here: &Here, name: &str, leave: Leave) -> Result<Self, Problem> {
         if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
             return Ok(Self::Here(room));
@@ -49,10 +49,10 @@ impl Source {
     }
 }
 
-/// Headers of an origin's answer that are handed on.
+/// Headers of an origin's answer that are passed on.
 const HANDED_ON: [HeaderName; 3] = [header::CONTENT_TYPE, header::ETAG, header::CACHE_CONTROL];
 
-/// An origin's answer, as this node's.
+/// Turns an origin's answer into this node's.
 fn handed_on(answer: Response) -> Response {
     let (from, body) = answer.into_parts();
     let mut response = (from.status, body).into_response();
@@ -66,23 +66,23 @@ fn handed_on(answer: Response) -> Response {
 
 /// The newest frame of a room as a container.
 ///
-/// It is the newest whose planes are done. `x-tmpi-frame` is its number, and `x-tmpi-epoch` the epoch of the HELLO that it follows.
+/// The newest frame with finished planes. `x-tmpi-frame` has its number, and `x-tmpi-epoch` the epoch of its HELLO.
 #[utoipa::path(
     get, path = "/v1/live/{room}/frames/latest/atlas", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
     ),
     responses(
-        (status = 200, description = "The container, as that of a photo", body = String, content_type = "application/vnd.tmpi",
+        (status = 200, description = "The container, like a photo's", body = String, content_type = "application/vnd.tmpi",
             headers(
                 ("x-tmpi-frame" = u64, description = "Number of the frame"),
-                ("x-tmpi-epoch" = u64, description = "Epoch that it is of"),
+                ("x-tmpi-epoch" = u64, description = "Epoch of the frame"),
             )),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "Nobody publishes there, or no frame is done yet"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The room has no publisher, or no finished frame yet"),
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
@@ -105,19 +105,19 @@ pub async fn newest(State(here): State<Here>, Path(name): Path<String>, uri: Uri
     Ok(response)
 }
 
-/// Where the newest group of pictures lies.
+/// Redirect to the newest group of pictures.
 #[utoipa::path(
     get, path = "/v1/live/{room}/gops/latest", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
     ),
     responses(
-        (status = 307, description = "The group that is under way",
+        (status = 307, description = "The current group",
             headers(("Location" = String, description = "Its address, relative to this one"))),
         (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "Nobody publishes there, or nothing has come yet"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The room has no publisher, or no group yet"),
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
@@ -138,21 +138,21 @@ pub async fn latest_group(State(here): State<Here>, Path(name): Path<String>, ur
 
 /// A group of pictures.
 ///
-/// The messages of `proto/live.proto` from a key frame to the next, after HELLO and a SNAPSHOT of the tiles as they were, each after its
-/// length in four bytes, little endian. It comes as it grows; once it is whole it never changes. The last few are kept, and the next one is
-/// waited for.
+/// HELLO, a SNAPSHOT of the tiles at that time, and the messages of `proto/live.proto` from a key frame to the next, each preceded by its
+/// length in four bytes, little endian. The response streams while the group grows; a complete group never changes. The server keeps the
+/// last few groups, and waits for the next one.
 #[utoipa::path(
     get, path = "/v1/live/{room}/gops/{group}", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
         ("group" = String, Path, description = "`EPOCH-N`: the epoch of HELLO and the number of the group, from 0 on"),
-        ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
     ),
     responses(
         (status = 200, description = "Messages, as they come", body = String, content_type = "application/vnd.tmpi.live"),
         (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "There is no such group, or none any more"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The group does not exist, or not any more"),
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
@@ -164,9 +164,9 @@ pub async fn group(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let none = || Problem::not_found("a group of pictures that is not kept");
+    let none = || Problem::not_found("the server does not have this group of pictures");
     let group: Group = group.parse().map_err(|()| none())?;
-    // only who shows a token may share with others what it got, under an address that has the token
+    // shared caches may only store responses whose URL has the token
     let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
     let room = match Source::of(&here, &name, leave).await? {
@@ -177,7 +177,7 @@ pub async fn group(
         }
     };
     let mut pieces = Pieces::new(room, group);
-    // whoever is at the end asks for the next one before it begins; what has not begun by then is not there
+    // a client that has read the last group may request the next one before it begins
     let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))?;
     let Some(first) = first else { return Err(none().retry_after(1)) };
     let stop = here.stop;
@@ -194,23 +194,23 @@ pub async fn group(
             match next {
                 Some(piece) => Ok(Some((piece, (None, pieces, held)))),
                 None if pieces.whole => Ok(None),
-                // a cut that caches see: this is not the whole group
-                None => Err(std::io::Error::other("the group is not kept any more")),
+                // an error, so that caches see that the response is incomplete
+                None => Err(std::io::Error::other("the group was dropped")),
             }
         }
     });
     Ok((cache_control, [(header::CONTENT_TYPE, MESSAGES)], Body::from_stream(messages)).into_response())
 }
 
-/// The messages of a group, from the first on.
+/// Reads the messages of a group.
 struct Pieces {
     room: Arc<Room>,
-    /// Told of what comes to the room.
+    /// Notifies of changes of the room.
     changes: watch::Receiver<u64>,
     group: Group,
     /// Number of the next message.
     at: usize,
-    /// It has ended, and all of it was given.
+    /// All messages were read.
     whole: bool,
 }
 
@@ -219,7 +219,7 @@ impl Pieces {
         Self { changes: room.watch(), room, group, at: 0, whole: false }
     }
 
-    /// The next message, after its length, as soon as there is one; none at the end, or where the group is not kept.
+    /// Waits for the next message and prefixes its length; `None` at the end, or if the group was dropped.
     async fn next(&mut self) -> Option<Bytes> {
         loop {
             self.changes.mark_unchanged();
@@ -233,7 +233,7 @@ impl Pieces {
                     return None;
                 }
                 Part::Gone => return None,
-                // the room is held by this
+                // cannot fail: `self.room` keeps the sender
                 Part::Wait | Part::NotYet => drop(self.changes.changed().await),
             }
         }

@@ -1,6 +1,6 @@
-//! Groups of pictures: what has come from one key frame to another, for caches and programs that have no sockets.
+//! Groups of pictures: the messages from one key frame to another, for caches and HTTP clients.
 //!
-//! They hold the messages of the ring again, which share their bytes, and go by their own bounds: a group that is whole never changes.
+//! They share their bytes with the ring's messages but have their own bounds. A complete group never changes.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -16,19 +16,19 @@ use tmpi_core::live::wire::Hello;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
 
-/// Groups that are kept, with the one that grows.
+/// Most groups, with the growing one.
 const KEPT: usize = 4;
-/// Bytes of all of them.
+/// Most bytes of all groups.
 const KEPT_BYTES: usize = 8 << 20;
-/// A group grows for so long at least: where every frame is a key, one of each would be none.
+/// Shortest duration of a group: in a stream of key frames alone, one group per frame would be too short.
 const LEAST: Duration = Duration::from_secs(1);
 
 /// Address of a group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Group {
-    /// As HELLO says it.
+    /// The epoch of HELLO.
     pub epoch: u64,
-    /// From 0 on.
+    /// Counts from 0.
     pub number: u64,
 }
 
@@ -41,7 +41,7 @@ impl fmt::Display for Group {
 impl FromStr for Group {
     type Err = ();
 
-    /// Each group has one address.
+    /// Accepts only the canonical form, so that each group has one address.
     fn from_str(text: &str) -> Result<Self, ()> {
         let (epoch, number) = text.split_once('-').ok_or(())?;
         let group = Self { epoch: epoch.parse().map_err(|_| ())?, number: number.parse().map_err(|_| ())? };
@@ -52,15 +52,15 @@ impl FromStr for Group {
 /// A part of a group.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The message that was asked for.
+    /// The message.
     Message(Bytes),
-    /// It has not come yet.
+    /// The message has not come yet.
     Wait,
-    /// The group ends before it.
+    /// The group ends before this message.
     End,
-    /// The group will be the next one to begin.
+    /// The group is the next to begin.
     NotYet,
-    /// There is no such group any more, or never was.
+    /// The group was dropped or never existed.
     Gone,
 }
 
@@ -82,7 +82,7 @@ pub struct Groups {
 }
 
 impl Groups {
-    /// Adds a message of a publisher that said `hello`; `before` are the tiles as they are.
+    /// Adds a message of a publisher with `hello`; `before` are the current tiles.
     pub fn push(&mut self, what: What, bytes: &Bytes, at: Instant, hello: &Arc<Hello>, before: Option<&Arc<Tiles>>) {
         let over = self.kept.back().is_none_or(|k| k.whole || at.saturating_duration_since(k.began) >= LEAST);
         if what == What::Key && over {
@@ -95,7 +95,7 @@ impl Groups {
         if let Some(last) = self.kept.back_mut().filter(|last| !last.whole) {
             last.bytes += bytes.len();
             last.messages.push(bytes.clone());
-            // one that nothing else is kept beside is as long as it may be
+            // a group may use half of the bytes
             last.whole = last.bytes > KEPT_BYTES / 2;
         }
         while self.kept.len() > KEPT || self.kept.iter().map(|k| k.bytes).sum::<usize>() > KEPT_BYTES {
@@ -103,19 +103,20 @@ impl Groups {
         }
     }
 
-    /// Nothing more comes to the last one.
+    /// Completes the last group.
     pub fn end(&mut self) {
         if let Some(last) = self.kept.back_mut() {
             last.whole = true;
         }
     }
 
-    /// Number of the newest.
+    /// Number of the newest group.
     pub fn last(&self) -> Option<u64> {
         self.kept.back().map(|k| k.number)
     }
 
-    /// Message `at` of a group, HELLO and tiles counted; tiles, which may yet have to be coded, where it is their turn.
+    /// Message `at` of a group, which starts with HELLO and the tiles. Returns the tiles themselves as `Err`: they may yet have to be
+    /// encoded.
     pub fn part(&self, number: u64, at: usize) -> Result<Part, Arc<Tiles>> {
         let Some(group) = self.kept.iter().find(|k| k.number == number) else {
             return Ok(if number == self.next { Part::NotYet } else { Part::Gone });
@@ -141,7 +142,7 @@ mod tests {
         groups.part(number, at).unwrap_or_else(|_| panic!("there are no tiles"))
     }
 
-    /// All that a group has after HELLO.
+    /// The messages of a group after HELLO.
     fn rest(groups: &Groups, number: u64) -> (Vec<Bytes>, Part) {
         let mut messages = Vec::new();
         loop {

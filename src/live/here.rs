@@ -1,4 +1,4 @@
-//! Who may do what in the rooms of this node.
+//! Access checks of the rooms' handlers.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -11,7 +11,7 @@ use super::access::{Role, check_origin, end_of, token_of};
 use super::{Rooms, is_name};
 use crate::server::{Pairs, Problem};
 
-/// What the handlers need of the server.
+/// State of the handlers.
 #[derive(Clone)]
 pub struct Here {
     /// The rooms.
@@ -23,8 +23,8 @@ pub struct Here {
 }
 
 impl Here {
-    /// Checks query, leave and name. A token lets pages of other sites watch; without one they have no leave, as what a browser sends by itself
-    /// says nothing of who wants it, and none of them publishes.
+    /// Checks query, access and name. Pages of other sites may watch only with a token, because a browser sends requests for any page; they
+    /// never publish.
     pub(super) async fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<Leave, Problem> {
         let asked = Pairs::read(uri, &["token"])?;
         let same_site = check_origin(headers);
@@ -37,7 +37,7 @@ impl Here {
             (Some(key), Some(token), _) => end_of(key, role, room, token, seconds()).map(|ends| Leave::Until(deadline(ends))),
             _ => (same_site.is_ok() && (self.own)(headers)).then_some(Leave::Until(None)),
         };
-        let leave = leave.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "a token for this room is needed").field("token"))?;
+        let leave = leave.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "this room requires a token").field("token"))?;
         if !is_name(room) {
             return Err(Problem::not_found("a room's name has letters, digits, - and _"));
         }
@@ -45,12 +45,12 @@ impl Here {
     }
 }
 
-/// What lets a request in.
+/// Granted access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Leave {
-    /// It is this machine's own user's, or has a token that ends then.
+    /// Until a token ends; `None` for this machine's own user.
     Until(Option<Instant>),
-    /// It is another node's.
+    /// For another node.
     Node,
 }
 
@@ -59,15 +59,15 @@ pub(super) fn seconds() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }
 
-/// When a token ends; none where that is never.
+/// The instant at which a token ends; `None` if it is too far in the future.
 fn deadline(ends: u64) -> Option<Instant> {
     Instant::now().checked_add(Duration::from_secs(ends.saturating_sub(seconds())))
 }
 
-/// Why a socket ends with the token that it was opened by.
+/// Reason for closing a socket whose token has ended.
 pub(super) const ENDED: &str = "the invitation has ended";
 
-/// Ready at that time; never without one.
+/// Completes at `at`; never without one.
 pub(super) async fn ended(at: Option<Instant>) {
     match at {
         Some(at) => tokio::time::sleep_until(at).await,
@@ -80,5 +80,5 @@ pub(super) fn none_publishes() -> Problem {
 }
 
 pub(super) fn busy() -> Problem {
-    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "there are as many rooms as may be").retry_after(5)
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "the limit of rooms is reached").retry_after(5)
 }

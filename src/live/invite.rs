@@ -1,4 +1,4 @@
-//! What a room's pages ask before they come in, and how others are let in.
+//! The state of a room, for its pages, and tokens for viewers.
 
 use std::time::Duration;
 
@@ -13,41 +13,41 @@ use super::access::{Role, end_of, token, token_of};
 use super::here::{Here, Leave, seconds};
 use crate::server::{NoBody, Pairs, Problem};
 
-/// How long a token to watch is good where this machine's own user asks for it.
+/// Lifetime of a token to watch that this machine's own user requests.
 const LINK: Duration = Duration::from_hours(24);
-/// Bytes of what an origin says of a room, at most.
+/// Longest state of a room from its origin, in bytes.
 const MOST_STATE: usize = 4096;
 
-/// What is known of a room from outside.
+/// State of a room.
 #[derive(Default, Deserialize, Serialize, ToSchema)]
 pub(super) struct RoomState {
-    /// Somebody publishes.
+    /// Whether the room has a publisher.
     publishing: bool,
-    /// How many watch.
+    /// Number of viewers.
     viewers: u32,
-    /// As many watch at this node as may: whoever comes finds no place.
+    /// Whether the room accepts no more viewers at this node.
     full: bool,
-    /// Whoever asked may publish.
+    /// Whether the caller may publish.
     may_publish: bool,
-    /// Why the server has disconnected the last publisher, for some seconds.
+    /// Why the server has disconnected the last publisher. Present for some seconds.
     #[serde(skip_serializing_if = "Option::is_none")]
     ended: Option<String>,
 }
 
 /// State of a room.
 ///
-/// For pages, which cannot see why a WebSocket is refused. There need not be anybody in it.
+/// For pages, which cannot see why a WebSocket is refused. The room may be empty.
 #[utoipa::path(
     get, path = "/v1/live/{room}", tag = "live", operation_id = "room",
     params(
         ("room" = String, Path, description = "Name of the room: up to 64 letters, digits, - and _"),
-        ("token" = Option<String>, Query, description = "Token for who watches or publishes here, if not as a bearer; this machine's own user needs none"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here, unless sent as a bearer token; this machine's own user needs none"),
     ),
     responses(
-        (status = 200, description = "Whether anybody publishes", body = RoomState),
+        (status = 200, description = "The state", body = RoomState),
         (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "No room has such a name, or there are none here"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The name is invalid, or rooms are disabled"),
     )
 )]
 pub(super) async fn state(
@@ -75,7 +75,7 @@ pub(super) async fn state(
     Ok(Json(RoomState { full, may_publish, ended, ..state }))
 }
 
-/// State of a room as its origin knows it; none where no other node has the room, or the one that does does not answer.
+/// State of a room from its origin; `None` if no other node has the room, or the origin does not answer.
 async fn at_origin(here: &Here, name: &str) -> Result<Option<RoomState>, Problem> {
     let Some((nodes, origin)) = here.rooms.elsewhere(name).await? else { return Ok(None) };
     let Ok(answer) = nodes.fetch(&origin, name, "", HeaderMap::new()).await else { return Ok(None) };
@@ -83,27 +83,27 @@ async fn at_origin(here: &Here, name: &str) -> Result<Option<RoomState>, Problem
     Ok(serde_json::from_slice(&body).ok())
 }
 
-/// A token for who watches.
+/// A token to watch.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Link {
-    /// None where rooms are for this machine's own user.
+    /// Null if the server has no key for tokens: only this machine's own user may watch then.
     token: Option<String>,
 }
 
-/// Let others watch.
+/// Create a token to watch.
 ///
-/// Whoever may publish gets a token for those who watch, good for as long as their own; where they need none, for a day.
+/// For callers that may publish. The token expires with the caller's own, or after a day if the caller needs none.
 #[utoipa::path(
     post, path = "/v1/live/{room}/token", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("token" = Option<String>, Query, description = "Token for who publishes here, if not as a bearer; this machine's own user needs none"),
+        ("token" = Option<String>, Query, description = "Token to publish here, unless sent as a bearer token; this machine's own user needs none"),
     ),
     responses(
         (status = 200, description = "The token", body = Link),
-        (status = 400, description = "A parameter is unknown, or there is a body"),
-        (status = 403, description = "A page of another site, or no token"),
-        (status = 404, description = "No room has such a name, or there are none here"),
+        (status = 400, description = "A parameter is unknown, or the request has a body"),
+        (status = 403, description = "The request comes from a page of another site, or has no valid token"),
+        (status = 404, description = "The name is invalid, or rooms are disabled"),
     )
 )]
 pub(super) async fn link(

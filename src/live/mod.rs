@@ -1,26 +1,26 @@
-//! Rooms: one publisher's camera, and all who watch it (schema of the messages in `proto/live.proto`).
+//! Rooms: one publisher's camera and its viewers (schema of the messages in `proto/live.proto`).
 //!
-//! The publisher's socket hands each frame on at once, as the bytes that came: to the ring, which every viewer's socket reads at its
-//! own pace, and to the room's worker, which decodes it for its geometry alone. A viewer that falls behind skips to a key frame and
-//! is told the tiles that are newer than it has, as one that looks again after it was hidden; nothing is queued for anyone, so a room's memory does not depend on how slowly it is read.
+//! The publisher's socket passes each frame on at once and unchanged: to the ring, which every viewer's socket reads at its own pace, and
+//! to the room's worker, which decodes it only for its geometry. A viewer that falls behind, or was hidden, skips to a key frame and gets
+//! the tiles that it lacks. Viewers have no queues, so a room's memory does not depend on slow viewers.
 //!
 //! | file | what |
 //! |---|---|
 //! | `access` | who may publish and watch |
-//! | `invite` | what pages ask of a room, and tokens for those who watch |
-//! | `here` | what handlers need of the server, and what lets a request in |
-//! | `routes` | the addresses, and the upgrade to web sockets |
+//! | `invite` | the state of a room, and tokens for viewers |
+//! | `here` | the state of the handlers, and access checks |
+//! | `routes` | the routes, and the upgrade to WebSockets |
 //! | `publisher`, `viewer` | one socket each |
-//! | `sound` | how much sound may come |
-//! | `room` | what sockets and threads of a room share |
-//! | `still` | the last frame whose geometry is done |
+//! | `sound` | the rate limit of sound |
+//! | `room` | the state that sockets and threads of a room share |
+//! | `still` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
 //! | `fetch` | the newest frame and groups of pictures by plain HTTP |
-//! | `tiles` | the tiles of a room as the chunks that were sent |
+//! | `tiles` | the tiles of a room as encoded chunks |
 //! | `origin` | which node has a room |
 //! | `edge` | a room that another node has |
-//! | `worker` | the threads that decode and make geometry |
+//! | `worker` | the threads that decode frames and make geometry |
 
 mod access;
 mod edge;
@@ -65,43 +65,43 @@ use tokio_util::sync::CancellationToken;
 
 use crate::server::{Figure, Problem, gauge};
 
-/// Time for the first message, and longest time for which a publisher publishes nothing.
+/// Longest silence of a publisher, also before its first message.
 const SILENCE: Duration = Duration::from_secs(10);
-/// Pause between two messages of statistics, or two of credit for publishers, which also tell that the room lives.
+/// Interval of statistics for viewers and of credit for publishers, which also show that the connection works.
 const HEARTBEAT: Duration = Duration::from_secs(1);
-/// Frames of a publisher that may be under way.
+/// A publisher's frames that may be in flight.
 const CREDIT: u32 = 2;
 /// Shortest mean time between two frames.
 const FASTEST: Duration = Duration::from_micros(8_333);
-/// Time between two requests for a key frame.
+/// Shortest time between two requests for a key frame.
 const KEYS: Duration = Duration::from_secs(1);
-/// Frames in a row that cannot be decoded before the publisher is sent away.
+/// Undecodable frames in a row before the server disconnects the publisher.
 const BROKEN: u32 = 30;
-/// The same where none could be decoded yet.
+/// The same before the first decoded frame.
 const BROKEN_FIRST: u32 = 10;
-/// Panics in a row of what makes geometry before the publisher is sent away.
+/// Panics in a row of the geometry before the server disconnects the publisher.
 const PANICS: u32 = 10;
-/// Bytes of a name.
+/// Longest name, in bytes.
 const NAME: usize = 64;
-/// Time that a room waits for its publisher to come back.
+/// How long a room waits for its publisher to come back.
 const COME_BACK: Duration = Duration::from_secs(10);
 
-/// What rooms are made with.
+/// Configuration of rooms.
 #[derive(Clone)]
 pub struct Config {
     /// The networks.
     pub models: Models,
-    /// Milliseconds that the geometry of a frame may take.
+    /// Time budget for the geometry of a frame, in milliseconds.
     pub frame_ms: f64,
-    /// Key of the tokens that let strangers in; without one, rooms are for this machine's own user.
+    /// Key that signs tokens; without it only this machine's own user may enter rooms.
     pub key: Option<Vec<u8>>,
 }
 
-/// Bounds on rooms.
+/// Limits of rooms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Bounds {
-    /// Rooms at a time. 0 turns rooms off.
+    /// Open rooms at a time. 0 disables rooms.
     #[schemars(range(max = 64))]
     pub rooms: usize,
     /// Viewers of a room at this node.
@@ -110,10 +110,10 @@ pub struct Bounds {
     /// Milliseconds that the geometry of a frame may take. If depth, planes or tiles take longer, there are fewer of them.
     #[schemars(range(min = 1, max = 1000))]
     pub budget_ms: f64,
-    /// Bytes of a frame, and of its measured depth: who is further behind is given no more frames before the next key frame.
+    /// Largest frame, and largest measured depth, in bytes.
     #[serde(skip)]
     pub frame: usize,
-    /// Bytes of a packet of sound.
+    /// Largest packet of sound, in bytes.
     #[serde(skip)]
     pub sound: usize,
 }
@@ -121,11 +121,11 @@ pub struct Bounds {
 impl Bounds {
     /// 1 024 viewers.
     pub const VIEWERS: usize = 1024;
-    /// Milliseconds of geometry. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3, 13.1 and 17.5 ms of processor a
-    /// frame, views of 23.4, 23.3, 23.4 and 23.3 dB, flicker .070, .064, .054 and .080 levels, edges 2.1, 2.2, 2.1 and 2.2 pixels short. At 640×480
-    /// 12, 20, 30 and 45 (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short. With 20 instead of 30 pictures come a sixth
-    /// sooner where all share two cores (`glass-to-glass.mjs`); but at 640×480 there more tiles wait, and what moves is seen torn where they meet
-    /// others more often.
+    /// Milliseconds of geometry. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3, 13.1 and 17.5 ms of
+    /// processor a frame, views of 23.4, 23.3, 23.4 and 23.3 dB, flicker .070, .064, .054 and .080 levels, edges 2.1, 2.2, 2.1 and 2.2
+    /// pixels short. At 640×480 12, 20, 30 and 45 (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short. With 20
+    /// instead of 30 pictures come a sixth sooner where all share two cores (`glass-to-glass.mjs`); but at 640×480 there more tiles wait,
+    /// and what moves is seen torn where they meet others more often.
     const BUDGET_MS: f64 = 20.0;
 }
 
@@ -146,11 +146,11 @@ pub struct Rooms {
 
 struct Named {
     room: Arc<Room>,
-    /// How many [`Entry`]s there are.
+    /// Number of [`Entry`]s.
     entries: usize,
 }
 
-/// Holds a room open: a publisher that is there or may come back, or an origin of which this node is an edge.
+/// Holds a room open: for a publisher that is here or may come back, or while this node is an edge.
 pub struct Entry {
     rooms: Arc<Rooms>,
     /// The room's name.
@@ -172,45 +172,45 @@ impl Drop for Entry {
 }
 
 impl Rooms {
-    /// No room yet.
+    /// Starts without rooms.
     #[must_use]
     pub fn new(config: Config) -> Self {
         Self { config, bounds: Bounds::default(), named: Mutex::default(), address: None, nodes: OnceLock::new() }
     }
 
-    /// Holds them to other bounds than the usual ones.
+    /// Replaces the default limits.
     #[must_use]
     pub fn bounded(mut self, bounds: Bounds) -> Self {
         self.bounds = bounds;
         self
     }
 
-    /// Shares them with the other nodes of the library, which reach this one at `address`.
+    /// Shares the rooms with the library's other nodes, which reach this one at `address`.
     #[must_use]
     pub fn shared(mut self, address: NodeAddress) -> Self {
         self.address = Some(address);
         self
     }
 
-    /// Shares them by this library until the server stops, where they are to be shared.
+    /// Starts sharing by this library, if [`Self::shared`] was called, until the server stops.
     pub(crate) fn start(&self, library: &Library, stop: &CancellationToken) {
         let Some(address) = &self.address else { return };
         match Nodes::new(library.clone(), address.clone(), stop.clone()) {
-            // once, as a server runs once
+            // a server runs only once
             Ok(nodes) => drop(self.nodes.set(Arc::new(nodes))),
-            Err(error) => tracing::error!(%error, "rooms are not shared with other nodes"),
+            Err(error) => tracing::error!(%error, "cannot share rooms with other nodes"),
         }
     }
 
-    /// What is counted.
+    /// Metrics.
     pub(crate) fn counts(&self) -> Vec<Figure> {
         let (all, edges) = {
             let rooms = self.lock();
             (rooms.len(), rooms.values().filter(|named| named.room.is_edge()).count())
         };
         vec![
-            gauge("tmpi_live_rooms", "Rooms that are open at this node", all as f64),
-            gauge("tmpi_live_edges", "Rooms of these whose publisher is at another node", edges as f64),
+            gauge("tmpi_live_rooms", "Open rooms at this node", all as f64),
+            gauge("tmpi_live_edges", "Open rooms at this node whose publisher is at another node", edges as f64),
         ]
     }
 
@@ -218,12 +218,12 @@ impl Rooms {
         self.named.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A room that is served here: a publisher is here or may come back, or this node is an edge of it.
+    /// A room that is served here: its publisher is here or may come back, or this node is an edge of it.
     fn get(&self, name: &str) -> Option<Arc<Room>> {
         self.lock().get(name).map(|named| Arc::clone(&named.room)).filter(|room| room.is_served())
     }
 
-    /// Opens a room, or holds one open that is; none where there are as many as may be.
+    /// Opens a room, or holds an open one; `None` if the limit of rooms is reached.
     fn enter(self: &Arc<Self>, name: &str) -> Option<Entry> {
         let mut rooms = self.lock();
         if !rooms.contains_key(name) && rooms.len() >= self.bounds.rooms {
@@ -235,7 +235,7 @@ impl Rooms {
         Some(Entry { rooms: Arc::clone(self), name: name.to_owned(), room: Arc::clone(&named.room) })
     }
 
-    /// A room to watch: one that is open here, or that another node has.
+    /// A room to watch, from this node or another.
     async fn visit(self: &Arc<Self>, name: &str) -> Result<Arc<Room>, Problem> {
         if let Some(room) = self.get(name) {
             return Ok(room);
@@ -247,7 +247,7 @@ impl Rooms {
         Ok(room)
     }
 
-    /// The other node that has a room, with this one.
+    /// The other node that has a room, with the access to it.
     async fn elsewhere(&self, name: &str) -> Result<Option<(Arc<Nodes>, Origin)>, Problem> {
         let Some(nodes) = self.nodes.get() else { return Ok(None) };
         let origin = nodes.origin(name).await.map_err(|error| unreachable(&error))?;
@@ -265,15 +265,16 @@ impl Rooms {
 }
 
 impl Entry {
-    /// Holds the room open for a publisher that comes back within [`COME_BACK`]. Where it went to another node, this one becomes an edge.
+    /// Holds the room open for [`COME_BACK`], for its publisher to come back. If the publisher went to another node, this one becomes an
+    /// edge.
     async fn linger(self, lease: Option<Lease>, stop: &CancellationToken) {
         let moved = tokio::select! {
             () = tokio::time::sleep(COME_BACK) => false,
             () = stop.cancelled() => false,
-            // a lease of before is lost to a later one of this node, too
+            // this node itself may have taken a newer lease
             () = origin::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.came_with(lease.epoch())),
         };
-        // before anybody is told that the room is closed
+        // before the room closes, which tells its viewers
         if let Some(lease) = lease {
             lease.release().await;
         }
@@ -284,17 +285,17 @@ impl Entry {
 }
 
 fn unreachable(error: &LibraryError) -> Problem {
-    tracing::warn!(%error, "the rooms of other nodes");
+    tracing::warn!(%error, "cannot look up the rooms of other nodes");
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "elsewhere", "the database cannot be reached").retry_after(1)
 }
 
-/// Time for which what still comes is read and dropped: a client whose words are not read never hears why it was sent away.
+/// How long to read and drop a disconnected client's messages, so that it gets to read BYE.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// Sends a client away with a reason.
+/// Disconnects a client with a reason.
 async fn send_away(mut socket: WebSocket, bye: Bye) {
     let farewell = async {
-        // whoever has gone already does not hear it
+        // the client may have gone
         let _ = socket.send(Message::Binary(write(Kind::Bye(bye)))).await;
         let _ = socket.send(Message::Close(None)).await;
         while let Some(Ok(_)) = socket.recv().await {}
@@ -302,7 +303,7 @@ async fn send_away(mut socket: WebSocket, bye: Bye) {
     let _ = tokio::time::timeout(LINGER, farewell).await;
 }
 
-/// Names of rooms: letters, digits, `-` and `_`.
+/// Whether a room may have this name: letters, digits, `-` and `_`.
 fn is_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= NAME && name.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b))
 }

@@ -1,7 +1,7 @@
-//! Which node has a room: its origin, the node that its publisher is connected to, as a row of the library with a lease.
+//! The origin of a room: the node to which its publisher is connected, recorded in the library with a lease.
 //!
-//! A publisher that comes to another node takes the room there at once, with a higher epoch; the lease only tells how long a node counts that has
-//! died. Leases and credentials go by the database's clock, never by a node's.
+//! A publisher that connects to another node takes the room there at once, with a higher epoch; the lease only limits how long a dead node
+//! stays the origin. Leases and credentials use the database's clock, never a node's.
 
 use std::fmt;
 use std::str::FromStr;
@@ -24,16 +24,16 @@ use super::edge::EdgeError;
 use super::here::none_publishes;
 use crate::server::Problem;
 
-/// How long a room is a node's that says nothing more, and how often a node says that it has it.
+/// Duration of a lease, and the interval of its renewal.
 const LEASE: Duration = Duration::from_secs(5);
 const RENEW: Duration = Duration::from_secs(1);
-/// How long a credential of a node is good, which is for opening a connection at once.
+/// Lifetime of a node's credential, which opens one connection.
 const CREDENTIAL: Duration = Duration::from_mins(1);
-/// Time that an origin has to answer, and longest silence while it does.
+/// Timeout for connecting to an origin, and for reading from it.
 const CONNECT: Duration = Duration::from_secs(1);
 const READ: Duration = Duration::from_secs(15);
 
-/// Address at which other nodes reach this one: `http://HOST[:PORT]`, or `https://`.
+/// URL at which other nodes reach this one: `http://HOST[:PORT]`, or `https://`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeAddress {
     url: String,
@@ -62,7 +62,7 @@ impl fmt::Display for NodeAddress {
 }
 
 impl NodeAddress {
-    /// Its host, as other nodes say it in `Host`.
+    /// Its host, as in the `Host` header of other nodes.
     #[must_use]
     pub fn host(&self) -> &str {
         &self.host
@@ -72,7 +72,7 @@ impl NodeAddress {
 /// A socket to an origin.
 pub type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
 
-/// This node among others.
+/// This node's access to the other nodes.
 pub struct Nodes {
     library: Library,
     address: NodeAddress,
@@ -82,19 +82,18 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// This node, which others reach at `address`.
     ///
     /// # Errors
     /// The system's certificates cannot be read.
     pub fn new(library: Library, address: NodeAddress, stop: CancellationToken) -> Result<Self, reqwest::Error> {
-        // one that a program has chosen already stays
+        // fails if the program has installed one already
         let _ = rustls::crypto::ring::default_provider().install_default();
         let http = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let http = http.connect_timeout(CONNECT).read_timeout(READ).build()?;
         Ok(Self { library, address, http, stop })
     }
 
-    /// Takes a room for this node, from whichever node has it.
+    /// Claims a room for this node; takes it over from another node.
     ///
     /// # Errors
     /// The database cannot be reached.
@@ -105,7 +104,7 @@ impl Nodes {
         Ok(Lease { library, room, origin, lost, renewal: AbortOnDropHandle::new(renewal) })
     }
 
-    /// The other node that has a room; none where there is none.
+    /// The other node that has a room, if any.
     ///
     /// # Errors
     /// The database cannot be reached.
@@ -113,19 +112,19 @@ impl Nodes {
         Ok(self.library.room(room).await?.filter(|origin| origin.address != self.address.url))
     }
 
-    /// Whether a token is another node's for a room.
+    /// Whether a token is another node's credential for a room.
     pub async fn admits(&self, room: &str, token: &str) -> bool {
         let Ok(link) = token.parse::<Link>() else { return false };
         match self.library.now().await {
             Ok(now) => self.library.secret().allows(Grant::Relay, Subject::Room(room), &link, now),
             Err(error) => {
-                tracing::warn!(%error, "another node cannot be told from a stranger");
+                tracing::warn!(%error, "cannot check another node's credential");
                 false
             }
         }
     }
 
-    /// What this node shows to the origin of a room.
+    /// This node's credential for the origin of a room.
     async fn bearer(&self, room: &str) -> Result<String, LibraryError> {
         let expires = self.library.now().await?.max(0) as u64 / 1000 + CREDENTIAL.as_secs();
         Ok(format!("Bearer {}", self.library.secret().sign(Grant::Relay, Subject::Room(room), expires)))
@@ -134,7 +133,7 @@ impl Nodes {
     /// Subscribes to a room at its origin, as a viewer does.
     ///
     /// # Errors
-    /// It does not let in.
+    /// The origin refuses or cannot be reached.
     pub async fn subscribe(&self, origin: &Origin, room: &str) -> Result<Socket, EdgeError> {
         let address = origin.address.strip_prefix("http").ok_or(EdgeError::Address)?;
         let mut request = format!("ws{address}/v1/live/{room}/subscribe").into_client_request()?;
@@ -146,13 +145,13 @@ impl Nodes {
         Ok(socket)
     }
 
-    /// The origin's answer to a request by plain HTTP, by a path below the room's.
+    /// Sends an HTTP request to the origin, with a path relative to the room's.
     ///
     /// # Errors
-    /// 404 where the origin says so, 503 where it does not answer.
+    /// 404 if the origin answers so, 503 if it does not answer.
     pub async fn fetch(&self, origin: &Origin, room: &str, path: &str, headers: HeaderMap) -> Result<Response<Body>, Problem> {
         let silent = |error: &dyn fmt::Display| {
-            tracing::warn!(%error, origin = origin.address, room, "the origin of a room");
+            tracing::warn!(%error, origin = origin.address, room, "the origin of a room does not answer");
             let detail = "the node that has the room's publisher does not answer";
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, "elsewhere", detail).retry_after(1)
         };
@@ -175,13 +174,13 @@ async fn renew(library: Library, room: String, origin: Origin, lost: Cancellatio
         match library.renew_room(&room, &origin, LEASE).await {
             Ok(()) => {}
             Err(LibraryError::LeaseLost) => return lost.cancel(),
-            // the room goes on: nobody takes it but for a publisher
-            Err(error) => tracing::warn!(%error, room, "the lease of a room is not renewed"),
+            // keep the room: other nodes only take it over for a publisher
+            Err(error) => tracing::warn!(%error, room, "cannot renew the lease of a room"),
         }
     }
 }
 
-/// A room that is this node's.
+/// This node's lease of a room.
 pub struct Lease {
     library: Library,
     room: String,
@@ -192,23 +191,23 @@ pub struct Lease {
 }
 
 impl Lease {
-    /// Higher than that of whichever node had the room before: milliseconds of the database, which go on faster than the epochs that a change of
-    /// the pictures' size begins.
+    /// The epoch: higher than that of the room's previous node. It is the database's time in milliseconds, which grows faster than the
+    /// epochs that changes of the pictures' size begin.
     pub const fn epoch(&self) -> u64 {
         self.origin.epoch.cast_unsigned()
     }
 
-    /// Gives the room back, unless it is another's already.
+    /// Releases the room, unless another node has taken it.
     pub async fn release(self) {
         self.renewal.abort();
         match self.library.release_room(&self.room, &self.origin).await {
             Ok(()) | Err(LibraryError::LeaseLost) => {}
-            Err(error) => tracing::warn!(%error, room = self.room, "a room is not given back"),
+            Err(error) => tracing::warn!(%error, room = self.room, "cannot release a room"),
         }
     }
 }
 
-/// Ready when a lease is lost; never without one.
+/// Completes when the lease is lost; never without one.
 pub async fn lost(lease: Option<&Lease>) {
     match lease {
         Some(lease) => lease.lost.cancelled().await,

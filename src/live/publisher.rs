@@ -1,4 +1,4 @@
-//! The socket of a publisher: what it sends is checked, handed on, and given to the worker.
+//! The socket of a publisher: checks its messages, passes them on to viewers, and gives frames to the worker.
 
 use std::error::Error as _;
 use std::sync::Arc;
@@ -26,22 +26,22 @@ use super::viewer::gone;
 use super::worker::{Coded, Decoded, Worker};
 use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
 
-/// Sides of a frame.
+/// Allowed sides of a frame, in pixels.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
-/// Bytes of a codec string.
+/// Longest codec string, in bytes.
 const CODEC: usize = 64;
-/// Mean time between two changes of the pictures' size, and how many may come at once.
+/// Shortest mean time between two changes of the pictures' size, and the burst size.
 const RESIZE: Duration = Duration::from_secs(1);
 const RESIZES: u32 = 8;
 
-/// Serves a publisher until it goes or has to, or the token `ends` that it came by, then waits for it to come back.
+/// Serves a publisher until it leaves, the server disconnects it, or its token ends at `ends`; then waits for it to come back.
 pub async fn serve(mut socket: WebSocket, entry: Entry, here: &Here, ends: Option<Instant>) {
     let mut seat = None;
     let ended = session(&mut socket, &entry, here, ends, &mut seat).await;
     let held = seat.map(Seat::leave);
     let told = async move {
         if let Err(Refused { reason, again, cause }) = ended {
-            tracing::info!(reason, "a publisher is sent away");
+            tracing::info!(reason, "disconnecting a publisher");
             send_away(socket, Bye { reason, again, cause: cause.into() }).await;
         }
     };
@@ -54,12 +54,12 @@ pub async fn serve(mut socket: WebSocket, entry: Entry, here: &Here, ends: Optio
     tokio::join!(told, lingers);
 }
 
-/// Why a publisher is sent away.
+/// Why the server disconnects a publisher.
 struct Refused {
     reason: String,
-    /// It may come back: a camera that paused may go on.
+    /// The publisher may come back.
     again: bool,
-    /// What its program can act on.
+    /// The cause, for its program.
     cause: Cause,
 }
 
@@ -82,10 +82,10 @@ impl From<&str> for Refused {
 }
 
 const BIDIRECTIONAL: &str =
-    "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
-const TURNED: &str = "the stream says that its pictures are to be turned as they are shown (display orientation); encode it upright: ffmpeg -c:v libx264 -bf 0";
+    "the stream has B-frames, which do not come in display order; encode it without: ffmpeg -bf 0, or baseline profile";
+const TURNED: &str = "the stream carries a rotation (display orientation); encode it upright: ffmpeg -c:v libx264 -bf 0";
 
-/// Publishes, once `seat` is taken; ends without a reason where the publisher has gone by itself.
+/// Takes `seat` and publishes; `Ok` if the publisher has left.
 async fn session<'a>(
     socket: &mut WebSocket,
     entry: &'a Entry,
@@ -95,8 +95,8 @@ async fn session<'a>(
 ) -> Result<(), Refused> {
     let (room, rooms) = (&entry.room, &here.rooms);
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
-    let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
-    // before the room is taken: nobody watches who would have to be told
+    let Kind::Hello(hello) = first else { return Err("the first message must be HELLO".into()) };
+    // check before taking the room: viewers need not know of a refused publisher
     checked(hello.clone(), &rooms.config)?;
     decoder(&hello)?;
     if !room.take() {
@@ -106,7 +106,7 @@ async fn session<'a>(
     if let Some(nodes) = rooms.nodes.get() {
         let claimed = nodes.claim(&entry.name).await;
         *lease = Some(claimed.map_err(|error| {
-            tracing::warn!(%error, room = entry.name, "a room is not taken");
+            tracing::warn!(%error, room = entry.name, "cannot claim a room");
             Refused::for_now("the database of rooms cannot be reached")
         })?);
     }
@@ -130,7 +130,7 @@ fn decoder(hello: &Hello) -> Result<Box<dyn Decoder>, Refused> {
     decoder.map_err(|error| Refused { cause: Cause::Codec, ..error.to_string().into() })
 }
 
-/// What ends a publisher's right to the room.
+/// Limits of a publisher's right to the room.
 struct Until<'a> {
     lease: Option<&'a Lease>,
     ends: Option<Instant>,
@@ -141,17 +141,17 @@ fn micros() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64)
 }
 
-/// How a publisher has gone by itself.
+/// How a publisher has left.
 enum Gone {
-    /// It said so.
+    /// It sent BYE.
     Said,
-    /// Its connection has broken: it may come back.
+    /// Its connection broke: it may come back.
     Lost,
-    /// It, or another one, has come to another node.
+    /// It, or another publisher, has connected to another node.
     Moved,
 }
 
-/// What a publisher shows from one size of its pictures to the next.
+/// A publisher's epoch: from one change of the pictures' size to the next.
 struct Show {
     epoch: u64,
     hello: Hello,
@@ -159,7 +159,7 @@ struct Show {
 }
 
 impl Show {
-    /// Begins a room's epoch, `least` or more, with pictures as `hello` says; `done` is told of each frame.
+    /// Begins an epoch of the room, at least `least`, with the pictures of `hello`. `done` receives the outcome of each frame.
     fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<Decoded>) -> Result<Self, Refused> {
         let (settings, hello) = checked(hello, config)?;
         let decoder = decoder(&hello)?;
@@ -171,16 +171,16 @@ impl Show {
         Ok(Self { epoch, hello, worker })
     }
 
-    /// What the publisher says from a key frame on whose pictures have another size; none where they have not.
+    /// The new HELLO if a key frame changes the pictures' size.
     ///
     /// # Errors
-    /// The server cannot decode them.
+    /// The server cannot decode the frame.
     fn resized(&self, data: &[u8]) -> Result<Option<Hello>, String> {
         let Hello { codec, width, height, fov_x, .. } = &self.hello;
         let size = match video::size(codec, data) {
             Ok(Some(size)) if size != (*width, *height) => size,
             Err(VideoError::Unsupported(why)) => return Err(why),
-            // what cannot be read is told by the decoder
+            // the decoder reports unreadable frames
             Ok(_) | Err(_) => return Ok(None),
         };
         let codec = units::codec(data).filter(|_| codec.starts_with("avc1.")).unwrap_or_else(|| codec.clone());
@@ -189,13 +189,13 @@ impl Show {
     }
 }
 
-/// Horizontal field of view of a camera, degrees, whose pictures have another size: along their longer side it stays what it was.
+/// Horizontal field of view, in degrees, after a change of the pictures' size: along the longer side it stays the same.
 fn turned(fov_x: f64, before: (u32, u32), now: (u32, u32)) -> f64 {
     let [before, now] = [before, now].map(|(width, height)| f64::from(width) / f64::from(width.max(height)));
     if fov_x == 0.0 { fov_x } else { 2.0 * ((fov_x.to_radians() / 2.0).tan() * now / before).atan().to_degrees() }
 }
 
-/// What no decoder of a browser says of H.264.
+/// Refuses H.264 that browsers' decoders accept but show wrongly.
 fn in_order_and_upright(unit: &[u8]) -> Result<(), &'static str> {
     if units::is_bidirectional(unit) {
         Err(BIDIRECTIONAL)
@@ -206,11 +206,11 @@ fn in_order_and_upright(unit: &[u8]) -> Result<(), &'static str> {
     }
 }
 
-/// Hands on what a publisher sends, which has the room.
+/// Handles the messages of a publisher that has the room.
 async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here: &Here, until: Until<'_>) -> Result<Gone, Refused> {
     let Here { rooms, stop, .. } = here;
     let (done, mut decoded) = mpsc::channel(16);
-    // by the clock: addresses of groups of pictures are no others' after a restart
+    // without a lease the clock, so that URLs of groups are not reused after a restart
     let least = until.lease.map_or(micros() / 1000, Lease::epoch);
     let mut show = Show::begin(room, hello, least, &rooms.config, done.clone())?;
     let now = Instant::now();
@@ -231,7 +231,7 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                 frames.credit(socket, 0, true).await?;
                 continue;
             }
-            // a publisher that hears nothing knows that its link is dead
+            // lets the publisher notice a dead connection
             _ = heartbeat.tick() => {
                 frames.credit(socket, 0, false).await?;
                 continue;
@@ -251,7 +251,7 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                     && let Some(hello) = show.resized(&video.data)?
                 {
                     frames.resize(came)?;
-                    // the threads of before end with what they have, and tell of it
+                    // the old threads finish their frames and report them
                     show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
                 }
                 if show.hello.codec.starts_with("avc1.") {
@@ -262,7 +262,7 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                 room.push(show.epoch, what, write(Kind::Video(video)));
                 room.count(|s| s.forward_ms = came.elapsed().as_secs_f64() * 1e3);
                 if !show.worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
-                    return Err("more frames came than can be decoded".into());
+                    return Err("the server cannot decode the frames fast enough".into());
                 }
             }
             Some(Kind::Depth(measured)) => {
@@ -278,14 +278,14 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
     }
 }
 
-/// The room's place for a publisher, given back when it is dropped, and the lease of the room where other nodes have to know of it.
+/// The publisher's seat in the room, freed on drop, and the lease of the room if nodes share it.
 struct Seat<'a> {
     room: &'a Room,
     lease: Option<Lease>,
 }
 
 impl Seat<'_> {
-    /// Gives the place back, and not yet the lease.
+    /// Frees the seat but keeps the lease.
     fn leave(mut self) -> Option<Lease> {
         self.lease.take()
     }
@@ -297,7 +297,7 @@ impl Drop for Seat<'_> {
     }
 }
 
-/// The next message; none where the publisher has gone. Pings are none: who sends nothing else publishes nothing.
+/// The next message; `None` if the publisher has gone. Pings do not count as messages.
 async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, Refused> {
     loop {
         let silent = |_| Refused::for_now(format!("nothing came for {} s", SILENCE.as_secs()));
@@ -311,7 +311,7 @@ async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, Re
     }
 }
 
-/// Why nothing more is read of a publisher.
+/// Why reading from a publisher failed.
 fn broke(error: &axum::Error) -> Refused {
     match error.source().and_then(|source| source.downcast_ref::<tungstenite::Error>()) {
         Some(tungstenite::Error::Capacity(CapacityError::MessageTooLong { max_size, .. })) => {
@@ -321,7 +321,7 @@ fn broke(error: &axum::Error) -> Refused {
     }
 }
 
-/// What is made of a publisher's frames, and what viewers are told of them.
+/// Checks HELLO. Returns the settings for the geometry, and the HELLO for viewers.
 fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
     let Hello { version, codec, width, height, fov_x, sound, sound_rate, sound_channels, .. } = hello;
     if version != VERSION {
@@ -335,7 +335,7 @@ fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
         ));
     }
     if codec.len() > CODEC || sound.len() > CODEC {
-        return Err("a codec string that is none".into());
+        return Err("invalid codec string".into());
     }
     let mut settings = Settings { frame_ms: config.frame_ms, ..Settings::default() };
     if fov_x != 0.0 {
@@ -346,21 +346,21 @@ fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
     Ok((settings, Hello { codec, fov_x, sound, sound_rate, sound_channels, ..told }))
 }
 
-/// What a publisher may send.
+/// Checks a publisher's frames.
 struct Frames {
-    /// Bytes of a frame.
+    /// Largest frame, in bytes.
     most: usize,
-    /// Number of the next frame; none before the first.
+    /// Number of the next frame; `None` before the first.
     next: Option<u64>,
-    /// Frames that may still come.
+    /// Remaining credit.
     allowed: u32,
-    /// When the next credit is due, so that frames come no faster than they may.
+    /// When the next credit is due, which limits the frame rate.
     due: Instant,
-    /// When all changes of the pictures' size so far may have come.
+    /// Until when the changes of the pictures' size so far use up the rate limit.
     resized: Instant,
     /// Frames in a row that could not be decoded.
     broken: u32,
-    /// A frame was decoded.
+    /// Whether any frame was decoded.
     seen: bool,
 }
 
@@ -376,10 +376,10 @@ impl Frames {
             return Err(format!("frame {} where {} was due", video.frame, self.next.unwrap_or_default()));
         }
         if self.next.is_none() && !video.key {
-            return Err("the first frame is no key frame".into());
+            return Err("the first frame is not a key frame".into());
         }
         self.allowed -= 1;
-        self.next = Some(video.frame.checked_add(1).ok_or("a frame number that none follows")?);
+        self.next = Some(video.frame.checked_add(1).ok_or("the frame number is too large")?);
         Ok(())
     }
 
@@ -393,7 +393,7 @@ impl Frames {
         Ok(())
     }
 
-    /// Each change of size starts a decoder and two threads.
+    /// Limits the rate of size changes: each starts a decoder and two threads.
     fn resize(&mut self, now: Instant) -> Result<(), String> {
         self.resized = self.resized.max(now) + RESIZE;
         if self.resized > now + RESIZES * RESIZE {
@@ -407,14 +407,14 @@ impl Frames {
         self.seen |= outcome == Decoded::Picture;
         match outcome {
             Decoded::Panics => return Err(format!("geometry failed {PANICS} times in a row").into()),
-            // damage can look like it, but not in the first frame
+            // damage can look like an unsupported stream, but not in the first frame
             Decoded::Unsupported(why) if !self.seen || self.broken >= BROKEN => return Err(why.into()),
             Decoded::Broken(why) if self.broken >= BROKEN || (!self.seen && self.broken >= BROKEN_FIRST) => {
                 return Err(format!("{} frames in a row cannot be decoded: {why}", self.broken).into());
             }
             _ => {}
         }
-        // a few may come together, but not for long
+        // allows short bursts
         self.due = (self.due + FASTEST).max(Instant::now().checked_sub(Duration::from_millis(100)).unwrap_or(self.due));
         if self.due > Instant::now() {
             sleep_until(self.due).await;

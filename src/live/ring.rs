@@ -1,37 +1,37 @@
-//! Messages since the last key frame, and where in them a viewer is.
+//! The messages since the last key frame, and each viewer's place in them.
 //!
-//! Viewers hold no messages, only a place: what they have not read yet lies here once for all of them.
+//! Viewers hold only a place; they share the messages in the ring.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 
-/// Bytes that are kept, at most.
+/// Most bytes in the ring.
 const KEPT_BYTES: usize = 8 << 20;
-/// Messages that are kept, at most.
+/// Most messages in the ring.
 const KEPT: usize = 4096;
-/// Bytes by which a viewer may be behind.
+/// Bytes by which a viewer may lag.
 pub const BEHIND_BYTES: u64 = 1 << 20;
-/// Time by which a viewer may be behind.
+/// Time by which a viewer may lag.
 pub const BEHIND: Duration = Duration::from_secs(1);
 
-/// Share of [`BEHIND_BYTES`] up to which a viewer that is behind gets the frames of a layer.
+/// By temporal layer: the share of [`BEHIND_BYTES`] by which a viewer may lag and still get the layer's frames.
 const KEEPS: [f64; 3] = [f64::INFINITY, 0.5, 0.25];
 
-/// What a message holds.
+/// The kind of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum What {
-    /// A frame that needs no other.
+    /// A key frame.
     Key,
-    /// A frame of a temporal layer; those of layers above 0 can be left out.
+    /// A frame of a temporal layer; frames of layers above 0 can be dropped.
     Frame {
         /// The layer.
         layer: u32,
     },
     /// Planes and labels.
     Geometry {
-        /// The frame that they are as of.
+        /// Their frame.
         frame: u64,
     },
     /// Sound.
@@ -51,64 +51,64 @@ struct Entry {
 #[derive(Debug, Default)]
 pub struct Ring {
     entries: VecDeque<Entry>,
-    /// Number of the first of them.
+    /// Number of the first entry.
     first: u64,
     /// Number of the last key frame.
     key: Option<u64>,
-    /// Bytes of all messages so far, and of those that are kept.
+    /// Bytes of all messages so far, and of those in the ring.
     passed: u64,
     kept: usize,
 }
 
-/// Whether somebody looks at what a viewer is sent.
+/// Whether the viewer's page is visible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sight {
-    /// As far as is known.
+    /// Visible, as far as is known.
     Seen,
-    /// Nobody does: sound alone is sent.
+    /// Hidden: the viewer gets only sound.
     Hidden,
-    /// Somebody does again, and has not been given a frame yet.
+    /// Visible again, but without a frame yet.
     Back,
-    /// Somebody does, and cannot decode what follows.
+    /// Visible, but unable to decode what follows.
     Lost,
 }
 
-/// Where a viewer is.
+/// A viewer's place.
 #[derive(Clone, Debug)]
 pub struct Place {
     /// Number of the next message.
     next: u64,
-    /// Nothing can be decoded before the next key frame.
+    /// The viewer waits for a key frame.
     waits: bool,
-    /// Tiles came meanwhile, and were left out.
+    /// Tiles were dropped meanwhile.
     stale: bool,
-    /// The frame up to which all tiles reached the viewer; none: it has none.
+    /// The frame up to which the viewer has all tiles; `None` if it has none.
     known: Option<u64>,
     sight: Sight,
-    /// The lowest layer of which a frame was left out after the last frame of a lower one: those that follow may refer to it.
+    /// The lowest layer with a frame dropped since the last frame of a lower layer: later frames may refer to the dropped one.
     lacks: Option<u32>,
-    /// Number of the first message whose sound was not heard: who looks again may go back to a key frame.
+    /// Number of the first message whose sound the viewer has not got: a viewer that becomes visible may go back to a key frame.
     heard: u64,
-    /// When the viewer came or skipped: it is not behind by what came before.
+    /// When the viewer joined or skipped: earlier messages do not count as lag.
     since: Instant,
-    /// Frames that it was not given.
+    /// Number of frames that it did not get.
     pub skipped: u64,
 }
 
 impl Place {
-    /// The frame up to which all tiles reached the viewer; none: it has none.
+    /// The frame up to which the viewer has all tiles; `None` if it has none.
     #[must_use]
     pub const fn known(&self) -> Option<u64> {
         self.known
     }
 
-    /// Whether sound alone is sent.
+    /// Whether the viewer gets only sound.
     #[must_use]
     pub const fn is_paused(&self) -> bool {
         matches!(self.sight, Sight::Hidden)
     }
 
-    /// Sends sound alone from now on, or all again: then with a key frame, and after the tiles that are newer than the viewer has.
+    /// Pauses everything but sound, or resumes, which sends the tiles that the viewer lacks and goes on with a key frame.
     pub const fn pause(&mut self, paused: bool) {
         self.sight = match (paused, self.sight) {
             (true, _) => Sight::Hidden,
@@ -117,39 +117,39 @@ impl Place {
         };
     }
 
-    /// Goes on with a key frame that the viewer was not sent yet; nothing changes for one that waits for a key frame, or does not look.
+    /// Skips to a key frame that the viewer has not got yet. Does nothing if it waits for a key frame already, or is hidden.
     pub const fn lose(&mut self) {
         if matches!(self.sight, Sight::Seen) && !self.waits {
             self.sight = Sight::Lost;
         }
     }
 
-    /// Whether nothing can be sent before the next key frame to somebody who looks.
+    /// Whether a visible viewer waits for a key frame.
     #[must_use]
     pub const fn wants_key(&self) -> bool {
         self.waits && !self.is_paused()
     }
 
-    /// Where one begins in another publisher's messages who had this place in the last one's.
+    /// The place of the same viewer at the start of another publisher's messages.
     #[must_use]
     pub fn anew(&self, ring: &Ring, now: Instant) -> Self {
         Self { skipped: self.skipped, sight: self.sight, ..ring.begin(now) }
     }
 
-    /// The viewer is sent all tiles that it lacks up to `frame`.
+    /// Records that the viewer has all tiles up to `frame`.
     pub fn told(&mut self, frame: u64) {
         self.known = self.known.max(Some(frame));
     }
 }
 
-/// What a viewer is to do next.
+/// What to do next for a viewer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
     /// Send this.
     Send(Bytes),
-    /// Frames were left out: the tiles that came meanwhile have to be sent.
+    /// Frames were skipped: send the tiles that came meanwhile.
     Skipped {
-        /// There is no key frame to go on with.
+        /// The ring has no key frame to continue with.
         wants_key: bool,
     },
     /// Wait for more.
@@ -157,7 +157,7 @@ pub enum Step {
 }
 
 impl Ring {
-    /// Adds a message. What lies before a key frame is of no use to anyone who comes, and is kept for those behind as far as the bounds go.
+    /// Adds a message. Messages before the last key frame stay, within the bounds, for viewers that lag.
     pub fn push(&mut self, what: What, bytes: Bytes, at: Instant) {
         self.passed += bytes.len() as u64;
         self.kept += bytes.len();
@@ -165,7 +165,7 @@ impl Ring {
             self.key = Some(self.end());
         }
         self.entries.push_back(Entry { bytes, what, at, passed: self.passed });
-        // a second is the most that anyone may be behind
+        // no viewer may lag by more than BEHIND
         while self.entries.front().is_some_and(|e| {
             let past = self.key.is_some_and(|key| self.first < key) && at.saturating_duration_since(e.at) > BEHIND;
             past || self.kept > KEPT_BYTES || self.entries.len() > KEPT
@@ -177,42 +177,43 @@ impl Ring {
         }
     }
 
-    /// Forgets everything: another publisher, or the same one anew. Whoever has read all is behind by this, too: something may have been missed.
+    /// Clears the ring for another publisher, or the same one again. Viewers that have read everything count as behind, too: they may have
+    /// missed something.
     pub fn clear(&mut self) {
         self.first = self.end() + 1;
         self.entries.clear();
         (self.key, self.kept) = (None, 0);
     }
 
-    /// Number that the next message will have.
+    /// Number of the next message.
     fn end(&self) -> u64 {
         self.first + self.entries.len() as u64
     }
 
-    /// Whether a publisher has sent anything yet that is still there.
+    /// Whether the ring holds any message.
     pub fn has_frames(&self) -> bool {
         !self.entries.is_empty()
     }
 
-    /// The last key frame that is still there.
+    /// The last key frame in the ring.
     fn last_key(&self) -> Option<u64> {
         self.key.filter(|key| *key >= self.first)
     }
 
-    /// Where one begins who comes now.
+    /// The place of a viewer that joins now.
     #[must_use]
     pub fn begin(&self, now: Instant) -> Place {
         let key = self.last_key();
         Place { next: key.unwrap_or(self.end()), waits: key.is_none(), ..self.at_end(now) }
     }
 
-    /// Where one begins who has been told everything so far.
+    /// The place after the last message.
     fn at_end(&self, now: Instant) -> Place {
         let next = self.end();
         Place { next, waits: false, stale: false, known: None, sight: Sight::Seen, lacks: None, heard: 0, since: now, skipped: 0 }
     }
 
-    /// What comes next for a viewer.
+    /// Advances a viewer.
     pub fn step(&self, place: &mut Place, now: Instant) -> Step {
         match place.sight {
             Sight::Seen => {}
@@ -232,7 +233,7 @@ impl Ring {
             }
             let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return Step::Wait };
             if entry.what == What::Key && place.stale {
-                // the tiles that were left out go before the frame that goes on
+                // send the dropped tiles before the key frame
                 place.stale = false;
                 return Step::Skipped { wants_key: false };
             }
@@ -244,7 +245,7 @@ impl Ring {
                     (place.waits, place.lacks) = (false, None);
                     true
                 }
-                // the higher layers go first, before anything has to be skipped
+                // drop higher layers first, before skipping
                 What::Frame { layer } => {
                     place.lacks = place.lacks.filter(|lacks| layer >= *lacks);
                     let given = !place.waits && place.lacks.is_none() && share <= KEEPS[layer.min(2) as usize];
@@ -273,7 +274,7 @@ impl Ring {
         bytes > BEHIND_BYTES || now.saturating_duration_since(entry.at.max(place.since)) > BEHIND
     }
 
-    /// The next sound, and nothing else.
+    /// Advances to the next sound.
     fn sound(&self, place: &mut Place, now: Instant) -> Step {
         place.next = place.next.max(self.first);
         while let Some(entry) = self.entries.get((place.next - self.first) as usize) {
@@ -285,7 +286,7 @@ impl Ring {
         Step::Wait
     }
 
-    /// The same as [`Self::go_on`]; counts the frames that are left out by it.
+    /// [`Self::go_on`] that counts the skipped frames.
     fn skip(&self, place: &mut Place, now: Instant, least: u64) -> Step {
         let from = place.next;
         let step = self.go_on(place, now, least);
@@ -298,7 +299,7 @@ impl Ring {
         step
     }
 
-    /// Goes on with the last key frame if its number is `least` or more, else with the one that comes.
+    /// Continues with the last key frame if its number is at least `least`, else with the next one.
     fn go_on(&self, place: &mut Place, now: Instant, least: u64) -> Step {
         let near = |key: &u64| {
             *key >= least && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)

@@ -1,4 +1,4 @@
-//! What the sockets and threads of a room share.
+//! The state that the sockets and threads of a room share.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -23,38 +23,38 @@ mod relayed;
 /// A room.
 pub struct Room {
     state: Mutex<State>,
-    /// Counts changes, for whoever waits for one.
+    /// Counts changes, for tasks that wait for one.
     changes: watch::Sender<u64>,
-    /// A key frame is wanted.
+    /// Notified when a viewer needs a key frame.
     pub keys: Notify,
-    /// How much it takes.
+    /// Its limits.
     pub bounds: Bounds,
 }
 
 #[derive(Default)]
 struct State {
     ring: Ring,
-    /// Of the publisher that is there or was last; none: there was none yet.
+    /// HELLO of the current or last publisher; `None` before the first.
     hello: Option<Arc<Hello>>,
     epoch: u64,
-    /// The epoch that the publisher came with; changes of the pictures' size begin others.
+    /// The epoch in which the publisher joined; changes of the pictures' size begin further ones.
     came: u64,
-    /// Somebody is about to publish here, or does.
+    /// A publisher has the seat.
     taken: bool,
     publishing: bool,
     closed: bool,
-    /// Why the publisher is gone for good; none while one is here or may come back.
+    /// Why the publisher has gone for good; `None` while one is here or may come back.
     farewell: Option<Bye>,
     viewers: usize,
-    /// Viewers of the edges that watch here, as these count them.
+    /// Viewers at the edges that watch here, as the edges report them.
     at_edges: u32,
-    /// This node is an edge of the room: cancelled when it ends to be one.
+    /// Set while this node is an edge of the room; cancelled when it stops being one.
     edge: Option<CancellationToken>,
-    /// Of an edge: viewers at all other nodes, the tiles, and the last frame that came.
+    /// At an edge: viewers at all other nodes, the tiles, and the last frame.
     elsewhere: u32,
     chunks: Option<Chunks>,
     relayed: Option<u64>,
-    /// The tiles that were made here as they were sent.
+    /// At the origin: the tiles as they were sent.
     made: Option<Chunks>,
     groups: Groups,
     still: Option<Arc<Still>>,
@@ -62,17 +62,17 @@ struct State {
     statistics: Statistics,
 }
 
-/// What a viewer does next.
+/// What to do next for a viewer.
 pub enum Next {
     /// Send this.
     Send(Bytes),
-    /// Say this, then send all tiles: there is another publisher.
+    /// Send this, then all tiles: a new epoch began.
     Hello(Arc<Hello>),
     /// Send the tiles that it lacks: frames were skipped.
     Tiles,
     /// Wait for a change.
     Wait,
-    /// The room is no more, or its publisher is gone for good.
+    /// The room is closed, or its publisher has gone for good.
     Closed,
 }
 
@@ -88,12 +88,12 @@ pub struct Viewer {
 pub enum Watches {
     /// For itself.
     Itself,
-    /// For so many viewers of an edge.
+    /// For this many viewers of an edge.
     Edge(u32),
 }
 
 impl Room {
-    /// A room without anyone.
+    /// An empty room.
     pub fn new(bounds: Bounds) -> Self {
         Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new(), bounds }
     }
@@ -106,12 +106,12 @@ impl Room {
         self.changes.send_modify(|n| *n = n.wrapping_add(1));
     }
 
-    /// Told of every change.
+    /// Notifies of every change.
     pub fn watch(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
 
-    /// True where no publisher is here or about to be.
+    /// Whether no publisher has the seat.
     pub fn is_empty(&self) -> bool {
         !self.lock().taken
     }
@@ -121,7 +121,7 @@ impl Room {
         self.lock().publishing
     }
 
-    /// Whether viewers are served here: a publisher is here, about to be or was here last, or this node is an edge of the room.
+    /// Whether this node serves viewers: a publisher has the seat or was here last, or this node is an edge of the room.
     pub fn is_served(&self) -> bool {
         let state = self.lock();
         state.taken || state.edge.is_some() || (state.hello.is_some() && state.chunks.is_none())
@@ -132,24 +132,24 @@ impl Room {
         self.lock().epoch == epoch
     }
 
-    /// Whether this is the epoch that the last publisher came with.
+    /// Whether the last publisher joined in this epoch.
     pub fn came_with(&self, epoch: u64) -> bool {
         self.lock().came == epoch
     }
 
-    /// Sends everybody away.
+    /// Closes the room, which disconnects its viewers.
     pub fn close(&self) {
         self.lock().closed = true;
         self.changed();
     }
 
-    /// Takes the place of the room's publisher; false where there is one already.
+    /// Takes the publisher's seat; false if it is taken or the room is closed.
     pub fn take(&self) -> bool {
         let mut state = self.lock();
         !state.closed && !std::mem::replace(&mut state.taken, true)
     }
 
-    /// The publisher that took the room says `hello`, or its pictures have another size; gives the epoch that begins, `least` or more.
+    /// Begins an epoch with `hello`, for a new publisher or a new size of its pictures. Returns the epoch, at least `least`.
     pub fn publish(&self, mut hello: Hello, clock: u64, least: u64) -> u64 {
         let mut state = self.lock();
         state.farewell = None;
@@ -168,18 +168,18 @@ impl Room {
         epoch
     }
 
-    /// The publisher is gone for good: who watches is told why.
+    /// Records that the publisher has gone for good; viewers get `farewell`.
     pub fn end(&self, farewell: Bye) {
         self.lock().farewell = Some(farewell);
         self.changed();
     }
 
-    /// Why the publisher is gone for good.
+    /// Why the publisher has gone for good.
     pub fn farewell(&self) -> Option<Bye> {
         self.lock().farewell.clone()
     }
 
-    /// The publisher has gone.
+    /// Frees the publisher's seat.
     pub fn unpublish(&self) {
         let mut state = self.lock();
         (state.taken, state.publishing) = (false, false);
@@ -188,7 +188,7 @@ impl Room {
         self.changed();
     }
 
-    /// Hands a message on that comes of a publisher of `epoch`; what is left of one that has gone is dropped.
+    /// Passes on a message of the publisher; drops it if `epoch` is not the current one.
     pub fn push(&self, epoch: u64, what: What, bytes: Bytes) {
         let mut guard = self.lock();
         let state = &mut *guard;
@@ -204,7 +204,7 @@ impl Room {
             What::Sound => {}
         }
         let now = Instant::now();
-        // groups are asked for at the origin
+        // only the origin has groups
         if let Some(hello) = state.hello.as_ref().filter(|_| state.chunks.is_none()) {
             state.groups.push(what, &bytes, now, hello, state.still.as_ref().map(|s| &s.tiles));
         }
@@ -213,10 +213,10 @@ impl Room {
         self.changed();
     }
 
-    /// Hands tiles on that were made here of a frame of a publisher of `epoch`, as [`Self::push`] does.
+    /// Passes on tiles that were made here, like [`Self::push`].
     pub fn push_tiles(&self, epoch: u64, tiles: wire::Geometry) {
         let mut state = self.lock();
-        // kept before anyone is told: who skips in between is sent them twice, and never not at all
+        // store before pushing: a viewer that skips in between gets them twice rather than never
         if state.epoch == epoch
             && let Some(made) = &mut state.made
         {
@@ -226,7 +226,7 @@ impl Room {
         self.push(epoch, What::Geometry { frame: tiles.frame }, write(Kind::Geometry(tiles)));
     }
 
-    /// Keeps the tiles of a frame of a publisher of `epoch`, as [`Self::push`] does; `count` counts it.
+    /// Stores the tiles of a frame if `epoch` is the current one; `count` updates the statistics.
     pub fn keep(&self, epoch: u64, still: Still, count: impl FnOnce(&mut Statistics)) {
         let mut state = self.lock();
         if state.epoch != epoch {
@@ -237,37 +237,37 @@ impl Room {
         state.still = Some(Arc::new(still));
     }
 
-    /// Counts something.
+    /// Updates the statistics.
     pub fn count(&self, count: impl FnOnce(&mut Statistics)) {
         count(&mut self.lock().statistics);
     }
 
-    /// The newest frame whose geometry is done, as a container; none where there is none yet.
+    /// The newest frame with its geometry, as a container; `None` before the first.
     ///
     /// # Errors
-    /// 500 where it cannot be written.
+    /// 500 if it cannot be written.
     pub async fn newest(&self) -> Result<Option<Newest>, Problem> {
         let Some((epoch, still)) = self.still() else { return Ok(None) };
         Ok(Some(Newest { epoch, number: still.tiles.frame, container: still.container().await? }))
     }
 
-    /// The newest frame whose geometry is done, and the epoch that it is of.
+    /// The newest frame with its geometry, and its epoch.
     pub fn still(&self) -> Option<(u64, Arc<Still>)> {
         let state = self.lock();
         state.still.as_ref().map(|still| (state.epoch, Arc::clone(still)))
     }
 
-    /// SNAPSHOT of all tiles as they are, with the frame that it is as of; none as long as there are none, or in another epoch.
+    /// SNAPSHOT of all current tiles, with its frame; `None` if the room has no tiles yet, or another epoch.
     fn everything(&self, epoch: u64) -> Option<(u64, Result<Bytes, LiveError>)> {
         let still = {
             let mut guard = self.lock();
             let state = &mut *guard;
             if state.epoch != epoch {
-                // all of it is told with the next HELLO
+                // the viewer gets all tiles after the next HELLO
                 return None;
             }
             let (still, made) = (state.still.clone(), state.made.as_mut());
-            // tiles that were sent before there are all of a frame are in no still
+            // tiles that were sent before their frame was complete are not in `still`
             let newer = made.filter(|made| made.newest() > still.as_ref().map(|s| s.tiles.frame));
             let told = |chunks: &mut Chunks| chunks.newest().zip(chunks.snapshot().map(Ok));
             match &mut state.chunks {
@@ -281,8 +281,8 @@ impl Room {
         still.map(|still| (still.tiles.frame, still.tiles.snapshot()))
     }
 
-    /// What a viewer lacks of the tiles, as a message, and counts it as sent: SNAPSHOT where it has none, else GEOMETRY of those that are newer
-    /// than it has; none where there are none, or nobody looks.
+    /// A message with the tiles that a viewer lacks, which counts as sent: SNAPSHOT if it has none, else GEOMETRY with the newer ones.
+    /// `None` if it lacks none or is hidden.
     pub fn tiles(&self, viewer: &mut Viewer) -> Option<Result<Bytes, LiveError>> {
         if viewer.place.is_paused() {
             return None;
@@ -305,13 +305,13 @@ impl Room {
         Some(bytes)
     }
 
-    /// What is counted, for a viewer.
+    /// The statistics for a viewer.
     pub fn statistics(&self, viewer: &Viewer) -> Statistics {
         let state = self.lock();
         Statistics { viewers: state.everyone(), skipped: viewer.place.skipped, ..state.statistics }
     }
 
-    /// Message `at` of a group of pictures, HELLO and tiles counted.
+    /// Message `at` of a group of pictures, which starts with HELLO and the tiles.
     pub fn group(&self, group: Group, at: usize) -> Part {
         let part = {
             let state = self.lock();
@@ -338,7 +338,7 @@ impl Room {
         state.groups.last().map(|number| Group { epoch: state.epoch, number })
     }
 
-    /// Lets a viewer in; none where there are as many as may be, or the room is no more. Edges are not counted, and find the origin alone.
+    /// Admits a viewer; `None` if the room is full or closed. Edges do not count towards the limit; only the origin admits them.
     pub fn join(&self, kind: Watches) -> Option<Viewer> {
         let mut state = self.lock();
         let refused = match kind {
@@ -352,26 +352,26 @@ impl Room {
             Watches::Itself => state.viewers += 1,
             Watches::Edge(viewers) => state.at_edges += viewers,
         }
-        // an epoch that is none: everything is to be told first
+        // an invalid epoch, so that the viewer first gets HELLO and all tiles
         Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0, kind })
     }
 
-    /// How many watch, at other nodes, too.
+    /// Number of viewers at all nodes.
     pub fn everyone(&self) -> u32 {
         self.lock().everyone()
     }
 
-    /// How many watch here.
+    /// Number of viewers at this node.
     pub fn viewers(&self) -> u32 {
         self.lock().viewers as u32
     }
 
-    /// Whether as many watch here as may.
+    /// Whether the limit of viewers at this node is reached.
     pub fn is_full(&self) -> bool {
         self.lock().viewers >= self.bounds.viewers
     }
 
-    /// A viewer has gone.
+    /// Removes a viewer.
     pub fn part(&self, viewer: &Viewer) {
         let mut state = self.lock();
         match viewer.kind {
@@ -380,7 +380,7 @@ impl Room {
         }
     }
 
-    /// What comes next for a viewer.
+    /// Advances a viewer.
     pub fn next(&self, viewer: &mut Viewer) -> Next {
         let mut state = self.lock();
         let now = Instant::now();
@@ -397,7 +397,7 @@ impl Room {
         match state.ring.step(&mut viewer.place, now) {
             Step::Send(bytes) => Next::Send(bytes),
             Step::Wait => {
-                // again and again: one that was asked for just before may have been for somebody else, or is lost
+                // ask repeatedly: an earlier request may have been for another viewer, or was lost
                 if viewer.place.wants_key() && state.ring.has_frames() {
                     self.want_key(&mut state, now);
                 }
@@ -421,7 +421,7 @@ impl Room {
 }
 
 impl State {
-    /// Forgets what was, for a publisher that says `hello`.
+    /// Resets the state for a new `hello`.
     fn begin(&mut self, hello: Hello, chunks: Option<Chunks>) {
         self.made = if chunks.is_none() { Chunks::new(&hello) } else { None };
         self.hello = Some(Arc::new(hello));
@@ -436,12 +436,12 @@ impl State {
 }
 
 impl Viewer {
-    /// Sends it sound alone from now on, or all again.
+    /// Pauses everything but sound, or resumes.
     pub const fn pause(&mut self, paused: bool) {
         self.place.pause(paused);
     }
 
-    /// It cannot decode what follows: it goes on with a key frame that it was not sent yet.
+    /// Skips to a key frame that it has not got yet: it cannot decode.
     pub const fn lose(&mut self) {
         self.place.lose();
     }

@@ -1,4 +1,4 @@
-//! The addresses of rooms.
+//! The routes of rooms.
 
 use axum::Extension;
 use axum::extract::ws::WebSocketUpgrade;
@@ -15,12 +15,12 @@ use super::room::Watches;
 use super::{fetch, invite, publisher, viewer};
 use crate::server::{Held, Problem};
 
-/// Bytes that wait to be written for a viewer, at most: the largest message, and nothing beside it.
+/// Write buffer of a viewer: the largest message and nothing else.
 const WRITE_BUFFER: usize = 2 << 20;
-/// Seconds after which one may look for a place again in a room that is full.
+/// `Retry-After` of a full room, in seconds.
 const FULL_AGAIN: u64 = 10;
 
-/// What whoever watches asks for, on pages of other sites, too, where these have a token.
+/// Routes for viewers. Pages of other sites may use them with a token.
 pub fn watching_api() -> OpenApiRouter<Here> {
     OpenApiRouter::new()
         .routes(routes!(invite::state))
@@ -30,14 +30,14 @@ pub fn watching_api() -> OpenApiRouter<Here> {
         .routes(routes!(fetch::group))
 }
 
-/// What whoever publishes asks for.
+/// Routes for publishers.
 pub fn publishing_api() -> OpenApiRouter<Here> {
     OpenApiRouter::new().routes(routes!(invite::link)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
 
-/// The upgrade with its bounds.
+/// Configures the upgrade.
 fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
     let upgrade = upgrade.map_err(|e| Problem::new(StatusCode::UPGRADE_REQUIRED, "upgrade", e.to_string()))?;
     Ok(upgrade.protocols([PROTOCOL]).max_message_size(most).max_frame_size(most).max_write_buffer_size(WRITE_BUFFER))
@@ -45,21 +45,21 @@ fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
 
 /// Publish in a room.
 ///
-/// A WebSocket with messages of `proto/live.proto`: HELLO, then VIDEO and SOUND as CREDIT allows. The room is there from then on, and for ten
-/// seconds after its publisher has gone.
+/// A WebSocket with messages of `proto/live.proto`: HELLO, then VIDEO and SOUND as CREDIT allows. The room exists until ten seconds after
+/// its publisher has gone.
 #[utoipa::path(
     get, path = "/v1/live/{room}/publish", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room: up to 64 letters, digits, - and _"),
-        ("token" = Option<String>, Query, description = "Token for who publishes here; this machine's own user needs none"),
+        ("token" = Option<String>, Query, description = "Token to publish here; this machine's own user needs none"),
     ),
     responses(
         (status = 101, description = "The socket is open"),
         (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "A page of another site, or no token"),
-        (status = 404, description = "No room has such a name, or there are none here"),
-        (status = 426, description = "This is a WebSocket"),
-        (status = 503, description = "There are as many rooms as may be"),
+        (status = 403, description = "The request comes from a page of another site, or has no valid token"),
+        (status = 404, description = "The name is invalid, or rooms are disabled"),
+        (status = 426, description = "The request is not a WebSocket upgrade"),
+        (status = 503, description = "The limit of rooms is reached"),
     )
 )]
 async fn publish(
@@ -71,7 +71,7 @@ async fn publish(
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
     let Leave::Until(ends) = here.check(&name, Role::Publish, &uri, &headers).await? else { return Err(none_publishes()) };
-    // what a message has beside its frame; a frame that is too large by less than another one is read, and refused with its size
+    // room for the other fields; a frame of up to twice the limit is read and refused with its size
     let bounds = here.rooms.bounds;
     let upgrade = bounded(upgrade, 2 * bounds.frame.max(bounds.sound) + 1024)?;
     let entry = here.rooms.enter(&name).ok_or_else(busy)?;
@@ -84,21 +84,21 @@ async fn publish(
 
 /// Watch a room.
 ///
-/// A WebSocket with messages of `proto/live.proto`: HELLO, a SNAPSHOT of all tiles, VIDEO since the last key frame, then VIDEO, GEOMETRY and
-/// SOUND as they come, and STATISTICS each second in which nothing else is to be said.
+/// A WebSocket with messages of `proto/live.proto`: HELLO, a SNAPSHOT of all tiles, VIDEO since the last key frame, then VIDEO, GEOMETRY
+/// and SOUND as they come, and STATISTICS after a second without other messages.
 #[utoipa::path(
     get, path = "/v1/live/{room}/subscribe", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
     ),
     responses(
         (status = 101, description = "The socket is open"),
         (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "Nobody publishes in such a room"),
-        (status = 426, description = "This is a WebSocket"),
-        (status = 503, description = "As many watch the room at this node as may, or there are as many rooms"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The room has no publisher"),
+        (status = 426, description = "The request is not a WebSocket upgrade"),
+        (status = 503, description = "The limit of viewers of the room at this node is reached, or that of rooms"),
     )
 )]
 async fn subscribe(
@@ -113,7 +113,7 @@ async fn subscribe(
     let upgrade = bounded(upgrade, 1024)?;
     let (room, ends, kind) = match leave {
         Leave::Until(ends) => (here.rooms.visit(&name).await?, ends, Watches::Itself),
-        // the origin serves edges, and edges do not
+        // only the origin serves edges
         Leave::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0)),
     };
     if kind == Watches::Itself && room.is_full() {

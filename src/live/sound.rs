@@ -1,15 +1,15 @@
-//! What a publisher may send of sound, which goes to every viewer without being looked at.
+//! Rate limit for a publisher's sound, which goes to every viewer unparsed.
 
 use tokio::time::Instant;
 
-/// Packets a second: four times those of Opus in its usual 20 ms.
+/// Packets a second: four times those of Opus with its usual 20 ms packets.
 const MESSAGES: u32 = 200;
-/// Bytes a second: as Opus has at its highest rate.
+/// Bytes a second: the highest bit rate of Opus.
 const BYTES: u32 = 64 << 10;
-/// Seconds whose packets may come at once: what a link held back comes when it goes on.
+/// Burst size in seconds: a connection that stalled delivers its packets all at once.
 const BURST: u32 = 3;
 
-/// How much sound may still come.
+/// A token bucket for packets and bytes.
 pub struct Allowance {
     messages: f64,
     bytes: f64,
@@ -17,7 +17,7 @@ pub struct Allowance {
 }
 
 impl Allowance {
-    /// All of a burst.
+    /// Starts with a full bucket.
     pub fn new(now: Instant) -> Self {
         Self { messages: f64::from(MESSAGES * BURST), bytes: f64::from(BYTES * BURST), at: now }
     }
@@ -25,7 +25,7 @@ impl Allowance {
     /// Counts a packet.
     ///
     /// # Errors
-    /// It is more than may come by now, for the publisher to be told.
+    /// The publisher exceeds a limit; the text is for the publisher.
     pub fn take(&mut self, bytes: usize, now: Instant) -> Result<(), String> {
         let seconds = now.saturating_duration_since(self.at).as_secs_f64();
         let filled = |left: f64, rate: u32| f64::from(rate).mul_add(seconds, left).min(f64::from(rate * BURST));
@@ -53,7 +53,7 @@ mod tests {
         let after = |seconds: u64| start + Duration::from_secs(seconds);
         let mut packets = Allowance::new(start);
         assert!((0..MESSAGES * BURST).all(|_| packets.take(9, start).is_ok()));
-        // then so many each second, for as long as one likes
+        // then at the limit indefinitely
         for second in 1..100 {
             assert!((0..MESSAGES).all(|_| packets.take(9, after(second)).is_ok()), "second {second}");
         }

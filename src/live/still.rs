@@ -1,4 +1,4 @@
-//! Frames whose geometry is done, and their tiles.
+//! Frames with their geometry.
 
 use std::fmt::Display;
 use std::sync::{Arc, OnceLock};
@@ -14,39 +14,38 @@ use tmpi_core::{Geometry, Photo, Scene, Texels};
 
 use crate::server::Problem;
 
-/// Quality of the picture in the container of a frame, 1 to 100.
+/// JPEG quality of the picture in a frame's container.
 const QUALITY: u8 = 90;
 
-/// The last frame whose geometry is done.
+/// The last frame with its geometry.
 pub struct Still {
-    /// Its picture.
+    /// The picture.
     pub photo: Photo,
-    /// Its tiles.
+    /// The tiles.
     pub tiles: Arc<Tiles>,
-    /// Its container, once somebody asked for it.
+    /// The container, written on first use.
     atlas: OnceCell<Bytes>,
 }
 
-/// All tiles as of a frame.
+/// All tiles of a frame.
 pub struct Tiles {
-    /// Its number.
+    /// The frame's number.
     pub frame: u64,
-    /// They themselves.
+    /// The tiles.
     pub geometry: Geometry,
-    /// As a message, coded when it is first wanted.
+    /// The encoded message, made on first use.
     coded: OnceLock<Bytes>,
 }
 
 impl Still {
-    /// Of a frame.
     pub fn new(frame: u64, photo: Photo, geometry: Geometry) -> Self {
         Self { photo, tiles: Arc::new(Tiles { frame, geometry, coded: OnceLock::new() }), atlas: OnceCell::new() }
     }
 
-    /// The frame as a container, written once for all who ask.
+    /// The frame as a container, which all callers share.
     ///
     /// # Errors
-    /// 500 where it cannot be written.
+    /// 500 if it cannot be written.
     pub async fn container(self: &Arc<Self>) -> Result<Bytes, Problem> {
         let wrong = |error: &dyn Display| Problem::internal("writing the container of a frame", error);
         let written = self.atlas.get_or_try_init(|| {
@@ -67,18 +66,18 @@ fn contained(photo: Photo, geometry: &Geometry) -> Result<Vec<u8>, ContainerErro
     container::encode(geometry, &scene, &carried, Carries::default()).map(|(bytes, _)| bytes)
 }
 
-/// The newest frame of a room whose geometry is done.
+/// The newest frame of a room with its geometry.
 pub struct Newest {
-    /// The epoch that it is of.
+    /// Its epoch.
     pub epoch: u64,
     /// Its number.
     pub number: u64,
-    /// It as a container.
+    /// Its container.
     pub container: Bytes,
 }
 
 impl Tiles {
-    /// They as a message, coded once.
+    /// The tiles as a SNAPSHOT message, which all callers share.
     ///
     /// # Errors
     /// [`LiveError`].
@@ -89,7 +88,7 @@ impl Tiles {
         let g = &self.geometry;
         let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame)?;
         let bytes = write(Kind::Snapshot(wire::Geometry { frame: self.frame, chunks: vec![chunk] }));
-        // two who come at once code the same
+        // concurrent callers encode the same bytes
         Ok(self.coded.get_or_init(|| bytes).clone())
     }
 }

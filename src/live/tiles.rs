@@ -1,5 +1,5 @@
-//! All tiles of a room as the chunks that were sent of them, not decoded, as far as one of their tiles is the newest: at an edge all that is known
-//! of them, at the origin what is newer than some viewer has.
+//! The tiles of a room as encoded chunks. A chunk is kept while it has the newest version of any tile. An edge has only these; the origin
+//! uses them to send viewers the tiles that they lack.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Chunk, Hello};
 use tmpi_core::live::{MAX_MESSAGE, Model, write};
 
-/// Chunks by the version and place that they have, and which each tile is of.
+/// Chunks by version and area, and for each tile the chunk with its newest version.
 pub struct Chunks {
     grid: Grid,
     tiles: Vec<Option<Key>>,
@@ -19,21 +19,21 @@ pub struct Chunks {
     coded: Option<Bytes>,
 }
 
-/// Bytes up to which newer tiles are sent as they came: less than may wait to be written for a viewer.
+/// Most bytes of newer chunks that are sent as they came: below the write buffer of a viewer.
 const NEWER_BYTES: usize = 1 << 20;
 
 /// Version, row, column, rows and columns.
 type Key = (u64, u32, u32, u32, u32);
 
 impl Chunks {
-    /// Of a room that is told of by `hello`; none where that is no room that readers take.
+    /// Starts without chunks; `None` if `hello` is invalid.
     pub fn new(hello: &Hello) -> Option<Self> {
         let tiles = Model::new(hello).ok()?.tiles();
         let grid = Grid { width: hello.width, height: hello.height, size: hello.tile_size, stride: hello.tile_stride };
         Some(Self { grid, tiles: vec![None; tiles as usize], kept: BTreeMap::new(), coded: None })
     }
 
-    /// Takes the chunks of a message; false where one is not within the grid.
+    /// Takes the chunks of a message; false if one lies outside the grid.
     pub fn take(&mut self, message: &wire::Geometry) -> bool {
         self.coded = None;
         message.chunks.iter().all(|chunk| self.take_chunk(chunk))
@@ -71,13 +71,13 @@ impl Chunks {
         true
     }
 
-    /// The frame that the newest of them are as of.
+    /// The version of the newest chunk: its frame.
     pub fn newest(&self) -> Option<u64> {
         self.kept.keys().next_back().map(|key| key.0)
     }
 
-    /// Chunks of the tiles that are newer than frame `known`, oldest first; none where they are of more tiles than there are, or long: all tiles as
-    /// they are take less then.
+    /// Chunks with tiles newer than frame `known`, oldest first; `None` if a snapshot of all tiles would be shorter, because the chunks
+    /// have more tiles than the grid or too many bytes.
     pub fn newer(&self, known: u64) -> Option<Vec<Chunk>> {
         let newer = || self.kept.iter().skip_while(|(key, _)| key.0 <= known);
         let tiles: usize = newer().map(|((.., rows, columns), _)| *rows as usize * *columns as usize).sum();
@@ -85,12 +85,12 @@ impl Chunks {
         (tiles <= self.tiles.len() && bytes <= NEWER_BYTES).then(|| newer().map(|(_, (chunk, _))| chunk.clone()).collect())
     }
 
-    /// Whether a snapshot of them is about as short as all tiles in one chunk: they lie over each other no more than once.
+    /// Whether a snapshot is about as short as all tiles in one chunk: the chunks hold each tile no more than twice on average.
     pub fn are_few(&self) -> bool {
         self.kept.keys().map(|(.., rows, columns)| *rows as usize * *columns as usize).sum::<usize>() <= 2 * self.tiles.len()
     }
 
-    /// SNAPSHOT with all that is needed of them, oldest first; none as long as something is known of none, or where it would be too long.
+    /// SNAPSHOT of all chunks, oldest first; `None` without chunks, or if it would exceed [`MAX_MESSAGE`].
     pub fn snapshot(&mut self) -> Option<Bytes> {
         if self.coded.is_none() && !self.kept.is_empty() {
             let chunks = self.kept.values().map(|(chunk, _)| chunk.clone()).collect();
@@ -144,9 +144,9 @@ pub mod tests {
             let kept = send(&mut chunks, &message(&geometry(0.3 + 0.01 * version as f64), one(version as u32), version));
             assert!(kept <= first.grid.tiles() as usize, "{kept}");
         }
-        // what comes late changes nothing
+        // a late message changes nothing
         send(&mut chunks, &message(&geometry(0.9), all, 3));
-        // all tiles as of the version that one has already: the others are taken
+        // all tiles of a version that one tile has already: the others are taken
         send(&mut chunks, &message(&geometry(0.3 + 0.01 * 59.0), all, 59));
         assert_eq!(send(&mut chunks, &message(&geometry(0.2), all, 60)), 1);
     }
@@ -162,11 +162,7 @@ pub mod tests {
         assert!(sent.iter().all(|m| chunks.take(m)));
         assert_eq!((chunks.newest(), chunks.newer(5)), (Some(5), Some(vec![])));
         assert_eq!(chunks.newer(4).unwrap(), sent[3].chunks);
-        assert_eq!(
-            chunks.newer(1).unwrap(),
-            [&sent[2].chunks[..], &sent[3].chunks].concat(),
-            "those that others took the place of are gone"
-        );
+        assert_eq!(chunks.newer(1).unwrap(), [&sent[2].chunks[..], &sent[3].chunks].concat(), "replaced chunks are gone");
         assert_eq!(chunks.newer(0), None, "all tiles, and two once more");
     }
 

@@ -1,7 +1,8 @@
-//! The socket of a viewer: it is sent what the room's ring has for it, one message after the other, as fast as it takes them.
+//! The socket of a viewer. It gets the messages of the room's ring, one after the other, as fast as it reads them.
 //!
-//! All that it may say is CREDIT: of no frames where nobody looks, as in a hidden tab, of one or more where somebody looks again, and of these with
-//! `key` where it cannot decode what it has and needs a key frame. An edge says by it how many watch there, and that one of them needs a key frame.
+//! A viewer may send only CREDIT: 0 frames when it becomes hidden, as in a background tab, 1 or more when it becomes visible, and these
+//! with `key` when it cannot decode and needs a key frame. An edge sends it to report its number of viewers, and that one of them needs a
+//! key frame.
 
 use std::sync::Arc;
 
@@ -20,28 +21,28 @@ use super::here::{ENDED, ended};
 use super::room::{Next, Room, Viewer, Watches};
 use super::{HEARTBEAT, send_away};
 
-/// Why a viewer finds no place.
+/// Reason for refusing a viewer of a full room.
 pub const FULL: &str = "as many watch the room as may";
 const GONE: &str = "the publisher has gone";
 
-/// What viewers are told where the publisher has gone by itself.
+/// The farewell to viewers after the publisher has gone.
 pub fn gone(cause: Cause) -> Bye {
     Bye { reason: GONE.into(), again: true, cause: cause.into() }
 }
 
-/// Words that a viewer may say at once, and seconds for each one after that.
+/// Burst size of a viewer's messages, and seconds for each further one.
 const WORDS: u32 = 20;
 const WORD: f64 = 0.5;
 
-/// Why a viewer is sent away.
+/// Why a viewer's connection ends.
 enum End {
-    /// It has gone, or takes nothing.
+    /// It has gone, or cannot be written to.
     Gone,
-    /// It is told why.
+    /// The server disconnects it with a reason.
     Bye(Bye),
 }
 
-/// A viewer that is counted as long as this lives.
+/// Counts a viewer while it lives.
 struct Counted<'a> {
     room: &'a Room,
     viewer: Viewer,
@@ -53,7 +54,7 @@ impl Drop for Counted<'_> {
     }
 }
 
-/// Serves a viewer until it or the room goes, or the token `ends` that it came by.
+/// Serves a viewer until it leaves, the room closes, or its token ends at `ends`.
 pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, Watches), stop: CancellationToken, ends: Option<Instant>) {
     let Some(viewer) = room.join(kind) else {
         let full = Bye { reason: FULL.into(), again: true, cause: Cause::Full.into() };
@@ -75,7 +76,7 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut words = Words { left: f64::from(WORDS), at: Instant::now() };
     loop {
-        // also where there is always something to send: who hides a page on a slow line wants less of it
+        // also while messages are waiting: a viewer on a slow line may have hidden its page
         if let Some(end) = socket.recv().now_or_never().and_then(|came| heard(came, &mut words, room, viewer)) {
             return end;
         }
@@ -128,10 +129,10 @@ fn bye(reason: &str, again: bool) -> End {
     End::Bye(Bye { reason: reason.into(), again, ..Bye::default() })
 }
 
-/// Takes what came from a viewer; none where it may stay.
+/// Handles a message of a viewer; `None` if it may stay.
 fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Words, room: &Room, viewer: &mut Viewer) -> Option<End> {
     match came {
-        // pings are answered by the library
+        // the library answers pings
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
         Some(Ok(Message::Binary(bytes))) => match words.take(bytes, Instant::now()) {
             Ok(Credit { viewers, key, .. }) if matches!(viewer.watches(), Watches::Edge(_)) => {
@@ -152,25 +153,25 @@ fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Words, room: &R
     }
 }
 
-const NOTHING_ELSE: &str = "viewers send nothing but CREDIT";
+const NOTHING_ELSE: &str = "viewers may send only CREDIT";
 
-/// How much a viewer may still say.
+/// Rate limit of a viewer's messages.
 struct Words {
     left: f64,
     at: Instant,
 }
 
 impl Words {
-    /// What a viewer says: whether somebody looks, and whether it needs a key frame.
+    /// Reads a message of a viewer.
     ///
     /// # Errors
-    /// It is no CREDIT, or more than may come by now, for the viewer to be told.
+    /// It is not CREDIT, or exceeds the rate limit; the text is for the viewer.
     fn take(&mut self, bytes: Bytes, now: Instant) -> Result<Credit, String> {
         let Ok(Kind::Credit(credit)) = read(bytes) else { return Err(NOTHING_ELSE.into()) };
         let more = now.saturating_duration_since(self.at).as_secs_f64() / WORD;
         (self.left, self.at) = ((self.left + more).min(f64::from(WORDS)) - 1.0, now);
         if self.left < 0.0 {
-            return Err(format!("more CREDIT than once in {WORD} s, and {WORDS} times at once"));
+            return Err(format!("more CREDIT than once per {WORD} s after {WORDS} at once"));
         }
         Ok(credit)
     }

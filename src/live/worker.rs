@@ -1,6 +1,6 @@
-//! The threads of a room: one decodes every frame, in order; the other makes the geometry of the newest one that is decoded.
+//! The threads of a room: one decodes every frame in order; the other makes the geometry of the newest decoded frame.
 //!
-//! Between them is a place for one frame, not a queue: what is replaced there was shown with the geometry before it.
+//! Between them is a slot for one frame, not a queue. Viewers show a frame that is replaced there with the previous geometry.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -19,40 +19,40 @@ use tmpi_live::{Frame, Geometry, depth};
 use super::PANICS;
 use super::room::{Room, Still};
 
-/// Frames that wait to be decoded: those that the publisher has credit for, and as many more as are a sign of a fault.
+/// Most frames that wait to be decoded: more than the publisher's credit, so a full queue is a fault.
 const WAITING: usize = 4;
 
-/// A frame as it came.
+/// An encoded frame.
 pub struct Coded {
     /// Its number.
     pub frame: u64,
-    /// Its bytes.
+    /// Its data.
     pub data: Bytes,
-    /// Its depth as a camera measured it, packed.
+    /// Its measured depth, packed.
     pub depth: Option<Bytes>,
     /// When it came.
     pub at: Instant,
 }
 
-/// What became of a frame.
+/// The outcome of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Decoded {
     /// It was decoded.
     Picture,
-    /// It was not, and why: it is damaged, or what it refers to was.
+    /// It is damaged, or refers to a damaged frame.
     Broken(String),
-    /// It uses what the decoder does not know, and what that is.
+    /// It uses a feature that the decoder does not support.
     Unsupported(String),
-    /// Whichever it was: what makes geometry panics again and again.
+    /// Not about a single frame: making geometry has panicked [`PANICS`] times in a row.
     Panics,
 }
 
-/// A room's threads; they end when this is dropped.
+/// A room's threads, which end when this is dropped.
 pub struct Worker {
     frames: SyncSender<Coded>,
 }
 
-/// One frame that waits for its geometry.
+/// Holds the frame that waits for its geometry.
 #[derive(Default)]
 struct Slot {
     frame: Mutex<Waiting>,
@@ -66,10 +66,11 @@ struct Waiting {
 }
 
 impl Worker {
-    /// Starts the threads for the publisher of `epoch`, with a driver of geometry as `geometry` makes it, which makes another where one panics; `done` is told of each frame in order.
+    /// Starts the threads for `epoch`. `geometry` makes a driver, and another one after a panic. `done` receives the outcome of each frame
+    /// in order.
     ///
     /// # Errors
-    /// The system starts no thread.
+    /// The system cannot start a thread.
     pub fn start(
         (room, epoch): (Arc<Room>, u64),
         mut decoder: Box<dyn Decoder>,
@@ -83,17 +84,17 @@ impl Worker {
         thread::Builder::new().name("tmpi-geometry".into()).spawn(move || {
             geometries((&room, epoch), &geometry, &from);
             if !from.ended() {
-                // who has gone need not be told
+                // the receiver may have gone
                 let _ = panics.blocking_send(Decoded::Panics);
             }
         })?;
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
-            // the other thread ends with this one, however it ends
+            // ends the other thread when this one ends, even by a panic
             let to = Filler(to);
-            // by when frames come, not by what a publisher says: whose clock stands still has geometry all the same
+            // use arrival times: the publisher's clock may stand still
             let began = Instant::now();
             for Coded { frame, data, depth, at } in coded {
-                // a panic is one more frame that cannot be decoded
+                // treat a panic as an undecodable frame
                 let decoded = catch_unwind(AssertUnwindSafe(|| decoded(decoder.as_mut(), &data, depth.as_deref())));
                 let outcome = match decoded.unwrap_or_else(|_| Err(VideoError::Broken(FAILED.into()))) {
                     Ok(picture) => {
@@ -118,13 +119,13 @@ impl Worker {
         Ok(Self { frames })
     }
 
-    /// Hands a frame over; false where too many wait.
+    /// Queues a frame; false if the queue is full or the threads have ended.
     pub fn take(&self, coded: Coded) -> bool {
         !matches!(self.frames.try_send(coded), Err(TrySendError::Full(_) | TrySendError::Disconnected(_)))
     }
 }
 
-/// Who fills a slot, as long as it does.
+/// Ends a slot on drop.
 struct Filler(Arc<Slot>);
 
 impl Drop for Filler {
@@ -158,7 +159,7 @@ impl Slot {
     }
 }
 
-/// A frame's picture and measured depth; none where it holds no picture.
+/// Decodes a frame's picture and measured depth; `None` if it holds no picture.
 fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, VideoError> {
     let Some(photo) = decoder.decode(data)? else { return Ok(None) };
     let depth = packed.map(|packed| depth::unpack(packed, photo.width, photo.height)).transpose();
@@ -166,7 +167,7 @@ fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Res
     Ok(Some((photo, depth)))
 }
 
-/// Makes the geometry of frame after frame, until there is none left or too many in a row panic.
+/// Makes the geometry of frames until the slot ends or [`PANICS`] frames in a row panic.
 fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
     let (mut driver, mut panics) = (None, 0);
     while let Some((frame, at)) = slot.next() {
@@ -185,12 +186,12 @@ fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
         if panics >= PANICS {
             return;
         }
-        // what it knew may be half of something; a new one tells all tiles
+        // its state may be inconsistent; a new driver sends all tiles
         driver = None;
     }
 }
 
-/// Makes the geometry of a frame and hands it on.
+/// Makes the geometry of a frame and passes it on.
 fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: Instant) {
     let update = match driver.next(&frame) {
         Ok(update) => update,
@@ -200,7 +201,7 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
         }
     };
     let ms = at.elapsed().as_secs_f64() * 1e3;
-    // the tiles are there before anyone is told: who joins now gets them all
+    // store all tiles before sending the changed ones: a viewer that joins now gets all
     if let Some(geometry) = driver.geometry() {
         let tiles = geometry.tiles.len() as u64;
         room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
@@ -209,7 +210,7 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
             s.geometry_ms = ms;
         });
     }
-    // whatever is still to come: no tile is sent twice
+    // sends each tile only once
     if !update.chunks.is_empty() {
         room.push_tiles(epoch, wire::Geometry { frame: frame.number, chunks: update.chunks });
     }

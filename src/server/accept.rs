@@ -1,4 +1,4 @@
-//! The accept loop: `axum::serve` sets no timer for the header of a request and none for writing, this one does.
+//! The accept loop. Unlike `axum::serve`, it limits the time for request headers and for writing.
 
 use std::io;
 use std::net::IpAddr;
@@ -31,23 +31,23 @@ use super::telemetry::{Present, Telemetry};
 use super::timed::{Little, Timed, keep_little};
 use super::tls::{self, Tls};
 
-/// Pause after the system has refused a connection, for example because no file descriptor is left.
+/// Pause after the system refuses to accept a connection, for example without free file descriptors.
 const BACK_OFF: Duration = Duration::from_millis(100);
 
-/// Bytes of a body, and of all of a connection, that may come before they are read.
+/// Receive windows of HTTP/2 in bytes: per stream and per connection.
 const WINDOWS: (u32, u32) = (256 << 10, 1 << 20);
-/// Pause after which it is asked whether a silent client is there, and time that it has to say so.
+/// Interval of HTTP/2 pings to a silent client, and time to answer one.
 const PING: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs(20));
-/// Pause between two looks at the streams of a connection.
+/// Interval of the checks of a connection's streams.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Where connections come in.
+/// Where connections arrive.
 pub struct Door {
-    /// What listens.
+    /// The listening socket.
     pub listener: TcpListener,
-    /// What is spoken there, if not plain HTTP.
+    /// TLS, if enabled.
     pub tls: Option<Tls>,
-    /// Proxies that say whose connections they pass on.
+    /// Trusted proxies.
     pub proxies: Proxies,
 }
 
@@ -69,7 +69,7 @@ impl Http {
     }
 }
 
-/// Serves connections until `stop`, then gives those that are open until `limits.drain` to end.
+/// Serves connections until `stop`, then gives open ones `limits.drain` to end.
 pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
     let Door { listener, tls, proxies } = door;
     let http = Http::new(limits);
@@ -84,7 +84,7 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
         };
         let (stream, peer, permit) = match accepted {
             Ok(accepted) => accepted,
-            // that client has gone already; the next one is as welcome
+            // only this client failed
             Err(error) if is_of_the_client(&error) => continue,
             Err(error) => {
                 tracing::warn!(%error, "accepting a connection");
@@ -92,9 +92,9 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
                 continue;
             }
         };
-        // a trusted proxy has those of all who come by it; whose they are it says itself
+        // a trusted proxy carries many clients' connections, and names each client itself
         let Some(share) = shares.take((!proxies.trusts(peer)).then_some(peer)) else {
-            tracing::debug!(%peer, "an address has as many connections as it may");
+            tracing::debug!(%peer, "an address has too many connections");
             continue;
         };
         let says = proxies.announces(peer).then(|| shares.clone());
@@ -117,7 +117,7 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
                 Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
                 Ok(Ok(stream)) => connection.one(stream, Some(Secure)).await,
                 Ok(Err(error)) => tracing::debug!(%error, peer = %from.0, "handshake"),
-                Err(_) => tracing::debug!(peer = %from.0, "a handshake takes too long"),
+                Err(_) => tracing::debug!(peer = %from.0, "a TLS handshake takes too long"),
             }
         });
     }
@@ -128,23 +128,23 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
     }
 }
 
-/// A connection as it comes in.
+/// An accepted connection.
 struct Taken {
     stream: TcpStream,
     from: Peer,
-    /// Whether a proxy said at its start that it passes it on.
+    /// Whether a proxy announced it by the PROXY protocol.
     announced: bool,
     permit: OwnedSemaphorePermit,
     share: Share,
 }
 
 impl Taken {
-    /// Whose it is by what a trusted proxy says at its start; none where it says nothing within `limit`, or its client has as many as it may.
+    /// Reads the client's address from the PROXY protocol; `None` without one within `limit`, or if the client has too many connections.
     async fn announced(mut self, shares: &Shares, limit: Duration) -> Option<Self> {
         let said = tokio::time::timeout(limit, proxies::announced(&mut self.stream)).await;
         let said = said.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
         let client = said.inspect_err(|error| tracing::debug!(%error, proxy = %self.from.0, "no PROXY protocol")).ok()?;
-        // also where it does not say whose it is: it may be anybody's
+        // also if the proxy names no client: it may be anyone's
         self.announced = true;
         if let Some(client) = client {
             self.share = shares.take(Some(client))?;
@@ -154,7 +154,7 @@ impl Taken {
     }
 }
 
-/// A connection that was taken.
+/// A connection being served.
 struct Connection {
     http: Http,
     router: Router,
@@ -166,7 +166,7 @@ struct Connection {
 }
 
 impl Connection {
-    /// Speaks HTTP/1.1.
+    /// Serves HTTP/1.1.
     async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
         let inner = TowerToHyperService::new(self.router);
         let (from, announced, given) = (self.from, self.announced, self.held.clone());
@@ -192,7 +192,7 @@ impl Connection {
         drop(self.held);
     }
 
-    /// Speaks HTTP/2, within TLS alone.
+    /// Serves HTTP/2, only over TLS.
     async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
         let streams = Streams::new();
         let inner = TowerToHyperService::new(self.router);
@@ -209,7 +209,7 @@ impl Connection {
         let mut connection = pin!(self.http.two.serve_connection(TokioIo::new(stream), service));
         let mut look = tokio::time::interval(LOOK);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        // what the transport may still have of answers that were given to it whole
+        // the transport may still hold this much of complete answers
         let rest = Duration::from_secs_f64((2 * PIECE) as f64 / self.limits.write_rate.max(1) as f64);
         let mut leaving = None;
         let ended = loop {
@@ -226,7 +226,7 @@ impl Connection {
                     }
                     (Look::Idle, Some(since)) if since.elapsed() <= self.limits.write + rest => {}
                     (Look::Stalled | Look::Idle, _) => {
-                        tracing::debug!(peer = %from.0, "the client does not take what it asked for");
+                        tracing::debug!(peer = %from.0, "the client does not read its answers");
                         break Ok(());
                     }
                     (Look::Fine, _) => {}
@@ -240,7 +240,7 @@ impl Connection {
     }
 }
 
-/// Says the host of a request of HTTP/2 where those of HTTP/1.1 do.
+/// Sets the `Host` header of an HTTP/2 request, as in HTTP/1.1.
 fn name_host(request: &mut Request<Incoming>) {
     let named = request.uri().authority().and_then(|authority| HeaderValue::from_str(authority.as_str()).ok());
     if let Some(named) = named
@@ -250,16 +250,16 @@ fn name_host(request: &mut Request<Incoming>) {
     }
 }
 
-/// A request that came by TLS.
+/// Marks a request that came over TLS.
 #[derive(Clone, Copy, Debug)]
 pub struct Secure;
 
-/// Whose a connection is: the address at its other end, which is a proxy's where there is one that says nothing at its start.
+/// Addresses of a connection; the peer is a proxy if a proxy does not use the PROXY protocol.
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub IpAddr);
 
 impl Peer {
-    /// Says so to whoever answers a request, and by a header where a proxy `announced` it.
+    /// Attaches the addresses to a request, with a header if a proxy `announced` them.
     fn put(self, announced: bool, request: &mut Request<Incoming>) {
         request.extensions_mut().insert(self);
         if announced {
@@ -268,7 +268,7 @@ impl Peer {
     }
 }
 
-/// What a connection holds of what there is a bounded number of: who goes on with it as a WebSocket holds this on.
+/// Resources of a connection that are limited in number; a WebSocket keeps them after the upgrade.
 #[derive(Clone)]
 pub struct Held {
     little: Arc<AtomicBool>,
@@ -277,14 +277,13 @@ pub struct Held {
 }
 
 impl Held {
-    /// From the next write on the system keeps little of what is sent: what is live is of no use later.
+    /// Makes the system buffer little from the next write on, since live data is soon stale.
     pub fn keep_little(&self) {
         self.little.store(true, Ordering::Relaxed);
     }
 }
 
-/// Bytes that the system keeps for a connection beyond what was sent: by itself it keeps up to 4 MB, which a viewer who stalls would be shown
-/// before what is live.
+/// Send buffer for live data in bytes. By default the system buffers up to 4 MB, which a viewer who stalls would see before live data.
 #[cfg(target_os = "linux")]
 const UNSENT: u32 = 256 << 10;
 
@@ -297,8 +296,7 @@ fn is_of_the_client(error: &io::Error) -> bool {
 async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, IpAddr, tokio::sync::OwnedSemaphorePermit)> {
     let permit = Arc::clone(room).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, peer) = listener.accept().await?;
-    // answers are written in one go: waiting for more to send only adds delay
-    // where that is not to be had, the client has gone: no reason to keep the next one waiting
+    // answers are written in one go, so delaying for more data only adds latency; if this fails, the client has gone
     let _ = stream.set_nodelay(true);
     #[cfg(target_os = "linux")]
     let _ = socket2::SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
@@ -310,7 +308,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_client_did_is_no_reason_to_pause() {
+    fn errors_of_a_client_do_not_pause_accepting() {
         assert!(is_of_the_client(&io::ErrorKind::ConnectionAborted.into()) && is_of_the_client(&io::ErrorKind::ConnectionReset.into()));
         assert!(!is_of_the_client(&io::Error::from_raw_os_error(24)), "no descriptor is left");
     }

@@ -1,22 +1,21 @@
-//! Looks at the first bytes of what is uploaded while they come, so that what would be refused for its kind or its size is refused before
-//! the rest is sent.
+//! Checks the first bytes of an upload as they arrive, to refuse wrong kinds and sizes before the client sends the rest.
 
 use std::sync::Arc;
 
 use super::maker::{HeadOf, Maker};
 use super::problem::Problem;
 
-/// Bytes from the first that are looked at; where they do not tell, the whole does.
+/// Most bytes to check; beyond that, the check of the whole upload decides.
 pub const MOST: usize = 256 << 10;
-/// Bytes before which no maker tells anything.
+/// Fewest bytes of which a maker can tell anything.
 const LEAST: usize = 12;
 
 /// One part of an upload on its way in.
 pub struct Admission {
     maker: Arc<dyn Maker>,
-    /// What came of it so far, while more of it may tell something.
+    /// The first bytes, while more of them may matter.
     head: Vec<u8>,
-    /// Bytes at which it is looked at again; none where no more is told.
+    /// Size at which to check again; `None` if the check is complete.
     needs: Option<usize>,
 }
 
@@ -27,10 +26,10 @@ impl Admission {
         Self { maker: Arc::clone(maker), head: Vec::new(), needs: Some(LEAST) }
     }
 
-    /// Looks at the next bytes of it.
+    /// Checks the next bytes.
     ///
     /// # Errors
-    /// As of the whole: 400, 413, 415 and 422.
+    /// As for the whole upload: 400, 413, 415 and 422.
     pub fn see(&mut self, bytes: &[u8], of: HeadOf<'_>) -> Result<(), Problem> {
         let Some(needs) = self.needs else { return Ok(()) };
         let room = MOST.saturating_sub(self.head.len());
@@ -55,7 +54,7 @@ mod tests {
     use tmpi_pipeline::photo::PhotoError;
     use tmpi_pipeline::{MakeError, Options, Sink};
 
-    /// Wants some bytes more until it has what it wants, and refuses what has a 9 in it then.
+    /// Needs more bytes until it has enough, then refuses those with a 9 in them.
     struct Wants {
         bytes: usize,
         step: usize,
@@ -80,7 +79,7 @@ mod tests {
         }
     }
 
-    /// Sends `all` in pieces, and gives how many bytes had come when it was refused, and the looks.
+    /// Sends `all` in pieces; returns how many bytes were sent when it was refused, and the number of checks.
     fn sent(bytes: usize, step: usize, all: &[u8], piece: usize) -> (Option<usize>, usize) {
         let wants = Arc::new(Wants { bytes, step, looks: AtomicUsize::new(0) });
         let mut admission = Admission::new(&(wants.clone() as Arc<dyn Maker>));
@@ -104,7 +103,7 @@ mod tests {
         assert_eq!(sent(100, 30, &nine, 2000), (Some(nine.len()), 1));
         assert_eq!(sent(15, 30, &nine, 1), (None, 2), "what comes behind is not looked at");
         assert_eq!(sent(100, 30, &nine[..99], 1).0, None);
-        // at most so many bytes are kept, whatever is wanted
+        // bounded, whatever the maker asks for
         let long = vec![9; 2 * MOST];
         assert_eq!(sent(MOST, MOST, &long, 1000).0, Some(MOST.next_multiple_of(1000)));
         assert_eq!(sent(MOST + 1, MOST, &long, 1000), (None, 1));

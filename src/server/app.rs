@@ -1,4 +1,4 @@
-//! What all handlers share.
+//! State that all handlers share.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -39,7 +39,7 @@ use tmpi_render::Renderer;
 /// Shared state; cheap to clone.
 pub type App = Arc<Shared>;
 
-/// How long a fault of the server counts that no job has met again: jobs are tried again each minute at least.
+/// Time after which a fault of the server counts as over; failed jobs are retried at least every minute.
 const TROUBLE: Duration = Duration::from_mins(2);
 
 /// A fault of this server.
@@ -50,11 +50,11 @@ struct Trouble {
 
 /// State of the server.
 pub struct Shared {
-    /// Photos, jobs, owners, keys and rooms, as the database and the blob store have them.
+    /// Photos, jobs, owners, keys and rooms, in the database and the blob store.
     pub library: Library,
     /// Makes photos.
     pub maker: Arc<dyn Maker>,
-    /// Memory of jobs under way.
+    /// Memory of running jobs.
     pub memory: Memory,
     /// Limits.
     pub limits: Arc<Limits>,
@@ -62,62 +62,62 @@ pub struct Shared {
     pub telemetry: Arc<Telemetry>,
     /// Decoded scenes.
     pub scenes: Cache<Version, Arc<Scene>>,
-    /// The better depth network on its way here.
+    /// The download of the better depth network.
     pub download: Download,
-    /// Small files, and those that are open.
+    /// Small files, and open ones.
     pub files: Cache<(Version, Part), Stored>,
     /// Smaller levels and parts of containers.
     pub levels: Cache<(Version, Derived), Stored>,
-    /// Encoded views by photo and what they were made of.
+    /// Encoded views by version and parameters.
     pub views: Cache<(Version, String), Stored>,
     /// Files to download and films, on disk.
     pub exports: Cache<(Version, String), Export>,
     /// Where views are drawn.
     pub pool: Pool,
-    /// Uploads that come in.
+    /// Uploads in progress.
     pub uploads: Coming,
-    /// How often somebody may ask.
+    /// Rate limits.
     pub rates: Rates,
-    /// Leave to read an upload whole.
+    /// Permits to read an upload whole.
     pub changes: Arc<Semaphore>,
-    /// Places for event streams.
+    /// Slots for event streams.
     pub streams: Places,
-    /// Why the library could not be written, or what was missing to make photos with, when that was last tried.
+    /// Result of the last check: why the library cannot be written, or what is missing to make photos.
     storage: Mutex<Option<&'static str>>,
     /// The fault of this server that kept the last job from being done.
     trouble: Mutex<Option<Trouble>>,
-    /// Folder for files that no name leads to.
+    /// Folder for unnamed temporary files.
     pub scratch: PathBuf,
-    /// What draws them.
+    /// Renders views.
     pub renderer: Arc<dyn Renderer>,
-    /// Names under which the server answers.
+    /// Accepted `Host` names.
     pub hosts: Hosts,
-    /// Proxies that say whose requests they pass on.
+    /// Trusted proxies.
     pub proxies: Proxies,
-    /// Whether strangers may list photos.
+    /// Whether remote callers may list photos.
     pub public_list: bool,
-    /// Who may have what; none where everybody may have everything.
+    /// Access control; `None` with open access.
     pub guard: Option<Guard>,
-    /// What the bytes of everything that is derived depend on besides the container: program and backend.
+    /// Everything besides the container that derived bytes depend on: program and backend.
     pub build: String,
-    /// Directory that replaces the embedded pages, for work on them.
+    /// Directory that replaces the embedded pages, for development.
     pub pages: Option<PathBuf>,
     /// The `OpenAPI` document.
     pub openapi: Bytes,
     /// Rooms, once the server runs.
     pub rooms: OnceLock<Arc<Rooms>>,
-    /// Set at the signal to stop, when everything is still served.
+    /// Set at the signal to stop, while everything is still served.
     pub leaving: AtomicBool,
     /// Set when the server stops.
     pub stop: CancellationToken,
-    /// Set when an operator asks it to.
+    /// Set when an operator requests a shutdown.
     pub asked_to_leave: CancellationToken,
-    /// Whether operators have a door of their own.
+    /// Whether there is an admin listener.
     pub has_admin: bool,
 }
 
 impl Shared {
-    /// Of a server that listens at `addr`.
+    /// State of a server that listens at `addr`.
     #[must_use]
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: Parts) -> Self {
         let Config { admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
@@ -158,34 +158,34 @@ impl Shared {
         }
     }
 
-    /// Why the library could not be written, or what was missing to make photos with, when that was last tried.
+    /// Result of the last check: why the library cannot be written, or what is missing to make photos.
     #[must_use]
     pub fn storage(&self) -> Option<&'static str> {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps the outcome of a try.
+    /// Stores the result of a check.
     pub fn set_storage(&self, trouble: Option<&'static str>) {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
     }
 
-    /// The fault of this server that kept the last job from being done, unless that is long ago: the job may have been deleted since.
+    /// The recent fault that kept the last job from being done. Older ones do not count: the job may be deleted.
     #[must_use]
     pub fn trouble(&self) -> Option<String> {
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
         trouble.as_ref().filter(|trouble| trouble.at.elapsed() < TROUBLE).map(|trouble| trouble.reason.clone())
     }
 
-    /// Keeps how the last job fared.
+    /// Stores the fault of the last job, if any.
     pub fn set_trouble(&self, reason: Option<String>) {
         let trouble = reason.map(|reason| Trouble { reason, at: Instant::now() });
         *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
     }
 
-    /// Does blocking `work` on an upload once it is its turn: it reads the upload whole.
+    /// Runs blocking `work` that reads an upload whole, when a permit is free.
     ///
     /// # Errors
-    /// 500 where `work` panicked.
+    /// 500 if `work` panicked.
     pub async fn change<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
         let turn = Arc::clone(&self.changes).acquire_owned().await.map_err(|e| Problem::internal("reading an upload", &e))?;
         let done = tokio::task::spawn_blocking(move || {
@@ -196,16 +196,16 @@ impl Shared {
         done.await.map_err(|e| Problem::internal("reading an upload", &e))
     }
 
-    /// Whom this request asks for.
+    /// The queue's view of this request's caller.
     #[must_use]
     pub fn asker(owner: Option<Owner>) -> Asker {
         Asker { owner, address: asker(), trace: traces::parent().map(traces::Parent::into_text) }
     }
 
-    /// The photo of a path, where whoever asks may have it.
+    /// The photo of a path, if the caller may access it.
     ///
     /// # Errors
-    /// 404, 503 where the library cannot be reached.
+    /// 404; 503 if the library is unreachable.
     pub async fn photo(&self, text: &str) -> Result<Photo, Problem> {
         let none = || Problem::not_found(format!("there is no photo {text:?}"));
         let id = text.parse().map_err(|_| none())?;
@@ -217,11 +217,10 @@ impl Shared {
         Ok(photo)
     }
 
-    /// What was made of a photo.
+    /// The result of a finished photo.
     ///
     /// # Errors
-    /// 409 with a `Retry-After` where it is not finished, the photo's own problem where it could not be made, 404 where it
-    /// is deleted.
+    /// 409 with a `Retry-After` if it is not finished, the photo's own problem if it failed, 404 if it is deleted.
     pub fn done(photo: &Photo) -> Result<(Version, Done), Problem> {
         match photo.state {
             PhotoState::Done => {
@@ -235,16 +234,16 @@ impl Shared {
         }
     }
 
-    /// Names the bytes of everything that is made of a photo: other for another photo, another making of it and another program.
+    /// Version of everything made of a photo: differs between photos, remakes and programs.
     #[must_use]
     pub fn version(&self, done: &Done) -> String {
         identity::of_results(&self.build, done)
     }
 
-    /// A content of a made photo.
+    /// A result file of a photo.
     ///
     /// # Errors
-    /// 404 where it was deleted meanwhile, 500 also where it is not what was made: it is taken out of service then.
+    /// 404 if it was deleted meanwhile; 500 also if it is damaged, in which case the photo is marked as damaged.
     pub async fn file(&self, photo: &Photo, part: Part) -> Result<Stored, Problem> {
         let (version, _) = Self::done(photo)?;
         let open = async {
@@ -257,7 +256,7 @@ impl Shared {
         self.files.get((version, part), open).await
     }
 
-    /// The answer where a content of a photo cannot be read. One that is not as it was written takes the photo out of service.
+    /// The answer if a file cannot be read. Damage marks the photo as damaged.
     async fn unread(&self, photo: &Photo, error: LibraryError) -> Problem {
         if !matches!(error, LibraryError::Damaged { .. }) {
             return error.into();
@@ -267,16 +266,16 @@ impl Shared {
                 Ok(_) => error.into(),
                 Err(error) => error.into(),
             },
-            // what was read is of the making before
+            // the damaged file belonged to an earlier version
             Ok(_) => Problem::not_found("the photo is being made again, or was deleted"),
             Err(error) => error.into(),
         }
     }
 
-    /// The strokes over a photo; none where they are damaged, which is logged: the photo can be made without.
+    /// The strokes of a photo. Damaged ones are logged and count as none, since the photo can be made without.
     ///
     /// # Errors
-    /// 503 where they cannot be read now.
+    /// 503 if they cannot be read now.
     pub async fn strokes(&self, photo: &Photo) -> Result<Vec<Stroke>, Problem> {
         let Some(blob) = photo.blobs.get(&Part::Strokes) else { return Ok(Vec::new()) };
         match self.library.blobs().read(Part::Strokes, blob).await {
@@ -286,11 +285,11 @@ impl Shared {
         }
     }
 
-    /// The container of a made photo, or a smaller one of its tiles over `region` at `1 / 2^level` of the size (0 to
-    /// [`tmpi_core::container::LEVELS`]) with some `sections`.
+    /// The container of a photo, or a smaller one: its tiles over `region`, at `1 / 2^level` of the size (0 to
+    /// [`tmpi_core::container::LEVELS`]), with some `sections`.
     ///
     /// # Errors
-    /// As [`Shared::file`]; 400 where the region is not within the photo, 503 where too much is under way.
+    /// As [`Shared::file`]; 400 if the region is not within the photo, 503 if too many are being made.
     pub async fn container(
         &self,
         photo: &Photo,
@@ -308,7 +307,7 @@ impl Shared {
             places.sort_unstable();
             places.dedup();
         }
-        // regions over the same tiles, and sections in any order, are one
+        // regions over the same tiles, and sections in any order, share an entry
         let key = Derived { level, tiles, sections: places };
         let made = key.clone();
         let names = sections.map(<[_]>::to_vec);
@@ -340,7 +339,7 @@ impl Shared {
         tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))
     }
 
-    /// The container of a photo. Where that is not what was made, the photo is taken out of service.
+    /// The container of a photo. If it is damaged, the photo is marked as damaged.
     ///
     /// # Errors
     /// As [`Shared::file`].
@@ -351,14 +350,13 @@ impl Shared {
         }
     }
 
-    /// The disk for files that no name leads to.
+    /// The disk for unnamed temporary files.
     #[must_use]
     pub fn disk(&self) -> Disk {
         Disk { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }
 
-    /// The decoded scene of a made photo, and how long decoding took if it was not at hand. `slot` was entered with
-    /// [`Done::scene_bytes`].
+    /// The decoded scene of a photo, and the time of decoding if it was not cached. Enter `slot` with [`Done::scene_bytes`].
     ///
     /// # Errors
     /// As [`Shared::file`].
@@ -376,7 +374,7 @@ impl Shared {
         Ok((scene, took))
     }
 
-    /// Lets go of what nobody has asked for over [`Limits::rest`].
+    /// Drops cache entries that were unused for [`Limits::rest`].
     pub async fn settle(&self) {
         self.scenes.settle().await;
         self.files.settle().await;
@@ -384,14 +382,14 @@ impl Shared {
         self.views.settle().await;
     }
 
-    /// Frees the disk that is taken by what can be made again.
+    /// Frees disk space of files that can be made again.
     pub async fn free_disk(&self) {
         self.exports.clear().await;
         self.views.clear().await;
         self.levels.clear().await;
     }
 
-    /// Frees what is kept of a deleted photo.
+    /// Drops the cache entries of a photo.
     pub async fn forget(&self, photo: PhotoId) {
         self.scenes.forget(photo).await;
         self.views.forget(photo).await;
@@ -401,11 +399,11 @@ impl Shared {
     }
 }
 
-/// What a server is made with besides its library.
+/// Parts of a server besides its library.
 pub struct Parts {
     /// Makes photos.
     pub maker: Arc<dyn Maker>,
-    /// Draws views.
+    /// Renders views.
     pub renderer: Arc<dyn Renderer>,
     /// Counters.
     pub telemetry: Arc<Telemetry>,
@@ -413,7 +411,7 @@ pub struct Parts {
     pub openapi: Bytes,
 }
 
-/// The strokes of a content; none where they are damaged, which is logged.
+/// Parses strokes. Damaged ones are logged and count as none.
 #[must_use]
 pub fn strokes_of(bytes: Option<&[u8]>) -> Vec<Stroke> {
     bytes.map_or_else(Vec::new, |bytes| {

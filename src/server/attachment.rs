@@ -1,4 +1,4 @@
-//! Names of files to download.
+//! Names of downloads.
 
 use std::fmt::Write as _;
 
@@ -6,20 +6,20 @@ use icu_properties::CodePointMapData;
 use icu_properties::props::{GeneralCategory, GeneralCategoryGroup};
 use tmpi_library::Photo;
 
-/// `Content-Disposition` (RFC 6266) of a file that is made of a photo: named by the photo's title, or by its id where it has none.
+/// `Content-Disposition` (RFC 6266) of a download: named by the photo's title, else by its id.
 #[must_use]
 pub fn attachment(photo: &Photo, ending: &str) -> String {
     let id = photo.id.to_string();
     let stem = photo.title().map(stem).filter(|stem| !stem.is_empty());
     match stem {
         Some(stem) if stem.is_ascii() => format!("attachment; filename=\"{stem}.{ending}\""),
-        // letters of other scripts go by the second form, which is taken where it is known
+        // clients that know the second form prefer it, for letters of other scripts
         Some(stem) => format!("attachment; filename=\"{id}.{ending}\"; filename*=UTF-8''{}.{ending}", coded(&stem)),
         None => format!("attachment; filename=\"{id}.{ending}\""),
     }
 }
 
-/// What a title leaves of a file name: letters with their marks, digits, dots, `_`, and `-` for all else.
+/// A title as a file name: letters with their marks, digits, dots and `_`; all else becomes `-`.
 fn stem(title: &str) -> String {
     let categories = CodePointMapData::<GeneralCategory>::new();
     let stays = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-') || GeneralCategoryGroup::Mark.contains(categories.get(c));
@@ -51,7 +51,7 @@ mod tests {
             ("..", ""),
             ("\u{1f300}", ""),
             ("Größe 3.5", "Größe-3.5"),
-            // marks that no letter has taken in
+            // combining marks without a composed form
             ("हिन्दी १", "हिन्दी-१"),
             ("ภูเก็ต", "ภูเก็ต"),
             ("e\u{301}te\u{301}", "e\u{301}te\u{301}"),

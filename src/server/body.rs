@@ -18,7 +18,7 @@ use super::clock::Clock;
 use super::limits::Limits;
 use super::problem::Problem;
 
-/// Time for which the rest of a refused body is read, so that the client gets to see the answer.
+/// Longest time to read the rest of a refused body, so that the client sees the answer.
 const LINGER: Duration = Duration::from_secs(2);
 
 /// Why a body was cut off.
@@ -36,7 +36,7 @@ pub enum CutOff {
 }
 
 impl CutOff {
-    /// The one in the chain of causes of `error`.
+    /// The [`CutOff`] in the chain of causes of `error`.
     #[must_use]
     pub fn find(error: &(dyn Error + 'static)) -> Option<Self> {
         let mut next = Some(error);
@@ -50,7 +50,7 @@ impl CutOff {
     }
 }
 
-/// The first cause of an error, which says most.
+/// The root cause of an error, which says most.
 fn root<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
     let mut last = error;
     while let Some(cause) = last.source() {
@@ -59,7 +59,7 @@ fn root<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
     last
 }
 
-/// The answer to a body that could not be read.
+/// The answer to a body that cannot be read.
 #[must_use]
 pub fn problem(error: &(dyn Error + 'static)) -> Problem {
     match CutOff::find(error) {
@@ -71,7 +71,7 @@ pub fn problem(error: &(dyn Error + 'static)) -> Problem {
     }
 }
 
-/// What is left of a body after its handler is done with it.
+/// The unread rest of a body.
 #[derive(Clone, Default)]
 pub struct Rest {
     inner: Arc<Mutex<Option<Body>>>,
@@ -80,14 +80,14 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// True once the whole body has come.
+    /// Whether the whole body has arrived.
     #[must_use]
     pub fn ended(&self) -> bool {
         self.ended.load(Ordering::Acquire)
     }
 
-    /// Reads on and drops what comes, up to `limit` bytes and for a short while: a client that writes into a closed
-    /// connection never sees the answer. `awaited`: the client sends nothing before it is asked to.
+    /// Reads and drops the rest, up to `limit` bytes and for a short while: a client that writes into a closed connection never sees the
+    /// answer. `awaited`: the client waits for `100 Continue`.
     pub async fn drain(self, limit: usize, awaited: bool) {
         let body = self.inner.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some(mut body) = body.filter(|_| !awaited || self.polled.load(Ordering::Acquire)) else { return };
@@ -118,7 +118,7 @@ pub struct Guarded {
 }
 
 impl Guarded {
-    /// Bounds `inner` to `limits`; `clock` starts when it has ended, or nobody wants more of it.
+    /// Bounds `inner` by `limits`; starts `clock` when the body ends or is dropped.
     #[must_use]
     pub fn new(inner: Body, limits: &Limits, clock: Clock) -> (Self, Rest) {
         let rest = Rest::default();
@@ -132,7 +132,7 @@ impl Guarded {
         (Self { inner: Some(inner), rest: rest.clone(), limit, left: limit, pause, rate, started, timer, clock }, rest)
     }
 
-    /// True where it came too slowly on the whole; the first while is free.
+    /// Whether it arrives too slowly on average; the first while does not count.
     fn is_below_rate(&self) -> bool {
         let over = self.started.elapsed().saturating_sub(self.pause).as_secs_f64();
         ((self.limit - self.left) as f64) < over * self.rate as f64
@@ -146,7 +146,7 @@ impl HttpBody for Guarded {
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
         let this = &mut *self;
         let Some(inner) = this.inner.as_mut() else { return Poll::Ready(None) };
-        // a body that says its size is refused before its first byte
+        // refuse a body with a declared size before its first byte
         if inner.size_hint().lower() > this.left as u64 {
             return Poll::Ready(Some(Err(CutOff::TooLarge(this.limit).into())));
         }
@@ -242,7 +242,7 @@ mod tests {
         let pause = Duration::from_millis(300);
         assert_eq!(read(drip(10, &[0; 100]), 5000, pause).await.unwrap().len(), 5000);
         assert_eq!(read(drip(2000, b"x"), 100, pause).await.unwrap_err().status, 408);
-        // never a pause, but less than the rate
+        // no pauses, but below the rate
         let slow = read(drip(20, b"x"), 5000, pause).await.unwrap_err();
         assert!(slow.status == 408 && slow.detail.contains("200 bytes a second"), "{}", slow.detail);
     }

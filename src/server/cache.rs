@@ -1,4 +1,4 @@
-//! A cache in bytes with one computation per key.
+//! A cache with a budget in bytes and one computation per key.
 
 use std::hash::Hash;
 use std::sync::Arc;
@@ -9,16 +9,16 @@ use moka::policy::EvictionPolicy;
 
 use tmpi_library::PhotoId;
 
-/// Bytes that an entry takes besides its key's and its value's own, measured on views of one pixel: slots, counts and lists of the
-/// cache, and what the allocator loses on small pieces.
+/// Bytes of an entry besides its key and value, measured on views of one pixel: slots, counts and lists of the cache, and fragmentation of
+/// the allocator.
 const OVERHEAD: usize = 1536;
 
-/// Epochs after which what was removed is freed, and one that may have begun already.
+/// Epochs after which removed entries are freed, and one that may have begun already.
 const EPOCHS: usize = 3;
 
-/// What a cache is asked for.
+/// Key of a cache entry.
 pub trait Key: Clone + Eq + Hash + Send + Sync + 'static {
-    /// Whose it is.
+    /// The photo that it belongs to.
     fn photo(&self) -> PhotoId;
 
     /// Bytes on the heap.
@@ -27,13 +27,13 @@ pub trait Key: Clone + Eq + Hash + Send + Sync + 'static {
     }
 }
 
-/// What a cache keeps.
+/// Value of a cache entry.
 pub trait Value: Clone + Send + Sync + 'static {
     /// Bytes on the heap.
     fn weight(&self) -> usize;
 }
 
-/// Keeps values of at most `budget` bytes together with their keys; the least recently used go first.
+/// Keeps keys and values of at most `budget` bytes together; evicts the least recently used first.
 pub struct Cache<K, V> {
     kept: Kept<K, V>,
 }
@@ -45,7 +45,7 @@ impl<K: Key, V: Value> Cache<K, V> {
         Self::built(budget, Kept::builder())
     }
 
-    /// The same of memory: what nobody asks for over `rest` goes, at the next [`Self::settle`] at the latest.
+    /// A cache in memory, which also drops entries unused for `rest`, at the next [`Self::settle`] at the latest.
     #[must_use]
     pub fn resting(budget: usize, rest: Duration) -> Self {
         Self::built(budget, Kept::builder().time_to_idle(rest))
@@ -62,11 +62,11 @@ impl<K: Key, V: Value> Cache<K, V> {
         Self { kept }
     }
 
-    /// The value of `key`; where it is missing, `make` gives it. Whoever asks for the same key meanwhile waits for that one
-    /// computation; where its client leaves, the next of them goes on with its own. A failure is not kept.
+    /// The value of `key`; computes it with `make` if it is missing. Concurrent callers for the same key wait for that one computation; if
+    /// its caller leaves, the next one runs its own. Failures are not cached.
     ///
     /// # Errors
-    /// That of `make`.
+    /// The error of `make`.
     pub async fn get<E, F>(&self, key: K, make: F) -> Result<V, E>
     where
         E: Clone + Send + Sync + 'static,
@@ -74,26 +74,26 @@ impl<K: Key, V: Value> Cache<K, V> {
     {
         let entry = self.kept.entry(key).or_try_insert_with(make).await.map_err(|error: Arc<E>| E::clone(&error))?;
         if entry.is_fresh() {
-            // at once, not when some entries have gathered: one may be half of the memory
+            // at once, rather than after some more entries: one may be half of the memory
             self.settle().await;
         }
         Ok(entry.into_value())
     }
 
-    /// Removes what has rested long enough, and frees at once what was removed: otherwise it waits, whatever its size, until this thread
+    /// Removes entries that rested long enough, and frees removed ones at once: otherwise they wait, whatever their size, until this thread
     /// has removed some dozens more.
     pub async fn settle(&self) {
         self.kept.run_pending_tasks().await;
-        // what was removed in one epoch is freed two later
+        // entries removed in one epoch are freed two epochs later
         for _ in 0..EPOCHS {
             crossbeam_epoch::pin().flush();
         }
     }
 
-    /// Removes what is kept of a photo.
+    /// Removes the entries of a photo.
     pub async fn forget(&self, photo: PhotoId) {
         if let Err(error) = self.kept.invalidate_entries_if(move |key, _| key.photo() == photo) {
-            // it goes as the least recently used: nobody has its key any more
+            // on error they age out: their keys are not used again
             tracing::error!(%error, "forgetting a photo");
         }
         self.settle().await;
@@ -111,7 +111,7 @@ impl<K: Key, V: Value> Cache<K, V> {
         self.kept.weighted_size()
     }
 
-    /// Count of entries.
+    /// Number of entries.
     #[cfg(test)]
     pub fn entries(&self) -> u64 {
         self.kept.entry_count()
@@ -195,14 +195,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_gives_up_leaves_nothing_and_does_not_end_it_for_others() {
+    async fn a_caller_that_leaves_does_not_end_the_computation_for_others() {
         let cache: Cache<u32, usize> = Cache::new(100 * KIB);
         for key in 0..1000 {
             let never = cache.get(key, std::future::pending::<Result<usize, ()>>());
             assert!(tokio::time::timeout(Duration::from_micros(1), never).await.is_err());
         }
         assert_eq!((cache.entries(), cache.bytes()), (0, 0));
-        // the second of two waits for the first, which gives up
+        // the second of two waits for the first, which leaves
         let first = tokio::time::timeout(Duration::from_millis(20), cache.get(1, std::future::pending::<Result<usize, ()>>()));
         let second = async {
             tokio::time::sleep(Duration::from_millis(5)).await;
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_kept_of_a_photo_can_be_forgotten() {
+    async fn entries_of_a_photo_can_be_forgotten() {
         let cache = Cache::new(100 * KIB);
         for key in 0..10 {
             put(&cache, key, 1).await;
@@ -235,14 +235,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_removed_is_freed_at_once() {
+    async fn removed_entries_are_freed_at_once() {
         let cache = Cache::<u32, Large>::new(100 * KIB);
         let values: Vec<_> = (0..4).map(|_| Arc::new(())).collect();
         let held = |n: usize| Arc::strong_count(&values[n]) - 1;
         for (key, value) in values.iter().enumerate() {
             let _ = cache.get(key as u32, async { Ok::<_, ()>(Large(Arc::clone(value))) }).await;
         }
-        // other threads of this test program, too, hold epochs up for moments
+        // other threads of the tests hold up epochs briefly
         let freed = async |n: usize| {
             for _ in 0..1000 {
                 cache.settle().await;
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_nobody_asks_for_goes() {
+    async fn unused_entries_are_dropped() {
         let cache = Cache::<u32, usize>::resting(100 * KIB, Duration::from_millis(20));
         assert!(put(&cache, 1, KIB).await);
         while cache.bytes() > 0 {

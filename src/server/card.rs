@@ -1,4 +1,4 @@
-//! What others show of a photo where somebody links to it: its title and a picture of it, as Open Graph, Twitter's cards and oEmbed say it.
+//! The preview card of a photo in other sites and apps: title and picture for Open Graph, Twitter and oEmbed.
 
 use std::fmt::Write as _;
 
@@ -9,10 +9,10 @@ use super::options;
 use super::settings::Settings;
 use tmpi_library::Photo;
 
-/// What a photo without a title is called.
+/// Title of a photo without one.
 const UNTITLED: &str = "3D photo";
 const DESCRIPTION: &str = "A 3D photo: it moves as you look around.";
-/// Longest side of the picture of a link, in pixels: what sites ask for that show it large.
+/// Longest side of the picture in pixels: what sites with large previews ask for.
 const PICTURE: u32 = 1200;
 
 /// A picture of a photo.
@@ -26,21 +26,21 @@ pub struct Picture {
     pub height: u32,
 }
 
-/// What there is to show of a photo.
+/// The card of a photo.
 #[derive(Debug)]
 pub struct Card {
-    /// `scheme://host` of the server, as it was asked.
+    /// `scheme://host` of the server, as in the request.
     base: String,
     id: String,
     title: String,
-    /// The query of the link without which whoever is told of it could not see it, with its question mark; else empty.
+    /// Query of the link with its question mark, if readers of the card need it to see the photo; else empty.
     link: String,
-    /// Address of views and the photo's size, once it is made.
+    /// Address of views and the photo's size, once done.
     view: Option<(String, (u32, u32))>,
 }
 
 impl Card {
-    /// Of a photo as it is now, for whoever asks, who knows the server as `base`. By a link that they came by all is seen that is told.
+    /// The card for this request's caller, who knows the server as `base`. If a link gave the caller access, all addresses contain it.
     #[must_use]
     pub fn of(app: &Shared, photo: &Photo, base: String) -> Self {
         let (settings, link) = (Settings::of(photo), access::link());
@@ -63,7 +63,7 @@ impl Card {
         &self.title
     }
 
-    /// The view that stands for the photo as a JPEG of its own shape, no larger than itself and within `most`; none before it is made.
+    /// The photo's preview view as a JPEG of the same aspect ratio, within `most` and not enlarged; `None` until the photo is made.
     #[must_use]
     pub fn picture(&self, most: (u32, u32)) -> Option<Picture> {
         let (address, size) = self.view.as_ref()?;
@@ -71,7 +71,7 @@ impl Card {
         Some(Picture { url: format!("{address}&w={width}&h={height}"), width, height })
     }
 
-    /// A frame of the photo alone within `most`, in HTML, and its size.
+    /// HTML of a frame with the photo within `most`, and its size.
     #[must_use]
     pub fn frame(&self, most: (u32, u32)) -> (String, u32, u32) {
         let (width, height) = within(self.view.as_ref().map_or(most, |(_, size)| *size), most);
@@ -86,7 +86,7 @@ impl Card {
         (html, width, height)
     }
 
-    /// The viewer's page with the photo's title, and tags in its head that say the rest.
+    /// The viewer's page with the photo's title and the card's tags in its head.
     #[must_use]
     pub fn introduce(&self, page: &str) -> String {
         let title = escaped(&self.title);
@@ -131,14 +131,14 @@ impl Card {
     }
 }
 
-/// `size` made smaller until it is within `most`, in its own shape.
+/// `size` reduced to fit within `most`, at the same aspect ratio.
 fn within((width, height): (u32, u32), most: (u32, u32)) -> (u32, u32) {
     let scale = (f64::from(most.0) / f64::from(width)).min(f64::from(most.1) / f64::from(height)).min(1.0);
     let side = |v: u32, most: u32| ((f64::from(v) * scale).round() as u32).clamp(1, most.max(1));
     (side(width, most.0), side(height, most.1))
 }
 
-/// Text as it may stand in HTML, between tags and in quotes of either kind.
+/// Text escaped for HTML, between tags and in quotes of either kind.
 fn escaped(text: &str) -> String {
     text.chars().fold(String::with_capacity(text.len()), |mut out, c| {
         match c {
@@ -181,7 +181,7 @@ mod tests {
         fn no_title_leaves_its_place(title in any::<String>(), quote in prop::sample::select(vec!['"', '\'', '<', '>', '&'])) {
             let plain = card("T");
             let hostile = card(&format!("{title}{quote}{title}"));
-            // as many tags and quotes as with a harmless title: nothing was opened and nothing closed
+            // as many tags and quotes as with a harmless title: none opened or closed
             let count = |html: &str| ['<', '>', '"'].map(|c| html.matches(c).count());
             let page = "<head><title>x</title></head>";
             prop_assert_eq!(count(&hostile.introduce(page)), count(&plain.introduce(page)));

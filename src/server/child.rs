@@ -1,8 +1,8 @@
-//! Photos made in a process of their own, which can be stopped at any moment and takes nothing down with it.
+//! Makes photos in a child process, which can be killed at any time without harm to the server.
 //!
-//! What decodes foreign pictures or runs networks cannot be asked to stop, and what takes too much memory ends its process. So the
-//! server runs its own program once more, with [`VARIABLE`] set, and keeps it for the next photo. The process gets the arguments that concern
-//! making photos and the variables of [`is_passed`]: whoever breaks a decoder finds no credentials there.
+//! Image decoders and networks cannot be cancelled, and running out of memory ends their process. So the server runs its own program again,
+//! with [`VARIABLE`] set, and keeps the process for the next photo. It gets only the arguments for making photos and the variables of
+//! [`is_passed`], so that an exploited decoder finds no credentials.
 
 mod ask;
 mod files;
@@ -29,43 +29,43 @@ use scratch::Scratch;
 pub use scratch::empty as empty_scratch;
 use tmpi_pipeline::{MakeError, Options, Sink, networks};
 
-/// Set in the environment of a process that makes photos for a server.
+/// Environment variable that marks a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
-/// Its value for a process that gives way to all others.
+/// Its value for a low-priority process.
 const GIVES_WAY: &str = "gives-way";
-/// How often cancellation and the deadline are looked at.
+/// Interval of the checks for cancellation and the deadline.
 const TICK: Duration = Duration::from_millis(10);
-/// Peak memory above which a process is not kept: allocators do not give all of it back.
+/// A process with a higher peak memory is not reused: allocators do not return all of it.
 const KEPT_BYTES: u64 = 768 << 20;
 
-/// Makes photos in processes of their own.
+/// Makes photos in child processes.
 pub struct ProcessMaker {
     checks: PipelineMaker,
-    /// Processes that wait for a photo.
+    /// Idle processes.
     idle: Mutex<Vec<Worker>>,
     command: Box<dyn Fn() -> io::Result<Command> + Send + Sync>,
-    /// Below which each process has its temporary files.
+    /// Parent folder of the processes' temporary files.
     scratch: PathBuf,
-    /// What fetches a better network; processes that start after it was fetched use it.
+    /// Downloads a better network; processes that start later use it.
     better: Option<Box<dyn Better>>,
-    /// What this is with it, once it is here.
+    /// Maker identity and network after the download.
     renewed: OnceLock<Renewed>,
 }
 
-/// What a process answers, frame by frame, until it ends.
+/// The frames of a process until it ends.
 type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
 
 struct Worker {
-    /// When it made its last photo; none where it has made none.
+    /// When it made its last photo; `None` if it has made none.
     made: Option<Instant>,
-    /// Whether it began with the better network.
+    /// Whether it started with the better network.
     renewed: bool,
-    /// Whether it gives way to all others.
+    /// Whether it has low priority.
     gives_way: bool,
     child: Child,
     input: ChildStdin,
     output: Frames,
-    /// Its temporary files: removed last, once it has ended.
+    /// Its temporary files; removed last, after it has ended.
     scratch: Scratch,
 }
 
@@ -76,14 +76,14 @@ impl Drop for Worker {
     }
 }
 
-/// Ends a process and those that it started, as to write a film.
+/// Kills a process and its children, such as ffmpeg.
 fn end(child: &mut Child) {
     end_group(child);
     // it may have ended already
     let _ = child.kill();
 }
 
-/// Ends a process and those that it started, also where it has ended itself; nothing happens once it was waited for.
+/// Kills a process group, even if its leader has ended; does nothing once the leader was waited for.
 #[cfg(unix)]
 #[allow(unsafe_code, reason = "the standard library sends no signals to groups, and does not look at a child without waiting for it")]
 fn end_group(child: &Child) {
@@ -101,9 +101,9 @@ fn end_group(child: &Child) {
 #[cfg(not(unix))]
 fn end_group(_: &Child) {}
 
-/// This program with these arguments, as a process that makes photos.
+/// A command that runs this program with `arguments` to make photos.
 fn this_program(arguments: &[OsString]) -> io::Result<Command> {
-    // the file may have been replaced meanwhile
+    // the file may be replaced meanwhile
     let program = if cfg!(target_os = "linux") { "/proc/self/exe".into() } else { std::env::current_exe()? };
     let mut command = Command::new(program);
     let passed = std::env::vars_os().filter(|(name, _)| is_passed(name));
@@ -111,8 +111,8 @@ fn this_program(arguments: &[OsString]) -> io::Result<Command> {
     Ok(command)
 }
 
-/// Whether a variable of the server's environment is passed to the processes that make photos: those that say where programs, libraries, networks
-/// and graphics adapters are, and how much is logged.
+/// Whether child processes get an environment variable of the server: only those about programs, libraries, networks, graphics adapters and
+/// logging.
 fn is_passed(name: &OsStr) -> bool {
     const NAMES: [&str; 17] = [
         "CUDA_VISIBLE_DEVICES",
@@ -137,8 +137,8 @@ fn is_passed(name: &OsStr) -> bool {
     name.to_str().is_some_and(|name| NAMES.contains(&name) || BEGINNINGS.iter().any(|begin| name.starts_with(begin)))
 }
 
-/// Has the system keep the memory and the environment of this process from other processes of the same user, as those that make photos are; it
-/// writes no core dumps then.
+/// Keeps other processes of the same user, such as child processes, from reading the memory and environment of this one; also disables core
+/// dumps.
 #[cfg(target_os = "linux")]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
 pub fn keep_from_others() {
@@ -148,13 +148,13 @@ pub fn keep_from_others() {
     }
 }
 
-/// Other systems are as they are.
+/// Not available on other systems.
 #[cfg(not(target_os = "linux"))]
 pub fn keep_from_others() {}
 
 impl ProcessMaker {
-    /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it. `arguments` are the command
-    /// line of the processes without the program; their temporary files are in the data directory `data`.
+    /// A maker that checks photos itself, and starts a process ahead of the first photo. `arguments` is the command line of the processes
+    /// without the program; their temporary files are in the data directory `data`.
     #[must_use]
     pub fn new(checks: PipelineMaker, arguments: Vec<OsString>, data: &Path) -> Self {
         let command = Box::new(move || this_program(&arguments));
@@ -164,23 +164,23 @@ impl ProcessMaker {
         maker
     }
 
-    /// Starts a process that waits for a photo.
+    /// Starts an idle process.
     fn prepare(&self) {
         match self.start(false) {
             Ok(worker) => self.keep(worker),
-            // it is tried again, and told, with the first photo
+            // the first photo retries, and reports the failure
             Err(error) => tracing::warn!(%error, "starting a process that makes photos"),
         }
     }
 
-    /// The same with a network that may be fetched while it runs.
+    /// The same maker, with a network that it may download while it runs.
     #[must_use]
     pub fn with_better(self, better: Option<Box<dyn Better>>) -> Self {
         Self { better, ..self }
     }
 
     fn start(&self, gives_way: bool) -> io::Result<Worker> {
-        // before it looks for its network
+        // before the process looks for its network
         let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
         if gives_way {
@@ -188,12 +188,12 @@ impl ProcessMaker {
         }
         let scratch = Scratch::below(&self.scratch);
         command.env(scratch::VARIABLE, scratch.path());
-        // a Ctrl-C in a terminal is for the server
+        // Ctrl-C in a terminal is for the server only
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
         let (Some(input), Some(mut output)) = (child.stdin.take(), child.stdout.take()) else {
-            return Err(io::Error::other("a process without pipes"));
+            return Err(io::Error::other("a process has no pipes"));
         };
         let (tell, told) = channel();
         std::thread::Builder::new().name("tmpi-child".into()).spawn(move || {
@@ -212,18 +212,18 @@ impl ProcessMaker {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(worker);
     }
 
-    /// A process that waits, or a fresh one, with a folder for temporary files; of those that give way to all others, or not.
+    /// An idle or new process of this priority, with a folder for temporary files.
     fn take(&self, gives_way: bool) -> Result<Worker, Fault> {
         let worker = self.waiting(gives_way).map_or_else(|| self.start(gives_way), Ok);
-        let worker = worker.map_err(|e| Fault::Server(format!("no process to make photos in can be started: {e}")))?;
+        let worker = worker.map_err(|e| Fault::Server(format!("cannot start a process to make photos: {e}")))?;
         if let Err(error) = worker.scratch.make() {
-            // only films need it, and say so: on a full disk all else goes on
+            // only films need it, and report it: on a full disk all else works
             tracing::warn!(%error, "a folder for temporary files");
         }
         Ok(worker)
     }
 
-    /// A process that waits.
+    /// An idle process of this priority.
     fn waiting(&self, gives_way: bool) -> Option<Worker> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         while let Some(at) = idle.iter().rposition(|worker| worker.gives_way == gives_way) {
@@ -281,7 +281,7 @@ impl Maker for ProcessMaker {
         let (ended, none) = (before - idle.len(), idle.iter().all(|worker| worker.gives_way));
         drop(idle);
         if ended > 0 && none {
-            // the next photo need not wait for a process to begin, and one that has made none is small
+            // so the next photo need not wait for a process to start; a process that has made none is small
             self.prepare();
         }
         ended > 0
@@ -292,7 +292,7 @@ impl Maker for ProcessMaker {
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
-        // what earlier photos left in a process must not be what is missing for this one
+        // earlier photos' memory in a process must not be missing for this one
         let large = self.memory(photo, depth, options) > self.checks.most_memory() / 2;
         if large {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
@@ -301,11 +301,11 @@ impl Maker for ProcessMaker {
     }
 }
 
-/// How a process ended that was not told to.
+/// How a process ended that the server did not kill.
 fn ending(child: &mut Child) -> String {
-    // it closed its pipe: it is about to end
+    // it closed its pipe and is about to end
     std::thread::sleep(TICK);
-    // before it is waited for: then its group is nobody's
+    // before waiting for it: after that, the group id may be reused
     end_group(child);
     match child.try_wait() {
         Ok(Some(status)) => format!("the process that made it ended: {status}"),
@@ -322,7 +322,7 @@ impl From<MakeError> for Fault {
             MakeError::Cancelled => Self::Cancelled,
             MakeError::Depth(DepthError::Onnx(e)) | MakeError::Generate(StageError::Onnx(e)) => match e {
                 OnnxError::Library(_) | OnnxError::Model { .. } => Self::Server(error.to_string()),
-                // the same photo may bring it about again
+                // the same photo may cause it again
                 OnnxError::Run { .. } => Self::Crashed(error.to_string()),
             },
             _ => Self::Photo(Problem::from(&error)),

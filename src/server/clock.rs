@@ -1,4 +1,4 @@
-//! The time that a request has: it starts when its body has come, so that slow links are no fault, and longer work may ask for more.
+//! Time limit of a request. It starts when the body has arrived, so that slow links do not count, and long work may extend it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -19,7 +19,7 @@ struct State {
 }
 
 impl Clock {
-    /// A clock of `limit` that stands still.
+    /// A clock of `limit` that is not started.
     #[must_use]
     pub fn new(limit: Duration) -> Self {
         Self { state: Arc::new((Mutex::new(State { limit, started: None }), Notify::new())) }
@@ -29,26 +29,26 @@ impl Clock {
         self.state.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts it where it stands still.
+    /// Starts it, if it is not running.
     pub fn start(&self) {
         self.lock().started.get_or_insert_with(Instant::now);
         self.state.1.notify_waiters();
     }
 
-    /// Gives the request `limit` in all, where that is more.
+    /// Extends the limit to `limit` in all, if that is more.
     pub fn allow(&self, limit: Duration) {
         let mut state = self.lock();
         state.limit = state.limit.max(limit);
     }
 
-    /// When its time is over; none while it stands still.
+    /// When the time is over; `None` before it starts.
     #[must_use]
     pub fn deadline(&self) -> Option<Instant> {
         let state = self.lock();
         state.started.map(|at| at + state.limit)
     }
 
-    /// Ready once its time is over; gives the limit.
+    /// Waits until the time is over; returns the limit.
     pub async fn expired(&self) -> Duration {
         loop {
             let started = self.state.1.notified();

@@ -1,11 +1,11 @@
-//! How many uploads come in at a time.
+//! Limits the number of concurrent uploads.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::limits::Limits;
 use super::share::{Share, Shares, asker};
 
-/// Uploads that come in.
+/// Uploads in progress.
 #[derive(Debug)]
 pub struct Coming {
     count: AtomicUsize,
@@ -13,7 +13,7 @@ pub struct Coming {
     shares: Shares,
 }
 
-/// Leave for an upload to come in.
+/// Permit for an upload.
 pub struct Ticket<'a> {
     of: &'a Coming,
     _share: Share,
@@ -26,19 +26,19 @@ impl Drop for Ticket<'_> {
 }
 
 impl Coming {
-    /// By the limits of a server.
+    /// With the limits of a server.
     #[must_use]
     pub fn new(limits: &Limits) -> Self {
         let beyond = limits.uploads_beyond;
         Self { count: AtomicUsize::new(0), beyond, shares: Shares::half_of(limits.queue.saturating_add(beyond)) }
     }
 
-    /// Leave for one more where the queue has `free` places. A few come in though it is full: they may be of photos that are known. None
-    /// where as many come in already as may, or half of them from this address: an upload may take an hour.
+    /// A permit for one more upload if the queue has `free` places. A few are given even if the queue is full, since the photos may be
+    /// known. `None` if too many uploads are in progress, or half of them from this address: an upload may take an hour.
     pub fn take(&self, free: usize) -> Option<Ticket<'_>> {
         let share = self.shares.take(asker())?;
         let before = self.count.fetch_add(1, Ordering::AcqRel);
-        // dropped where it is refused
+        // dropped if it is refused
         let ticket = Ticket { of: self, _share: share };
         (before < free.saturating_add(self.beyond)).then_some(ticket)
     }

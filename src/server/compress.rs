@@ -1,7 +1,7 @@
-//! Answers in gzip: pages, scripts and JSON. Containers and pictures are compressed as they are.
+//! Gzip for pages, scripts and JSON. Containers and images are compressed already.
 //!
-//! Not a layer around the service: a coded answer is another representation with an entity tag of its own (RFC 9110, section 8.8.3.3),
-//! ranges are of the plain one, and what is embedded in the program is coded once.
+//! Not a layer around the service: a compressed answer is another representation with its own entity tag (RFC 9110, section 8.8.3.3),
+//! ranges apply to the plain one, and embedded files are compressed once.
 
 use std::io::Write as _;
 
@@ -10,12 +10,12 @@ use bytes::Bytes;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-/// What is smaller than this fits in one packet anyway.
+/// Smaller answers fit in one packet anyway.
 const LEAST: usize = 1200;
-/// End of the entity tag of a coded answer.
+/// Suffix of a compressed answer's entity tag.
 const SUFFIX: &str = "-gzip";
 
-/// True where the client takes gzip (RFC 9110, section 12.5.3).
+/// Whether the client accepts gzip (RFC 9110, section 12.5.3).
 #[must_use]
 pub fn accepted(headers: &HeaderMap) -> bool {
     let (mut named, mut any) = (None, false);
@@ -33,7 +33,7 @@ pub fn accepted(headers: &HeaderMap) -> bool {
     named.unwrap_or(any)
 }
 
-/// `bytes` in gzip; none where that is not worth it.
+/// `bytes` in gzip; `None` if that is not worth it.
 #[must_use]
 pub fn gzip(bytes: &[u8], level: Compression) -> Option<Bytes> {
     if bytes.len() < LEAST {
@@ -45,7 +45,7 @@ pub fn gzip(bytes: &[u8], level: Compression) -> Option<Bytes> {
     (coded.len() + 64 < bytes.len()).then(|| coded.into())
 }
 
-/// The entity tag of the coded answer to that of the plain one.
+/// The entity tag of the compressed answer, from that of the plain one.
 #[must_use]
 pub fn tag(etag: &str) -> String {
     format!("{}{SUFFIX}\"", etag.strip_suffix('"').unwrap_or(etag))

@@ -11,20 +11,20 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use flate2::Compression;
 
-/// A year, and never asked for again: only under an address that names the version.
+/// Cached for a year without revalidation: only for addresses with the version.
 pub const IMMUTABLE: &str = "public, max-age=31536000, immutable";
-/// Headers of an answer, with those that others add: their table grows once.
+/// Capacity of an answer's header table, with those that layers add, so that it grows once.
 const HEADERS: usize = 20;
-/// Kept, but asked for again each time.
+/// Cached, but revalidated each time.
 pub const REVALIDATE: &str = "no-cache";
 
-/// How long the answer to a request for version `asked` may be kept, where `version` is what is sent.
+/// `Cache-Control` of the answer to a request for version `asked`, if `version` is sent.
 #[must_use]
 pub fn kept(asked: Option<&str>, version: impl FnOnce() -> String) -> &'static str {
     if asked.is_some_and(|asked| asked == version()) { IMMUTABLE } else { REVALIDATE }
 }
 
-/// What a response is about.
+/// The representation to send.
 pub struct Entity<'a> {
     /// All bytes.
     pub source: Source,
@@ -34,25 +34,25 @@ pub struct Entity<'a> {
     pub content_type: &'a str,
     /// `Cache-Control`.
     pub cache_control: &'a str,
-    /// Whether it may be sent in gzip, too.
+    /// Whether gzip is possible.
     pub coding: Coding,
 }
 
-/// Whether an answer may be sent in gzip, too.
+/// Whether an answer may be compressed.
 #[derive(Clone, Debug)]
 pub enum Coding {
-    /// It is compressed as it is.
+    /// No: it is compressed already.
     Plain,
-    /// It may; coded when it is asked for.
+    /// Yes, on request.
     Gzip,
-    /// It may; coded already, or not worth it.
+    /// Yes, with the bytes prepared; `None` if it is not worth it.
     Coded(Option<Bytes>),
 }
 
 impl Coding {
-    /// The coded bytes, where the client takes them.
+    /// The compressed bytes, if the client accepts them.
     fn for_client(self, headers: &HeaderMap, source: &Source) -> Option<Bytes> {
-        // ranges are of the plain answer
+        // ranges apply to the plain answer
         if matches!(self, Self::Plain) || headers.contains_key(header::RANGE) || !compress::accepted(headers) {
             return None;
         }
@@ -64,18 +64,18 @@ impl Coding {
     }
 }
 
-/// Which bytes a request wants.
+/// The bytes that a request asks for.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Wanted {
-    /// All.
+    /// All bytes.
     All,
-    /// These.
+    /// This range.
     Part(Range<usize>),
-    /// None that exist.
+    /// A range outside the content.
     Unsatisfiable,
 }
 
-/// True where the client has this very version (`If-None-Match`, weak comparison).
+/// Whether the client has this version (`If-None-Match`, weak comparison).
 #[must_use]
 pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
     headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|candidate| {
@@ -84,8 +84,8 @@ pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
     })
 }
 
-/// The tag among those that the client has of which the bytes were made as `made` says: such tags begin with it and go on with a
-/// digest of the bytes. So what is known need not be made again to say so.
+/// The client's tag that begins with `made`, the name of the inputs; such tags end with a digest of the bytes. So the server can answer 304
+/// without making the bytes again.
 #[must_use]
 pub fn known_as<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
     let tags = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
@@ -95,7 +95,7 @@ pub fn known_as<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
     })
 }
 
-/// The answer to a client that has the version `etag`.
+/// 304 for a client that has the version `etag`.
 #[must_use]
 pub fn not_modified(etag: &str, cache_control: &str) -> Response {
     let mut response = StatusCode::NOT_MODIFIED.into_response();
@@ -104,7 +104,7 @@ pub fn not_modified(etag: &str, cache_control: &str) -> Response {
     response
 }
 
-/// Reads `Range` and `If-Range` for `length` bytes. What is malformed, of another unit or of several ranges is ignored.
+/// Reads `Range` and `If-Range` for `length` bytes; ignores malformed headers, other units and multiple ranges.
 #[must_use]
 pub fn wanted(headers: &HeaderMap, etag: &str, length: usize) -> Wanted {
     if headers.get(header::IF_RANGE).is_some_and(|v| v.as_bytes() != etag.as_bytes()) {
@@ -119,7 +119,7 @@ pub fn wanted(headers: &HeaderMap, etag: &str, length: usize) -> Wanted {
     if !digits(first) || !digits(last) || (first.is_empty() && last.is_empty()) {
         return Wanted::All;
     }
-    // more digits than fit are more than any length
+    // a number that overflows is beyond any length
     let number = |s: &str| s.parse::<usize>().unwrap_or(usize::MAX);
     if first.is_empty() {
         let suffix = number(last).min(length);
@@ -133,8 +133,8 @@ pub fn wanted(headers: &HeaderMap, etag: &str, length: usize) -> Wanted {
     if start >= length { Wanted::Unsatisfiable } else { Wanted::Part(start..end) }
 }
 
-/// False where the client wants other versions only (`If-Match`, strong comparison). Nothing here has a date, so `If-Unmodified-Since`
-/// means nothing (RFC 9110, section 13.1.4).
+/// Whether `If-Match` allows this version (strong comparison). Nothing here has a date, so `If-Unmodified-Since` does not apply (RFC 9110,
+/// section 13.1.4).
 fn is_wanted(headers: &HeaderMap, etag: &str) -> bool {
     let mut tags = headers.get_all(header::IF_MATCH).iter().peekable();
     tags.peek().is_none() || tags.filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|v| v.trim() == "*" || v.trim() == etag)
@@ -148,10 +148,10 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
     let coded_tag = compress::tag(etag);
     let coded = !matches!(coding, Coding::Plain);
     if !(is_wanted(headers, etag) || coded && is_wanted(headers, &coded_tag)) {
-        let detail = format!("it is {etag} now");
+        let detail = format!("the current version is {etag}");
         return Problem::new(StatusCode::PRECONDITION_FAILED, "changed", detail).field("If-Match").into_response();
     }
-    // what was got in one coding is known in the other
+    // a tag of either coding is known
     if let Some(known) = [etag, &coded_tag].into_iter().take(1 + usize::from(coded)).find(|tag| is_known(headers, tag)) {
         return vary(not_modified(known, cache_control), coded);
     }
@@ -167,7 +167,7 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
         Wanted::All => (StatusCode::OK, 0..length),
         Wanted::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
         Wanted::Unsatisfiable => {
-            let detail = format!("there are {length} bytes");
+            let detail = format!("the content has {length} bytes");
             let mut response = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, "range", detail).field("Range").into_response();
             insert(&mut response, header::CONTENT_RANGE, &format!("bytes */{length}"));
             return response;
@@ -187,7 +187,7 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
     vary(response, coded)
 }
 
-/// Answers with text that has no entity tag, in gzip where the client takes that.
+/// Answers with text without an entity tag, in gzip if the client accepts it.
 #[must_use]
 pub fn respond_once(headers: &HeaderMap, bytes: Bytes, content_type: &str) -> Response {
     let source = Source::Memory(bytes);
@@ -202,7 +202,7 @@ pub fn respond_once(headers: &HeaderMap, bytes: Bytes, content_type: &str) -> Re
     vary(response, true)
 }
 
-/// Tells caches that an answer depends on the codings that a client takes.
+/// Sets `Vary` if the answer depends on the accepted codings.
 fn vary(mut response: Response, coded: bool) -> Response {
     if coded {
         response.headers_mut().append(header::VARY, HeaderValue::from_static("accept-encoding"));
@@ -210,7 +210,7 @@ fn vary(mut response: Response, coded: bool) -> Response {
     response
 }
 
-/// Sets a header; a value that is none is left out.
+/// Sets a header; skips an invalid value.
 pub fn insert(response: &mut Response, name: header::HeaderName, value: &str) {
     if let Ok(value) = HeaderValue::from_str(value) {
         response.headers_mut().insert(name, value);

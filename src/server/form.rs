@@ -1,4 +1,4 @@
-//! Bounds the headers of a form's parts: the reader of forms gathers each of them whole, however long it is.
+//! Limits the headers of form parts, since the form parser buffers each of them whole.
 
 use std::error::Error;
 use std::pin::Pin;
@@ -8,20 +8,20 @@ use bytes::Bytes;
 use futures_util::Stream;
 use memchr::memmem::Finder;
 
-/// Bytes of a part's header, at most.
+/// Most bytes of a part's header.
 const HEADER: usize = 8 << 10;
 
-/// A header of a part is longer than that.
+/// The header of a part is too long.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the header of a part of the form is over the limit of {HEADER} bytes")]
 pub struct HeaderTooLong;
 
-/// Where in a form the bytes are, as the reader of forms sees it.
+/// The parser's position in a form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum At {
     /// Before the first delimiter.
     Preamble,
-    /// In the rest of a delimiter's line: its end is no part of the header that follows.
+    /// In the rest of a delimiter's line; its end is not part of the header that follows.
     Line,
     /// In a header.
     Header,
@@ -29,23 +29,23 @@ enum At {
     Data,
 }
 
-/// The bytes of a form as they come, up to a header that is too long.
+/// The bytes of a form as they arrive, up to a header that is too long.
 pub struct Bounded<S> {
     stream: S,
-    /// The first delimiter: wherever it stands, the reader of forms takes it for one.
+    /// Finds the first delimiter; the parser accepts it at any position.
     first: Finder<'static>,
     delimiter: Finder<'static>,
     line_end: Finder<'static>,
     header_end: Finder<'static>,
     at: At,
-    /// Bytes since the last part, which the reader of forms holds.
+    /// Bytes since the last part, which the parser holds.
     held: usize,
-    /// The last bytes that came, as far as they may begin what is looked for.
+    /// The last bytes, which may begin a delimiter.
     tail: Vec<u8>,
 }
 
 impl<S> Bounded<S> {
-    /// Of a form of which the parts are told apart by `boundary`.
+    /// A form whose parts are separated by `boundary`.
     #[must_use]
     pub fn new(stream: S, boundary: &str) -> Self {
         let finder = |text: &str| Finder::new(text).into_owned();
@@ -61,7 +61,7 @@ impl<S> Bounded<S> {
         }
     }
 
-    /// Follows the form over `piece`.
+    /// Tracks the position over `piece`.
     fn see(&mut self, piece: &[u8]) -> Result<(), HeaderTooLong> {
         let carried = self.tail.len();
         let mut bytes = std::mem::take(&mut self.tail);
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn headers_are_bounded_and_data_is_not() {
-        // the delimiter is a part of the header
+        // the delimiter counts as part of the header
         for pieces in [1, 7, 1000, 1 << 20] {
             assert!(passes(&form(&[10, HEADER - 20, 10], 3 * HEADER), pieces), "{pieces}");
             assert!(!passes(&form(&[10, HEADER + 1], 5), pieces), "{pieces}");
@@ -149,9 +149,9 @@ mod tests {
     }
 
     #[test]
-    fn a_header_is_bounded_wherever_the_reader_of_forms_sees_one() {
+    fn a_header_is_bounded_wherever_the_form_parser_sees_one() {
         let long = vec![b'h'; HEADER + 1];
-        // an empty line before the first delimiter, and one right behind it, end no header
+        // empty lines before and right after the first delimiter end no header
         for before in [b"\r\n\r\n--b\r\n".as_slice(), b"--b\r\n\r\n", b"x--b\r\n", b"--b \t\r\n\r\n"] {
             for pieces in [1, 3, 1000, 1 << 20] {
                 let form = [before, &long, b"\r\n\r\n"].concat();

@@ -1,4 +1,4 @@
-//! Doors to what reads requests, for [`crate::fuzzing`].
+//! Entry points of the request parsers, for [`crate::fuzzing`].
 
 use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
@@ -53,7 +53,7 @@ pub fn range(headers: &HeaderMap, length: usize) {
 
 /// Reads the options of a form whose boundary is `x`.
 pub fn multipart(body: &[u8]) {
-    // in pieces, as they come
+    // in pieces, as they arrive
     let pieces: Vec<_> = body.chunks(7).map(|piece| Ok::<_, std::io::Error>(bytes::Bytes::copy_from_slice(piece))).collect();
     let bounded = Bounded::new(futures_util::stream::iter(pieces), "x");
     let mut request = Request::new(Body::from_stream(bounded));
@@ -87,12 +87,12 @@ pub fn patch(patch: &[u8]) {
     }
 }
 
-/// Reads the start of a connection by the PROXY protocol, whole and as far as it has come.
+/// Reads a PROXY protocol header, whole and every prefix of it.
 pub fn announcement(bytes: &[u8]) {
     let whole = Announcement::read(bytes);
     if let Ok(announcement) = &whole {
         assert!((1..=bytes.len()).contains(&announcement.length), "{announcement:?} of {} bytes", bytes.len());
-        // nothing is made of a part of it
+        // a prefix gives no result
         for end in 0..announcement.length {
             assert!(Announcement::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
         }
@@ -100,7 +100,8 @@ pub fn announcement(bytes: &[u8]) {
     }
 }
 
-/// Reads who sent a request, and by which scheme and name, from headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`, `Host`.
+/// Reads the client, scheme and host of a request from headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`,
+/// `Host`.
 pub fn forwarded(values: [&str; 5]) {
     let names = [header::FORWARDED, X_FORWARDED_FOR, X_FORWARDED_FOR, HeaderName::from_static("x-forwarded-proto"), header::HOST];
     let headers: HeaderMap =
@@ -119,7 +120,7 @@ pub fn forwarded(values: [&str; 5]) {
     }
 }
 
-/// Takes a link out of an address, and out of one that it names.
+/// Takes a link out of a URL, and out of the URL that it names.
 pub fn link(uri: &Uri) {
     if let Some((rest, link)) = take_link(uri) {
         assert!(take_link(&rest).is_none(), "{rest} still has a link");

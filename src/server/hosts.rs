@@ -1,7 +1,7 @@
-//! Under which names the server answers, and who is a stranger.
+//! The accepted `Host` names, and the test for the local user.
 //!
-//! A page of another site can give its own name the address of this server (DNS rebinding) and is then of one origin with it. It
-//! cannot choose what the browser sends as `Host`: that is its own name, which is not in the list.
+//! A page of another site can point its own name at this server (DNS rebinding) and then shares its origin. It cannot choose the `Host`
+//! that the browser sends: its own name, which is not in the list.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -10,10 +10,10 @@ use axum::http::{HeaderMap, Request, StatusCode, header};
 
 use super::problem::Problem;
 
-/// Headers by which proxies say that a request is not their own.
+/// Headers that proxies add.
 const PROXIED: [&str; 6] = ["forwarded", "x-forwarded-for", "x-forwarded-host", "x-forwarded-proto", "x-real-ip", "via"];
 
-/// The names that count.
+/// The accepted names.
 #[derive(Clone, Debug)]
 pub struct Hosts {
     bound: IpAddr,
@@ -21,19 +21,19 @@ pub struct Hosts {
 }
 
 impl Hosts {
-    /// Loopback names, the address that the server is bound to (any address where it is bound to all), and `names` without ports.
+    /// Loopback names, the address that the server is bound to (any address if it is bound to all), and `names` without ports.
     #[must_use]
     pub fn new(bound: SocketAddr, names: &[String]) -> Self {
         Self { bound: bound.ip(), names: names.iter().map(|n| plain(n)).collect() }
     }
 
-    /// The host that a request is meant for.
+    /// Checks the host of a request.
     ///
     /// # Errors
-    /// 400 where there is no `Host` or more than one, 421 where it is none of ours.
+    /// 400 without a `Host` or with more than one, 421 if it is not accepted.
     pub fn check<B>(&self, request: &Request<B>) -> Result<(), Problem> {
         let named = authority(request)?;
-        // the target wins over the header (RFC 9112, section 3.2.2), but neither may be a stranger's
+        // the target wins over the header (RFC 9112, section 3.2.2), but both must be accepted
         for host in request.uri().authority().into_iter().chain([&named]) {
             if !self.allows(host.host()) {
                 let detail = format!("the server does not answer as {:?}; tmpi serve --host names others", clipped(host.host()));
@@ -43,19 +43,19 @@ impl Hosts {
         Ok(())
     }
 
-    /// True where the server answers under that name.
+    /// Whether the server answers under this name.
     #[must_use]
     pub fn allows(&self, host: &str) -> bool {
         let host = plain(host);
         if is_loopback_name(&host) || self.names.contains(&host) {
             return true;
         }
-        // an address cannot be rebound: a browser that sends it was told it by a person
+        // an address cannot be rebound: a person gave it to the browser
         address(&host).is_some_and(|ip| ip.is_loopback() || ip == self.bound || self.bound.is_unspecified())
     }
 
-    /// True where the request comes from this machine's own user, as far as can be told: the server is bound to loopback, is asked
-    /// under a loopback name, and no proxy passed it on.
+    /// Whether the request seems to come from this machine's own user: the server is bound to loopback, the `Host` is a loopback name, and
+    /// no proxy forwarded it.
     #[must_use]
     pub fn is_own(&self, headers: &HeaderMap) -> bool {
         let host = headers.get(header::HOST).and_then(|v| v.to_str().ok()).and_then(|v| v.parse::<Authority>().ok());
@@ -68,17 +68,17 @@ impl Hosts {
 }
 
 tokio::task_local! {
-    /// True where the request came by TLS.
+    /// Whether the request came over TLS.
     pub static SECURE: bool;
 }
 
-/// `scheme://host` as whoever sent a request knows this server: by its `Host`, which [`Hosts::check`] has seen, by how the request
-/// came, and by what a proxy says of the scheme (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). None where there is no `Host` that is one.
+/// `scheme://host` of this server as the client sees it: from `Host`, which [`Hosts::check`] has checked, from the connection, and from the
+/// scheme that a proxy names (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). `None` without a valid `Host`.
 #[must_use]
 pub fn origin(headers: &HeaderMap) -> Option<String> {
     let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok().filter(|host: &Authority| !host.host().is_empty())?;
     let text = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
-    // the first is the proxy that the browser talks to
+    // the first is the proxy next to the browser
     let first = |value: &'static str| text(value).and_then(|v| v.split(',').next());
     let forwarded = first("forwarded").into_iter().flat_map(|hop| hop.split(';')).filter_map(|pair| pair.split_once('='));
     let proto = forwarded.filter(|(name, _)| name.trim().eq_ignore_ascii_case("proto")).map(|(_, value)| value).next();
@@ -95,10 +95,10 @@ fn authority<B>(request: &Request<B>) -> Result<Authority, Problem> {
     let mut all = request.headers().get_all(header::HOST).iter();
     let (Some(host), None) = (all.next(), all.next()) else { return Err(wrong("a request has one Host header (RFC 9112, section 3.2)")) };
     let host = host.to_str().ok().and_then(|v| v.parse::<Authority>().ok()).filter(|a| !a.as_str().contains('@') && !a.host().is_empty());
-    host.ok_or_else(|| wrong("the Host header is no host"))
+    host.ok_or_else(|| wrong("the Host header is not a host"))
 }
 
-/// Lower case, without the dot at the end.
+/// Lower case, without the trailing dot.
 fn plain(name: &str) -> String {
     name.trim_end_matches('.').to_ascii_lowercase()
 }
@@ -111,7 +111,7 @@ fn address(host: &str) -> Option<IpAddr> {
     host.trim_start_matches('[').trim_end_matches(']').parse().ok()
 }
 
-/// What an error says of foreign text.
+/// The part of foreign text that an error repeats.
 fn clipped(text: &str) -> String {
     text.chars().take(64).collect()
 }
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn strangers_are_whoever_does_not_come_by_loopback() {
+    fn callers_not_from_loopback_are_strangers() {
         let headers = |pairs: &[(&'static str, &'static str)]| {
             pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect::<HeaderMap>()
         };

@@ -1,4 +1,5 @@
-//! What results depend on besides what was uploaded: the program that makes and draws, as digests that the build takes of its sources.
+//! Identity of the program that makes and renders, as digests that the build takes of its sources: results depend on it besides the
+//! uploads.
 
 use sha2::{Digest, Sha256};
 
@@ -7,16 +8,16 @@ use tmpi_library::hex;
 
 /// Sources, networks and dependencies that make photos.
 pub const PIPELINE: &str = env!("TMPI_PIPELINE");
-/// The same and those that draw and export.
+/// The same, with those that render and export.
 const PROGRAM: &str = env!("TMPI_PROGRAM");
 
-/// What a server's views, levels and exports depend on besides the container.
+/// Everything besides the container that a server's views, levels and exports depend on.
 #[must_use]
 pub fn of_server(backend: &str) -> String {
     format!("{PROGRAM} {backend}")
 }
 
-/// Names everything that a server of identity `build` derives from one making of a photo: 16 hex digits.
+/// Names everything that a server of identity `build` derives from one version of a photo: 16 hex digits.
 #[must_use]
 pub fn of_results(build: &str, done: &Done) -> String {
     short(&format!("{build} {} {}", done.atlas_hash, done.at_ms))

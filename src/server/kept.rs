@@ -1,4 +1,4 @@
-//! What is kept of made photos for the next who asks, and what it weighs.
+//! Values of the caches, and their weights.
 
 use std::fs::File;
 use std::io::{self, Read as _, Write as _};
@@ -14,17 +14,17 @@ use tmpi_core::Scene;
 use tmpi_core::container::Tiles;
 use tmpi_library::{Blob, BlobStore, LibraryError, Part, PhotoId, hex};
 
-/// A made photo: its id and when it was made, so that nothing of a deleted one is taken for the next of the same id.
+/// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
 pub type Version = (PhotoId, u64);
 
-/// Derived files of more bytes are kept on disk.
+/// Derived files with more bytes are stored on disk.
 const LARGE: usize = 1 << 20;
-/// Contents up to this many bytes are kept in memory; larger ones are read while they are sent.
+/// Files up to this many bytes are cached in memory; larger ones are read while they are sent.
 const SMALL: u64 = 256 << 10;
-/// What an open file counts in a cache of files: their number is bounded, too.
+/// Weight of an open file in the file cache, which bounds the number of open files, too.
 const OPEN_FILE: usize = 1 << 20;
 
-/// A file of a made photo, or what was derived of one.
+/// A result file of a photo, or a derived one.
 #[derive(Clone, Debug)]
 pub struct Stored {
     /// Its bytes.
@@ -33,12 +33,12 @@ pub struct Stored {
     pub etag: Arc<str>,
 }
 
-/// What becomes of large derived bytes where the disk is full.
+/// What to do with large derived bytes if the disk is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Full {
-    /// They stay in memory: views and levels, of which the cache counts the bytes.
+    /// Keep them in memory: views and levels, whose bytes the cache counts.
     Memory,
-    /// They are refused: files to download, of which the cache is as large as a disk's.
+    /// Refuse them: exports, whose cache is sized for disk.
     Refuse,
 }
 
@@ -49,24 +49,24 @@ impl Stored {
         Self { source, etag }
     }
 
-    /// Tagged by its bytes.
+    /// Bytes tagged by their digest.
     #[must_use]
     pub fn new(bytes: Vec<u8>) -> Self {
         let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
         Self::of(Source::Memory(bytes.into()), etag)
     }
 
-    /// Bytes tagged by themselves and, before a dash, by what is part of them.
+    /// Bytes tagged by the hash of their inputs, a dash, and their digest.
     #[must_use]
     pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
         let Self { source, etag } = Self::new(bytes);
         Self::of(source, format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into())
     }
 
-    /// A content of the library, tagged by its digest: in memory, or a file or an object that is read while it is sent.
+    /// A file of the library, tagged by its digest: in memory, or a file or object that is read while it is sent.
     ///
     /// # Errors
-    /// [`LibraryError::Damaged`] where it is not as it was written, [`LibraryError::Unavailable`].
+    /// [`LibraryError::Damaged`] if it has changed since it was written, [`LibraryError::Unavailable`].
     pub async fn of_blob(blobs: &BlobStore, part: Part, blob: &Blob) -> Result<Self, LibraryError> {
         let etag = format!("\"{}\"", blob.digest.as_str().get(..32).unwrap_or_default()).into();
         if blob.bytes <= SMALL {
@@ -84,12 +84,11 @@ impl Stored {
         }
     }
 
-    /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
-    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file that no name leads to, so that slow
-    /// readers hold no memory; it goes with the last who reads it. Blocks.
+    /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_as`] recognizes them before
+    /// they are made again. Large ones go into an unnamed file, so that slow readers hold no memory; the last reader frees it. Blocks.
     ///
     /// # Errors
-    /// 507 where the disk has no room beyond its reserve, unless they may stay in memory, 500.
+    /// 507 if the disk has no space beyond the reserve and they may not stay in memory, 500.
     pub fn derived(made: Option<&str>, bytes: Vec<u8>, disk: &Disk, full: Full) -> Result<Self, Problem> {
         let Self { source, etag } = match made {
             Some(made) => Self::derived_in_memory(made, bytes),
@@ -107,7 +106,7 @@ impl Stored {
     }
 }
 
-/// Opens a file of the library; none where it is not what was written.
+/// Opens a file of the library; `None` if it differs from what was written.
 fn open(path: &std::path::Path, blob: &Blob) -> io::Result<Option<File>> {
     let mut file = File::open(path)?;
     let (mut hash, mut piece, mut bytes) = (Sha256::new(), vec![0; SMALL as usize], 0);
@@ -122,10 +121,10 @@ fn open(path: &std::path::Path, blob: &Blob) -> io::Result<Option<File>> {
     Ok((bytes == blob.bytes && hex(&hash.finalize()) == blob.digest.as_str()).then_some(file))
 }
 
-/// Where files lie that no name leads to.
+/// Where unnamed temporary files lie.
 #[derive(Clone, Debug)]
 pub struct Disk {
-    /// Says whether there is room beyond the reserve.
+    /// Tells whether there is space beyond the reserve.
     pub blobs: BlobStore,
     /// Their folder.
     pub folder: PathBuf,
@@ -151,10 +150,10 @@ impl Value for Stored {
     }
 }
 
-/// What a file for download counts at least: the number of those that are open is bounded, too.
+/// Least weight of an export, to bound the number of open files.
 const LEAST_EXPORT: usize = 4 << 20;
 
-/// A file for download; what it weighs is disk.
+/// An export file; its weight is disk space.
 #[derive(Clone, Debug)]
 pub struct Export(pub Stored);
 
@@ -198,13 +197,13 @@ impl Key for (Version, Derived) {
     }
 }
 
-/// A container that is made of a photo's own.
+/// A container derived from a photo's own.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Derived {
     /// `1 / 2^level` of the size.
     pub level: u8,
-    /// These tiles alone.
+    /// Only these tiles.
     pub tiles: Option<Tiles>,
-    /// These sections alone, by their place among [`tmpi_core::container::SECTIONS`].
+    /// Only these sections, by their index in [`tmpi_core::container::SECTIONS`].
     pub sections: Option<Vec<u8>>,
 }

@@ -1,6 +1,6 @@
-//! Every limit of the server: what an operator may set of them, with its range, and what it is where nobody does.
+//! Every limit of the server: those that an operator can set, with range and default, and fixed ones.
 //!
-//! The comments of the fields are what `tmpi config --schema` and `docs/reference/configuration.md` say of them.
+//! The comments of fields appear in `tmpi config --schema` and `docs/reference/configuration.md`.
 
 use std::time::Duration;
 
@@ -12,8 +12,8 @@ use tmpi_pipeline::photo;
 use super::units::{DAY, In, MEGA, MIB, SECOND};
 use crate::live;
 
-// The file of settings has plain fields in the table `limits`, and each group in a table of its own.
-/// Bounds that the server holds its clients to.
+// in the settings file, plain fields are in the table `limits`, and each group has its own table
+/// Limits of the server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Limits {
@@ -25,18 +25,18 @@ pub struct Limits {
     #[serde(with = "In::<MEGA>")]
     #[schemars(range(min = 1, max = 50))]
     pub pixels: u64,
-    /// Photos that may wait. One more is answered 429.
+    /// Photos that may wait. Further ones are answered 429.
     #[schemars(range(max = 1_000_000))]
     pub queue: usize,
     /// Time that making a photo of up to 12 megapixels may take. Larger ones have as much more.
     #[serde(rename = "job-timeout", with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub job: Duration,
-    /// Memory for making photos: larger ones are made smaller or refused, and as many are made side by side as fit.
+    /// Memory for making photos. It bounds how many are made at a time; photos that need more are reduced or refused.
     #[serde(with = "In::<MIB>")]
     #[schemars(range(min = 160))]
     pub job_memory: u64,
-    /// Time after which a job is taken up again if its worker says nothing any more.
+    /// Time after which a job is retried if its worker is silent.
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(min = 2, max = 600))]
     pub lease: Duration,
@@ -48,7 +48,7 @@ pub struct Limits {
     #[serde(rename = "body-timeout", with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub body_read: Duration,
-    /// Longest time for which a client may take nothing of an answer.
+    /// Longest time for which a client may read nothing of an answer.
     #[serde(rename = "write-timeout", with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub write: Duration,
@@ -58,17 +58,17 @@ pub struct Limits {
     /// Connections at a time from one address (IPv6: one /64 network). More are closed. A proxy is one address unless it is trusted.
     #[schemars(range(min = 1, max = 1_000_000))]
     pub connections_per_address: usize,
-    /// Event streams at a time, half of them from one address. One more is answered 503.
+    /// Event streams at a time, half of them from one address. Further ones are answered 503.
     #[serde(rename = "event-streams")]
     #[schemars(range(min = 2, max = 1_000_000))]
     pub streams: usize,
     /// Views drawn at a time, and, apart from them, levels and parts of containers.
     #[schemars(range(min = 1, max = 1024))]
     pub views: usize,
-    /// Views that wait for their turn. One more is answered 503.
+    /// Views that may wait. Further ones are answered 503.
     #[schemars(range(max = 1_000_000))]
     pub views_waiting: usize,
-    /// Memory for work on scenes that are not kept, and as much again for films and files. A scene that needs more is worked on alone.
+    /// Memory for work on uncached scenes, and as much again for films and files. A scene that needs more runs alone.
     #[serde(with = "In::<MIB>")]
     #[schemars(range(min = 1))]
     pub work_memory: usize,
@@ -76,37 +76,38 @@ pub struct Limits {
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub rest: Duration,
-    /// Time after SIGTERM for which everything is still served but `/readyz` says 503, so that proxies look elsewhere. 0 on loopback.
+    /// Time after SIGTERM in which everything is still served but `/readyz` answers 503, so that load balancers stop routing here. 0 on
+    /// loopback.
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(max = 3600))]
     pub lame_duck: Duration,
-    /// Time that requests and jobs in progress have after the server stops taking new ones.
+    /// Time for running requests and jobs after the server stops accepting new ones.
     #[serde(with = "In::<SECOND>")]
     pub drain: Duration,
-    /// Disk that stays free for accepted photos: with less, uploads are answered 507. 0 is 64 MiB, or a twentieth of a smaller disk.
+    /// Disk space that stays free for accepted photos: with less, uploads are answered 507. 0 is 64 MiB, or a twentieth of a smaller disk.
     #[serde(with = "In::<MIB>")]
     pub least_free: u64,
-    /// Files that the disk can still have, likewise. 0 is 1024, or a hundredth of a smaller disk's.
+    /// Free files (inodes) on the disk, likewise. 0 is 1024, or a hundredth of a smaller disk's.
     pub least_free_files: u64,
-    /// Longest time for which a link to a photo is good.
+    /// Longest lifetime of a link to a photo.
     #[serde(rename = "link-days", with = "In::<DAY>")]
     #[schemars(range(min = 1, max = 36_500))]
     pub link: Duration,
-    /// Time for which browsers use TLS alone after one answer by `--tls-cert` (Strict-Transport-Security). 0 sends no such header.
+    /// Time for which browsers use only TLS after an answer by `--tls-cert` (Strict-Transport-Security). 0 sends no such header.
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(max = 63_072_000))]
     pub hsts: Duration,
-    /// Time between two checks of a photo's contents against their digests.
+    /// Time between two checks of a photo's files against their digests.
     #[serde(rename = "verify-interval", with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub look_over: Duration,
-    /// Most that such a check reads in a second.
+    /// Most bytes that these checks read in a second.
     #[serde(rename = "verify-rate", with = "In::<MIB>")]
     #[schemars(range(min = 1))]
     pub look_over_rate: u64,
     /// Requests a minute for each key, and for each address without one. 0 turns a rate off.
     pub rates: Rates,
-    /// What one owner may have, if the server asks who comes. 0 is no quota.
+    /// What one owner may have, with private access. 0 is no quota.
     pub quotas: Quotas,
     /// When photos are deleted. 0 is never.
     pub retention: Retention,
@@ -123,16 +124,16 @@ pub struct Limits {
     /// Time for a request's header to arrive; also how long an idle connection is kept.
     #[serde(skip)]
     pub header_read: Duration,
-    /// Bytes a second that a request's body comes at least with, once it has come for [`Limits::body_read`].
+    /// Least bytes a second of a request's body, once it has been arriving for [`Limits::body_read`].
     #[serde(skip)]
     pub body_rate: u64,
-    /// Bytes a second that a client takes at least of a response, over [`Limits::write`] of waiting for it.
+    /// Least bytes a second that a client reads of a response, averaged over [`Limits::write`] of waiting for it.
     #[serde(skip)]
     pub write_rate: u64,
-    /// Uploads that are read whole to be checked at a time. More wait.
+    /// Uploads that are read whole and checked at a time. More wait.
     #[serde(skip)]
     pub changes: usize,
-    /// Uploads that may come in beyond the places that are free in the queue: they may be of photos that are known.
+    /// Uploads in progress beyond the free places of the queue: their photos may be known already.
     #[serde(skip)]
     pub uploads_beyond: usize,
     /// Pixels of a view.
@@ -141,16 +142,16 @@ pub struct Limits {
     /// Longest side of a view in pixels.
     #[serde(skip)]
     pub view_side: u32,
-    /// Tries of one job: a photo that took down what made it that often is given up.
+    /// Tries of one job: after that many crashes, the photo fails.
     #[serde(skip)]
     pub attempts: u32,
-    /// Requests at a time on a connection of HTTP/2.
+    /// Requests at a time on an HTTP/2 connection.
     #[serde(skip)]
     pub streams_at_once: u32,
     /// Pause between two keep-alive comments of an event stream.
     #[serde(skip)]
     pub keep_alive: Duration,
-    /// Time between two looks at what is to go.
+    /// Time between two sweeps for expired photos.
     #[serde(skip)]
     pub retain_sweep: Duration,
     /// Time from the start to the first integrity check.
@@ -158,20 +159,20 @@ pub struct Limits {
     pub look_over_first: Duration,
 }
 
-/// Rates a minute. Without them they are off on loopback and behind a proxy that is not trusted, as all clients share an address there.
+/// Requests a minute. By default off on loopback and behind an untrusted proxy, where all clients share an address.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Rates {
-    /// Requests. 6000 if strangers come.
+    /// Requests. Default for a public server: 6000.
     pub requests: u32,
-    /// Uploads, and photos made again. 60 if strangers come.
+    /// Uploads, and photos made again. Default for a public server: 60.
     pub uploads: u32,
-    /// Views, films and files to download. 600 if strangers come.
+    /// Views, films and files to download. Default for a public server: 600.
     pub views: u32,
 }
 
 impl Rates {
-    /// Those of a server that strangers reach without a proxy, or by one that tells them apart.
+    /// Rates of a server with remote clients that it can tell apart: without a proxy, or behind a trusted one.
     pub const FOR_STRANGERS: Self = Self { requests: 6000, uploads: 60, views: 600 };
 }
 
@@ -181,7 +182,7 @@ impl Rates {
 pub struct Quotas {
     /// Photos.
     pub photos: u64,
-    /// Room of the photos, uploaded and made.
+    /// Size of the photos, uploaded and made.
     #[serde(rename = "size", with = "In::<MIB>")]
     pub bytes: u64,
 }
@@ -194,7 +195,7 @@ pub struct Retention {
     #[serde(rename = "days", with = "In::<DAY>")]
     #[schemars(range(max = 36_500))]
     pub age: Duration,
-    /// Room of all photos, beyond which the least recently viewed are deleted.
+    /// Size of all photos, beyond which the least recently viewed are deleted.
     #[serde(rename = "size", with = "In::<MIB>")]
     pub bytes: u64,
 }
@@ -206,10 +207,10 @@ pub struct Exports {
     /// How many are written at a time.
     #[schemars(range(min = 1, max = 1024))]
     pub workers: usize,
-    /// How many wait for their turn. One more is answered 503.
+    /// How many may wait. Further ones are answered 503.
     #[schemars(range(max = 1_000_000))]
     pub waiting: usize,
-    /// Time that one may take.
+    /// Time limit of one.
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
     pub timeout: Duration,
@@ -233,16 +234,16 @@ impl Default for Exports {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Caches {
-    /// Memory for decoded scenes, and as much again for what views are drawn from on the processor.
+    /// Memory for decoded scenes, and as much again for the CPU renderer's.
     #[serde(with = "In::<MIB>")]
     pub scenes: usize,
     /// Memory for containers and other small files.
     #[serde(with = "In::<MIB>")]
     pub files: usize,
-    /// Memory for views that were drawn.
+    /// Memory for rendered views.
     #[serde(with = "In::<MIB>")]
     pub views: usize,
-    /// Disk for files to download that were written while somebody waited.
+    /// Disk for files to download that were written while the client waited.
     #[serde(with = "In::<MIB>")]
     pub exports: usize,
 }
@@ -258,21 +259,21 @@ impl Limits {
     pub const BODY: usize = 32 << 20;
     /// 10 s.
     pub const HEADER_READ: Duration = Duration::from_secs(10);
-    /// 5 s where the server is bound beyond loopback; on loopback, where nobody asks, none.
+    /// 5 s if the server is bound beyond loopback; 0 on loopback, which has no load balancer.
     pub const LAME_DUCK: Duration = Duration::from_secs(5);
     /// 12 megapixels.
     const JOB_PIXELS: u64 = 12_000_000;
     /// Bytes of a request's header: 32 KiB.
     pub const HEADER_BYTES: usize = 32 << 10;
-    /// Pictures drawn for one request, views times frames: the longest film for two eyes.
+    /// Pictures per request, views times frames: the longest film for two eyes.
     pub const RENDERS: u32 = 480;
     /// Photos on one page of the list.
     pub const PAGE: usize = 200;
     /// Longer side of a thumbnail in pixels.
     pub const THUMBNAIL: u32 = 320;
 
-    /// Those of a server that has `memory` bytes for itself and for what makes photos: a sixteenth is for the program, as much for all
-    /// caches and half of that for work on scenes, which take turns with photos, whose own bound is above what they take.
+    /// Limits of a server with `memory` bytes for itself and the processes that make photos: a sixteenth for the program, a sixteenth for
+    /// all caches and half of that for work on scenes, which take turns with photos, whose own bound is above their actual use.
     #[must_use]
     pub fn of_memory(memory: u64) -> Self {
         let usual = Self::default();
@@ -286,7 +287,7 @@ impl Limits {
         }
     }
 
-    /// Those of the library.
+    /// Limits of the library.
     #[must_use]
     pub fn library(&self) -> tmpi_library::Limits {
         tmpi_library::Limits {
@@ -302,19 +303,19 @@ impl Limits {
         }
     }
 
-    /// Room that is kept free on the disk.
+    /// Space to keep free on the disk.
     #[must_use]
     pub fn reserve(&self) -> Reserve {
         Reserve { bytes: some(self.least_free), files: some(self.least_free_files) }
     }
 
-    /// Bounds on a photo.
+    /// Limits of a photo.
     #[must_use]
     pub fn photo(&self) -> photo::Limits {
         photo::Limits { bytes: self.body, pixels: self.pixels, memory: self.job_memory, ..photo::Limits::default() }
     }
 
-    /// Time that making a photo may take.
+    /// Time limit of making a photo.
     #[must_use]
     pub fn time_for(&self, photo: &[u8]) -> Duration {
         let pixels = photo::check(photo, &self.photo()).map_or(0, |(_, (w, h))| u64::from(w) * u64::from(h));
@@ -330,7 +331,7 @@ impl Default for Limits {
             queue: 64,
             job: Duration::from_mins(2),
             job_memory: 6 << 30,
-            // a job of a worker that was killed is taken up again within 10 s; it is renewed every 2 s
+            // a job of a killed worker is retried within 10 s; a lease is renewed every 2 s
             lease: Duration::from_secs(8),
             request: Duration::from_secs(30),
             body_read: Duration::from_secs(30),
@@ -350,7 +351,7 @@ impl Default for Limits {
             least_free: 0,
             least_free_files: 0,
             link: Duration::from_hours(24 * 366),
-            // whoever goes back to plain HTTP has lost browsers for no longer than a week
+            // so that an operator who returns to plain HTTP loses browsers for at most a week
             hsts: Duration::from_hours(24 * 7),
             look_over: Duration::from_hours(24),
             // 100 000 photos of 500 KB in half an hour
@@ -361,7 +362,7 @@ impl Default for Limits {
             exports: Exports::default(),
             cache: Caches::default(),
             live: live::Bounds::default(),
-            // a job keeps all cores busy by itself
+            // one job keeps all cores busy
             workers: 1,
             header_read: Self::HEADER_READ,
             // 32 MiB in a little more than an hour
@@ -378,7 +379,7 @@ impl Default for Limits {
     }
 }
 
-/// None for 0.
+/// `None` for 0.
 fn some(n: u64) -> Option<u64> {
     Some(n).filter(|n| *n > 0)
 }

@@ -1,4 +1,4 @@
-//! What is on record of a finished photo.
+//! Stored details of a finished photo.
 
 use tmpi_library::{Part, Photo, PhotoState};
 
@@ -21,19 +21,19 @@ pub struct Done {
 }
 
 impl Done {
-    /// What a worker tells of a photo, as the library keeps it.
+    /// The details for the library.
     #[must_use]
     pub fn details(width: u32, height: u32) -> serde_json::Value {
         serde_json::json!({ "width": width, "height": height })
     }
 
-    /// Memory that work on the scene takes, in bytes.
+    /// Memory for work on the scene, in bytes.
     #[must_use]
     pub fn scene_bytes(&self) -> u64 {
         SCENE_BYTES * u64::from(self.width) * u64::from(self.height) + self.atlas_bytes
     }
 
-    /// That of a photo; none where it is not finished.
+    /// Details of a photo; `None` if it is not finished.
     #[must_use]
     pub fn of(photo: &Photo) -> Option<Self> {
         let (details, container) = (photo.details.as_ref()?, photo.blobs.get(&Part::Container)?);

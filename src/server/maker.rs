@@ -1,4 +1,4 @@
-//! What the server asks of the way of a photo, as a seam for tests.
+//! The [`Maker`] trait: what the server needs to make photos, replaceable in tests.
 
 use std::time::Duration;
 
@@ -16,14 +16,14 @@ use super::limits::Limits;
 use super::network::Offer;
 use super::problem::Problem;
 
-/// Everything that is kept of a made photo.
+/// The stored results of a photo.
 #[derive(Clone, Debug, Default)]
 pub struct Product {
     /// The container.
     pub container: Vec<u8>,
     /// The report.
     pub report: Report,
-    /// Disparity as used, 16-bit grey PNG; where strokes went over it with the map of before within, see [`tmpi_pipeline::strokes::keep`].
+    /// Disparity as used, 16-bit grey PNG; with strokes it contains the map before them, see [`tmpi_pipeline::strokes::keep`].
     pub disparity: Vec<u8>,
     /// Small JPEG.
     pub thumbnail: Vec<u8>,
@@ -32,22 +32,22 @@ pub struct Product {
 /// Why a photo was not made.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Fault {
-    /// The photo, its depth map or an option is at fault: another try would end the same way.
+    /// The photo, its depth map or an option is at fault; a retry would fail, too.
     Photo(Problem),
-    /// The photo took down what made it, as the text says; after some tries it is given up.
+    /// The photo crashed the process, as the text says; it fails after some tries.
     Crashed(String),
-    /// The server is at fault, as the text says: no library, no room, no device. The photo is made once that is mended.
+    /// The server is at fault, as the text says: no library, no space, no device. The photo is made once that is fixed.
     Server(String),
-    /// Nobody wants it any more, or the server stops.
+    /// The photo is unwanted, or the server stops.
     Cancelled,
 }
 
-/// What bytes are the first of.
+/// What the first bytes belong to.
 #[derive(Clone, Copy, Debug)]
 pub enum HeadOf<'a> {
-    /// A photo, with all options that it comes with.
+    /// A photo, with all its options.
     Photo(&'a Options),
-    /// A photo, where other options than these may follow.
+    /// A photo; further options may follow.
     PhotoSoFar(&'a Options),
     /// A depth map.
     Depth,
@@ -55,37 +55,37 @@ pub enum HeadOf<'a> {
 
 /// Makes photos.
 pub trait Maker: Send + Sync + 'static {
-    /// What its products depend on besides what is uploaded: part of a photo's id, so that a better maker makes a photo anew.
+    /// What its results depend on besides the upload. It is part of a photo's id, so that a better maker makes photos anew.
     fn identity(&self) -> &str {
         identity::PIPELINE
     }
 
-    /// Name of the network that estimates depth, as reports tell it; a maker that has no other name for it gives its identity.
+    /// Name of the depth network, as in reports; the identity by default.
     fn network(&self) -> &str {
         self.identity()
     }
 
-    /// A better network that may be fetched; none where there is none, or it is here.
+    /// A better network to download; `None` if there is none, or it is installed.
     fn better(&self) -> Option<Offer> {
         None
     }
 
-    /// Fetches it, and has photos made with it from then on; blocks. `progress` is told the bytes that are here.
+    /// Downloads it and uses it from then on; blocks. Calls `progress` with the bytes downloaded so far.
     ///
     /// # Errors
-    /// Why it is not here, in words.
+    /// Why the download failed, as text.
     fn fetch_better(&self, _progress: &mut dyn FnMut(u64)) -> Result<(), String> {
         Err("there is no better network".into())
     }
 
-    /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size, its depth map or its options.
+    /// Refuses early what [`Maker::make`] would refuse for its format, size, depth map or options.
     ///
     /// # Errors
     /// [`MakeError`].
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError>;
 
-    /// Refuses the same of a file of which the first bytes are `head`, while the rest is on its way. Gives how many bytes from the first it
-    /// needs to tell more, which are more than there are; none where only the whole tells more. It is asked on threads that may not block.
+    /// Makes the same checks on the first bytes of a file, `head`, while the rest arrives. Returns how many bytes from the start it needs
+    /// for further checks (more than `head` has); `None` if those need the whole file. Runs on threads that must not block.
     ///
     /// # Errors
     /// As [`Maker::check`].
@@ -93,22 +93,22 @@ pub trait Maker: Send + Sync + 'static {
         Ok(None)
     }
 
-    /// Memory that making a photo takes at most, in bytes; it is asked only of what was checked.
+    /// Most memory that making a photo takes, in bytes; only called for checked photos.
     fn memory(&self, _photo: &[u8], _depth: Option<&[u8]>, _options: &Options) -> u64 {
         0
     }
 
-    /// What is missing without which photos wait, for people; it is asked now and then.
+    /// What is missing so that photos wait, for people; called periodically.
     fn lacks(&self) -> Option<&'static str> {
         None
     }
 
-    /// Gives memory back that was not used over `rest`; says whether there was some.
+    /// Frees memory that was unused for `rest`; returns whether there was some.
     fn rest(&self, _rest: Duration) -> bool {
         false
     }
 
-    /// Writes a file of a made photo; blocks. This one does so in this process.
+    /// Writes an export file; blocks. By default in this process.
     ///
     /// # Errors
     /// [`Fault`].
@@ -123,7 +123,7 @@ pub trait Maker: Send + Sync + 'static {
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault>;
 }
 
-/// The real way of a photo.
+/// The maker that runs the pipeline.
 pub struct PipelineMaker {
     models: Models,
     limits: photo::Limits,
@@ -131,19 +131,19 @@ pub struct PipelineMaker {
 }
 
 impl PipelineMaker {
-    /// A maker with the networks and the limits of photos.
+    /// A maker with these networks and limits.
     #[must_use]
     pub fn new(models: Models, limits: photo::Limits) -> Self {
         Self { models, limits, identity: identity::PIPELINE.into() }
     }
 
-    /// Memory that photos may take, in bytes.
+    /// Memory for making photos, in bytes.
     #[must_use]
     pub fn most_memory(&self) -> u64 {
         self.limits.memory
     }
 
-    /// With networks that `text` tells from others.
+    /// With networks that `text` identifies.
     #[must_use]
     pub fn identified(self, text: &str) -> Self {
         Self { identity: format!("{} {text}", identity::PIPELINE), ..self }
@@ -160,7 +160,7 @@ impl Maker for PipelineMaker {
     }
 
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
-        // first what is told while it comes in, so that it is told alike of one that is whole
+        // the checks of the upload's head come first, so that a whole file gets the same errors
         self.check_head(HeadOf::Photo(options), photo)?;
         let (size, map) = self.sizes(photo, depth)?;
         self.check_size(size, map, options)
@@ -186,7 +186,7 @@ impl Maker for PipelineMaker {
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
         let need = self.sizes(photo, depth).and_then(|(size, map)| Ok(options.fitted(size, map, &self.limits)?.memory(size, map)));
-        // what cannot be read, or is refused, takes nothing
+        // unreadable or refused photos take nothing
         need.unwrap_or(0)
     }
 
@@ -195,18 +195,18 @@ impl Maker for PipelineMaker {
     }
 }
 
-/// Width and height of a photo as its file has them, and those of its depth map.
+/// Width and height of a photo and of its depth map, from the files.
 type Sizes = ((u32, u32), Option<(u32, u32)>);
 
 impl PipelineMaker {
-    /// Sizes by the headers alone.
+    /// Sizes from the headers only.
     fn sizes(&self, photo: &[u8], depth: Option<&[u8]>) -> Result<Sizes, MakeError> {
         let (_, size) = photo::check(photo, &self.limits)?;
         let map = depth.map(|depth| tmpi_pipeline::depth::check(depth, &self.limits)).transpose()?;
         Ok((size, map))
     }
 
-    /// Refuses sizes that take too much with `options`, or lead to what no reader takes.
+    /// Refuses sizes that take too much with `options`, or give containers that no reader accepts.
     fn check_size(&self, size: (u32, u32), map: Option<(u32, u32)>, options: &Options) -> Result<(), MakeError> {
         let options = options.fitted(size, map, &self.limits)?;
         let (width, height) = photo::reduced_size(size, options.max_size);
@@ -218,7 +218,7 @@ impl PipelineMaker {
         let fitted = options.fitted(size, map, &self.limits)?;
         let mut made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, &fitted, sink)?;
         made.report.input.fitted = fitted.max_size != options.max_size;
-        // what cannot be read back is not published; layers follow from what is read here
+        // publish only what can be read back; layers follow from what is read here
         let (photo, _) = container::read(&made.container)?;
         let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));
         let small = photo::resize(&photo, width, height);

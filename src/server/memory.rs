@@ -1,15 +1,15 @@
-//! Memory that photos under way may take, given out by bytes.
+//! Memory for running jobs, given out in bytes.
 //!
-//! Who waits first gets it first, but what gives way waits behind all others.
+//! First come, first served, but low-priority jobs wait behind all others.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// How often a job that waits looks whether it is still wanted.
+/// Interval at which a waiting job checks whether it is still wanted.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What there is and what is given out.
+/// The total and what is given out.
 pub struct Memory {
     all: u64,
     given: Mutex<Given>,
@@ -19,7 +19,7 @@ pub struct Memory {
 #[derive(Default)]
 struct Given {
     taken: u64,
-    /// Those that wait, as they came: those that give way, and the others.
+    /// Waiting jobs in order of arrival: low priority, and the others.
     waiting: [VecDeque<u64>; 2],
     next: u64,
 }
@@ -35,16 +35,16 @@ impl Given {
     }
 }
 
-/// Whether a job gives way to all others.
+/// Whether a job has low priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// It does.
+    /// Low priority.
     Gives,
-    /// It does not.
+    /// Normal priority.
     First,
 }
 
-/// Memory that a job has as long as this lives.
+/// Memory of a job, until it is dropped.
 pub struct Share<'a> {
     of: &'a Memory,
     bytes: u64,
@@ -58,7 +58,7 @@ impl Drop for Share<'_> {
 }
 
 impl Memory {
-    /// So many bytes.
+    /// A pool of so many bytes.
     #[must_use]
     pub fn new(all: u64) -> Self {
         Self { all, given: Mutex::default(), freed: Condvar::new() }
@@ -68,7 +68,7 @@ impl Memory {
         self.given.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until `bytes` are there; what needs more than all gets that alone. None once it is `unwanted`.
+    /// Waits for `bytes` of memory; a job that needs more than all gets all. `None` once it is `unwanted`.
     pub fn wait_for(&self, bytes: u64, way: Way, unwanted: impl Fn() -> bool) -> Option<Share<'_>> {
         let mut given = self.lock();
         let turn = given.next;
@@ -87,12 +87,12 @@ impl Memory {
         given.waiting[way as usize].retain(|other| *other != turn);
         given.taken += if there { bytes } else { 0 };
         drop(given);
-        // the next one's turn has come
+        // wake the next one
         self.freed.notify_all();
         there.then(|| Share { of: self, bytes })
     }
 
-    /// Bytes that are given out.
+    /// Bytes given out.
     #[must_use]
     pub fn taken(&self) -> u64 {
         self.lock().taken

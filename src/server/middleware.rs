@@ -1,4 +1,4 @@
-//! Around every request: its id, its time limit, its line in the log, its counters, and the headers of every answer.
+//! Middleware around every request: id, time limit, log line, counters, and common headers.
 
 use std::net::IpAddr;
 use std::panic::AssertUnwindSafe;
@@ -31,9 +31,9 @@ use super::traces::TRACE;
 
 /// Header of the id of a request.
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
-/// Header of what a request took.
+/// Header with the times of a request.
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
-/// Longest id that is taken from a client.
+/// Longest id to accept from a client.
 const MAX_ID: usize = 64;
 
 /// Wraps a request.
@@ -42,21 +42,21 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
         .await
 }
 
-/// Wraps a request of an operator, who is not asked who it is.
+/// Wraps a request at the admin listener, which has no authentication.
 pub async fn around_admin(State((app, hosts)): State<(App, Arc<Hosts>)>, request: Request, next: Next) -> Response {
     wrap(&app, Door { hosts: &hosts, proxies: None, guard: None, rates: None }, request, next).await
 }
 
-/// Where a request came in.
+/// The listener of a request.
 #[derive(Clone, Copy)]
 struct Door<'a> {
-    /// Names that count there.
+    /// Accepted `Host` names.
     hosts: &'a Hosts,
-    /// Proxies that say there who comes.
+    /// Trusted proxies.
     proxies: Option<&'a Proxies>,
-    /// Asks who comes.
+    /// Access control.
     guard: Option<&'a Guard>,
-    /// Counts how often they do.
+    /// Rate limits.
     rates: Option<&'a Rates>,
 }
 
@@ -94,12 +94,12 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     response
 }
 
-/// Around what the log says of a request.
+/// The span of a request's log lines.
 fn span(id: &str, peer: Option<IpAddr>, method: &Method, path: &str) -> Span {
     tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path, trace = tracing::field::Empty)
 }
 
-/// A request's line in the log.
+/// The log line of a request.
 fn log(span: &Span, status: StatusCode, took: Duration) {
     span.in_scope(|| {
         let (ms, is_ours, status) = ((took.as_secs_f64() * 1e5).round() / 1e2, status.is_server_error(), status.as_u16());
@@ -107,7 +107,7 @@ fn log(span: &Span, status: StatusCode, took: Duration) {
     });
 }
 
-/// Has a browser that was answered by TLS ask by nothing else for a while.
+/// Sets Strict-Transport-Security on answers over TLS.
 fn put_secure(response: &mut Response, limits: &Limits) {
     let seconds = limits.hsts.as_secs();
     if seconds > 0 {
@@ -115,7 +115,7 @@ fn put_secure(response: &mut Response, limits: &Limits) {
     }
 }
 
-/// Puts what each answer has of its own: its request's id, and the time that it took besides what is told of that already.
+/// Adds the request's id and its total time to the answer.
 fn put_own(response: &mut Response, id: &str, took: Duration) {
     insert(response, REQUEST_ID, id);
     let hundredths = took.as_micros() / 10;
@@ -124,14 +124,14 @@ fn put_own(response: &mut Response, id: &str, took: Duration) {
     }
 }
 
-/// The handler's answer, or that its time is over, or that it panicked.
+/// The handler's answer, or a problem if it takes too long or panics.
 async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Response {
     let limits = Arc::clone(&app.limits);
     let clock = Clock::new(limits.request);
     let awaited = request.headers().contains_key(header::EXPECT);
     let mut rest = None;
     let mut request = if request.body().is_end_stream() {
-        // nothing to be bounded
+        // no body to wait for
         clock.start();
         request
     } else {
@@ -142,11 +142,11 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
         })
     };
     if *request.method() != Method::GET {
-        // ranges are of GET alone (RFC 9110, section 14.2)
+        // ranges apply only to GET (RFC 9110, section 14.2)
         request.headers_mut().remove(header::RANGE);
     }
     request.extensions_mut().insert(clock.clone());
-    // streams of HTTP/2 end each by itself
+    // HTTP/2 streams end individually
     let closes = request.version() < Version::HTTP_2;
     let handled = async {
         match door.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
@@ -155,19 +155,19 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
         }
     };
     let mut response = tokio::select! {
-        // no timer for what is answered at once
+        // no timer if the answer is ready at once
         biased;
         handled = AssertUnwindSafe(handled).catch_unwind() => match handled {
             Ok(response) => response,
             Err(_) => Problem::internal("the request's handler panicked", &"see above").into_response(),
         },
         limit = clock.expired() => {
-            let detail = format!("no answer within {limit:?}");
+            let detail = format!("there was no answer within {limit:?}");
             Problem::new(StatusCode::SERVICE_UNAVAILABLE, "timeout", detail).retry_after(5).into_response()
         }
     };
     if let Some(rest) = rest.filter(|rest| !rest.ended()) {
-        // beside the answer, not before it
+        // in the background, so that the answer does not wait
         tokio::spawn(rest.drain(limits.body, awaited));
         if closes {
             response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
@@ -176,7 +176,7 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
     response
 }
 
-/// The handler's answer to who may ask, and does not too often.
+/// Checks host, access and rate limits, then calls the handler.
 async fn asked(door: Door<'_>, mut request: Request, next: Next) -> Response {
     let (told, come) = match (door.guard, door.rates) {
         (Some(guard), Some(rates)) => {
@@ -184,7 +184,7 @@ async fn asked(door: Door<'_>, mut request: Request, next: Next) -> Response {
             (told, pass.map(|pass| Some((guard, pass))))
         }
         (None, Some(rates)) => {
-            // links of before everybody was let in still lead somewhere
+            // signed links must still work after a change to open access
             access::drop_link(&mut request);
             let (told, taken) = rates.count(Asker::of(None, asker()), &request);
             (told, taken.map(|()| None))
@@ -200,27 +200,27 @@ async fn asked(door: Door<'_>, mut request: Request, next: Next) -> Response {
     response
 }
 
-/// Refuses bodies that are coded in more ways than in chunks: they would be taken for what they are not (RFC 9112, section 6.1).
+/// Refuses transfer codings other than chunked, which would be misread (RFC 9112, section 6.1).
 fn only_chunked(headers: &HeaderMap) -> Result<(), Problem> {
     let mut all = headers.get_all(header::TRANSFER_ENCODING).iter();
     if all.all(|v| v.as_bytes().eq_ignore_ascii_case(b"chunked")) {
         return Ok(());
     }
-    let detail = "bodies are sent as they are or in chunks, not in another transfer coding";
+    let detail = "bodies must be sent plain or chunked, not in another transfer coding";
     Err(Problem::new(StatusCode::NOT_IMPLEMENTED, "transfer-coding", detail).field("Transfer-Encoding"))
 }
 
-/// Makes a problem of every error, and gives it the request's id.
+/// Turns every error into a problem with the request's id.
 async fn finish(response: Response, id: &str) -> Response {
     let status = response.status();
-    // a page that says so to a person is one already
+    // keep error pages for people
     let is_page = response.headers().get(header::CONTENT_TYPE).is_some_and(|t| t.as_bytes().starts_with(b"text/html"));
     let mut response = if !is_page && (status.is_client_error() || status.is_server_error()) {
         let (parts, body) = response.into_parts();
         let mut problem = if let Some(problem) = parts.extensions.get::<Problem>() {
             problem.clone()
         } else {
-            // what the framework says itself is one short line of text
+            // errors of the framework are one short line of text
             let text = axum::body::to_bytes(body, 4096).await.unwrap_or_default();
             Problem::new(status, "request", String::from_utf8_lossy(&text))
         };
@@ -246,7 +246,7 @@ async fn finish(response: Response, id: &str) -> Response {
     response
 }
 
-/// The client's id of the request where it is harmless, else a fresh one.
+/// The client's request id if it is harmless, else a new one.
 fn request_id(headers: &HeaderMap) -> String {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let harmless = |v: &&str| !v.is_empty() && v.len() <= MAX_ID && v.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b));
@@ -257,7 +257,7 @@ fn request_id(headers: &HeaderMap) -> String {
         .map_or_else(|| format!("{:x}-{:x}", super::time::now_ms(), NEXT.fetch_add(1, Ordering::Relaxed)), str::to_owned)
 }
 
-/// A closed set, so that no client can fill the counters.
+/// Method label from a closed set, so that clients cannot create new counters.
 fn known_method(method: &Method) -> &'static str {
     match *method {
         Method::GET => "GET",

@@ -1,8 +1,8 @@
-//! The HTTP server: uploads in, containers, views and progress out.
+//! The HTTP server: takes uploads, serves containers, views and progress.
 //!
-//! It knows no pixels: it calls [`tmpi_pipeline::make`], [`tmpi_core::container::decode`] and a [`tmpi_render::Renderer`].
-//! Requests and workers ([`Limits::workers`]) run on tokio; views are drawn on a bounded pool.
-//! What was answered 202 is in the library, survives a crash, and is taken up again at the next start.
+//! It does no image processing itself: it calls [`tmpi_pipeline::make`], [`tmpi_core::container::decode`] and a [`tmpi_render::Renderer`].
+//! Requests and workers ([`Limits::workers`]) run on tokio; a bounded pool renders views. A photo that was answered 202 is in the library:
+//! it survives a crash, and the next start resumes it.
 
 mod accept;
 mod access;
@@ -91,52 +91,52 @@ use tmpi_render::Renderer;
 
 use crate::live::{self, Rooms};
 
-/// What a node does.
+/// Role of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Role {
     /// It serves and makes photos.
     #[default]
     All,
-    /// It serves; others make photos.
+    /// It serves photos that other nodes make.
     Serve,
-    /// It makes photos; others serve them.
+    /// It makes photos that other nodes serve.
     Work,
 }
 
-/// Where the server listens and keeps its photos.
+/// Configuration of a server.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Address and port; port 0 takes a free one.
     pub addr: SocketAddr,
-    /// Address and port at which operators ask for counters, draining and taking down; everybody who reaches it may. Without it counters
-    /// are at [`Config::addr`], and the rest is done by signals and by deleting with a key.
+    /// Address and port of the admin listener (metrics, shutdown, deletion), which has no authentication. Without it metrics are at
+    /// [`Config::addr`], signals shut the server down, and admin keys delete photos.
     pub admin: Option<SocketAddr>,
-    /// Data directory; made where it is missing.
+    /// Data directory; created if missing.
     pub data: PathBuf,
-    /// Database that several nodes share, `postgres://…`; SQLite within the data directory where there is none.
+    /// Database that several nodes share, `postgres://…`; by default SQLite in the data directory.
     pub database: Option<String>,
-    /// Object store that several nodes share, `s3://…`, `gs://…` or `az://…`; a folder within the data directory where there is none.
+    /// Object store that several nodes share, `s3://…`, `gs://…` or `az://…`; by default a folder in the data directory.
     pub blobs: Option<String>,
     /// Directory that replaces the embedded pages.
     pub pages: Option<PathBuf>,
-    /// Names under which the server answers besides loopback's and its address, without ports: those that proxies pass on.
+    /// Accepted `Host` names besides loopback and the server's address, without ports: those that proxies forward.
     pub hosts: Vec<String>,
-    /// Proxies that say whose requests they pass on.
+    /// Trusted proxies.
     pub proxies: Proxies,
-    /// Lists all photos to everybody who can reach the server, not only to this machine's own user.
+    /// Lists all photos to every caller, not only to this machine's own user.
     pub public_list: bool,
-    /// Asks who comes: photos are their owners' alone, see [`access`].
+    /// Private access: only owners see their photos, see [`access`].
     pub private: bool,
-    /// What this node does.
+    /// Role of this node.
     pub role: Role,
-    /// Where traces go; nowhere where there is none.
+    /// Collector of traces; none by default.
     pub traces: Option<Collector>,
     /// Limits.
     pub limits: Limits,
 }
 
 impl Config {
-    /// One that asks nobody who they are, with the limits as they are usual.
+    /// Open access and default limits.
     #[must_use]
     pub fn new(addr: SocketAddr, data: PathBuf) -> Self {
         Self {
@@ -156,7 +156,7 @@ impl Config {
         }
     }
 
-    /// Where the library is, and what bounds it.
+    /// Location and limits of the library.
     fn library(&self) -> tmpi_library::Config {
         let Self { data, database, blobs, limits, .. } = self;
         let reserve = limits.reserve();
@@ -164,7 +164,7 @@ impl Config {
     }
 }
 
-/// What helps where an address cannot be listened on.
+/// A hint for an error of listening.
 fn hint(error: &std::io::Error) -> &'static str {
     match error.kind() {
         std::io::ErrorKind::AddrInUse => ", as another program does already: choose another port with --addr, or 0 for a free one",
@@ -173,15 +173,15 @@ fn hint(error: &std::io::Error) -> &'static str {
     }
 }
 
-/// Why the server does not run.
+/// Why the server cannot start or run.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
-    /// The address cannot be listened on.
+    /// It cannot listen at the address.
     #[error("cannot listen on {addr}{}", hint(source))]
     Listen {
         /// The address.
         addr: SocketAddr,
-        /// What the system says.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// The data directory cannot be used.
@@ -189,13 +189,13 @@ pub enum ServerError {
     Data {
         /// The directory.
         dir: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// The library cannot be opened.
     #[error("library")]
     Library(#[from] tmpi_library::LibraryError),
-    /// Traces cannot go where they are to.
+    /// The collector of traces is not usable.
     #[error(transparent)]
     Traces(#[from] CollectorError),
     /// The `OpenAPI` document cannot be written.
@@ -212,9 +212,9 @@ pub struct Server {
     role: Role,
     has_objects: bool,
     tls: Option<Tls>,
-    /// The door of operators, with its address and the names that count there.
+    /// The admin listener, with its address and accepted names.
     admin: Option<(TcpListener, SocketAddr, Vec<String>)>,
-    /// Held as long as the server is there.
+    /// Lock of the data directory, until the server is dropped.
     lock: File,
 }
 
@@ -235,7 +235,7 @@ impl Server {
         let library = Box::pin(Library::open(config.library())).await?;
         let lock = claim(&data, library.incoming()).map_err(|source| ServerError::Data { dir: data, source })?;
         if config.database.is_none() {
-            // nobody else does them: the process that did was ended
+            // the process that held them has ended
             library.reclaim().await?;
         }
         let (role, has_objects) = (config.role, config.blobs.is_some());
@@ -243,14 +243,14 @@ impl Server {
         Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, admin, lock })
     }
 
-    /// Has rooms, too.
+    /// Adds rooms.
     #[must_use]
     pub fn with_rooms(mut self, rooms: Rooms) -> Self {
         self.rooms = Some(Arc::new(rooms));
         self
     }
 
-    /// Speaks TLS, and HTTP/2 with who can.
+    /// Adds TLS, with HTTP/2 for clients that support it.
     #[must_use]
     pub fn with_tls(mut self, tls: Tls) -> Self {
         self.tls = Some(tls);
@@ -269,14 +269,14 @@ impl Server {
         self.addr
     }
 
-    /// Address that operators ask at, where they have one of their own.
+    /// Address of the admin listener, if any.
     #[must_use]
     pub fn admin_addr(&self) -> Option<SocketAddr> {
         self.admin.as_ref().map(|(_, addr, _)| *addr)
     }
 
-    /// Serves until `stop` is ready or an operator asks it to leave, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
-    /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
+    /// Serves until `stop` is ready or an operator requests a shutdown, and for [`Limits::lame_duck`] more. Then it accepts no more
+    /// connections and gives running requests and jobs [`Limits::drain`] to end. The next start resumes the other jobs.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
         let Self { listener, addr: _, app, rooms, role, has_objects, tls, admin, lock } = self;
         let token = app.stop.clone();
@@ -304,14 +304,14 @@ impl Server {
         upkeep.spawn(upkeep::forget(Arc::clone(&app)));
         upkeep.spawn(rest::rest(Arc::clone(&app)));
         if !has_objects {
-            // an object store checks what it has itself
+            // an object store checks its own contents
             upkeep.spawn(upkeep::look_over(Arc::clone(&app)));
         }
-        // who only makes photos has none
+        // nodes that only make photos have no rooms
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
             rooms.start(&app.library, &token);
-            // set once, as a server runs once
+            // a server runs once
             let _ = app.rooms.set(Arc::clone(rooms));
         }
         let rooms = rooms.map(|rooms| {
@@ -336,14 +336,14 @@ impl Server {
         if let Some(admin) = admin
             && let Err(error) = admin.await
         {
-            tracing::error!(%error, "the operators' door");
+            tracing::error!(%error, "the admin listener failed");
         }
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
         upkeep.shutdown().await;
         if let Err(error) = app.library.note_views().await {
-            tracing::warn!(%error, "when photos were looked at is not known");
+            tracing::warn!(%error, "cannot record when photos were viewed");
         }
         app.library.close().await;
         if app.telemetry.traces().is_some() {
@@ -357,14 +357,14 @@ impl Server {
     }
 }
 
-/// Listens at an address, and says which it is.
+/// Listens at an address; returns the actual one.
 async fn listen(addr: SocketAddr) -> Result<(TcpListener, SocketAddr), ServerError> {
     let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
     let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
     Ok((listener, addr))
 }
 
-/// Takes a data directory for this process alone, and removes what a crash has left on its way in or out.
+/// Locks a data directory for this process, and removes partial uploads and leftovers of a crash.
 fn claim(data: &Path, incoming: &Path) -> std::io::Result<File> {
     let lock = File::options().create(true).truncate(false).write(true).open(data.join("lock"))?;
     lock.try_lock().map_err(|_| std::io::Error::other("another process serves from there"))?;
@@ -381,7 +381,7 @@ pub async fn stop_signal() {
     {
         use tokio::signal::unix::{SignalKind, signal};
         let (Ok(mut term), Ok(mut int)) = (signal(SignalKind::terminate()), signal(SignalKind::interrupt())) else {
-            tracing::error!("signals cannot be caught");
+            tracing::error!("cannot catch signals");
             return std::future::pending().await;
         };
         tokio::select! {
@@ -391,7 +391,7 @@ pub async fn stop_signal() {
     }
     #[cfg(not(unix))]
     if let Err(error) = tokio::signal::ctrl_c().await {
-        tracing::error!(%error, "signals cannot be caught");
+        tracing::error!(%error, "cannot catch signals");
         std::future::pending().await
     }
 }

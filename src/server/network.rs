@@ -1,22 +1,22 @@
-//! The network that estimates depth, and the better one that the server may fetch while it runs.
+//! The depth network, and the better one that the server may download while it runs.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::maker::Maker;
 
-/// A published network that is worth fetching.
+/// A better network to download.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, utoipa::ToSchema)]
 pub struct Offer {
     /// Its name in reports.
     pub name: String,
-    /// Size of its file in bytes, where it is known.
+    /// Size of its file in bytes, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bytes: Option<u64>,
-    /// Licence of its weights, and whose they are.
+    /// Licence and authors of its weights.
     pub licence: String,
 }
 
-/// What a maker is with a better network.
+/// Network and identity of a maker with the better network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Renewed {
     /// The network's name in reports.
@@ -25,31 +25,31 @@ pub struct Renewed {
     pub identity: String,
 }
 
-/// Fetches a better network.
+/// Downloads a better network.
 pub trait Better: Send + Sync + 'static {
-    /// What is fetched.
+    /// The network to download.
     fn offer(&self) -> Offer;
 
-    /// Fetches it, from where a try before broke off; blocks. `progress` is told the bytes that are here.
+    /// Downloads it, resuming an earlier try; blocks. Calls `progress` with the bytes downloaded so far.
     ///
     /// # Errors
-    /// Why it is not here, in words.
+    /// Why it failed, as text.
     fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<Renewed, String>;
 }
 
-/// How a download fares.
+/// State of a download.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Fetching {
-    /// None is under way.
+    /// No download is running.
     #[default]
     Idle,
-    /// So many bytes are here.
+    /// Running; so many bytes are downloaded.
     UnderWay(u64),
-    /// It ended before its time, as the text says; another try goes on from there.
+    /// It failed, as the text says; another try resumes it.
     Failed(String),
 }
 
-/// The download of a server, one at a time.
+/// The server's download; one runs at a time.
 #[derive(Clone, Debug, Default)]
 pub struct Download(Arc<Mutex<Fetching>>);
 
@@ -58,16 +58,16 @@ impl Download {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How it fares.
+    /// Its state.
     #[must_use]
     pub fn state(&self) -> Fetching {
         self.lock().clone()
     }
 
-    /// Starts it in a thread of its own; false where there is nothing to fetch, or it is under way.
+    /// Starts it in its own thread; false if there is nothing to download, or it is running.
     ///
     /// # Errors
-    /// No thread can be started.
+    /// If no thread can be started.
     pub fn start(&self, maker: &Arc<dyn Maker>) -> std::io::Result<bool> {
         let mut now = self.lock();
         if matches!(*now, Fetching::UnderWay(_)) || maker.better().is_none() {
@@ -78,11 +78,11 @@ impl Download {
             let fetched = maker.fetch_better(&mut |have| *download.lock() = Fetching::UnderWay(have));
             *download.lock() = match fetched {
                 Ok(()) => {
-                    tracing::info!(network = maker.network(), "a better depth network is here");
+                    tracing::info!(network = maker.network(), "a better depth network is installed");
                     Fetching::Idle
                 }
                 Err(problem) => {
-                    tracing::warn!(problem, "a better depth network could not be fetched");
+                    tracing::warn!(problem, "cannot download a better depth network");
                     Fetching::Failed(problem)
                 }
             };

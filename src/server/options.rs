@@ -1,4 +1,4 @@
-//! Options of a photo as text: names and values are those of the command line's flags.
+//! Options of a photo as text, with the names and values of the command line's flags.
 
 use std::collections::BTreeMap;
 
@@ -27,10 +27,10 @@ pub const NAMES: [&str; 14] = [
     "view-box",
 ];
 
-/// Sets option `name` (with `-` or `_`) from text; false where there is no such option.
+/// Sets option `name` (with `-` or `_`) from text; false if there is no such option.
 ///
 /// # Errors
-/// [`Problem`] 400 that names the option and says what is allowed.
+/// [`Problem`] 400 that names the option and the allowed values.
 pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Problem> {
     let name = name.replace('_', "-");
     let value = value.trim();
@@ -59,13 +59,13 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
     Ok(true)
 }
 
-/// The view box among options as text; the usual one where there is none.
+/// The view box among options as text; the default if there is none.
 #[must_use]
 pub fn view_box_of(text: &BTreeMap<String, String>) -> ViewBox {
     text.get("view-box").and_then(|v| view_box("view-box", v).ok()).unwrap_or_default()
 }
 
-/// All options as text; [`set`] reads every pair back. Equal options give equal text.
+/// All options as text; [`set`] reads every pair back. Equal options have equal text.
 #[must_use]
 pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     let o = options;
@@ -126,7 +126,7 @@ pub fn from_text(text: &BTreeMap<String, String>) -> Result<Options, Problem> {
     Ok(options)
 }
 
-/// The word for a choice.
+/// The name of a choice.
 pub fn chosen<T: ValueEnum>(value: &T) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }
@@ -145,7 +145,7 @@ fn number(name: &str, value: &str) -> Result<f64, Problem> {
     }
 }
 
-/// A whole number; `which` says of which kind or range.
+/// A whole number; `which` names its kind or range.
 fn whole<T: std::str::FromStr>(name: &str, value: &str, which: &str) -> Result<T, Problem> {
     value.parse().map_err(|_| Problem::parameter(name, format!("must be a whole number {which}, not {value:?}")))
 }

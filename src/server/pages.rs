@@ -1,4 +1,4 @@
-//! The pages and scripts of the viewer: embedded in the program, or read from a directory while somebody works on them.
+//! The pages and scripts of the viewer: embedded in the program, or read from a directory during development.
 
 use std::path::{Component, Path, PathBuf};
 use std::sync::OnceLock;
@@ -18,24 +18,24 @@ use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 use tmpi_library::hex;
 
-/// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
+/// Only scripts and pictures of this server; the viewer's decoder needs blobs.
 const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
                       worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
-/// Which sites may take an answer in as a picture or a script (Fetch standard, section 3.7).
+/// Which sites may embed an answer (Fetch standard, section 3.7).
 pub const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
-/// The same where photos of other servers are shown.
+/// The policy of pages that show photos of other servers.
 const OPEN_POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src * blob: data:; media-src 'self' blob:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
                            worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 
-/// What a page takes in (HTML standard, section 7.1.4): a page that is isolated from other origins has in frames only pages that say it, and
-/// only workers that do.
+/// Which resources a page may embed (HTML standard, section 7.1.4). A cross-origin isolated page can frame only pages, and start only
+/// workers, that set this header.
 const EMBEDDER_POLICY: HeaderName = HeaderName::from_static("cross-origin-embedder-policy");
 
-/// Who may show a page in a frame, or take a file in.
+/// Which sites may frame a page or embed a file.
 #[derive(Clone, Copy)]
 enum Frames {
-    /// This site: the page has buttons that change things, and another site could lay its own over them.
+    /// This site: the page has buttons that change things, which another site could cover with its own (clickjacking).
     Own,
     /// Any site.
     Anybody,
@@ -46,8 +46,8 @@ pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Respons
     page(&app, &headers, "app/upload-page.html", Frames::Own).await
 }
 
-/// `GET /view/{id}`: with what others show of a link to it. Where there is no such photo, or the browser has yet to say who asks, the page is the
-/// same and says so itself.
+/// `GET /view/{id}`, with the photo's preview card. If the photo is missing, or the browser has yet to send its credentials, the answer is
+/// the same page with status 404; the page itself explains it.
 pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = "app/view-page.html";
     let Ok(photo) = app.photo(&id).await else { return not_found(&app, name, Frames::Own).await };
@@ -60,10 +60,10 @@ pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<Strin
     Ok(send(file, &headers, name, Frames::Own))
 }
 
-/// `GET /embed/{id}`: the photo alone, for frames of other sites; it can change nothing.
+/// `GET /embed/{id}`: only the viewer, for frames of other sites; it can change nothing.
 pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = "app/embed-page.html";
-    // whoever came by a link is given its cookie where the photo may be seen by it
+    // the access check also makes a link set its cookie
     if app.photo(&id).await.is_err() {
         return not_found(&app, name, Frames::Anybody).await;
     }
@@ -75,7 +75,7 @@ pub async fn demo(State(app): State<App>, headers: HeaderMap) -> Result<Response
     page(&app, &headers, "app/demo-page.html", Frames::Own).await
 }
 
-/// `GET /live/{room}`: the page itself says whether there is anybody.
+/// `GET /live/{room}`: the page itself shows whether the room is live.
 pub async fn watch(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
     page(&app, &headers, "app/watch-page.html", Frames::Own).await
 }
@@ -85,9 +85,9 @@ pub async fn publish(State(app): State<App>, headers: HeaderMap) -> Result<Respo
     page(&app, &headers, "app/publish-page.html", Frames::Own).await
 }
 
-/// Whatever nobody else answers: a page for people, a problem for programs.
+/// Fallback for unknown addresses: a page for people, a problem for programs.
 pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap) -> Result<Response, Problem> {
-    // a browser that goes there says so; others by what they would like best
+    // browsers declare a navigation; for other clients, the preferred type decides
     let dest = headers.get("sec-fetch-dest").map(HeaderValue::as_bytes);
     let accepts = headers.get(header::ACCEPT).and_then(|a| a.to_str().ok());
     let person = dest.map_or_else(|| accepts.is_some_and(|a| a.trim_start().starts_with("text/html")), |d| d == b"document");
@@ -97,9 +97,9 @@ pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap)
     not_found(&app, "app/missing-page.html", Frames::Own).await
 }
 
-/// A page that says that something is not here.
+/// A page with status 404.
 async fn not_found(app: &App, name: &str, frames: Frames) -> Result<Response, Problem> {
-    // neither a part of it nor a version is asked for, but of what is not here
+    // without the request's headers: no ranges and no 304
     let mut response = page(app, &HeaderMap::new(), name, frames).await?;
     *response.status_mut() = StatusCode::NOT_FOUND;
     for name in [header::ETAG, header::ACCEPT_RANGES, header::CACHE_CONTROL] {
@@ -108,7 +108,7 @@ async fn not_found(app: &App, name: &str, frames: Frames) -> Result<Response, Pr
     Ok(response)
 }
 
-/// `GET /static/{name}`: no pages, which any site could frame here.
+/// `GET /static/{name}`: except pages, which any site could frame at this address.
 pub async fn file(State(app): State<App>, extract::Path(name): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     if Path::new(&name).extension().is_some_and(|e| e.eq_ignore_ascii_case("html")) {
         return Err(missing(&name));
@@ -151,7 +151,7 @@ fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, fra
         Frames::Own => ("'self'", "same-origin"),
         Frames::Anybody => ("*", "cross-origin"),
     };
-    // a worker has the policy of its own script, and reads containers and rooms of other servers too
+    // a worker has its own policy, and reads containers and rooms of other servers, too
     let policy = if matches!(name, "app/demo-page.html" | "decode/worker.js" | "live/worker.js") { OPEN_POLICY } else { POLICY };
     if let Ok(policy) = HeaderValue::from_str(&format!("{policy}; frame-ancestors {ancestors}")) {
         response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
@@ -177,13 +177,13 @@ fn tag(bytes: &[u8]) -> String {
     format!("\"{}\"", hex(&Sha256::digest(bytes)[..16]))
 }
 
-/// True where gzip makes something of a file.
+/// Whether compression reduces a file.
 fn is_text(name: &str) -> bool {
     let kind = content_type(name);
     kind.starts_with("text/") || matches!(kind, "application/json" | "application/wasm" | "image/svg+xml")
 }
 
-/// An embedded file in gzip, coded when it is first asked for.
+/// An embedded file in gzip, compressed on first use.
 fn coded(at: usize) -> Option<Bytes> {
     static CODED: OnceLock<Vec<OnceLock<Option<Bytes>>>> = OnceLock::new();
     let all = CODED.get_or_init(|| FILES.iter().map(|_| OnceLock::new()).collect());

@@ -1,4 +1,4 @@
-//! Blocking work on behalf of requests: a lane for each class, so that a film holds up no view, and memory by bytes.
+//! Blocking work for requests: each class has its own slots, so that a film does not delay views, and memory is given out in bytes.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -11,13 +11,13 @@ use super::problem::Problem;
 use super::share::{Share, Shares, asker};
 use super::traces::{self, Work};
 
-/// Bytes of the unit in which memory is given out.
+/// Unit of memory in bytes.
 const UNIT: u64 = 1 << 20;
 
-/// What waits for what: each class has slots of its own.
+/// Class of work, with its own slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
-    /// Somebody looks at the screen: single views.
+    /// Single views: a person is waiting for them.
     Interactive,
     /// Smaller levels and parts of containers.
     Derived,
@@ -26,11 +26,11 @@ pub enum Class {
 }
 
 impl Class {
-    /// All of them.
+    /// All classes.
     #[cfg(test)]
     const ALL: [Self; 3] = [Self::Interactive, Self::Derived, Self::Export];
 
-    /// Name, as in metrics.
+    /// Name in metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -44,7 +44,7 @@ impl Class {
 /// Gives out slots and memory.
 pub struct Pool {
     lanes: [Lane; 3],
-    /// Of views and levels, and of films and files: one of these takes minutes, and what waits for memory does so one behind the other.
+    /// Memory of views and levels, and of films and files, which take minutes: waiters for memory queue up in order.
     memory: [Arc<Semaphore>; 2],
     most: u32,
     entered: AtomicU64,
@@ -54,14 +54,14 @@ struct Lane {
     slots: Arc<Semaphore>,
     waiting: AtomicUsize,
     most_waiting: usize,
-    /// Of those that wait.
+    /// Shares of the waiting requests.
     shares: Shares,
     count: usize,
-    /// Guess of how long one takes, in seconds, for `Retry-After`.
+    /// Estimated seconds per request, for `Retry-After`.
     seconds: u64,
 }
 
-/// A place among those that wait.
+/// A place in the queue.
 struct Waits<'a> {
     lane: &'a Lane,
     _share: Share,
@@ -74,24 +74,24 @@ impl Drop for Waits<'_> {
 }
 
 impl Lane {
-    /// A place to wait; none where all are taken, or the asker has half of them.
+    /// A place in the queue; `None` if all are taken, or this client has half of them.
     fn wait(&self) -> Option<Waits<'_>> {
         let share = self.shares.take(asker())?;
         let before = self.waiting.fetch_add(1, Ordering::AcqRel);
-        // dropped where it is refused
+        // dropped if it is refused
         let waits = Waits { lane: self, _share: share };
         (before < self.most_waiting).then_some(waits)
     }
 }
 
-/// Leave to work, with the memory for it; given back when the last clone goes.
+/// A slot with its memory; released when the last clone is dropped.
 #[derive(Clone)]
 pub struct Slot {
     _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Option<Work>)>,
 }
 
 impl Pool {
-    /// By the limits of a server.
+    /// With the limits of a server.
     #[must_use]
     pub fn new(limits: &Limits) -> Self {
         let lane = |slots: usize, most_waiting, seconds| Lane {
@@ -115,7 +115,7 @@ impl Pool {
         }
     }
 
-    /// How often leave was given.
+    /// Number of slots given out so far.
     #[must_use]
     pub fn entered(&self) -> u64 {
         self.entered.load(Ordering::Relaxed)
@@ -129,10 +129,10 @@ impl Pool {
         &self.memory[matches!(class, Class::Export) as usize]
     }
 
-    /// Waits for a slot and for `bytes` of memory; what needs more than there is gets all of it, alone.
+    /// Waits for a slot and for `bytes` of memory; work that needs more than the total runs alone.
     ///
     /// # Errors
-    /// 503 where too many of the class wait already.
+    /// 503 if too many of the class are waiting.
     pub async fn enter(&self, class: Class, bytes: u64) -> Result<Slot, Problem> {
         let lane = self.lane(class);
         let broken = |e| Problem::internal("work pool", &e);
@@ -161,13 +161,13 @@ impl Pool {
         Slot { _held: Arc::new((slot, memory, span)) }
     }
 
-    /// Requests of a class that wait.
+    /// Number of waiting requests of a class.
     #[must_use]
     pub fn waiting(&self, class: Class) -> usize {
         self.lane(class).waiting.load(Ordering::Acquire)
     }
 
-    /// Bytes of memory that are given out.
+    /// Bytes of memory given out.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.memory.iter().map(|m| u64::from(self.most).saturating_sub(m.available_permits() as u64) * UNIT).sum()
@@ -175,10 +175,10 @@ impl Pool {
 }
 
 impl Slot {
-    /// Runs blocking work; the slot is held to its end even where the request is gone: it cannot be cut off.
+    /// Runs blocking work. It keeps the slot until it ends, even if the client has gone, since it cannot be aborted.
     ///
     /// # Errors
-    /// 500 where `work` panicked.
+    /// 500 if `work` panicked.
     pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
         let slot = self.clone();
         let result = tokio::task::spawn_blocking(move || {
@@ -209,7 +209,7 @@ mod tests {
         Arc::new(Pool::new(&limits))
     }
 
-    /// True once `future` waits.
+    /// Whether `future` is still pending.
     async fn waits<T>(future: impl Future<Output = T>) -> bool {
         tokio::time::timeout(Duration::from_millis(20), future).await.is_err()
     }

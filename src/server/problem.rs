@@ -1,4 +1,4 @@
-//! Errors as clients see them: problem details of RFC 9457, and the one mapping from the library's errors to a status.
+//! Problem details (RFC 9457), and the mapping from library errors to HTTP statuses.
 
 use axum::Json;
 use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
@@ -17,9 +17,9 @@ use tmpi_render::{AnimationError, EncodeError, RenderError};
 /// Media type of a problem.
 pub const MEDIA_TYPE: &str = "application/problem+json";
 
-/// What kinds of problems begin with.
+/// Prefix of problem types.
 const KINDS: &str = "urn:tmpi:problem:";
-/// Bytes of foreign text that a problem repeats, at most: a name, and all together.
+/// Most bytes of foreign text that a problem repeats: of a name, and in all.
 const MOST_NAME: usize = 64;
 const MOST_DETAIL: usize = 1024;
 
@@ -35,19 +35,19 @@ fn clipped(mut text: String, most: usize) -> String {
 /// Problem details (RFC 9457).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Problem {
-    /// Kind of the problem, a URI that stays the same: `urn:tmpi:problem:…`.
+    /// Type of the problem, a stable URI: `urn:tmpi:problem:…`.
     #[serde(rename = "type")]
     #[schema(value_type = String)]
     pub kind: Box<str>,
-    /// What this kind of problem is, in a few words.
+    /// Short summary of the problem type.
     #[schema(value_type = String)]
     pub title: Box<str>,
     /// HTTP status.
     pub status: u16,
-    /// What is wrong with this very request.
+    /// What is wrong with this request.
     #[schema(value_type = String)]
     pub detail: Box<str>,
-    /// Field, parameter or option that is at fault.
+    /// Field, parameter or option at fault.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>)]
     pub field: Option<Box<str>>,
@@ -58,14 +58,14 @@ pub struct Problem {
     /// Seconds after which another try may succeed; as in the header `Retry-After`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry_after: Option<u64>,
-    /// A header that goes with it.
+    /// A header to send with it.
     #[serde(skip)]
     #[schema(ignore)]
     pub header: Option<Box<(HeaderName, HeaderValue)>>,
 }
 
 impl Problem {
-    /// A problem of `kind` (the last part of its URI) with `status`; its title is that of the status.
+    /// A problem of `kind` (the last part of its URI) with `status`; the title is the status's.
     pub fn new(status: StatusCode, kind: &str, detail: impl Into<String>) -> Self {
         Self {
             kind: format!("{KINDS}{kind}").into(),
@@ -79,7 +79,7 @@ impl Problem {
         }
     }
 
-    /// A problem of a kind that IANA keeps a list of, <https://www.iana.org/assignments/http-problem-types>.
+    /// A problem of a type that IANA registers, <https://www.iana.org/assignments/http-problem-types>.
     pub fn registered(status: StatusCode, kind: &str, detail: impl Into<String>) -> Self {
         Self { kind: format!("https://iana.org/assignments/http-problem-types#{kind}").into(), ..Self::new(status, "", detail) }
     }
@@ -91,14 +91,14 @@ impl Problem {
         self
     }
 
-    /// Has a header go with it, where `value` is one.
+    /// Adds a header, if `value` is valid.
     #[must_use]
     pub fn header(mut self, name: HeaderName, value: &str) -> Self {
         self.header = HeaderValue::from_str(value).ok().map(|value| Box::new((name, value)));
         self
     }
 
-    /// Says when another try may succeed.
+    /// Sets `Retry-After`.
     #[must_use]
     pub fn retry_after(mut self, seconds: u64) -> Self {
         self.retry_after = Some(seconds);
@@ -117,12 +117,12 @@ impl Problem {
         Self::new(StatusCode::BAD_REQUEST, "bad-request", detail)
     }
 
-    /// There is no such thing.
+    /// The resource does not exist.
     pub fn not_found(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::NOT_FOUND, "not-found", detail)
     }
 
-    /// The address does not have the method; `allow` lists those that it has, where the router does not say so itself.
+    /// The route does not have the method. `allow` lists those that it has, unless the router does.
     #[must_use]
     pub fn no_method(method: &Method, allow: Option<&str>) -> Self {
         let problem = Self::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"));
@@ -139,19 +139,19 @@ impl Problem {
         )
     }
 
-    /// Something broke here; the detail is kept out of the answer and goes to the log.
+    /// An internal error; its details go to the log, not into the answer.
     pub fn internal(what: &str, error: &dyn std::fmt::Display) -> Self {
         tracing::error!(%error, "{what}");
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", format!("{what}: the server's log says more"))
     }
 
-    /// The disk has no room left.
+    /// The disk is full.
     #[must_use]
     pub fn full() -> Self {
         Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-full", "the data directory has no room left")
     }
 
-    /// The data directory failed.
+    /// An I/O error of the data directory.
     pub fn store(error: &std::io::Error) -> Self {
         if matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) {
             tracing::error!(%error, "data directory");
@@ -160,14 +160,14 @@ impl Problem {
         Self::internal("data directory", error)
     }
 
-    /// As the library keeps it of a job that failed.
+    /// The library's record of a failed job.
     #[must_use]
     pub fn to_library(&self) -> tmpi_library::Problem {
         let kind = self.kind.strip_prefix(KINDS).unwrap_or(&self.kind);
         tmpi_library::Problem { kind: kind.to_owned(), detail: self.detail.to_string(), field: self.field.as_deref().map(str::to_owned) }
     }
 
-    /// Why a job failed, as the library keeps it.
+    /// The problem of a failed job, from the library's record.
     #[must_use]
     pub fn of_library(kept: &tmpi_library::Problem) -> Self {
         let status = match kept.kind.as_str() {
@@ -187,7 +187,7 @@ impl Problem {
         if let Some(field) = &kept.field { problem.field(field) } else { problem }
     }
 
-    /// Why a photo could not be made, or what of it is damaged.
+    /// Why a photo failed, or which part is damaged.
     #[must_use]
     pub fn of_photo(photo: &tmpi_library::Photo) -> Self {
         photo.problem.as_ref().map_or_else(|| Self::internal("a photo", &"it failed without a reason"), Self::of_library)
@@ -213,7 +213,7 @@ impl IntoResponse for Problem {
         if let Some((name, value)) = self.header.as_deref().cloned() {
             headers.insert(name, value);
         }
-        // the request log and the middleware that fills in `request_id` read it from here
+        // request log and middleware, which sets `request_id`, read it from here
         response.extensions_mut().insert(self);
         response
     }
@@ -327,7 +327,7 @@ impl From<&RenderError> for Problem {
         match error {
             RenderError::Camera(_) => Self::new(StatusCode::BAD_REQUEST, "parameter", error.to_string()),
             RenderError::Adapter(_) | RenderError::Scene(_) => Self::internal("drawing the view", error),
-            // nobody is there to read it
+            // the client has gone
             RenderError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", error.to_string()).retry_after(1),
             RenderError::TooLarge(_) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "view-too-large", error.to_string()),
         }

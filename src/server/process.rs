@@ -1,16 +1,16 @@
-//! What the system says of this process, by the names that Prometheus' own clients give it.
+//! Process metrics, with the names of the Prometheus client libraries.
 
 use tmpi_pipeline::clock::{cpu_seconds, resident_bytes};
 
 use super::telemetry::{Figure, counter, gauge};
 
-/// What can be told here; of systems without `/proc` the processor's time and the limit of files alone.
+/// The available metrics; without `/proc` only CPU time and the file limit.
 #[must_use]
 pub fn figures() -> Vec<Figure> {
     let mut all = Vec::new();
     all.extend(cpu_seconds().map(|s| counter("process_cpu_seconds", "Time of the processor, of processes that make photos not", s)));
     all.extend(resident_bytes(None).map(|bytes| gauge("process_resident_memory_bytes", "Resident memory", bytes as f64)));
-    // what reads the folder is one of them
+    // minus the descriptor that reads the folder
     let open = std::fs::read_dir("/proc/self/fd").ok().map(|files| files.count().saturating_sub(1));
     all.extend(open.map(|files| gauge("process_open_fds", "Open files, connections among them", files as f64)));
     all.extend(most_files().map(|files| gauge("process_max_fds", "Files that may be open", files)));
@@ -48,7 +48,7 @@ mod tests {
     fn the_process_tells_what_it_takes() {
         let before = value("process_open_fds");
         let files: Vec<_> = (0..50).map(|_| std::fs::File::open("/dev/null").unwrap()).collect();
-        // tests beside this one open and close some
+        // concurrent tests open and close some
         assert!(value("process_open_fds") >= before + 25.0 && value("process_max_fds") >= before + 50.0);
         drop(files);
         let memory = vec![1_u8; 64 << 20];

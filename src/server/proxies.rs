@@ -1,6 +1,6 @@
-//! Proxies that are trusted to say whose requests they pass on: by a header, or by the PROXY protocol at the start of each connection.
+//! Trusted proxies, which name the client of a request: by a header, or by the PROXY protocol at the start of each connection.
 //!
-//! What anybody else says of it counts for nothing, and of several hops only those count that trusted ones saw.
+//! The server ignores such claims of other peers, and of several hops it uses only those that trusted proxies saw.
 
 use std::io;
 use std::net::IpAddr;
@@ -13,13 +13,13 @@ use proxy_header::{Error, ParseConfig, ProxyHeader};
 use tokio::io::AsyncReadExt as _;
 use tokio::net::TcpStream;
 
-/// Where it is said who came by how many proxies, the nearest last.
+/// The client and the proxies behind it, the nearest last.
 pub const X_FORWARDED_FOR: HeaderName = HeaderName::from_static("x-forwarded-for");
-/// Bytes of what the PROXY protocol begins with, at most.
+/// Most bytes of a PROXY protocol header.
 const MOST: usize = 4096;
-/// Pause before a beginning that is not whole is looked at again.
+/// Pause before an incomplete header is read again.
 const AGAIN: Duration = Duration::from_millis(5);
-/// This machine's and all private networks (RFC 1918, RFC 4193), and those of a link.
+/// Loopback, private networks (RFC 1918, RFC 4193) and link-local ones.
 const PRIVATE: [&str; 8] =
     ["127.0.0.0/8", "10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "169.254.0.0/16", "::1/128", "fc00::/7", "fe80::/10"];
 
@@ -45,10 +45,10 @@ impl FromStr for Network {
     }
 }
 
-/// How trusted proxies say who comes.
+/// How trusted proxies name the client.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum ClientAddress {
-    /// By `X-Forwarded-For`, as most do.
+    /// By `X-Forwarded-For`, the most common way.
     #[default]
     XForwardedFor,
     /// By `Forwarded` (RFC 7239).
@@ -57,7 +57,7 @@ pub enum ClientAddress {
     ProxyProtocol,
 }
 
-/// The proxies that are trusted; without any, a request is whose connection it comes by.
+/// The trusted proxies. Without any, the client of a request is the peer of its connection.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Proxies {
     networks: Vec<IpNet>,
@@ -65,7 +65,7 @@ pub struct Proxies {
 }
 
 impl Proxies {
-    /// Those of `networks`, which say who comes as `told`.
+    /// Trusts proxies in `networks`, which name clients as `told`.
     #[must_use]
     pub fn new(networks: &[Network], told: ClientAddress) -> Self {
         let of = |network: &Network| match network {
@@ -75,7 +75,7 @@ impl Proxies {
         Self { networks: networks.iter().flat_map(of).collect(), told }
     }
 
-    /// Whether what comes from there is passed on by a proxy that is trusted.
+    /// Whether a peer is a trusted proxy.
     #[must_use]
     pub fn trusts(&self, peer: IpAddr) -> bool {
         // most servers trust none
@@ -88,7 +88,7 @@ impl Proxies {
         self.told == ClientAddress::ProxyProtocol && self.trusts(peer)
     }
 
-    /// Who sent a request that came from `peer`: the last address on its way that is not of a trusted proxy, or the first of all.
+    /// The client of a request from `peer`: the last address on its way that is not a trusted proxy, or the first of all.
     #[must_use]
     pub fn client(&self, peer: IpAddr, headers: &HeaderMap) -> IpAddr {
         if !self.trusts(peer) {
@@ -101,7 +101,7 @@ impl Proxies {
         }
     }
 
-    /// Goes back from `peer` as far as trusted proxies saw; what is no address ends it.
+    /// Goes back from `peer` as far as trusted proxies saw; stops at anything that is not an address.
     fn last<'a>(&self, peer: IpAddr, hops: impl Iterator<Item = &'a str>) -> IpAddr {
         let mut client = peer;
         for hop in hops {
@@ -115,18 +115,18 @@ impl Proxies {
     }
 }
 
-/// Items of a list, over all headers of a name, the last first.
+/// Items of a list over all headers of a name, last first.
 fn hops<'a>(headers: &'a HeaderMap, name: &HeaderName) -> impl Iterator<Item = &'a str> {
     headers.get_all(name).into_iter().rev().flat_map(|value| value.to_str().unwrap_or_default().rsplit(','))
 }
 
-/// What a hop of `Forwarded` says of who sent it.
+/// The `for` parameter of a hop of `Forwarded`.
 fn forwarded(hop: &str) -> &str {
     let mut pairs = hop.split(';').filter_map(|pair| pair.split_once('='));
     pairs.find(|(name, _)| name.trim().eq_ignore_ascii_case("for")).map_or("", |(_, value)| value)
 }
 
-/// An address as proxies write it: alone or with a port, in quotes or brackets or not.
+/// An address as proxies write it: with or without port, quotes and brackets.
 fn address(text: &str) -> Option<IpAddr> {
     let text = text.trim().trim_matches('"');
     let alone = text.strip_prefix('[').and_then(|rest| rest.split_once(']')).map_or(text, |(inside, _)| inside);
@@ -134,22 +134,21 @@ fn address(text: &str) -> Option<IpAddr> {
     alone.parse::<IpAddr>().ok().or_else(with_port).map(|address| address.to_canonical())
 }
 
-/// Says by a header what the PROXY protocol said, as a proxy of requests would: who comes so is not this machine's own user.
+/// Sets a header with the client from the PROXY protocol, as an HTTP proxy does; such a client is never this machine's own user.
 pub fn say(headers: &mut HeaderMap, client: IpAddr) {
     if let Ok(value) = HeaderValue::try_from(client.to_string()) {
         headers.insert(X_FORWARDED_FOR, value);
     }
 }
 
-/// Takes from a connection what the PROXY protocol begins it with: whose it is, or none where the proxy came by itself, to see whether
-/// anybody is there.
+/// Reads the PROXY protocol header of a connection: the client, or `None` for a health check by the proxy itself.
 ///
 /// # Errors
-/// What the system says; [`io::ErrorKind::InvalidData`] where a connection begins otherwise.
+/// An I/O error; [`io::ErrorKind::InvalidData`] if the connection begins otherwise.
 pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
     let mut bytes = [0; MOST];
     loop {
-        // it is looked at where it lies: what follows is for others to read
+        // peek, so that the bytes after the header stay in the socket
         let seen = stream.peek(&mut bytes).await?;
         if seen == 0 {
             return Err(io::ErrorKind::UnexpectedEof.into());
@@ -165,18 +164,18 @@ pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
     }
 }
 
-/// What the PROXY protocol says at the start of a connection.
+/// A PROXY protocol header.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Announcement {
-    /// Whose connection it is; none where the proxy came by itself.
+    /// The client; `None` for a connection of the proxy itself.
     pub client: Option<IpAddr>,
-    /// Bytes that it takes.
+    /// Length of the header in bytes.
     pub length: usize,
 }
 
 impl Announcement {
     /// # Errors
-    /// [`Error::BufferTooShort`] where more bytes are needed.
+    /// [`Error::BufferTooShort`] if more bytes are needed.
     pub fn read(bytes: &[u8]) -> Result<Self, Error> {
         let (header, length) = ProxyHeader::parse(bytes, ParseConfig { include_tlvs: false, ..ParseConfig::default() })?;
         Ok(Self { client: header.proxied_address().map(|address| address.source.ip().to_canonical()), length })
@@ -208,7 +207,7 @@ mod tests {
         assert_eq!(client(&one, "10.0.0.1", &said), "192.0.2.1");
         assert_eq!(client(&one, "::ffff:10.0.0.1", &said), "192.0.2.1", "the same written otherwise");
         assert_eq!(client(&one, "10.0.0.1", &said[1..]), "10.0.0.1", "not by a header that the proxy does not write");
-        // what a client wrote before the proxy added to it
+        // what the client sent, before the proxy appended
         assert_eq!(client(&one, "10.0.0.1", &[("x-forwarded-for", "127.0.0.1, 198.51.100.9, 192.0.2.1")]), "192.0.2.1");
         assert_eq!(client(&one, "10.0.0.1", &[("x-forwarded-for", "198.51.100.9"), ("x-forwarded-for", "192.0.2.1")]), "192.0.2.1");
     }
@@ -223,7 +222,7 @@ mod tests {
         assert_eq!(of("192.0.2.1:4711"), "192.0.2.1");
         assert_eq!(of("[2001:db8::7]:4711"), "2001:db8::7");
         for nothing in ["unknown", "", "192.0.2.1, unknown", ",,", "192.0.2.1, _hidden, 10.0.0.1"] {
-            assert!(all.trusts(of(nothing).parse().unwrap()), "{nothing}: nobody who is trusted saw more");
+            assert!(all.trusts(of(nothing).parse().unwrap()), "{nothing}: no trusted proxy saw more");
         }
     }
 
@@ -249,7 +248,7 @@ mod tests {
         }
     }
 
-    /// What comes of a connection whose client writes `pieces`, one after the other, and what is left to be read of it.
+    /// Reads the header of a connection whose client writes `pieces`; also returns the bytes left to read.
     async fn begun(pieces: &[&[u8]]) -> (io::Result<Option<IpAddr>>, Vec<u8>) {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let mut client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
@@ -304,7 +303,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever stands before what the proxy wrote changes nothing.
+        /// Anything before the proxy's own entry has no effect.
         #[test]
         fn only_the_end_of_the_way_counts(before in "[ -~]{0,60}", quoted in any::<bool>()) {
             let of = |told, name, value: &str| client(&trusted(&["10.0.0.1"], told), "10.0.0.1", &[(name, value)]);

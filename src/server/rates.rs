@@ -1,4 +1,4 @@
-//! How often somebody may ask: a bucket of tokens for each key and each address, which fills at a steady rate (GCRA).
+//! Rate limits: a token bucket for each key and each address (GCRA).
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -15,43 +15,43 @@ use super::limits;
 use super::problem::Problem;
 use super::share::customer;
 
-/// How an asker stands.
+/// Current state of a bucket.
 const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
-/// What they stand within.
+/// Policy of a bucket.
 const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
-/// What rates are told for; a bucket holds as much.
+/// Period of the limits; a bucket holds as many tokens as refill in it.
 const WINDOW: Duration = Duration::from_mins(1);
-/// Whoever is known at a time; those whose buckets are full are forgotten first, then the half that asked least.
+/// Most callers to track; full buckets are dropped first, then the half with the fewest requests.
 const MOST: usize = 100_000;
 
-/// Whom a bucket is of.
+/// Owner of a bucket.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Asker {
-    /// Whoever has a key of this name.
+    /// Holder of the key with this name.
     Key(String),
-    /// Whoever comes from there.
+    /// Client at this address.
     Address(IpAddr),
 }
 
 impl Asker {
-    /// By the name of a key, else by address; none where neither tells who it is.
+    /// By the name of a key, else by address; `None` if neither is known.
     #[must_use]
     pub fn of(key: Option<String>, address: Option<IpAddr>) -> Option<Self> {
         key.map(Self::Key).or_else(|| address.map(customer).map(Self::Address))
     }
 }
 
-/// Something that is done so often.
+/// A limit and its buckets.
 #[derive(Debug)]
 struct Buckets {
     name: &'static str,
-    /// Tokens in a bucket, which come in [`WINDOW`].
+    /// Tokens in a full bucket; as many refill in [`WINDOW`].
     most: u32,
-    /// When the bucket of each is full again.
+    /// When each bucket is full again.
     full: Mutex<HashMap<Asker, Instant>>,
 }
 
-/// How one stands with a bucket.
+/// State of a bucket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Standing {
     name: &'static str,
@@ -59,7 +59,7 @@ struct Standing {
     left: u32,
     /// Seconds until it is full, rounded up.
     reset: u64,
-    /// Seconds until there is a token, rounded up, where there was none.
+    /// Seconds until the next token, rounded up, if there was none.
     wait: Option<u64>,
 }
 
@@ -72,7 +72,7 @@ impl Buckets {
         (most > 0).then(|| Self { name, most, full: Mutex::default() })
     }
 
-    /// Takes a token of `asker`'s bucket, where there is one.
+    /// Takes a token of `asker`'s bucket, if it has one.
     fn take(&self, asker: &Asker, now: Instant) -> Standing {
         let each = WINDOW / self.most;
         let mut all = self.full.lock().unwrap_or_else(PoisonError::into_inner);
@@ -83,7 +83,7 @@ impl Buckets {
             if all.len() >= MOST && !all.contains_key(asker) {
                 all.retain(|_, full| *full > now);
                 if all.len() >= MOST {
-                    // whoever asked most stays known, so that a flood of addresses frees nobody
+                    // keep those with the most requests, so that a flood of addresses does not reset their buckets
                     let mut times: Vec<Instant> = all.values().copied().collect();
                     let (_, middle, _) = times.select_nth_unstable(MOST / 2);
                     let middle = *middle;
@@ -98,7 +98,7 @@ impl Buckets {
     }
 }
 
-/// All rates of a server.
+/// All rate limits of a server.
 #[derive(Debug)]
 pub struct Rates {
     requests: Option<Buckets>,
@@ -106,12 +106,12 @@ pub struct Rates {
     views: Option<Buckets>,
 }
 
-/// How an asker stands, to be told with the answer.
+/// Rate-limit headers for the answer.
 #[derive(Debug, Default)]
 pub struct Told(Vec<Standing>);
 
 impl Rates {
-    /// Those of `limits`.
+    /// The rates of `limits`.
     #[must_use]
     pub fn new(limits: &limits::Rates) -> Self {
         Self {
@@ -121,11 +121,11 @@ impl Rates {
         }
     }
 
-    /// What a request counts as besides, by its method and the path of its route.
+    /// The additional limit of a request, by its method and route.
     fn class(&self, method: &Method, path: &str) -> Option<&Buckets> {
         match (method, path) {
             (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
-            // HEAD draws what it tells the length of
+            // HEAD renders, too, to know the length
             (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export")
             | (&Method::POST, "/v1/photos/{id}/exports") => self.views.as_ref(),
             _ => None,
@@ -135,7 +135,7 @@ impl Rates {
     /// Counts a request.
     ///
     /// # Errors
-    /// 429 that names what is done too often, and says when to come back.
+    /// 429 that names the exceeded limit and says when to retry.
     pub fn count(&self, asker: Option<Asker>, request: &Request) -> (Told, Result<(), Problem>) {
         let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
         self.take(asker, request.method(), path)
@@ -160,7 +160,7 @@ impl Rates {
 }
 
 impl Told {
-    /// Says it, by draft-ietf-httpapi-ratelimit-headers.
+    /// Sets the headers of draft-ietf-httpapi-ratelimit-headers.
     pub fn put(&self, response: &mut Response) {
         if self.0.is_empty() {
             return;
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_asks_for_the_head_of_a_view_alone_has_asked_for_a_view() {
+    fn a_head_request_for_a_view_counts_as_a_view() {
         let rates = Rates::new(&limits::Rates { views: 1, ..limits::Rates::default() });
         for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
             let take = |method| rates.take(Some(Asker::Key(n.to_string())), &method, path).1;
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_of_askers_does_not_let_whoever_asked_most_begin_anew() {
+    fn a_flood_of_addresses_does_not_reset_the_busiest_bucket() {
         let (buckets, start) = (Buckets::new("requests", 2).unwrap(), Instant::now());
         let greedy = Asker::Key("greedy".into());
         for is_left in [true, true, false] {
@@ -265,7 +265,7 @@ mod tests {
                     let_in.push(now);
                 }
                 prop_assert!(standing.left <= most && standing.reset <= WINDOW.as_secs());
-                // after the wait that was told there is one
+                // after the announced wait there is a token
                 if let Some(seconds) = standing.wait {
                     let probe = Buckets::new("requests", most).unwrap();
                     *probe.full.lock().unwrap() = buckets.full.lock().unwrap().clone();

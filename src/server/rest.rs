@@ -1,19 +1,19 @@
-//! Memory given back once nobody wants work: what is kept goes when it was not asked for a while ([`Limits::rest`]), processes that made
-//! photos end, and what the allocator holds beyond that returns to the system.
+//! Returns memory once the server is idle: unused cache entries are dropped ([`Limits::rest`]), idle child processes end, and the allocator
+//! returns free memory to the system.
 
 use std::time::Duration;
 
 use super::app::App;
 
-/// Pause between two looks, as a share of [`Limits::rest`](super::Limits::rest).
+/// Checks per [`Limits::rest`](super::Limits::rest).
 const LOOKS: u32 = 8;
 
-/// What has happened since memory was last given back.
+/// Activity since memory was last returned.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 struct Seen {
-    /// Work that was begun on scenes.
+    /// Number of work slots entered.
     entered: u64,
-    /// Bytes that are kept.
+    /// Bytes in caches.
     kept: u64,
 }
 
@@ -24,7 +24,7 @@ impl Seen {
     }
 }
 
-/// Looks now and then until the server ends.
+/// Checks periodically until the server ends.
 pub async fn rest(app: App) {
     let mut given_back = Seen::default();
     loop {
@@ -39,29 +39,29 @@ pub async fn rest(app: App) {
         let busy = app.pool.bytes() > 0 || app.memory.taken() > 0;
         let seen = Seen::of(&app);
         if !busy && (ended || seen != given_back) {
-            // some milliseconds, in which nobody else may allocate
+            // takes some milliseconds, during which other threads cannot allocate
             let _ = tokio::task::spawn_blocking(give_back).await;
             given_back = seen;
         }
     }
 }
 
-/// Has all threads allocate from one place: what is free in others cannot be given back whole. A few threads of a server allocate at a
-/// time, and what is small each has for itself; `tests/load/allocators.py` compares. Who sets `MALLOC_ARENA_MAX` wants it otherwise.
+/// Limits the allocator to one arena: free memory in others cannot be returned whole. Few threads of a server allocate at a time, and small
+/// blocks come from per-thread caches; `tests/load/allocators.py` compares. `MALLOC_ARENA_MAX` overrides this.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
 pub fn allocate_in_one_place() {
     if std::env::var_os("MALLOC_ARENA_MAX").is_none() {
-        // SAFETY: it takes no pointer; where it is refused nothing changes
+        // SAFETY: it takes no pointer; if it fails, nothing changes
         unsafe { libc::mallopt(libc::M_ARENA_MAX, 1) };
     }
 }
 
-/// Other allocators are as they are.
+/// Not needed for other allocators.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn allocate_in_one_place() {}
 
-/// Returns to the system what the allocator holds and nobody uses.
+/// Returns the allocator's free memory to the system.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
 pub fn give_back() {
@@ -69,6 +69,6 @@ pub fn give_back() {
     unsafe { libc::malloc_trim(0) };
 }
 
-/// Other allocators do so by themselves.
+/// Other allocators do so on their own.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
 pub fn give_back() {}

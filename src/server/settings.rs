@@ -1,5 +1,5 @@
-//! What the owner of a photo wants of its viewers: title, how far the camera goes, where it starts, what stays in place, which view
-//! stands for the photo. Kept beside the photo, changed by JSON merge patches (RFC 7396).
+//! The owner's settings for viewers: title, camera range and start, fixed disparity, preview view. Stored with the photo and changed by
+//! JSON merge patches (RFC 7396).
 
 use std::borrow::Cow;
 
@@ -17,16 +17,16 @@ use tmpi_render::{Path, looking_at};
 pub const VERSION: u32 = 1;
 /// Longest title, in characters.
 pub const TITLE: usize = 200;
-/// What programs call a photo that has no name of its own.
+/// Names that programs give to photos without a name.
 const NAMELESS: [&str; 6] = ["photo", "image", "picture", "blob", "file", "upload"];
-/// Bytes of a patch, at most.
+/// Most bytes of a patch.
 pub const PATCH_BYTES: usize = 16 << 10;
-/// Times the usual speed.
+/// Allowed speeds, as multiples of the default.
 pub const SPEED: [f64; 2] = [0.25, 4.0];
-/// Disparity that views turn about where the settings do not say.
+/// Default disparity that views turn about.
 const PIVOT: f64 = 0.35;
 
-/// A place in the view box, in units of its half extents.
+/// A position in the view box, in units of its half extents.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Offset {
     /// Right.
@@ -37,16 +37,16 @@ pub struct Offset {
     pub z: f64,
 }
 
-/// How a photo moves by itself.
+/// The idle motion of a photo.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Idle(String);
 
 impl Idle {
-    /// Name of what does not move.
+    /// Name of no motion.
     const NONE: &'static str = "none";
 
-    /// What it may be called.
+    /// All names.
     pub fn names() -> impl Iterator<Item = &'static str> {
         Path::NAMES.into_iter().chain([Self::NONE])
     }
@@ -69,46 +69,45 @@ impl From<Idle> for String {
     }
 }
 
-/// Who may see a photo where the server asks who comes.
+/// Who may see a photo, with private access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Visibility {
-    /// Its owner alone.
+    /// Only its owner.
     Private,
-    /// Whoever has its address.
+    /// Anyone with its address.
     Link,
 }
 
-/// Settings of a photo; what is missing is left to the viewer.
+/// Settings of a photo; missing ones are up to the viewer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Settings {
     /// 1.
     #[schema(example = 1, required = false)]
     pub version: u32,
-    /// What to call the photo, 1 to 200 characters.
+    /// Title of the photo, 1 to 200 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub title: Option<String>,
-    /// How far the camera goes, each 0 to 1 of the view box.
+    /// Range of the camera, each 0 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Offset>,
     /// Disparity that stays in place while the camera moves, 0 (infinity) to 1 (the nearest thing).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<f64>,
-    /// Where the camera starts, each −1 to 1 of the view box.
+    /// Start position of the camera, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Offset>,
-    /// How it moves by itself; nothing moves with `none`.
+    /// Idle motion; `none` for no motion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, example = "orbit")]
     pub idle: Option<Idle>,
-    /// How fast that is, 0.25 to 4 times the usual.
+    /// Speed of the idle motion, 0.25 to 4 times the default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
-    /// Who may see the photo where the server asks who comes: `private`, its owner alone, or `link`, whoever has its address; `private` where it
-    /// is missing.
+    /// Who may see the photo, with private access: `private` (default), only its owner, or `link`, anyone with its address.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub visibility: Option<Visibility>,
-    /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
+    /// Camera position of the preview view, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
 }
@@ -130,29 +129,29 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Those of a photo.
+    /// Settings of a photo.
     #[must_use]
     pub fn of(photo: &Photo) -> Self {
         serde_json::from_value(photo.settings.clone()).unwrap_or_else(|error| {
-            tracing::error!(id = %photo.id, %error, "settings that cannot be read are left out");
+            tracing::error!(id = %photo.id, %error, "ignoring unreadable settings");
             Self::default()
         })
     }
 
-    /// As the library keeps them.
+    /// The settings as the library stores them.
     #[must_use]
     pub fn to_value(&self) -> Value {
         serde_json::to_value(self).unwrap_or_default()
     }
 
-    /// These settings with what an upload of the same photo says: its title, and who may see it.
+    /// These settings with the title and visibility that an upload of the same photo gives.
     #[must_use]
     pub fn told_again(&self, told: &Self) -> Self {
         let (title, visibility) = (told.title.clone().or_else(|| self.title.clone()), told.visibility.or(self.visibility));
         Self { title, visibility, ..self.clone() }
     }
 
-    /// These settings with a merge patch: what is null goes, what is missing stays.
+    /// These settings with a merge patch: null removes a field, a missing one stays.
     ///
     /// # Errors
     /// [`Problem`] 400 that names the field.
@@ -182,7 +181,7 @@ impl Settings {
         Ok(new)
     }
 
-    /// These settings with a title, as an upload names it.
+    /// These settings with the title of an upload.
     ///
     /// # Errors
     /// [`Problem`] 400: not 1 to 200 characters, or a control character.
@@ -190,7 +189,7 @@ impl Settings {
         Ok(Self { title: Some(title("title", &Value::from(text))?), ..self })
     }
 
-    /// These settings with who may see the photo, as an upload names it.
+    /// These settings with the visibility of an upload.
     ///
     /// # Errors
     /// [`Problem`] 400: neither `private` nor `link`.
@@ -198,13 +197,13 @@ impl Settings {
         Ok(Self { visibility: Some(visibility("visibility", &Value::from(text))?), ..self })
     }
 
-    /// Query of the view that stands for the photo; none where that is the photo itself.
+    /// Query of the preview view; `None` if it is the thumbnail.
     #[must_use]
     pub fn poster_query(&self, view_box: &ViewBox) -> Option<String> {
         self.poster_pose(view_box).map(|pose| format!("{pose}w=640&format=jpeg"))
     }
 
-    /// The camera of that view, as the begin of a query; none where it is the photo's own.
+    /// The camera of the preview view, as the start of a query; `None` if it is the photo's own.
     #[must_use]
     pub fn poster_pose(&self, view_box: &ViewBox) -> Option<String> {
         let at = self.poster?;
@@ -221,7 +220,7 @@ impl Settings {
     }
 }
 
-/// What the name of a file says of its photo: the name without folders and ending; none where programs gave it.
+/// A title from a file name, without folders and extension; `None` if a program made up the name.
 #[must_use]
 pub fn title_of_file(name: &str) -> Option<String> {
     // some browsers sent whole paths, with either kind of slash
@@ -248,8 +247,7 @@ fn title(name: &str, value: &Value) -> Result<String, Problem> {
     Ok(text.into_owned())
 }
 
-/// Text in which letters have taken in their marks, as people type it (Unicode, form C): macOS names files otherwise, and who looks for such
-/// a name would not find it.
+/// Text in Unicode form C, as people type it: macOS decomposes file names, and a search would not find them.
 fn composed(text: &str) -> Cow<'_, str> {
     ComposingNormalizerBorrowed::new_nfc().normalize(text)
 }
@@ -267,7 +265,7 @@ fn idle(name: &str, value: &Value) -> Result<Idle, Problem> {
     text.and_then(|text| Idle::try_from(text.to_owned())).map_err(|detail| Problem::parameter(name, detail))
 }
 
-/// A number of `least` to 1.
+/// A number from `least` to 1.
 fn number(name: &str, value: &Value, least: f64) -> Result<f64, Problem> {
     within(name, value, [least, 1.0])
 }
@@ -277,7 +275,7 @@ fn within(name: &str, value: &Value, [least, most]: [f64; 2]) -> Result<f64, Pro
     found.ok_or_else(|| Problem::parameter(name, format!("must be a number from {least} to {most}, not {value}")))
 }
 
-/// Axes of `least` to 1; what is missing stays, or is `usual`.
+/// Axes from `least` to 1; a missing one keeps its value, or gets `usual`.
 fn offset(name: &str, value: &Value, old: Option<Offset>, usual: f64, least: f64) -> Result<Offset, Problem> {
     let wrong = || Problem::parameter(name, format!("must be an object of x, y and z, not {value}"));
     let axes: &Map<String, Value> = value.as_object().ok_or_else(wrong)?;
@@ -295,11 +293,11 @@ fn offset(name: &str, value: &Value, old: Option<Offset>, usual: f64, least: f64
     Ok(new)
 }
 
-/// Answers a change to something that is not what the client saw (RFC 9110, section 13.1.1).
+/// Checks that the client saw the current version (`If-Match`, RFC 9110, section 13.1.1).
 ///
 /// # Errors
-/// 412 where `If-Match` names other versions than `etag`. Of a tag in two halves with a dash between only the first counts: it names what
-/// may be changed, the second what changes by itself.
+/// 412 if `If-Match` names other versions than `etag`. In a tag of two parts with a dash between only the first counts: it covers what
+/// clients can change, the second what changes without them.
 pub fn still_as_seen(headers: &axum::http::HeaderMap, etag: &str) -> Result<(), Problem> {
     let mut seen = headers.get_all(axum::http::header::IF_MATCH).iter().peekable();
     if seen.peek().is_none() {
@@ -411,7 +409,7 @@ mod tests {
         let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
         assert!(still_as_seen(&HeaderMap::new(), "\"a\"").is_ok());
         assert!(still_as_seen(&with("\"b\", \"a\""), "\"a\"").is_ok() && still_as_seen(&with("*"), "\"a\"").is_ok());
-        assert!(still_as_seen(&with("\"a-1\""), "\"a-2\"").is_ok(), "only what changes by itself has changed");
+        assert!(still_as_seen(&with("\"a-1\""), "\"a-2\"").is_ok(), "only the second part of the tag has changed");
         for other in ["\"b\"", "W/\"a\"", "a", "\"a", "\"b-1\""] {
             assert_eq!(still_as_seen(&with(other), "\"a-1\"").unwrap_err().status, 412, "{other}");
         }

@@ -1,4 +1,4 @@
-//! What one address may have of what there is for all, so that nobody keeps others out.
+//! Limits per address, so that one client cannot take all places.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
@@ -7,35 +7,35 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 tokio::task_local! {
-    /// Who asks, where that tells clients apart: loopback is also the address of all who come by a proxy.
+    /// Address of the client, if it tells clients apart: loopback is also the address of all clients behind a proxy.
     pub static ASKER: Option<IpAddr>;
 }
 
-/// Who asks, as far as it is known.
+/// Address of the client, if known.
 #[must_use]
 pub fn asker() -> Option<IpAddr> {
     ASKER.try_with(|asker| *asker).ok().flatten()
 }
 
-/// How many each address has.
+/// Counts per address.
 #[derive(Clone, Debug)]
 pub struct Shares {
     most: usize,
     had: Arc<Mutex<HashMap<IpAddr, usize>>>,
 }
 
-/// One of an address, as long as it lives.
+/// One place of an address, until it is dropped.
 #[derive(Debug)]
 pub struct Share(Option<(Shares, IpAddr)>);
 
 impl Shares {
-    /// At most so many for each address.
+    /// At most so many per address.
     #[must_use]
     pub fn new(most: usize) -> Self {
         Self { most, had: Arc::default() }
     }
 
-    /// Half of what there is for all.
+    /// Half of the total.
     #[must_use]
     pub fn half_of(all: usize) -> Self {
         Self::new(all.div_ceil(2))
@@ -45,7 +45,7 @@ impl Shares {
         self.had.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One more of `asker`; none where it has as many as it may. Those that cannot be told apart are not counted.
+    /// Takes a place for `asker`; `None` if it has too many. Unknown clients are not counted.
     #[must_use]
     pub fn take(&self, asker: Option<IpAddr>) -> Option<Share> {
         let Some(asker) = asker.map(customer) else { return Some(Share(None)) };
@@ -57,7 +57,7 @@ impl Shares {
         })
     }
 
-    /// True where nobody has any.
+    /// Whether no place is taken.
     #[cfg(test)]
     pub fn is_empty(&self) -> bool {
         self.lock().is_empty()
@@ -77,7 +77,7 @@ impl Drop for Share {
     }
 }
 
-/// The address that stands for all of one customer: one has a whole network of 64 bits of IPv6.
+/// The address that stands for a customer: an IPv6 customer has a whole /64 network.
 #[must_use]
 pub fn customer(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
@@ -86,14 +86,14 @@ pub fn customer(address: IpAddr) -> IpAddr {
     }
 }
 
-/// So many places, of which an address has half.
+/// A number of places, of which one address can have half.
 #[derive(Debug)]
 pub struct Places {
     all: Arc<Semaphore>,
     shares: Shares,
 }
 
-/// One of them, as long as it lives.
+/// One place, until it is dropped.
 #[derive(Debug)]
 pub struct Place {
     _permit: OwnedSemaphorePermit,
@@ -101,13 +101,13 @@ pub struct Place {
 }
 
 impl Places {
-    /// So many.
+    /// So many places.
     #[must_use]
     pub fn new(all: usize) -> Self {
         Self { all: Arc::new(Semaphore::new(all)), shares: Shares::half_of(all) }
     }
 
-    /// One for `asker`; none where all are taken, or it has half of them.
+    /// Takes a place for `asker`; `None` if all are taken, or it has half of them.
     #[must_use]
     pub fn take(&self, asker: Option<IpAddr>) -> Option<Place> {
         let share = self.shares.take(asker)?;

@@ -10,10 +10,10 @@ use bytes::Bytes;
 use futures_util::stream;
 use tmpi_library::{Blob, BlobStore};
 
-/// Bytes that are read at a time, so that a slow reader holds no more of a file than that.
+/// Bytes to read at a time, so that a slow client holds no more of a file in memory.
 const PIECE: usize = 256 << 10;
 
-/// The same of an object store, which is far away.
+/// The same for an object store, which has a higher latency.
 const OBJECT_PIECE: usize = 1 << 20;
 
 /// Bytes of an answer.
@@ -23,12 +23,12 @@ pub enum Source {
     Memory(Bytes),
     /// A file and its length in bytes.
     File(Arc<File>, usize),
-    /// A content in an object store.
+    /// An object in an object store.
     Object(BlobStore, Arc<Blob>),
 }
 
 impl Source {
-    /// Count of bytes.
+    /// Number of bytes.
     #[must_use]
     pub fn len(&self) -> usize {
         match self {
@@ -38,10 +38,10 @@ impl Source {
         }
     }
 
-    /// Its first `most` bytes, all where it has no more.
+    /// Its first `most` bytes, or all if it has fewer.
     ///
     /// # Errors
-    /// The file cannot be read.
+    /// If it cannot be read.
     pub async fn head(&self, most: usize) -> io::Result<Bytes> {
         let end = most.min(self.len());
         match self {
@@ -54,7 +54,7 @@ impl Source {
         }
     }
 
-    /// The body that sends `range` of it.
+    /// A body that sends `range` of it.
     pub fn body(self, range: Range<usize>) -> Body {
         match self {
             Self::Memory(bytes) => Body::from(bytes.slice(range)),

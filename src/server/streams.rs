@@ -1,5 +1,5 @@
-//! What goes on in a connection of HTTP/2: the transport tells only of all its streams together, so that a client that answers pings
-//! could leave one open for ever.
+//! Tracks the streams of an HTTP/2 connection. The transport reports only on all streams together, so a client that answers pings could
+//! keep one open forever.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
@@ -17,24 +17,24 @@ pub struct Streams(Mutex<State>);
 #[derive(Debug)]
 struct State {
     next: u64,
-    /// Requests that are open; with what is waited for of their clients: since when, and how many bytes they have to take.
+    /// Open requests. For those that wait for their client: since when, and for how many bytes.
     open: BTreeMap<u64, Option<(Instant, usize)>>,
-    /// Since when none is open.
+    /// Since when no request is open.
     idle: Instant,
 }
 
-/// What becomes of a connection.
+/// Verdict on a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Look {
-    /// It goes on.
+    /// Keep it.
     Fine,
-    /// Nothing was asked for a while.
+    /// No requests for a while.
     Idle,
-    /// A client does not take what it asked for.
+    /// A client does not read its answers.
     Stalled,
 }
 
-/// A request that is open, as long as this lives.
+/// An open request, until it is dropped.
 #[derive(Debug)]
 pub struct Open {
     streams: Arc<Streams>,
@@ -42,7 +42,7 @@ pub struct Open {
 }
 
 impl Streams {
-    /// Those of a new connection.
+    /// Of a new connection.
     #[must_use]
     pub fn new() -> Arc<Self> {
         Arc::new(Self(Mutex::new(State { next: 0, open: BTreeMap::new(), idle: Instant::now() })))
@@ -52,7 +52,7 @@ impl Streams {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One more request.
+    /// Adds a request.
     #[must_use]
     pub fn open(self: &Arc<Self>) -> Open {
         let mut state = self.lock();
@@ -63,7 +63,8 @@ impl Streams {
         Open { streams: Arc::clone(self), id }
     }
 
-    /// How it stands at `now`. A client may take nothing for `limit`, longer where it takes `rate` bytes a second; none is asked anything for `idle`.
+    /// State at `now`. A client may read nothing for `limit`, or longer if it reads `rate` bytes a second; a connection may have no request
+    /// for `idle`.
     #[must_use]
     pub fn look(&self, now: Instant, limit: Duration, rate: u64, idle: Duration) -> Look {
         let state = self.lock();
@@ -81,7 +82,7 @@ impl Streams {
 }
 
 impl Open {
-    /// The client has these to take; none: it waits for us.
+    /// The client has `bytes` to read; `None`: it waits for the server.
     fn turn(&self, bytes: Option<usize>) {
         self.streams.lock().open.insert(self.id, bytes.map(|bytes| (Instant::now(), bytes)));
     }
@@ -95,22 +96,22 @@ impl Drop for Open {
     }
 }
 
-/// Most bytes of a body that are given at a time. The transport asks for a piece ahead, and keeps what a client does not take.
+/// Most bytes of a body to hand over at a time. The transport requests a piece ahead, and buffers what a client does not read.
 pub const PIECE: usize = 64 << 10;
 
-/// The body of a response whose client is looked after.
+/// A response body that tracks its client.
 #[derive(Debug)]
 pub struct Watched<B> {
     body: B,
     open: Open,
-    /// What is left of a piece that was too large.
+    /// The rest of a piece that was too large.
     left: Bytes,
-    /// A piece of it was given.
+    /// Whether a piece was handed over.
     begun: bool,
 }
 
 impl<B> Watched<B> {
-    /// Wraps the body of the response to that request.
+    /// Wraps the body of the response to a request.
     pub const fn new(body: B, open: Open) -> Self {
         Self { body, open, left: Bytes::new(), begun: false }
     }
@@ -132,7 +133,7 @@ impl<B: Body<Data = Bytes> + Unpin> Body for Watched<B> {
                 data
             })
         });
-        // asked for more: what was there before is taken, but for a piece
+        // the transport asks for more, so the client has read all but one piece
         let waiting = match &polled {
             Poll::Ready(Some(Ok(frame))) => frame.data_ref().map(Bytes::len),
             _ => None,
@@ -143,7 +144,7 @@ impl<B: Body<Data = Bytes> + Unpin> Body for Watched<B> {
     }
 
     fn is_end_stream(&self) -> bool {
-        // the last piece, too, is to be taken: its end is seen when more is asked for
+        // the client must read the last piece, too: the end shows when more is requested
         !self.begun && self.body.is_end_stream()
     }
 
@@ -170,7 +171,7 @@ mod tests {
     const IDLE: Duration = Duration::from_secs(10);
 
     #[tokio::test]
-    async fn who_does_not_take_what_is_there_is_seen_and_who_waits_for_us_is_not() {
+    async fn only_clients_that_do_not_read_are_stalled() {
         let streams = Streams::new();
         let look = |seconds| streams.look(Instant::now() + Duration::from_secs(seconds), LIMIT, 1000, IDLE);
         let open = streams.open();
@@ -191,7 +192,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn large_pieces_are_given_in_small_ones_and_none_is_lost() {
+    async fn large_pieces_are_split_without_loss() {
         let all: Vec<u8> = (0..3 * PIECE + 5).map(|i| (i % 251) as u8).collect();
         let mut body = Watched::new(Whole::from(all.clone()), Streams::new().open());
         let mut came = Vec::new();

@@ -1,4 +1,4 @@
-//! Counts and durations, in the text format of `OpenMetrics`, which Prometheus reads.
+//! Metrics in the `OpenMetrics` text format, for Prometheus.
 
 use std::sync::atomic::AtomicU64;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -31,12 +31,12 @@ struct Route {
     route: String,
 }
 
-/// What others count, as it is now.
+/// A metric that is counted elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Figure {
     /// Name; that of a counter without its `_total`.
     pub name: &'static str,
-    /// Meaning.
+    /// Help text.
     pub help: &'static str,
     /// Value.
     pub value: Value,
@@ -45,28 +45,28 @@ pub struct Figure {
 /// Value of a [`Figure`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value {
-    /// May grow and fall.
+    /// May rise and fall.
     Gauge(f64),
-    /// Only grows.
+    /// Only rises.
     Counter(f64),
 }
 
-/// What may grow and fall.
+/// A gauge.
 #[must_use]
 pub const fn gauge(name: &'static str, help: &'static str, value: f64) -> Figure {
     Figure { name, help, value: Value::Gauge(value) }
 }
 
-/// What only grows.
+/// A counter.
 #[must_use]
 pub const fn counter(name: &'static str, help: &'static str, value: f64) -> Figure {
     Figure { name, help, value: Value::Counter(value) }
 }
 
-/// What became of something.
+/// An outcome label.
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
 pub(super) struct Outcome {
-    /// In a word.
+    /// One word.
     pub outcome: &'static str,
 }
 
@@ -97,7 +97,7 @@ fn histogram() -> Histogram {
 
 type Durations<L> = Family<L, Histogram, fn() -> Histogram>;
 
-/// All counters of a server.
+/// All metrics of a server.
 pub struct Telemetry {
     started: Instant,
     since: SystemTime,
@@ -150,7 +150,7 @@ impl Default for Telemetry {
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
         registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
         for reason in ["age", "room"] {
-            // from the beginning: what is counted first would else not be seen to grow
+            // create it now: Prometheus does not see the first increment of a new counter
             drop(t.retired.get_or_create(&Retired { reason }));
         }
         registry.register("tmpi_retired_bytes", "Bytes of photos that went by themselves", t.freed.clone());
@@ -161,7 +161,7 @@ impl Default for Telemetry {
     }
 }
 
-/// Counts one as long as it lives.
+/// Counts one, until it is dropped.
 pub struct Present(Gauge);
 
 impl Present {
@@ -178,7 +178,7 @@ impl Drop for Present {
 }
 
 impl Telemetry {
-    /// One that sends traces to a collector, where there is one; in the runtime of the caller.
+    /// With a trace exporter if there is a collector; uses the caller's runtime.
     ///
     /// # Errors
     /// [`CollectorError`].
@@ -188,47 +188,47 @@ impl Telemetry {
         Ok(telemetry)
     }
 
-    /// What makes spans, where they go somewhere.
+    /// Creates spans; `None` without a collector.
     #[must_use]
     pub const fn traces(&self) -> Option<&Traces> {
         self.traces.as_ref()
     }
 
-    /// The making of a photo, for the `attempt`th time from 1, that `parent` asked for.
+    /// Starts the span of making a photo, for the `attempt`th time from 1, within `parent`.
     #[must_use]
     pub fn begin_job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> Job {
         self.traces.as_ref().map_or_else(Job::default, |traces| Job::new(traces.job(parent, id, attempt)))
     }
 
-    /// A request was answered.
+    /// Records an answered request.
     pub fn request(&self, method: &'static str, route: &str, status: u16, took: Duration) {
         self.requests.get_or_create(&Answered { method, route: route.to_owned(), status }).inc();
         self.durations.get_or_create(&Route { route: route.to_owned() }).observe(took.as_secs_f64());
     }
 
-    /// A job ended as `outcome`.
+    /// Records a job that ended as `outcome`.
     pub fn job(&self, outcome: &'static str, took: Duration) {
         self.jobs.get_or_create(&Outcome { outcome }).inc();
         self.job_durations.observe(took.as_secs_f64());
     }
 
-    /// A job of a class ended as `outcome`: a photo, which is counted as a job besides, or a file.
+    /// Records the outcome of a job by its class: a photo, which [`Self::job`] counts, too, or a file.
     pub fn class_job(&self, class: &'static str, outcome: &'static str, took: Duration) {
         self.class_jobs.get_or_create(&Classed { class, outcome }).inc();
         self.class_durations.get_or_create(&OfClass { class }).observe(took.as_secs_f64());
     }
 
-    /// A phase of drawing a view: `decode`, `wait`, `render` or `encode`.
+    /// Records a phase of rendering a view: `decode`, `wait`, `render` or `encode`.
     pub fn view(&self, phase: &'static str, took: Duration) {
         self.view_phases.get_or_create(&Phase { phase }).observe(took.as_secs_f64());
     }
 
-    /// Bytes of accepted uploads.
+    /// Records bytes of accepted uploads.
     pub fn uploaded(&self, bytes: u64) {
         self.uploaded.inc_by(bytes);
     }
 
-    /// Photos went by themselves.
+    /// Records photos that retention deleted.
     pub fn swept(&self, swept: &Swept) {
         for (reason, count) in [("age", swept.by_age), ("room", swept.by_room)] {
             self.retired.get_or_create(&Retired { reason }).inc_by(count);
@@ -236,20 +236,20 @@ impl Telemetry {
         self.freed.inc_by(swept.bytes);
     }
 
-    /// A connection, as long as the result lives.
+    /// Counts a connection, until the result is dropped.
     pub fn connection(&self) -> Present {
         Present::of(&self.connections)
     }
 
-    /// A request under way, as long as the result lives.
+    /// Counts a running request, until the result is dropped.
     pub fn in_flight(&self) -> Present {
         Present::of(&self.in_flight)
     }
 
-    /// Everything, with `figures` that others know.
+    /// All metrics as text, with `figures` from elsewhere.
     ///
     /// # Errors
-    /// None in practice: text takes whatever is written.
+    /// Does not happen in practice.
     pub fn text(&self, figures: &[Figure]) -> Result<String, std::fmt::Error> {
         let mut now = Registry::default();
         let since = self.since.duration_since(UNIX_EPOCH).unwrap_or_default();

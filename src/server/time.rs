@@ -1,10 +1,10 @@
-//! Points in time as clients read them.
+//! Timestamps for clients.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use tmpi_library::Millis;
 
-/// Milliseconds since 1970, UTC, by this machine's clock; what is compared with what another node wrote goes by the database's.
+/// Milliseconds since 1970, UTC, by this machine's clock. To compare with times of other nodes, use the database's clock.
 pub fn now_ms() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
 }

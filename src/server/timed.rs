@@ -1,4 +1,4 @@
-//! Streams whose other side has to take what it asked for, at a least rate.
+//! Streams whose peer must read at a minimum rate.
 
 use std::io;
 use std::pin::Pin;
@@ -11,42 +11,42 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep};
 
-/// Bytes that the system keeps of what is live until the other side has them, of which it takes as many again for itself: two seconds of video
-/// as the publishing page sends it, and 10 Mbit/s to whoever is 100 ms away.
+/// Send buffer for live data in bytes, of which the system uses as much again for itself: two seconds of video as the publishing page sends
+/// it, and 10 Mbit/s at a round-trip time of 100 ms.
 const LITTLE: usize = 128 << 10;
 
-/// Has the system keep [`LITTLE`] of what is sent.
+/// Limits the system's send buffer to [`LITTLE`].
 pub fn keep_little(stream: &TcpStream) {
     if let Err(error) = socket2::SockRef::from(stream).set_send_buffer_size(LITTLE) {
-        tracing::debug!(%error, "bounding what the system keeps for a connection");
+        tracing::debug!(%error, "cannot limit the send buffer of a connection");
     }
 }
 
-/// A stream of which a write fails once the other side takes nothing for too long, or too little in all the time that was waited for it.
+/// A stream whose writes fail once the peer reads nothing for too long, or too little over the time spent waiting for it.
 pub struct Timed<S> {
     stream: S,
     limit: Duration,
-    /// Bytes a second that are taken at least, while there are any to take.
+    /// Least bytes a second that the peer reads while there is data.
     rate: u64,
     timer: Option<Pin<Box<Sleep>>>,
-    /// Since when the other side is waited for.
+    /// Since when it waits for the peer.
     since: Option<Instant>,
-    /// How long it was waited for, and what it took.
+    /// Total time of waiting, and bytes read in it.
     waited: Duration,
     taken: usize,
     little: Little<S>,
 }
 
-/// Whether the system is to keep little of what is written, and how it is told to.
+/// Whether to limit the send buffer, and how.
 pub struct Little<S> {
-    /// Set where it is.
+    /// Set to limit it.
     pub wanted: Arc<AtomicBool>,
-    /// Tells it.
+    /// Limits it.
     pub keep: fn(&S),
 }
 
 impl<S> Timed<S> {
-    /// Of which some byte is taken each `limit`, and `rate` bytes a second over it.
+    /// The peer must read at least a byte within `limit`, and `rate` bytes a second over it.
     pub fn new(stream: S, limit: Duration, rate: u64, little: Little<S>) -> Self {
         Self { stream, limit, rate, timer: None, since: None, waited: Duration::ZERO, taken: 0, little }
     }
@@ -124,12 +124,12 @@ mod tests {
     use super::*;
 
     fn usual<S>() -> Little<S> {
-        Little { wanted: Arc::default(), keep: |_| panic!("nobody asked for it") }
+        Little { wanted: Arc::default(), keep: |_| panic!("not requested") }
     }
 
     #[cfg(target_os = "linux")]
     #[tokio::test]
-    async fn a_connection_keeps_little_from_the_next_write_on_once_that_is_wanted() {
+    async fn the_send_buffer_is_limited_from_the_next_write_on() {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let theirs = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         let (ours, _) = listener.accept().await.unwrap();
@@ -141,7 +141,7 @@ mod tests {
         wanted.store(true, Ordering::Relaxed);
         timed.write_all(b"b").await.unwrap();
         assert_eq!(size(&timed), 2 * LITTLE);
-        // whoever reads nothing is sent no more than both sides keep
+        // a peer that reads nothing gets no more than both sides buffer
         let mut sent = 0;
         while let Ok(Ok(n)) = tokio::time::timeout(Duration::from_secs(1), timed.write(&[0; 4096])).await {
             sent += n;
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_client_that_takes_nothing_is_cut_off_and_a_slow_one_is_not() {
+    async fn a_peer_that_reads_nothing_is_cut_off_and_a_slow_one_is_not() {
         let (ours, mut theirs) = tokio::io::duplex(10);
         let mut timed = Timed::new(ours, Duration::from_millis(200), 1, usual());
         let slow = tokio::spawn(async move {
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_client_that_takes_a_byte_now_and_then_is_cut_off() {
+    async fn a_peer_that_reads_single_bytes_is_cut_off() {
         let (ours, mut theirs) = tokio::io::duplex(10);
         let mut timed = Timed::new(ours, Duration::from_millis(200), 10_000, usual());
         tokio::spawn(async move {

@@ -1,4 +1,4 @@
-//! TLS for those who put no proxy in front: certificates from files, read again when they change, and what is agreed on in the handshake.
+//! TLS without a proxy: certificates from files, reloaded when they change, and ALPN.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -10,13 +10,13 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 
-/// Pause between two looks whether the files have changed.
+/// Interval of the checks for changed files.
 const LOOK: Duration = Duration::from_secs(30);
-/// What is spoken inside, best first.
+/// Protocols for ALPN, best first.
 pub(super) const HTTP_2: &[u8] = b"h2";
 const PROTOCOLS: [&[u8]; 2] = [HTTP_2, b"http/1.1"];
 
-/// Why there is no TLS.
+/// Why TLS is not available.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
     /// A file cannot be read.
@@ -24,10 +24,10 @@ pub enum TlsError {
     File {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: std::io::Error,
     },
-    /// A file is not what it should be.
+    /// A file has the wrong content.
     #[error("{file}: not PEM with {what}")]
     Pem {
         /// The file.
@@ -37,7 +37,7 @@ pub enum TlsError {
         /// What is wrong.
         source: pem::Error,
     },
-    /// Certificate and key do not go together, or are of a kind that is not spoken.
+    /// Certificate and key do not match, or are of an unsupported kind.
     #[error("{cert} and {key}")]
     Pair {
         /// File of the certificates.
@@ -49,7 +49,7 @@ pub enum TlsError {
     },
 }
 
-/// Files of a certificate with those that signed it, and of its key, in PEM.
+/// Files of a certificate chain and its key, in PEM.
 #[derive(Clone, Debug)]
 struct Files {
     cert: PathBuf,
@@ -97,7 +97,7 @@ impl Files {
     }
 }
 
-/// The certificate that counts now.
+/// The current certificate.
 #[derive(Clone)]
 pub struct Tls {
     files: Files,
@@ -112,24 +112,24 @@ impl Tls {
     /// [`TlsError`].
     pub fn open(cert: PathBuf, key: PathBuf) -> Result<Self, TlsError> {
         let files = Files { cert, key };
-        // before the files are read: what is written meanwhile is read again
+        // before reading, so that changes during it trigger a reload
         let written = files.written()?;
         Ok(Self { now: Arc::new(RwLock::new(files.read()?)), files, written })
     }
 
-    /// What the next connection is spoken to with.
+    /// The acceptor for the next connection.
     pub(super) fn acceptor(&self) -> TlsAcceptor {
         self.now.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Reads the files again once they have changed, until `stop`. Where they cannot be read, or are half of a new pair, the old ones go on.
+    /// Reloads the files when they change, until `stop`. Keeps the old ones if they are unreadable or only half of a new pair.
     pub(super) async fn follow(mut self, stop: CancellationToken) {
         while stop.run_until_cancelled(tokio::time::sleep(LOOK)).await.is_some() {
             self.renew();
         }
     }
 
-    /// One look at the files.
+    /// Checks the files once.
     fn renew(&mut self) {
         let read = self.files.written().and_then(|written| {
             if written == self.written {
@@ -142,9 +142,9 @@ impl Tls {
             Ok(Some((written, acceptor))) => {
                 self.written = written;
                 *self.now.write().unwrap_or_else(PoisonError::into_inner) = acceptor;
-                tracing::info!("the new certificate counts from now on");
+                tracing::info!("using the new certificate");
             }
-            Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "the certificate of before goes on"),
+            Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "keeping the old certificate"),
         }
     }
 }
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_pair_counts_and_half_of_one_does_not() {
+    fn a_new_pair_is_used_and_half_of_one_is_not() {
         let dir = tempfile::tempdir().unwrap();
         let (cert, key) = (dir.path().join("cert.pem"), dir.path().join("key.pem"));
         let put = |from: &str, to: &Path, age: u64| {
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_with_the_file() {
+    fn errors_name_their_file() {
         let missing = PathBuf::from("/nowhere/cert.pem");
         let said = |cert: PathBuf, key: PathBuf| Tls::open(cert, key).map(drop).unwrap_err().to_string();
         assert!(said(missing.clone(), example("one.key")).contains("/nowhere/cert.pem"));

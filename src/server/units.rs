@@ -15,14 +15,14 @@ pub const MEGA: u64 = 1_000_000;
 /// Bytes of a MiB.
 pub const MIB: u64 = 1 << 20;
 
-/// Writes a quantity in units of `UNIT`, for `#[serde(with)]`; what is left of a unit is cut off.
+/// Writes a quantity in units of `UNIT`, for `#[serde(with)]`; fractions are cut off.
 pub struct In<const UNIT: u64>;
 
-/// What can be counted in units.
+/// A quantity with a unit.
 pub trait Quantity: Copy {
     /// In bytes, seconds or pixels.
     fn amount(self) -> u64;
-    /// The same back.
+    /// From bytes, seconds or pixels.
     fn of(amount: u64) -> Self;
 }
 
@@ -65,13 +65,13 @@ impl<const UNIT: u64> In<UNIT> {
     };
 
     /// # Errors
-    /// Those of the format.
+    /// Errors of the format.
     pub fn serialize<T: Quantity, S: Serializer>(quantity: &T, to: S) -> Result<S::Ok, S::Error> {
         (quantity.amount() / UNIT).serialize(to)
     }
 
     /// # Errors
-    /// No whole number.
+    /// If it is not a whole number.
     pub fn deserialize<'de, T: Quantity, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
         Ok(T::of(u64::deserialize(from)?.saturating_mul(UNIT)))
     }

@@ -1,4 +1,4 @@
-//! What a server does by itself: it looks whether its library can be written, and has deleted what is over and checked what was made.
+//! Background tasks of a server: check that the library is writable, delete expired photos, and check stored files.
 
 use std::time::Duration;
 
@@ -6,18 +6,18 @@ use tmpi_library::{Event, LibraryError};
 
 use super::app::App;
 
-/// Pause between two looks at the library, and while something is amiss: photos are made as soon as it is mended.
+/// Interval of the checks, and the shorter one during a fault: photos are made as soon as it is fixed.
 const PROBE: Duration = Duration::from_secs(2);
 const PROBE_AMISS: Duration = Duration::from_millis(500);
-/// The same of an object store, where each look costs.
+/// The same for an object store, where each check costs money.
 const PROBE_OBJECTS: Duration = Duration::from_secs(30);
-/// The first sweep after a start.
+/// Time of the first sweep after the start.
 const FIRST_SWEEP: Duration = Duration::from_mins(1);
-/// Pause where no photo is due for a check.
+/// Pause if no photo is due for a check.
 const NONE_DUE: Duration = Duration::from_mins(5);
 
-/// Looks now and then whether the library can be written and nothing is missing to make photos with, so that asking for it costs nothing.
-/// Where the disk is full, what is kept there of derived files goes first.
+/// Checks periodically that the library is writable and that nothing is missing to make photos, so that requests can read the result. On a
+/// full disk it first drops derived files.
 pub async fn probe(app: App, has_objects: bool) {
     let usual = if has_objects { PROBE_OBJECTS } else { PROBE };
     loop {
@@ -37,7 +37,7 @@ pub async fn probe(app: App, has_objects: bool) {
     }
 }
 
-/// Has deleted what is over, again and again.
+/// Applies retention and deletes orphaned blobs periodically.
 pub async fn sweep(app: App) {
     let usual = app.limits.retain_sweep.min(app.limits.exports.keep);
     let mut pause = FIRST_SWEEP.min(usual);
@@ -48,20 +48,20 @@ pub async fn sweep(app: App) {
             Ok(swept) => {
                 app.telemetry.swept(&swept);
                 if swept.by_age + swept.by_room > 0 {
-                    tracing::info!(by_age = swept.by_age, by_room = swept.by_room, bytes = swept.bytes, "photos have gone by themselves");
+                    tracing::info!(by_age = swept.by_age, by_room = swept.by_room, bytes = swept.bytes, "retention deleted photos");
                 }
             }
-            Err(error) => tracing::warn!(%error, "what is over stays until the next sweep"),
+            Err(error) => tracing::warn!(%error, "cannot apply retention; the next sweep retries"),
         }
         match app.library.gc_if_due().await {
-            Ok(Some(gone)) => tracing::info!(blobs = gone.blobs, bytes = gone.bytes, "orphaned blobs are removed"),
+            Ok(Some(gone)) => tracing::info!(blobs = gone.blobs, bytes = gone.bytes, "deleted orphaned blobs"),
             Ok(None) => {}
-            Err(error) => tracing::warn!(%error, "orphaned blobs stay until tomorrow"),
+            Err(error) => tracing::warn!(%error, "cannot delete orphaned blobs; retrying tomorrow"),
         }
     }
 }
 
-/// Checks what was made of each photo now and then, so that damage is known before somebody asks for it.
+/// Checks the stored files of photos periodically, to find damage before a client does.
 pub async fn look_over(app: App) {
     tokio::time::sleep(app.limits.look_over_first).await;
     loop {
@@ -69,7 +69,7 @@ pub async fn look_over(app: App) {
             Ok(Some(photo)) => Duration::from_secs_f64(photo.bytes as f64 / app.limits.look_over_rate as f64),
             Ok(None) => NONE_DUE.min(app.limits.look_over),
             Err(error) => {
-                tracing::warn!(%error, "a photo cannot be checked now");
+                tracing::warn!(%error, "cannot check a photo now");
                 PROBE
             }
         };
@@ -77,7 +77,7 @@ pub async fn look_over(app: App) {
     }
 }
 
-/// Frees what is kept of photos that are deleted, at whichever node.
+/// Drops the cache entries of deleted photos, whichever node deleted them.
 pub async fn forget(app: App) {
     let mut events = app.library.subscribe();
     while let Some(event) = events.next().await {

@@ -1,4 +1,4 @@
-//! Workers: tasks that take jobs of the one queue and do them on threads that may block.
+//! Workers: tasks that take jobs from the queue and run them on blocking threads.
 
 use std::any::Any;
 use std::convert::Infallible;
@@ -25,14 +25,14 @@ use super::routes::Stage;
 use super::traces::{Job, Parent};
 use tmpi_pipeline::{Options, Progress, Sink};
 
-/// What those that make photos take, and those that write files.
+/// Kinds of jobs of workers that make photos, and of those that write files.
 const MAKES: &[Kind] = &[Kind::Make];
 const WRITES: &[Kind] = &[Kind::Export, Kind::Film];
-/// Renewals in the time of a lease, of which some may be lost.
+/// Renewals within the term of a lease, of which some may fail.
 const RENEWALS: u32 = 4;
-/// Pause before the library is asked again that could not be reached.
+/// Pause before a retry if the library is unreachable.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Time that jobs have to end once they were told to.
+/// Time for jobs to end after they are cancelled.
 const END: Duration = Duration::from_secs(2);
 
 /// All workers of a server.
@@ -42,7 +42,7 @@ pub struct Workers {
 }
 
 impl Workers {
-    /// Starts them.
+    /// Starts the workers.
     pub fn start(app: &App) -> Self {
         let abort = Arc::<AtomicBool>::default();
         let of = |count: usize, kinds| (0..count).map(move |_| kinds);
@@ -51,7 +51,7 @@ impl Workers {
         Self { tasks, abort }
     }
 
-    /// Waits for the jobs under way, until `deadline`; those that are not finished by then go back into the queue.
+    /// Waits for running jobs until `deadline`; unfinished ones return to the queue.
     pub async fn drain(self, deadline: Instant) {
         let mut all = std::pin::pin!(futures_util::future::join_all(self.tasks));
         if tokio::time::timeout_at(deadline.into(), &mut all).await.is_err() {
@@ -61,13 +61,13 @@ impl Workers {
     }
 }
 
-/// What the thread that does a job is told, and tells.
+/// Signals to and from the thread of a job.
 #[derive(Clone)]
 struct Doing {
     app: App,
-    /// Set where the job is another's by now, or nobody's.
+    /// Set if the job is deleted or another worker has it.
     lost: Arc<AtomicBool>,
-    /// Set where jobs are to be cut off.
+    /// Set to abort jobs.
     abort: Arc<AtomicBool>,
     tell: UnboundedSender<Progress>,
 }
@@ -95,7 +95,7 @@ async fn work(app: App, kinds: &'static [Kind], abort: Arc<AtomicBool>) {
     }
 }
 
-/// Does one job.
+/// Runs one job.
 async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
     let (start, photo, kind) = (Instant::now(), lease.job.photo, lease.job.kind);
     let (tell, told) = unbounded_channel();
@@ -124,7 +124,7 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
     tracing::info!(%photo, kind = kind.name(), outcome, ms = took.as_millis() as u64, "job");
 }
 
-/// Keeps a lease as long as this is polled, from the reading of what the job is done with until its result is stored.
+/// Renews a lease while it is polled: from reading the inputs until the result is stored.
 async fn renew(lease: &Lease, doing: &Doing) -> Infallible {
     let period = lease.lasts() / RENEWALS;
     loop {
@@ -135,13 +135,13 @@ async fn renew(lease: &Lease, doing: &Doing) -> Infallible {
                 doing.lost.store(true, Ordering::Release);
                 std::future::pending::<()>().await;
             }
-            Ok(Err(error)) => tracing::warn!(%error, "a lease could not be renewed"),
-            Err(_) => tracing::warn!("a lease could not be renewed: the database does not answer"),
+            Ok(Err(error)) => tracing::warn!(%error, "cannot renew a lease"),
+            Err(_) => tracing::warn!("cannot renew a lease: the database does not answer"),
         }
     }
 }
 
-/// Does `work` on a thread that may block. Meanwhile whoever follows the photo is told how it goes. None where the thread ended without a result.
+/// Runs `work` on a blocking thread and publishes its progress. `None` if the thread ended without a result.
 async fn hold<T: Send + 'static>(
     lease: &Lease,
     doing: &Doing,
@@ -153,7 +153,7 @@ async fn hold<T: Send + 'static>(
     let mut events = library.subscribe();
     let started = std::thread::Builder::new().name("tmpi-job".into()).spawn(move || drop(send.send(work())));
     if let Err(error) = started {
-        return Err(End::Again(Retry::Fault(format!("no thread can be started: {error}"))));
+        return Err(End::Again(Retry::Fault(format!("cannot start a thread: {error}"))));
     }
     let mut said = None;
     loop {
@@ -168,7 +168,7 @@ async fn hold<T: Send + 'static>(
             event = events.next() => match event {
                 Some(Event::Photo(id) | Event::Deleted(id)) if id == lease.job.photo => {
                     if let Some(said) = &said {
-                        // with that nobody knows any more how far it is
+                        // the event made listeners forget the progress
                         tell_again(lease, doing, said).await;
                     }
                 }
@@ -176,11 +176,11 @@ async fn hold<T: Send + 'static>(
                 _ => continue,
             },
         }
-        // it may have been deleted or cancelled
+        // it may be deleted or cancelled
         match library.renew(lease, said.as_ref()).await {
             Ok(()) => {}
             Err(LibraryError::LeaseLost) => doing.lost.store(true, Ordering::Release),
-            Err(error) => tracing::warn!(%error, "a lease could not be renewed"),
+            Err(error) => tracing::warn!(%error, "cannot renew a lease"),
         }
     }
 }
@@ -191,20 +191,20 @@ async fn tell_again(lease: &Lease, doing: &Doing, said: &serde_json::Value) {
     }
 }
 
-/// Tells how it goes.
+/// Publishes progress.
 async fn tell(lease: &Lease, doing: &Doing, progress: &Progress) -> Option<serde_json::Value> {
     let said = serde_json::to_value(Stage::from(progress)).ok()?;
     tell_again(lease, doing, &said).await;
     Some(said)
 }
 
-/// What the library is told at the end of a job that has no result.
+/// End of a job without a result.
 enum End {
     Failed(Problem),
     Again(Retry),
 }
 
-/// Tells it, however long that takes: else a database that was away would count as a death of the worker.
+/// Records the end, however long that takes; otherwise a database outage would count as a crash of the worker.
 async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
     let library = &doing.app.library;
     loop {
@@ -216,7 +216,7 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
             Ok(()) => break,
             Err(LibraryError::LeaseLost) => return "deleted",
             Err(error) => {
-                tracing::warn!(%error, "the end of a job cannot be written now");
+                tracing::warn!(%error, "cannot record the end of a job");
                 if doing.abort.load(Ordering::Acquire) {
                     break;
                 }
@@ -226,15 +226,15 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
     }
     match end {
         End::Failed(problem) => {
-            tracing::warn!(photo = %lease.job.photo, kind = problem.kind, detail = problem.detail, "a job cannot be done");
+            tracing::warn!(photo = %lease.job.photo, kind = problem.kind, detail = problem.detail, "a job failed");
             "failed"
         }
         End::Again(Retry::Died(reason)) => {
-            tracing::warn!(photo = %lease.job.photo, reason, "it took down what made it");
+            tracing::warn!(photo = %lease.job.photo, reason, "a job crashed its process");
             "crashed"
         }
         End::Again(Retry::Fault(reason)) => {
-            tracing::error!(photo = %lease.job.photo, reason, "a fault of the server; the job is tried again");
+            tracing::error!(photo = %lease.job.photo, reason, "a fault of the server; the job is retried");
             doing.app.set_trouble(Some(reason));
             "put-back"
         }
@@ -242,7 +242,7 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
     }
 }
 
-/// Listeners and cancellation of a photo that is made.
+/// Progress and cancellation of a running job.
 struct JobSink<'a> {
     doing: &'a Doing,
     deadline: Instant,
@@ -252,7 +252,7 @@ struct JobSink<'a> {
 impl Sink for JobSink<'_> {
     fn progress(&self, message: &Progress) {
         self.job.stage(message.stage);
-        // nobody is told of a job that has ended
+        // fails only if the job has ended
         let _ = self.doing.tell.send(message.clone());
     }
 
@@ -265,7 +265,7 @@ impl Sink for JobSink<'_> {
     }
 }
 
-/// What a photo is made of.
+/// Inputs of a photo.
 struct Inputs {
     photo: Bytes,
     depth: Option<Bytes>,
@@ -286,7 +286,7 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
     let mut options = options::from_text(&photo.options).map_err(End::Failed)?;
     options.strokes = match read(Part::Strokes).await {
         Ok(strokes) => super::app::strokes_of(strokes.as_deref()),
-        // without them the photo is still what was uploaded
+        // the photo can be made without strokes
         Err(End::Failed(_)) => Vec::new(),
         Err(again) => return Err(again),
     };
@@ -321,7 +321,7 @@ async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -
         Err(Fault::Photo(problem)) => end(lease, doing, End::Failed(problem)).await,
         Err(Fault::Server(reason)) => end(lease, doing, End::Again(Retry::Fault(reason))).await,
         Err(Fault::Cancelled) if doing.lost.load(Ordering::Acquire) => "deleted",
-        // it may have ended with the server
+        // the process may have ended with the server
         Err(Fault::Crashed(_)) if doing.app.stop.is_cancelled() => end(lease, doing, End::Again(Retry::Stopping)).await,
         Err(Fault::Crashed(reason)) => end(lease, doing, End::Again(Retry::Died(reason))).await,
         Err(Fault::Cancelled) => end(lease, doing, End::Again(Retry::Stopping)).await,
@@ -345,7 +345,7 @@ async fn keep(lease: &Lease, doing: &Doing, product: Product) -> &'static str {
     match doing.app.library.finish(lease, Made { contents, details: Done::details(report.width, report.height) }).await {
         Ok(_) => "done",
         Err(LibraryError::LeaseLost) => "deleted",
-        Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("what was made cannot be kept: {error}")))).await,
+        Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("cannot store the results: {error}")))).await,
     }
 }
 
@@ -389,13 +389,14 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
     }
 }
 
-/// Turns a panic into a failure of the photo. No state of ours is borrowed mutably by the maker, so none can be left half changed.
+/// Turns a panic into a failure of the photo. The maker borrows none of the server's state mutably, so a panic cannot leave it
+/// inconsistent.
 pub(super) fn caught(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
     catch_unwind(AssertUnwindSafe(make))
         .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &said(panic.as_ref())))))
 }
 
-/// What a panic said.
+/// The message of a panic.
 pub(super) fn said(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()

@@ -1,4 +1,5 @@
-// Who may see a photo, where the server asks who comes: everybody with the link, or whoever has a link that ends; who else may change it, and which other browser is its owner's.
+// The access dialog of a photo: who may see it (everybody with the link, or only holders of a link that expires), who else may change it,
+// and how another browser becomes the same owner. Shown only on servers with access control.
 
 import { t } from '../i18n/messages.js';
 import { changeSettings, linksOf, ownerTicket, takeLinksBack } from './api.js';
@@ -19,7 +20,7 @@ export async function open({ id, visibility, changed }) {
     ['private', t('Only me')],
     ['link', t('Anyone with the link')],
   ]);
-  // the heading says it to who sees it
+  // the visible heading has the same text
   seen.setAttribute('aria-label', t('Who may see it'));
   const said = element('p');
   said.setAttribute('role', 'status');
@@ -54,10 +55,10 @@ export async function open({ id, visibility, changed }) {
 }
 
 /**
- * How somebody else comes to change this photo, and how all links are taken back; nothing where the server tells of no such link.
+ * The link with which others can change this photo, and a button to revoke all links; empty if the server returns no such link.
  * @param {string | undefined} manage
  * @param {() => Promise<void>} takeBack
- * @param {() => Promise<string | undefined>} anew shows the links of now; gives the one to change it
+ * @param {() => Promise<string | undefined>} anew shows the current links; returns the one to change the photo
  */
 function somebodyElse(manage, takeBack, anew) {
   if (!manage) return [];
@@ -70,7 +71,7 @@ function somebodyElse(manage, takeBack, anew) {
       link.text.value = absolute((await anew()) ?? '');
       said.textContent = t('Earlier links no longer work; these are new.');
     } catch (error) {
-      // whoever was given the link does not take it back
+      // a holder of a manage link cannot revoke it
       said.textContent = error.status === 404 ? t('Only the person who uploaded the photo can take its links back.') : error.message;
     }
   });
@@ -88,7 +89,7 @@ function somebodyElse(manage, takeBack, anew) {
 }
 
 /**
- * How another browser comes to own what this one owns.
+ * Makes another browser the same owner as this one.
  * @param {string} id
  */
 function otherBrowser(id) {
@@ -102,7 +103,7 @@ function otherBrowser(id) {
       link.text.value = absolute(`/view/${encodeURIComponent(id)}#owner=${await ownerTicket()}`);
       shown.hidden = false;
       said.textContent = t('Valid for 15 minutes.');
-      // it comes below what is seen of the dialog
+      // it may be below the visible part of the dialog
       said.scrollIntoView({ block: 'nearest' });
     } catch (error) {
       said.textContent = error.message;

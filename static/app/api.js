@@ -8,14 +8,14 @@ import { formatBytes } from '../i18n/text.js';
 /** @import { Stroke } from './outline.js' */
 
 /**
- * State of a photo as the server tells it.
+ * State of a photo as the server returns it.
  * @typedef {object} Photo
- * @property {string} [version] names the bytes of all that is made of it, once it is done
+ * @property {string} [version] version of the photo's files, once it is done
  * @property {string} id
  * @property {'queued' | 'working' | 'done' | 'failed' | 'damaged'} state
  * @property {string} created
- * @property {string} [better_depth] a network that is at hand and better than the one that estimated its depth, for whoever may have it made again
- * @property {'private' | 'link'} [visibility] who may see it, where the server asks who comes
+ * @property {string} [better_depth] a better network than the one that estimated the depth, if the caller may have the photo made again
+ * @property {'private' | 'link'} [visibility] who may see it, on a server with access control
  * @property {number} width
  * @property {number} height
  * @property {number} atlas_bytes size of the container
@@ -26,7 +26,7 @@ import { formatBytes } from '../i18n/text.js';
  */
 
 /**
- * What a refusal says for people: what programs are told in numbers and tags, in words.
+ * A refusal in words for people, in place of the numbers and tags for programs.
  * @param {number} status
  * @param {string} statusText
  * @param {string} body
@@ -59,7 +59,7 @@ async function request(url, options) {
   return response;
 }
 
-/** The link by which the page was opened: not every browser keeps its cookie. */
+/** The link with which the page was opened: some browsers do not keep its cookie. */
 const LINK = linkOf(globalThis.location?.search);
 
 export const photoUrl = (/** @type {string} */ id, part = '') => withLink(`/v1/photos/${encodeURIComponent(id)}${part}`, LINK);
@@ -83,7 +83,7 @@ export async function getPhoto(id) {
 }
 
 /**
- * Changes settings of a photo by a merge patch; only the version `etag`, where it is given.
+ * Changes settings of a photo by a merge patch. With `etag`, only if the settings still have that version.
  * @param {string} id
  * @param {object} patch
  * @param {string | null} etag
@@ -96,13 +96,13 @@ export async function changeSettings(id, patch, etag) {
 }
 
 /**
- * Pages of a photo for others: `page` is good until `expires`, in seconds since 1970; `manage` lets somebody change it until that is taken back. And
- * where this browser makes tickets by which another one becomes the same owner, if it can.
+ * Pages of a photo for others: `page` is valid until `expires`, in seconds since 1970; `manage` lets others change it until it is revoked.
+ * `ticket` is the route that issues tickets for another browser, if this browser may have any.
  * @typedef {{page: string, expires?: number, manage?: string, ticket?: string}} PhotoLinks
  */
 
 /**
- * Links to a photo that are good for `seconds`.
+ * Links to a photo that are valid for `seconds`.
  * @param {string} id
  * @param {number} seconds
  * @returns {Promise<PhotoLinks>}
@@ -112,7 +112,7 @@ export async function linksOf(id, seconds) {
 }
 
 /**
- * A ticket by which another browser becomes the owner that this one is; it soon ends.
+ * A ticket that makes another browser the same owner as this one; it expires soon.
  * @returns {Promise<string>}
  */
 export async function ownerTicket() {
@@ -120,14 +120,14 @@ export async function ownerTicket() {
 }
 
 /**
- * Takes back all links to a photo.
+ * Revokes all links to a photo.
  * @param {string} id
  */
 export async function takeLinksBack(id) {
   await request(photoUrl(id, '/manage'), { method: 'DELETE' });
 }
 
-/** Longest that the server is asked to wait for a photo that it makes again; then its events are followed. */
+/** Maximum seconds of one request that makes a photo again; after that the page follows its events. */
 const WAIT_S = 20;
 
 /**
@@ -141,7 +141,7 @@ export async function strokesOf(id) {
 }
 
 /**
- * Gives a photo other strokes, if it still has those of version `etag`: it is made again, and done or under way then.
+ * Changes a photo's strokes if they still have version `etag`. The server makes the photo again: it is done or under way then.
  * @param {string} id
  * @param {Stroke[]} strokes
  * @param {string | null} etag
@@ -153,7 +153,7 @@ export async function changeStrokes(id, strokes, etag) {
 }
 
 /**
- * The server's depth network, the kinds that it is better than, and the better one that it may fetch.
+ * The server's depth network, the kinds that it is better than, and a better one that it may fetch.
  * @typedef {{name: string, better_than: string[], better?: {name: string, bytes?: number}, fetched_bytes?: number, problem?: string}} Network
  */
 
@@ -168,7 +168,7 @@ export async function fetchNetwork() {
 }
 
 /**
- * Has a photo made again: done or under way then.
+ * Makes a photo again; it is done or under way then.
  * @param {string} id
  * @returns {Promise<Photo>}
  */
@@ -177,7 +177,7 @@ export async function makeAgain(id) {
 }
 
 /**
- * `options.keepalive`: goes on when the page is left.
+ * With `options.keepalive` the request outlives the page.
  * @param {string} id
  * @param {RequestInit} [options]
  */

@@ -1,11 +1,11 @@
-// What lies behind the photo.
+// The backdrop behind the photo.
 
 import { $ } from './dom.js';
 
 const SIZE = [12, 9];
 
 /**
- * Fills what the photo leaves free with its colours: a few pixels drawn large, which costs no frame any time.
+ * Fills the space around the photo with its colours: a few pixels drawn large, which costs no time per frame.
  * @param {HTMLImageElement} image
  */
 export async function showBackdrop(image) {

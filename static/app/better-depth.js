@@ -1,4 +1,4 @@
-// Better depth: offers to fetch a better network, tells how that fares, and has photos of the one before made again.
+// Better depth: offers to fetch a better network, shows the progress, and makes photos of the old network again.
 
 import { t } from '../i18n/messages.js';
 import { formatBytes } from '../i18n/text.js';
@@ -10,14 +10,14 @@ import { untilMade } from './follow-photo.js';
 /** @import { Network } from './api.js' */
 
 const ASK_EVERY_MS = 500;
-/** Answers to those whom the server's networks are no affair of. */
+/** Statuses that mean: the caller may not see the server's networks. */
 const REFUSALS = [401, 403, 404];
 
 /**
- * Fills `place` with what can be had for a photo whose depth `model` estimated, as its report names it: the server says whether the caller may have it
- * made again, and tells whom they concern of its networks.
+ * Fills `place` with what the server offers for a photo whose depth `model` estimated, as its report names it. The server decides whether
+ * the caller may have the photo made again, and who may see its networks.
  * @param {HTMLElement} place
- * @param {{id: string, model?: string, made: () => void}} photo `made`: called once it was made again
+ * @param {{id: string, model?: string, made: () => void}} photo `made`: called after it was made again
  */
 export async function offerBetterDepth(place, { id, model, made }) {
   const estimated = model && model !== 'given' && model !== 'carried';
@@ -26,7 +26,7 @@ export async function offerBetterDepth(place, { id, model, made }) {
 
   /**
    * @param {Pick<Network, 'better' | 'fetched_bytes' | 'problem'>} network
-   * @param {string} [atHand] a better network that the photo can be made again with
+   * @param {string} [atHand] a better network that the server has already
    */
   function show({ better, fetched_bytes: bytes, problem }, atHand) {
     if (better && bytes !== undefined) {
@@ -51,7 +51,7 @@ export async function offerBetterDepth(place, { id, model, made }) {
     try {
       /** @type {Pick<Network, 'better' | 'fetched_bytes' | 'problem'>} */
       const network = await request().catch((error) => {
-        // only the server knows who may: this machine's own user, and keys for its affairs from anywhere
+        // only the server knows who may: a local user, or a holder of an admin key
         if (REFUSALS.includes(error.status)) return {};
         throw error;
       });
@@ -80,7 +80,7 @@ export async function offerBetterDepth(place, { id, model, made }) {
 }
 
 /**
- * That the network could not be fetched, and for whoever asks, why.
+ * Says that fetching the network failed, and why on request.
  * @param {string} problem as the server has it
  */
 function failure(problem) {

@@ -1,23 +1,23 @@
-// Photos as the server takes them: what the browser can show and the server does not read becomes a JPEG here, as does what is too large
-// to be sent. What neither reads is refused before it travels, with what to do about it.
+// Prepares photos for upload: a file that the browser can show and the server cannot read is converted to JPEG here, and so is one that is
+// too large. A file that neither can read is rejected before the upload, with advice.
 
 import { t } from '../i18n/messages.js';
 import { formatBytes } from '../i18n/text.js';
 
-/** What a server takes where nobody says otherwise (src/server/limits.rs). */
+/** The server's default limits (src/server/limits.rs). */
 const MOST_BYTES = 32 * 2 ** 20;
 const MOST_PIXELS = 50_000_000;
 const MOST_SIDE = 16_384;
-/** Bytes below which a file has no more pixels than that, as a rule, and below which asking the server costs nothing. */
+/** A file with fewer bytes usually has no more pixels than that, and uploading it to find out is cheap. */
 const SMALL_BYTES = 4 * 2 ** 20;
-/** Qualities of JPEG, tried in turn until the file is small enough. */
+/** JPEG qualities, tried in turn until the file is small enough. */
 const QUALITIES = [0.95, 0.88, 0.75];
 const HEAD_BYTES = 64;
 
 const TAKEN = new Set(['JPEG', 'PNG', 'WebP']);
 
 /**
- * Kind of a file by its first bytes, whatever its name says; null where it is unknown.
+ * Kind of a file by its first bytes, regardless of its name; null if unknown.
  * @param {Uint8Array} head
  */
 export function kindOf(head) {
@@ -36,7 +36,7 @@ export function kindOf(head) {
 }
 
 /**
- * Size to which a picture is reduced, its shape kept, or null where it is within the limits.
+ * Size to which a picture is reduced, keeping its shape; null if it is within the limits.
  * @param {{width: number, height: number}} size
  */
 export function reduced({ width, height }) {
@@ -45,9 +45,9 @@ export function reduced({ width, height }) {
 }
 
 /**
- * The file to send for a photo. Throws with a sentence for people where there is none.
+ * The file to upload for a photo. Throws an error with a message for people if there is none.
  * @param {File} file
- * @param {(loss: string) => void} converting called where it takes a moment, with what is lost by it, if anything
+ * @param {(loss: string) => void} converting called before a conversion, which takes a moment, with what it loses, if anything
  * @returns {Promise<File>}
  */
 export async function prepared(file, converting) {
@@ -61,7 +61,7 @@ export async function prepared(file, converting) {
   // browsers draw the picture alone
   converting(kind === 'HEIC' || kind === 'JPEG' ? t('If the photo came with depth, it was lost in the conversion.') : '');
   const bitmap = await createImageBitmap(file).catch(() => null);
-  // of what is small and unknown the server knows best what it is
+  // for a small unknown file the server decides
   if (!bitmap && !kind && file.size <= SMALL_BYTES) return file;
   if (!bitmap) throw new Error(unreadable(kind, file));
   try {
@@ -85,7 +85,7 @@ function unreadable(kind, file) {
 }
 
 /**
- * Size of a picture without its pixels, upright, or null.
+ * Size of a picture without decoding its pixels, upright, or null.
  * @param {File} file
  */
 async function sizeOf(file) {
@@ -105,7 +105,7 @@ async function sizeOf(file) {
 }
 
 /**
- * The picture, its first frame where it has several, as a JPEG; what is drawn with few colours as a PNG.
+ * The picture (its first frame, if it has several) as a JPEG; as a PNG if it has few colours.
  * @param {ImageBitmap} bitmap
  * @param {File} file
  * @param {string | null} kind
@@ -115,7 +115,7 @@ async function encoded(bitmap, file, kind) {
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext('2d');
   if (!context) throw new Error(unreadable(kind, file));
-  // what is see-through lies over white, as on the server
+  // transparent parts lie over white, as on the server
   context.fillStyle = '#fff';
   context.fillRect(0, 0, width, height);
   context.imageSmoothingQuality = 'high';

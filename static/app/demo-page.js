@@ -1,4 +1,4 @@
-// The page that shows the element: three of the photos that there are, one of them as if from another server.
+// The element's demo page: three of the server's photos, one of them as if from another server.
 
 import { t, translatePage } from '../i18n/messages.js';
 import { listPhotos } from './api.js';
@@ -7,7 +7,7 @@ import { photoName } from './photo-name.js';
 
 const SHOWN = 3;
 
-/** The same server under a name that makes another origin of it; the page's own where there is no such name. */
+/** The same server under a host name that makes it another origin; the page's own origin if there is no such name. */
 function otherOrigin() {
   const url = new URL(location.origin);
   if (url.hostname === '127.0.0.1') url.hostname = 'localhost';
@@ -25,7 +25,7 @@ async function show() {
   $('demo-note').hidden = true;
   const figures = [...document.querySelectorAll('figure')];
   figures.forEach((figure, i) => {
-    // where there are fewer photos, one is shown again
+    // with fewer photos, one appears again
     const photo = done[i % done.length];
     const element = figure.querySelector('tmpi-viewer');
     if (!(element instanceof HTMLElement)) return;

@@ -1,11 +1,11 @@
-// Where the depth of a photo comes from, in words.
+// Describes how a photo got its depth.
 
 import { t } from '../i18n/messages.js';
 import { decimal } from '../i18n/text.js';
 
 /** @typedef {{depth_model: string, stages: {name: string, ms: number}[], input: {depth?: {stretched: boolean} | null, depth_problem?: string | null}}} Report */
 
-/** Names of networks as people know them; others are shown as they are. */
+/** Common names of networks; others are shown as they are. */
 /** @type {[RegExp, string][]} */
 const NETWORKS = [
   [/^tmpi$/, 'the built-in network'],
@@ -22,13 +22,13 @@ const NETWORKS = [
 ];
 
 /**
- * A network as people know it, in English.
+ * The common name of a network, in English.
  * @param {string} model
  */
 export const networkName = (model) => NETWORKS.find(([pattern]) => pattern.test(model))?.[1] ?? model;
 
 /**
- * One or two sentences for the menu; nothing where the report, which an older program may have written, does not tell.
+ * One or two sentences for the menu; empty if the report, which may be of an older version, does not have the information.
  * @param {Partial<Report>} report
  */
 export function depthSource(report) {

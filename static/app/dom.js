@@ -1,7 +1,7 @@
-// Parts of pages.
+// Helpers for page elements.
 
 /**
- * The page's element of an id; `kind` where it is to be more than any element. Throws where there is none.
+ * The page's element with an id; `kind` if a more specific class is needed. Throws if it is missing.
  * @template {HTMLElement} [T=HTMLElement]
  * @param {string} id
  * @param {{new (): T}} [kind]
@@ -41,5 +41,5 @@ export function icon(name) {
   return svg;
 }
 
-/** True where others cannot reach the server by the page's address. */
+/** True if the page's address works on this machine only. */
 export const isLoopback = () => /^(localhost|.*\.localhost|127\..*|\[::1\])$/.test(location.hostname);

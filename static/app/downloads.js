@@ -1,18 +1,18 @@
-// The links of the download menu to what the server makes of a photo.
+// The links of the download menu to files that the server renders.
 
 import { photoUrl } from './api.js';
 import { $ } from './dom.js';
 
-/** Pictures that the server draws: what stays in place lies in the screen. */
+/** Pictures that the server renders; the focus distance lies in the screen. */
 const PICTURES = /** @type {Record<string, {query: string, ending: string}>} */ ({
   anaglyph: { query: 'stereo=anaglyph&format=jpeg', ending: '-anaglyph.jpg' },
   sbs: { query: 'stereo=sbs&format=jpeg', ending: '-sbs.jpg' },
-  // its columns, rows and aspect are in its name, as the displays' programs read them
+  // columns, rows and aspect are in the file name, where the displays' programs read them
   quilt: { query: 'quilt=8x6&w=420&h=560&format=png', ending: '_qs8x6a0.75.png' },
 });
 
 /**
- * Gives the links to pictures and depth their addresses and names, as the photo is now.
+ * Sets addresses and names of the links to pictures and depth, for the photo's current state.
  * @param {string} id of the photo
  * @param {string} stem of the files' names
  * @param {number} focus disparity of what lies in the screen

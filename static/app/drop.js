@@ -1,12 +1,12 @@
-// Files of a drop, folders opened.
+// Files of a drop, including those in folders.
 
 /** @import { Found } from './pairs.js' */
 
-/** Most files taken from one drop. */
+/** Maximum number of files of one drop. */
 const MOST = 500;
 
 /**
- * All files of a drop with their folders; of folders only the pictures. To be called while the event is handled.
+ * All files of a drop with their folders; from folders only pictures. Call it while the event is handled.
  * @param {DataTransfer} transfer
  */
 export async function filesOf(transfer) {
@@ -34,7 +34,7 @@ async function collect(entry, out, folder) {
   }
   const reader = /** @type {FileSystemDirectoryEntry} */ (entry).createReader();
   for (;;) {
-    // a reader gives a part of a large folder at a time
+    // a reader returns a large folder in parts
     /** @type {FileSystemEntry[]} */
     const batch = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
     if (!batch.length) return;

@@ -1,4 +1,4 @@
-// How to put a photo on a page of one's own: in a frame, as an element, or as a page in one file.
+// How to put a photo on your own page: in a frame, as an element, or as a page in one file.
 
 import { t } from '../i18n/messages.js';
 import { changeSettings, photoUrl } from './api.js';
@@ -25,7 +25,7 @@ export function open({ id, viewer, name, file, visibility, changed }) {
     piece(t('In a frame'), t('Needs no script.'), code.frame),
     piece(t('As an element'), t('With attributes, methods and events.'), code.element),
   );
-  // what shows nothing is not there to be copied
+  // do not offer code that would show nothing
   pieces.hidden = visibility === 'private';
   const shown = (/** @type {Parameters<Shared['changed']>[0]} */ answer) => {
     pieces.hidden = false;
@@ -46,7 +46,7 @@ export function open({ id, viewer, name, file, visibility, changed }) {
 }
 
 /**
- * Asks whether everybody with the link may see the photo, without which what is copied here shows nothing.
+ * Asks whether everybody with the link may see the photo; otherwise the copied code shows nothing.
  * @param {string} id
  * @param {Shared['changed']} changed
  */

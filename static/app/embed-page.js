@@ -1,4 +1,4 @@
-// The photo alone, for frames of other sites: it shows and moves, and nothing in it changes anything on the server.
+// The photo alone, for frames on other sites: nothing in it changes anything on the server.
 import { linkOf, withLink } from '../element/link.js';
 import { $ } from './dom.js';
 
@@ -7,7 +7,7 @@ const link = linkOf(location.search);
 const photo = (/** @type {string} */ part) => withLink(`/v1/photos/${id}/${part}`, link);
 const viewer = $('viewer');
 
-// what the frame's address says of the element
+// attributes of the element, from the frame's address
 const asked = new URLSearchParams(location.search);
 for (const name of ['fit', 'auto-rotate', 'camera-controls', 'fullscreen']) {
   const value = asked.get(name);

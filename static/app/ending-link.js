@@ -1,4 +1,4 @@
-// A link by which others see a photo for a while: how long it is good, until when that is, and the link to copy.
+// A link with which others can see a photo for a while: its duration, when it expires, and the link to copy.
 
 import { t } from '../i18n/messages.js';
 import { moment } from '../i18n/text.js';
@@ -10,10 +10,10 @@ import { copied } from './share-dialog.js';
 
 const HOUR = 3600;
 const DAY = 24 * HOUR;
-/** How long a link is good at first, in seconds. */
+/** Default duration of a link, in seconds. */
 export const USUAL_SECONDS = DAY;
 /**
- * How long a link is good, in seconds, as it is offered.
+ * Offered durations of a link, in seconds.
  * @type {[string, string][]}
  */
 const TIMES = [
@@ -33,7 +33,7 @@ export function select(options) {
 }
 
 /**
- * What shows a link to a photo that ends, and makes another where somebody chooses another time.
+ * Shows a photo's link that expires, and creates another when the user picks another duration.
  * @param {string} id of the photo
  * @param {PhotoLinks} links good for {@link USUAL_SECONDS}
  * @param {string} title what the link is
@@ -50,7 +50,7 @@ export function endingLink(id, links, title, hash = '') {
     link.text.value = absolute(page) + hash;
     said.textContent = expires ? t('Anyone with this link can see the photo until {0}, but not change it.', moment(expires)) : '';
   }
-  /** Makes a link anew. */
+  /** Creates a new link. */
   async function renew() {
     const made = await linksOf(id, Number(time.value));
     show(made);
@@ -58,7 +58,7 @@ export function endingLink(id, links, title, hash = '') {
   }
   time.addEventListener('change', () =>
     renew().catch((error) => {
-      // what is shown is not what was asked for
+      // do not show a link of another duration
       link.text.value = '';
       said.textContent = error.message;
     }),

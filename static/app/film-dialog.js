@@ -1,4 +1,4 @@
-// Makes a film or a GIF of a photo, shows it, and gives it to the browser's downloads or to another program.
+// Makes a film or a GIF of a photo, shows it, and downloads it or hands it to another program.
 
 import { makeFilm } from '../film/film.js';
 import { encoding } from '../film/video.js';
@@ -12,11 +12,11 @@ import { button, showDialog } from './share-dialog.js';
 /** @import { Wish } from '../film/plan.js' */
 
 const SECONDS = [2, 4, 8];
-/** Longer sides, pixels: those below the photo's own are offered, and that one up to the last. */
+/** Longer sides in pixels: those below the photo's own are offered, and the photo's own up to the largest. */
 const SIDES = [480, 720, 1280, 1920];
-/** What is chosen at first, by kind. */
+/** Default sizes by kind. */
 const USUAL_SIDE = { mp4: 1280, webm: 1280, gif: 480 };
-/** What the ways are called: as in the settings of a photo, and after the command line's names. */
+/** Names of the camera paths: as in a photo's settings, and after the command line's names. */
 const NAMES = /** @type {Record<string, string>} */ ({
   swing: t('Swing: from side to side'),
   orbit: t('Orbit: in a circle'),
@@ -37,7 +37,7 @@ export async function open({ viewer, file }) {
   const small = { width: 640, height: 400, frameMs: 33 };
   const film = /** @type {const} */ (['mp4', 'webm']);
   const able = await Promise.all(film.map((kind) => encoding(small, kind)));
-  // one kind of film is enough, and MP4 goes everywhere
+  // one kind of film is enough, and MP4 plays everywhere
   const best = film.find((_, i) => able[i]);
   const kinds = [...(best ? [best] : []), 'gif'];
   const kind = choice(
@@ -83,7 +83,7 @@ export async function open({ viewer, file }) {
   let stop = null;
   let address = '';
 
-  /** Forgets the film that is shown. */
+  /** Discards the shown film. */
   function forget() {
     shown.replaceChildren();
     save.hidden = send.hidden = true;
@@ -150,7 +150,7 @@ export async function open({ viewer, file }) {
 }
 
 /**
- * A list to choose from.
+ * A select with options.
  * @param {string} title
  * @param {string[][]} options values and what they are called
  * @param {string} [chosen]

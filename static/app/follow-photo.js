@@ -1,4 +1,4 @@
-// Follows a photo on its way by the server's events, and by asking where these cannot be had.
+// Follows a photo through processing by the server's events, or by polling if those are unavailable.
 import { t } from '../i18n/messages.js';
 import { getPhoto, photoUrl } from './api.js';
 
@@ -8,7 +8,7 @@ const ASK_EVERY_MS = 1500;
 const UNKNOWN = 'It could not be made.';
 
 /**
- * Why a photo could not be made, from its state.
+ * Why making a photo failed, from its state.
  * @param {Pick<Photo, 'problem'>} photo
  */
 export function reasonOf(photo) {
@@ -16,7 +16,7 @@ export function reasonOf(photo) {
 }
 
 /**
- * True where a photo is still on its way.
+ * True while a photo is queued or in work.
  * @param {Photo} photo
  */
 export function isUnderWay(photo) {
@@ -24,7 +24,7 @@ export function isUnderWay(photo) {
 }
 
 /**
- * Resolves once a photo is made, rejects where it cannot be.
+ * Resolves when a photo is made; rejects if that fails.
  * @param {string} id
  * @returns {Promise<void>}
  */
@@ -38,7 +38,7 @@ export function untilMade(id) {
 /**
  * @param {string} id
  * @param {{queued: (position: number) => void, stage: (at: {stage: string, step: number, steps: number}) => void, done: () => void,
- *   failed: (reason: string) => void, deleted: () => void}} on at the end one of `done`, `failed` and `deleted`
+ *   failed: (reason: string) => void, deleted: () => void}} on ends with one of `done`, `failed` and `deleted`
  * @returns {() => void} stops following
  */
 export function followPhoto(id, on) {
@@ -79,7 +79,7 @@ export function followPhoto(id, on) {
   }
   source.addEventListener('deleted', () => settle(on.deleted));
   source.onerror = () => {
-    // the browser tries again by itself unless the server refused
+    // the browser reconnects unless the server refused
     if (source.readyState === EventSource.CLOSED && !ended) ask();
   };
   return end;

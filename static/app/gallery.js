@@ -12,12 +12,12 @@ import { say } from './upload-row.js';
 /** @import { Photo } from './api.js' */
 /** @import { Deletion } from './undo.js' */
 
-/** Shapes of cards, width by height: what is longer is cut. */
+/** Aspect ratios of cards, width by height: longer pictures are cropped. */
 const NARROWEST = 0.62;
 const WIDEST = 2.6;
 const USUAL = 1.5;
 
-/** A card: what it was made of, and what deletes it. @type {Map<string, {key: string, root: HTMLLIElement, deletion: Deletion}>} */
+/** A card: the key of its content, and its deletion. @type {Map<string, {key: string, root: HTMLLIElement, deletion: Deletion}>} */
 const cards = new Map();
 /** Address of the next page of the list. @type {string | null} */
 let next = null;
@@ -30,7 +30,7 @@ let forget = (/** @type {string} */ _id) => {};
 
 /**
  * Fills the list.
- * @param {(id: string) => void} gone what the page does when a photo was deleted
+ * @param {(id: string) => void} gone called when a photo was deleted
  */
 export async function startGallery(gone) {
   forget = gone;
@@ -59,7 +59,7 @@ export async function startGallery(gone) {
   $('gallery').addEventListener('click', (event) => {
     const link = event.target instanceof Element && event.target.closest('a');
     if (!selecting || !link) return;
-    // a click on the picture marks it, as one on its box
+    // a click on the picture selects it, like its checkbox
     event.preventDefault();
     link.closest('.card')?.querySelector('input')?.click();
   });
@@ -69,7 +69,7 @@ export async function startGallery(gone) {
   return refresh();
 }
 
-/** Asks for the list again, soon: many photos may be ready or gone at a time. */
+/** Fetches the list again after a moment: many photos may be ready or gone at a time. */
 export function refreshSoon() {
   clearTimeout(asked);
   asked = setTimeout(refresh, 150);
@@ -100,14 +100,14 @@ function show(page, more) {
   const gallery = $('gallery');
   /** @type {Element[]} */
   const wanted = page.photos.filter((photo) => !isUnderWay(photo)).map(cardOf);
-  // what further pages brought stays
+  // keep cards of further pages
   const last = page.photos.at(-1)?.created ?? '';
   const kept = [...gallery.children].filter(
     (child) => more || (paged && child instanceof HTMLElement && !wanted.includes(child) && (child.dataset.created ?? '') <= last),
   );
   const all = [...new Set(more ? [...kept, ...wanted] : [...wanted, ...kept])];
   for (const child of [...gallery.children]) if (!all.includes(child)) child.remove();
-  // a card that is moved would lose the focus and what it shows
+  // moving a card would lose its focus and its viewer
   all.forEach((card, i) => {
     if (gallery.children[i] !== card) gallery.insertBefore(card, gallery.children[i] ?? null);
   });
@@ -117,7 +117,7 @@ function show(page, more) {
   noteEmpty();
 }
 
-/** Says what is to be said where no card is seen. */
+/** Shows a note if there are no cards. */
 function noteEmpty() {
   const seen = [...cards.values()].filter(({ root }) => root.isConnected && !root.hidden).length;
   $('gallery-note').hidden = seen > 0;
@@ -126,7 +126,7 @@ function noteEmpty() {
 }
 
 /**
- * The card of a photo, made anew only where the photo is another.
+ * The card of a photo, rebuilt only if the photo changed.
  * @param {Photo} photo
  */
 function cardOf(photo) {
@@ -219,7 +219,7 @@ function deletionOf(photo, root) {
 }
 
 /**
- * Deletes photos of the list, unless it is undone.
+ * Deletes photos of the list, with undo.
  * @param {string[]} ids
  */
 export function remove(ids) {
@@ -238,7 +238,7 @@ export function remove(ids) {
   noteEmpty();
 }
 
-// ---- many at a time
+// ---- selection
 
 const boxes = () =>
   [...$('gallery').querySelectorAll(/** @type {'input'} */ ('.card > input'))].filter((box) => !box.parentElement?.hidden);
@@ -268,7 +268,7 @@ function mark(root, name) {
   root.append(box);
 }
 
-/** Says how many are chosen. */
+/** Shows how many are selected. */
 function count() {
   const all = boxes();
   const n = chosen().length;

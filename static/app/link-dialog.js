@@ -1,4 +1,4 @@
-// A link to the view of a photo that only its owner can see: it would show nothing to anybody else without their leave, which is given here.
+// A link to a view of a private photo: others could not open it without the owner's permission, which this dialog gives.
 
 import { linkOf } from '../element/link.js';
 import { t } from '../i18n/messages.js';
@@ -53,7 +53,7 @@ export async function open({ id, viewer, changed }) {
 }
 
 /**
- * Of a photo of somebody else: the link by which this page was opened is all that there is.
+ * For a photo of another owner: the only link is the one with which this page was opened.
  * @param {string} title
  * @param {string} address
  */
@@ -66,7 +66,7 @@ function byOwnLink(title, address) {
 }
 
 /**
- * A button that hands a link to another program, where there is one to take it.
+ * A button that hands a link to another program, if the browser can.
  * @param {() => string} url
  */
 function sending(url) {

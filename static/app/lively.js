@@ -1,9 +1,9 @@
-// Cards that move: the one that is pointed at follows the pointer; else one moves by itself – the first, or by touch the one in the
-// middle of the screen. Never more than one, of a small container, and none for who wants no motion or few bytes.
+// Cards that move: the one under the pointer follows it; otherwise one moves without input – the first, or on touch screens the one in the
+// middle of the screen. At most one moves, with a small container, and none if the user prefers reduced motion or reduced data.
 
-/** Longer side of what is loaded for a card, pixels. */
+/** Longer side of a card's container, pixels. */
 const FIT = 480;
-/** How long a pointer rests on a card, or the page after a scroll, before it moves, ms. */
+/** How long a pointer rests on a card, or the page rests after a scroll, before the card moves, ms. */
 const HOVER_MS = 120;
 const REST_MS = 700;
 const FIRST_MS = 1200;
@@ -17,7 +17,7 @@ let timer;
 let off = false;
 
 /**
- * Lets cards of a list move. Fires nothing and needs nothing: where it cannot be done, they are pictures.
+ * Lets cards of a list move. If that fails, they stay pictures.
  * @param {HTMLElement} list of elements `.card` with a link that names its container
  */
 export function enliven(list) {
@@ -92,13 +92,13 @@ async function move(card) {
   for (const [name, value] of Object.entries(given)) viewer.setAttribute(name, value);
   viewer.inert = true;
   viewer.addEventListener('load', (event) => {
-    // a picture from the server for each view would be too dear here
+    // fetching a picture from the server for each view would cost too much here
     off = !(/** @type {CustomEvent} */ (event).detail.mode.match(/^(gpu|webgl)$/));
     if (off) viewer.remove();
     else viewer.classList.add('on');
   });
   viewer.addEventListener('error', () => viewer.remove());
-  // somebody may have pointed at another meanwhile
+  // the pointer may be on another card by now
   rest();
   now = { card, viewer };
   link.append(viewer);

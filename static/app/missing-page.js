@@ -1,4 +1,4 @@
-// What a browser shows at an address where nothing is.
+// The page for addresses that do not exist.
 
 import { translatePage } from '../i18n/messages.js';
 

@@ -1,14 +1,15 @@
-// What a stroke covers, as crates/pipeline/src/strokes finds it, to be seen while it is drawn; and what strokes do to a map.
+// The area that a stroke covers, as crates/pipeline/src/strokes finds it, for a live preview; and what strokes do to a depth map.
 
 /**
- * A stroke as the server takes it: a middle line in shares of width and height, a radius in shares of the longer side, and one wish.
+ * A stroke as the server takes it: a middle line in shares of width and height, a radius in shares of the longer side, and one of three
+ * wishes.
  * @typedef {{points: [number, number][], radius: number, by?: number, like?: [number, number], to?: number}} Stroke
  */
 /** @typedef {{x0: number, y0: number, width: number, height: number, mask: Uint8Array}} Region pixels inside are 1 */
 
-/** Longest side of the picture in which outlines are found. */
+/** Longest side of the picture on which outlines are computed. */
 export const SIDE = 640;
-// the weights of the server, see there
+// the same weights as on the server, see there
 const EDGE = 36;
 const DEPTH = 0.5;
 const TEXTURE = 2;
@@ -93,7 +94,7 @@ export class Outlines {
 }
 
 /**
- * What the strokes make of a map of the size of `outlines`; the map itself stays as it is.
+ * Applies strokes to a copy of a depth map of the size of `outlines`.
  * @param {Outlines} outlines
  * @param {Float32Array} map
  * @param {{stroke: Stroke, region: Region}[]} strokes
@@ -120,7 +121,7 @@ export function each({ x0, y0, width: w, height: h, mask }, width, f) {
 }
 
 /**
- * The median around a place.
+ * The median around a point.
  * @param {Float32Array} map
  * @param {number} width
  * @param {number} height
@@ -182,7 +183,7 @@ function distances(line, { x0, y0, width, height }, reach) {
 }
 
 /**
- * The cell of a line against everything farther than two radii from it, by Dijkstra's algorithm from both sides at once.
+ * Separates the stroke's cell from everything farther than two radii, by Dijkstra's algorithm from both sides at once.
  * @param {{width: number, height: number}} rectangle
  * @param {Float32Array} away
  * @param {Float32Array} step

@@ -1,10 +1,10 @@
-// What is asked before a browser becomes another owner: whoever made the link would have what is uploaded from here.
+// Confirmations before a browser becomes another owner: the maker of the link would own everything uploaded from here.
 
 import { t } from '../i18n/messages.js';
 import { element } from './dom.js';
 import { button, showDialog } from './share-dialog.js';
 
-/** True once somebody says that they made the link for this browser. */
+/** True if the user confirms that they made the link for this browser. */
 export const isMine = () =>
   ask(
     t('Is this link your own?'),
@@ -14,7 +14,7 @@ export const isMine = () =>
     t('I made it myself'),
   );
 
-/** True once somebody says that what this browser owned until now may be lost to it. */
+/** True if the user accepts that this browser may lose the photos it has owned until now. */
 export const givesUp = () =>
   ask(
     t('Give up the photos of this browser?'),
@@ -25,7 +25,7 @@ export const givesUp = () =>
   );
 
 /**
- * Asks; closing is no.
+ * Asks the user; closing the dialog means no.
  * @param {string} title
  * @param {string} text
  * @param {string} yes

@@ -1,7 +1,8 @@
-// A link with `#manage=` lets this browser change its one photo. A link with `#owner=` makes this browser another owner, once somebody says so: what
-// it uploads from then on belongs to whoever made the link. What is secret leaves the address, and comes back as a cookie that no script reads.
+// A link with `#manage=` lets this browser change its one photo. A link with `#owner=` makes this browser another owner after a
+// confirmation: later uploads belong to the link's maker. The secret is removed from the address and comes back as a cookie that scripts
+// cannot read.
 
-// a module: what it awaits is there before the page begins
+// a module: its awaits finish before the page begins
 export {};
 
 const [, kind, secret] = /^#(manage|owner)=(tmpi_[mot]_[\w-]+)$/.exec(location.hash) ?? [];
@@ -9,7 +10,7 @@ if (secret) {
   history.replaceState(history.state, '', location.pathname + location.search);
   const post = (/** @type {string} */ address) =>
     fetch(address, { method: 'POST', headers: { authorization: `Bearer ${secret}` } }).catch(() => null);
-  // where it cannot be kept, the page says of the photo what it says to everybody
+  // if the cookie cannot be kept, the page shows what everybody may see
   if (kind === 'manage') await post(`/v1/photos/${location.pathname.split('/').filter(Boolean).pop()}/manage`);
   else {
     const { isMine, givesUp } = await import('./owner-dialog.js');

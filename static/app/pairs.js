@@ -1,4 +1,4 @@
-// Photos and the depth maps that come beside them, told by their names.
+// Pairs photos with their depth maps by file name.
 
 /** End of the name of a depth map, without its extension: photo_depth, photo-depthmap, photo.disparity. */
 const MAP = /^(?<photo>.+)[-_. ](?:depth[-_ ]?(?:map)?|disparity|disp)$/i;
@@ -6,11 +6,11 @@ const MAP = /^(?<photo>.+)[-_. ](?:depth[-_ ]?(?:map)?|disparity|disp)$/i;
 /** @param {File} file */
 const stem = (file) => file.name.replace(/\.[^.]*$/, '').toLowerCase();
 
-/** @typedef {{file: File, folder?: unknown}} Found a file, and what stands for the folder that it lay in, one and the same for all of them */
+/** @typedef {{file: File, folder?: unknown}} Found a file, and a value that identifies its folder */
 
 /**
- * Each photo with its depth map, in the order of the photos; a map belongs to a photo of its own folder, and of those that are called alike to
- * the first. A map without a photo is a photo like any other.
+ * Each photo with its depth map, in the order of the photos. A map belongs to the first photo of its name in its own folder. A map without
+ * a photo is a photo like any other.
  * @param {Found[]} found
  * @returns {{file: File, depth: File | null}[]}
  */
@@ -29,7 +29,7 @@ export function pairs(found) {
   for (const { file: map, folder } of found) {
     const photo = folders.get(folder)?.get(MAP.exec(stem(map))?.groups?.photo ?? '');
     if (!photo) continue;
-    // of several maps of a photo the first is taken, the others are no photos either
+    // of several maps of a photo only the first counts; the others are not photos either
     maps.add(map);
     if (!depths.has(photo)) depths.set(photo, map);
   }

@@ -1,9 +1,9 @@
-// What a photo is called.
+// The name of a photo.
 import { t } from '../i18n/messages.js';
 
 /** @import { Photo } from './api.js' */
 
-/** Names of files that browsers kept before servers did. */
+/** Key of file names that older versions stored in the browser. */
 const NAME_KEY = 'tmpi:name:';
 
 /** @param {string} id */
@@ -11,12 +11,12 @@ export function forgetName(id) {
   try {
     localStorage.removeItem(NAME_KEY + id);
   } catch {
-    // storage is forbidden: the date has to do
+    // storage is forbidden: use the date
   }
 }
 
 /**
- * What to call a photo: its title, which is its file's name at first, or when it was made.
+ * A photo's name: its title (by default its file name), or when it was made.
  * @param {Photo} photo
  */
 export function photoName(photo) {
@@ -26,7 +26,7 @@ export function photoName(photo) {
   try {
     name = localStorage.getItem(NAME_KEY + photo.id);
   } catch {
-    // as above
+    // storage is forbidden
   }
   if (name) return name.replace(/\.[a-z0-9]{2,5}$/i, '');
   const date = new Date(photo.created);

@@ -1,4 +1,4 @@
-// The page of a room: who publishes.
+// The publisher's page of a room.
 
 import { t, translatePage } from '../i18n/messages.js';
 import { moment, sentence } from '../i18n/text.js';
@@ -8,7 +8,7 @@ import { Publisher } from '../live/publisher.js';
 import { $, element, isLoopback } from './dom.js';
 import { linkTo, publishPage, roomNamed, roomOf } from './room-name.js';
 
-/** Pause between two looks at who watches, ms. */
+/** Interval for updating the number of viewers, ms. */
 const LOOK_MS = 2000;
 
 let room = roomOf();
@@ -40,7 +40,7 @@ function show(state) {
   for (const id of ['room', 'camera', 'size', 'with-sound']) $(id, /** @type {any} */ (HTMLElement)).toggleAttribute('disabled', on);
 }
 
-/** What a person can do about a camera that is not to be had. */
+/** What the user can do if the camera is unavailable. */
 function refusal(/** @type {Error} */ error) {
   if (error.name === 'NotAllowedError') return t('The camera is not allowed for this page. Allow it in the browser and start again.');
   if (error.name === 'NotFoundError' || error.name === 'OverconstrainedError') return t('There is no such camera.');
@@ -48,7 +48,7 @@ function refusal(/** @type {Error} */ error) {
   return sentence(error.message);
 }
 
-/** Names of cameras are known once one was allowed. */
+/** Lists cameras; their names are known once the user has allowed one. */
 async function listCameras() {
   const devices = (await navigator.mediaDevices.enumerateDevices()).filter(({ kind }) => kind === 'videoinput');
   const chosen = stream?.getVideoTracks()[0]?.getSettings().deviceId ?? camera.value;
@@ -70,7 +70,7 @@ async function openCamera() {
   try {
     return await navigator.mediaDevices.getUserMedia({ video, audio });
   } catch (error) {
-    // a machine without a microphone still has a picture
+    // without a microphone, publish the picture alone
     if (!audio || error.name === 'NotAllowedError') throw error;
     return navigator.mediaDevices.getUserMedia({ video });
   }
@@ -85,7 +85,7 @@ function closeCamera() {
   clearInterval(looking);
 }
 
-/** Whether there is to be sound, and none is sent. */
+/** Whether sound is wanted but not sent. */
 function lacksSound() {
   return Boolean(stream?.getAudioTracks().length && publisher && !publisher.hasSound);
 }
@@ -129,13 +129,13 @@ async function start() {
   }
 }
 
-/** A link for those who watch: with a token of theirs, not with this page's. */
+/** A link for viewers: with a viewer's token, not with this page's. */
 async function share() {
   const response = await fetch(`${room.address}/token`, { method: 'POST', headers: headersOf(room.token) });
   /** @type {{token: string | null}} */
   const { token } = response.ok ? await response.json() : { token: null };
   $('link', HTMLInputElement).value = linkTo(room.name, token);
-  // a token begins with its end
+  // a token begins with its expiry time
   const until = Number(token?.split('.')[0]);
   const notes = [
     until
@@ -153,7 +153,7 @@ async function countViewers() {
   say(t('You are live. {0} watching.', String(viewers)));
 }
 
-/** Says beforehand what stands in the way. */
+/** Shows problems before publishing starts. */
 async function check() {
   const asked = room;
   const { state, mayPublish, publishing } = await look(room.address, room.token);
@@ -173,7 +173,7 @@ function stay(why) {
   say(why);
 }
 
-/** Goes to the room of the name that was written. */
+/** Opens the room with the name in the field. */
 function rename() {
   if (!named.reportValidity() || named.value === room.name) return;
   room = roomNamed(named.value);
@@ -190,7 +190,7 @@ function showName() {
 translatePage();
 const beforehand = $('state').textContent ?? '';
 named.value = room.name;
-// a token is for one room
+// a token is valid for one room only
 named.readOnly = Boolean(room.token);
 named.addEventListener('change', rename);
 showName();

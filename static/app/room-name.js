@@ -1,9 +1,9 @@
-// Which room a page is of, and the token that its address brings along: behind the #, which browsers send to nobody.
+// The room of a page, and the token in its address: behind the #, which browsers do not send.
 
 /** Key of the token in the address. */
 const KEY = 'token';
 
-/** @typedef {{name: string, address: string, token: string}} RoomOf its name, where the server has it, and the token, empty without one */
+/** @typedef {{name: string, address: string, token: string}} RoomOf its name, its address on the server, and the token, '' without one */
 
 /** @returns {RoomOf} */
 export function roomOf() {
@@ -25,7 +25,7 @@ const CONSONANTS = 'bdfgklmnprstvz';
 const VOWELS = 'aeiou';
 const SYLLABLES = 4;
 
-/** A room's name that nobody else has thought of, and that one can say aloud: one of 24 million. */
+/** A random room name that can be said aloud, one of 24 million. */
 export function freshName() {
   const random = crypto.getRandomValues(new Uint32Array(SYLLABLES));
   const syllable = (/** @type {number} */ n) =>
@@ -34,7 +34,7 @@ export function freshName() {
 }
 
 /**
- * Address of the page of who publishes in a room.
+ * Address of a room's publishing page.
  * @param {string} name
  */
 export const publishPage = (name) => `/live/${encodeURIComponent(name)}/publish`;

@@ -1,4 +1,4 @@
-// The menu in which a photo's owner says how viewers move: shows what is set, tries it at once, and saves it with the photo.
+// The menu with which a photo's owner sets how viewers move: shows the settings, previews changes, and saves them with the photo.
 
 import { t } from '../i18n/messages.js';
 import { STYLES } from '../input/motion.js';
@@ -12,8 +12,8 @@ import { $ } from './dom.js';
 
 /**
  * Fills the menu and listens to it.
- * @param {{id: string, viewer: () => Viewer, named: (state: Photo) => void, say: (text: string) => void}} page the photo, its viewer
- *   as it is now, what to do with a saved state, and how to tell something
+ * @param {{id: string, viewer: () => Viewer, named: (state: Photo) => void, say: (text: string) => void}} page the photo, its current
+ *   viewer, what to do with a saved state, and how to show a message
  */
 export function settingsMenu({ id, viewer, named, say }) {
   const [title, motion, focus, speed] = ['set-title', 'set-motion', 'set-focus', 'set-speed'].map((name) => $(name, HTMLInputElement));
@@ -23,22 +23,22 @@ export function settingsMenu({ id, viewer, named, say }) {
   /** @type {Settings} */
   let settings = {};
   /**
-   * Set in this menu and not saved yet: a merge patch.
+   * Unsaved changes: a merge patch.
    * @type {{[K in keyof Settings]: Settings[K] | null}}
    */
   let patch = {};
 
   const unsaved = () => Object.keys(patch).length > 0;
 
-  /** What would be if it were saved. */
+  /** The settings with the unsaved changes. */
   const now = () =>
     /** @type {Settings} */ (Object.fromEntries(Object.entries({ ...settings, ...patch }).filter(([, value]) => value !== null)));
 
   function show() {
     const all = now();
-    // what is being typed is nobody else's
+    // do not overwrite the title while the user types
     if (document.activeElement !== title) title.value = all.title ?? '';
-    // 1 is as far as the photo goes by itself
+    // 1 is the photo's own range of motion
     motion.value = String(all.motion ? all.motion.x / viewer().usual.x : 1);
     idle.value = all.idle ?? STYLES[0];
     speed.value = String(all.speed ?? 1);
@@ -55,7 +55,7 @@ export function settingsMenu({ id, viewer, named, say }) {
     show();
   }
 
-  /** Where the camera is, in the view box. */
+  /** The camera's position in the view box. */
   const place = () => {
     const { x, y, z } = viewer().place;
     const short = (/** @type {number} */ v) => Math.round(Math.max(-1, Math.min(1, v)) * 1e3) / 1e3;
@@ -76,7 +76,7 @@ export function settingsMenu({ id, viewer, named, say }) {
   }
 
   /**
-   * Takes over what the server has.
+   * Takes over the server's state.
    * @param {{state: Photo, etag: string | null}} answer
    */
   function read(answer) {
@@ -87,7 +87,7 @@ export function settingsMenu({ id, viewer, named, say }) {
   }
 
   /**
-   * The same where something else was changed: what is not saved yet stays.
+   * Takes over the server's state after another change, and keeps unsaved changes.
    * @param {{state: Photo, etag: string | null}} answer
    */
   function follow(answer) {

@@ -1,4 +1,4 @@
-// What the dialogs of sharing have in common.
+// Common parts of the sharing dialogs.
 
 import { t } from '../i18n/messages.js';
 import { element } from './dom.js';
@@ -9,15 +9,15 @@ import { element } from './dom.js';
 const COPIED_MS = 2000;
 
 /**
- * What is shared: the photo's id, its viewer as it is now, what it is called, the begin of names of files, who may see it where the server asks
- * who comes, and what to do when that was changed.
+ * What is shared: the photo's id, its current viewer, its name, the prefix of file names, its visibility on a server with access control,
+ * and what to do when that was changed.
  * @typedef {{id: string, viewer: Viewer, name: string, file: string, visibility?: 'private' | 'link',
  *   changed: (answer: {state: Photo, etag: string | null}) => void}} Shared
  */
 
 let styled = false;
 
-/** Fetches the dialogs' style, once; they are shown with it. */
+/** Fetches the dialogs' style sheet, once. */
 async function style() {
   if (styled) return;
   styled = true;
@@ -33,7 +33,7 @@ async function style() {
 }
 
 /**
- * Shows a dialog with a heading and a way out; it is gone once it is closed.
+ * Shows a dialog with a heading and a close button; removes it once it is closed.
  * @param {string} title
  * @param {(Node | string)[]} content
  */
@@ -41,13 +41,13 @@ export async function showDialog(title, ...content) {
   await style();
   const heading = element('h2', '', title);
   heading.id = 'share-title';
-  // not the first field: nobody has asked for a keyboard yet
+  // not the first field: it would open the on-screen keyboard
   heading.tabIndex = -1;
   heading.autofocus = true;
   const dialog = element('dialog', 'share-dialog', heading, ...content);
   dialog.setAttribute('aria-labelledby', heading.id);
   const close = button(t('Close'), () => dialog.close());
-  // beside what the dialog does, where it does something
+  // beside the dialog's own buttons, if it has any
   const actions = dialog.querySelector('.actions');
   if (actions) actions.append(close);
   else dialog.append(element('div', 'row', close));
@@ -86,7 +86,7 @@ export function copied(title, value) {
       say(t('Copied'));
       setTimeout(() => say(t('Copy')), COPIED_MS);
     } catch {
-      // no clipboard on a page without TLS: ready for the keyboard's
+      // no clipboard without TLS: select the text for the keyboard
       text.focus();
       text.select();
     }

@@ -1,7 +1,7 @@
-// The pieces of HTML that show a photo on somebody's page.
+// HTML snippets that embed a photo in another page.
 
 /**
- * Text as it may stand in HTML, within quotes too.
+ * Text escaped for HTML, including attribute values.
  * @param {string} text
  */
 export function escaped(text) {
@@ -10,7 +10,7 @@ export function escaped(text) {
 }
 
 /**
- * The pieces of HTML that show a photo.
+ * The HTML snippets that embed a photo.
  * @param {{origin: string, id: string, name: string, width: number, height: number}} photo
  */
 export function snippets({ origin, id, name, width, height }) {

@@ -1,11 +1,11 @@
-// What the touch-up looks like.
+// The controls of the touch-up dialog.
 
 import { t } from '../i18n/messages.js';
 import { element } from './dom.js';
 
 const STYLE = '/static/app/touch-up.css';
 
-/** Resolves once the style is there, so that nothing is shown without it. */
+/** Resolves when the style sheet has loaded, so that the dialog never appears without it. */
 function style() {
   if (document.querySelector(`link[href="${STYLE}"]`)) return Promise.resolve();
   const link = element('link');
@@ -64,7 +64,7 @@ function picture(id, text, under) {
 }
 
 /**
- * The dialog with its controls, in the page and not shown yet.
+ * The dialog with its controls, added to the page but not shown yet.
  * @returns {Promise<HTMLDialogElement>}
  */
 export async function touchUpDialog() {

@@ -1,8 +1,8 @@
-// The two pictures of the touch-up: the photo with the outline of what is painted, and the depth that comes of it.
+// The two pictures of the touch-up: the photo with the outline of the strokes, and the resulting depth.
 
 /** @import { Region } from './outline.js' */
 
-/** What is covered, and its outline, as red, green, blue and opacity. */
+/** Colours of the covered area and of its outline: red, green, blue, opacity. */
 const COVER = [255, 190, 40, 70];
 const OUTLINE = [255, 190, 40, 255];
 
@@ -44,7 +44,7 @@ export class TouchUpView {
     if (region) context.drawImage(this.#covered(region), 0, 0);
     if (!brush) return;
     const [x, y] = [brush.at[0] * w, brush.at[1] * h];
-    // dark around light, to be seen on anything
+    // dark around light: visible on any picture
     for (const [style, line] of /** @type {[string, number][]} */ ([
       ['#000', 4],
       ['#fff', 2],

@@ -1,4 +1,4 @@
-// Touching up the depth of a photo: a person paints over what the network got wrong and says how near it is. Fetched when asked for.
+// Touching up the depth of a photo: the user paints over errors of the network and sets how near the surface is. Loaded on demand.
 
 import { t } from '../i18n/messages.js';
 import { changeStrokes, getPhoto, photoUrl, strokesOf } from './api.js';
@@ -11,9 +11,9 @@ import { TouchUpView } from './touch-up-view.js';
 /** @import { Photo } from './api.js' */
 /** @import { Region, Stroke } from './outline.js' */
 
-/** Points of a stroke that are nearer to each other than this share of the radius say nothing new. */
+/** Points of a stroke closer together than this share of the radius are dropped. */
 const SPACING = 1 / 8;
-/** Most strokes that a photo has, as the server bounds them. */
+/** Maximum number of strokes of a photo, the server's limit. */
 const STROKES = 100;
 /** A step of the keyboard's brush, as a share of the picture's longer side. */
 const STEP = 0.02;
@@ -21,15 +21,15 @@ const FINE_STEP = 0.004;
 /** @type {Record<string, [number, number]>} */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/** @typedef {{kept: boolean, drawn: {stroke: Stroke, region: Region}[]}} Edit whether strokes that the map has in it stay, and those over it */
+/** @typedef {{kept: boolean, drawn: {stroke: Stroke, region: Region}[]}} Edit whether strokes in the map stay, and those over it */
 
-/** Places to four decimals: finer than a pixel of any screen. */
+/** Rounds coordinates to four decimals: finer than a pixel of any screen. */
 const place = (/** @type {number} */ v) => Math.round(Math.min(Math.max(v, 0), 1) * 1e4) / 1e4;
 
 /**
  * Opens the editor.
  * @param {{id: string, photo: HTMLImageElement, saved: () => void, say: (text: string) => void}} page the photo's id and picture, what to
- *   do once the photo was made again, and how to tell something
+ *   do once the photo was made again, and how to show a message
  */
 export async function openTouchUp({ id, photo, saved, say }) {
   if (!photo.naturalWidth) throw new Error(t('The photo is not there yet.'));
@@ -40,7 +40,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
   const rgba = pixels(photo, width, height);
   const { map, touched } = await depthOf(state, before.strokes.length > 0, width, height);
   const outlines = new Outlines(width, height, rgba, map);
-  /** Strokes that the map has in it: they stay or go together. */
+  /** Strokes already in the map: they stay or go together. */
   const within = touched ? before.strokes : [];
   const painted = touched ? [] : before.strokes.map((stroke) => ({ stroke, region: outlines.region(stroke) }));
   const dialog = await touchUpDialog();
@@ -48,16 +48,16 @@ export async function openTouchUp({ id, photo, saved, say }) {
   const size = $('touch-size', HTMLInputElement);
   const amount = $('touch-amount', HTMLInputElement);
 
-  /** The strokes of before can be undone one by one, too. @type {Edit[]} */
+  /** Saved strokes can be undone one by one, too. @type {Edit[]} */
   const past = painted.map((_, n) => ({ kept: true, drawn: painted.slice(0, n) }));
   /** @type {Edit[]} */
   let future = [];
-  /** As the server has it. @type {Edit} */
+  /** The server's state. @type {Edit} */
   const begun = { kept: true, drawn: painted };
   let now = begun;
   /** The stroke under the brush. @type {{points: [number, number][], region: Region | null} | null} */
   let brush = null;
-  /** A stroke that waits for the place that it is to be like. @type {{points: [number, number][], radius: number, region: Region} | null} */
+  /** A stroke that waits for its reference point. @type {{points: [number, number][], radius: number, region: Region} | null} */
   let waiting = null;
   /** @type {[number, number]} */
   let cursor = [0.5, 0.5];
@@ -121,7 +121,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
   }
 
   /**
-   * The stroke of these points with what is asked of it.
+   * The stroke through these points with the chosen settings.
    * @param {[number, number][]} points
    * @returns {Stroke}
    */
@@ -235,7 +235,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
       cursor = [place(cursor[0] + (direction[0] * step) / width), place(cursor[1] + (direction[1] * step) / height)];
       move(cursor);
     } else if (event.key === ' ' || event.key === 'Enter') {
-      // the brush goes down, and up at the next press
+      // the first press puts the brush down, the next lifts it
       if (brush) release();
       else press(cursor);
     } else return;
@@ -244,7 +244,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
   });
   on(view.canvas, 'focus', show);
   on(view.canvas, 'blur', show);
-  // not the dialog: a button that is disabled under the focus hears no keys
+  // not on the dialog: a focused button that becomes disabled receives no keys
   on(window, 'keydown', (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== 'z') return;
     event.preventDefault();
@@ -252,7 +252,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
     else undo();
   });
   on(amount, 'input', () => {
-    // the stroke that was drawn last follows the slider; one step of undo takes the stroke back, not the slide
+    // the last stroke follows the slider; one undo removes the stroke, not the slider's change
     const last = now.drawn.at(-1);
     if (last?.stroke.by !== undefined) {
       const slid = { ...last, stroke: { ...last.stroke, by: Number(amount.value) } };
@@ -304,8 +304,8 @@ function pixels(picture, width, height) {
 }
 
 /**
- * The disparity of a photo at a size, 0 to 1, that strokes go over, and whether it is `touched`: of a photo that an older program made there is only
- * the map with its strokes in it. Outlines that follow depth more than colour may differ from the server's then where such a stroke crosses.
+ * The disparity of a photo at a size, 0 to 1, below the strokes, and whether it is `touched`: a photo of an older version has only
+ * the map with its strokes in it. Where such a stroke crosses, outlines that follow depth more than colour may differ from the server's.
  * @param {Photo} state
  * @param {boolean} strokes whether it has any
  * @param {number} width

@@ -1,33 +1,33 @@
-// Deletions that wait a little, so that they can be taken back: all that wait go together, and come back together.
+// Deletions with undo: they wait a little, then run together, or are undone together.
 
 import { t } from '../i18n/messages.js';
 import { deletePhoto } from './api.js';
 import { element } from './dom.js';
 
-/** Time to change one's mind, from the last deletion on. */
+/** Time to undo, counted from the last deletion. */
 const WAIT_MS = 8000;
-/** Where a page that is left for the list of photos says what it deleted. */
+/** Storage key with which a photo's page tells the list of photos what to delete. */
 const HANDED_KEY = 'tmpi:deleted';
 
 /**
- * A photo to be deleted: what it is called, and what to do when it is gone, or when it stays and why.
+ * A photo to delete: its name, and what to do when it is gone, or when it stays and why.
  * @typedef {{id: string, name: string, gone: () => void, back: (reason?: string) => void}} Deletion
  */
 
 /** @type {Map<string, Deletion>} */
 const waiting = new Map();
-/** Ids of those that the server is being told of. */
+/** Ids of photos that are being deleted on the server. */
 const going = new Set();
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let timer;
 /** @type {HTMLElement | null} */
 let bar = null;
 
-/** True while the photo is to be deleted. */
+/** True while a deletion of the photo is pending. */
 export const isGoing = (/** @type {string} */ id) => waiting.has(id) || going.has(id);
 
 /**
- * Deletes photos after a while, unless it is undone.
+ * Deletes photos after a while, unless the user undoes it.
  * @param {Deletion[]} photos
  */
 export function deleteLater(photos) {
@@ -81,13 +81,13 @@ function hide() {
   bar = null;
 }
 
-// whoever leaves the page has not changed their mind
+// leaving the page does not cancel the deletion
 addEventListener('pagehide', () => {
   if (waiting.size) run({ keepalive: true });
 });
 
 /**
- * Leaves the page of a photo for the list of photos, which deletes it there, unless it is undone.
+ * Leaves a photo's page for the list of photos, which deletes it there, with undo.
  * @param {string} id
  * @param {string} name
  */
@@ -102,7 +102,7 @@ export function handOver(id, name) {
 }
 
 /**
- * What the page before this one deleted, once.
+ * The deletion that the page before handed over; returned once.
  * @returns {{id: string, name: string} | null}
  */
 export function handedOver() {

@@ -1,4 +1,4 @@
-// The page of all photos: takes new ones, shows how far they are, and lists those that are there.
+// The page of all photos: uploads new ones, shows their progress, and lists the finished ones.
 
 import { translatePage } from '../i18n/messages.js';
 import { deletePhoto } from './api.js';
@@ -16,7 +16,7 @@ import { forgetRow, resume, startUploads, upload } from './uploads.js';
 /** @import { Found } from './pairs.js' */
 
 /**
- * What the words for quality mean: options of the interface; what is not named stays as the server has it.
+ * Options for each choice of quality; the server's defaults apply to the rest.
  * @type {Record<string, Record<string, number>>}
  */
 const QUALITIES = {
@@ -35,7 +35,7 @@ function forget(id) {
 function take(found) {
   const map = $('depth-map', HTMLInputElement);
   const photos = pairs(found);
-  // a map that was chosen belongs to one photo
+  // a depth map that the user chose belongs to a single photo
   const chosen = photos.length === 1 ? map.files?.[0] : undefined;
   if (chosen) {
     photos[0].depth = chosen;
@@ -50,7 +50,7 @@ for (const picker of [$('picker', HTMLInputElement), $('camera', HTMLInputElemen
     picker.value = '';
   });
 }
-// phones send a JPEG of their own where HEIC is not among what is asked for
+// if HEIC is not accepted, phones send a JPEG of their own
 if (!matchMedia('(pointer: coarse)').matches) $('picker', HTMLInputElement).accept += ',.heic,.heif';
 
 let depth = 0;
@@ -80,7 +80,7 @@ addEventListener('paste', (event) => {
   take(found);
 });
 
-/** Shows, where there is no photo yet, what one becomes. */
+/** Shows a sample if there are no photos yet. */
 async function showSample() {
   const place = $('sample');
   if (!place.hidden) return;
@@ -107,6 +107,6 @@ startGallery(forget).then((page) => {
   for (const photo of page?.photos ?? []) if (isUnderWay(photo)) resume(photo, photoName(photo));
   if (!deleted) return;
   if (page?.photos.some(({ id }) => id === deleted.id)) return remove([deleted.id]);
-  // it is on a further page
+  // it is on a further page of the list
   deleteLater([{ ...deleted, gone: () => forget(deleted.id), back: () => {} }]);
 });

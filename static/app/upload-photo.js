@@ -1,11 +1,11 @@
-// Sends a photo to the server.
+// Uploads a photo to the server.
 
 import { wordsOf } from './api.js';
 
 /** @import { Photo } from './api.js' */
 
 /**
- * The error of a refused upload; `retryAfter` in seconds where the server is only busy.
+ * The error of a refused upload; `retryAfter` in seconds if the server is only busy.
  * @param {XMLHttpRequest} xhr
  */
 function refusal(xhr) {
@@ -16,12 +16,12 @@ function refusal(xhr) {
 }
 
 /**
- * Uploads a file, with its depth map where there is one and options by name.
+ * Uploads a file, its depth map if there is one, and options by name.
  * @param {File} file
  * @param {File | null} depth
  * @param {Record<string, number>} options
- * @param {(share: number) => void} onProgress is told the share of the bytes that are sent, 0 to 1
- * @returns {{done: Promise<Photo>, abort: () => void}} `done` gives the photo's JSON
+ * @param {(share: number) => void} onProgress is called with the share of bytes sent, 0 to 1
+ * @returns {{done: Promise<Photo>, abort: () => void}} `done` resolves to the photo's JSON
  */
 export function uploadPhoto(file, depth, options, onProgress) {
   const form = new FormData();

@@ -1,10 +1,10 @@
-// A row of the page while a photo is on its way.
+// The row of a photo that is being uploaded or made.
 import { t } from '../i18n/messages.js';
 import { sentence } from '../i18n/text.js';
 import { $, element, icon } from './dom.js';
 
 /**
- * Tells something to those who do not see the page.
+ * Announces a message to screen readers.
  * @param {string} text
  */
 export function say(text) {
@@ -14,7 +14,7 @@ export function say(text) {
 export class Row {
   /** @type {'open' | 'done' | 'failed'} */
   kind = 'open';
-  /** Share of the way, 0 to 1. */
+  /** Progress, 0 to 1. */
   share = 0;
   #picture;
   /** @type {string | null} */
@@ -37,7 +37,7 @@ export class Row {
     this.close = element('button', 'round', icon('close'));
     this.close.type = 'button';
     this.close.setAttribute('aria-label', t('Cancel {0}', name));
-    /** What is to be said of the photo once it is ready. */
+    /** A note for when the photo is ready. */
     this.note = '';
     /** @type {(() => void) | undefined} */
     this.onClose = undefined;
@@ -50,13 +50,13 @@ export class Row {
     $('upload-list').append(this.root);
   }
 
-  /** True where a pointer or the focus is on it: it does not go away then. */
+  /** True while the pointer or the focus is on it: it is not removed then. */
   get attended() {
     return this.root.matches(':hover, :focus-within');
   }
 
   /**
-   * Whether it is seen among the others; its picture is read only then.
+   * Whether it is visible; its picture is read only then.
    * @param {boolean} on
    */
   set shown(on) {
@@ -65,7 +65,7 @@ export class Row {
     this.#address = URL.createObjectURL(this.preview);
     const image = element('img', 'upload-picture');
     image.alt = '';
-    // what the browser cannot show keeps its empty frame
+    // if the browser cannot show the picture, its frame stays empty
     image.addEventListener('load', () => this.#picture.replaceWith(image));
     image.src = this.#address;
   }

@@ -1,4 +1,4 @@
-// Photos on their way: a few at a time, those in work first, and how far all of them are.
+// Photos being uploaded or made: a few at a time, active ones first, and their overall progress.
 
 import { t } from '../i18n/messages.js';
 import { queueText, stageText } from '../i18n/text.js';
@@ -10,13 +10,13 @@ import { Row } from './upload-row.js';
 
 /** @import { Photo } from './api.js' */
 
-/** Uploads under way at the same time. */
+/** Number of parallel uploads. */
 const PARALLEL = 2;
-/** Photos whose events are followed at the same time: browsers have six connections for all that a page does. */
+/** Maximum number of photos whose events are followed at a time: browsers allow six connections for the whole page. */
 const FOLLOWED = 3;
-/** Rows of photos on their way that are seen; the others are counted. */
+/** Maximum number of visible rows; the others are counted. */
 const SEEN = 3;
-/** How long the last row that is ready stays, ms. */
+/** How long the last finished row stays, ms. */
 const FOLD_MS = 12_000;
 /** Share of the bar that the upload itself takes. */
 const UPLOAD_SHARE = 0.25;
@@ -25,7 +25,7 @@ const UPLOAD_SHARE = 0.25;
 
 /** Files that wait to be sent. @type {Job[]} */
 const waiting = [];
-/** Photos that are made and wait to be followed. @type {{photo: Photo, row: Row}[]} */
+/** Uploaded photos whose events are not followed yet. @type {{photo: Photo, row: Row}[]} */
 const made = [];
 /** All rows, in their order. @type {Set<Row>} */
 const rows = new Set();
@@ -33,14 +33,14 @@ const rows = new Set();
 const byId = new Map();
 let sending = 0;
 let following = 0;
-/** Rows that have been ready since the page had nothing to do. */
+/** Rows that became ready since the page was last idle. */
 let ready = 0;
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let folding;
 const pageTitle = document.title;
 
 /**
- * What the page does when a photo is there, and to have one deleted.
+ * What the page does when a photo is ready, and how it deletes one.
  * @type {{made: () => void, remove: (id: string) => Promise<void>}}
  */
 let page = { made: () => {}, remove: async () => {} };
@@ -57,12 +57,12 @@ export function startUploads(own) {
 }
 
 addEventListener('beforeunload', (event) => {
-  // what is sent goes on without the page
+  // uploads that are sent finish without the page
   if (sending || waiting.length) event.preventDefault();
 });
 
 /**
- * Sends photos.
+ * Uploads photos.
  * @param {{file: File, depth: File | null}[]} photos
  * @param {Record<string, number>} options of the interface
  */
@@ -81,7 +81,7 @@ export function upload(photos, options) {
 }
 
 /**
- * Shows a photo that was on its way when the page was opened.
+ * Shows a photo that was in work when the page was opened.
  * @param {Photo} photo
  * @param {string} name
  */
@@ -90,7 +90,7 @@ export function resume(photo, name) {
 }
 
 /**
- * A photo is no more: neither is its row.
+ * Removes the row of a deleted photo.
  * @param {string} id
  */
 export function forgetRow(id) {
@@ -129,11 +129,11 @@ async function send({ file, depth, options, row }) {
       row.remove();
     };
     const photo = await prepared(file, (loss) => {
-      // a map that comes beside the photo stands for its own
+      // a depth map beside the photo replaces the photo's own
       if (!depth) row.note = loss;
       row.show(t('Converting'));
     });
-    // making it goes on without holding up the next upload
+    // making it does not hold up the next upload
     if (!cancelled) follow(await post(photo, depth, options, row), row);
   } catch (error) {
     if (error.name === 'AbortError') row.remove();
@@ -142,7 +142,7 @@ async function send({ file, depth, options, row }) {
 }
 
 /**
- * Sends the file; where the server is busy, waits as long as it asks.
+ * Uploads the file; if the server is busy, waits as long as it asks for.
  * @param {File} file
  * @param {File | null} depth
  * @param {Record<string, number>} options
@@ -239,7 +239,7 @@ async function remove(id, row) {
 
 let arranging = false;
 
-/** Once, however many rows change at a time. */
+/** Arranges the rows once for several changes. */
 function arrangeSoon() {
   if (arranging) return;
   arranging = true;
@@ -249,12 +249,12 @@ function arrangeSoon() {
   });
 }
 
-/** Shows what is to be seen of the rows, and how far all of them are. */
+/** Updates the visible rows and the overall progress. */
 function arrange() {
   for (const row of rows) if (!row.root.isConnected) rows.delete(row);
   const of = (/** @type {Row['kind']} */ kind) => [...rows].filter((row) => row.kind === kind);
   const [open, done, failed] = [of('open'), of('done'), of('failed')];
-  // the newest that is ready stays a while, so that one sees it happen
+  // the newest finished row stays a while, so that the user sees it finish
   for (const row of done.slice(0, -1)) if (!row.attended) row.remove();
   clearTimeout(folding);
   if (done.length) folding = setTimeout(fold, FOLD_MS);
@@ -276,7 +276,7 @@ function arrange() {
   document.title = open.length && all > 1 ? `${t('{0} of {1}', ready, all)} – tmpi` : pageTitle;
 }
 
-/** The last that was ready goes, unless somebody is at it. */
+/** Removes the last finished row, unless it has the pointer or the focus. */
 function fold() {
   for (const row of rows) {
     if (row.kind !== 'done') continue;

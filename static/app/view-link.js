@@ -1,4 +1,4 @@
-// Links to a view: the camera's offset stands behind the # of the page's address.
+// Links to a view: the camera's offset is behind the # of the page's address.
 
 import { t } from '../i18n/messages.js';
 import { formatPose, parsePose } from '../view/camera.js';
@@ -8,19 +8,19 @@ import { $, isLoopback } from './dom.js';
 
 const HASH_KEY = 'pose';
 
-/** Where the address asks the camera to start: offsets in units of the view box. */
+/** The start offset in the page's address, in units of the view box. */
 export function offsetOfHash() {
   const pose = parsePose(new URLSearchParams(location.hash.slice(1)).get(HASH_KEY) ?? '');
   return pose ? { x: pose.tx, y: pose.ty, z: pose.tz } : undefined;
 }
 
-/** True where a link is better handed to another program than copied. */
+/** True if sharing a link suits the device better than copying it. */
 export const canSend = () => Boolean(navigator.share) && matchMedia('(pointer: coarse)').matches;
 
 /**
  * Address of this page at a view.
  * @param {Offset} offset of the camera, in units of the view box
- * @param {{signed?: boolean}} [options] whether it keeps the link by which the page was opened
+ * @param {{signed?: boolean}} [options] whether it keeps the link with which the page was opened
  */
 export function addressAt({ x, y, z }, { signed = true } = {}) {
   const url = new URL(location.href);
@@ -31,7 +31,7 @@ export function addressAt({ x, y, z }, { signed = true } = {}) {
 }
 
 /**
- * Gives away a link to the view at an offset.
+ * Shares or copies a link to the view at an offset.
  * @param {Offset} offset
  * @param {(text: string) => void} say
  */

@@ -24,9 +24,9 @@ import { offsetOfHash, shareLink } from './view-link.js';
 
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
-/** Where it is kept that this browser was told how to move. */
+/** Storage key: this browser has shown the hint on how to move. */
 const HINTED = 'tmpi-hinted';
-/** How far a pointer may go between press and release and still have clicked. */
+/** Maximum movement of the pointer between press and release of a click. */
 const CLICK_PX = 5;
 
 const id = decodeURIComponent(location.pathname.split('/').filter(Boolean).pop() ?? '');
@@ -36,11 +36,11 @@ const state = { bytes: 0, ms: null, toast: undefined };
 /** @type {Viewer} */
 let viewer;
 /**
- * Who may see the photo; nothing where the server asks nobody who they are.
+ * The photo's visibility; undefined on a server without access control.
  * @type {Photo['visibility']}
  */
 let visibility;
-/** When the picture of the photo as it is now is there, or can't be had. */
+/** Settles when the photo's current picture has loaded or failed. */
 let pictured = Promise.resolve();
 
 /** @param {string} text */
@@ -52,7 +52,7 @@ function toast(text) {
 }
 
 function readout() {
-  // where it goes, not where it has come to: a slow machine may be long on its way
+  // the goal, not the current zoom: a slow machine may take long to get there
   const { goal, own } = viewer.zoom;
   const closer = goal > 1.01 ? [`${Math.round((goal / own) * 100)} %`] : [];
   const served = viewer.mode === 'served' ? [t('drawn by the server')] : [];
@@ -89,15 +89,15 @@ function showIdle(on) {
   $('idle').setAttribute('aria-pressed', String(on));
 }
 
-/** Starts the viewer; where the photo is not made yet, waits for it first. */
+/** Starts the viewer; waits first if the photo is not made yet. */
 async function start() {
   /** @type {() => void} */
   let settle = () => {};
   pictured = new Promise((resolve) => (settle = resolve));
-  // with its version, browsers need not ask again for what never changes
+  // with the version in the address, browsers can cache it for good
   const version = (await known)?.state.version;
   viewer?.dispose();
-  // no more pixels than the screen has: a phone need not load what it cannot show
+  // no more pixels than the screen has
   const fit = Math.min(Math.ceil(Math.max(screen.width, screen.height) * devicePixelRatio), 65_535);
   viewer = new Viewer(stage, {
     atlas: photoUrl(id, `/atlas?fit=${fit}${version ? `&v=${version}` : ''}`),
@@ -108,7 +108,7 @@ async function start() {
     full: known.then((answer) => answer?.state),
   });
   applyMenu();
-  // for tests, and for people at the console
+  // for tests and the console
   Object.assign(window, { viewer });
   showIdle(viewer.idle);
   viewer.addEventListener('progress', ({ detail: { received, total } }) => {
@@ -172,7 +172,7 @@ async function toggleFullscreen() {
   }
 }
 
-/** Says what the menu says to a viewer that is new. */
+/** Applies the menu's settings to a new viewer. */
 function applyMenu() {
   viewer.overlay = document.querySelector(/** @type {'input'} */ ('input[name=overlay]:checked'))?.value ?? 'none';
   viewer.stereo = $('stereo', HTMLInputElement).checked;
@@ -180,7 +180,7 @@ function applyMenu() {
   $('blur-hint').hidden = !viewer.blur;
 }
 
-/** A click without a drag says where to focus, where that makes a difference. */
+/** A click without a drag sets the focus, if a depth-of-field blur is on. */
 function focusOnClick() {
   /** @type {{clientX: number, clientY: number} | null} */
   let pressed = null;
@@ -199,7 +199,7 @@ function note(text) {
   setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
 }
 
-/** Says once in this browser how one moves it. */
+/** Shows once per browser how to move the view. */
 function hint() {
   if (viewer.mode === 'served' || localStorage.getItem(HINTED)) return;
   localStorage.setItem(HINTED, '1');
@@ -208,13 +208,13 @@ function hint() {
       ? t('Drag to look around; pinch or tap twice to come closer.')
       : t('Point or drag to look around; scroll or double-click to come closer.'),
   );
-  // whoever does it knows it
+  // a user who moves the view needs no hint
   for (const type of ['pointerdown', 'wheel']) {
     stage.addEventListener(type, () => $('served-note').classList.remove('on'), { once: true, passive: true });
   }
 }
 
-/** Tilting is what phones are good at: offered at the first touch, since browsers ask for leave only then. */
+/** Offers tilting on phones at the first touch: browsers ask for permission only on a user gesture. */
 function offerTilt() {
   const offer = $('tilt-offer');
   const asked = ({ pointerType = '' }) => {
@@ -238,7 +238,7 @@ function onKey({ key, target, ctrlKey, metaKey, altKey }) {
   if (key === '?') note($('keys').textContent?.trim().replace(/\s+/g, ' ') ?? '');
 }
 
-/** Only where the browser draws and has something to look into. */
+/** Offers the headset, only if the browser draws and supports one. */
 async function offerHeadset() {
   $('headset').hidden = !viewer.renderer || !(await hasHeadset());
 }
@@ -251,7 +251,7 @@ async function savePicture() {
   setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
 }
 
-/** Opens the touch-up of the depth; once the photo was made again, shows it anew. */
+/** Opens the touch-up of the depth; shows the photo again once it was remade. */
 async function touchUp() {
   $('settings-menu').hidePopover();
   try {
@@ -263,7 +263,7 @@ async function touchUp() {
   }
 }
 
-/** Shows the photo as it is now. */
+/** Reloads the photo. */
 async function showAgain() {
   known = photoWithVersion(id).catch(() => null);
   showLoading(t('Loading…'));
@@ -273,7 +273,7 @@ async function showAgain() {
   showDepthSource();
 }
 
-/** Says, where the menu is opened, what made the depth. */
+/** Shows how the depth was made when the menu opens. */
 async function showDepthSource() {
   const line = $('depth-source');
   const version = (await known)?.state.version;
@@ -306,7 +306,7 @@ offerTilt();
 document.addEventListener('keydown', onKey);
 $('blur').addEventListener('input', () => {
   applyMenu();
-  // a picture that moves is drawn without it where that takes too long: nothing would be seen to change
+  // drawing a moving picture with blur may be too slow to show the change
   if (viewer.blur) viewer.setIdle(false);
 });
 focusOnClick();
@@ -325,7 +325,7 @@ for (const [name, load] of Object.entries(DIALOGS)) {
   $(`share-${name}`).addEventListener('click', async () => {
     $('share-menu').hidePopover();
     try {
-      // who may see it decides what a link has to say
+      // the link depends on the visibility
       await known;
       if (name === 'link' && visibility !== 'private') return await shareLink(viewer.motion.now, toast);
       const { open } = await load();
@@ -353,7 +353,7 @@ addEventListener('hashchange', () => {
 });
 
 /**
- * Takes over who may see the photo, which is said beside the settings' menu.
+ * Takes over the photo's visibility and shows it beside the settings menu.
  * @param {{state: Photo, etag: string | null}} answer
  */
 function showVisibility(answer) {
@@ -370,7 +370,7 @@ function showName(photo) {
 }
 
 translatePage();
-// the viewer says what is wrong with the photo
+// the viewer reports what is wrong with the photo
 let known = photoWithVersion(id).catch(() => null);
 const menu = settingsMenu({ id, viewer: () => viewer, named: showName, say: toast });
 start();

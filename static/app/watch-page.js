@@ -1,4 +1,4 @@
-// The page of a room: who watches.
+// The viewers' page of a room.
 
 import { t, translatePage } from '../i18n/messages.js';
 import { sentence } from '../i18n/text.js';
@@ -19,11 +19,11 @@ const sound = new SoundPlayer();
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let fading;
 let shown = false;
-/** The picture that is shown has no depth yet. */
+/** The shown picture has no depth yet. */
 let early = false;
 
 /**
- * Says something over the picture.
+ * Shows a note over the picture.
  * @param {string} text
  * @param {boolean} [stays]
  */
@@ -46,7 +46,7 @@ function fail(message) {
 /** @param {{state: string, reason: string}} told */
 function showState({ state, reason }) {
   document.body.dataset.state = state;
-  // of a picture that stands still nothing is measured
+  // there are no statistics while the picture stands still
   if (state !== 'live') $('readout').textContent = '';
   const { over, text } = saying({ state, reason });
   if (over) return fail(text);
@@ -65,7 +65,7 @@ function showStatistics(told) {
   const late = behind(told);
   sound.late = late / 1000;
   const parts = [`${Math.round(late)} ms`, t('{0} frames/s', String(Math.round(told.frames)))];
-  // a phone has room for the room's name beside that
+  // a narrow screen needs that space for the room's name
   if (!narrow.matches) {
     parts.push(`${Math.round(told.kbits)} kbit/s`);
     if (told.viewers) parts.push(t('{0} watching', String(told.viewers)));
@@ -138,5 +138,5 @@ document.addEventListener('visibilitychange', () => viewer.tell({ hidden: docume
 document.addEventListener('keydown', (event) => {
   if (event.key === 'f' && !event.ctrlKey && !event.metaKey && !event.altKey && document.fullscreenEnabled) toggleFullscreen();
 });
-// another token in the address
+// the address has another token
 addEventListener('hashchange', () => location.reload());

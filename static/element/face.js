@@ -1,5 +1,5 @@
-// What the element is made of: the stage of the viewer, the poster below, the button for full screen, and what is seen where nothing can be
-// shown; its shape and its name.
+// The element's shadow tree: the viewer's stage, the poster below it, the full-screen button and the error box. Also sets the element's
+// aspect ratio and its name.
 import { word } from '../i18n/element.js';
 
 import { Sheet } from './sheet.js';
@@ -40,9 +40,9 @@ const STYLE = `
   .error:not([hidden]) ~ button { display: none; }
 `;
 const CORNERS = 'M3 9V3h6M15 3h6v6M21 15v6h-6M9 21H3v-6';
-/** Attributes that give its name, the first that says anything. */
+/** Attributes that name it; the first that is not empty counts. */
 export const NAMES = ['aria-label', 'alt', 'title'];
-/** What turns off what is on without it. */
+/** Values that turn off what is on by default. */
 export const OFF = new Set(['off', 'false']);
 
 export class Face {
@@ -52,12 +52,12 @@ export class Face {
   #posterSlot = make('slot', '', this.#poster);
   #error = errorBox();
   #full = fullscreenButton(() => this.#toggleFullscreen());
-  /** What the viewer is put into, and takes the input. */
+  /** Holds the viewer and takes the input. */
   stage = make('div', 'stage');
   /** True once the photo's own shape is known. */
   shaped = false;
 
-  /** @param {HTMLElement} host that it is put into */
+  /** @param {HTMLElement} host */
   constructor(host) {
     this.#host = host;
     this.shadow = host.attachShadow({ mode: 'open' });
@@ -66,7 +66,7 @@ export class Face {
     this.#poster.alt = '';
     this.#poster.loading = 'lazy';
     this.#posterSlot.name = 'poster';
-    // whichever picture there is tells the photo's shape before the photo comes
+    // any poster gives the photo's shape before the photo is there
     this.#posterSlot.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
     host.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
     this.stage.tabIndex = 0;
@@ -74,9 +74,9 @@ export class Face {
     this.shadow.append(make('div', 'room', this.#posterSlot, this.stage), this.#error, this.#full);
   }
 
-  /** Takes over what the page has put into the element. */
+  /** Reads the content that the page put into the element. */
   connected() {
-    // one that the page brought along may be there already
+    // a slotted poster may have loaded already
     this.#shapeOf(this.#host.querySelector('[slot=poster]'));
   }
 
@@ -89,7 +89,7 @@ export class Face {
   }
 
   /**
-   * The element's shape where CSS does not say another.
+   * The element's shape unless CSS sets another.
    * @param {number} width
    * @param {number} height
    */
@@ -111,25 +111,25 @@ export class Face {
       if (document.fullscreenElement === this.#host) await document.exitFullscreen();
       else await this.#host.requestFullscreen();
     } catch {
-      // the page, or the frame that it is in, does not allow it
+      // the page, or its frame's policy, does not allow it
       this.#full.hidden = true;
     }
   }
 
-  /** What the page calls it, or nothing. */
+  /** The page's name for it, or ''. */
   get #name() {
     return NAMES.map((name) => this.#host.getAttribute(name)?.trim()).find(Boolean) ?? '';
   }
 
   /**
    * Follows the attributes.
-   * @param {string} kind of what is shown, in words
+   * @param {string} kind of the content, in words
    */
   describe(kind) {
     const attribute = (/** @type {string} */ name) => this.#host.getAttribute(name) ?? '';
     this.stage.setAttribute('aria-label', this.#name || kind);
     this.stage.setAttribute('aria-roledescription', kind);
-    // the stage takes the input; without it the page scrolls and clicks as if a picture were there
+    // the stage takes the input; when it is inert, the page scrolls and clicks as over a picture
     this.stage.inert = OFF.has(attribute('camera-controls'));
     this.#full.hidden = !document.fullscreenEnabled || OFF.has(attribute('fullscreen'));
     const alt = this.#error.querySelector('p');
@@ -139,14 +139,14 @@ export class Face {
     else this.#poster.removeAttribute('src');
   }
 
-  /** Whether a picture stands for the photo. */
+  /** Whether there is a poster. */
   get #hasPoster() {
     const given = this.#host.querySelector('[slot=poster]');
     return given instanceof HTMLImageElement ? given.naturalWidth > 0 : Boolean(given) || this.#poster.naturalWidth > 0;
   }
 
   /**
-   * Says what the photo shows where it cannot be shown, and why; where its poster shows it, that stays.
+   * Shows the photo's description and the reason, unless a poster is visible.
    * @param {string} reason
    */
   fail(reason) {
@@ -156,12 +156,12 @@ export class Face {
     this.#error.hidden = false;
   }
 
-  /** The poster gives way to the photo. */
+  /** Hides the poster. */
   shown() {
     this.#posterSlot.hidden = true;
   }
 
-  /** As before anything was shown. */
+  /** Back to the state before anything was shown. */
   reset() {
     this.shaped = false;
     this.#posterSlot.hidden = false;
@@ -182,7 +182,7 @@ function make(tag, className, ...content) {
   return out;
 }
 
-/** What is seen where the photo cannot be shown: the page's own, or what the photo shows and why it does not. */
+/** Shown if the photo cannot be: the page's own content, or the photo's description and the reason. */
 function errorBox() {
   const slot = make('slot', '', make('p', ''), make('p', 'reason'));
   slot.name = 'error';

@@ -1,8 +1,8 @@
-// The parameters of a link by which one photo can be seen for a while. They go for every address of the photo, and are told again at each: a frame on
-// another site has no cookies.
+// The parameters of a link that lets one photo be seen for a while. They are valid for all addresses of the photo, and each request carries
+// them: a frame on another site has no cookies.
 
 /**
- * Those in a query, as `expires=…&signature=…`; empty where there are none.
+ * The link's parameters of a query, as `expires=…&signature=…`; '' without them.
  * @param {string} [query]
  */
 export function linkOf(query) {

@@ -1,6 +1,6 @@
-// The modules that the element fetches once something is to be shown.
+// The modules that the element fetches when it first shows something.
 
-/** All that the viewer is made of: fetched at once, not as each names the next. */
+/** All modules of the viewer, fetched at once and not one import after another. */
 export const MODULES = [
   'decode/grid.js',
   'decode/problem.js',
@@ -43,7 +43,7 @@ export const MODULES = [
   'view/steering.js',
   'view/viewer.js',
 ];
-/** What rooms need besides. */
+/** Additional modules for rooms. */
 export const ROOM_MODULES = [
   'element/room.js',
   'element/sheet.js',
@@ -59,7 +59,7 @@ export const ROOM_MODULES = [
 const preloaded = new Set();
 
 /**
- * Asks for modules, once a page.
+ * Preloads modules, each once per page.
  * @param {string[]} modules
  */
 export function preload(modules) {

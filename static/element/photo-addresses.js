@@ -1,10 +1,10 @@
-// What lies beside a container on a server.
+// Addresses beside a container's on a server.
 import { settingsOf } from '../view/settings.js';
 import { linkOf, withLink } from './link.js';
 
 /**
- * Addresses that lie beside a container's: `…/ID/atlas?level=1&v=V` → `…/ID/view?v=V`, or undefined where it is no photo of a server.
- * What never changes is of the container's version, and all is seen by the link by which that is.
+ * An address beside a container's: `…/ID/atlas?level=1&v=V` → `…/ID/view?v=V`; undefined if it is not a server's address. It keeps the
+ * container's version, except for the settings, and its link.
  * @param {string} atlas
  * @param {string} part
  */
@@ -17,7 +17,7 @@ export function beside(atlas, part) {
 }
 
 /**
- * Settings of the photo at an address, or none where there is no server that keeps any.
+ * The settings of the photo at an address; empty if there are none.
  * @param {string} address
  */
 export async function fetchSettings(address) {

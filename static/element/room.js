@@ -1,4 +1,4 @@
-// A room in the element: its picture, what is said while there is none, and its sound.
+// A room in the element: its picture, a note while there is no picture, and its sound.
 import { t } from '../i18n/messages.js';
 import { roomAt } from '../live/room-address.js';
 import { SoundPlayer } from '../live/sound-player.js';
@@ -21,7 +21,7 @@ const STYLE = `
 const SPEAKER = ['M4 9.5v5h3.5L12 18.5v-13L7.500 9.5z', 'M15.500 9a4.200 4.200 0 0 1 0 6M18 6.500a7.800 7.800 0 0 1 0 11'];
 
 /**
- * What the element is asked for: to fire an event, to say in place of the picture why there is none, and whether a page around it scrolls.
+ * What the room needs of the element: fires an event, shows an error in place of the picture, and says whether the page around it scrolls.
  * @typedef {{fire: (type: string, detail: object) => void, fail: (message: string) => void, embedded: () => boolean}} Element
  */
 
@@ -34,11 +34,11 @@ export class Room {
   #sheet;
   #visible = true;
   #shown = false;
-  /** The picture that is shown has no depth yet. */
+  /** The shown picture has no depth yet. */
   #early = false;
   #listens = false;
   #gone = new AbortController();
-  /** As the worker says it (live/connection.js), and `live`, `stalled` or `ended`. */
+  /** A state of the worker (live/connection.js), or `live`, `stalled` or `ended`. */
   state = 'connecting';
   #reason = '';
 
@@ -46,7 +46,7 @@ export class Room {
    * @param {HTMLElement} stage that the picture is put into
    * @param {ShadowRoot} shadow that the rest is put into
    * @param {{address: string, token: string | null, sound: string | null, settings: object}} named address of the room or its page, the
-   *   element's attributes, and what these say of moving (view/settings.js)
+   *   element's attributes, and its settings for motion (view/settings.js)
    * @param {Element} element
    */
   constructor(stage, shadow, named, element) {
@@ -69,7 +69,7 @@ export class Room {
     const { signal } = this.#gone;
     document.addEventListener('visibilitychange', () => this.#tellHidden(), { signal });
     if (named.sound === null || named.sound === 'off') return;
-    // a browser plays nothing before somebody has done something
+    // browsers play no sound before a user gesture
     const begin = () => this.#listens || this.setSound(true).catch(() => {});
     for (const type of ['click', 'keydown']) stage.addEventListener(type, begin, { once: true, signal });
   }
@@ -108,7 +108,7 @@ export class Room {
   }
 
   /**
-   * Plays the sound, or does not; on only from a tap. Rejects where the browser does not allow it.
+   * Turns the sound on or off. Turn it on only from a tap. Rejects if the browser does not allow it.
    * @param {boolean} on
    */
   async setSound(on) {
@@ -121,7 +121,7 @@ export class Room {
     this.#element.fire('sound', { on });
   }
 
-  /** Whether the element is in sight: what nobody sees is not fetched, unless somebody listens. */
+  /** Whether the element is in sight: a hidden element fetches nothing but sound that is on. */
   set visible(/** @type {boolean} */ on) {
     this.#visible = on;
     this.#tellHidden();
@@ -153,7 +153,7 @@ export class Room {
     this.#element.fire('error', { message: text });
   }
 
-  /** Says what keeps the picture away, or that it stands still. */
+  /** Shows why there is no picture, or that the picture has no depth yet. */
   #say() {
     const { over, text } = saying({ state: this.state, reason: this.#reason });
     const seen = this.#shown && this.state === 'live';

@@ -1,4 +1,4 @@
-// A style sheet of a shadow tree, adopted where the browser can do that, else as an element.
+// A style sheet of a shadow tree: adopted, or a style element in old browsers.
 
 export class Sheet {
   #root;
@@ -21,13 +21,13 @@ export class Sheet {
     }
   }
 
-  /** What it says. */
+  /** The style sheet's text. */
   set text(/** @type {string} */ css) {
     if (this.#sheet) this.#sheet.replaceSync(css);
     else if (this.#element) this.#element.textContent = css;
   }
 
-  /** Takes it out of the tree. */
+  /** Removes it from the tree. */
   remove() {
     this.#element?.remove();
     if (this.#sheet) this.#root.adoptedStyleSheets = this.#root.adoptedStyleSheets.filter((sheet) => sheet !== this.#sheet);

@@ -1,53 +1,55 @@
 // <tmpi-viewer src="https://host/v1/photos/ID/atlas" alt="…" poster="…"></tmpi-viewer>: a 3D photo on any page.
-// <tmpi-viewer src="https://host/live/ROOM#token=…" alt="…"></tmpi-viewer>: a room, in which it moves.
+// <tmpi-viewer src="https://host/live/ROOM#token=…" alt="…"></tmpi-viewer>: a room, a moving 3D photo.
 //
-//   src              address of a container; where its path ends in /atlas, the server's views beside it serve browsers without a GPU, by the same
-//                    link (`?expires=…&signature=…`) where it has one
-//   view             address of these views, where it is another
-//   alt              what the photo shows; `aria-label` goes before it, `title` is taken without it
+//   src              address of a container. If its path ends in /atlas, browsers without a GPU show the server's views beside it, through
+//   the
+//                    same link (`?expires=…&signature=…`) if it has one
+//   view             address of these views, if it is another
+//   alt              description of the photo; `aria-label` goes before it, `title` is the fallback
 //   poster           picture until the photo is there
-//   fit              `contain` (as if it were not there): all of the photo; `cover`: as large as fills the element, the rest cut away
-//   fullscreen       `off`: no button for full screen
-//   loading          `lazy` (as if it were not there): fetched when it comes near the screen; `eager`: at once
-//   reveal           `auto` (as if it were not there), or `interaction`: fetched when somebody points at it, touches or focuses it
+//   fit              `contain` (default): all of the photo; `cover`: fills the element, the rest is cut away
+//   fullscreen       `off`: no full-screen button
+//   loading          `lazy` (default): fetched when it comes near the screen; `eager`: at once
+//   reveal           `auto` (default), or `interaction`: fetched when it is hovered, touched or focused
 //   camera-controls  `off`: takes no input
-//   auto-rotate      `off`: does not move by itself; so does `still`, without a value
-//   motion           how it moves by itself: `swing`, `orbit`, `dolly`, `dolly-zoom`, `zoom` (into the nearest thing), or `none`; without
-//                    it, what the photo's owner wants, else `swing`; rooms move by themselves only where this or auto-rotate says so
+//   auto-rotate      `off`: does not move without input; `still`, without a value, does the same
+//   motion           how it moves without input: `swing`, `orbit`, `dolly`, `dolly-zoom`, `zoom` (into the nearest thing), or `none`. The
+//                    default is the owner's setting, else `swing`. A room moves only if this or auto-rotate is set
 //   speed            how fast, 0.25 to 4 times the usual
-//   settings         `off`: does not ask the server what the photo's owner wants of the camera (how far it goes, where it starts)
+//   settings         `off`: does not fetch the owner's camera settings (range, start) from the server
 //
-// `false` is as `off`, since frameworks write that; `still="false"` is as none.
+// `false` means `off`, since frameworks write that; `still="false"` is as if it were missing.
 //
-// Of a room, whose address (of its page, or below /v1/) stands in `src`, besides:
+// A room's address in `src` is that of its page, or the one below /v1/. It has these attributes besides:
 //
-//   room             its name in place of its address; `src` is the server's own address then, this page's without it
-//   token            token of who watches, where the address has none behind its # or as a parameter
-//   sound            `off`: no button for it; without a value it begins with the first tap or key. It never begins before one
+//   room             name of the room, in place of its address; `src` is then the server's address, by default this page's server
+//   token            the viewer's token, if the address has none behind its # or as a parameter
+//   sound            `off`: no sound button; without a value, sound starts with the first tap or key, never earlier
 //
-// `src`, `room`, `token`, `view`, `alt`, `poster`, `fit`, `loading`, `reveal`, `motion` and `speed` are properties, too, and so are `autoRotate`,
-// `cameraControls`, `fullscreen`, `still` and `settings`, which are true or false. They are taken over where they were set before this script
-// came. What is set or changed later counts from then on.
+// `src`, `room`, `token`, `view`, `alt`, `poster`, `fit`, `loading`, `reveal`, `motion` and `speed` are also properties. So are the
+// booleans `autoRotate`, `cameraControls`, `fullscreen`, `still` and `settings`. Properties set before this script loads are taken over.
+// Later changes take effect at once.
 //
-// Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
-// thing differs: `camera-controls` and `auto-rotate` are on as if they were there, because a 3D photo that stands still is a photo.
+// Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events follow <model-viewer> where it has them. One difference:
+// `camera-controls` and `auto-rotate` are on by default, because a 3D photo that stands still is a photo.
 //
-// A room has the properties `state` and `sound`, and `setSound(on)`, which has to be called from a tap, and rejects where the browser does
-// not allow it. While nobody sees the element, nothing is fetched for it, unless somebody listens; a broken connection comes back by itself.
+// A room has the properties `state` and `sound`, and `setSound(on)`. Call that from a tap; it rejects if the browser does not allow it. An
+// element out of sight fetches nothing, unless its sound is on. It reconnects after a broken connection.
 //
-// Slots: `poster` takes a picture of the page's own in place of `poster` (`<img slot="poster" …>`, which browsers show without a script,
-// too), `error` what is to be seen where the photo cannot be shown; else that is `alt` and the reason. Parts for CSS: `fullscreen`, `error`; of
-// rooms also `sound` and `note`, which says why there is no picture yet.
+// Slots: `poster` takes the page's own picture in place of `poster` (`<img slot="poster" …>`, which browsers show without scripts, too);
+// `error` takes content to show if the photo cannot be shown, by default `alt` and the reason. CSS parts: `fullscreen`, `error`; for rooms
+// also `sound` and `note`, which says why there is no picture yet.
 //
-// Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}; of rooms, which have no
-// progress, also `state` {state, reason}, `statistics` {behind, frames, kbits, viewers, …} twice a second, and `sound` {on}. A state is
-// `connecting`, `waiting` (nobody is live), `full` (no place), `live`, `stalled`, `ended`, `away` (no server), `refused` (no token), `none` (no such room) or
-// `unsupported` (no decoder for its video). It is as wide as its
-// place and has the photo's shape once that is known (16 / 10 before), unless CSS says `aspect-ratio` or `height`. All elements of a page
-// share one graphics device; those out of sight sleep, and without WebGPU they give what they are drawn with to those in sight, as a browser has
-// only so much of it. Where nothing can be drawn, the poster or the photo stays, and `error` says why.
+// Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}. Rooms have no progress,
+// and also fire `state` {state, reason}, `statistics` {behind, frames, kbits, viewers, …} twice a second, and `sound` {on}. The states are
+// `connecting`, `waiting` (no publisher), `full` (viewer limit reached), `live`, `stalled`, `ended`, `away` (server unreachable), `refused`
+// (no valid token), `none` (no such room) and `unsupported` (no decoder for its video).
+//
+// The element is as wide as its place and has the photo's shape once that is known (16 / 10 before), unless CSS sets `aspect-ratio` or
+// `height`. All elements of a page share one graphics device. Elements out of sight sleep; without WebGPU they also give up their drawing
+// contexts, which browsers limit. If nothing can be drawn, the poster or the photo stays, and `error` says why.
 
-// beside it is static/, as the server and the package have it
+// static/ is beside this file, both on the server and in the package
 import { Face, NAMES, OFF } from './static/element/face.js';
 import { load, MODULES, preload, ROOM_MODULES } from './static/element/modules.js';
 import { word } from './static/i18n/element.js';
@@ -55,15 +57,15 @@ import { word } from './static/i18n/element.js';
 /** @import { Viewer } from '../view/viewer.js' */
 /** @import { Room } from './room.js' */
 
-/** Path of a room, or of its page. */
+/** Path of a room or of its page. */
 const ROOM = /\/live\/[\w-]+\/?$/;
 /** Attributes that say what is shown. */
 const ADDRESS = new Set(['src', 'room', 'token', 'view']);
-/** Attributes that are properties, too, as frameworks set them. */
+/** Attributes that are also properties, as frameworks set them. */
 const PROPERTIES = [...ADDRESS, 'alt', 'poster', 'fit', 'loading', 'reveal', 'motion', 'speed'];
 
 /**
- * Attributes that are on or off, and their properties; React sets a property by the attribute's own name where there is one.
+ * Boolean attributes and their properties. React sets a property of the attribute's own name if there is one.
  * @type {Record<string, string>}
  */
 const SWITCHES = {
@@ -92,18 +94,18 @@ class TmpiViewer extends HTMLElement {
   /** @type {Viewer | null} */
   #viewer = null;
   /**
-   * What is shown, where that is a room.
+   * The room, if one is shown.
    * @type {Room | null}
    */
   #room = null;
   /** @type {IntersectionObserver | null} */
   #seen = null;
   /**
-   * Whether it is near the screen; null before that is known.
+   * Whether it is near the screen; null until that is known.
    * @type {boolean | null}
    */
   #visible = null;
-  /** Somebody came near it or asked for it: it shows what it is told to from then on. */
+  /** It has come near the screen or had input: from then on it shows its content. */
   #asked = false;
   #loaded = false;
   #face = new Face(this);
@@ -114,7 +116,7 @@ class TmpiViewer extends HTMLElement {
     for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#face.stage.addEventListener(type, () => this.#start());
   }
 
-  /** The viewer, once it has started; else null. */
+  /** The viewer; null before it has started. */
   get viewer() {
     return this.#viewer;
   }
@@ -124,7 +126,7 @@ class TmpiViewer extends HTMLElement {
     return this.#loaded;
   }
 
-  /** How a room stands, or empty where none is shown. */
+  /** State of the room; empty for a photo. */
   get state() {
     return this.#room?.state ?? '';
   }
@@ -135,7 +137,7 @@ class TmpiViewer extends HTMLElement {
   }
 
   /**
-   * Plays a room's sound, or does not; on only from a tap.
+   * Turns a room's sound on or off. Turn it on only from a tap.
    * @param {boolean} on
    */
   async setSound(on) {
@@ -143,7 +145,7 @@ class TmpiViewer extends HTMLElement {
     await this.#room.setSound(on);
   }
 
-  /** The view at the present pose as a PNG file, in the photo's size. */
+  /** The current view as a PNG file, in the photo's size. */
   async toBlob() {
     if (!this.#viewer) throw new Error('nothing is shown yet');
     return this.#viewer.picture();
@@ -164,7 +166,7 @@ class TmpiViewer extends HTMLElement {
     this.#maybeStart();
   }
 
-  /** Moved within the page by `moveBefore`: it goes on as it is. */
+  /** `moveBefore` moved it within the page: nothing changes. */
   connectedMoveCallback() {}
 
   disconnectedCallback() {
@@ -177,7 +179,7 @@ class TmpiViewer extends HTMLElement {
 
   #onReduced = () => this.#viewer?.setIdle(this.#movesByItself);
 
-  /** Properties that were set before the script came hide those of the element. */
+  /** Properties set before the script loaded hide the element's own. */
   #takeOver() {
     for (const name of [...PROPERTIES, ...Object.entries(SWITCHES).flat()].filter((name) => Object.hasOwn(this, name))) {
       const value = Reflect.get(this, name);
@@ -199,7 +201,7 @@ class TmpiViewer extends HTMLElement {
     this.#maybeStart();
   }
 
-  /** Address of what is to be shown, and whether that is a room; null where nothing is named. */
+  /** Address to show, and whether it is a room; null without one. */
   get #named() {
     const [src, room] = [this.getAttribute('src'), this.getAttribute('room')];
     const url = src || room ? parsed(src ?? '/') : null;
@@ -209,7 +211,7 @@ class TmpiViewer extends HTMLElement {
   }
 
   get #movesByItself() {
-    // what is live moves without it
+    // a room moves anyway
     if (this.#room && !this.hasAttribute('auto-rotate') && !this.hasAttribute('motion')) return false;
     const still = this.getAttribute('still');
     const off =
@@ -217,7 +219,7 @@ class TmpiViewer extends HTMLElement {
     return !off && !this.#reduced.matches;
   }
 
-  /** What the page says of moving by itself: settings (view/settings.js). */
+  /** Settings of the attributes for motion (view/settings.js). */
   get #wander() {
     const [idle, speed] = [this.getAttribute('motion'), Number(this.getAttribute('speed'))];
     return { ...(idle ? { idle } : {}), ...(speed > 0 ? { speed } : {}) };
@@ -231,7 +233,7 @@ class TmpiViewer extends HTMLElement {
     else this.#maybeStart();
   }
 
-  /** Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it. */
+  /** Starts near the screen, or at once with `loading="eager"`; with `reveal="interaction"`, not before input. */
   #maybeStart() {
     if (this.#asked || this.getAttribute('reveal') === 'interaction') return;
     if (this.#visible || this.getAttribute('loading') === 'eager') this.#start();
@@ -260,7 +262,7 @@ class TmpiViewer extends HTMLElement {
       this.#fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),
     );
     viewer.addEventListener('ready', ({ detail }) => {
-      // a room's picture begins anew where its scene needs more room, which nobody need know
+      // a room's viewer starts again when its scene needs more room: not an event for the page
       if (this.#room && mode === detail.mode) return;
       mode = detail.mode;
       this.#loaded = true;
@@ -271,14 +273,14 @@ class TmpiViewer extends HTMLElement {
     viewer.addEventListener('pose', () => this.#loaded && this.#fire('camera-change', { pose: viewer.pose }));
     viewer.addEventListener('mode', ({ detail: { mode, reason } }) => mode === 'still' && this.#fire('error', { message: reason }));
     viewer.addEventListener('error', ({ detail }) => {
-      // what cannot be had while the photo is shown needs no words over it
+      // failures while the photo is shown need no message over it
       if (viewer.mode === 'failed') this.#face.fail(detail.message);
       this.#fire('error', detail);
     });
   }
 
   /**
-   * Nothing that shows the photo can be had.
+   * Shows that the photo cannot be shown, and fires `error`.
    * @param {string} message
    */
   #cannot(message) {
@@ -295,11 +297,11 @@ class TmpiViewer extends HTMLElement {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
-  /** Whether a page around it scrolls, which it does not in full screen. */
+  /** Whether the page around it scrolls, which it does not in full screen. */
   #embedded = () => !this.matches(':fullscreen');
 
   /**
-   * True where that is still to be shown, and nothing is.
+   * True if that address is still to be shown and nothing is shown yet.
    * @param {string} address
    */
   #wants(address) {
@@ -307,7 +309,7 @@ class TmpiViewer extends HTMLElement {
   }
 
   /**
-   * What shows a photo from now on; null where another is wanted by now.
+   * A viewer that shows a photo; null if another address is wanted by now.
    * @param {string} atlas
    */
   async #show(atlas) {
@@ -330,7 +332,7 @@ class TmpiViewer extends HTMLElement {
   }
 
   /**
-   * What shows a room from now on; null where another is wanted by now.
+   * A viewer that shows a room; null if another address is wanted by now.
    * @param {string} address
    */
   async #watch(address) {
@@ -360,7 +362,7 @@ class TmpiViewer extends HTMLElement {
 }
 
 /**
- * An address in the page, or null where it is none.
+ * Parses an address relative to the page; null if it is not valid.
  * @param {string} address
  */
 function parsed(address) {

@@ -15,7 +15,7 @@ fn has(run: &Run, line: &str) {
 }
 
 #[test]
-fn options_count_before_variables_those_before_the_file_and_that_before_defaults() {
+fn options_override_variables_the_file_and_defaults() {
     let f = Folder::new();
     f.write(
         "tmpi.toml",
@@ -48,7 +48,7 @@ fn options_count_before_variables_those_before_the_file_and_that_before_defaults
     ] {
         has(&run, line);
     }
-    // the file by the environment; and what is told is a file that says the same
+    // the path of the file from the environment; the printed settings are a file with the same values
     f.write("again.toml", run.out.as_bytes());
     let again = config(&f, &[("TMPI_CONFIG", "again.toml")], &[]).succeeds();
     has(&again, "views = 8 # file");
@@ -57,7 +57,7 @@ fn options_count_before_variables_those_before_the_file_and_that_before_defaults
 }
 
 #[test]
-fn every_option_of_serve_may_stand_in_a_file_and_the_schema_has_it() {
+fn every_option_of_serve_is_a_setting_of_the_file_and_in_the_schema() {
     let f = Folder::new();
     let help = f.run(&["serve", "--help"]).succeeds().out;
     let told = config(&f, &[], &[]).succeeds().out;
@@ -72,7 +72,7 @@ fn every_option_of_serve_may_stand_in_a_file_and_the_schema_has_it() {
 }
 
 #[test]
-fn what_cannot_be_meant_is_refused_with_its_name() {
+fn wrong_settings_are_refused_by_name() {
     let f = Folder::new();
     for (text, words) in [
         ("quue = 3", &["tmpi.toml", "quue", "tmpi config"][..]),
@@ -88,7 +88,7 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
         ("[limits]\npixels = 100000", &["tmpi.toml", "limits.pixels", "1 to 50", "100000"]),
         ("[limits]\nqueue = 1\nqueue = 2", &["tmpi.toml", "queue"]),
         ("queue =", &["tmpi.toml"]),
-        // what serve looks at before it begins
+        // checks of `serve` before it starts
         ("[quotas]\nphotos = 3", &["quotas", "--access private"]),
         ("advertise = \"http://127.0.0.1:8080\"", &["--database"]),
         ("blobs = \"s3://host/folder\"", &["--blobs", "--database"]),
@@ -106,7 +106,7 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
         .fails(2, &["OTEL_TRACES_SAMPLER_ARG", "0 to 1"]);
     config(&f, &[], &["--set", "limits.queue=many"]).fails(2, &["--set", "limits.queue", "many"]);
     config(&f, &[("TMPI_SERVE_QUUE", "3")], &[]).fails(2, &["TMPI_SERVE_QUUE", "tmpi config"]);
-    // other commands have nothing to do with it
+    // other commands do not read the file
     f.write("tmpi.toml", b"quue = 3");
     let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
     Run::from(command.args(["models", "list"]).env("TMPI_CONFIG", f.path("tmpi.toml")).output().unwrap()).succeeds();
@@ -129,7 +129,7 @@ fn files_that_serve_would_fail_on_are_an_error() {
 }
 
 #[test]
-fn what_follows_from_others_is_shown_as_it_is_used() {
+fn derived_settings_are_shown_with_their_values() {
     let f = Folder::new();
     let run = config(&f, &[("OTEL_EXPORTER_OTLP_ENDPOINT", "http://me:secret@127.0.0.1:4318")], &["--addr", ":8081", "--memory", "200"])
         .succeeds();
@@ -150,14 +150,14 @@ fn what_follows_from_others_is_shown_as_it_is_used() {
 }
 
 #[test]
-fn secrets_in_addresses_are_not_told() {
+fn secrets_in_addresses_are_hidden() {
     let f = Folder::new();
     let args =
         ["--database", "postgres://me:secret@127.0.0.1:5432/tmpi", "--blobs", "s3://bucket", "--otlp", "http://me:secret@127.0.0.1:4318"];
     let run = config(&f, &[], &[&args[..], &["--network-url", "https://me:secret@host/net.onnx?signature=secret"]].concat()).succeeds();
     assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1:5432"), "{}", run.out);
     has(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
-    // nor in what is wrong with them
+    // error messages hide them, too
     for (name, value) in [("--otlp", "ftp://me:secret@127.0.0.1"), ("--database", "postgres://me:secret@host")] {
         let said = config(&f, &[], &[name, value]).fails(2, &[name]);
         assert!(!said.contains("secret"), "{said}");
@@ -171,10 +171,10 @@ fn key(folder: &Folder, variables: &[(&str, &str)], args: &[&str]) -> Run {
 }
 
 #[test]
-fn keys_are_those_of_the_server_that_the_settings_are_of() {
+fn key_commands_use_the_servers_settings() {
     let f = Folder::new();
     let add = ["add", "me", "--scope", "read"];
-    // a folder of nobody's
+    // a folder without a library
     std::fs::create_dir_all(f.path("other")).unwrap();
     for folder in ["tmpi-data", "other"] {
         let named = ["--data", folder];
@@ -186,27 +186,27 @@ fn keys_are_those_of_the_server_that_the_settings_are_of() {
     key(&f, &[], &[&add[..], &["--data", "served", "--create"]].concat()).succeeds();
     let of = |variables: &[(&str, &str)], args: &[&str]| key(&f, variables, &[&["list"][..], args].concat()).succeeds().out.lines().count();
     assert_eq!(of(&[("TMPI_SERVE_DATA", "served")], &[]), 1);
-    // by the file and by variables; what the line says counts first
+    // the data folder from the file and from variables; the command line counts first
     f.write("tmpi.toml", b"data = \"served\"\n[limits]\nqueue = 3\n");
     key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &add).succeeds();
     assert_eq!((of(&[("TMPI_CONFIG", "tmpi.toml")], &[]), of(&[], &["--data", "served"])), (2, 2));
     key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &["list", "--data", "other"]).fails(2, &["other"]);
-    // so do those that look the library over
+    // `fsck` and `gc` read them, too
     for command in ["fsck", "gc"] {
         let run = f.run(&[command, "--config", "tmpi.toml"]).succeeds();
         assert!(run.out.starts_with("0 "), "{}", run.out);
         f.run(&[command, "--data", "other"]).fails(2, &["other"]);
     }
-    // as serve reads it
+    // unknown names are errors, as for `serve`
     f.write("tmpi.toml", b"quue = 3");
     key(&f, &[], &["list", "--config", "tmpi.toml"]).fails(2, &["quue"]);
     key(&f, &[("TMPI_SERVE_QUUE", "3")], &["list", "--data", "served"]).fails(2, &["TMPI_SERVE_QUUE"]);
-    // a name of a key is none of a setting
+    // options of `key` are not settings
     key(&f, &[("TMPI_SERVE_DATA", "served"), ("TMPI_SERVE_DAYS", "3")], &add).fails(2, &["TMPI_SERVE_DAYS"]);
 }
 
 #[test]
-fn a_node_that_works_takes_the_same_settings_and_is_told_of_its_database() {
+fn work_takes_the_settings_of_serve_and_needs_a_database() {
     let f = Folder::new();
     f.run(&["work"]).fails(2, &["--database"]);
     f.write("tmpi.toml", b"quue = 3");

@@ -1,4 +1,4 @@
-//! A folder with a photo, the built program run in it, and what it said.
+//! A folder with a photo, and runs of the built program in it.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -36,12 +36,12 @@ impl Folder {
 
     pub fn run(&self, args: &[&str]) -> Run {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-        // The library is looked up from the folder that the tests run in
+        // relative to the repository, not to the folder of the run
         let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
         if std::env::var_os("ORT_DYLIB_PATH").is_none() && library.is_file() {
             command.env("ORT_DYLIB_PATH", library);
         }
-        // Networks that the user of this machine has fetched are none of the tests'
+        // tests do not use networks that this machine's user has fetched
         command.env("TMPI_MODELS", self.path("models")).env_remove("TMPI_DEPTH_MODEL");
         Run::from(command.current_dir(self.0.path()).env_remove("RUST_LOG").args(args).output().unwrap())
     }
@@ -52,10 +52,10 @@ impl Folder {
         self
     }
 
-    /// True where the embedded depth network can run.
+    /// True if the embedded depth network can run.
     pub fn has_depth(&self) -> bool {
         let run = self.run(&["depth", "box.png", "-q", "--raw", "-o", "probe.pfm"]);
-        // another failure than that of the library is none to skip a test for
+        // only a missing library is a reason to skip a test
         assert!(run.code == 0 || run.err.contains("ONNX Runtime"), "{}", run.err);
         tmpi_testing::Need::Onnx.or_skip(if run.code == 0 { Ok(()) } else { Err(run.err) }).is_some()
     }
@@ -92,7 +92,7 @@ impl Run {
         self
     }
 
-    /// A failure with nothing on standard output, and a text that holds every word; gives that text.
+    /// Expects a failure with empty standard output and an error that contains every word; returns the error.
     pub fn fails(self, code: i32, words: &[&str]) -> String {
         assert_eq!((self.code, self.out.as_str()), (code, ""), "{}", self.err);
         for word in words {
@@ -107,7 +107,7 @@ impl Run {
     }
 }
 
-/// Asserts that every path (`a.b`) is there.
+/// Asserts that every path (`a.b`) exists.
 pub fn has(value: &Value, paths: &[&str]) {
     for path in paths {
         assert!(!value.pointer(&format!("/{}", path.replace('.', "/"))).unwrap_or(&Value::Null).is_null(), "{path} is missing: {value}");

@@ -1,4 +1,4 @@
-//! The contract of the command line, on the built program: exit codes, what goes to which stream, shapes of JSON, files.
+//! The contract of the command line, on the built program: exit codes, output streams, JSON, files.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 mod config;
@@ -22,10 +22,10 @@ fn help_and_version_are_results() {
         assert!(!run.out.is_empty() && run.err.is_empty());
     }
     assert!(folder.run(&["completions", "bash"]).succeeds().out.contains("_tmpi"));
-    // each command lists what it takes, and nothing else
+    // each command lists only its own options
     let depth = folder.run(&["depth", "--help"]).succeeds().out;
     for flag in ["--planes", "--tile", "--verify-prune", "--budget-ms", "--view-box", "--quality"] {
-        assert!(!depth.contains(flag), "{flag} has no part in a depth map: {depth}");
+        assert!(!depth.contains(flag), "{flag} does not apply to a depth map: {depth}");
         folder.run(&["depth", "box.png", "-o", "x.png", flag, "1"]).fails(2, &[flag]);
     }
     assert!(depth.contains("--photo-depth") && depth.contains("--max-size"));
@@ -107,7 +107,7 @@ fn make_writes_a_container_and_a_report() {
     has(&report, &["bytes.total", "bytes.index", "bytes.photo", "bytes.alpha", "bytes.hidden"]);
     has(&report, &["error.depth_mae", "error.depth_mse", "error.depth_q25", "error.identity_psnr", "error.codec_psnr"]);
     has(&report, &["error.planes.mean_px", "error.planes.bound_px", "error.planes.missed_tiles", "error.identity_tiles"]);
-    assert_eq!(report.pointer("/error/prune"), Some(&Value::Null), "there, and null as it is not measured");
+    assert_eq!(report.pointer("/error/prune"), Some(&Value::Null), "present, and null because it is not measured");
     for stage in report["stages"].as_array().unwrap() {
         has(stage, &["name", "ms", "cpu_ms"]);
     }
@@ -117,7 +117,7 @@ fn make_writes_a_container_and_a_report() {
     let told = f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "c.tmpi"]).succeeds();
     assert!(told.out.starts_with("c.tmpi: 150×100") && told.out.lines().count() == 1, "{}", told.out);
     assert!(!told.err.contains("shape"), "{}", told.err);
-    // its own photo is 3:2 too, half of it is not
+    // the depth map has the photo's aspect ratio, half of the map has not
     image::open(f.path("depth.png")).unwrap().crop_imm(0, 0, 75, 100).save(f.path("half.png")).unwrap();
     let stretched = f.run(&["make", "box.jpg", "--depth", "half.png", "-o", "d.tmpi"]).succeeds();
     assert!(stretched.err.contains("box.jpg: its depth map (75×100) has another shape than the photo"), "{}", stretched.err);
@@ -134,22 +134,22 @@ fn a_map_beside_a_photo_of_a_folder_is_its_depth() {
     }
     let told = f.run(&["make", "photos", "-o", "made", "--report", "all.json"]).succeeds();
     let line = |of: &str| told.out.lines().find(|line| line.contains(of)).unwrap_or_default().to_owned();
-    assert_eq!(told.out.lines().count(), 2, "a map is no photo: {}", told.out);
+    assert_eq!(told.out.lines().count(), 2, "a map is not a photo: {}", told.out);
     assert!(line("a.tmpi").ends_with(", depth from photos/a_depth.png"), "{}", told.out);
     assert!(line("b.tmpi").ends_with(", depth from photos/more/B-Disparity.png"), "{}", told.out);
     let reports: Value = serde_json::from_slice(&std::fs::read(f.path("all.json")).unwrap()).unwrap();
     for made in reports.as_array().unwrap() {
         assert_eq!((&made["report"]["depth_model"], &made["report"]["input"]["depth"]["width"]), (&"given".into(), &150.into()));
     }
-    // as if it had been named, byte for byte
+    // the same bytes as with `--depth`
     f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "one.tmpi", "-q"]).succeeds();
     assert_eq!(std::fs::read(f.path("made/a.tmpi")).unwrap(), std::fs::read(f.path("one.tmpi")).unwrap());
-    // what is named goes before what is found
+    // `--depth` takes precedence over a map beside the photo
     std::fs::remove_dir_all(f.path("photos/more")).unwrap();
     image::open(f.path("depth.png")).unwrap().crop_imm(0, 0, 75, 100).save(f.path("half.png")).unwrap();
     let named = f.run(&["make", "photos", "--depth", "half.png", "-o", "other", "--json"]).succeeds().json();
     assert_eq!((&named["report"]["input"]["depth"]["width"], &named["depth"]), (&75.into(), &Value::Null));
-    // a map that is none fails its photo alone, and is named
+    // an invalid map fails only its own photo
     f.write("photos/a_depth.png", b"no picture");
     f.run(&["make", "photos", "-o", "third"]).fails(1, &["a.jpg", "depth map"]);
 }
@@ -170,7 +170,7 @@ fn options_of_make_take_effect() {
 }
 
 #[test]
-fn strokes_put_the_depth_right() {
+fn strokes_correct_the_depth() {
     let f = Folder::new();
     f.write("strokes.json", br#"{"version": 1, "strokes": [{"points": [[0.46, 0.5]], "radius": 0.12, "to": 0.1}]}"#);
     f.write("wrong.json", br#"{"strokes": [{"points": [[0.46, 1.5]], "radius": 0.12, "to": 0.1}]}"#);
@@ -191,7 +191,7 @@ fn strokes_put_the_depth_right() {
 }
 
 #[test]
-fn several_photos_go_to_a_folder_and_one_failure_spares_the_rest() {
+fn several_photos_go_to_a_folder_and_one_failure_does_not_stop_the_rest() {
     let f = Folder::new();
     f.write("other.png", &std::fs::read(f.path("box.png")).unwrap());
     f.write("bad.jpg", b"\xFF\xD8\xFF\xE0");
@@ -211,7 +211,7 @@ fn several_photos_go_to_a_folder_and_one_failure_spares_the_rest() {
 }
 
 #[test]
-fn nothing_is_made_again_unasked() {
+fn existing_outputs_are_not_overwritten_without_force() {
     let f = Folder::new();
     f.container();
     let first = std::fs::read(f.path("box.tmpi")).unwrap();
@@ -225,7 +225,7 @@ fn nothing_is_made_again_unasked() {
 }
 
 #[test]
-fn a_folder_of_photos_is_made_and_gone_on_with() {
+fn a_folder_of_photos_is_made_and_continued() {
     let f = Folder::new();
     for name in ["in/a.png", "in/sub/b.png", "in/sub/deep/c.png"] {
         std::fs::create_dir_all(f.path(name).parent().unwrap()).unwrap();
@@ -253,10 +253,10 @@ fn a_folder_of_photos_is_made_and_gone_on_with() {
     assert!(times().iter().zip(&after).all(|(new, old)| new > old));
 }
 
-/// `tmpi make … 2>&1 | head`: who reads has gone, who writes goes on.
+/// `tmpi make … 2>&1 | head`: the program goes on after the reader has gone.
 #[cfg(unix)]
 #[test]
-fn a_reader_that_goes_away_ends_nothing() {
+fn a_closed_pipe_does_not_stop_the_program() {
     let f = Folder::new();
     for json in [&[][..], &["--json"]] {
         let (reader, writer) = std::io::pipe().unwrap();
@@ -264,7 +264,7 @@ fn a_reader_that_goes_away_ends_nothing() {
         command.current_dir(f.path("")).args(["make", "box.png", "--depth", "depth.png", "--force", "-o", "box.tmpi"]).args(json);
         command.stdout(writer.try_clone().unwrap()).stderr(writer);
         let mut child = command.spawn().unwrap();
-        // the command holds the writing end, too
+        // the command holds the writing end of the pipe, too
         drop((reader, command));
         assert_eq!(child.wait().unwrap().code(), Some(0));
         std::fs::remove_file(f.path("box.tmpi")).unwrap();
@@ -278,9 +278,9 @@ fn a_reader_that_goes_away_ends_nothing() {
     assert_eq!((run.code, run.err.as_str()), (0, ""));
 }
 
-/// Without a display, without a library in its place, with a port that is taken: each is told once.
+/// No adapter, a missing library, a port in use: each error is printed once.
 #[test]
-fn what_is_wrong_is_told_once() {
+fn errors_are_printed_once() {
     let f = Folder::new();
     f.container();
     let plain = |args: &[&str]| {
@@ -318,7 +318,7 @@ fn depth_is_written_as_used_and_raw() {
     let sized = f.run(&["depth", "box.jpg", "-q", "--raw", "--depth-pixels", "6000", "-o", "sized.pfm"]).succeeds();
     assert!(sized.out.contains("96×64"), "{}", sized.out);
     assert!(f.run(&["depth", "box.jpg", "--depth-pixels", "10", "-o", "no.png"]).err.contains("1024..=2000000"));
-    // A map that was written can be given back
+    // a written map can be used as input
     f.run(&["make", "box.jpg", "--depth", "d.png", "-q", "-o", "again.tmpi"]).succeeds();
 }
 
@@ -342,9 +342,9 @@ fn info_tells_what_is_in_a_container() {
     assert!((total - 100.0).abs() < 0.3, "{total} %:\n{text}");
 }
 
-/// The driver is closed before the process ends: it crashed now and then on the way out when it was not.
+/// Some drivers crash at exit unless the program closes them first.
 #[test]
-fn drawing_with_an_adapter_ends_well_every_time() {
+fn drawing_with_an_adapter_exits_without_a_crash() {
     let f = Folder::new();
     f.container();
     for _ in 0..12 {
@@ -373,7 +373,7 @@ fn render_draws_in_every_format() {
     assert!(same.pixels().all(|p| p.0[3] == 255), "no hole in the photo's own view");
     let same = DynamicImage::from(same).to_rgb8();
     assert!(same.as_raw() == scene.photo.rgb.as_flattened(), "the photo's own view is the photo as it is carried");
-    // Far to the side the frame is not covered: transparent in PNG and WebP, black in JPEG
+    // far to the side the view has holes: transparent in PNG and WebP, black in JPEG
     for (name, alpha) in [("side.png", true), ("side.webp", true), ("side.jpg", false)] {
         let (lines, path) = render(name, &["--pose=4,0,0", "--size", "90x60"]);
         assert_eq!(lines[0]["outside_view_box"], true);
@@ -389,7 +389,7 @@ fn render_draws_in_every_format() {
         let edge = |x0: u32| i64::from((x0..x0 + 150).find(|&x| pair.get_pixel(x, 50).0[0] > 150).unwrap() - x0);
         edge(0) - edge(150)
     };
-    // the wall takes most of the photo: it lies in the screen, and the box stands before it by their difference in disparity
+    // by default the wall, which fills most of the photo, has no parallax; the box moves by their difference in disparity
     let (usual, none, near) = (box_moves("u.png", &[]), box_moves("n.png", &["--focus", "0"]), box_moves("f.png", &["--focus", "0.915"]));
     assert!(near.abs() <= 1 && none >= usual && usual > near, "{none} {usual} {near}");
     let (_, path) = render("pair.png", &["--stereo", "0.1", "--focus", "0"]);
@@ -412,7 +412,7 @@ fn render_draws_in_every_format() {
 }
 
 #[test]
-fn exports_are_files_that_others_open() {
+fn exports_are_readable_by_other_programs() {
     let f = Folder::new();
     f.container();
     for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("ora", b"PK\x03\x04"), ("zip", b"PK\x03\x04")] {
@@ -422,7 +422,7 @@ fn exports_are_files_that_others_open() {
         has(&about, &["output", "format", "bytes", "container_bytes", "ms"]);
         let bytes = std::fs::read(f.path(&name)).unwrap();
         assert_eq!((&bytes[..4], about["bytes"].as_u64()), (first.as_slice(), Some(bytes.len() as u64)));
-        // the same again is the same to the byte
+        // the same export again has the same bytes
         let again = format!("again.{ending}");
         f.run(&["export", "box.tmpi", "-o", &again, "--json"]).succeeds();
         assert!(std::fs::read(f.path(&again)).unwrap() == bytes, "{ending}");
@@ -448,7 +448,7 @@ fn exports_are_files_that_others_open() {
 }
 
 #[test]
-fn a_film_needs_a_way_and_ffmpeg() {
+fn a_film_needs_a_path_and_ffmpeg() {
     let f = Folder::new();
     f.container();
     f.run(&["render", "box.tmpi", "-o", "way.mp4"]).fails(2, &["--output", ".png"]);

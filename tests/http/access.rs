@@ -1,4 +1,4 @@
-//! Who may do what on a server that asks who comes.
+//! Permissions on a server with `--access private`.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,20 +12,20 @@ use crate::client::{Response, get, request};
 use crate::fixture::{Running, jpeg, pipeline, rooms};
 use crate::keys::{self, Scope};
 
-/// A name by which strangers come: on loopback, but not as this machine's own user.
+/// A host name under which requests from loopback count as strangers, not as this machine's own user.
 pub const HOST: (&str, &str) = ("host", "photos.example");
 
-/// A server that asks who comes.
+/// A server with `--access private`.
 pub fn private(data: &Path) -> Running {
     private_with(data, Arc::new(pipeline()))
 }
 
-/// The same, whose photos `maker` makes.
+/// The same with another maker.
 pub fn private_with(data: &Path, maker: Arc<dyn Maker>) -> Running {
     private_within(data, maker, Limits::default())
 }
 
-/// The same under other limits.
+/// The same with other limits.
 pub fn private_within(data: &Path, maker: Arc<dyn Maker>, limits: Limits) -> Running {
     let config =
         Config { hosts: vec!["photos.example".into()], private: true, limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
@@ -43,7 +43,7 @@ pub fn ask(server: &Running, method: &str, path: &str, headers: &[(&str, &str)],
     request(server.addr, method, path, &all, body)
 }
 
-/// Uploads as whoever `who` is; gives the state.
+/// Uploads with `who` as `Authorization`, if given; returns the state.
 pub fn upload(server: &Running, who: Option<&str>, photo: u8) -> Value {
     let headers: Vec<_> = who.map(|who| ("authorization", who)).into_iter().chain([("prefer", "wait=60")]).collect();
     let answer = ask(server, "POST", "/v1/photos", &headers, &jpeg(photo));
@@ -60,7 +60,7 @@ pub fn id(state: &Value) -> String {
     state["id"].as_str().unwrap().to_owned()
 }
 
-/// An answer without what differs from request to request.
+/// A response without the parts that differ from request to request.
 fn plain(answer: &Response, id: &str) -> String {
     let mut body = answer.json();
     body["request_id"] = Value::Null;
@@ -70,7 +70,7 @@ fn plain(answer: &Response, id: &str) -> String {
 }
 
 #[test]
-fn photos_are_their_owners_alone() {
+fn photos_are_private_to_their_owner() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let (ann, bob) = (secret("a"), secret("b"));
@@ -84,7 +84,7 @@ fn photos_are_their_owners_alone() {
     assert_eq!(ids(&ask(&server, "GET", "/v1/photos", &[], &[])).len(), 0, "a stranger has none");
     let refused = ask(&server, "GET", &format!("/v1/photos?after={a}"), &[("authorization", &bob)], &[]);
     assert_eq!(refused.status, 400, "not even as a place in the list");
-    // what is somebody else's is what is not there, to the byte
+    // another owner's photo and an unknown id get the same bytes
     let none = "0".repeat(32);
     for path in [
         "",
@@ -122,19 +122,19 @@ fn photos_are_their_owners_alone() {
         assert!(of(&a).starts_with("404"), "{method} {path}: {}", of(&a));
         assert_eq!(of(&a), of(&none), "{method} {path}");
     }
-    // for its owner it is kept in their own browser alone
+    // only the owner's own browser may cache a private photo
     let atlas = of_ann["links"]["atlas"].as_str().unwrap();
     let own = ask(&server, "GET", atlas, &[("authorization", &ann)], &[]);
     assert_eq!((own.status, own.header("cache-control")), (200, Some("private, no-cache")));
     assert!(own.all("vary").contains("authorization"));
-    // anyone with the address, once its owner says so; to change it, still nobody else
+    // with `visibility: link` everyone with the address sees it, and still only the owner may change it
     let change = |body: &[u8]| ask(&server, "PATCH", &format!("/v1/photos/{a}"), &[("authorization", &ann), json], body).status;
     assert_eq!(change(br#"{"visibility": "link"}"#), 200);
     assert_eq!(ask(&server, "GET", atlas, &[], &[]).header("cache-control"), Some("public, max-age=31536000, immutable"));
     assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{a}"), &[("authorization", &bob)], &[]).status, 404);
-    assert_eq!(list(&bob), vec![b], "but nobody else's list shows it");
+    assert_eq!(list(&bob), vec![b], "but no other owner's list shows it");
     assert_eq!((change(br#"{"visibility": null}"#), ask(&server, "GET", atlas, &[], &[]).status), (200, 404));
-    // and all that is still so after another start, and this machine's own user sees everything
+    // the same holds after a restart; this machine's own user sees everything
     server.stop();
     let server = private(dir.path());
     assert_eq!(ids(&get(server.addr, "/v1/photos")).len(), 2);
@@ -143,13 +143,13 @@ fn photos_are_their_owners_alone() {
 }
 
 #[test]
-fn whoever_uploads_without_a_secret_is_told_one() {
+fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let state = upload(&server, None, 1);
     let manage = state["links"]["manage"].as_str().unwrap();
     let token = manage.strip_prefix(&format!("/view/{}#manage=", id(&state))).unwrap();
-    assert!(!state.to_string().contains("tmpi_o_"), "the photo's own, and nobody's secret");
+    assert!(!state.to_string().contains("tmpi_o_"), "the photo's token, not an owner's secret");
     let secret = &secret("c")["Bearer ".len()..];
     let photo = id(&upload(&server, Some(&format!("Bearer {secret}")), 1));
     let address = format!("/v1/photos/{photo}");
@@ -160,7 +160,7 @@ fn whoever_uploads_without_a_secret_is_told_one() {
     for wrong in [&secret[..secret.len() - 1], token, &token[..token.len() - 1], "tmpi_o_short", "tmpi_o_", "tmpi_k_0", "1000.ab", ""] {
         assert!(matches!(of(&address, wrong).status, 401 | 404), "{wrong}");
     }
-    // a browser keeps it as a cookie, which other sites' pages cannot make it send
+    // a browser keeps the secret as a cookie; pages of other sites cannot use it
     let kept = ask(&server, "POST", "/v1/owner", &[("authorization", &format!("Bearer {secret}"))], &[]);
     assert_eq!(kept.status, 204);
     let cookie = kept.header("set-cookie").unwrap().to_owned();
@@ -175,29 +175,29 @@ fn whoever_uploads_without_a_secret_is_told_one() {
         assert_eq!(by_cookie(&[("sec-fetch-site", site)]), 404, "{site}");
     }
     assert_eq!((by_cookie(&[("origin", "https://evil.example")]), by_cookie(&[("origin", "http://photos.example")])), (404, 200));
-    // pages of another site change nothing, whatever they send
+    // pages of another site change nothing, not even with the secret
     let foreign = [("authorization", format!("Bearer {secret}")), ("origin", "https://evil.example".into())];
     let foreign: Vec<_> = foreign.iter().map(|(n, v)| (*n, v.as_str())).collect();
     ask(&server, "DELETE", &address, &foreign, &[]).problem(403);
-    // a rebound name is nobody's, with or without a secret
+    // a rebound name is refused, with or without a secret
     let rebound = [("host", "evil.example"), ("cookie", pair)];
     request(server.addr, "GET", &address, &rebound, &[]).problem(421);
-    // the page gives a browser that has none a secret of its own
+    // the page gives a browser without a secret a new one
     let page = ask(&server, "GET", "/", &[("x-forwarded-proto", "https")], &[]);
     let set = page.header("set-cookie").unwrap().to_owned();
-    // a name that browsers take by TLS alone, for the whole host, and from itself
+    // `__Host-`: browsers accept it over TLS only, from the host itself and for all its paths
     assert!(set.starts_with("__Host-tmpi_owner=tmpi_o_") && set.contains("; Path=/;"), "{set}");
     assert!(set.ends_with("; HttpOnly; SameSite=Lax; Secure") && !set.contains("Domain"), "{set}");
     let by_tls = |name: &str| {
         let pair = format!("{name}={secret}");
         ask(&server, "GET", &address, &[("cookie", &pair), ("x-forwarded-proto", "https")], &[]).status
     };
-    assert_eq!((by_tls("__Host-tmpi_owner"), by_tls("tmpi_owner")), (200, 404), "what another host of the domain may have set counts not");
+    assert_eq!((by_tls("__Host-tmpi_owner"), by_tls("tmpi_owner")), (200, 404), "another host of the domain may have set it");
     assert_eq!(page.header("cache-control"), Some("private, no-store"));
 }
 
 #[test]
-fn links_are_good_for_no_longer_than_was_said() {
+fn links_last_no_longer_than_the_configured_limit() {
     let dir = tempfile::tempdir().unwrap();
     let server = private_within(dir.path(), Arc::new(pipeline()), Limits { link: Duration::from_hours(1), ..Limits::default() });
     let ann = secret("a");
@@ -218,7 +218,7 @@ fn links_are_good_for_no_longer_than_was_said() {
 }
 
 #[test]
-fn links_are_good_for_one_photo_and_a_while() {
+fn links_are_valid_for_one_photo_until_they_expire() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let ann = secret("a");
@@ -229,7 +229,7 @@ fn links_are_good_for_one_photo_and_a_while() {
     }
     let link = links("?seconds=600").json();
     let query = link["query"].as_str().unwrap();
-    assert!(!link.to_string().contains("tmpi_o_") && !link.to_string().contains(&"a".repeat(40)), "nobody's secret");
+    assert!(!link.to_string().contains("tmpi_o_") && !link.to_string().contains(&"a".repeat(40)), "no owner's secret");
     let (expires, signature) = query.strip_prefix("expires=").unwrap().split_once("&signature=").unwrap();
     let of = |photo: &str, path: &str, query: &str| ask(&server, "GET", &format!("/v1/photos/{photo}{path}{query}"), &[], &[]);
     for path in ["?", "/atlas?", "/atlas?level=1&", "/view?w=8&", "/thumbnail?", "/settings?"] {
@@ -237,7 +237,7 @@ fn links_are_good_for_one_photo_and_a_while() {
     }
     let turned = format!("signature={signature}&expires={expires}");
     let (a, b) = (of(&one, "/view?w=8&", query), of(&one, "/view?", &format!("{turned}&w=8")));
-    assert_eq!((a.status, a.header("etag")), (200, b.header("etag")), "the link is no part of what is kept");
+    assert_eq!((a.status, a.header("etag")), (200, b.header("etag")), "the link is not part of the cache key");
     assert_eq!(a.header("cache-control"), Some("private, no-cache"));
     assert!(b.header("server-timing").is_some_and(|t| !t.contains("render")), "drawn once: {:?}", b.header("server-timing"));
     let later = (expires.parse::<u64>().unwrap() + 1).to_string();
@@ -255,15 +255,15 @@ fn links_are_good_for_one_photo_and_a_while() {
         assert_eq!(plain(&of(&one, "?", &wrong), &one), none, "{wrong}");
     }
     assert_eq!(of(&two, "?", query).status, 404, "another photo's");
-    // it reads, and changes nothing
+    // a link allows reading only
     let stranger =
         |method: &str| ask(&server, method, &format!("/v1/photos/{one}?{query}"), &[("content-type", "application/json")], b"{}");
     assert_eq!((stranger("PATCH").status, stranger("DELETE").status), (404, 404));
-    // its time is really over
+    // it expires
     let short = links("?seconds=1").json();
     std::thread::sleep(std::time::Duration::from_millis(2100));
     assert_eq!(plain(&of(&one, "?", short["query"].as_str().unwrap()), &one), none);
-    // whoever opens the page by it has its pictures, too
+    // the page that a link opens sets a cookie for the photo's other addresses
     let page = ask(&server, "GET", link["page"].as_str().unwrap(), &[], &[]);
     let cookie = page.header("set-cookie").unwrap().to_owned();
     assert!(cookie.contains(&format!("; Path=/v1/photos/{one}; Max-Age=")), "{cookie}");
@@ -303,7 +303,7 @@ fn keys_have_scopes_and_are_replaced_while_the_server_runs() {
         (by(&meter, "GET", "/metrics").status, by(&meter, "GET", &at).status, by(&meter, "GET", "/v1/network").status),
         (200, 404, 403)
     );
-    // a new key, then the old one goes; photos stay
+    // replace the key: the photos stay
     let new = key("site", &[Scope::Upload, Scope::Read]);
     assert_eq!((by(&new, "GET", &at).status, by(&read, "GET", &at).status), (200, 200));
     for old in keys::read(dir.path()).unwrap().iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {

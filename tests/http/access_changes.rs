@@ -1,4 +1,4 @@
-//! What becomes of those who were let in when keys, links and settings change.
+//! Open event streams and known tags after keys, links and settings have changed.
 
 use std::time::{Duration, Instant};
 
@@ -8,10 +8,10 @@ use crate::events::Events;
 use crate::fixture::{Gate, jpeg};
 use crate::keys::{self, Scope};
 
-/// How soon a stream ends whose listener may listen no more: the pause between two looks, and some for a busy machine.
+/// A stream ends within this time after its credential: the pause between two checks, and some for a busy machine.
 const SOON: Duration = Duration::from_secs(20);
 
-/// True where a stream ends before its photo does.
+/// True if a stream ends before its photo is done.
 fn ends(mut events: Events) -> bool {
     let start = Instant::now();
     let mut last = String::new();
@@ -23,7 +23,7 @@ fn ends(mut events: Events) -> bool {
 }
 
 #[test]
-fn streams_of_events_end_with_what_let_their_listeners_in() {
+fn event_streams_end_with_their_credential() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = private_with(dir.path(), gate.clone());
@@ -42,35 +42,35 @@ fn streams_of_events_end_with_what_let_their_listeners_in() {
     let open = |query: &str, who: Option<&str>| {
         let headers: Vec<_> = [HOST].into_iter().chain(who.map(|who| ("authorization", who))).collect();
         let mut events = Events::open_as(&server, &photo, query, &headers);
-        assert_eq!(events.next().unwrap().0, "stage", "it is told how far the photo is");
+        assert_eq!(events.next().unwrap().0, "stage", "the first event is the photo's stage");
         events
     };
     let (of_owner, of_reader) = (open("", Some(&owner)), open("", Some(&reader)));
-    // the reader's key goes, and the owner's stays
+    // remove the reader's key; the owner's stays
     let all = keys::read(dir.path()).unwrap();
     let gone = all.iter().find(|k| !k.may(Scope::Upload)).unwrap();
     assert_eq!(keys::remove(dir.path(), "site", Some(&gone.id)).unwrap(), 1);
-    assert!(ends(of_reader), "the key is gone");
-    // a link's time is over
+    assert!(ends(of_reader), "the key was removed");
+    // a link expires
     let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links?seconds=3"), &[("authorization", &owner)], &[]).json();
-    assert!(ends(open(&format!("?{}", link["query"].as_str().unwrap()), None)), "the link is over");
-    // a photo's token is taken back
+    assert!(ends(open(&format!("?{}", link["query"].as_str().unwrap()), None)), "the link expired");
+    // revoke a photo's token
     let token = format!("Bearer {}", link["manage"].as_str().unwrap().split_once("#manage=").unwrap().1);
     let of_friend = open("", Some(&token));
     assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{photo}/manage"), &[("authorization", &owner)], &[]).status, 204);
-    assert!(ends(of_friend), "it is taken back");
-    // what everybody saw is its owner's alone again
+    assert!(ends(of_friend), "the token was revoked");
+    // make a visible photo private again
     show("link");
     let of_stranger = open("", None);
     show("private");
     assert!(ends(of_stranger), "it is private");
-    // who still may is told the end
+    // the owner's stream goes on to the end
     gate.open(1);
-    assert!(!ends(of_owner), "the owner's key is good");
+    assert!(!ends(of_owner), "the owner's key is still valid");
 }
 
 #[test]
-fn who_may_see_a_photo_is_a_setting_like_others() {
+fn visibility_is_a_setting_like_others() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let ann = secret("a");
@@ -82,16 +82,16 @@ fn who_may_see_a_photo_is_a_setting_like_others() {
     let tag = |path: &str| own("GET", path, &[], &[]).header("etag").unwrap().to_owned();
     let json = ("content-type", "application/json");
     let state = tag(&at);
-    // by the tag that was seen, and by the tag that the change was answered with
+    // `If-Match` accepts the tag of a read and the tag of a change's answer
     let shown = own("PATCH", &at, &[json, ("if-match", &state)], br#"{"visibility": "link"}"#);
     assert_eq!((shown.status, shown.json()["visibility"].as_str()), (200, Some("link")));
     let answered = shown.header("etag").unwrap();
     assert_eq!((tag(&at).as_str(), own("GET", &at, &[("if-none-match", answered)], &[]).status), (answered, 304));
     assert_eq!(own("PATCH", &at, &[json, ("if-match", answered)], br#"{"title": "The attic"}"#).status, 200);
-    // the tags of before are of what is no more
+    // older tags no longer match
     assert_eq!(own("PATCH", &at, &[json, ("if-match", &state)], br#"{"title": "B"}"#).problem(412)["type"], "urn:tmpi:problem:changed");
     assert_eq!(own("GET", &at, &[("if-none-match", &state)], &[]).status, 200);
-    // a stranger who knows a tag is not told that it is still the photo's
+    // a stranger who knows a tag gets 404, not 304
     let (page, settings, atlas) = (at.replace("/v1/photos", "/view"), format!("{at}/settings"), format!("{at}/atlas"));
     let seen = |path: &str| ask(&server, "GET", path, &[], &[]).header("etag").map(str::to_owned);
     let known: Vec<_> = [&at, &page, &settings, &atlas].map(|path| (path.clone(), seen(path).unwrap())).into();
@@ -101,7 +101,7 @@ fn who_may_see_a_photo_is_a_setting_like_others() {
         assert_eq!(answer.status, 404, "{path}");
         assert!(!String::from_utf8_lossy(&answer.body).contains("attic"), "{path} tells no title");
     }
-    // a list is of who asks, whoever asked before, and has no tag
+    // a list depends on the caller and has no tag
     let bobs = ask(&server, "GET", "/v1/photos", &[("authorization", &secret("b")), ("if-none-match", "*")], &[]);
     assert_eq!((bobs.status, bobs.header("cache-control"), bobs.header("etag")), (200, Some("private, no-cache"), None));
     assert!(bobs.all("vary").contains("cookie") && get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len() == 1);

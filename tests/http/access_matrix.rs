@@ -1,5 +1,5 @@
-//! Every route that the service has × everybody who may ask a server that asks who comes × who may see the photo. With
-//! `TMPI_SHOW=matrix` and `--nocapture` the test prints the tables.
+//! Every route × every kind of caller × visibility of the photo, with `--access private`. With `TMPI_SHOW=matrix` and `--nocapture` the
+//! test prints the tables.
 
 use std::fmt::Write as _;
 
@@ -11,14 +11,14 @@ use crate::fixture::{Running, jpeg};
 use crate::keys::{self, Scope};
 use crate::matrix::{MORE, target};
 
-/// What a caller may do with the photo that is asked for, and with the server.
+/// What a caller may do with the requested photo and with the server.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum May {
     /// Everything.
     Everything,
     /// Everything with the photo.
     Own,
-    /// Upload, and change the photo, which is not shown.
+    /// Upload, and change the photo without seeing it.
     Upload,
     /// See and change the photo.
     Manage,
@@ -47,13 +47,13 @@ struct Caller {
     what: &'static str,
     headers: Vec<(&'static str, String)>,
     may: May,
-    /// The photo that is asked for.
+    /// The requested photo.
     photo: String,
     /// Parameters of a link.
     link: Option<String>,
-    /// A photo's token is all that they say who they are by.
+    /// Their only credential is a photo's token.
     manager: bool,
-    /// This machine's own user: rooms are theirs.
+    /// This machine's own user, who may enter rooms.
     here: bool,
     /// A page of another site.
     foreign: bool,
@@ -66,7 +66,7 @@ impl Caller {
         Self { link: Some(link.to_owned()), ..self }
     }
 
-    /// An owner's secret is what they say who they are by.
+    /// True if a header has an owner's secret.
     fn secret(&self) -> bool {
         self.headers.iter().any(|(_, value)| value.contains("tmpi_o_"))
     }
@@ -81,7 +81,7 @@ impl Caller {
 
     fn ask(&self, server: &Running, route: &Route, method: &str) -> Response {
         let mut path = target(route, method, &self.photo);
-        // a link's parameters are none of a room's
+        // routes of rooms do not take a link's parameters
         if let Some(link) = self.link.as_ref().filter(|_| !route.path.starts_with("/v1/live/")) {
             path = format!("{path}{}{link}", if path.contains('?') { '&' } else { '?' });
         }
@@ -117,7 +117,7 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         ("PUT", _) => (405, Some("method")),
         (_, "/metrics") if may == May::Metrics => (200, None),
         (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
-        // a photo's token is for nothing but that photo
+        // a photo's token is valid for that photo only
         (_, "/v1/photos") if caller.manager => (403, Some("scope")),
         ("POST", "/v1/photos") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
         ("GET" | "HEAD", "/v1/photos") if matches!(may, May::Upload | May::Metrics) => (403, Some("scope")),
@@ -132,21 +132,21 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         ("POST", "/v1/owner") => (204, None),
         ("POST", "/v1/photos") => (202, None),
         ("GET" | "HEAD", "/v1/photos") => (200, None),
-        // asked of a photo that is not there
+        // for an unknown photo
         ("DELETE", _)
         | ("POST", "/v1/photos/{id}/again" | "/v1/photos/{id}/exports")
-        // of a file that nobody asked for
+        // for an export that does not exist
         | ("GET" | "HEAD", "/v1/photos/{id}/exports/{key}" | "/v1/photos/{id}/exports/{key}/file") => (404, Some("not-found")),
         ("POST", "/v1/photos/{id}/manage") => if_may(may.change(), 204),
         ("PATCH", _) | ("POST", "/v1/photos/{id}/links") => if_may(may.change(), 200),
         ("GET" | "HEAD", _) if path.starts_with("/v1/photos/") || path == "/oembed" => if_may(shown || may.see(), 200),
-        // a page says what is not there
+        // pages answer 404 with HTML, not with a problem
         ("GET" | "HEAD", "/view/{id}" | "/embed/{id}") if !(shown || may.see()) => (404, None),
         _ => (200, None),
     }
 }
 
-/// What a photo's owner is told to give away: a link's parameters, good for `seconds`, and the photo's token.
+/// What a photo's owner can give to others: the parameters of a link that is valid for `seconds`, and the photo's token.
 fn link(server: &Running, owner: &str, photo: &str, seconds: u64) -> (String, String) {
     let path = format!("/v1/photos/{photo}/links?seconds={seconds}");
     let told = request(server.addr, "POST", &path, &[HOST, ("authorization", owner)], &[]).json();
@@ -155,7 +155,7 @@ fn link(server: &Running, owner: &str, photo: &str, seconds: u64) -> (String, St
 }
 
 #[test]
-fn every_route_answers_everybody_as_it_should() {
+fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let ann = secret("a");
@@ -191,12 +191,12 @@ fn every_route_answers_everybody_as_it_should() {
     let callers = [
         caller("a stranger", vec![], May::Nothing),
         caller("a stranger with a link", vec![], May::See).linked(&good),
-        caller("a stranger with a link that is over", vec![], May::Nothing).linked(&over),
+        caller("a stranger with an expired link", vec![], May::Nothing).linked(&over),
         caller("a stranger with another photo's link", vec![], May::Nothing).linked(&other),
-        caller("a stranger with a link that was taken back", vec![], May::Nothing).linked(&taken_link),
-        caller("whoever has the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage).manager(),
-        caller("whoever has another photo's token", vec![bearer(format!("Bearer {others_token}"))], May::Nothing).manager(),
-        caller("whoever has a token that was taken back", vec![bearer(format!("Bearer {taken_back}"))], May::Nothing).manager(),
+        caller("a stranger with a revoked link", vec![], May::Nothing).linked(&taken_link),
+        caller("a caller with the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage).manager(),
+        caller("a caller with another photo's token", vec![bearer(format!("Bearer {others_token}"))], May::Nothing).manager(),
+        caller("a caller with a revoked token", vec![bearer(format!("Bearer {taken_back}"))], May::Nothing).manager(),
         caller("a browser with the photo's token", vec![kept.clone(), ("sec-fetch-site", "same-origin".into())], May::Manage),
         caller("another owner", vec![bearer(secret("b"))], May::Nothing),
         caller("another's key", vec![bearer(key("other", &[Scope::Upload, Scope::Read]))], May::Nothing),
@@ -217,7 +217,7 @@ fn every_route_answers_everybody_as_it_should() {
         rebound("a rebound name", vec![]),
         rebound("a rebound name, the owner's browser", vec![cookie]),
     ];
-    // so that the link of a second is over
+    // until the link of one second has expired
     std::thread::sleep(std::time::Duration::from_millis(2100));
     for visibility in ["private", "link"] {
         let shown = visibility == "link";

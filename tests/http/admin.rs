@@ -1,4 +1,4 @@
-//! The door of operators, and memory that goes back.
+//! The admin listener, and caches that are emptied when idle.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::client::{get, request};
 use crate::fixture::figure;
 use crate::fixture::{Running, jpeg, pipeline, wait_until};
 
-/// A server that asks who comes, and the address of its operators.
+/// A server with `--access private`, and the address of its admin listener.
 fn start(data: &Path) -> (Running, SocketAddr) {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
     let config = Config { admin: Some(any), hosts: vec!["photos.example".into()], private: true, ..Config::new(any, data.to_owned()) };
@@ -27,14 +27,14 @@ fn start(data: &Path) -> (Running, SocketAddr) {
 }
 
 #[test]
-fn operators_have_a_door_of_their_own() {
+fn admin_routes_are_on_their_own_listener() {
     let dir = tempfile::tempdir().unwrap();
     let (server, admin) = start(dir.path());
     let id = server.upload(&jpeg(1));
     server.wait(&id, "done");
     get(server.addr, "/metrics").problem(404);
     for path in ["/drain", &format!("/purge/{id}")] {
-        assert!(matches!(request(server.addr, "POST", path, &[], &[]).status, 404 | 405), "{path} is for operators alone");
+        assert!(matches!(request(server.addr, "POST", path, &[], &[]).status, 404 | 405), "{path} is on the admin listener only");
     }
     assert_eq!((get(admin, "/healthz").status, get(admin, "/readyz").status), (200, 200));
     assert_eq!(figure(admin, "tmpi_photos_done"), Some(1));
@@ -57,7 +57,7 @@ fn operators_have_a_door_of_their_own() {
     for wrong in ["/purge/nothing", "/purge/00000000000000000000000000000000"] {
         request(admin, "POST", wrong, &[], &[]).problem(404);
     }
-    // whoever owns it
+    // `purge` works for photos of any owner
     assert_eq!(request(admin, "POST", &at, &[("host", "photos.example")], &[]).status, 204);
     get(server.addr, &format!("/v1/photos/{id}")).problem(404);
     get(server.addr, &format!("/v1/photos/{id}/atlas")).problem(404);
@@ -67,7 +67,7 @@ fn operators_have_a_door_of_their_own() {
 }
 
 #[test]
-fn memory_that_nobody_asks_for_goes_back() {
+fn idle_caches_are_emptied() {
     let dir = tempfile::tempdir().unwrap();
     let limits = Limits { rest: Duration::from_millis(500), ..Limits::default() };
     let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
@@ -83,12 +83,12 @@ fn memory_that_nobody_asks_for_goes_back() {
         })
     };
     let (mut before, mut asked) = (None, false);
-    wait_until("all of it is kept", || {
+    wait_until("all caches are filled", || {
         let now = ask();
         assert_eq!(before.get_or_insert_with(|| now.clone()), &now);
         asked |= kept().iter().all(|bytes| *bytes > 0);
         asked
     });
-    wait_until("none of it is", || kept() == [0; 4]);
+    wait_until("all caches are empty", || kept() == [0; 4]);
     assert_eq!(before, Some(ask()), "made anew");
 }

@@ -1,4 +1,4 @@
-//! What is refused by its first bytes, while the client has the rest of it still to send.
+//! Uploads that are refused by their first bytes, before the client has sent the rest.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -13,7 +13,7 @@ use tmpi_render::{PictureFormat, View, encode};
 use crate::client::{Connection, Response, form, post_form, request};
 use crate::fixture::{Running, contents, depth_map, incoming, jpeg, picture, wait_until, way_within};
 
-/// The real way of a photo, which looks at it only once it is whole.
+/// The real pipeline without the early check of a photo's header.
 struct Late(PipelineMaker);
 
 impl Maker for Late {
@@ -26,7 +26,7 @@ impl Maker for Late {
     }
 }
 
-/// Limits under which no body is ever too slow.
+/// Limits under which no body is too slow.
 fn patient() -> Limits {
     Limits { body_read: Duration::from_hours(1), ..Limits::default() }
 }
@@ -53,7 +53,7 @@ fn claims(format: PictureFormat, side: u16) -> Vec<u8> {
     }
 }
 
-/// Sends `first` of a body of 20 MB to `target`, and no more.
+/// Announces a body of 20 MB to `target`, and sends only `first`.
 fn stalled(addr: SocketAddr, target: &str, content_type: &str, first: &[u8]) -> Response {
     let mut connection = Connection::open(addr);
     let head = format!("POST {target} HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: 20000000\r\n\r\n");
@@ -62,14 +62,14 @@ fn stalled(addr: SocketAddr, target: &str, content_type: &str, first: &[u8]) -> 
     connection.receive("POST").unwrap()
 }
 
-/// The beginning of a form, up to where its last part ends.
+/// A form without its closing boundary.
 fn open_form(parts: &[(&str, &[u8])]) -> (String, Vec<u8>) {
     let (content_type, mut body) = form(parts);
     body.truncate(body.len() - b"\r\n--a-boundary-that-is-in-no-part--\r\n".len());
     (content_type, body)
 }
 
-/// What a problem says, but for the request that it is of.
+/// A problem without its request id.
 fn says(mut problem: Value) -> Value {
     problem.as_object_mut().unwrap().remove("request_id");
     problem
@@ -89,7 +89,7 @@ fn a_header_of_a_picture_that_is_too_large_is_refused_while_the_client_sends_no_
         let (content_type, body) = open_form(&[("photo", &jpeg(1)), ("depth", &first)]);
         assert_eq!(stalled(server.addr, "/v1/photos", &content_type, &body).problem(422)["field"], "depth");
     }
-    // of a client that sends all of it nothing is lost either
+    // a client that sends the whole body gets the same answer
     let all = [claims(PictureFormat::Png, 60_000), vec![0; 2_000_000]].concat();
     request(server.addr, "POST", "/v1/photos", &[], &all).problem(413);
     wait_until("nothing is left", || incoming(dir.path()) == 0);
@@ -97,7 +97,7 @@ fn a_header_of_a_picture_that_is_too_large_is_refused_while_the_client_sends_no_
 }
 
 #[test]
-fn what_is_no_picture_is_refused_by_its_first_bytes() {
+fn a_file_that_is_no_picture_is_refused_by_its_first_bytes() {
     let (dir, server) = start(patient(), patient().photo());
     let page = b"<!doctype html><title>A photo</title>";
     assert_eq!(stalled(server.addr, "/v1/photos", "image/jpeg", page).problem(415)["field"], "photo");
@@ -116,7 +116,7 @@ fn a_header_that_comes_byte_by_byte_is_read_as_one_that_comes_at_once() {
         let raw = connection.raw();
         raw.write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n").unwrap();
         for byte in bytes {
-            // the server may have refused it by now
+            // the server may have refused the upload by now
             let _ = raw.write_all(&[b"1\r\n", &[*byte][..], b"\r\n"].concat());
         }
         if ends {
@@ -134,7 +134,7 @@ fn a_header_that_comes_byte_by_byte_is_read_as_one_that_comes_at_once() {
 }
 
 #[test]
-fn a_picture_whose_size_stands_far_behind_is_judged_once_it_is_whole() {
+fn a_picture_whose_size_comes_late_is_checked_once_it_is_whole() {
     let (_dir, server) = start(patient(), patient().photo());
     let metadata = [&[0xFF, 0xE1, 0xFF, 0xFF][..], &vec![7; 0xFFFF - 2]].concat().repeat(5);
     let behind = |file: &[u8]| [&file[..2], &metadata, &file[2..]].concat();
@@ -154,7 +154,7 @@ fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
     assert!(raw["detail"].as_str().unwrap().contains(&(122 << 20).to_string()), "{raw}");
     let (content_type, body) = open_form(&[("photo", &large)]);
     assert_eq!(says(stalled(server.addr, "/v1/photos", &content_type, &body).problem(413)), says(raw), "no option makes room for it");
-    // one for which there is room where it is reduced, which a form may say behind it
+    // this photo fits only if it is reduced, and a form may send `max-size` after the photo
     let view = View { width: 640, height: 480, rgba: vec![[90, 80, 70, 255]; 640 * 480] };
     let photo = encode(&view, PictureFormat::Png, 90).unwrap();
     stalled(server.addr, "/v1/photos", "image/png", &photo[..40]).problem(413);
@@ -164,7 +164,7 @@ fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
 }
 
 #[test]
-fn early_and_late_verdicts_are_one() {
+fn early_and_late_checks_agree() {
     let photo = || photo::Limits { pixels: 6_000_000, side: 4000, memory: 400 << 20, decoder_memory: 20_000_000, ..patient().photo() };
     let (_dir, early) = start(patient(), photo());
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! How uploads arrive: slowly but steadily, too slowly, in vain, and with headers that nobody asked for.
+//! How uploads arrive: slowly but steadily, too slowly, to a full queue, and with odd headers.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -36,7 +36,7 @@ fn a_slow_but_steady_upload_succeeds_however_long_it_takes() {
     let photo = jpeg(1);
     let began = Instant::now();
     let mut raw = drip(&server, "prefer: wait=20\r\n", &photo, 20, Duration::from_secs(3));
-    // the time of the request begins now: it waits for the result
+    // the request's own timeout begins after the body, while it waits for the result
     let answer = raw.receive("POST").unwrap();
     assert!(answer.status == 201 || answer.status == 202, "{}", String::from_utf8_lossy(&answer.body));
     assert!(began.elapsed() > Duration::from_secs(3));
@@ -49,7 +49,7 @@ fn a_slow_but_steady_upload_succeeds_however_long_it_takes() {
 fn an_upload_below_the_least_rate_is_408_and_leaves_nothing() {
     let limits = Limits { body_read: Duration::from_millis(300), body_rate: 50_000, ..Limits::default() };
     let (dir, server) = start(limits, Arc::new(pipeline()));
-    // never a pause that is too long; a picture as far as its first bytes tell
+    // no single pause is too long, and the first bytes are a valid picture
     let mut photo = jpeg(1);
     photo.resize(5000, 7);
     let mut slow = drip(&server, "", &photo, 50, Duration::from_secs(2));
@@ -59,13 +59,13 @@ fn an_upload_below_the_least_rate_is_408_and_leaves_nothing() {
 }
 
 #[test]
-fn room_is_asked_for_before_the_body() {
+fn a_full_queue_is_reported_before_the_body_is_sent() {
     let gate = Gate::new(0);
     let (dir, server) = start(Limits { queue: 1, uploads_beyond: 1, ..Limits::default() }, gate.clone());
     let _running = server.upload(&jpeg(1));
     gate.wait_started(1);
     let queued = server.upload(&jpeg(2));
-    // one may come in, in case that its photo is known
+    // one upload beyond the queue is read, because its photo may be known
     let mut known = Connection::open(server.addr);
     let photo = jpeg(2);
     let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n", photo.len());
@@ -76,7 +76,7 @@ fn room_is_asked_for_before_the_body() {
     let answer = refused.receive("POST").unwrap();
     assert!(answer.header("retry-after").is_some());
     answer.problem(429);
-    assert_eq!(incoming(dir.path()), 1, "nothing of it was written");
+    assert_eq!(incoming(dir.path()), 1, "the refused upload wrote nothing");
     known.raw().write_all(&photo).unwrap();
     assert_eq!(known.receive("POST").unwrap().json()["id"], queued.as_str());
     gate.open(2);
@@ -103,7 +103,7 @@ fn retry_after_grows_with_what_waits() {
 }
 
 #[test]
-fn no_wait_is_too_long_to_be_asked_for() {
+fn any_wait_is_accepted_however_long() {
     let gate = Gate::new(1);
     let (_dir, server) = start(Limits::default(), gate);
     for seconds in [u64::MAX.to_string(), "99999999999999999999".into(), "1e9".into()] {
@@ -126,13 +126,13 @@ fn headers_and_names_of_forms_are_bounded() {
     let answer = request(server.addr, "POST", &format!("/v1/photos?{}=1", "q".repeat(20_000)), &[], &jpeg(1));
     assert!(answer.body.len() < 2000, "{} bytes", answer.body.len());
     answer.problem(400);
-    // at the limit it is a name like another
+    // a name at the limit is refused as an unknown field only
     assert_eq!(post_form(server.addr, &[], &[(&"n".repeat(64), b"1")]).problem(400)["field"], "n".repeat(64));
     wait_until("nothing is left", || incoming(dir.path()) == 0);
 }
 
 #[test]
-fn an_answer_does_not_wait_for_a_body_that_nobody_wants() {
+fn an_answer_does_not_wait_for_an_unread_body() {
     let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
     let mut connection = Connection::open(server.addr);
     let began = Instant::now();
@@ -142,7 +142,7 @@ fn an_answer_does_not_wait_for_a_body_that_nobody_wants() {
 }
 
 #[test]
-fn a_body_in_a_coding_that_nobody_undoes_is_refused() {
+fn a_body_in_an_unsupported_transfer_coding_is_refused() {
     let (dir, server) = start(Limits::default(), Arc::new(pipeline()));
     for coding in ["gzip, chunked", "x, chunked"] {
         let mut connection = Connection::open(server.addr);

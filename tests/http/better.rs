@@ -1,4 +1,4 @@
-//! Who is told that a photo can have better depth, and that it then has it.
+//! `better_depth`: which callers see it, and making the photo again with the better network.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use crate::keys::{self, Scope};
 const WORSE: &str = "tmpi";
 const BETTER: &str = "depth-anything-v2-small-fp16";
 
-/// A flat wall, by a network of this name.
+/// A network with this name that estimates a flat wall.
 struct Called(&'static str);
 
 impl Estimator for Called {
@@ -31,7 +31,7 @@ impl Estimator for Called {
     }
 }
 
-/// Makes photos with a network until a better one is here.
+/// Makes photos with a worse network until the better one is set.
 struct Renewing {
     worse: PipelineMaker,
     better: PipelineMaker,
@@ -68,7 +68,7 @@ impl Maker for Renewing {
 }
 
 #[test]
-fn whoever_may_have_a_photo_made_again_is_told_of_a_better_network() {
+fn callers_who_may_make_a_photo_again_are_told_of_a_better_network() {
     let dir = tempfile::tempdir().unwrap();
     let maker = Renewing::new();
     let server = private_with(dir.path(), maker.clone());
@@ -78,7 +78,7 @@ fn whoever_may_have_a_photo_made_again_is_told_of_a_better_network() {
     let photo = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let state = |who: &str| ask(&server, "GET", &photo, &[("authorization", who)], &[]);
     let told = |who: &str| state(who).json()["better_depth"].clone();
-    assert_eq!((state(&ann).json()["state"].clone(), told(&ann)), (json!("done"), Value::Null), "it was made with what is at hand");
+    assert_eq!((state(&ann).json()["state"].clone(), told(&ann)), (json!("done"), Value::Null), "made with the best network");
 
     maker.set(true);
     for who in [&ann, &boss] {
@@ -86,7 +86,7 @@ fn whoever_may_have_a_photo_made_again_is_told_of_a_better_network() {
     }
     assert_eq!(get(server.addr, &photo).json()["better_depth"], BETTER, "this machine's own user");
     state(&bob).problem(404);
-    // whoever may see it alone is told nothing of what they may not have
+    // callers who may only see the photo do not see `better_depth`
     let headers = [("authorization", ann.as_str()), ("content-type", "application/json")];
     assert_eq!(ask(&server, "PATCH", &photo, &headers, br#"{"visibility": "link"}"#).status, 200);
     let (owners, others) = (state(&ann), state(&bob));
@@ -95,9 +95,9 @@ fn whoever_may_have_a_photo_made_again_is_told_of_a_better_network() {
     assert_eq!(told(&reader), Value::Null);
     assert!(owners.all("cache-control").contains("private") && owners.header("etag") != others.header("etag"));
     let seen = [("authorization", bob.as_str()), ("if-none-match", owners.header("etag").unwrap())];
-    assert_eq!(ask(&server, "GET", &photo, &seen, &[]).status, 200, "one's answer is not the other's");
+    assert_eq!(ask(&server, "GET", &photo, &seen, &[]).status, 200, "the owner's tag does not match a stranger's answer");
 
-    // of a map of one's own there is no better network
+    // a photo with its own depth map has no better network
     let given =
         post_form(server.addr, &[HOST, ("authorization", &ann), ("prefer", "wait=60")], &[("photo", &jpeg(2)), ("depth", &depth_map())]);
     let given = ask(&server, "GET", &format!("/v1/photos/{}", id(&given.json())), &[("authorization", &ann)], &[]).json();
@@ -106,14 +106,14 @@ fn whoever_may_have_a_photo_made_again_is_told_of_a_better_network() {
     let made = ask(&server, "POST", &format!("{photo}/again"), &[("authorization", &ann), ("prefer", "wait=60")], &[]);
     assert_eq!((made.status, made.json()["state"].clone()), (200, json!("done")));
     assert_eq!(ask(&server, "GET", &format!("{photo}/report"), &[("authorization", &ann)], &[]).json()["depth_model"], BETTER);
-    assert_eq!(told(&ann), Value::Null, "it has the best that is here");
-    // a worse one than made it is none to offer
+    assert_eq!(told(&ann), Value::Null, "made with the best network");
+    // a worse network than the photo's is not offered
     maker.set(false);
     assert_eq!(told(&ann), Value::Null);
 }
 
 #[test]
-fn where_nobody_is_asked_who_they_are_everybody_is_told() {
+fn without_authentication_every_caller_is_told_of_a_better_network() {
     fn better(server: &Running, path: &str) -> Value {
         request(server.addr, "GET", path, &[HOST], &[]).json()["better_depth"].clone()
     }
@@ -133,7 +133,7 @@ fn where_nobody_is_asked_who_they_are_everybody_is_told() {
     assert_eq!(better(&server, &photo), BETTER, "after a restart");
     let list = get(server.addr, "/v1/photos").json();
     assert!(list["photos"][0]["id"] == id.as_str() && list["photos"][0].get("better_depth").is_none(), "{list}");
-    // the photo of a report that is gone is out of service, and there is nothing to offer
+    // a photo without its report is damaged: nothing is offered
     std::fs::remove_file(&contents(dir.path(), &id, "report")[0]).unwrap();
     server.stop();
     let server = start(dir.path(), &maker);

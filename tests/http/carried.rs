@@ -1,4 +1,4 @@
-//! Photos that bring depth: within their file in the three ways that phones write it, or as a map beside them.
+//! Photos with depth: in their file, in the three formats of phones, or as a map in the form.
 
 use std::io::Cursor;
 use std::sync::Arc;
@@ -12,15 +12,15 @@ use tmpi_pipeline::depth::{DepthKind, from_map};
 use crate::client::{get, post_form, request};
 use crate::fixture::{Running, depth_map, jpeg, pipeline};
 
-/// What phones write, 64 by 48 pixels, with maps of half that: their columns are alike, with one step in the middle.
+/// Files as phones write them: 64 × 48 pixels, maps of half that size with one step in the middle.
 const PHONES: [(&str, &[u8], [f64; 2]); 3] = [
-    // values .2 and .8 of distances 1 to 5: even steps of 1/z, or of z
+    // values .2 and .8 of distances 1 to 5, linear in 1/z or in z
     ("gdepth", include_bytes!("../../fuzz/seeds/carried/gdepth.jpg"), [0.84, 0.36]),
     ("dynamic-depth", include_bytes!("../../fuzz/seeds/carried/dynamic-depth.jpg"), [1.0 / 1.8, 1.0 / 4.2]),
     // disparity .5 to 2, over 2
     ("multi-picture", include_bytes!("../../fuzz/seeds/carried/multi-picture.jpg"), [0.4, 0.85]),
 ];
-/// What a JPEG leaves of a value, and a little.
+/// The error of a value in a JPEG, and some margin.
 const CLOSE: f64 = 0.012;
 
 fn start() -> (tempfile::TempDir, Running) {
@@ -29,10 +29,10 @@ fn start() -> (tempfile::TempDir, Running) {
     (dir, server)
 }
 
-/// What was made of a photo.
+/// A finished photo.
 struct Made {
     report: Value,
-    /// The disparity map that is served, row by row, and its width.
+    /// The served disparity map in row-major order, and its width.
     map: (Vec<f32>, usize),
     scene: Scene,
 }
@@ -47,14 +47,14 @@ fn made(server: &Running, id: &str) -> Made {
 }
 
 impl Made {
-    /// Disparity of the served map at shares of width and height.
+    /// Disparity of the served map at fractions of width and height.
     fn served(&self, x: f64, y: f64) -> f64 {
         let (delta, width) = &self.map;
         let height = delta.len() / width;
         f64::from(delta[(y * height as f64) as usize * width + (x * *width as f64) as usize])
     }
 
-    /// Disparity of what the atlas shows there: the nearest plane with a pixel of the photo.
+    /// Disparity of the atlas there: of the nearest plane with a pixel of the photo.
     fn shown(&self, x: f64, y: f64) -> f64 {
         let (grid, texels) = (&self.scene.grid, &self.scene.texels);
         let (x, y) = ((x * f64::from(grid.width)) as u32, (y * f64::from(grid.height)) as u32);
@@ -67,7 +67,7 @@ impl Made {
         self.scene.layers.iter().filter_map(of).fold(f64::NAN, f64::max)
     }
 
-    /// Holds map and atlas against the two values of a map with a step in the middle.
+    /// Compares map and atlas with the two values of a map with a step in the middle.
     #[track_caller]
     fn is_of(&self, [left, right]: [f64; 2], name: &str) {
         for (x, want) in [(0.1, left), (0.4, left), (0.6, right), (0.9, right)] {
@@ -76,7 +76,7 @@ impl Made {
                 assert!((served - want).abs() < CLOSE, "{name}: the map has {served} at {x}, {y} in place of {want}");
             }
         }
-        // planes of so small a photo may be off where that moves no pixel by much, most at the step
+        // planes of a small photo may be off as long as no pixel moves by much, most of all at the step
         for (x, want) in [(0.1, left), (0.9, right)] {
             for y in [0.2, 0.5, 0.8] {
                 let shown = self.shown(x, y);
@@ -90,7 +90,7 @@ impl Made {
     }
 }
 
-/// Pearson's, of two lists of one length.
+/// Pearson's correlation.
 fn correlation(a: impl Iterator<Item = f64> + Clone, b: impl Iterator<Item = f64> + Clone) -> f64 {
     let count = a.clone().count() as f64;
     let (ma, mb) = (a.clone().sum::<f64>() / count, b.clone().sum::<f64>() / count);
@@ -103,7 +103,7 @@ fn correlation(a: impl Iterator<Item = f64> + Clone, b: impl Iterator<Item = f64
 }
 
 #[test]
-fn depth_within_the_file_is_that_of_the_atlas_unless_it_is_off() {
+fn depth_in_the_file_is_used_unless_it_is_off() {
     let (_dir, server) = start();
     for (name, file, ends) in PHONES {
         let with = made(&server, &server.upload(file));
@@ -117,17 +117,17 @@ fn depth_within_the_file_is_that_of_the_atlas_unless_it_is_off() {
         assert_eq!(off["options"]["photo-depth"], "off");
         let without = made(&server, off["id"].as_str().unwrap());
         assert_eq!((&without.report["depth_model"], &without.report["input"]["depth"]), (&"ramp".into(), &Value::Null), "{name}");
-        // the network's is nearer towards the bottom, and no side is nearer
+        // the network's map is nearer towards the bottom and has no step
         assert!(without.served(0.25, 0.9) > without.served(0.25, 0.1) + 0.5, "{name}");
         assert!((without.served(0.1, 0.5) - without.served(0.9, 0.5)).abs() < 0.1, "{name}");
     }
-    // to fail without is an answer, too
+    // without ONNX Runtime the photo may fail
     let on = request(server.addr, "POST", "/v1/photos?photo-depth=on", &[], &jpeg(1)).json();
     server.wait(on["id"].as_str().unwrap(), "failed");
 }
 
 #[test]
-fn a_map_beside_the_photo_is_that_of_the_atlas_in_every_format() {
+fn a_map_in_the_form_is_used_in_every_format() {
     let (_dir, server) = start();
     let grey = |w, h| DynamicImage::from(GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 64 } else { 191 }])));
     let file = |picture: DynamicImage, format| {
@@ -155,7 +155,7 @@ fn a_map_beside_the_photo_is_that_of_the_atlas_in_every_format() {
         );
         made.is_of([0.25, 0.75], name);
     }
-    // it goes before what the photo's own file has
+    // the map in the form takes precedence over the file's own depth
     let (_, phone, _) = PHONES[0];
     let state = post_form(server.addr, &[], &[("photo", phone), ("depth", &depth_map())]).json();
     let both = made(&server, state["id"].as_str().unwrap());

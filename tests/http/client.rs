@@ -1,4 +1,4 @@
-//! A small blocking HTTP client that shows everything that came over the wire.
+//! A small blocking HTTP client that shows everything it receives.
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -62,7 +62,7 @@ impl Connection {
         self.stream.get_mut()
     }
 
-    /// Sends a request; the server may answer and close before all of the body is out.
+    /// Sends a request; the server may answer and close before it has read the whole body.
     pub fn send(&mut self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) {
         let mut head = format!("{method} {path} HTTP/1.1\r\n");
         if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("host")) {
@@ -99,7 +99,7 @@ impl Connection {
         Ok(Response { status, headers, body: Vec::new() })
     }
 
-    /// The next line of the body of a chunked stream, or what is left of it; none at the end.
+    /// The next line of a chunked body, or the rest of the body; `None` at the end.
     pub fn chunk(&mut self) -> Option<Vec<u8>> {
         let mut line = String::new();
         self.stream.read_line(&mut line).ok()?;

@@ -1,4 +1,4 @@
-//! Damage on disk: noticed by whoever reads, at the latest by the reading of everything now and then; told; healed by the same upload.
+//! Damage on disk: a read or the regular integrity check notices it, the state reports it, the same upload repairs it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use tmpi_render::PictureFormat;
 use crate::client::get;
 use crate::fixture::{Running, contents, jpeg, picture, pipeline, wait_until};
 
-/// A photo that was made, the path of its container, and that as it was.
+/// A finished photo and the original bytes of its container.
 struct Made {
     dir: tempfile::TempDir,
     server: Running,
@@ -32,7 +32,7 @@ impl Made {
     /// The one file of a part.
     fn file(&self, part: &str) -> PathBuf {
         let mut all = Vec::new();
-        // the one of before goes behind the answer
+        // the old file is deleted after the answer
         wait_until("there is one", || {
             all = contents(self.dir.path(), &self.id, part);
             all.len() == 1
@@ -40,7 +40,7 @@ impl Made {
         all.remove(0)
     }
 
-    /// Every kind of damage: one bit in the middle, half of it gone, all of it.
+    /// Every kind of damage: one bit flipped, half of the file missing, the whole file missing.
     fn kinds(&self) -> [(&str, Option<Vec<u8>>); 3] {
         let mut flipped = self.whole.clone();
         flipped[self.whole.len() / 2] ^= 1;
@@ -54,7 +54,7 @@ impl Made {
         }
     }
 
-    /// Uploads the photo again and holds what comes of it against what was there.
+    /// Uploads the photo again and compares the result with the original.
     fn heal(&self, context: &str) {
         self.server.upload(&self.photo);
         self.server.wait(&self.id, "done");
@@ -65,7 +65,7 @@ impl Made {
 }
 
 #[test]
-fn damage_that_nobody_met_is_healed_by_the_same_upload() {
+fn unnoticed_damage_is_repaired_by_the_same_upload() {
     let made = made(Limits::default(), jpeg(1));
     for (kind, damage) in made.kinds() {
         made.spoil(damage.as_ref());
@@ -74,8 +74,8 @@ fn damage_that_nobody_met_is_healed_by_the_same_upload() {
 }
 
 #[test]
-fn whoever_asks_for_a_damaged_photo_is_told() {
-    // a container that is read while it is sent, and one that is kept in memory
+fn requests_for_a_damaged_photo_report_the_damage() {
+    // a container that is streamed from disk, and one that is kept in memory
     let noise: Vec<u8> = {
         let mut seed = 7u32;
         let mut next = || {
@@ -86,7 +86,7 @@ fn whoever_asks_for_a_damaged_photo_is_told() {
         tmpi_core::container::encode_jpeg(600, 500, &rgb, 90).unwrap()
     };
     for (photo, large) in [(picture(1, PictureFormat::Jpeg), false), (noise, true)] {
-        // nothing stays open or at hand
+        // no caches
         let made = made(Limits { cache: Caches { scenes: 0, files: 0, views: 0, ..Caches::default() }, ..Limits::default() }, photo);
         assert_eq!(made.whole.len() > 256 << 10, large);
         for ask in ["atlas", "view?w=40", "atlas?level=1", "atlas?sections=photo", "export?format=zip", "atlas?region=0,0,40,40"] {
@@ -102,7 +102,7 @@ fn whoever_asks_for_a_damaged_photo_is_told() {
                     "{context}"
                 );
                 assert!(state["problem"]["detail"].as_str().unwrap().contains("container is damaged"), "{state}");
-                // nor anything else of it
+                // the photo's other files are not served either
                 get(made.server.addr, &format!("/v1/photos/{}/thumbnail", made.id)).problem(500);
                 let metrics = String::from_utf8(get(made.server.addr, "/metrics").body).unwrap();
                 assert!(metrics.contains("tmpi_photos_damaged 1"), "{context}");
@@ -113,11 +113,11 @@ fn whoever_asks_for_a_damaged_photo_is_told() {
 }
 
 #[test]
-fn damage_is_found_though_nobody_asks() {
+fn the_integrity_check_finds_damage_without_requests() {
     let soon = Duration::from_millis(20);
     let made = made(Limits { look_over_first: soon, look_over: soon, ..Limits::default() }, jpeg(1));
     for (kind, damage) in made.kinds() {
-        // what is kept open or in memory does not hide it
+        // caches do not hide the damage
         assert_eq!(get(made.server.addr, &format!("/v1/photos/{}/atlas", made.id)).status, 200);
         made.spoil(damage.as_ref());
         wait_until(&format!("{kind} is noticed"), || made.server.state(&made.id)["state"] == "damaged");

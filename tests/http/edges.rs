@@ -1,5 +1,5 @@
-//! Rooms of several nodes, end to end: servers as processes, one PostgreSQL, real sockets. A node that is asked for a room whose publisher is at
-//! another one watches it there. Without PostgreSQL and an S3 server these tests say so and pass.
+//! Rooms on several nodes, end to end: servers as processes, one PostgreSQL, real sockets. Without PostgreSQL and an S3 server these
+//! tests say so and pass.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
@@ -19,7 +19,7 @@ use super::live::{Client, KEY, Publisher, SIZE, frame, frame_of};
 use super::many::Shared;
 use super::process::Process;
 
-/// One of several nodes, which others reach at its own address.
+/// A node with `--advertise`.
 struct Node {
     process: Process,
     addr: SocketAddr,
@@ -33,7 +33,7 @@ fn node(shared: &Shared, name: &str, arguments: &[&str]) -> Node {
 }
 
 impl Node {
-    /// How many rooms of other nodes it watches.
+    /// How many rooms it is an edge of.
     fn edges(&self) -> u64 {
         figure(self.addr, "tmpi_live_edges").expect("it is counted")
     }
@@ -43,7 +43,7 @@ impl Node {
     }
 }
 
-/// What a viewer got: frames by number, as the bytes that came, and the tiles that it knows in the end.
+/// What a viewer received: the bytes of each frame by number, and its tiles at the end.
 #[derive(Default)]
 struct Got {
     epoch: u64,
@@ -51,7 +51,7 @@ struct Got {
     tiles: Vec<Tile>,
 }
 
-/// Watches until frame `last` has come and its tiles.
+/// Watches until frame `last` and its tiles have arrived.
 fn watch(mut viewer: Client, last: u64) -> Got {
     let (mut got, mut model) = (Got::default(), None::<Model>);
     loop {
@@ -64,7 +64,7 @@ fn watch(mut viewer: Client, last: u64) -> Got {
             Kind::Video(video) => assert!(got.frames.insert(video.frame, bytes).is_none(), "frame {} twice", video.frame),
             Kind::Snapshot(tiles) | Kind::Geometry(tiles) => drop(model.as_mut().unwrap().take(&tiles).unwrap()),
             Kind::Statistics(s) if s.frame >= last && got.frames.contains_key(&last) => {
-                got.tiles.clone_from(&model.unwrap().geometry().expect("something is known of each tile").tiles);
+                got.tiles.clone_from(&model.unwrap().geometry().expect("every tile has arrived").tiles);
                 return got;
             }
             Kind::Statistics(_) => {}
@@ -73,7 +73,7 @@ fn watch(mut viewer: Client, last: u64) -> Got {
     }
 }
 
-/// Reads until a frame of an epoch above `epoch` comes; gives that epoch.
+/// Reads until a frame of a later epoch than `epoch` arrives; returns its epoch.
 fn next_epoch(viewer: &mut Client, epoch: u64) -> u64 {
     let mut now = 0;
     loop {
@@ -87,7 +87,7 @@ fn next_epoch(viewer: &mut Client, epoch: u64) -> u64 {
 }
 
 #[test]
-fn a_viewer_at_an_edge_is_sent_the_bytes_that_one_at_the_origin_is() {
+fn viewers_at_edge_and_origin_receive_the_same_bytes() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (node(&shared, "node-1", &[]), node(&shared, "node-2", &[]));
     assert_eq!(Client::at(b.addr, "/v1/live/attic/subscribe", &[]).err(), Some(404));
@@ -126,7 +126,7 @@ fn a_viewer_at_an_edge_is_sent_the_bytes_that_one_at_the_origin_is() {
 }
 
 #[test]
-fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_comes_to_another_node() {
+fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_moves_to_another_node() {
     let Some(shared) = Shared::start() else { return };
     let (mut a, b, c) = (node(&shared, "node-3", &[]), node(&shared, "node-4", &[]), node(&shared, "node-5", &[]));
     let mut publisher = Publisher::new(a.addr, "barn");
@@ -140,7 +140,7 @@ fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_comes_to_another_nod
     let back = Instant::now();
     for (viewer, which) in viewers.iter_mut().zip(["the new origin", "another node"]) {
         assert!(next_epoch(viewer, epochs[0]) > epochs[0]);
-        // how soon is what the load script measures on an idle machine
+        // only the load script asserts how soon, on an idle machine
         println!("viewers of {which} go on after {:.0?}", back.elapsed());
         publisher.publish(frame(30));
     }
@@ -148,7 +148,7 @@ fn a_room_whose_origin_is_killed_goes_on_when_its_publisher_comes_to_another_nod
 }
 
 #[test]
-fn a_publisher_that_comes_to_another_node_takes_the_room_and_the_old_one_is_told() {
+fn a_publisher_at_another_node_takes_the_room_over_and_the_old_one_is_told() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (node(&shared, "node-6", &[]), node(&shared, "node-7", &[]));
     let mut old = Publisher::new(a.addr, "cellar");
@@ -158,23 +158,23 @@ fn a_publisher_that_comes_to_another_node_takes_the_room_and_the_old_one_is_told
     let mut new = Publisher::new(b.addr, "cellar");
     new.publish(frame(20));
     assert_eq!(old.client.bye(), "the room's publisher has come to another server");
-    // a node that was the origin is an edge from then on
+    // the old origin becomes an edge
     let next = next_epoch(&mut viewer, epoch);
     wait_until("the viewer is counted at the new origin", || b.room("cellar", "").json()["viewers"] == 1);
     assert_eq!((a.edges(), b.edges()), (1, 0));
-    // and the origin again when its publisher comes back, though others asked meanwhile
+    // it becomes the origin again when its publisher comes back
     drop(new);
     let mut publisher = Publisher::new(a.addr, "cellar");
     publisher.publish(frame(30));
     assert!(next_epoch(&mut viewer, next) > next);
-    wait_until("the node is an edge no more", || a.edges() == 0);
+    wait_until("the node is no longer an edge", || a.edges() == 0);
     assert!(
         matches!(Publisher::new(a.addr, "cellar").client.next(), Some(Kind::Bye(bye)) if bye.reason == "someone publishes in this room")
     );
 }
 
 #[test]
-fn an_edge_asks_its_viewers_for_their_own_tokens() {
+fn an_edge_checks_its_viewers_own_tokens() {
     let Some(shared) = Shared::start() else { return };
     let dir = tempdir().unwrap();
     let key = dir.path().join("key");
@@ -200,7 +200,7 @@ fn an_edge_asks_its_viewers_for_their_own_tokens() {
 }
 
 #[test]
-fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_may_be() {
+fn an_edge_without_viewers_unsubscribes_and_the_room_limit_holds() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (node(&shared, "node-10", &[]), node(&shared, "node-11", &["--set", "live.rooms=1"]));
     let mut publishers = ["east", "west"].map(|room| Publisher::new(a.addr, room));
@@ -218,7 +218,7 @@ fn an_edge_that_nobody_watches_ends_its_subscription_and_has_no_more_rooms_than_
 }
 
 #[test]
-fn a_room_whose_pictures_changed_their_size_follows_its_publisher_to_another_node() {
+fn a_room_whose_frame_size_changed_follows_its_publisher_to_another_node() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (node(&shared, "node-12", &[]), node(&shared, "node-13", &[]));
     let mut old = Publisher::new(a.addr, "loft");
@@ -234,17 +234,17 @@ fn a_room_whose_pictures_changed_their_size_follows_its_publisher_to_another_nod
 }
 
 #[test]
-fn who_watches_at_an_edge_is_told_at_once_that_the_publisher_has_said_goodbye() {
+fn viewers_at_an_edge_are_told_at_once_that_the_publisher_left() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (node(&shared, "node-14", &[]), node(&shared, "node-15", &[]));
     let mut publisher = Publisher::new(a.addr, "mill");
     publisher.publish(frame(10));
-    // who would publish and says nothing keeps nobody from watching
+    // a publisher that sends nothing does not take the room
     let _silent = Client::at(b.addr, "/v1/live/mill/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
     let mut viewer = Client::watch(b.addr, "mill");
     assert!(next_epoch(&mut viewer, 0) > 0);
     publisher.client.send(Kind::Bye(Bye::default()));
     assert_eq!(viewer.farewell().cause(), Cause::Left);
-    // who comes a little later, too
+    // so does a viewer that connects later
     assert_eq!(Client::watch(b.addr, "mill").farewell().cause(), Cause::Left);
 }

@@ -20,7 +20,7 @@ impl Events {
         Self::open_as(server, id, "", &[])
     }
 
-    /// As whoever the headers and the query say.
+    /// With these headers and this query as credentials.
     pub fn open_as(server: &Running, id: &str, query: &str, headers: &[(&str, &str)]) -> Self {
         let mut connection = Connection::open(server.addr);
         connection.send("GET", &format!("/v1/photos/{id}/events{query}"), headers, &[]);
@@ -59,9 +59,9 @@ fn queued_stages_done_and_the_end() {
     }
     let (last, stages) = seen.split_last().unwrap();
     assert_eq!((last.0.as_str(), last.1["state"].as_str(), last.1["id"].as_str()), ("done", Some("done"), Some(id.as_str())));
-    assert!(stages.len() >= 8, "every stage is told: {stages:?}");
+    assert!(stages.len() >= 8, "every stage has an event: {stages:?}");
     assert!(stages.iter().all(|(name, _)| name == "stage"));
-    // the gate tells a stage of its own before the way does
+    // the first stage is the gate's, the others are the pipeline's
     let steps: Vec<u64> = stages[1..].iter().map(|(_, s)| s["step"].as_u64().unwrap()).collect();
     assert!(steps.is_sorted() && stages.iter().all(|(_, s)| s["step"].as_u64() <= s["steps"].as_u64()), "{steps:?}");
 
@@ -71,7 +71,7 @@ fn queued_stages_done_and_the_end() {
 }
 
 #[test]
-fn whoever_waits_is_told_when_the_queue_moves() {
+fn waiting_clients_are_told_when_the_queue_moves() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = Running::start(dir.path(), Limits::default(), gate.clone());
@@ -88,7 +88,7 @@ fn whoever_waits_is_told_when_the_queue_moves() {
 }
 
 #[test]
-fn late_listeners_hear_the_last_stage_first() {
+fn late_listeners_get_the_last_stage_first() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = Running::start(dir.path(), Limits::default(), gate.clone());
@@ -116,7 +116,7 @@ fn failures_and_unknown_photos() {
 }
 
 #[test]
-fn silence_is_filled_and_a_stop_ends_the_stream() {
+fn idle_streams_get_comments_and_a_stop_ends_them() {
     let dir = tempfile::tempdir().unwrap();
     let limits = Limits { keep_alive: Duration::from_millis(30), drain: Duration::from_millis(500), ..Limits::default() };
     let mut server = Running::start(dir.path(), limits, Gate::new(0));
@@ -127,7 +127,7 @@ fn silence_is_filled_and_a_stop_ends_the_stream() {
     assert_eq!(events.next().unwrap(), (String::new(), Value::Null), "a comment");
     assert_eq!(events.next().unwrap(), (String::new(), Value::Null), "and another, as nothing happens");
     server.signal();
-    // it ends, in time, and with nothing but comments
+    // the stream ends in time, after nothing but comments
     let began = std::time::Instant::now();
     let rest: Vec<_> = std::iter::from_fn(|| events.next()).collect();
     assert!(began.elapsed() < Duration::from_secs(20), "{:?}", began.elapsed());

@@ -1,4 +1,4 @@
-//! Files to download that are written as jobs.
+//! Exports that are written as jobs.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -16,7 +16,7 @@ fn order(addr: SocketAddr, photo: &str, parameters: &str) -> Response {
     request(addr, "POST", &format!("/v1/photos/{photo}/exports?{parameters}"), &[], &[])
 }
 
-/// Has a file written; gives its state.
+/// Orders a file and waits for it; returns its state.
 fn written(addr: SocketAddr, photo: &str, parameters: &str) -> Value {
     let ordered = order(addr, photo, parameters);
     assert!(matches!(ordered.status, 200 | 202), "{}", String::from_utf8_lossy(&ordered.body));
@@ -50,7 +50,7 @@ fn start(limits: Limits) -> (tempfile::TempDir, Running, String) {
 }
 
 #[test]
-fn a_file_is_written_once_for_all_who_ask_and_stays_over_a_restart() {
+fn a_file_is_written_once_for_all_callers_and_survives_a_restart() {
     let (dir, server, photo) = start(Limits::default());
     let address = format!("/v1/photos/{photo}/exports");
     let form = [("content-type", "application/x-www-form-urlencoded")];
@@ -63,7 +63,7 @@ fn a_file_is_written_once_for_all_who_ask_and_stays_over_a_restart() {
     let again = request(server.addr, "POST", &address, &object, br#"{"shape": "relief", "format": "GLB"}"#);
     assert_eq!((again.status, again.header("location")), (200, Some(location.as_str())), "the same, said otherwise");
     assert_ne!(written(server.addr, &photo, "format=glb&shape=metric")["key"], state["key"]);
-    // counted once it is seen to be done
+    // counters may lag behind the state
     for line in ["{class=\"export\",outcome=\"done\"} 2", "{class=\"interactive\",outcome=\"done\"} 1"] {
         let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_class_jobs_total{line}"));
         wait_until(line, counted);
@@ -73,7 +73,7 @@ fn a_file_is_written_once_for_all_who_ask_and_stays_over_a_restart() {
     let file = get(server.addr, at);
     assert_eq!((file.status, file.header("content-type")), (200, Some("model/gltf-binary")));
     assert_eq!(file.header("content-disposition"), Some(format!("attachment; filename=\"{photo}.glb\"").as_str()));
-    assert_eq!(file.body, get(server.addr, &format!("/v1/photos/{photo}/export?format=glb")).body, "as who waits gets it");
+    assert_eq!(file.body, get(server.addr, &format!("/v1/photos/{photo}/export?format=glb")).body, "the same as the direct export");
     assert_eq!(state["bytes"], file.body.len());
     let tag = file.header("etag").unwrap();
     assert_eq!(request(server.addr, "GET", at, &[("if-none-match", tag)], &[]).status, 304);
@@ -93,7 +93,7 @@ fn a_file_is_written_once_for_all_who_ask_and_stays_over_a_restart() {
 }
 
 #[test]
-fn what_is_wrong_is_told_before_anything_waits() {
+fn wrong_orders_are_refused_before_they_are_queued() {
     let (_dir, server, photo) = start(Limits::default());
     for (parameters, field) in [
         ("format=gif", "format"),
@@ -116,7 +116,7 @@ fn what_is_wrong_is_told_before_anything_waits() {
 }
 
 #[test]
-fn files_go_with_their_photo_and_with_its_making() {
+fn files_are_deleted_with_their_photo_and_when_it_is_made_again() {
     let (dir, server, photo) = start(Limits::default());
     let made = |parameters| written(server.addr, &photo, parameters)["links"]["self"].as_str().unwrap().to_owned();
     let before = made("format=glb");
@@ -125,7 +125,7 @@ fn files_go_with_their_photo_and_with_its_making() {
     get(server.addr, &before).problem(404);
     let after = made("format=glb");
     assert_ne!(before, after);
-    wait_until("what is of the making before has gone", || files(dir.path()) == 1);
+    wait_until("the file of the previous making is deleted", || files(dir.path()) == 1);
     request(server.addr, "POST", &format!("/v1/photos/{photo}/again?class=never"), &[], &[]).problem(400);
     assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{photo}"), &[], &[]).status, 204);
     get(server.addr, &after).problem(404);
@@ -133,11 +133,11 @@ fn files_go_with_their_photo_and_with_its_making() {
 }
 
 #[test]
-fn files_make_room_for_others_and_go_when_nobody_fetches_them() {
+fn files_make_room_for_others_and_expire_without_downloads() {
     let (_dir, server, photo) = start(Limits::default());
     let bytes = |parameters| written(server.addr, &photo, parameters)["bytes"].as_u64().unwrap();
     let (glb, zip) = (bytes("format=glb"), bytes("format=zip"));
-    // room for either
+    // room for one of the two
     let (dir, server, photo) = start(keeping(Exports { bytes: glb + zip - 1, ..Exports::default() }));
     let first = written(server.addr, &photo, "format=glb");
     written(server.addr, &photo, "format=zip");
@@ -156,7 +156,7 @@ fn files_make_room_for_others_and_go_when_nobody_fetches_them() {
 }
 
 #[test]
-fn one_more_than_may_wait_is_refused() {
+fn an_order_over_the_waiting_limit_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let drawing = Arc::new(crate::fixture::SlowDrawing::default());
     let limits = keeping(Exports { waiting: 1, ..Exports::default() });
@@ -168,11 +168,11 @@ fn one_more_than_may_wait_is_refused() {
     ended(server.addr, held.header("location").unwrap(), "working");
     assert_eq!(order(server.addr, &photo, "format=glb").status, 202);
     let waits = order(server.addr, &photo, "format=glb");
-    assert_eq!((waits.status, waits.header("retry-after")), (202, Some("1")), "it is the one that waits already");
+    assert_eq!((waits.status, waits.header("retry-after")), (202, Some("1")), "the same order is already waiting");
     let refused = order(server.addr, &photo, "format=zip");
     assert!(refused.header("retry-after").is_some());
     refused.problem(503);
-    // nobody wants the film any more: the next one is written
+    // the film is cancelled: the next file is written
     assert_eq!(request(server.addr, "DELETE", held.header("location").unwrap(), &[], &[]).status, 204);
     drawing.open();
     written(server.addr, &photo, "format=glb");
@@ -180,7 +180,7 @@ fn one_more_than_may_wait_is_refused() {
 }
 
 #[test]
-fn whoever_sees_a_photo_may_have_files_of_it_and_its_owner_ends_them() {
+fn callers_who_see_a_photo_may_order_files_and_its_owner_may_cancel_them() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let (ann, bob) = (secret("a"), secret("b"));
@@ -207,7 +207,7 @@ fn whoever_sees_a_photo_may_have_files_of_it_and_its_owner_ends_them() {
 }
 
 #[test]
-fn an_upload_of_many_waits_behind_others() {
+fn a_batch_upload_waits_behind_others() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = Running::start(dir.path(), Limits { drain: Duration::from_millis(100), ..Limits::default() }, gate.clone());
@@ -233,7 +233,7 @@ mod processes {
     use crate::client::Connection;
     use crate::process::{Process, large, slow, upload, upload_with};
 
-    /// A server with a finished photo, and the process that wrote a page of it.
+    /// A server with a finished photo, whose writer process has already written a page.
     fn with_writer(data: &Path, arguments: &[&str], photo: &[u8]) -> (Process, String) {
         let server = Process::start_with(data, &[&["--set", "limits.drain=5", "--set", "limits.rest=600"], arguments].concat());
         let id = upload_with(server.addr, photo, &[]);
@@ -251,7 +251,7 @@ mod processes {
     }
 
     #[test]
-    fn who_deletes_the_photo_or_the_file_ends_what_writes_it() {
+    fn deleting_the_photo_or_the_file_stops_its_writer() {
         let dir = tempfile::tempdir().unwrap();
         let (server, photo) = with_writer(dir.path(), &[], &large(1));
         let writer = server.hold_writer();
@@ -262,7 +262,7 @@ mod processes {
         let writer = server.hold_writer();
         working(server.addr, &photo, "format=zip");
         assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{photo}"), &[], &[]).status, 204);
-        wait_until("nor is that of a photo that has gone", || writer.has_ended());
+        wait_until("the file of a deleted photo is no longer written", || writer.has_ended());
         assert_eq!(files(dir.path()), 0);
         let next = upload(server.addr, &large(2)).unwrap();
         wait_until("the next one is done", || get(server.addr, &format!("/v1/photos/{next}")).json()["state"] == "done");
@@ -270,38 +270,38 @@ mod processes {
     }
 
     #[test]
-    fn a_file_that_takes_too_long_is_given_up_and_the_next_one_is_written() {
+    fn a_file_that_takes_too_long_fails_and_the_next_one_is_written() {
         let dir = tempfile::tempdir().unwrap();
         let (server, photo) = with_writer(dir.path(), &["--set", "exports.timeout=8"], &large(1));
         let writer = server.hold_writer();
         let zip = working(server.addr, &photo, "format=zip");
         let failed = ended(server.addr, &zip, "failed");
         assert_eq!(failed["problem"]["type"], "urn:tmpi:problem:late");
-        wait_until("what wrote it has ended", || writer.has_ended());
+        wait_until("its process has ended", || writer.has_ended());
         written(server.addr, &photo, "format=zip");
     }
 
     #[test]
-    fn a_file_that_takes_more_memory_than_it_may_ends_its_process_alone() {
+    fn a_file_over_its_memory_bound_ends_only_its_own_process() {
         let dir = tempfile::tempdir().unwrap();
         let (server, photo) = with_writer(dir.path(), &[], &slow(3));
-        // a small one has its threads begun
+        // a small file starts the threads of the writer
         let small = upload(server.addr, &large(3)).unwrap();
         wait_until("it is done", || get(server.addr, &format!("/v1/photos/{small}")).json()["state"] == "done");
         written(server.addr, &small, "format=zip");
         let writer = server.hold_writer();
-        // room for its threads and no more: as if the file took more than was reckoned
+        // little more than it has now: as if the file took more memory than estimated
         writer.bound_data(writer.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
         let zip = working(server.addr, &photo, "format=zip");
         writer.signal(libc::SIGCONT);
         wait_until("the limit has ended it", || writer.has_ended());
-        // the server lives, and another process writes the file
+        // the server goes on, and another process writes the file
         ended(server.addr, &zip, "done");
-        assert!(server.logged().contains("took down what wrote it") && !server.logged().contains("panicked"), "{}", server.logged());
+        assert!(server.logged().contains("crashed the process") && !server.logged().contains("panicked"), "{}", server.logged());
     }
 
     #[test]
-    fn a_crash_in_the_middle_leaves_no_half_file_and_it_is_written_after_all() {
+    fn a_crash_while_writing_leaves_no_partial_file_and_the_job_runs_again() {
         let dir = tempfile::tempdir().unwrap();
         let (mut server, photo) = with_writer(dir.path(), &["--set", "limits.lease=3"], &large(1));
         let html = order(server.addr, &photo, "format=html").json()["links"]["file"].as_str().unwrap().to_owned();
@@ -311,7 +311,7 @@ mod processes {
         drop(writer);
         let server = Process::start(dir.path());
         assert_eq!(get(server.addr, &html).status, 200);
-        // it is taken up again once the lease of before is over
+        // the job runs again after its old lease has expired
         let state = ended(server.addr, &zip, "done");
         assert_eq!(&state["links"]["self"], &zip, "under the same address");
         assert_eq!(files(dir.path()), 2, "the page and the archive");
@@ -319,7 +319,7 @@ mod processes {
     }
 
     #[test]
-    fn what_is_heavy_is_drawn_in_another_process_also_for_who_waits() {
+    fn heavy_files_are_written_in_another_process_also_for_waiting_clients() {
         let dir = tempfile::tempdir().unwrap();
         let (server, photo) = with_writer(dir.path(), &[], &slow(4));
         let maker = server.hold();
@@ -327,13 +327,13 @@ mod processes {
         client.send("GET", &format!("/v1/photos/{photo}/export?format=zip"), &[], &[]);
         let busy = || String::from_utf8(get(server.addr, "/metrics").body).unwrap();
         let held = |text: &str| text.lines().find_map(|l| l.strip_prefix("tmpi_job_memory_bytes ")?.parse::<f64>().ok()).unwrap_or(0.0);
-        wait_until("it is under way", || held(&busy()) > 0.0);
+        wait_until("the export runs", || held(&busy()) > 0.0);
         drop(client);
-        wait_until("it ends with who waits for it", || maker.has_ended());
+        wait_until("its process ends with the client", || maker.has_ended());
         wait_until("its memory is free", || held(&busy()) == 0.0);
         let whole = get(server.addr, &format!("/v1/photos/{photo}/export?format=zip"));
         assert_eq!((whole.status, &whole.body[..4]), (200, b"PK\x03\x04".as_slice()));
         let state = written(server.addr, &photo, "format=zip");
-        assert!(get(server.addr, state["links"]["file"].as_str().unwrap()).body == whole.body, "by whichever way");
+        assert!(get(server.addr, state["links"]["file"].as_str().unwrap()).body == whole.body, "the same either way");
     }
 }

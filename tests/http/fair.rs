@@ -1,4 +1,4 @@
-//! Fair use: nothing holds up what it need not, and what waits holds no memory.
+//! Fairness: requests delay only requests of their own kind, and waiting requests hold no memory.
 #![allow(clippy::float_cmp, reason = "counts that must be exact")]
 
 use std::io::Read as _;
@@ -15,7 +15,7 @@ use crate::fixture::{Gate, Running, SlowDrawing, contents, incoming, jpeg, pipel
 
 const HELD: u32 = SlowDrawing::HELD;
 
-/// A server with finished photos, drawn by hand.
+/// A server with finished photos and a renderer that the test opens.
 fn start(limits: Limits, photos: u8) -> (tempfile::TempDir, Running, Vec<String>, Arc<SlowDrawing>) {
     let dir = tempfile::tempdir().unwrap();
     let drawing = Arc::new(SlowDrawing::default());
@@ -34,14 +34,14 @@ fn ask(server: &Running, path: &str) -> Connection {
     client
 }
 
-/// A figure of `/metrics`, 0 where it is not there yet.
+/// A value of `/metrics`; 0 if it is missing.
 fn metric(server: &Running, name: &str) -> f64 {
     let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
     text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse().ok()).unwrap_or(0.0)
 }
 
 #[test]
-fn a_film_holds_up_no_view_and_views_no_level_or_file() {
+fn films_do_not_delay_views_and_views_do_not_delay_levels_or_files() {
     let (_dir, server, photos, drawing) = start(Limits { views: 1, ..Limits::default() }, 1);
     let photo = &photos[0];
     let _film = ask(&server, &format!("{photo}/view?path=orbit&frames=2&w={HELD}"));
@@ -50,7 +50,7 @@ fn a_film_holds_up_no_view_and_views_no_level_or_file() {
     let _view = ask(&server, &format!("{photo}/view?w={HELD}"));
     wait_until("the view is drawn", || drawing.held.load(Ordering::SeqCst) == 2);
     assert_eq!(get(server.addr, &format!("{photo}/atlas?level=1")).status, 200);
-    // what every lane waits for is none of the business of these
+    // waiting views do not delay these
     let _more: Vec<_> = (0..8).map(|n| ask(&server, &format!("{photo}/view?ty=0.0{n}&w={HELD}"))).collect();
     wait_until("they wait", || metric(&server, "tmpi_views_waiting") >= 8.0);
     for path in ["/healthz", "/readyz", "/metrics"] {
@@ -68,18 +68,18 @@ fn a_film_ends_with_its_client() {
     drop(film);
     wait_until("the request is gone", || metric(&server, "tmpi_requests_in_flight") <= 1.0);
     drawing.open();
-    // the slot is free once the picture under way is drawn
+    // the slot becomes free after the current frame
     wait_until("the memory is free", || metric(&server, "tmpi_work_memory_bytes") == 0.0);
     assert_eq!(drawing.begun.load(Ordering::SeqCst), before, "no further picture was drawn");
 }
 
 #[test]
-fn who_waits_holds_no_scene_and_memory_bounds_what_is_drawn_at_a_time() {
+fn waiting_requests_hold_no_scene_and_memory_bounds_parallel_drawing() {
     const PHOTOS: u8 = 6;
     let limits = Limits { views: 8, work_memory: 2 << 20, cache: Caches { scenes: 0, ..Caches::default() }, ..Limits::default() };
     let (_dir, server, photos, drawing) = start(limits, PHOTOS);
     let clients: Vec<_> = photos.iter().map(|photo| ask(&server, &format!("{photo}/view?w={HELD}"))).collect();
-    // a scene takes a part of the unit in which memory is given out
+    // each view reserves one unit of memory, of which a scene needs less
     wait_until("two are drawn", || drawing.held.load(Ordering::SeqCst) == 2);
     wait_until("the others wait", || metric(&server, "tmpi_views_waiting") == f64::from(PHOTOS - 2));
     assert_eq!(metric(&server, "tmpi_work_memory_bytes"), f64::from(2 << 20));
@@ -91,7 +91,7 @@ fn who_waits_holds_no_scene_and_memory_bounds_what_is_drawn_at_a_time() {
 }
 
 #[test]
-fn a_view_is_drawn_once_for_all_and_goes_on_when_the_first_client_leaves() {
+fn a_view_is_drawn_once_for_all_clients_even_if_the_first_leaves() {
     let (_dir, server, photos, drawing) = start(Limits::default(), 1);
     let path = format!("{}/view?w={HELD}", photos[0]);
     let first = ask(&server, &path);
@@ -108,7 +108,7 @@ fn a_view_is_drawn_once_for_all_and_goes_on_when_the_first_client_leaves() {
 }
 
 #[test]
-fn one_class_that_is_full_says_so() {
+fn a_full_lane_answers_503() {
     let (_dir, server, photos, drawing) = start(Limits { views: 1, views_waiting: 1, ..Limits::default() }, 1);
     let view = |n: u32| format!("{}/view?tx=0.0{n}&w={HELD}", photos[0]);
     let _drawn = ask(&server, &view(1));
@@ -135,12 +135,12 @@ fn a_file_is_written_once_for_all_its_parts() {
         assert!(!again.all("server-timing").contains("export;dur="), "not written again");
     }
     assert!(metric(&server, "tmpi_export_cache_bytes") >= whole.body.len() as f64);
-    assert_eq!(incoming(dir.path()), 0, "no name leads to it");
+    assert_eq!(incoming(dir.path()), 0, "`incoming` stays empty");
     assert_eq!(request(server.addr, "DELETE", &photos[0], &[], &[]).status, 204);
     assert_eq!(metric(&server, "tmpi_export_cache_bytes"), 0.0);
 }
 
-/// A photo whose container is larger than what is kept in memory.
+/// A photo whose container is too large to be kept in memory.
 fn noise() -> Vec<u8> {
     let (width, height) = (640, 480);
     let rgba =
@@ -149,7 +149,7 @@ fn noise() -> Vec<u8> {
 }
 
 #[test]
-fn a_large_file_is_read_while_it_is_sent_and_a_damaged_one_is_none() {
+fn a_large_file_is_streamed_and_a_damaged_one_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     let id = server.upload(&noise());
@@ -208,7 +208,7 @@ fn event_streams_have_their_own_places() {
 }
 
 #[test]
-fn jobs_side_by_side_are_as_many_as_there_is_memory_for() {
+fn memory_bounds_the_number_of_parallel_jobs() {
     let dir = tempfile::tempdir().unwrap();
     let one = pipeline().memory(&jpeg(1), None, &Options::default());
     let gate = Gate::new(0);
@@ -228,7 +228,7 @@ fn jobs_side_by_side_are_as_many_as_there_is_memory_for() {
     }
 }
 
-/// Checks photos slowly, and counts how many at a time.
+/// Checks photos slowly, and counts parallel checks.
 #[derive(Default)]
 struct Checks {
     now: AtomicUsize,
@@ -249,7 +249,7 @@ impl Maker for Checks {
 }
 
 #[test]
-fn uploads_are_read_whole_a_few_at_a_time() {
+fn parallel_checks_of_uploads_are_bounded() {
     let dir = tempfile::tempdir().unwrap();
     let checks = Arc::new(Checks::default());
     let server = Running::start(dir.path(), Limits { changes: 3, ..Limits::default() }, checks.clone());

@@ -1,4 +1,4 @@
-//! A server on a free port, small photos, and makers that stop where a test wants them to.
+//! A server on a free port, small photos, and makers that a test can hold.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use tmpi_render::{Backend, PictureFormat, RenderError, Renderer, View, encode};
 
 use crate::client;
 
-/// Nearer towards the bottom, as most photos are.
+/// A network whose disparity grows towards the bottom, as in most photos.
 struct Ramp;
 
 impl Estimator for Ramp {
@@ -31,17 +31,17 @@ impl Estimator for Ramp {
     }
 }
 
-/// The real pipeline, with a ramp for a depth network.
+/// The real pipeline with a ramp as depth network.
 pub fn pipeline() -> PipelineMaker {
     way_within(Limits::default().photo())
 }
 
-/// The same under other limits.
+/// The same with other limits.
 pub fn way_within(limits: photo::Limits) -> PipelineMaker {
     PipelineMaker::new(Models { depth: Arc::new(Ramp), theta: None, psi: None }, limits)
 }
 
-/// The real way behind a gate.
+/// The real pipeline behind a gate.
 pub struct Gate {
     inner: PipelineMaker,
     open: Mutex<usize>,
@@ -51,7 +51,7 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Lets `n` photos through.
+    /// A gate that lets `n` photos through.
     pub fn new(n: usize) -> Arc<Self> {
         Arc::new(Self {
             inner: pipeline(),
@@ -104,7 +104,7 @@ impl Maker for Gate {
     }
 }
 
-/// A maker made of a closure.
+/// A maker from a closure.
 pub struct Does<F>(pub F);
 
 impl<F> Maker for Does<F>
@@ -120,7 +120,7 @@ where
     }
 }
 
-/// Draws nothing, and views of [`SlowDrawing::HELD`] pixels of width only once it is opened.
+/// Returns plain views at once; those that are [`SlowDrawing::HELD`] pixels wide wait until it is opened.
 #[derive(Default)]
 pub struct SlowDrawing {
     open: Mutex<bool>,
@@ -156,10 +156,10 @@ impl Renderer for SlowDrawing {
     }
 }
 
-/// Panics of requests: they are answered, and a test that does not look at the answer would not see them.
+/// Count of panics in requests. The server answers such requests, so a test that ignores the answer would miss the panic.
 static PANICS: AtomicUsize = AtomicUsize::new(0);
 
-/// Counts panics on the threads that serve requests; those of makers are some tests' own.
+/// Counts panics on the runtime's threads only; some tests make makers panic.
 fn count_panics() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
@@ -190,19 +190,19 @@ impl Running {
         Self::drawing(data, limits, maker, tmpi_render::select(Backend::Cpu).unwrap())
     }
 
-    /// A server whose views `renderer` draws.
+    /// A server with another renderer.
     pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
         let config = Config { hosts: vec!["photos.example".into()], limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
         Self::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
     }
 
-    /// Whatever server that is.
+    /// Runs a server on a thread of its own.
     pub fn of(bound: impl Future<Output = Server> + Send + 'static) -> Self {
         count_panics();
         let (stop, stopped) = tokio::sync::oneshot::channel();
         let (tell, told) = std::sync::mpsc::channel();
         let thread = std::thread::spawn(move || {
-            // few that block, so that a test sees what holds one while it waits
+            // few blocking threads, so that tests notice code that holds one while it waits
             let runtime =
                 tokio::runtime::Builder::new_multi_thread().worker_threads(2).max_blocking_threads(24).enable_all().build().unwrap();
             runtime.block_on(async {
@@ -225,12 +225,12 @@ impl Running {
         self.thread.take().unwrap().join().expect("the server ends without a panic");
     }
 
-    /// Waits for its end, which something else has brought about.
+    /// Waits for its end without stopping it.
     pub fn ended(mut self) {
         self.thread.take().unwrap().join().expect("the server ends without a panic");
     }
 
-    /// Uploads a picture and gives its id.
+    /// Uploads a picture and returns its id.
     pub fn upload(&self, photo: &[u8]) -> String {
         let response = client::request(self.addr, "POST", "/v1/photos", &[], photo);
         assert_eq!(response.status, 202, "{}", String::from_utf8_lossy(&response.body));
@@ -261,7 +261,7 @@ impl Drop for Running {
     }
 }
 
-/// Files of contents of a photo in a data folder, whose names begin with its id and a part; of all photos, where the id is empty.
+/// Paths of a photo's blobs in a data folder whose part begins with `part`; of all photos if `id` is empty.
 pub fn contents(data: &Path, id: &str, part: &str) -> Vec<PathBuf> {
     let is_wanted = |name: &str| name.starts_with(id) && name.get(32..).is_some_and(|rest| rest.starts_with(&format!("-{part}")));
     let folders = std::fs::read_dir(data.join("blobs")).unwrap().flatten().filter(|folder| folder.file_name().len() == 2);
@@ -269,20 +269,20 @@ pub fn contents(data: &Path, id: &str, part: &str) -> Vec<PathBuf> {
     files.filter(|file| is_wanted(file.file_name().to_str().unwrap())).map(|file| file.path()).collect()
 }
 
-/// Count of uploads on their way into a data folder.
+/// Count of uploads in progress in a data folder.
 pub fn incoming(data: &Path) -> usize {
     std::fs::read_dir(data.join("blobs").join("incoming")).unwrap().count()
 }
 
-/// Fails after a minute.
-#[track_caller]
-/// A figure of a server's metrics; none where it has no such one.
+/// A value of a server's metrics; `None` if it is missing.
 pub fn figure(addr: SocketAddr, name: &str) -> Option<u64> {
     let text = String::from_utf8(client::get(addr, "/metrics").body).unwrap();
     let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ').map(str::to_owned))?;
     Some(line.parse::<f64>().unwrap() as u64)
 }
 
+/// Fails after a minute.
+#[track_caller]
 pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
     let end = Instant::now() + Duration::from_mins(1);
     while !true_now() {
@@ -291,7 +291,7 @@ pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
     }
 }
 
-/// A small picture; another one for each seed.
+/// A small picture, different for each seed.
 pub fn picture(seed: u8, format: PictureFormat) -> Vec<u8> {
     let (width, height) = (80, 60);
     let at = |x: u32, y: u32| {
@@ -306,16 +306,16 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
     picture(seed, PictureFormat::Jpeg)
 }
 
-/// A depth map of which the pixels are damaged, which nobody sees by its headers.
+/// A depth map with damaged pixels and intact headers.
 pub fn spoilt_map() -> Vec<u8> {
     let mut map = depth_map();
-    // what is compressed does not begin as it must
+    // a wrong zlib header
     let at = map.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
     map[at] ^= 0xff;
     map
 }
 
-/// A depth map of two steps.
+/// A depth map with two levels.
 pub fn depth_map() -> Vec<u8> {
     let (width, height) = (80, 60);
     let delta = (0..height).flat_map(|_| (0..width).map(|x| if x < 40 { 0.25 } else { 0.75 })).collect();

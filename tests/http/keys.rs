@@ -1,4 +1,4 @@
-//! Keys, as `tmpi key` gives them out beside a running server.
+//! Adds, lists and removes keys beside a running server, as `tmpi key` does.
 
 use std::path::Path;
 use std::time::Duration;
@@ -16,7 +16,7 @@ fn with<T>(data: &Path, work: impl AsyncFnOnce(&Library) -> Result<T, LibraryErr
     })
 }
 
-/// A fresh key.
+/// Adds a key; returns its secret.
 pub fn add(data: &Path, name: &str, scopes: &[Scope], days: Option<u32>) -> Result<String, LibraryError> {
     let lasts = days.map(|days| Duration::from_hours(24 * u64::from(days)));
     with(data, async |library| Ok(library.add_key(name, scopes, lasts).await?.secret))
@@ -27,7 +27,7 @@ pub fn read(data: &Path) -> Result<Vec<Key>, LibraryError> {
     with(data, async |library| library.keys().await)
 }
 
-/// Takes back keys; tells how many.
+/// Removes keys; returns how many.
 pub fn remove(data: &Path, name: &str, id: Option<&str>) -> Result<u64, LibraryError> {
     with(data, async |library| library.remove_keys(name, id).await)
 }

@@ -1,4 +1,4 @@
-//! Every limit, at it and one over.
+//! Limits: each value at the limit and one over.
 
 use std::io::{Read, Write};
 use std::sync::Arc;
@@ -26,7 +26,7 @@ fn the_body_at_its_limit_and_one_byte_over() {
     over.push(0);
     assert!(request(server.addr, "POST", "/v1/photos", &[], &over).problem(413)["detail"].as_str().unwrap().contains("limit"));
     post_form(server.addr, &[], &[("photo", &photo)]).problem(413);
-    // without a length the server has to count
+    // without `Content-Length` the server has to count
     let mut connection = Connection::open(server.addr);
     let raw = connection.raw();
     raw.write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n").unwrap();
@@ -37,11 +37,11 @@ fn the_body_at_its_limit_and_one_byte_over() {
 }
 
 #[test]
-fn the_default_body_limit_is_told_before_the_body_is_read_to_its_end() {
+fn the_default_body_limit_is_answered_before_the_whole_body_is_read() {
     let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
     let over = vec![0; Limits::BODY + 1];
     request(server.addr, "POST", "/v1/photos", &[], &over).problem(413);
-    // at the limit it is read, and is no picture
+    // at the limit the body is read; it is no picture
     request(server.addr, "POST", "/v1/photos", &[], &over[1..]).problem(415);
 }
 
@@ -71,7 +71,7 @@ fn a_full_queue_is_429_and_known_photos_still_get_in() {
     assert_eq!(refused.problem(429)["retry_after"], seconds);
     assert!((1..=120).contains(&seconds));
     wait_until("nothing is left", || incoming(dir.path()) == 0);
-    assert_eq!(server.upload(&jpeg(2)), waiting[0], "it is waiting already");
+    assert_eq!(server.upload(&jpeg(2)), waiting[0], "it is already waiting");
     gate.open(9);
     for id in waiting.iter().chain([&running]) {
         server.wait(id, "done");
@@ -81,7 +81,7 @@ fn a_full_queue_is_429_and_known_photos_still_get_in() {
 }
 
 #[test]
-fn a_header_that_does_not_come_closes_the_connection() {
+fn a_header_that_does_not_arrive_closes_the_connection() {
     let (_dir, server) = start(Limits { header_read: Duration::from_millis(300), ..Limits::default() }, Arc::new(pipeline()));
     let mut slow = Connection::open(server.addr);
     let start = Instant::now();
@@ -108,14 +108,14 @@ fn a_header_that_is_too_large_is_refused() {
 }
 
 #[test]
-fn as_much_of_the_disk_is_kept_free_as_was_said() {
+fn the_configured_disk_space_stays_free() {
     for (least_free, least_free_files) in [(u64::MAX, 0), (0, u64::MAX)] {
         let (_dir, server) = start(Limits { least_free, least_free_files, ..Limits::default() }, Arc::new(pipeline()));
         let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
         let value = |name: &str| metrics.lines().find_map(|line| line.strip_prefix(name)?.trim().parse::<f64>().ok());
         assert!(value("tmpi_data_free_bytes ").is_some_and(|bytes| bytes > 0.0), "{metrics}");
         if least_free_files > 0 && value("tmpi_data_free_files ").is_none() {
-            // a file system on which files have no limit
+            // a file system without a limit on files
             continue;
         }
         request(server.addr, "POST", "/v1/photos", &[], &jpeg(1)).problem(507);
@@ -141,7 +141,7 @@ fn a_request_that_takes_too_long_is_ended() {
     let limits = Limits { request: Duration::from_millis(600), ..Limits::default() };
     let gate = Gate::new(0);
     let (_dir, server) = start(limits, gate.clone());
-    // waiting for a result ends in time to say so
+    // `Prefer: wait` ends before the request's timeout
     let waited = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=60")], &jpeg(1));
     assert_eq!(waited.status, 202);
     gate.open(1);
@@ -156,7 +156,7 @@ fn connections_over_the_limit_wait_their_turn() {
     third.send("GET", "/healthz", &[], &[]);
     third.raw().set_read_timeout(Some(Duration::from_millis(200))).unwrap();
     assert!(third.head().is_err(), "not served while two are open");
-    // it is not that the server is slow: it serves the others meanwhile, and knows of two
+    // the server is not slow: meanwhile it serves the open connections
     let metrics = String::from_utf8(b.request("GET", "/metrics", &[], &[]).body).unwrap();
     assert!(metrics.lines().any(|l| l == "tmpi_connections 2"), "{metrics}");
     drop(a);
@@ -165,7 +165,7 @@ fn connections_over_the_limit_wait_their_turn() {
 }
 
 #[test]
-fn a_refused_upload_of_which_the_client_sends_all_still_gets_its_answer() {
+fn a_client_that_sends_a_whole_refused_upload_still_gets_the_answer() {
     let (_dir, server) = start(Limits { body: 1 << 20, ..Limits::default() }, Arc::new(pipeline()));
     for _ in 0..5 {
         let refused = request(server.addr, "POST", "/v1/photos", &[], &vec![7; (1 << 20) + 500_000]);
@@ -174,7 +174,7 @@ fn a_refused_upload_of_which_the_client_sends_all_still_gets_its_answer() {
 }
 
 #[test]
-fn a_server_that_was_told_to_stop_says_so_and_serves_on_for_a_while() {
+fn a_stopping_server_is_not_ready_and_goes_on_for_a_while() {
     let dir = tempfile::tempdir().unwrap();
     let limits = Limits { lame_duck: Duration::from_secs(2), ..Limits::default() };
     let mut server = Running::start(dir.path(), limits, Arc::new(pipeline()));
@@ -182,7 +182,7 @@ fn a_server_that_was_told_to_stop_says_so_and_serves_on_for_a_while() {
     let told = std::time::Instant::now();
     server.signal();
     wait_until("it says so", || get(server.addr, "/readyz").status == 503);
-    // on connections that come now
+    // new connections are still served
     assert!(get(server.addr, "/readyz").problem(503)["detail"].as_str().unwrap().contains("stopping"));
     assert_eq!(get(server.addr, "/healthz").status, 200);
     let id = server.upload(&jpeg(1));
@@ -196,7 +196,7 @@ fn a_server_that_was_told_to_stop_says_so_and_serves_on_for_a_while() {
 }
 
 #[test]
-fn a_job_under_way_ends_within_the_drain_time() {
+fn a_running_job_ends_within_the_drain_time() {
     let gate = Gate::new(0);
     let dir = tempfile::tempdir().unwrap();
     let mut server = Running::start(dir.path(), Limits::default(), gate.clone());
@@ -215,7 +215,7 @@ fn a_job_under_way_ends_within_the_drain_time() {
 }
 
 #[test]
-fn a_photo_that_takes_the_process_down_is_given_up() {
+fn a_photo_that_keeps_crashing_its_process_fails() {
     let dir = tempfile::tempdir().unwrap();
     let limits = || Limits { attempts: 2, drain: Duration::from_millis(100), ..Limits::default() };
     let gate = Gate::new(0);
@@ -227,12 +227,12 @@ fn a_photo_that_takes_the_process_down_is_given_up() {
     let crash = || Fault::Crashed("signal 9".into());
     let server = Running::start(dir.path(), limits(), failing(vec![crash(), crash()]));
     assert_eq!(server.wait(&id, "failed")["problem"]["type"], "urn:tmpi:problem:gave-up");
-    // the user may insist
+    // the same upload tries again
     server.upload(&jpeg(1));
     server.wait(&id, "done");
 }
 
-/// Fails as `faults` say, one after the other, then makes photos.
+/// Fails with each of `faults` in turn, then makes photos.
 fn failing(faults: Vec<Fault>) -> Arc<dyn tmpi::server::Maker> {
     let faults = std::sync::Mutex::new(faults.into_iter());
     Arc::new(Does(move |photo: &[u8], sink: &dyn tmpi_pipeline::Sink| match faults.lock().unwrap().next() {
@@ -242,12 +242,12 @@ fn failing(faults: Vec<Fault>) -> Arc<dyn tmpi::server::Maker> {
 }
 
 #[test]
-fn a_fault_of_the_server_is_told_and_the_photo_waits_until_it_is_mended() {
+fn a_server_fault_is_reported_and_the_photo_waits_until_it_is_fixed() {
     let dir = tempfile::tempdir().unwrap();
     let faults = (0..3).map(|_| Fault::Server("no library".into())).collect();
     let server = Running::start(dir.path(), Limits { attempts: 1, ..Limits::default() }, failing(faults));
     let id = server.upload(&jpeg(1));
-    wait_until("the reason is told", || server.state(&id)["waits_for"] == "no library");
+    wait_until("the state has the reason", || server.state(&id)["waits_for"] == "no library");
     let ready = get(server.addr, "/readyz");
     assert_eq!(ready.status, 503);
     assert_eq!(ready.json()["detail"], "no library");
@@ -256,7 +256,7 @@ fn a_fault_of_the_server_is_told_and_the_photo_waits_until_it_is_mended() {
 }
 
 #[test]
-fn a_photo_that_takes_down_what_makes_it_is_counted_and_does_not_hold_up_others() {
+fn a_photo_that_crashes_its_process_does_not_delay_others() {
     let dir = tempfile::tempdir().unwrap();
     let crash = || Fault::Crashed("signal 9".into());
     let limits = || Limits { attempts: 2, ..Limits::default() };
@@ -269,7 +269,7 @@ fn a_photo_that_takes_down_what_makes_it_is_counted_and_does_not_hold_up_others(
 
 #[cfg(unix)]
 #[test]
-fn what_is_kept_is_its_owners_alone_to_read() {
+fn stored_files_are_readable_by_the_servers_user_only() {
     use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), failing(Vec::new()));
@@ -286,7 +286,7 @@ fn what_is_kept_is_its_owners_alone_to_read() {
 }
 
 #[test]
-fn a_body_where_none_is_read_is_refused_and_says_where_parameters_go() {
+fn a_body_on_a_route_that_reads_none_is_refused_and_the_answer_names_the_query() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     let id = server.upload(&jpeg(1));
@@ -299,7 +299,7 @@ fn a_body_where_none_is_read_is_refused_and_says_where_parameters_go() {
             let refused = request(server.addr, "POST", &path, &[("content-type", "application/json")], body).problem(400);
             assert!(refused["detail"].as_str().unwrap().contains("query"), "{path}: {refused}");
         }
-        // in chunks, whose length is not told before
+        // chunked, without a length in the header
         let chunked = |body: &str| {
             let mut connection = Connection::open(server.addr);
             let head = format!("POST {path} HTTP/1.1\r\nhost: {}\r\ntransfer-encoding: chunked\r\n\r\n", server.addr);

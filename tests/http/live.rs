@@ -1,4 +1,4 @@
-//! Rooms, end to end: real sockets, real threads; depth is brightness.
+//! Rooms, end to end: real sockets, real threads; brightness is disparity.
 
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
@@ -39,7 +39,7 @@ pub fn server(data: &Path) -> Running {
     server_with(data, |rooms| rooms)
 }
 
-/// With other rooms.
+/// The same with changed rooms.
 pub fn server_with(data: &Path, change: impl FnOnce(Rooms) -> Rooms) -> Running {
     let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
     let rooms = change(Rooms::new(RoomConfig { models, frame_ms: 0.0, key: Some(KEY.to_vec()) }));
@@ -58,7 +58,7 @@ pub fn frame(x: u32) -> Vec<u8> {
     frame_of(SIZE, x)
 }
 
-/// The same in a picture of that size.
+/// The same at another size.
 pub fn frame_of((width, height): (u32, u32), x: u32) -> Vec<u8> {
     let pixel = |i: u32| if (x..x + 32).contains(&(i % width)) && (40..80).contains(&(i / width)) { 220 } else { 60 };
     let rgba = (0..width * height).map(|i| [pixel(i), pixel(i), pixel(i), 255]).collect();
@@ -87,13 +87,13 @@ impl Client {
         Self::at(addr, &format!("/v1/live/{room}/subscribe"), &[]).unwrap_or_else(|status| panic!("{status}"))
     }
 
-    /// The socket itself.
+    /// The underlying socket.
     pub const fn raw(&mut self) -> &mut WebSocket<TcpStream> {
         &mut self.0
     }
 
     pub fn send(&mut self, kind: Kind) {
-        // who is sent away while it talks learns of it by what it reads
+        // a client that was disconnected learns the reason from the next message it reads
         let _ = self.0.send(Message::Binary(write(kind)));
     }
 
@@ -113,7 +113,7 @@ impl Client {
         }
     }
 
-    /// The reason that it is disconnected with.
+    /// The reason for its disconnection.
     pub fn bye(self) -> String {
         self.farewell().reason
     }
@@ -142,8 +142,7 @@ impl Publisher {
         Self { client, credit: 0, number: 0 }
     }
 
-    /// A publisher of a room whose last one has just gone: the server may not have heard of that yet, and sends who comes too
-    /// early away.
+    /// A publisher of a room whose previous publisher has just gone. Tries again until the server has noticed that.
     pub fn once_free(addr: SocketAddr, room: &str) -> Self {
         let before = Instant::now();
         loop {
@@ -156,7 +155,7 @@ impl Publisher {
                 Some(Kind::Bye(bye)) if bye.reason == "someone publishes in this room" => {}
                 other => panic!("{other:?}"),
             }
-            assert!(before.elapsed() < Duration::from_secs(10), "the room stays taken by who is gone");
+            assert!(before.elapsed() < Duration::from_secs(10), "the previous publisher still holds the room");
             std::thread::sleep(Duration::from_millis(20));
         }
     }
@@ -165,7 +164,7 @@ impl Publisher {
         self.try_publish(data).unwrap_or_else(|bye| panic!("{bye:?}"));
     }
 
-    /// Sends a frame once there is leave; why not where it is sent away.
+    /// Sends a frame as soon as there is credit; fails with the server's message if it disconnects.
     pub fn try_publish(&mut self, data: Vec<u8>) -> Result<(), Bye> {
         while self.credit == 0 {
             match self.client.next() {
@@ -179,7 +178,7 @@ impl Publisher {
         Ok(())
     }
 
-    /// Sends a frame whose credit is the caller's to count.
+    /// Sends a frame without counting its credit.
     pub fn frame(&mut self, data: Vec<u8>) {
         self.client.send(Kind::Video(Video { frame: self.number, time: self.number, key: true, layer: 0, data: data.into() }));
         self.number += 1;
@@ -191,7 +190,7 @@ pub fn hello() -> Hello {
 }
 
 #[test]
-fn rooms_hold_to_the_bounds_that_were_said() {
+fn rooms_keep_to_their_configured_limits() {
     let dir = tempdir().unwrap();
     let bounds = Bounds { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..Bounds::default() };
     let server = server_with(dir.path(), |rooms| rooms.bounded(bounds));
@@ -213,7 +212,7 @@ fn rooms_hold_to_the_bounds_that_were_said() {
 }
 
 #[test]
-fn frames_reach_viewers_as_they_are_and_geometry_follows() {
+fn frames_reach_viewers_unchanged_and_geometry_follows() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut publisher = Publisher::new(server.addr, "attic");
@@ -222,7 +221,7 @@ fn frames_reach_viewers_as_they_are_and_geometry_follows() {
     let Some(Kind::Hello(hello)) = viewer.next() else { panic!("HELLO comes first") };
     assert_eq!((hello.width, hello.height, hello.codec.as_str()), (SIZE.0, SIZE.1, "jpeg"));
     let epoch = hello.epoch;
-    assert!(epoch > 1_700_000_000_000, "{epoch}: milliseconds since 1970, so that a restart begins no epoch again");
+    assert!(epoch > 1_700_000_000_000, "{epoch}: milliseconds since 1970, so that no epoch repeats after a restart");
     let mut model = Model::new(&hello).unwrap();
     for n in 1..20 {
         publisher.publish(frame(10 + 4 * n));
@@ -244,7 +243,7 @@ fn frames_reach_viewers_as_they_are_and_geometry_follows() {
     }
     assert_eq!(frames, (0..20).collect::<Vec<_>>());
     assert!(model.geometry().is_some());
-    // who comes late is told everything without asking the publisher
+    // a late viewer gets everything without a new key frame
     let mut late = Client::watch(server.addr, "attic");
     let before = Instant::now();
     let (mut told, mut shown) = (None, false);
@@ -273,8 +272,8 @@ fn frames_reach_viewers_as_they_are_and_geometry_follows() {
     );
     assert_eq!((known.status, known.header("x-tmpi-frame"), known.body.len()), (304, Some("19"), 0));
     assert_eq!(client::get(server.addr, "/v1/live/cellar/frames/latest/atlas").status, 404);
-    groups_are_the_same_for_whoever_asks(server.addr, epoch, &mut publisher);
-    // the publisher goes and comes back
+    groups_are_the_same_for_every_caller(server.addr, epoch, &mut publisher);
+    // the publisher reconnects
     drop(publisher);
     let mut publisher = Publisher::once_free(server.addr, "attic");
     publisher.publish(frame(50));
@@ -290,7 +289,7 @@ fn frames_reach_viewers_as_they_are_and_geometry_follows() {
     }
 }
 
-/// Messages of a group of pictures.
+/// The messages of a group of pictures.
 fn messages(mut body: &[u8]) -> Vec<Kind> {
     let mut messages = Vec::new();
     while let Some((length, rest)) = body.split_first_chunk::<4>() {
@@ -302,9 +301,9 @@ fn messages(mut body: &[u8]) -> Vec<Kind> {
     messages
 }
 
-fn groups_are_the_same_for_whoever_asks(addr: SocketAddr, epoch: u64, publisher: &mut Publisher) {
+fn groups_are_the_same_for_every_caller(addr: SocketAddr, epoch: u64, publisher: &mut Publisher) {
     let at = |group: &str| client::get(addr, &format!("/v1/live/attic/gops/{group}"));
-    // the next one is asked for before it begins
+    // request the next group before it begins
     let waits = std::thread::spawn(move || client::get(addr, &format!("/v1/live/attic/gops/{epoch}-1")));
     for n in 20..24 {
         std::thread::sleep(Duration::from_millis(600));
@@ -323,7 +322,7 @@ fn groups_are_the_same_for_whoever_asks(addr: SocketAddr, epoch: u64, publisher:
     let first = messages(&first.body);
     assert!(matches!(&first[0], Kind::Hello(h) if h.epoch == epoch));
     assert_eq!(frames(&first), (0..frames(&first).len() as u64).collect::<Vec<_>>());
-    // a group begins with all that was known before it
+    // a group begins with all tiles known before it
     let second = messages(&waits.join().unwrap().body);
     let (Kind::Hello(hello), Kind::Snapshot(tiles)) = (&second[0], &second[1]) else { panic!("HELLO and the tiles come first") };
     let mut model = Model::new(hello).unwrap();
@@ -340,11 +339,11 @@ fn groups_are_the_same_for_whoever_asks(addr: SocketAddr, epoch: u64, publisher:
 }
 
 #[test]
-fn depth_that_was_measured_is_taken_and_sound_goes_on_as_it_came() {
+fn measured_depth_is_used_and_sound_is_forwarded_unchanged() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut publisher = Publisher::new(server.addr, "attic");
-    // bright is not near here
+    // the measured depth differs from brightness
     let (width, height) = SIZE;
     let map = DisparityMap { width, height, delta: (0..width * height).map(|i| if i % width < 80 { 0.25 } else { 0.75 }).collect() };
     let data = tmpi_live::depth::pack(&map).unwrap();
@@ -373,7 +372,7 @@ fn depth_that_was_measured_is_taken_and_sound_goes_on_as_it_came() {
     let geometry = model.geometry().unwrap();
     let shown = geometry.tiles[0].shown(&geometry.grid, 0);
     assert!(shown.iter().all(|d| (d - 0.25).abs() < 0.02), "{:?}", geometry.tiles[0].planes);
-    // of a frame that is not next, and none at all
+    // depth of a wrong frame, and depth that is too large
     let says = |mut publisher: Publisher, depth: Depth, words: &str| {
         while publisher.credit == 0 {
             let Some(Kind::Credit(c)) = publisher.client.next() else { panic!("credit comes") };
@@ -389,7 +388,7 @@ fn depth_that_was_measured_is_taken_and_sound_goes_on_as_it_came() {
 }
 
 #[test]
-fn a_viewer_that_nobody_looks_at_is_sent_sound_alone_and_goes_on_when_somebody_does() {
+fn a_hidden_viewer_gets_only_sound_until_it_is_shown_again() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut publisher = Publisher::new(server.addr, "attic");
@@ -402,7 +401,7 @@ fn a_viewer_that_nobody_looks_at_is_sent_sound_alone_and_goes_on_when_somebody_d
             model.take(&g).unwrap();
         }
     }
-    // what is said last before a sound has been heard when sound alone comes
+    // the viewer is hidden: after a while only sound arrives
     viewer.send(Kind::Credit(Credit { frames: 0, key: false, viewers: 0 }));
     let mut both = |n: u64| {
         publisher.publish(frame(10 + 4 * (n % 20) as u32));
@@ -432,14 +431,14 @@ fn a_viewer_that_nobody_looks_at_is_sent_sound_alone_and_goes_on_when_somebody_d
     }
     viewer.send(Kind::Credit(Credit { frames: 1, key: true, viewers: 0 }));
     let mut first = None;
-    // the picture is back, and all that moved meanwhile is known
+    // video continues with a key frame, and the tiles that changed meanwhile follow
     let newest = loop {
         both(n);
         n += 1;
-        assert!(n < 600, "nothing comes back");
+        assert!(n < 600, "video does not continue");
         match viewer.next().unwrap() {
             Kind::Video(v) => {
-                assert!(first.is_some() || v.key, "it goes on with a key frame");
+                assert!(first.is_some() || v.key, "video continues with a key frame");
                 first.get_or_insert(v.frame);
             }
             Kind::Geometry(g) | Kind::Snapshot(g) => {

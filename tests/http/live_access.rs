@@ -1,4 +1,4 @@
-//! Who may watch and publish in rooms.
+//! Tokens of rooms, and pages of other sites.
 
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -11,7 +11,7 @@ use super::fixture::Running;
 use super::live::{Client, KEY, Publisher, frame, hello, server};
 
 #[test]
-fn strangers_need_a_token_and_pages_of_other_sites_stay_out() {
+fn strangers_need_a_token_and_pages_of_other_sites_are_refused() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut publisher = Publisher::new(server.addr, "attic");
@@ -35,7 +35,7 @@ fn strangers_need_a_token_and_pages_of_other_sites_stay_out() {
 }
 
 #[test]
-fn a_socket_ends_with_the_token_that_it_was_opened_by() {
+fn a_socket_closes_when_its_token_expires() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let ends = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + 3;
@@ -75,7 +75,7 @@ fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
         assert_eq!(status(path, &format!("tmpi.live.v1, token.{token}")), Some(403), "{path} {token}");
     }
     assert_eq!(status("subscribe", "tmpi.live.v1"), Some(403), "this machine's own browser, on another site's page");
-    // what the page asks before: a browser lets it read the answer, and send the token
+    // preflights: the browser may send the token and read the answer
     let ask = |method: &str, path: &str, more: &[(&str, &str)]| {
         client::request(server.addr, method, &format!("/v1/live/attic{path}"), &[&foreign[..], more].concat(), &[])
     };
@@ -94,11 +94,11 @@ fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
     let bearer = format!("Bearer {watch}");
     let state = ask("GET", "", &[("authorization", &bearer)]);
     assert_eq!((state.status, state.json()["publishing"].as_bool(), state.json()["may_publish"].as_bool()), (200, Some(true), Some(false)));
-    // a token to publish watches, too, but says nothing of publishing to another site
+    // a publishing token can watch, too; on another site `may_publish` is false
     let bearer = format!("Bearer {publish}");
     assert_eq!(ask("GET", "", &[("authorization", &bearer)]).json()["may_publish"].as_bool(), Some(false));
     assert_eq!(ask("POST", "/token", &[("authorization", &bearer)]).status, 403);
-    // without the server's key a token is none
+    // a server without `--live-key` accepts no token
     let dir = tempdir().unwrap();
     let keyless = Running::start(dir.path(), tmpi::server::Limits::default(), Arc::new(super::fixture::pipeline()));
     let headers = [&foreign[..], &[("authorization", bearer.as_str())]].concat();

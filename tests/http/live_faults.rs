@@ -1,4 +1,4 @@
-//! Rooms whose publishers or drivers of geometry do what they should not.
+//! Rooms with misbehaving publishers, and panics of the geometry thread.
 
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
@@ -19,7 +19,7 @@ use tokio_tungstenite::tungstenite::{self, Message};
 
 use super::live::{Bright, Client, Publisher, frame, server_with};
 
-/// Panics so many times, then is as [`Bright`].
+/// Panics this many times, then acts as [`Bright`].
 struct Panics(AtomicU32);
 
 impl Estimator for Panics {
@@ -39,7 +39,7 @@ fn rooms(panics: u32) -> Rooms {
 }
 
 #[test]
-fn geometry_goes_on_after_a_panic_and_one_that_always_panics_ends_the_room_with_a_reason() {
+fn geometry_resumes_after_a_panic_and_repeated_panics_end_the_room_with_a_reason() {
     let dir = tempdir().unwrap();
     let server = server_with(dir.path(), |_| rooms(2));
     let mut publisher = Publisher::new(server.addr, "attic");
@@ -62,7 +62,7 @@ fn geometry_goes_on_after_a_panic_and_one_that_always_panics_ends_the_room_with_
     let server = server_with(dir.path(), |_| rooms(u32::MAX));
     let mut publisher = Publisher::new(server.addr, "attic");
     let reason = loop {
-        match publisher.client.next().expect("it is told why") {
+        match publisher.client.next().expect("the reason comes first") {
             Kind::Credit(c) => (0..c.frames).for_each(|_| publisher.frame(frame(10))),
             Kind::Bye(bye) => break bye.reason,
             other => panic!("{other:?}"),
@@ -72,11 +72,11 @@ fn geometry_goes_on_after_a_panic_and_one_that_always_panics_ends_the_room_with_
 }
 
 #[test]
-fn who_only_pings_or_floods_with_sound_or_sends_b_frames_is_sent_away() {
+fn publishers_that_only_ping_flood_sound_or_send_b_frames_are_disconnected() {
     let dir = tempdir().unwrap();
     let server = server_with(dir.path(), |rooms| rooms);
     let mut flood = Publisher::new(server.addr, "cellar");
-    // a burst at the limit is taken; what is over by far is not
+    // far more than the limit allows
     for time in 0..2000 {
         flood.client.send(Kind::Sound(Sound { time, data: vec![0; 9].into() }));
     }
@@ -84,7 +84,7 @@ fn who_only_pings_or_floods_with_sound_or_sends_b_frames_is_sent_away() {
     assert!(reason.contains("200 packets"), "{reason}");
     let mut film = Client::at(server.addr, "/v1/live/garden/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
     film.send(Kind::Hello(Hello { version: VERSION, codec: "avc1.42e01e".into(), width: 64, height: 48, ..Hello::default() }));
-    // first block 0, slice type 1
+    // `first_mb_in_slice` 0, `slice_type` 1: a B-frame
     let data = vec![0, 0, 1, 0x41, 0xA0, 7];
     film.send(Kind::Video(Video { frame: 0, time: 0, key: true, layer: 0, data: data.into() }));
     let reason = film.bye();
@@ -93,20 +93,20 @@ fn who_only_pings_or_floods_with_sound_or_sends_b_frames_is_sent_away() {
     let (start, mut heard) = (Instant::now(), 0);
     let bye = loop {
         let _ = idle.client.raw().send(Message::Ping(vec![1].into()));
-        match idle.client.next().expect("it is told why") {
-            // one of these each second is a sign of life
+        match idle.client.next().expect("the reason comes first") {
+            // the server sends credit every second
             Kind::Credit(_) => heard += 1,
             Kind::Bye(bye) => break bye,
             other => panic!("{other:?}"),
         }
     };
     let reason = bye.reason;
-    assert!(bye.again, "a camera that paused may go on");
+    assert!(bye.again, "a paused camera may reconnect");
     assert!(reason.contains("nothing came") && start.elapsed() < Duration::from_secs(15) && heard > 5, "{reason}: {heard}");
 }
 
 #[test]
-fn a_viewer_that_cannot_decode_what_it_has_gets_a_key_frame_of_the_publisher() {
+fn a_viewer_that_cannot_decode_gets_a_new_key_frame() {
     let dir = tempdir().unwrap();
     let server = server_with(dir.path(), |rooms| rooms);
     let mut publisher = Publisher::new(server.addr, "attic");
@@ -114,14 +114,14 @@ fn a_viewer_that_cannot_decode_what_it_has_gets_a_key_frame_of_the_publisher() {
     let mut viewer = Client::watch(server.addr, "attic");
     while !matches!(viewer.next(), Some(Kind::Video(video)) if video.frame == 0) {}
     viewer.send(Kind::Credit(Credit { frames: 1, key: true, viewers: 0 }));
-    // it is asked for at once, between what the publisher is told each second
+    // the publisher is asked at once, not with the next regular credit
     while !matches!(publisher.client.next(), Some(Kind::Credit(credit)) if credit.key) {}
     publisher.publish(frame(20));
     while !matches!(viewer.next(), Some(Kind::Video(video)) if video.frame == 1 && video.key) {}
 }
 
 #[test]
-fn the_program_that_watches_says_once_that_the_publisher_has_gone_and_asks_again_after_a_second() {
+fn live_watch_says_once_that_the_publisher_has_gone_and_reconnects_every_second() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let room = format!("http://{}/live/attic", listener.local_addr().unwrap());
     let program = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["live", "watch", &room]).stderr(Stdio::piped()).spawn().unwrap();
@@ -140,7 +140,7 @@ fn the_program_that_watches_says_once_that_the_publisher_has_gone_and_asks_again
 }
 
 #[test]
-fn who_watches_a_film_is_told_at_its_end_that_the_publisher_has_gone() {
+fn viewers_of_a_film_are_told_at_its_end_that_the_publisher_has_gone() {
     let (dir, film) = (tempdir().unwrap(), tempdir().unwrap());
     let server = server_with(dir.path(), |rooms| rooms);
     for n in 0..3 {
@@ -150,6 +150,6 @@ fn who_watches_a_film_is_told_at_its_end_that_the_publisher_has_gone() {
     let mut program = Command::new(env!("CARGO_BIN_EXE_tmpi"));
     let output = program.args(["live", "publish"]).arg(film.path()).args(["--room", &room]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // as a publisher that is waited for would not be
+    // the room does not wait for this publisher to return
     assert_eq!(Client::watch(server.addr, "attic").farewell().cause(), Cause::Left);
 }

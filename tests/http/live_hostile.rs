@@ -1,4 +1,4 @@
-//! Peers of rooms that say what they may not, or stop reading.
+//! Publishers and viewers that break the protocol or stop reading.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use super::fixture::wait_until;
 use super::live::{Client, Publisher, SIZE, frame, frame_of, hello, server};
 
 #[test]
-fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
+fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut good = Publisher::new(server.addr, "attic");
@@ -40,7 +40,7 @@ fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
     };
     let video = |frame: u64, key: bool, data: Vec<u8>| Kind::Video(Video { frame, time: 0, key, layer: 0, data: data.into() });
     let says = |reason: String, words: &str| assert!(reason.contains(words), "{reason:?} does not say {words:?}");
-    says(with(vec![video(0, false, frame(1))]), "no key frame");
+    says(with(vec![video(0, false, frame(1))]), "not a key frame");
     says(with(vec![video(0, true, frame(1)), video(2, true, frame(1))]), "frame 2 where 1 was due");
     says(with((0..20).map(|n| video(n, true, frame(1))).collect()), "credit");
     says(with(vec![Kind::Hello(hello())]), "do not send");
@@ -65,8 +65,8 @@ fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
     says(second.bye(), "someone publishes");
     let mut talker = Client::watch(server.addr, "attic");
     talker.send(Kind::Hello(hello()));
-    says(talker.bye(), "viewers send nothing");
-    // frames that are none
+    says(talker.bye(), "viewers may send only");
+    // frames that are not pictures
     let mut broken = Publisher::new(server.addr, "garden");
     let reason = loop {
         match broken.client.next().unwrap() {
@@ -82,7 +82,7 @@ fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
     };
     says(reason, "cannot be decoded");
     assert!(broken.number < 40);
-    // nothing of that was felt here
+    // the other room is unaffected
     good.publish(frame(30));
     let mut last = 0;
     while last < 3 {
@@ -93,13 +93,13 @@ fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
 }
 
 #[test]
-fn a_viewer_that_stops_reading_holds_up_nobody_and_goes_on_with_whole_frames() {
+fn a_viewer_that_stops_reading_delays_no_other_and_resumes_with_whole_frames() {
     const FRAMES: u64 = 160;
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let mut publisher = Publisher::new(server.addr, "attic");
     let large = |n: u64| {
-        // behind its end, a JPEG may have anything
+        // decoders ignore bytes after a JPEG's end
         let mut data = frame(8 * (n % 10) as u32);
         data.resize(100_000, n as u8);
         data
@@ -120,8 +120,8 @@ fn a_viewer_that_stops_reading_holds_up_nobody_and_goes_on_with_whole_frames() {
         std::thread::sleep(Duration::from_millis(20));
         publisher.publish(large(n));
     }
-    assert_eq!(reader.join().unwrap(), (0..FRAMES).collect::<Vec<_>>(), "the healthy one loses nothing");
-    // what lay in the sockets, then the newest
+    assert_eq!(reader.join().unwrap(), (0..FRAMES).collect::<Vec<_>>(), "the healthy viewer gets every frame");
+    // the frames buffered in the sockets, then the newest
     let (mut seen, mut skipped) = (Vec::new(), 0);
     while seen.last() != Some(&(FRAMES - 1)) {
         match stalled.next().unwrap() {
@@ -133,7 +133,7 @@ fn a_viewer_that_stops_reading_holds_up_nobody_and_goes_on_with_whole_frames() {
             _ => {}
         }
     }
-    assert!(seen.is_sorted() && (seen.len() as u64) < FRAMES, "{} frames of 100 kB came through sockets that nobody read", seen.len());
+    assert!(seen.is_sorted() && (seen.len() as u64) < FRAMES, "{} frames of 100 kB came through an unread socket", seen.len());
     while skipped == 0 {
         if let Kind::Statistics(s) = stalled.next().unwrap() {
             skipped = s.skipped;
@@ -143,11 +143,11 @@ fn a_viewer_that_stops_reading_holds_up_nobody_and_goes_on_with_whole_frames() {
 }
 
 #[test]
-fn a_publisher_whose_frames_are_too_large_or_change_their_size_again_and_again_is_sent_away_for_good() {
+fn publishers_with_too_large_frames_or_endless_size_changes_are_disconnected_for_good() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let says = |bye: Bye, words: &str| assert!(bye.reason.contains(words) && !bye.again, "{bye:?} does not say {words:?}");
-    // over what a frame may have, and over what is read at all
+    // over the limit of a frame, and over the limit of a message
     for bytes in [(1 << 20) + 2048, 3 << 20] {
         let mut publisher = Publisher::once_free(server.addr, "attic");
         publisher.publish(vec![0; bytes]);

@@ -1,4 +1,4 @@
-//! Rooms whose video changes, or is of a kind that cannot be shown.
+//! Rooms whose video changes its size or cannot be shown.
 
 use std::net::SocketAddr;
 use std::process::Command;
@@ -14,7 +14,7 @@ use tmpi_testing::Need;
 use super::client;
 use super::live::{Client, server, server_with};
 
-/// Access units of test pictures in H.264, as ffmpeg codes them with these arguments; none where there is no ffmpeg.
+/// Access units of test pictures that ffmpeg encodes as H.264 with these arguments; `None` without ffmpeg.
 fn film(size: &str, arguments: &[&str]) -> Option<Vec<Unit>> {
     let mut command = Command::new("ffmpeg");
     command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1")]);
@@ -37,7 +37,7 @@ fn vp9_film(size: &str) -> Option<Vec<Unit>> {
     let (mut units, mut rest) = (Vec::new(), &out.stdout[32..]);
     while let Some((head, after)) = rest.split_first_chunk::<12>() {
         let (frame, after) = after.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
-        // whether it is one that refers to others
+        // bit 2: set for frames that refer to others
         units.push(Unit { data: frame.to_vec(), key: frame[0] & 4 == 0 });
         rest = after;
     }
@@ -59,7 +59,7 @@ impl Camera {
         Self { client, credit: 0, number: 0 }
     }
 
-    /// Sends a frame once there is leave; the reason where it is sent away.
+    /// Sends a frame as soon as there is credit; fails with the reason if the server disconnects.
     fn send(&mut self, unit: &Unit) -> Result<(), String> {
         while self.credit == 0 {
             match self.client.next() {
@@ -83,11 +83,11 @@ impl Camera {
     }
 }
 
-/// Reads until all tiles of pictures of that size are there.
+/// Reads until all tiles of frames of this size have arrived.
 fn sees(viewer: &mut Client, size: (u32, u32)) {
     let mut model = None::<Model>;
     loop {
-        match viewer.next().expect("it may stay") {
+        match viewer.next().expect("the viewer stays connected") {
             Kind::Hello(hello) => model = ((hello.width, hello.height) == size).then(|| Model::new(&hello).unwrap()),
             Kind::Geometry(tiles) | Kind::Snapshot(tiles) => {
                 let Some(model) = &mut model else { continue };
@@ -102,13 +102,13 @@ fn sees(viewer: &mut Client, size: (u32, u32)) {
     }
 }
 
-/// Why a room's publisher has gone, as its state says.
+/// `ended` of a room's state: why its publisher has gone.
 fn ended(addr: SocketAddr, room: &str) -> Option<String> {
     client::get(addr, &format!("/v1/live/{room}")).json()["ended"].as_str().map(str::to_owned)
 }
 
 #[test]
-fn a_camera_that_is_turned_or_changes_its_size_is_shown_at_the_new_size_to_who_watches() {
+fn viewers_see_a_camera_that_changes_its_size_at_the_new_size() {
     let [Some(wide), Some(high), Some(large)] =
         ["320x240", "240x320", "640x360"].map(|size| film(size, &["-pix_fmt", "yuv420p", "-g", "5"]))
     else {
@@ -129,18 +129,18 @@ fn changes_its_size([wide, high, large]: [&[Unit]; 3]) {
         camera.play(film);
         sees(&mut viewer, size);
     }
-    // a later viewer, too
+    // so does a viewer that connects later
     sees(&mut Client::watch(server.addr, "attic"), (320, 240));
 }
 
 #[test]
-fn video_in_vp9_that_changes_its_size_is_shown_at_the_new_one_from_its_key_frame_on() {
+fn vp9_video_that_changes_its_size_is_shown_at_the_new_size() {
     let [Some(wide), Some(high), Some(large)] = ["320x240", "240x320", "640x360"].map(vp9_film) else { return };
     changes_its_size([&wide, &high, &large]);
 }
 
 #[test]
-fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs() {
+fn the_size_of_the_frames_counts_not_the_announced_one() {
     let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
     let dir = tempdir().unwrap();
     let server = server(dir.path());
@@ -150,7 +150,7 @@ fn a_publisher_that_names_another_size_than_its_pictures_have_is_shown_at_theirs
 }
 
 #[test]
-fn video_that_cannot_be_shown_ends_with_a_reason_that_publisher_and_watchers_read() {
+fn video_that_cannot_be_shown_ends_with_a_reason_for_publisher_and_viewers() {
     let kinds: [(&[&str], &str); 5] = [
         (&["-pix_fmt", "yuv422p"], "4:2:0"),
         (&["-pix_fmt", "yuv420p10le"], "8 bits"),
@@ -171,13 +171,13 @@ fn video_that_cannot_be_shown_ends_with_a_reason_that_publisher_and_watchers_rea
         assert!(reason.contains(word), "{reason}");
         let told = viewer.bye();
         assert!(told.contains(&reason), "watchers are told {told:?}, the publisher {reason:?}");
-        // who comes a little later, too
+        // the room's state keeps the reason for later viewers
         assert!(ended(server.addr, &room).is_some_and(|ended| ended.contains(&reason)));
     }
 }
 
 #[test]
-fn who_watches_is_told_at_once_that_the_publisher_has_said_goodbye() {
+fn viewers_are_told_at_once_that_the_publisher_left() {
     let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
     let dir = tempdir().unwrap();
     let server = server(dir.path());
@@ -186,7 +186,7 @@ fn who_watches_is_told_at_once_that_the_publisher_has_said_goodbye() {
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     camera.client.send(Kind::Bye(Bye { reason: "stopped".into(), ..Bye::default() }));
-    // and not that it waited for the publisher's return in vain
+    // `Left`: the room did not wait for the publisher to return
     assert_eq!(viewer.farewell().cause(), Cause::Left);
     assert_eq!(ended(server.addr, "attic"), None);
 }

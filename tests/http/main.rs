@@ -1,4 +1,4 @@
-//! The HTTP interface, end to end: real sockets, real disk, and where time allows the real way of a photo.
+//! The HTTP interface, end to end: real sockets, real disk, and where time allows the real pipeline.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 mod access;

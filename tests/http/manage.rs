@@ -1,4 +1,4 @@
-//! A photo's own token, by which its owner gives away this photo and nothing else, and how an owner's secret comes into a browser.
+//! A photo's token, which grants this photo only, and the session cookie of an owner.
 
 use serde_json::Value;
 
@@ -8,14 +8,14 @@ use crate::fixture::{Running, jpeg};
 
 const JSON: (&str, &str) = ("content-type", "application/json");
 
-/// What the owner of a photo is told to give away.
+/// The links of a photo that its owner can share.
 fn links(server: &Running, who: &str, photo: &str) -> Value {
     let answer = ask(server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", who)], &[]);
     assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
     answer.json()
 }
 
-/// The token in it.
+/// The photo's token in these links.
 fn token_of(links: &Value, photo: &str) -> String {
     links["manage"].as_str().unwrap().strip_prefix(&format!("/view/{photo}#manage=")).unwrap().to_owned()
 }
@@ -27,14 +27,14 @@ fn by(server: &Running, bearer: &str, method: &str, path: &str) -> Response {
 }
 
 #[test]
-fn a_photos_token_is_good_for_that_photo_alone() {
+fn a_photos_token_is_valid_for_that_photo_only() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let (ann, bob) = (secret("a"), secret("b"));
     let (one, two) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&ann), 2)));
     let of_bob = id(&upload(&server, Some(&bob), 1));
     let told = links(&server, &ann, &one);
-    assert!(!told.to_string().contains(&ann["Bearer ".len()..]), "not all that is theirs");
+    assert!(!told.to_string().contains(&ann["Bearer ".len()..]), "not the owner's secret");
     let token = token_of(&told, &one);
     let others = [token_of(&links(&server, &ann, &two), &two), token_of(&links(&server, &bob, &of_bob), &of_bob)];
     let at = |photo: &str, part: &str| format!("/v1/photos/{photo}{part}");
@@ -49,11 +49,11 @@ fn a_photos_token_is_good_for_that_photo_alone() {
             by(&server, other, method, &at(&one, part)).problem(404);
         }
     }
-    // whoever has it gives it on, and does not take it back: that is the owner's
+    // the token can be passed on; only the owner can revoke it
     assert_eq!(token_of(&by(&server, &token, "POST", &at(&one, "/links")).json(), &one), token);
     by(&server, &token, "DELETE", &at(&one, "/manage")).problem(404);
     assert_eq!(by(&server, &token, "GET", &at(&one, "")).status, 200);
-    // it makes nobody an owner
+    // it gives no rights of an owner
     for (method, path) in [("GET", "/v1/photos"), ("POST", "/v1/photos")] {
         assert_eq!(by(&server, &token, method, path).problem(403)["type"], "urn:tmpi:problem:scope", "{method}");
     }
@@ -63,19 +63,19 @@ fn a_photos_token_is_good_for_that_photo_alone() {
     for none in [start, &token.to_uppercase(), &format!("{token}0"), "tmpi_m_", "tmpi_m_short"] {
         by(&server, none, "GET", &at(&one, "")).problem(401);
     }
-    // the photo goes by it, too
+    // it can delete the photo
     assert_eq!((by(&server, &token, "DELETE", &at(&one, "")).status, by(&server, &token, "GET", &at(&one, "")).status), (204, 404));
 }
 
 #[test]
-fn a_browser_keeps_a_photos_token_for_that_photo_and_stays_who_it_is() {
+fn a_browser_keeps_a_photos_token_and_stays_the_same_owner() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let (ann, bob) = (secret("a"), secret("b"));
     let (one, two) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&ann), 2)));
     let (token, other) = (token_of(&links(&server, &ann, &one), &one), token_of(&links(&server, &ann, &two), &two));
     let (at, keep) = (format!("/v1/photos/{one}"), format!("/v1/photos/{one}/manage"));
-    // the browser is an owner, and comes by a link
+    // the browser of another owner opens the link
     let of_bob = format!("tmpi_owner={}", &bob["Bearer ".len()..]);
     let post = |token: &str, scheme: &str| {
         let bearer = format!("Bearer {token}");
@@ -104,22 +104,22 @@ fn a_browser_keeps_a_photos_token_for_that_photo_and_stays_who_it_is() {
     assert_eq!((browser("GET", &at, &own, &[]).status, browser("PATCH", &at, &own, b"{\"title\": \"A\"}").status), (200, 200));
     browser("GET", &format!("/v1/photos/{two}"), &own, &[]).problem(404);
     browser("DELETE", &keep, &own, &[]).problem(404);
-    // what it uploads and lists is its own as before
+    // its own uploads and list are unaffected
     let mine = id(&browser("POST", "/v1/photos", &[("content-type", "image/jpeg")], &jpeg(3)).json());
     let list = browser("GET", "/v1/photos", &own, &[]).json();
     assert_eq!(list["photos"].as_array().unwrap().iter().map(id).collect::<Vec<_>>(), [mine.as_str()]);
     assert_eq!(ask(&server, "GET", &format!("/v1/photos/{mine}"), &[("authorization", &bob)], &[]).status, 200);
-    // pages of other sites have it send nothing that counts
+    // for pages of other sites the cookie does not count
     for site in ["cross-site", "same-site"] {
         browser("GET", &at, &[("sec-fetch-site", site)], &[]).problem(404);
         browser("PATCH", &at, &[("sec-fetch-site", site)], b"{}").problem(403);
     }
-    // nor is a cookie by TLS what somebody set without
+    // over TLS a cookie that was set without TLS does not count
     browser("GET", &at, &[("sec-fetch-site", "same-origin"), ("x-forwarded-proto", "https")], &[]).problem(404);
 }
 
 #[test]
-fn links_that_were_taken_back_stay_so() {
+fn revoked_links_stay_revoked() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let (ann, bob) = (secret("a"), secret("b"));
@@ -136,27 +136,27 @@ fn links_that_were_taken_back_stay_so() {
     assert_eq!((status(&server, &first), back(&server, &bob)), ([200; 4], 404));
     assert_eq!((status(&server, &first), back(&server, &ann)), ([200; 4], 204));
     assert_eq!(status(&server, &first), [404; 4]);
-    // others can be given away, and the owner is who they were; how often it was done is nobody's affair
+    // the owner can create new links; the state does not tell how often links were revoked
     let second = links(&server, &ann, &photo);
     assert_eq!(status(&server, &second), [200; 4]);
     let own = |server: &Running, path: &str| ask(server, "GET", path, &[("authorization", &ann)], &[]);
     let (state, settings) = (own(&server, &at).json(), own(&server, &format!("{at}/settings")).json());
     assert!(!state.to_string().contains("generation") && !settings.to_string().contains("generation"), "{state} {settings}");
-    // a change of the settings does not bring them back, nor does another start
+    // neither a change of the settings nor a restart restores revoked links
     let headers = [("authorization", ann.as_str()), JSON];
     assert_eq!(ask(&server, "PATCH", &at, &headers, b"{\"title\": \"A\"}").status, 200);
     assert_eq!((status(&server, &first), status(&server, &second)), ([404; 4], [200; 4]));
     server.stop();
     let server = private(dir.path());
     assert_eq!((status(&server, &first), status(&server, &second)), ([404; 4], [200; 4]));
-    // nor the same photo uploaded again, which has the same id
+    // neither does uploading the same photo again, which has the same id
     assert_eq!(ask(&server, "DELETE", &at, &[("authorization", &ann)], &[]).status, 204);
     assert_eq!(id(&upload(&server, Some(&ann), 1)), photo);
     assert_eq!((status(&server, &first), status(&server, &second)), ([404; 4], [404; 4]));
 }
 
 #[test]
-fn no_link_makes_a_browser_another_owner_without_its_leave() {
+fn a_link_changes_a_browsers_owner_only_after_confirmation() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let (ann, bob) = (secret("a"), secret("b"));
@@ -169,18 +169,18 @@ fn no_link_makes_a_browser_another_owner_without_its_leave() {
     for query in ["", "?replace=false"] {
         let refused = keep(query, Some(&of(&bob)));
         assert_eq!(refused.problem(409)["type"], "urn:tmpi:problem:another-owner");
-        assert!(refused.header("set-cookie").is_none(), "what it was is not lost");
+        assert!(refused.header("set-cookie").is_none(), "the browser stays the same owner");
     }
     let kept = |answer: &Response| answer.status == 204 && answer.all("set-cookie").starts_with(&of(&ann));
-    assert!(kept(&keep("?replace=true", Some(&of(&bob)))), "somebody said so");
+    assert!(kept(&keep("?replace=true", Some(&of(&bob)))), "the user confirmed");
     assert!(kept(&keep("", Some(&of(&ann)))) && kept(&keep("", None)), "nothing is lost");
-    assert!(kept(&keep("", Some("tmpi_owner=none"))), "a cookie that is no secret is no owner's");
+    assert!(kept(&keep("", Some("tmpi_owner=none"))), "an invalid cookie counts as none");
     assert_eq!(keep("?replace=yes", None).problem(400)["field"], "replace");
     assert_eq!(keep("?force=true", None).problem(400)["field"], "force");
 }
 
 #[test]
-fn another_browser_becomes_the_same_owner_by_a_ticket_that_is_good_for_nothing_else() {
+fn a_ticket_makes_another_browser_the_same_owner_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let (ann, bob) = (secret("a"), secret("b"));
@@ -191,11 +191,11 @@ fn another_browser_becomes_the_same_owner_by_a_ticket_that_is_good_for_nothing_e
     let told = ask_for(&[("authorization", &ann)]);
     assert_eq!((told.status, told.header("cache-control")), (200, Some("private, no-store")));
     let (told, text) = (told.json(), String::from_utf8(told.body).unwrap());
-    assert!(!text.contains(&"a".repeat(40)), "the secret stays where it is");
+    assert!(!text.contains(&"a".repeat(40)), "the answer does not contain the secret");
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
     assert!((now + 800..now + 1000).contains(&told["expires"].as_u64().unwrap()));
     let ticket = told["ticket"].as_str().unwrap();
-    // nor is it offered to who has nothing to pass on
+    // a ticket is offered to the owner only
     let offered = |who: &str| links(&server, who, &photo)["ticket"].as_str().map(str::to_owned);
     assert_eq!(offered(&ann).as_deref(), Some("/v1/owner/ticket"));
     let token = token_of(&links(&server, &ann, &photo), &photo);
@@ -222,7 +222,7 @@ fn another_browser_becomes_the_same_owner_by_a_ticket_that_is_good_for_nothing_e
             (browser("GET", &at, pair).status, browser("GET", "/v1/photos", pair).json()["photos"][0]["id"].as_str()),
             (200, Some(&*photo))
         );
-        // it keeps it, and nothing of it can be made up
+        // the session stays, cannot be forged, and counts as a cookie only
         assert!(browser("GET", "/", pair).all("set-cookie").starts_with(pair));
         assert_eq!(exchange(ticket, "", pair).status, 204, "it is the same owner");
         browser("GET", &at, &pair[..pair.len() - 1]).problem(404);

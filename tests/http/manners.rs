@@ -1,9 +1,9 @@
-//! What HTTP asks of answers, where access is private too.
+//! HTTP semantics with `--access private`.
 
 use crate::access::{ask, id, private, secret, upload};
 
 #[test]
-fn a_method_that_an_address_does_not_have_is_told_those_that_it_has() {
+fn a_wrong_method_is_answered_with_the_allowed_ones() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let allow = |method: &str, path: &str| {
@@ -27,7 +27,7 @@ fn a_method_that_an_address_does_not_have_is_told_those_that_it_has() {
 }
 
 #[test]
-fn a_key_that_is_none_is_told_how_to_come() {
+fn an_unknown_key_is_answered_with_www_authenticate() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     for path in ["/v1/photos", "/healthz"] {
@@ -37,7 +37,7 @@ fn a_key_that_is_none_is_told_how_to_come() {
 }
 
 #[test]
-fn a_photo_that_was_changed_meanwhile_is_not_deleted_and_one_made_again_has_an_address() {
+fn if_match_protects_a_changed_photo_from_deletion_and_again_answers_a_location() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let ann = secret("a");
@@ -57,7 +57,7 @@ fn a_photo_that_was_changed_meanwhile_is_not_deleted_and_one_made_again_has_an_a
 }
 
 #[test]
-fn pages_are_at_their_addresses_alone() {
+fn pages_are_only_at_their_own_addresses() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     for name in ["upload-page.html", "view-page.html", "embed-page.html", "VIEW-PAGE.HTML"] {

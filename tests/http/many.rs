@@ -1,4 +1,4 @@
-//! Several nodes with one PostgreSQL database and one object store: what was accepted at one is made, served, changed and deleted at all.
+//! Several nodes with one PostgreSQL database and one object store: each makes, serves, changes and deletes photos that another accepted.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -12,7 +12,7 @@ use crate::client::{Connection, get, request};
 use crate::fixture::{picture, wait_until};
 use crate::process::{Process, large, upload};
 
-/// What nodes share.
+/// The database and the store that nodes share.
 pub struct Shared {
     dir: tempfile::TempDir,
     database: String,
@@ -20,7 +20,7 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// None, said aloud, where PostgreSQL or the S3 server is not installed.
+    /// `None`, with a message, if PostgreSQL or the S3 server is not installed.
     pub fn start() -> Option<Self> {
         let (database, objects) = (tmpi_testing::database()?, Engine::s3()?);
         Some(Self { dir: tempfile::tempdir().unwrap(), database, objects })
@@ -30,7 +30,7 @@ impl Shared {
         self.node_at(0, name, arguments)
     }
 
-    /// At a port that is known before.
+    /// A node at a given port.
     pub fn node_at(&self, port: u16, name: &str, arguments: &[&str]) -> Process {
         let shared = ["--database", &self.database, "--blobs", "s3://photos/tmpi", "--set", "limits.drain=5", "--set", "limits.lease=3"];
         let variables = Engine::s3_variables(self.objects.addr);
@@ -60,17 +60,17 @@ fn events(addr: SocketAddr, id: &str) -> std::thread::JoinHandle<String> {
 }
 
 #[test]
-fn one_node_takes_a_photo_another_makes_it_and_a_third_serves_it() {
+fn one_node_accepts_a_photo_another_makes_it_and_a_third_serves_it() {
     let Some(shared) = Shared::start() else { return };
     let (a, b) = (shared.node("a", &["--role", "serve"]), shared.node("b", &["--role", "serve"]));
     let id = upload(a.addr, &large(1)).unwrap();
-    assert_eq!(state(b.addr, &id)["state"], "queued", "it is known at once");
+    assert_eq!(state(b.addr, &id)["state"], "queued", "the other node knows it at once");
     let followed = events(b.addr, &id);
     let worker = shared.node("w", &["--role", "work"]);
     assert_eq!(get(worker.addr, "/healthz").status, 200);
     get(worker.addr, "/v1/photos").problem(404);
     let told = followed.join().unwrap();
-    assert!(told.contains("event: stage") && told.contains("event: done"), "who follows it elsewhere is told: {told}");
+    assert!(told.contains("event: stage") && told.contains("event: done"), "events arrive at another node: {told}");
     let path = |what: &str| format!("/v1/photos/{id}{what}");
     let atlas = get(a.addr, &path("/atlas"));
     assert_eq!(get(b.addr, &path("/atlas")).body, atlas.body);
@@ -80,12 +80,12 @@ fn one_node_takes_a_photo_another_makes_it_and_a_third_serves_it() {
     let patched = request(a.addr, "PATCH", &path(""), &[("content-type", "application/json")], br#"{"title": "A name"}"#);
     assert_eq!(patched.status, 200);
     assert_eq!(state(b.addr, &id)["settings"]["title"], "A name");
-    // a file that a worker writes is every node's to serve
+    // any node serves a file that the worker wrote
     let ordered = request(a.addr, "POST", &path("/exports?format=html"), &[], &[]);
     let location = ordered.header("location").unwrap().to_owned();
     wait_until("it is written", || get(b.addr, &location).json()["state"] == "done");
     assert_eq!(get(b.addr, &format!("{location}/file")).status, 200);
-    // a second upload is known, wherever it comes in
+    // the same upload at another node is the same photo
     assert_eq!(upload(b.addr, &large(1)).unwrap(), id);
     assert_eq!(get(b.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 1);
     assert_eq!(request(b.addr, "DELETE", &path(""), &[], &[]).status, 204);
@@ -114,7 +114,7 @@ fn kill_9_of_each_node_under_uploads_loses_and_doubles_nothing() {
                     let mut id = None;
                     wait_until("it is accepted", || {
                         to += 1;
-                        // where that one is down, the other
+                        // the nodes in turn, as one may be down
                         let addr = nodes[to % 2].lock().unwrap().addr;
                         id = upload(addr, &photo);
                         id.is_some()
@@ -136,7 +136,7 @@ fn kill_9_of_each_node_under_uploads_loses_and_doubles_nothing() {
     let distinct: BTreeSet<&String> = accepted.iter().collect();
     assert_eq!(distinct.len(), UPLOADS);
     for id in &accepted {
-        wait_until("what was accepted is finished", || state(serve, id)["state"] == "done");
+        wait_until("every accepted photo is finished", || state(serve, id)["state"] == "done");
         assert_eq!(get(serve, &format!("/v1/photos/{id}/atlas")).status, 200);
     }
     assert_eq!(get(serve, "/v1/photos?limit=200").json()["photos"].as_array().unwrap().len(), UPLOADS, "none is there twice");
@@ -144,20 +144,20 @@ fn kill_9_of_each_node_under_uploads_loses_and_doubles_nothing() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn of_two_workers_that_have_one_photo_one_result_counts() {
+fn if_two_workers_make_one_photo_only_one_result_counts() {
     let Some(shared) = Shared::start() else { return };
     let (serve, slow) = (shared.node("a", &["--role", "serve"]), shared.node("w1", &["--role", "work"]));
     let held = slow.hold();
     let id = upload(serve.addr, &large(1)).unwrap();
     wait_until("it has begun", || state(serve.addr, &id)["state"] == "working");
-    // it stands still as a machine does that swaps, and knows nothing of its lease
+    // the worker stops, as on a machine that swaps, and does not renew its lease
     slow.signal(libc::SIGSTOP);
     let _quick = shared.node("w2", &["--role", "work"]);
-    wait_until("another has made it", || state(serve.addr, &id)["state"] == "done");
+    wait_until("the other worker has made it", || state(serve.addr, &id)["state"] == "done");
     let atlas = get(serve.addr, &format!("/v1/photos/{id}/atlas")).body;
     slow.signal(libc::SIGCONT);
     drop(held);
-    wait_until("the first has ended with it", || slow.logged().contains("outcome=\"deleted\""));
+    wait_until("the first worker has dropped it", || slow.logged().contains("outcome=\"deleted\""));
     assert_eq!(state(serve.addr, &id)["state"], "done");
     assert_eq!(get(serve.addr, &format!("/v1/photos/{id}/atlas")).body, atlas);
 }

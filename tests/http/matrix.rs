@@ -1,5 +1,5 @@
-//! Origin × Sec-Fetch-Site × Host × method × route: every route that the service has, for every kind of caller. With `TMPI_SHOW=matrix`
-//! and `--nocapture` the test prints the table.
+//! Every route × method × kind of caller (Origin, Sec-Fetch-Site, Host) on an open server. With `TMPI_SHOW=matrix` and `--nocapture` the
+//! test prints the table.
 
 use std::fmt::Write as _;
 
@@ -9,14 +9,14 @@ use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg};
 use crate::origins::start;
 
-/// Who a request comes from, by the headers that tell.
+/// A kind of caller, by its headers.
 struct Caller {
     what: &'static str,
     host: Option<&'static str>,
     headers: Vec<(&'static str, String)>,
-    /// May change things.
+    /// Status of a request that changes something.
     changes: u16,
-    /// May read the list.
+    /// Status of a request for the list.
     lists: u16,
 }
 
@@ -40,19 +40,19 @@ fn callers(server: &Running) -> Vec<Caller> {
         caller("a rebound name", Some("evil.example"), vec![site("same-origin"), origin("http://evil.example")], 421, 421),
         caller("a rebound name, old browser", Some("evil.example:8080"), vec![origin("http://evil.example:8080")], 421, 421),
         caller("an address that is not ours", Some("192.0.2.1"), vec![], 421, 421),
-        caller("a name that was given, by a proxy", Some("photos.example"), vec![("x-forwarded-for", "192.0.2.1".into())], 200, 403),
-        caller("a name that was given", Some("photos.example"), vec![origin("http://photos.example")], 200, 403),
+        caller("a configured name, by a proxy", Some("photos.example"), vec![("x-forwarded-for", "192.0.2.1".into())], 200, 403),
+        caller("a configured name", Some("photos.example"), vec![origin("http://photos.example")], 200, 403),
         caller("another site by a proxy", Some("photos.example"), vec![origin("http://evil.example")], 403, 403),
         caller("a proxy that hides the name", None, vec![("x-forwarded-for", "192.0.2.1".into())], 200, 403),
     ]
 }
 
-/// Methods that each route is asked with besides its own: what a browser asks before a request, and one that no route has.
+/// Methods to try on each route besides its own: preflights, and a method that no route has.
 pub const MORE: [&str; 2] = ["OPTIONS", "PUT"];
-/// A photo that is not there.
+/// An unknown photo.
 const NONE: &str = "00000000000000000000000000000000";
 
-/// What to ask of a route.
+/// A path and query for a route.
 pub fn target(route: &Route, method: &str, id: &str) -> String {
     let query = match route.path.as_str() {
         "/v1/photos/{id}/view" => "?w=8",
@@ -68,11 +68,11 @@ pub fn target(route: &Route, method: &str, id: &str) -> String {
         .replace("{room}", "attic")
         .replace("{group}", "1-0")
         + query;
-    assert!(!path.contains('{'), "a new route: say here what to ask of {}", route.path);
+    assert!(!path.contains('{'), "a new route: add a target for {}", route.path);
     path
 }
 
-/// Status and kind of problem.
+/// The expected status and kind of problem.
 fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'static str>) {
     let safe = matches!(method, "GET" | "HEAD" | "OPTIONS");
     match method {
@@ -83,7 +83,7 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         "PUT" => (405, Some("method")),
         "POST" if route.path == "/v1/live/{room}/token" && caller.lists == 403 => (403, Some("token")),
         "POST" if route.path == "/v1/live/{room}/token" => (200, None),
-        // a page of another site may not even look without a token: a browser opens sockets to anywhere
+        // browsers let pages of other sites open sockets, so these need a token even to watch
         "GET" | "HEAD" if route.path.starts_with("/v1/live/") => match (caller.changes, caller.lists) {
             (403, _) if route.path.ends_with("/publish") => (403, Some("cross-site")),
             (403, _) | (_, 403) => (403, Some("token")),
@@ -102,7 +102,7 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         "POST" if route.path == "/v1/owner" || route.path.ends_with("/manage") => (204, None),
         "POST" => (202, None),
         "DELETE" => (404, Some("not-found")),
-        other => panic!("a new method: say here what {other} {} answers", route.path),
+        other => panic!("a new method: add the answer to {other} {}", route.path),
     }
 }
 
@@ -143,13 +143,12 @@ fn every_route_answers_every_caller_as_it_should() {
                 if let Some(kind) = problem.filter(|_| method != "HEAD") {
                     assert_eq!(answer.problem(status)["type"], format!("urn:tmpi:problem:{kind}"), "{what}");
                 }
-                // a rebound name is an origin of its own: it may not even read the refusal. What no site may ask for is refused before
-                // it is seen what lies there
+                // pages under a rebound name may not read the refusal either; cross-site requests are refused before the route is known
                 let read = matches!(route.access, Access::Open | Access::Token) && !matches!(problem, Some("host" | "cross-site"));
                 assert_eq!(answer.header("access-control-allow-origin"), read.then_some("*"), "{what}");
                 let taken = matches!(route.access, Access::Open | Access::Framed) && status == 200 && method != "OPTIONS";
                 let policy = if taken { "cross-origin" } else { "same-origin" };
-                // nobody here has a token
+                // no caller here has a token of a room
                 if taken || matches!(route.access, Access::Own | Access::Token) {
                     assert_eq!(answer.header("cross-origin-resource-policy"), Some(policy), "{what}");
                 }

@@ -1,4 +1,4 @@
-//! Figures, not bounds: `cargo test --release --test http measure -- --ignored --nocapture`.
+//! Measurements without assertions: `cargo test --release --test http measure -- --ignored --nocapture`.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use crate::process::{Process, large, upload};
 const CONNECTIONS: usize = 8;
 const SECONDS: u64 = 3;
 
-/// Requests a second over a few connections that stay open.
+/// Requests per second over a few keep-alive connections.
 fn rate(server: &Process, path: &(dyn Fn(usize) -> String + Sync), seconds: u64) -> (f64, f64) {
     let (count, bytes) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let start = Instant::now();

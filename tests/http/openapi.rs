@@ -1,4 +1,4 @@
-//! The `OpenAPI` document against the server that it describes.
+//! Checks the `OpenAPI` document against the server.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,7 +24,7 @@ fn every_route_of_the_document_answers_as_it_says() {
     server.wait(&photo, "done");
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
-    // a group of pictures is whole after a second
+    // a group of pictures is complete after a second
     std::thread::sleep(Duration::from_millis(1100));
     publisher.publish(frame(20));
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
@@ -34,7 +34,7 @@ fn every_route_of_the_document_answers_as_it_says() {
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
-            // of a file that is written, each time: it may have been deleted, or be of the making before
+            // a new export for each call: a previous call may have deleted it or made the photo again
             let key = if path.contains("{key}") { written(&server, &photo) } else { String::new() };
             let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
             let path = path.replace("{id}", &photo).replace("{key}", &key).replace("{room}", "attic").replace("{group}", &first);
@@ -43,24 +43,24 @@ fn every_route_of_the_document_answers_as_it_says() {
                 deletions.push(call);
             } else {
                 check(&server, &call);
-                // it may be on its way again
+                // the call may have started making the photo again
                 server.wait(&photo, "done");
             }
             count += 1;
         }
     }
-    // what belongs to a photo goes before it
+    // longest paths first: the photo itself last
     deletions.sort_by_key(|(_, path, _)| std::cmp::Reverse(path.len()));
     for call in deletions {
         check(&server, &call);
     }
-    // the others are pages and their files
+    // undocumented routes are pages and their files
     let (documented, pages): (Vec<_>, Vec<_>) = routes().into_iter().partition(|r| document["paths"][&r.path].is_object());
     assert_eq!(count, documented.iter().map(|r| r.methods.len()).sum::<usize>());
     assert!(pages.iter().all(|r| !r.path.starts_with("/v1/") && r.methods == ["GET"]), "{pages:?}");
 }
 
-/// Has a file written, and gives its key.
+/// Orders a file and waits for it; returns its key.
 fn written(server: &Running, photo: &str) -> String {
     let state = || request(server.addr, "POST", &format!("/v1/photos/{photo}/exports?format=glb"), &[], &[]).json();
     wait_until("a file is written", || state()["state"] == "done");
@@ -74,12 +74,12 @@ fn check(server: &Running, (method, path, operation): &(String, String, &Value))
         _ => (&[], Vec::new()),
     };
     let answer = request(server.addr, method, path, headers, &body);
-    // nobody is asked who they are here, and nobody has a secret
+    // the caller has no owner's secret
     if path == "/v1/owner/ticket" {
         assert_eq!(answer.status, 403);
         return;
     }
-    // sockets are opened in live.rs; one of these leads to another
+    // live.rs opens sockets; here they answer 426. `gops/latest` answers 307
     let status = if operation["responses"]["101"].is_object() { 426..427 } else { 200..308 };
     assert!(status.contains(&answer.status), "{method} {path}: {}", answer.status);
     let described = &operation["responses"][answer.status.to_string()];
@@ -103,13 +103,13 @@ fn every_schema_and_parameter_is_described() {
     for (name, schema) in schemas {
         assert!(described(schema), "schema {name}");
         for (field, property) in schema["properties"].as_object().into_iter().flatten() {
-            // a property that is another schema is described there
+            // a referenced schema has its own description
             assert!(described(property) || property["$ref"].is_string() || property["oneOf"].is_array(), "{name}.{field}");
         }
     }
     assert_eq!(document["servers"][0]["url"], "/");
     let security = document["security"].as_array().unwrap();
-    assert!(security.contains(&serde_json::json!({})), "what everybody may see needs nothing");
+    assert!(security.contains(&serde_json::json!({})), "public routes need no credentials");
     let schemes = document["components"]["securitySchemes"].as_object().unwrap();
     let named: Vec<&String> = security.iter().flat_map(|s| s.as_object().unwrap().keys()).collect();
     assert!(named.len() == schemes.len() && named.iter().all(|name| described(&schemes[*name])), "{named:?}");
@@ -122,7 +122,7 @@ fn every_schema_and_parameter_is_described() {
     assert!(settings["title"]["maxLength"] == 200 && settings["version"]["enum"] == serde_json::json!([1]));
     assert_eq!(document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"], false);
     let with_door: Value = serde_json::from_slice(&tmpi::server::openapi_of(&Limits::default(), true).unwrap()).unwrap();
-    assert!(document["paths"]["/metrics"].is_object() && with_door["paths"]["/metrics"].is_null(), "those of operators are at their door");
+    assert!(document["paths"]["/metrics"].is_object() && with_door["paths"]["/metrics"].is_null(), "admin routes are on their listener");
     let of_strokes = &schemas["StrokesPatch"];
     assert_eq!(
         (&of_strokes["required"], &of_strokes["properties"]["strokes"]["type"]),
@@ -138,7 +138,7 @@ fn every_schema_and_parameter_is_described() {
             }
         }
     }
-    // every reference leads somewhere
+    // every reference resolves
     let text = document.to_string();
     for reference in text.split("\"$ref\":\"#/components/schemas/").skip(1) {
         let name = reference.split('"').next().unwrap();
@@ -146,12 +146,12 @@ fn every_schema_and_parameter_is_described() {
     }
 }
 
-/// True where the value of a field is refused.
+/// True if the answer refuses the value of this field.
 fn is_refused(answer: &Response, field: &str) -> bool {
     answer.status == 400 && answer.json()["field"] == field
 }
 
-/// True where it is refused for being no word of a choice, not for a network that is not there.
+/// True if the value is not one of the field's choices; false if it is refused for another reason, such as a missing network.
 fn is_no_word(answer: &Response, field: &str) -> bool {
     is_refused(answer, field) && answer.json()["detail"].as_str().unwrap().contains("must be one of")
 }
@@ -159,7 +159,7 @@ fn is_no_word(answer: &Response, field: &str) -> bool {
 #[test]
 fn words_of_the_document_are_those_that_are_taken() {
     let dir = tempfile::tempdir().unwrap();
-    // nobody makes what is uploaded here but the first
+    // the gate lets only the first photo through
     let server = Running::start(dir.path(), Limits::default(), Gate::new(1));
     let id = server.upload(&jpeg(1));
     server.wait(&id, "done");
@@ -172,7 +172,7 @@ fn words_of_the_document_are_those_that_are_taken() {
     described.sort_unstable();
     let mut taken: Vec<String> = known.split(", ").map(|name| name.replace('-', "_")).collect();
     taken.sort_unstable();
-    assert_eq!(described, taken, "every field is described, and no other");
+    assert_eq!(described, taken, "the document has exactly the fields that the server takes");
     let schemas = document["components"]["schemas"].as_object().unwrap();
     let closed: Vec<&String> = schemas.iter().filter(|(_, s)| s["additionalProperties"] == false).map(|(name, _)| name).collect();
     assert_eq!(closed, ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm"]);
@@ -199,7 +199,7 @@ fn words_of_the_document_are_those_that_are_taken() {
     assert!(choices > 10, "{choices}");
     for part in ["view", "export"] {
         let parameters = document["paths"][format!("/v1/photos/{{id}}/{part}")]["get"]["parameters"].as_array().unwrap();
-        // any version may be asked for
+        // `v` takes any text
         for parameter in parameters.iter().filter(|p| p["in"] == "query" && p["schema"]["type"] == "string" && p["name"] != "v") {
             let name = parameter["name"].as_str().unwrap();
             let ask = |value: &str| {
@@ -212,7 +212,7 @@ fn words_of_the_document_are_those_that_are_taken() {
             assert!(is_refused(&ask("nonsense"), name), "{part} {name}");
             for word in parameter["schema"]["enum"].as_array().into_iter().flatten() {
                 let answer = ask(word.as_str().unwrap());
-                // a film needs a program that may not be there
+                // films answer 501 without ffmpeg
                 assert!(matches!(answer.status, 200 | 501), "{part} {name}={word}: {}", answer.status);
                 choices += 1;
             }

@@ -1,4 +1,4 @@
-//! Which sites may do what: preflights, hosts and frames; `matrix.rs` has every route.
+//! Cross-origin requests: preflights, hosts and frames. `matrix.rs` has every route.
 
 use std::sync::Arc;
 
@@ -44,7 +44,7 @@ fn a_request_has_one_host() {
         std::io::Write::write_all(connection.raw(), format!("GET /healthz HTTP/1.1\r\n{headers}\r\n").as_bytes()).unwrap();
         assert_eq!(connection.receive("GET").unwrap().status, 400, "{headers:?}");
     }
-    // a target with a host of its own is meant for that
+    // the host of an absolute target counts, not `Host`
     let mut connection = Connection::open(server.addr);
     let target = b"GET http://evil.example/healthz HTTP/1.1\r\nhost: localhost\r\n\r\n";
     std::io::Write::write_all(connection.raw(), target).unwrap();
@@ -52,7 +52,7 @@ fn a_request_has_one_host() {
 }
 
 #[test]
-fn frames_of_other_sites_show_the_photo_alone() {
+fn frames_of_other_sites_show_only_the_photo() {
     let (_dir, server, id) = start();
     let ancestors = |path: &str| {
         let policy = get(server.addr, path).header("content-security-policy").unwrap().to_owned();
@@ -65,7 +65,7 @@ fn frames_of_other_sites_show_the_photo_alone() {
     let embed = format!("/embed/{id}");
     assert_eq!(ancestors(&embed), "*");
     assert_eq!(server.state(&id)["links"]["embed"], embed);
-    // it has nothing that changes anything: no form, no button, and no script that knows how
+    // the page contains no form, no button and no script that changes anything
     let page = String::from_utf8(get(server.addr, &embed).body).unwrap();
     let script = String::from_utf8(get(server.addr, "/static/app/embed-page.js").body).unwrap();
     for word in ["<form", "<button", "<input", "PATCH", "DELETE", "POST", "api.js"] {

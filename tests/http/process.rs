@@ -1,4 +1,4 @@
-//! `tmpi serve` as a process: how it starts, how it stops, and what a crash leaves.
+//! `tmpi serve` as a process: start, stop, and recovery after a crash.
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read as _, Write};
@@ -28,14 +28,14 @@ impl Process {
         Self::start_in(data, arguments, &[])
     }
 
-    /// With these variables of the environment.
+    /// With these environment variables.
     pub fn start_in(data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         Self::start_at(0, data, arguments, environment)
     }
 
-    /// At a port that is known before.
+    /// At a given port.
     pub fn start_at(port: u16, data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
-        // a file: a pipe that nobody empties would stop the server
+        // a file, because a full pipe would block the server
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
             .args(["serve", "--addr", &format!("127.0.0.1:{port}"), "--depth-model", "tmpi"])
@@ -53,26 +53,26 @@ impl Process {
         Self { addr: addr.unwrap_or_else(|| panic!("the first line of standard output is the address: {line:?}")), child, log }
     }
 
-    /// Resident memory; 0 where the system does not tell.
+    /// Resident memory; 0 if the system does not report it.
     pub fn resident_mib(&self) -> f64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap_or_default();
         let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"));
         line.and_then(|l| l.split_whitespace().next()?.parse::<f64>().ok()).unwrap_or_default() / 1024.0
     }
 
-    /// No chance to put anything right.
+    /// Kills the server without a chance to clean up.
     pub fn crash(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
 
-    /// The process that makes photos for it.
+    /// Its process that makes photos.
     #[cfg(target_os = "linux")]
     fn maker(&self) -> Option<libc::pid_t> {
         self.child_process(false)
     }
 
-    /// Stops the process that writes files for it, until the guard goes.
+    /// Stops its process that writes files until the guard is dropped.
     #[cfg(target_os = "linux")]
     pub fn hold_writer(&self) -> Held {
         wait_until("there is a process that writes files", || self.child_process(true).is_some());
@@ -81,7 +81,7 @@ impl Process {
         held
     }
 
-    /// A process that works for it, of those that give way to all others, or not.
+    /// A child process of the server: one that runs at low priority and writes files, or one that makes photos.
     #[cfg(target_os = "linux")]
     fn child_process(&self, gives_way: bool) -> Option<libc::pid_t> {
         let ours = |pid: &str| {
@@ -96,12 +96,12 @@ impl Process {
         std::fs::read_dir("/proc").unwrap().find_map(|e| ours(e.ok()?.file_name().to_str()?).filter(way))
     }
 
-    /// What it has logged so far.
+    /// Its log so far.
     pub fn logged(&self) -> String {
         std::fs::read_to_string(self.log.path()).unwrap()
     }
 
-    /// Stops the process that makes photos until the guard goes: what is uploaded meanwhile is not made, however fast the machine.
+    /// Stops the process that makes photos until the guard is dropped, so that no photo is made meanwhile.
     #[cfg(target_os = "linux")]
     pub fn hold(&self) -> Held {
         wait_until("there is a process that makes photos", || self.maker().is_some());
@@ -110,7 +110,7 @@ impl Process {
         held
     }
 
-    /// Waits until a photo larger than a pipe is on its way to the stopped process that is to make it.
+    /// Waits until the server is sending a photo larger than a pipe to the stopped process.
     #[cfg(target_os = "linux")]
     pub fn wait_for_photo(&self) {
         let tasks = format!("/proc/{}/task", self.child.id());
@@ -140,7 +140,7 @@ impl Process {
 pub struct Killed(pub Child);
 
 impl Killed {
-    /// What it prints until its end.
+    /// Its standard output until it ends.
     pub fn printed(mut self) -> String {
         let mut all = String::new();
         self.0.stdout.take().unwrap().read_to_string(&mut all).unwrap();
@@ -155,7 +155,7 @@ impl Drop for Killed {
     }
 }
 
-/// A process that makes photos and is stopped.
+/// A stopped process that makes photos.
 #[cfg(target_os = "linux")]
 pub struct Held(libc::pid_t);
 
@@ -163,18 +163,18 @@ pub struct Held(libc::pid_t);
 impl Held {
     #[allow(unsafe_code, reason = "the standard library has no call that sends a signal to the child of a child")]
     pub fn signal(&self, signal: libc::c_int) {
-        // SAFETY: no memory is touched; where the process has ended meanwhile, the call says so
+        // SAFETY: the call touches no memory; it returns an error if the process has ended
         let _ = unsafe { libc::kill(self.0, signal) };
     }
 
-    /// A figure of `/proc` in bytes: the words behind `name`, of which the first is a number in `unit` bytes.
+    /// A value of `/proc` in bytes: the first word after `name` times `unit`.
     pub fn figure(&self, file: &str, name: &str, unit: u64) -> Option<u64> {
         let text = std::fs::read_to_string(format!("/proc/{}/{file}", self.0)).ok()?;
         let line = text.lines().find_map(|l| l.strip_prefix(name))?;
         Some(line.split_whitespace().next()?.parse::<u64>().ok()? * unit)
     }
 
-    /// Bounds what it may take of memory from now on, in bytes.
+    /// Bounds its memory from now on, in bytes.
     #[allow(unsafe_code, reason = "the standard library has no call that bounds another process")]
     pub fn bound_data(&self, bytes: u64) {
         let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
@@ -202,7 +202,7 @@ impl Drop for Process {
     }
 }
 
-/// A picture large enough that making it takes a while.
+/// A picture that takes a while to make.
 pub fn large(seed: u32) -> Vec<u8> {
     let (width, height) = (480, 360);
     let at = |x: u32, y: u32| [(x * 7 + seed) as u8, (y * 5) as u8, ((x / 32) * (y / 32) * 9 + seed) as u8, 255];
@@ -210,7 +210,7 @@ pub fn large(seed: u32) -> Vec<u8> {
     encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
 }
 
-/// Uploads a photo with its own depth map, so that no network is needed; none where the server is gone.
+/// Uploads a photo with its own depth map, so that no network is needed; `None` if the server has gone.
 pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
     let (content_type, body) = form(&[("photo", photo), ("depth", &depth_map())]);
     std::net::TcpStream::connect(addr).ok()?;
@@ -244,7 +244,7 @@ fn processes_that_make_photos_get_no_credentials() {
     let server = Process::start_in(dir.path(), &["--network-url", "http://user:a-secret@localhost/"], &environment);
     let read =
         |file: &str| String::from_utf8_lossy(&std::fs::read(format!("/proc/{}/{file}", server.maker().unwrap())).unwrap()).into_owned();
-    // until it has become this program, it has the environment of the server
+    // between fork and exec, the child still has the server's environment
     wait_until("there is a process that makes photos", || server.maker().is_some() && read("environ").contains("TMPI_MAKES_PHOTOS=1"));
     let (environment, line) = (read("environ"), read("cmdline"));
     assert!(!environment.contains("a-secret") && !line.contains("a-secret"), "{environment} {line}");
@@ -253,7 +253,7 @@ fn processes_that_make_photos_get_no_credentials() {
 
 #[test]
 #[cfg(unix)]
-fn the_log_is_an_object_a_line_where_that_is_wanted() {
+fn json_logs_have_one_object_per_line() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start_with(dir.path(), &["--log", "json", "--set", "limits.drain=5"]);
     let answer = request(server.addr, "GET", "/nothing\"}", &[("x-request-id", "mine-1")], b"");
@@ -266,28 +266,28 @@ fn the_log_is_an_object_a_line_where_that_is_wanted() {
 }
 
 #[test]
-fn without_its_library_the_server_says_so_before_anybody_uploads() {
+fn a_server_without_its_library_is_not_ready_and_logs_why() {
     let data = tempfile::tempdir().unwrap();
     let server = Process::start_in(data.path(), &[], &[("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")]);
     wait_until("it is not ready", || get(server.addr, "/readyz").status == 503);
     let detail = get(server.addr, "/readyz").problem(503)["detail"].as_str().unwrap().to_owned();
-    assert!(detail.contains("ONNX Runtime is missing") && !detail.contains("/nowhere"), "paths are for the log: {detail}");
+    assert!(detail.contains("ONNX Runtime is missing") && !detail.contains("/nowhere"), "the answer contains no path: {detail}");
     let log = std::fs::read_to_string(server.log.path()).unwrap();
     assert_eq!(log.matches("/nowhere/libonnxruntime.so").count(), 1, "{log}");
-    assert!(log.contains("ORT_DYLIB_PATH"), "and what to do: {log}");
+    assert!(log.contains("ORT_DYLIB_PATH"), "the log says what to do: {log}");
 }
 
 #[test]
-fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
+fn a_crash_during_ten_uploads_loses_and_doubles_none() {
     let photos: Vec<Vec<u8>> = (0..10).map(large).collect();
-    // three at a time, so that at most two more are answered than it takes to crash
+    // three at a time, so that at most two more uploads are answered after the crash is due
     for crash_after in [1, 4, 7] {
         let dir = tempfile::tempdir().unwrap();
         let server = Mutex::new(Process::start(dir.path()));
         let addr = server.lock().unwrap().addr;
         let answered = Mutex::new(BTreeSet::new());
         let next = AtomicUsize::new(0);
-        // one upload that never gets to its end
+        // one upload that never ends
         let mut half = Connection::open(addr);
         half.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100000\r\n\r\nhalf of it").unwrap();
         std::thread::scope(|scope| {
@@ -295,7 +295,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
                 scope.spawn(|| {
                     while let Some(photo) = photos.get(next.fetch_add(1, Ordering::SeqCst)) {
                         let Some(id) = upload(addr, photo) else { return };
-                        // held over the crash: nobody starts another upload before it
+                        // the lock is held during the crash, so that no thread starts another upload before it
                         let mut answered = answered.lock().unwrap();
                         answered.insert(id);
                         if answered.len() == crash_after {
@@ -316,9 +316,9 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
         assert!(lost.is_empty(), "lost: {lost:?}");
         let state = |id: &str| get(server.addr, &format!("/v1/photos/{id}")).json()["state"].as_str().unwrap().to_owned();
         for id in &found {
-            wait_until("a photo that was taken up again is done", || state(id) == "done");
+            wait_until("a photo from before the crash is done", || state(id) == "done");
         }
-        // who uploads all again gets the same ten
+        // uploading all again gives the same ten photos
         let all: BTreeSet<String> = photos.iter().map(|p| upload(server.addr, p).unwrap()).collect();
         assert!(all.len() == 10 && answered.is_subset(&all));
         for id in &all {
@@ -333,7 +333,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
 
 #[cfg(unix)]
 #[test]
-fn sigterm_ends_it_with_0_and_what_was_accepted_is_finished_or_kept() {
+fn sigterm_exits_with_0_and_accepted_photos_are_finished_or_kept() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start(dir.path());
     let id = upload(server.addr, &large(1)).unwrap();
@@ -363,7 +363,7 @@ fn a_port_in_use_is_an_error_that_names_it() {
 
 #[cfg(unix)]
 #[test]
-fn a_low_limit_of_open_files_is_raised_as_far_as_the_system_lets() {
+fn a_low_limit_of_open_files_is_raised_to_the_hard_limit() {
     let dir = tempfile::tempdir().unwrap();
     let log = tempfile::NamedTempFile::new().unwrap();
     let script = "ulimit -Sn 64 && exec \"$0\" serve --addr 127.0.0.1:0 --data \"$1\"";
@@ -383,7 +383,7 @@ fn a_low_limit_of_open_files_is_raised_as_far_as_the_system_lets() {
     }
 }
 
-/// A picture that takes a while to make, and more bytes than a pipe holds.
+/// A picture that takes a while to make and does not fit into a pipe.
 pub fn slow(seed: u32) -> Vec<u8> {
     sized(seed, 2000, 1500)
 }
@@ -407,10 +407,10 @@ fn state(addr: SocketAddr, id: &str) -> serde_json::Value {
 }
 
 #[test]
-fn crashes_of_the_server_count_against_no_photo() {
+fn crashes_of_the_server_do_not_count_as_attempts() {
     let dir = tempfile::tempdir().unwrap();
     let mut ids: Vec<String> = Vec::new();
-    // once more than a photo may take its maker down
+    // more rounds than a photo has attempts
     for round in 0..4 {
         let mut server = Process::start(dir.path());
         if round == 0 {
@@ -432,7 +432,7 @@ fn crashes_of_the_server_count_against_no_photo() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_process_that_makes_photos_may_end_and_the_photo_is_made_by_another() {
+fn another_process_makes_the_photo_if_one_is_killed() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start(dir.path());
     let maker = server.hold();
@@ -441,61 +441,61 @@ fn a_process_that_makes_photos_may_end_and_the_photo_is_made_by_another() {
     maker.signal(libc::SIGKILL);
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
     let log = std::fs::read_to_string(server.log.path()).unwrap();
-    assert!(log.contains("took down what made it") && !log.contains("panicked"), "{log}");
+    assert!(log.contains("crashed its process") && !log.contains("panicked"), "{log}");
 }
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_deleted_photo_is_stopped_within_its_stage_and_the_next_one_is_made() {
+fn deleting_a_photo_stops_its_process_within_a_stage_and_the_next_one_is_made() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start(dir.path());
     let maker = server.hold();
     let long = upload_with(server.addr, &slow(3), &[]);
     server.wait_for_photo();
     assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{long}"), &[], &[]).status, 204);
-    wait_until("what made it has ended", || maker.has_ended());
+    wait_until("its process has ended", || maker.has_ended());
     let next = upload(server.addr, &large(4)).unwrap();
     wait_until("the next one is done", || state(server.addr, &next)["state"] == "done");
 }
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_job_that_takes_too_long_is_given_up_and_the_next_one_is_made() {
+fn a_job_that_takes_too_long_fails_and_the_next_one_is_made() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start_with(dir.path(), &["--set", "limits.job-timeout=1"]);
     let maker = server.hold();
     let long = upload_with(server.addr, &slow(5), &[]);
     server.wait_for_photo();
-    wait_until("it is given up", || state(server.addr, &long)["state"] == "failed");
+    wait_until("it has failed", || state(server.addr, &long)["state"] == "failed");
     assert_eq!(state(server.addr, &long)["problem"]["type"], "urn:tmpi:problem:late");
-    wait_until("what made it has ended", || maker.has_ended());
+    wait_until("its process has ended", || maker.has_ended());
     let next = upload(server.addr, &large(6)).unwrap();
     wait_until("the next one is done", || state(server.addr, &next)["state"] == "done");
 }
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_photo_that_takes_more_memory_than_it_may_ends_its_process_alone() {
+fn a_photo_over_its_memory_bound_ends_only_its_own_process() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start_with(dir.path(), &["--set", "limits.job-memory=777"]);
-    wait_until("the process is bounded to what jobs may take", || {
+    wait_until("the process has its memory bound", || {
         server.maker().and_then(|pid| Held(pid).figure("limits", "Max data size", 1)) == Some(777 << 20)
     });
     let maker = server.hold();
-    // room for its threads and no more: as if the photo took more than was reckoned
+    // little more than it has now: as if the photo took more memory than estimated
     maker.bound_data(maker.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
     let id = upload_with(server.addr, &slow(9), &[]);
     server.wait_for_photo();
     maker.signal(libc::SIGCONT);
     wait_until("the limit has ended it", || maker.has_ended());
-    // the server lives, and another process makes the photo
+    // the server goes on, and another process makes the photo
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
     let log = std::fs::read_to_string(server.log.path()).unwrap();
-    assert!(log.contains("took down what made it") && !log.contains("panicked"), "{log}");
+    assert!(log.contains("crashed its process") && !log.contains("panicked"), "{log}");
 }
 
 #[test]
-fn what_takes_more_memory_than_there_is_for_it_is_refused_with_limit_and_need() {
+fn a_photo_that_needs_too_much_memory_is_refused_with_limit_and_need() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start_with(dir.path(), &["--set", "limits.job-memory=512"]);
     let (large, depth) = (sized(6, 4000, 3000), depth_map());
@@ -504,13 +504,13 @@ fn what_takes_more_memory_than_there_is_for_it_is_refused_with_limit_and_need() 
     let detail = refused["detail"].as_str().unwrap();
     let figures: Vec<u64> = detail.split(' ').filter_map(|word| word.parse().ok()).collect();
     assert!(figures.len() == 2 && figures[0] > figures[1] && figures[1] == 512 << 20, "{detail}");
-    // up to the program it is made as large as fits
+    // without options the photo is made as large as fits
     let fitted = upload_with(server.addr, &large, &[]);
     wait_until("it is made", || state(server.addr, &fitted)["state"] == "done");
     let report = get(server.addr, &format!("/v1/photos/{fitted}/report")).json();
     let pixels = report["width"].as_u64().unwrap() * report["height"].as_u64().unwrap();
     assert!(report["input"]["fitted"] == true && (2_000_000..12_000_000).contains(&pixels), "{report}");
-    // reduced it fits
+    // a reduced photo fits
     let reduced = upload_with(server.addr, &large, &[("max-size", b"800")]);
     wait_until("it is done", || state(server.addr, &reduced)["state"] == "done");
 }
@@ -524,8 +524,8 @@ fn a_second_signal_ends_it_at_once() {
     upload_with(server.addr, &slow(8), &[]);
     server.wait_for_photo();
     server.signal(libc::SIGTERM);
-    wait_until("the first one is taken", || std::fs::read_to_string(server.log.path()).unwrap().contains("stopping"));
-    wait_until("the second one ends it", || {
+    wait_until("the first signal has arrived", || std::fs::read_to_string(server.log.path()).unwrap().contains("stopping"));
+    wait_until("the second signal ends it", || {
         server.signal(libc::SIGTERM);
         server.child.try_wait().unwrap().is_some_and(|status| status.code() == Some(1))
     });

@@ -1,4 +1,4 @@
-//! How often one key may ask, and how often one address.
+//! Rate limits per key and per address.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg, pipeline};
 use crate::keys::{self, Scope};
 
-/// The parameter of an item of a list of RFC 9651, as `r` of `"uploads"` in `"requests";r=1, "uploads";r=2`.
+/// The parameter of an item in a list of RFC 9651, such as `r` of `"uploads"` in `"requests";r=1, "uploads";r=2`.
 fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
     let all = answer.header(header).unwrap_or_else(|| panic!("{header} is missing"));
     let item = all.split(", ").find_map(|one| one.strip_prefix(&format!("\"{item}\";"))).unwrap_or_else(|| panic!("{item} in {all}"));
@@ -17,7 +17,7 @@ fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
 }
 
 #[test]
-fn a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not() {
+fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
     let dir = tempfile::tempdir().unwrap();
     let limits = Limits { rates: Rates { requests: 1000, uploads: 2, views: 3 }, ..Limits::default() };
     let server = private_within(dir.path(), Arc::new(pipeline()), limits);
@@ -36,8 +36,8 @@ fn a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not() {
     let problem = refused.problem(429);
     assert_eq!(problem["type"], "https://iana.org/assignments/http-problem-types#quota-exceeded");
     assert!(problem["detail"].as_str().unwrap().contains("uploads are 2 a minute"), "{problem}");
-    assert!(matches!(upload(&other, 3).status, 201 | 202), "another has a bucket of their own");
-    // views have one, too, and looking at a photo is none
+    assert!(matches!(upload(&other, 3).status, 201 | 202), "another key has its own bucket");
+    // views have a bucket, too; states and thumbnails do not count as views
     let id = first.json()["id"].as_str().unwrap().to_owned();
     let see = |part: &str| ask(&server, "GET", &format!("/v1/photos/{id}{part}"), &[("authorization", &site)], &[]).status;
     assert_eq!([see("/view?w=8"), see("/view?w=9"), see("/export?format=glb"), see("/view?w=8")], [200, 200, 200, 429]);
@@ -45,8 +45,8 @@ fn a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not() {
 }
 
 #[test]
-fn whoever_cannot_be_told_apart_is_not_counted() {
-    // all who come by a proxy on this machine have its address
+fn clients_that_cannot_be_told_apart_are_not_counted() {
+    // all clients of a proxy on this machine share its address
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(
         dir.path(),

@@ -26,7 +26,7 @@ fn kind(error: &Error) -> String {
 }
 
 #[test]
-fn a_photo_goes_up_and_everything_comes_down() {
+fn a_photo_is_uploaded_and_everything_fetched() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     let client = client(&server);
@@ -67,7 +67,7 @@ fn a_photo_goes_up_and_everything_comes_down() {
 }
 
 #[test]
-fn what_is_wrong_is_told_by_kind_and_field() {
+fn errors_have_their_kind_and_field() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     let client = client(&server);
@@ -82,13 +82,13 @@ fn what_is_wrong_is_told_by_kind_and_field() {
         let photo = client.upload(Upload::of(jpeg(1)).wait(Duration::from_secs(20))).await.unwrap();
         let wrong = client.view(&photo.id, &View::new(0, 30)).await.unwrap_err();
         assert_eq!(wrong.status(), Some(400));
-        let nobody = Client::new("http://127.0.0.1:1").unwrap().patience(Duration::ZERO);
-        assert!(matches!(nobody.photo(&photo.id).await, Err(Error::Network(_))));
+        let unreachable = Client::new("http://127.0.0.1:1").unwrap().patience(Duration::ZERO);
+        assert!(matches!(unreachable.photo(&photo.id).await, Err(Error::Network(_))));
     });
 }
 
 #[test]
-fn stages_are_told_until_it_is_made() {
+fn stages_are_reported_until_the_photo_is_made() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = Running::start(dir.path(), Limits::default(), gate.clone());
@@ -100,7 +100,7 @@ fn stages_are_told_until_it_is_made() {
         let mut stages = Vec::new();
         let made = client.finished(&id, |stage| {
             stages.push(stage.stage.clone());
-            // it is made once its first stage was told
+            // the gate opens after the first event
             if stages.len() == 1 {
                 gate.open(1);
             }
@@ -111,7 +111,7 @@ fn stages_are_told_until_it_is_made() {
 }
 
 #[test]
-fn photos_are_their_owners_and_a_link_shows_one() {
+fn photos_belong_to_their_owner_and_a_link_shows_one() {
     let dir = tempfile::tempdir().unwrap();
     let config =
         Config { hosts: vec!["photos.example".into()], private: true, ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
@@ -144,7 +144,7 @@ fn photos_are_their_owners_and_a_link_shows_one() {
     });
 }
 
-/// A server that answers each connection with the next of some texts, and tells how many came.
+/// A server that answers each connection with the next text; the thread returns how many it answered.
 fn answers(texts: Vec<&'static str>) -> (String, std::thread::JoinHandle<usize>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("http://{}", listener.local_addr().unwrap());
@@ -153,7 +153,7 @@ fn answers(texts: Vec<&'static str>) -> (String, std::thread::JoinHandle<usize>)
             let (mut stream, _) = listener.accept().unwrap();
             let mut asked = Vec::new();
             let mut piece = [0; 1024];
-            // a request without a body, or with a small one
+            // the requests here have no body, or a small one
             while !asked.windows(4).any(|w| w == b"\r\n\r\n") {
                 let n = stream.read(&mut piece).unwrap();
                 asked.extend_from_slice(&piece[..n]);
@@ -166,7 +166,7 @@ fn answers(texts: Vec<&'static str>) -> (String, std::thread::JoinHandle<usize>)
 }
 
 #[test]
-fn what_is_refused_for_now_is_asked_again_and_what_may_have_been_done_is_not() {
+fn refused_requests_are_repeated_and_possibly_completed_ones_are_not() {
     const BUSY: &str = "HTTP/1.1 503 Service Unavailable\r\nretry-after: 0\r\ncontent-length: 0\r\nconnection: close\r\n\r\n";
     const OFTEN: &str = "HTTP/1.1 429 Too Many Requests\r\nretry-after: 0\r\ncontent-length: 0\r\nconnection: close\r\n\r\n";
     const CUT: &str = "HTTP/1.1 200 OK\r\ncontent-length: 100\r\nconnection: close\r\n\r\nnot all";
@@ -176,7 +176,7 @@ fn what_is_refused_for_now_is_asked_again_and_what_may_have_been_done_is_not() {
         let error = Client::new(&address).unwrap().photo("a").await.unwrap_err();
         assert!(matches!(&error, Error::Problem(p) if p.status == 404 && p.detail == "none"), "{error:?}");
         assert_eq!(served.join().unwrap(), 3);
-        // nobody's upload, once it may have come through
+        // an upload without an owner is not repeated after it may have arrived
         let (address, served) = answers(vec![OFTEN, CUT]);
         let error = Client::new(&address).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err();
         assert!(matches!(error, Error::Network(_)), "{error:?}");
@@ -184,7 +184,7 @@ fn what_is_refused_for_now_is_asked_again_and_what_may_have_been_done_is_not() {
         let (address, served) = answers(vec![BUSY]);
         assert_eq!(Client::new(&address).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err().status(), Some(503));
         served.join().unwrap();
-        // an owner's is the same photo
+        // an owner's upload is repeated, because it gives the same photo
         let (address, served) = answers(vec![CUT, NONE]);
         let owner = Client::new(&address).unwrap().with_fresh_owner().unwrap();
         assert_eq!(owner.upload(Upload::of(&b"x"[..])).await.unwrap_err().status(), Some(404));

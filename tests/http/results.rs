@@ -1,4 +1,4 @@
-//! What is made of a photo, as clients fetch it; pages, and what every answer carries.
+//! Files made of a photo, pages, and the headers of every answer.
 #![allow(clippy::float_cmp, reason = "figures that must be exact")]
 
 use std::sync::Arc;
@@ -95,7 +95,7 @@ fn regions_of_the_atlas() {
         ("?region=0,0,10,10", (64, 60), 0.0),
         ("?region=70,0,10,60", (24, 60), 56.0),
         ("?region=70%2C50%2C1%2C1&level=1", (12, 30), 28.0),
-        // of the region's 10 pixels at level 0, 5 at level 1
+        // the region's 10 pixels at level 0 are 5 at level 1
         ("?region=0,0,10,10&fit=5", (32, 30), 0.0),
         ("?region=0,0,10,10&fit=6", (64, 60), 0.0),
     ] {
@@ -130,7 +130,7 @@ fn regions_of_the_atlas() {
 }
 
 #[test]
-fn sections_of_the_atlas_that_are_asked_for() {
+fn chosen_sections_of_the_atlas() {
     let (_dir, server, photo) = with_photo();
     let fetch = |query: &str| get(server.addr, &format!("{photo}/atlas{query}"));
     let whole = fetch("");
@@ -148,7 +148,7 @@ fn sections_of_the_atlas_that_are_asked_for() {
         assert_eq!(held.iter().map(|s| s.kind).collect::<Vec<_>>(), kinds, "{query}");
         tags.push(some.header("etag").unwrap().to_owned());
     }
-    // the last is the same choice as the second
+    // the last query selects the same sections as the second
     assert_eq!(tags.pop().unwrap(), tags[2]);
     assert!((1..tags.len()).all(|i| !tags[..i].contains(&tags[i])), "{tags:?}");
     let path = format!("{photo}/atlas?sections=photo");
@@ -171,7 +171,7 @@ fn views_in_every_format_with_their_timing() {
     let carried = tmpi_core::container::decode(&get(server.addr, &format!("{photo}/atlas")).body).unwrap().photo;
     assert_eq!(picture.dimensions(), (80, 60));
     assert!(picture.as_raw() == carried.rgb.as_flattened(), "the view from the reference camera is the photo as it is carried");
-    // and that is the one that was uploaded
+    // it is close to the uploaded photo
     let uploaded = image::load_from_memory(&crate::fixture::picture(1, PictureFormat::Png)).unwrap().to_rgb8();
     let psnr = tmpi_render::difference::psnr(picture.as_raw(), uploaded.as_raw());
     assert!(psnr > 30.0, "{psnr} dB");
@@ -210,7 +210,7 @@ fn views_in_every_format_with_their_timing() {
     for (query, field) in [("tx=NaN", "tx"), ("yaw=inf", "yaw"), ("w=0", "w"), ("w=16384&h=16384", "w"), ("fov=180", "fov"), ("x=1", "x")] {
         assert_eq!(view(query, &[]).problem(400)["field"], field, "{query}");
     }
-    // extreme but finite cameras draw something or say why not, and never take the server down
+    // extreme but finite cameras give a view or an error, and never crash the server
     for query in ["tz=1e300", "tx=-1e308", "yaw=180", "tz=0.999", "fov=0.1", "fov=179", "roll=1e17", "w=1&h=1", "w=16384&h=1"] {
         let status = view(query, &[]).status;
         assert!(matches!(status, 200 | 400 | 422), "{query}: {status}");
@@ -267,13 +267,13 @@ fn exports_to_download() {
     }
     tags.sort();
     tags.dedup();
-    assert_eq!(tags.len(), 4, "each form has its own tag");
+    assert_eq!(tags.len(), 4, "each format has its own tag");
     assert_eq!(fetch("?format=gltf", &[]).problem(400)["field"], "format");
     assert_eq!(fetch("?size=3", &[]).problem(400)["field"], "size");
 }
 
 #[test]
-fn what_is_not_there_yet_or_not_at_all() {
+fn missing_photos_and_photos_that_are_not_ready() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Gate::new(0));
     let id = server.upload(&jpeg(1));
@@ -286,7 +286,7 @@ fn what_is_not_there_yet_or_not_at_all() {
     }
     get(server.addr, "/v1/photos/..%2F..%2Fetc").problem(404);
     get(server.addr, "/nothing").problem(404);
-    // a browser that goes there is a person's
+    // a browser's navigation gets a page
     for (header, is_page) in [
         (("sec-fetch-dest", "document"), true),
         (("sec-fetch-dest", "empty"), false),
@@ -338,13 +338,13 @@ fn isolated_pages_may_frame_a_photo() {
 }
 
 #[test]
-fn an_open_server_makes_no_link_that_ends() {
+fn an_open_server_creates_no_expiring_link() {
     let (_dir, server, photo) = with_photo();
     let links = |query: &str| request(server.addr, "POST", &format!("{photo}/links{query}"), &[], &[]);
     assert_eq!(links("").status, 200);
     let refused = links("?seconds=3600").problem(400);
     assert_eq!(refused["field"], "seconds");
-    assert!(refused["detail"].as_str().unwrap().contains("do not end"), "{refused}");
+    assert!(refused["detail"].as_str().unwrap().contains("do not expire"), "{refused}");
 }
 
 #[test]
@@ -354,7 +354,7 @@ fn pages_and_the_headers_of_every_answer() {
     for path in ["/view/0123456789abcdef0123456789abcdef", "/view/no-id", "/embed/0123456789abcdef0123456789abcdef"] {
         let page = request(server.addr, "GET", path, &[("if-none-match", "*"), ("range", "bytes=0-5")], &[]);
         assert_eq!((page.status, page.header("content-type")), (404, Some("text/html; charset=utf-8")), "{path}");
-        assert!(String::from_utf8(page.body).unwrap().contains("</html>"), "{path}: the page itself says what is missing");
+        assert!(String::from_utf8(page.body).unwrap().contains("</html>"), "{path}: a page, not a problem");
     }
     for path in ["/", "/demo"] {
         let page = get(server.addr, path);
@@ -398,7 +398,7 @@ fn health_and_metrics() {
     assert_eq!(value("tmpi_view_seconds_count{phase=\"render\"}"), 1.0);
     assert!(value("tmpi_scene_cache_bytes ") > 0.0 && value("tmpi_uploaded_bytes_total ") > 0.0);
     assert!(text.contains("route=\"/v1/photos/{id}/view\""), "routes are counted by their pattern");
-    // what alerts compare with
+    // the limits that alerts compare with
     let usual = Limits::default();
     for (name, limit) in [
         ("queue", usual.queue),
@@ -419,11 +419,11 @@ fn health_and_metrics() {
 }
 
 #[test]
-fn text_is_sent_in_gzip_to_who_takes_it_and_pictures_and_containers_never_are() {
+fn text_is_compressed_if_accepted_and_pictures_and_containers_never_are() {
     use std::io::Read as _;
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    // a report of some size, and a list
+    // a large report, and a list
     let ids: Vec<String> = [large(1), jpeg(1), jpeg(2)].iter().map(|photo| server.upload(photo)).collect();
     for id in &ids {
         server.wait(id, "done");
@@ -440,7 +440,7 @@ fn text_is_sent_in_gzip_to_who_takes_it_and_pictures_and_containers_never_are() 
         assert!(coded.all("vary").contains("accept-encoding") && plain.all("vary").contains("accept-encoding"), "{path}");
         let mut text = Vec::new();
         flate2::read::GzDecoder::new(coded.body.as_slice()).read_to_end(&mut text).unwrap();
-        // figures of the server itself change from one answer to the next
+        // metrics change between two answers
         assert!(path == "/metrics" || text == plain.body, "{path}");
         assert!(coded.body.len() < plain.body.len(), "{path}: {} of {} bytes", coded.body.len(), plain.body.len());
         if let Some(tag) = coded.header("etag") {
@@ -453,7 +453,7 @@ fn text_is_sent_in_gzip_to_who_takes_it_and_pictures_and_containers_never_are() 
         let answer = ask(&format!("{photo}/{part}"), "gzip");
         assert_eq!((answer.status, answer.header("content-encoding")), (200, None), "{part}");
     }
-    // a tag that came with a coded answer names the settings that may be changed
+    // `If-Match` accepts the tag of a compressed answer
     let seen = ask(&photo, "gzip").header("etag").unwrap().to_owned();
     let patch = [("content-type", "application/json"), ("if-match", &seen)];
     assert_eq!(request(server.addr, "PATCH", &photo, &patch, br#"{"title": "A"}"#).status, 200);

@@ -1,4 +1,4 @@
-//! How much one owner may have, and photos that go by themselves.
+//! Quotas and retention.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,13 +9,13 @@ use crate::access::{ask, private_within, secret};
 use crate::client::{Connection, get, request};
 use crate::fixture::{Running, contents, jpeg, pipeline, wait_until};
 
-/// Bytes of all contents of a photo, or of all photos.
+/// Bytes of all blobs of a photo; of all photos if `id` is empty.
 fn size(data: &std::path::Path, id: &str) -> u64 {
     contents(data, id, "").iter().map(|file| std::fs::metadata(file).unwrap().len()).sum()
 }
 
 #[test]
-fn an_owner_has_so_many_photos_and_others_have_theirs() {
+fn the_quota_of_photos_applies_to_each_owner() {
     let dir = tempfile::tempdir().unwrap();
     let server = private_within(dir.path(), Arc::new(pipeline()), Limits { quotas: Quotas { photos: 2, bytes: 0 }, ..Limits::default() });
     let (ann, bob) = (secret("a"), secret("b"));
@@ -25,7 +25,7 @@ fn an_owner_has_so_many_photos_and_others_have_theirs() {
     let refused = upload(&ann, 3).problem(403);
     assert_eq!(refused["type"], "urn:tmpi:problem:quota");
     assert!(refused["detail"].as_str().unwrap().contains("2 is the limit (quotas.photos)"), "{refused}");
-    // before a byte of the body is sent
+    // refused before the body is sent
     let mut connection = Connection::open(server.addr);
     let head = format!(
         "POST /v1/photos HTTP/1.1\r\nhost: photos.example\r\nauthorization: {ann}\r\ncontent-length: 1000\r\nexpect: 100-continue\r\n\r\n"
@@ -35,14 +35,14 @@ fn an_owner_has_so_many_photos_and_others_have_theirs() {
     assert!(matches!(upload(&bob, 3).status, 201 | 202));
     assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{first}"), &[("authorization", &ann)], &[]).status, 204);
     assert!(matches!(upload(&ann, 3).status, 201 | 202), "there is room again");
-    // this machine's own user is not bound
+    // quotas do not apply to this machine's own user
     for seed in 10..13 {
         assert_eq!(request(server.addr, "POST", "/v1/photos", &[], &jpeg(seed)).status, 202);
     }
 }
 
 #[test]
-fn an_owner_has_so_many_bytes_also_after_a_restart() {
+fn the_quota_of_bytes_holds_after_a_restart() {
     let dir = tempfile::tempdir().unwrap();
     let ann = secret("a");
     let headers = [("authorization", ann.as_str()), ("prefer", "wait=60")];
@@ -62,7 +62,7 @@ fn an_owner_has_so_many_bytes_also_after_a_restart() {
 }
 
 #[test]
-fn photos_go_by_their_age_and_say_when() {
+fn photos_expire_by_age_and_the_state_says_when() {
     let dir = tempfile::tempdir().unwrap();
     let limits =
         |age: Duration| Limits { retention: Retention { age, bytes: 0 }, retain_sweep: Duration::from_millis(200), ..Limits::default() };
@@ -88,7 +88,7 @@ fn photos_go_by_their_age_and_say_when() {
 }
 
 #[test]
-fn photos_that_nobody_looks_at_make_room_for_others() {
+fn the_least_recently_viewed_photos_make_room_for_others() {
     let dir = tempfile::tempdir().unwrap();
     let limits = |room| Limits {
         retention: Retention { age: Duration::ZERO, bytes: room },
@@ -101,9 +101,9 @@ fn photos_that_nobody_looks_at_make_room_for_others() {
         server.wait(id, "done");
     }
     let sizes: Vec<u64> = ids.iter().map(|id| size(dir.path(), id)).collect();
-    // the oldest is looked at last
+    // view the oldest photo last
     for n in [1, 2, 0] {
-        // it is written down now and then which were looked at
+        // the server records views at intervals
         std::thread::sleep(Duration::from_millis(500));
         assert_eq!(get(server.addr, &format!("/v1/photos/{}/thumbnail", ids[n])).status, 200);
     }
@@ -116,5 +116,5 @@ fn photos_that_nobody_looks_at_make_room_for_others() {
     wait_until("one is gone", || there().len() == 2);
     assert!(there().contains(&ids[0]) && !there().contains(&ids[1]), "{ids:?}: {:?}", there());
     std::thread::sleep(Duration::from_millis(600));
-    assert_eq!(there().len(), 2, "no more than has to");
+    assert_eq!(there().len(), 2, "no more than necessary");
 }

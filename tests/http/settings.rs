@@ -1,4 +1,4 @@
-//! Settings of a photo, animations, and views that nobody waits for any more.
+//! Settings of a photo, animations, and abandoned views.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) 
 }
 
 #[test]
-fn a_photo_sent_again_takes_its_title_and_comes_first() {
+fn a_photo_uploaded_again_takes_the_new_title_and_is_listed_first() {
     let (dir, server, photo) = with_photo(Limits::default());
     let first = photo.rsplit('/').next().unwrap().to_owned();
     let second = server.upload(&picture(2, PictureFormat::Png));
@@ -39,7 +39,7 @@ fn a_photo_sent_again_takes_its_title_and_comes_first() {
     let again = send("?title=By%20the%20lake");
     assert_eq!((again.status, again.json()["id"].as_str()), (202, Some(first.as_str())));
     assert_eq!(again.json()["settings"], json!({ "version": 1, "title": "By the lake" }));
-    // without a title it keeps its own
+    // an upload without a title keeps the title
     assert_eq!(send("").json()["settings"]["title"], "By the lake");
     let page = get(server.addr, "/v1/photos?limit=1").json();
     assert_eq!(page["photos"][0]["id"], first);
@@ -52,7 +52,7 @@ fn a_photo_sent_again_takes_its_title_and_comes_first() {
 }
 
 #[test]
-fn downloads_are_named_by_the_title() {
+fn downloads_are_named_after_the_title() {
     let (_dir, server, photo) = with_photo(Limits::default());
     let id = photo.rsplit('/').next().unwrap();
     let name =
@@ -84,7 +84,7 @@ fn settings_stay_with_the_photo() {
     assert_ne!(second, etag);
     assert_eq!(get(server.addr, &photo).header("etag"), Some(second.as_str()));
 
-    // whoever saw the version before may not overwrite what came meanwhile
+    // `If-Match` with an old tag does not overwrite the change
     let late = patch(&server, &photo, &[("if-match", &etag)], &json!({ "title": null }));
     assert_eq!(late.problem(412)["field"], "If-Match");
     let poster = get(server.addr, changed.json()["links"]["poster"].as_str().unwrap());
@@ -142,14 +142,14 @@ fn a_camera_path_is_drawn_as_an_animation() {
     assert_eq!(get(server.addr, &format!("{photo}/view?path=orbit&frames=240&w=2000&h=2000")).problem(400)["field"], "w");
 }
 
-/// A figure of `/metrics`, 0 where it is not there yet.
+/// A value of `/metrics`; 0 if it is missing.
 fn metric(server: &Running, name: &str) -> f64 {
     let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
     text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse().ok()).unwrap_or(0.0)
 }
 
 #[test]
-fn views_that_nobody_waits_for_are_not_drawn() {
+fn abandoned_views_are_not_drawn() {
     const CLIENTS: usize = 8;
     let (_dir, server, photo) = with_photo(Limits { views: 1, views_waiting: CLIENTS, ..Limits::default() });
     let clients: Vec<Connection> = (0..CLIENTS)
@@ -159,7 +159,7 @@ fn views_that_nobody_waits_for_are_not_drawn() {
             client
         })
         .collect();
-    // the request for the figure is one itself
+    // the request for the metrics counts, too
     wait_until("all ask", || metric(&server, "tmpi_requests_in_flight") >= (CLIENTS + 1) as f64);
     drop(clients);
     wait_until("all are gone", || metric(&server, "tmpi_requests_in_flight") <= 1.0);
@@ -170,7 +170,7 @@ fn views_that_nobody_waits_for_are_not_drawn() {
 }
 
 #[test]
-fn a_change_goes_by_the_settings_and_not_by_how_the_photo_fares() {
+fn if_match_depends_on_the_settings_not_on_the_progress() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = Running::start(dir.path(), Limits::default(), gate.clone());
@@ -180,13 +180,13 @@ fn a_change_goes_by_the_settings_and_not_by_how_the_photo_fares() {
     let seen = get(server.addr, &photo).header("etag").unwrap().to_owned();
     gate.open(1);
     server.wait(&id, "done");
-    assert_ne!(get(server.addr, &photo).header("etag"), Some(seen.as_str()), "it is another answer");
+    assert_ne!(get(server.addr, &photo).header("etag"), Some(seen.as_str()), "the state has changed");
     assert_eq!(patch(&server, &photo, &[("if-match", &seen)], &json!({ "title": "A" })).status, 200);
     patch(&server, &photo, &[("if-match", &seen)], &json!({ "title": "B" })).problem(412);
 }
 
 #[test]
-fn of_changes_at_one_time_none_is_lost_and_none_brings_a_deleted_photo_back() {
+fn parallel_changes_are_all_kept_and_never_restore_a_deleted_photo() {
     let (_dir, server, photo) = with_photo(Limits::default());
     let settings = [json!({ "title": "A" }), json!({ "focus": 0.5 }), json!({ "speed": 2.0 }), json!({ "idle": "orbit" })];
     std::thread::scope(|scope| {

@@ -1,4 +1,4 @@
-//! What others show of a photo where somebody links to it: tags in the page's head, oEmbed.
+//! Link previews: tags in the page's head, and oEmbed.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use crate::access::{ask, id, private, secret, upload};
 use crate::client::{Response, get, request};
 use crate::fixture::{Gate, Running, jpeg, pipeline};
 
-/// Breaks out of whatever does not escape it.
+/// A title that breaks out of unescaped HTML.
 const HOSTILE: &str = "</title><script>alert(1)</script>\"'><meta http-equiv=refresh content=0;//evil.example> & \u{202e}ü";
 
 fn start() -> (tempfile::TempDir, Running, String) {
@@ -40,7 +40,7 @@ fn unescaped(text: &str) -> String {
     text
 }
 
-/// Tags of a page by their names.
+/// Meta tags of a page by name.
 fn tags(page: &str) -> BTreeMap<String, String> {
     let head = page.split("</head>").next().unwrap();
     head.split("<meta ")
@@ -52,7 +52,7 @@ fn tags(page: &str) -> BTreeMap<String, String> {
         .collect()
 }
 
-/// Width and height by a JPEG's frame header.
+/// Width and height from a JPEG's frame header.
 fn jpeg_size(bytes: &[u8]) -> (u32, u32) {
     let at = bytes.windows(2).position(|w| w[0] == 0xff && matches!(w[1], 0xc0 | 0xc2)).expect("a frame header");
     let number = |i: usize| u32::from(bytes[at + i]) << 8 | u32::from(bytes[at + i + 1]);
@@ -72,24 +72,24 @@ fn a_link_has_a_title_and_a_picture() {
     assert_eq!((tag("og:title"), tag("og:type"), tag("twitter:card")), (Some("By the sea"), Some("website"), Some("summary_large_image")));
     assert_eq!(tag("og:url"), Some(format!("{base}/view/{id}").as_str()));
     let picture = tag("og:image").unwrap().strip_prefix(&base).expect("an absolute address");
-    assert!(picture.contains("tx=0.12"), "from where the owner says: {picture}");
+    assert!(picture.contains("tx=0.12"), "the owner's poster pose: {picture}");
     let drawn = get(server.addr, picture);
     assert_eq!((drawn.status, drawn.header("content-type")), (200, tag("og:image:type")));
     assert!(drawn.header("cache-control").unwrap().contains("immutable"));
     let size = (tag("og:image:width").unwrap().parse().unwrap(), tag("og:image:height").unwrap().parse().unwrap());
     assert_eq!((jpeg_size(&drawn.body), size), ((80, 60), (80, 60)));
 
-    // what changes with the title has another tag, and is asked for again
+    // a new title changes the page's entity tag
     let etag = answer.header("etag").unwrap().to_owned();
     assert_eq!(call(&server, &format!("/view/{id}"), &[("if-none-match", &etag)]).status, 304);
     rename(&server, &id, "By the lake");
     assert_eq!(call(&server, &format!("/view/{id}"), &[("if-none-match", &etag)]).status, 200);
     let none = String::from_utf8(get(server.addr, "/view/0123456789abcdef0123456789abcdef").body).unwrap();
-    assert!(none.contains("<title>3D photo – tmpi</title>") && !none.contains("og:"), "the page says itself what is not there");
+    assert!(none.contains("<title>3D photo – tmpi</title>") && !none.contains("og:"), "the page of an unknown photo has no tags");
 }
 
 #[test]
-fn a_photo_that_is_not_made_has_no_picture_yet() {
+fn an_unfinished_photo_has_no_preview_picture() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = Running::start(dir.path(), Limits::default(), gate.clone());
@@ -102,7 +102,7 @@ fn a_photo_that_is_not_made_has_no_picture_yet() {
 }
 
 #[test]
-fn addresses_are_of_the_name_that_was_asked_and_the_scheme_that_the_proxy_says() {
+fn addresses_have_the_requested_host_and_the_proxys_scheme() {
     let (_dir, server, id) = start();
     let path = format!("/view/{id}");
     let url = |headers: &[(&str, &str)]| tags(&String::from_utf8(call(&server, &path, headers).body).unwrap())["og:url"].clone();
@@ -114,7 +114,7 @@ fn addresses_are_of_the_name_that_was_asked_and_the_scheme_that_the_proxy_says()
 }
 
 #[test]
-fn no_title_breaks_out() {
+fn titles_are_escaped() {
     let (_dir, server, id) = start();
     let plain = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
     rename(&server, &id, HOSTILE);
@@ -132,7 +132,7 @@ fn no_title_breaks_out() {
 }
 
 #[test]
-fn sites_are_told_how_to_embed_it() {
+fn oembed_answers_a_frame() {
     let (_dir, server, id) = start();
     let base = format!("http://{}", server.addr);
     let page = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
@@ -166,7 +166,7 @@ fn sites_are_told_how_to_embed_it() {
 }
 
 #[test]
-fn a_page_that_was_opened_by_a_link_tells_others_of_it_by_that_link() {
+fn previews_of_a_page_opened_by_a_link_contain_the_link() {
     const BASE: &str = "http://photos.example";
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
@@ -178,7 +178,7 @@ fn a_page_that_was_opened_by_a_link_tells_others_of_it_by_that_link() {
     let text = |answer: Response| String::from_utf8(answer.body).unwrap();
     let page = text(stranger(links["page"].as_str().unwrap()));
     let tags = tags(&page);
-    assert_eq!(tags["og:url"], format!("{BASE}/view/{photo}?{query}"), "else the site that shows it would lead to nothing");
+    assert_eq!(tags["og:url"], format!("{BASE}/view/{photo}?{query}"), "with the link, or a preview would lead to 404");
     let picture = stranger(&tags["og:image"]);
     assert_eq!((picture.status, picture.header("content-type")), (200, Some("image/jpeg")));
     let told = unescaped(page.split("application/json+oembed\" href=\"").nth(1).unwrap().split('"').next().unwrap());
@@ -189,8 +189,8 @@ fn a_page_that_was_opened_by_a_link_tells_others_of_it_by_that_link() {
     let frame = unescaped(told["html"].as_str().unwrap().split('"').nth(1).unwrap());
     assert_eq!(frame, format!("{BASE}/embed/{photo}?{query}"));
     let kept = stranger(&frame);
-    assert!(kept.status == 200 && kept.all("set-cookie").starts_with("tmpi_link="), "who goes there by itself has its cookie");
-    // by another link, or none, there is nothing to tell
+    assert!(kept.status == 200 && kept.all("set-cookie").starts_with("tmpi_link="), "a frame that navigates keeps access by a cookie");
+    // without a valid link, neither tags nor oEmbed
     let forged = format!("{}{}", &query[..query.len() - 1], if query.ends_with('0') { '1' } else { '0' });
     for query in ["", &format!("?{forged}")] {
         let page = text(stranger(&format!("/view/{photo}{query}")));
@@ -200,13 +200,13 @@ fn a_page_that_was_opened_by_a_link_tells_others_of_it_by_that_link() {
         stranger(&format!("/oembed?{url}")).problem(404);
         assert!(stranger(&format!("/embed/{photo}{query}")).header("set-cookie").is_none());
     }
-    // its owner's own page, and what everybody may see, needs none
+    // the owner's own page has tags without the link
     let own = text(ask(&server, "GET", links["page"].as_str().unwrap(), &[("authorization", &ann)], &[]));
     assert!(own.contains("og:image") && !own.contains("signature"));
 }
 
 #[test]
-fn a_link_leads_somewhere_also_once_nobody_is_asked_who_they_are() {
+fn signed_links_still_work_on_an_open_server() {
     let (_dir, server, id) = start();
     for path in ["", "/atlas", "/settings"] {
         assert_eq!(get(server.addr, &format!("/v1/photos/{id}{path}?expires=1&signature=5e")).status, 200, "{path}");

@@ -1,4 +1,4 @@
-//! Touch-up: strokes that have a photo made again.
+//! Touch-up: strokes, with which a photo is made again.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -55,7 +55,7 @@ fn strokes_make_the_photo_again_and_stay_with_it() {
     assert_ne!(depth(&server), untouched);
     assert_eq!(get(server.addr, &format!("{photo}/report")).json()["input"]["strokes"], 1);
 
-    // what named the version of before may be kept for ever no more, and what names this one may
+    // addresses with the old version are no longer immutable, those with the new version are
     for part in ["atlas", "depth", "report", "thumbnail", "view?w=20", "export?format=glb"] {
         let and = if part.contains('?') { '&' } else { '?' };
         for (version, kept) in [(&before["version"], "no-cache"), (&after["version"], "public, max-age=31536000, immutable")] {
@@ -64,12 +64,12 @@ fn strokes_make_the_photo_again_and_stay_with_it() {
         }
     }
 
-    // whoever saw the strokes of before may not overwrite these
+    // `If-Match` with an old tag does not overwrite the strokes
     let late = patch(&server, &photo, &[("if-match", seen)], &json!({ "strokes": null }));
     assert_eq!(late.problem(412)["field"], "If-Match");
     let kept = get(server.addr, &format!("{photo}/strokes"));
     assert_eq!((kept.json()["strokes"].clone(), kept.header("etag")), (json!([sky()]), changed.header("etag")));
-    // nothing new, and nothing made
+    // the same strokes do not make the photo again
     for same in [json!({ "strokes": [sky()] }), json!({}), json!({ "version": 1 })] {
         let same = patch(&server, &photo, &[], &same);
         assert_eq!((same.status, &same.json()["version"]), (200, &after["version"]));
@@ -80,11 +80,11 @@ fn strokes_make_the_photo_again_and_stay_with_it() {
     assert_eq!(get(server.addr, &format!("{photo}/strokes")).json()["strokes"], json!([sky()]), "after a restart");
     assert_eq!(server.upload(&picture(1, PictureFormat::Png)), before["id"].as_str().unwrap(), "the same upload is the same photo");
     let removed = patch(&server, &photo, &[WAIT], &json!({ "strokes": null }));
-    assert_eq!((removed.status, depth(&server) == untouched), (200, true), "the depth is as it was");
+    assert_eq!((removed.status, depth(&server) == untouched), (200, true), "the original depth is back");
 }
 
 #[test]
-fn the_map_before_the_strokes_is_kept_with_the_one_that_came_of_them() {
+fn the_map_before_the_strokes_is_kept_beside_the_touched_up_one() {
     let (dir, server, photo) = with_photo();
     let limits = tmpi_pipeline::photo::Limits::default();
     let read = |file: &[u8]| tmpi_pipeline::depth::from_map(file, DepthKind::Disparity, &limits, 80, 60).unwrap().0.delta;
@@ -102,13 +102,13 @@ fn the_map_before_the_strokes_is_kept_with_the_one_that_came_of_them() {
         let kept = before(&server);
         assert_eq!((kept.status, kept.header("content-type")), (200, Some("image/png")));
         let map = read(&kept.body);
-        // the network's own, which is nearer towards the bottom, whatever the strokes are
+        // the map before strokes is the network's ramp, nearer towards the bottom
         let off = map.iter().enumerate().map(|(i, d)| f64::from((d - (i / 80 + 1) as f32 / 60.0).abs())).sum::<f64>() / 4800.0;
-        assert!(off < 0.01, "{strokes}: {off} from what the network gave");
-        assert!(all.iter().all(|other| *other == map), "{strokes}: it depends on them");
+        assert!(off < 0.01, "{strokes}: {off} from the network's map");
+        assert!(all.iter().all(|other| *other == map), "{strokes}: the map before strokes depends on the strokes");
         all.push(map);
         let now = used(&server);
-        assert_ne!(read(&now.body), untouched, "{strokes}: the strokes are in the map that is used");
+        assert_ne!(read(&now.body), untouched, "{strokes}: the used map contains the strokes");
         assert!(kept.header("etag").is_some() && kept.header("etag") != now.header("etag"));
         let version = state["version"].as_str().unwrap();
         let lasting = get(server.addr, &format!("{photo}/depth?before=strokes&v={version}"));
@@ -116,7 +116,7 @@ fn the_map_before_the_strokes_is_kept_with_the_one_that_came_of_them() {
         let known =
             request(server.addr, "GET", &format!("{photo}/depth?before=strokes"), &[("if-none-match", kept.header("etag").unwrap())], &[]);
         assert_eq!(known.status, 304);
-        // what is downloaded is a picture like any other
+        // the map is an ordinary PNG
         assert_eq!(image::load_from_memory(&now.body).unwrap().into_luma16().dimensions(), (80, 60));
     }
 
@@ -165,7 +165,7 @@ fn a_wrong_stroke_is_named_and_changes_nothing() {
 }
 
 #[test]
-fn a_photo_on_its_way_is_not_touched() {
+fn strokes_are_refused_while_the_photo_is_made() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(1);
     let server = Running::start(dir.path(), Limits::default(), gate.clone());

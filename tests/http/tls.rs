@@ -1,4 +1,4 @@
-//! The server with a certificate of its own: HTTP/1.1 and HTTP/2 inside.
+//! TLS with `--tls-cert`: HTTP/1.1 and HTTP/2.
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -28,7 +28,7 @@ fn example(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/http/certificates").join(name)
 }
 
-/// A server with the example's certificate.
+/// A server with the example certificate.
 fn start(data: &Path, limits: Limits) -> Running {
     let models = Models { depth: Arc::new(live::Bright), theta: None, psi: None };
     let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
@@ -38,7 +38,7 @@ fn start(data: &Path, limits: Limits) -> Running {
     Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap().with_rooms(rooms).with_tls(tls) })
 }
 
-/// A client that trusts the example's certificate and offers these protocols.
+/// A client that trusts the example certificate and offers these protocols.
 fn trusting(protocols: &[&[u8]]) -> Arc<ClientConfig> {
     let mut roots = RootCertStore::empty();
     roots.add(CertificateDer::from_pem_file(example("one.pem")).unwrap()).unwrap();
@@ -49,7 +49,7 @@ fn trusting(protocols: &[&[u8]]) -> Arc<ClientConfig> {
     Arc::new(client)
 }
 
-/// A photo that is made, in a folder that the servers of a test take up.
+/// Makes a photo in a data folder; returns its id and container.
 fn made(data: &Path) -> (String, Vec<u8>) {
     let plain = Running::start(data, Limits::default(), Arc::new(pipeline()));
     let id = plain.upload(&jpeg(1));
@@ -59,7 +59,7 @@ fn made(data: &Path) -> (String, Vec<u8>) {
     (id, atlas)
 }
 
-/// A connection of HTTP/2, whose peer has the windows of `client`.
+/// An HTTP/2 connection with the flow-control windows of `client`.
 async fn second(addr: SocketAddr, client: &mut h2::client::Builder) -> SendRequest<Bytes> {
     let stream = tokio::net::TcpStream::connect(addr).await.unwrap();
     let name = ServerName::try_from("localhost").unwrap();
@@ -74,7 +74,7 @@ fn asks(method: &str, path: &str, host: &str) -> Request<()> {
     Request::builder().method(method).uri(format!("https://{host}{path}")).body(()).unwrap()
 }
 
-/// All of an answer.
+/// A whole answer.
 async fn whole(answer: h2::client::ResponseFuture) -> Result<(Response<()>, Vec<u8>), h2::Error> {
     let (head, mut body) = answer.await?.into_parts();
     let mut all = Vec::new();
@@ -94,7 +94,7 @@ async fn fetch(sender: &SendRequest<Bytes>, request: Request<()>) -> (u16, Vec<u
 }
 
 #[test]
-fn one_request_after_the_other_within_tls() {
+fn requests_on_a_keep_alive_connection_over_tls() {
     let dir = tempfile::tempdir().unwrap();
     let (id, atlas) = made(dir.path());
     let server = start(dir.path(), Limits::default());
@@ -119,13 +119,13 @@ fn one_request_after_the_other_within_tls() {
     assert!(head.starts_with("HTTP/1.1 200 ") && body == atlas);
     let (_, page) = ask(&format!("/view/{id}"), "");
     let page = String::from_utf8(page).unwrap();
-    assert!(page.contains("https://localhost") && !page.contains("http://localhost"), "links name the scheme that is spoken");
+    assert!(page.contains("https://localhost") && !page.contains("http://localhost"), "links have the scheme of the connection");
     let (_, page) = ask(&format!("/view/{id}"), "x-forwarded-proto: http\r\n");
-    assert!(String::from_utf8(page).unwrap().contains("http://localhost"), "a proxy knows better");
+    assert!(String::from_utf8(page).unwrap().contains("http://localhost"), "a proxy's header overrides the scheme");
 }
 
 #[test]
-fn browsers_are_told_to_stay_with_tls_where_the_server_speaks_it() {
+fn hsts_is_sent_over_tls() {
     let dir = tempfile::tempdir().unwrap();
     let (id, _) = made(dir.path());
     let told = |limits: Limits, paths: &[&str]| {
@@ -151,7 +151,7 @@ fn browsers_are_told_to_stay_with_tls_where_the_server_speaks_it() {
         (one, all.matches("strict-transport-security: max-age=9\r\n").count())
     };
     let atlas = format!("/v1/photos/{id}/thumbnail");
-    // the second answer of a file is one that was kept
+    // the second thumbnail comes from a cache
     let paths = ["/healthz", &atlas, &atlas, "/nowhere"];
     assert_eq!(told(Limits { hsts: Duration::from_secs(9), ..Limits::default() }, &paths), (Some("max-age=9".into()), 4));
     assert_eq!(told(Limits { hsts: Duration::ZERO, ..Limits::default() }, &paths), (None, 0));
@@ -161,7 +161,7 @@ fn browsers_are_told_to_stay_with_tls_where_the_server_speaks_it() {
 }
 
 #[test]
-fn a_connection_of_http_2_has_as_many_requests_at_a_time_as_were_said() {
+fn http_2_announces_the_configured_limit_of_streams() {
     let dir = tempfile::tempdir().unwrap();
     let server = start(dir.path(), Limits { streams_at_once: 3, ..Limits::default() });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -172,7 +172,7 @@ fn a_connection_of_http_2_has_as_many_requests_at_a_time_as_were_said() {
     });
 }
 
-/// What begins as a photo and is longer than a body may be.
+/// A photo padded beyond the limit of a body.
 fn large(mut photo: Vec<u8>) -> Vec<u8> {
     photo.resize(Limits::BODY + 1, 7);
     photo
@@ -193,12 +193,12 @@ fn many_requests_at_a_time_over_http_2() {
         }
         let (_, page) = fetch(&sender, asks("GET", &format!("/view/{id}"), "localhost")).await;
         assert!(String::from_utf8(page).unwrap().contains("https://localhost"));
-        assert_eq!(fetch(&sender, asks("GET", &path, "elsewhere.example")).await.0, 421, "a host is looked at wherever it is named");
-        // an upload, and one whose body is refused beside it
+        assert_eq!(fetch(&sender, asks("GET", &path, "elsewhere.example")).await.0, 421, "the host of `:authority` is checked, too");
+        // an upload, and beside it one whose body is refused
         let upload = async |photo: Bytes, path: &str| {
             let mut sender = sender.clone().ready().await.unwrap();
             let (answer, mut body) = sender.send_request(asks("POST", path, "localhost"), false).unwrap();
-            // what is refused is not taken to its end
+            // the server may refuse the body before its end
             let _ = body.send_data(photo, true);
             whole(answer).await.map(|(head, body)| (head.status().as_u16(), body))
         };
@@ -212,7 +212,7 @@ fn many_requests_at_a_time_over_http_2() {
 }
 
 #[test]
-fn a_room_behind_tls_is_published_into_and_watched_by_the_program() {
+fn the_program_publishes_and_watches_a_room_over_tls() {
     let (dir, frames) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let server = start(dir.path(), Limits::default());
     for n in 0..10 {
@@ -226,35 +226,35 @@ fn a_room_behind_tls_is_published_into_and_watched_by_the_program() {
     };
     let _publisher = program(&["publish", frames.path().to_str().unwrap(), "--room", &room, "--times", "1000000"]);
     let seconds = (0..100).find_map(|_| {
-        // nobody publishes at first
+        // the publisher may not have started yet
         let lines = program(&["watch", &room, "--seconds", "2", "--json"]).printed();
         (!lines.is_empty()).then_some(lines)
     });
     let frames: u64 = seconds
-        .expect("it can be watched")
+        .expect("the room can be watched")
         .lines()
         .map(|line| serde_json::from_str::<Value>(line).unwrap()["frames"].as_u64().unwrap())
         .sum();
     assert!(frames > 0);
     let stranger = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["live", "watch", &room, "--seconds", "1"]).output().unwrap();
-    assert!(!stranger.status.success(), "a certificate that nobody vouches for is not trusted");
+    assert!(!stranger.status.success(), "an unknown issuer is not trusted");
     assert!(String::from_utf8(stranger.stderr).unwrap().contains("certificate"));
 }
 
 #[test]
-fn who_takes_nothing_says_nothing_or_speaks_no_tls_is_cut_off() {
+fn stalled_silent_and_plain_text_connections_are_closed() {
     let dir = tempfile::tempdir().unwrap();
     let (id, atlas) = made(dir.path());
     let short = Duration::from_millis(300);
     let limits = Limits { write: short, write_rate: 1 << 30, header_read: Duration::from_secs(2), ..Limits::default() };
     let server = start(dir.path(), limits);
-    // a handshake that never comes, and plain HTTP
+    // no handshake, and plain HTTP
     let mut silent = TcpStream::connect(server.addr).unwrap();
     let mut plain = TcpStream::connect(server.addr).unwrap();
     write!(plain, "GET / HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
     for stream in [&mut silent, &mut plain] {
         stream.set_read_timeout(Some(Duration::from_mins(1))).unwrap();
-        // an alert at most, then the end
+        // at most a TLS alert, then the end
         let ended = stream.read_to_end(&mut Vec::new());
         assert!(ended.is_ok_and(|n| n < 100));
     }
@@ -264,7 +264,7 @@ fn who_takes_nothing_says_nothing_or_speaks_no_tls_is_cut_off() {
         let mut sender = second(server.addr, h2::client::Builder::new().initial_window_size(small)).await.ready().await.unwrap();
         let (answer, _) = sender.send_request(asks("GET", &format!("/v1/photos/{id}/atlas"), "localhost"), true).unwrap();
         let mut body = answer.await.unwrap().into_body();
-        // takes no more than its window, and answers pings for as long as it is asked
+        // this client does not open its window, but answers pings
         let mut came = 0;
         let cut = loop {
             match tokio::time::timeout(Duration::from_mins(1), body.data()).await.expect("it is cut off") {
@@ -273,7 +273,7 @@ fn who_takes_nothing_says_nothing_or_speaks_no_tls_is_cut_off() {
             }
         };
         assert!(matches!(cut, Some(Err(_))) && came <= small as usize, "{cut:?} after {came} of {}", atlas.len());
-        // one that asks nothing is told to go
+        // an idle connection gets GOAWAY
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
         assert_eq!(fetch(&sender, asks("GET", "/healthz", "localhost")).await.0, 200);
         let began = Instant::now();

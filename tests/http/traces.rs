@@ -1,4 +1,4 @@
-//! Traces, against a stand-in for a collector.
+//! Traces, with a stand-in for the collector.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -16,7 +16,7 @@ use crate::client::{Connection, get, post_form, request};
 use crate::fixture::{Gate, Running, depth_map, jpeg, pipeline, wait_until};
 use crate::process::Process;
 
-/// What a collector does with what comes.
+/// How a collector answers.
 #[derive(Clone, Copy)]
 enum Mood {
     Takes,
@@ -24,11 +24,11 @@ enum Mood {
     Hangs,
 }
 
-/// Takes spans as a collector does.
+/// A stand-in for a collector.
 struct StandIn {
     url: String,
     spans: Mutex<Vec<Span>>,
-    /// As the one that sent last calls itself.
+    /// `service.name` of the last sender.
     service: Mutex<String>,
     mood: Mutex<Mood>,
 }
@@ -52,7 +52,7 @@ impl StandIn {
         self.spans.lock().unwrap().clone()
     }
 
-    /// Waits until `count` spans have a name.
+    /// Waits for `count` spans of a name.
     fn wait(&self, name: &str, count: usize) -> Vec<Span> {
         let named = || self.spans().into_iter().filter(|s| s.name == name).collect::<Vec<_>>();
         wait_until(&format!("{count} times {name:?}"), || named().len() >= count);
@@ -63,7 +63,7 @@ impl StandIn {
         Collector { url: self.url.clone(), ratio }
     }
 
-    /// One request of a connection; none where it ends.
+    /// Reads and answers one request; `None` at the end of the connection.
     fn take(&self, stream: &TcpStream) -> Option<()> {
         let mut reader = BufReader::new(stream);
         let mut line = String::new();
@@ -86,7 +86,7 @@ impl StandIn {
         let status = match mood {
             Mood::Takes => "200 OK",
             Mood::Refuses => "400 Bad Request",
-            // until the other side has enough
+            // until the client gives up
             Mood::Hangs => return reader.read_to_end(&mut body).ok().and(None),
         };
         if matches!(mood, Mood::Takes) {
@@ -125,7 +125,7 @@ fn start_with(data: &Path, traces: Collector, maker: Arc<dyn Maker>, limits: Lim
     Running::of(async move { Server::bind(config, maker, renderer).await.unwrap() })
 }
 
-/// The count of spans with an outcome.
+/// The count of spans with this outcome.
 fn counted(server: &Running, outcome: &str) -> u64 {
     let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
     let line = format!("tmpi_trace_spans_total{{outcome=\"{outcome}\"}} ");
@@ -139,7 +139,7 @@ fn an_upload_is_one_trace_of_request_job_and_stages() {
     let id = server.upload(&jpeg(1));
     server.wait(&id, "done");
     let (upload, job) = (&collector.wait("POST /v1/photos", 1)[0], &collector.wait("job", 1)[0]);
-    assert!(upload.parent_span_id.is_empty(), "it begins here");
+    assert!(upload.parent_span_id.is_empty(), "a root span");
     assert_eq!((upload.kind, job.kind), (SpanKind::Server as i32, SpanKind::Consumer as i32));
     for (key, value) in
         [("http.request.method", "POST"), ("http.route", "/v1/photos"), ("http.response.status_code", "202"), ("tmpi.peer", "loopback")]
@@ -161,30 +161,30 @@ fn an_upload_is_one_trace_of_request_job_and_stages() {
         assert!(pair[0].trace_id == job.trace_id && pair[0].end_time_unix_nano <= pair[1].start_time_unix_nano, "{pair:?}");
     }
     assert!(stages.last().unwrap().end_time_unix_nano <= job.end_time_unix_nano);
-    // a photo made again is of whoever asked for that
+    // the job of a photo that is made again belongs to the request that asked for it
     let patch = br#"{"strokes": [{"points": [[0.5, 0.5]], "radius": 0.1, "to": 0}]}"#;
     let json = [("content-type", "application/json")];
     assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{id}/strokes"), &json, patch).status, 202);
     let (patched, jobs) = (&collector.wait("PATCH /v1/photos/{id}/strokes", 1)[0], collector.wait("job", 2));
     assert_eq!(jobs[1].parent_span_id, patched.span_id);
-    // what waits for a slot is told apart
+    // work that waits for a slot has its own span
     server.wait(&id, "done");
     assert_eq!(get(server.addr, &format!("/v1/photos/{id}/view?w=16")).status, 200);
     let (view, work) = (&collector.wait("GET /v1/photos/{id}/view", 1)[0], &collector.wait("work", 1)[0]);
     assert_eq!((&work.parent_span_id, attribute(work, "tmpi.job.class").as_str()), (&view.span_id, "interactive"));
     get(server.addr, "/healthz");
-    wait_until("what was sent is counted", || counted(&server, "sent") >= collector.spans().len() as u64);
+    wait_until("sent spans are counted", || counted(&server, "sent") >= collector.spans().len() as u64);
     assert_eq!((counted(&server, "refused"), counted(&server, "dropped")), (0, 0));
     server.stop();
     let health = collector.spans().into_iter().filter(|s| ["GET /healthz", "GET /metrics"].contains(&s.name.as_str())).count();
-    assert_eq!(health, 0, "those who watch the server fill no traces");
+    assert_eq!(health, 0, "health checks and metrics have no spans");
 }
 
 #[test]
-fn a_trace_goes_on_that_a_client_began_also_after_a_restart() {
+fn a_clients_trace_continues_after_a_restart() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
     let (trace, outer) = ("0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331");
-    // what begins here is not sent
+    // traces that begin here are not sampled
     let limits = Limits { drain: std::time::Duration::from_millis(100), ..Limits::default() };
     let accepts = start_with(dir.path(), collector.traces(0.0), Gate::new(0), limits);
     let upload = |seed, sampled| {
@@ -200,7 +200,7 @@ fn a_trace_goes_on_that_a_client_began_also_after_a_restart() {
     worker.wait(&untold, "done");
     worker.stop();
     let uploads = collector.wait("POST /v1/photos", 1);
-    assert_eq!(uploads.len(), 1, "of whom nothing is to be sent nothing is");
+    assert_eq!(uploads.len(), 1, "an unsampled trace is not sent");
     assert_eq!((hex(&uploads[0].trace_id), hex(&uploads[0].parent_span_id)), (trace.into(), outer.into()));
     let jobs = collector.wait("job", 1);
     let done = jobs.iter().find(|job| attribute(job, "tmpi.job.outcome") == "done").unwrap();
@@ -210,16 +210,16 @@ fn a_trace_goes_on_that_a_client_began_also_after_a_restart() {
 }
 
 #[test]
-fn a_collector_that_is_away_or_refuses_changes_no_answer() {
+fn a_missing_or_refusing_collector_changes_no_answer() {
     let dir = tempfile::tempdir().unwrap();
-    let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let away = Collector { url: format!("http://{nobody}"), ratio: 1.0 };
+    let unused = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let away = Collector { url: format!("http://{unused}"), ratio: 1.0 };
     let refuses = StandIn::start(Mood::Refuses);
     for (name, traces) in [("away", away), ("refuses", refuses.traces(1.0))] {
         let server = start(&dir.path().join(name), traces, Arc::new(pipeline()));
         let id = server.upload(&jpeg(1));
         server.wait(&id, "done");
-        wait_until("what was not taken is counted", || counted(&server, "refused") > 0);
+        wait_until("refused spans are counted", || counted(&server, "refused") > 0);
         assert_eq!((counted(&server, "sent"), counted(&server, "dropped")), (0, 0), "{name}");
         if name == "refuses" {
             *refuses.mood.lock().unwrap() = Mood::Takes;
@@ -231,12 +231,12 @@ fn a_collector_that_is_away_or_refuses_changes_no_answer() {
 }
 
 #[test]
-fn a_collector_that_hangs_fills_no_memory_and_holds_up_no_end() {
+fn a_hanging_collector_fills_no_memory_and_does_not_delay_the_stop() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Hangs));
     let server = start(dir.path(), collector.traces(1.0), Arc::new(pipeline()));
     let mut connection = Connection::open(server.addr);
     let mut asked = 0;
-    // more than wait, and than are given up meanwhile
+    // more spans than the queue holds and than time out meanwhile
     while counted(&server, "dropped") == 0 {
         for _ in 0..500 {
             assert_eq!(connection.request("GET", "/v1/photos", &[], &[]).status, 200);
@@ -251,7 +251,7 @@ fn a_collector_that_hangs_fills_no_memory_and_holds_up_no_end() {
 }
 
 #[test]
-fn a_fault_of_the_server_is_marked() {
+fn server_errors_are_marked_in_spans() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
     let config = Config { traces: Some(collector.traces(1.0)), ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
@@ -260,12 +260,12 @@ fn a_fault_of_the_server_is_marked() {
     get(server.addr, "/v1/photos/0123456789abcdef0123456789abcdef").problem(404);
     let status = |name: &str| collector.wait(name, 1)[0].status.clone().map_or(0, |s| s.code);
     assert_eq!(status("GET /oembed"), StatusCode::Error as i32);
-    assert_eq!(status("GET /v1/photos/{id}"), StatusCode::Unset as i32, "that is the client's");
+    assert_eq!(status("GET /v1/photos/{id}"), StatusCode::Unset as i32, "a client's error");
 }
 
 #[cfg(unix)]
 #[test]
-fn the_program_sends_stages_of_its_processes_and_the_last_spans_when_it_stops() {
+fn the_program_sends_stages_of_child_processes_and_flushes_spans_when_it_stops() {
     for named in [true, false] {
         let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
         let url = collector.url.as_str();
@@ -282,13 +282,13 @@ fn the_program_sends_stages_of_its_processes_and_the_last_spans_when_it_stops() 
         assert_eq!(get(server.addr, "/v1/photos").status, 200);
         let (status, log) = server.terminate();
         assert!(status.success(), "{log}");
-        // nothing is waited for any more
+        // all spans were sent before the process ended
         let spans = collector.spans();
         let of = |name: &str| spans.iter().find(|s| s.name == name).unwrap_or_else(|| panic!("{name}: {spans:?}"));
         let (upload, job, _) = (of("POST /v1/photos"), of("job"), of("GET /v1/photos"));
         assert_eq!(job.parent_span_id, upload.span_id);
         assert!(spans.iter().filter(|s| s.parent_span_id == job.span_id).count() > 4, "{spans:?}");
-        assert!(log.contains(&hex(&upload.trace_id)), "the line of the request names its trace: {log}");
+        assert!(log.contains(&hex(&upload.trace_id)), "the request's log line has its trace id: {log}");
         assert_eq!(*collector.service.lock().unwrap(), if named { "tmpi" } else { "attic" });
     }
 }

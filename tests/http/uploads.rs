@@ -1,4 +1,4 @@
-//! Uploads, states, list, deletion.
+//! Uploads, states, the list, deletion.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -34,7 +34,7 @@ fn raw_and_multipart_in_every_format() {
         assert_eq!((done["width"].as_u64(), done["height"].as_u64()), (Some(80), Some(60)));
         assert!(done["atlas_bytes"].as_u64().unwrap() > 0 && done["finished"].is_string());
     }
-    // a client that sets no useful type, as curl --data-binary does
+    // a client without a useful content type, such as `curl --data-binary`
     let plain = request(server.addr, "POST", "/v1/photos", &[("content-type", "application/x-www-form-urlencoded")], &jpeg(9));
     assert_eq!(plain.status, 202);
 }
@@ -79,12 +79,12 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
     let post = |path: &str, body: &[u8]| request(server.addr, "POST", path, &[], body);
     assert_eq!(post("/v1/photos", b"").problem(400)["field"], "photo");
     post("/v1/photos", b"GIF89a....").problem(415);
-    // of an iPhone's own format it is told what to do
+    // for HEIC the answer says what to do
     let heic = post("/v1/photos", b"\0\0\0\x24ftypheic\0\0\0\0mif1heic").problem(415);
     let told = heic["detail"].as_str().unwrap();
     assert!(told.contains("Settings > Camera > Formats > Most Compatible") && told.contains("sends this one as JPEG"), "{told}");
     assert!(told.contains("a portrait may lose its depth"), "{told}");
-    // of a JPEG that is cut later, decoding tells how much is there
+    // JPEGs cut later than this are checked by decoding
     assert_eq!(post("/v1/photos", &photo[..200]).problem(422)["type"], "urn:tmpi:problem:broken-photo");
     let png = picture(1, PictureFormat::Png);
     for cut in [200, png.len() / 2, png.len() - 40] {
@@ -103,12 +103,12 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
     cut.problem(400);
     request(server.addr, "POST", "/v1/photos", &[("sec-fetch-site", "cross-site")], &photo).problem(403);
     assert_eq!(get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 0);
-    // an answer does not wait for what is put away
+    // temporary files are deleted after the answer
     wait_until("nothing is left", || incoming(dir.path()) == 0 && contents(dir.path(), "", "").is_empty());
 }
 
 #[test]
-fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
+fn a_failed_photo_says_why_and_the_same_upload_tries_again() {
     let (_dir, server) = start(Arc::new(pipeline()));
     let refused = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", b"not a map")]);
     assert_eq!(refused.problem(422)["field"], "depth");
@@ -137,7 +137,7 @@ fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
 }
 
 #[test]
-fn a_panic_in_a_job_fails_that_photo_alone() {
+fn a_panic_in_a_job_fails_only_that_photo() {
     let (_dir, server) = start(Arc::new(Does(|photo: &[u8], sink: &dyn tmpi_pipeline::Sink| {
         assert_ne!(photo, jpeg(66), "on purpose");
         tmpi::server::Maker::make(&pipeline(), photo, None, &tmpi_pipeline::Options::default(), sink)
@@ -148,7 +148,7 @@ fn a_panic_in_a_job_fails_that_photo_alone() {
 }
 
 #[test]
-fn one_photo_uploaded_many_times_at_once_is_made_once() {
+fn parallel_uploads_of_one_photo_make_it_once() {
     let gate = Gate::new(0);
     let (_dir, server) = start(gate.clone());
     let photo = jpeg(5);
@@ -174,7 +174,7 @@ fn the_list_has_pages_newest_first() {
         let ids: Vec<String> = page["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect();
         (ids, page["next"].as_str().map(str::to_owned))
     };
-    // uploads of one millisecond are ordered by id
+    // uploads of the same millisecond are ordered by id
     let (mut all, next) = page("/v1/photos");
     assert_eq!(next, None);
     let listed = all.clone();
@@ -211,7 +211,7 @@ fn deletion_while_queued_while_running_and_when_done() {
         get(server.addr, &format!("/v1/photos/{id}")).problem(404);
         get(server.addr, &format!("/v1/photos/{id}/atlas")).problem(404);
     }
-    // the worker is free again, and the deleted one can come back
+    // the worker is free, and the deleted photo can be uploaded again
     gate.open(2);
     assert_eq!(server.upload(&jpeg(2)), running);
     server.wait(&running, "done");
@@ -220,7 +220,7 @@ fn deletion_while_queued_while_running_and_when_done() {
 }
 
 #[test]
-fn what_was_made_and_what_was_not_survives_a_restart() {
+fn finished_failed_and_queued_photos_survive_a_restart() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(1);
     let limits = || Limits { drain: std::time::Duration::from_millis(200), ..Limits::default() };
@@ -247,7 +247,7 @@ fn what_was_made_and_what_was_not_survives_a_restart() {
     assert_eq!(server.state(&failed)["problem"]["status"], 422);
 }
 
-/// A form of a photo with the name of its file, and fields before it.
+/// Sends a form: fields, then a photo with a file name.
 fn named_form(server: &Running, fields: &[(&str, &str)], file: &str, photo: &[u8]) -> crate::client::Response {
     let mut body = Vec::new();
     for (name, value) in fields {
@@ -259,7 +259,7 @@ fn named_form(server: &Running, fields: &[(&str, &str)], file: &str, photo: &[u8
     request(server.addr, "POST", "/v1/photos", &[("content-type", "multipart/form-data; boundary=x")], &body)
 }
 
-/// What browsers send of a form of which nothing but the photo was filled in; a second choice of the photo may be empty too.
+/// Browsers send empty fields of a form, and empty files for unused file inputs.
 #[test]
 fn empty_fields_of_a_form_count_as_absent() {
     let (dir, server) = start(Arc::new(pipeline()));
@@ -280,14 +280,14 @@ fn empty_fields_of_a_form_count_as_absent() {
     assert!(all.status < 300, "{}", String::from_utf8_lossy(&all.body));
     assert_eq!((&all.json()["id"], &all.json()["settings"]["title"]), (&alone["id"], &alone["settings"]["title"]));
     assert_eq!(send(&[&file("photo"), &file("depth")]).problem(400)["field"], "photo");
-    // what is not empty is still read, once
+    // fields that are not empty are still checked, and may occur once
     assert_eq!(send(&[&photo, &text("title", ""), &text("max-size", "x")]).problem(400)["field"], "max-size");
     assert_eq!(send(&[&photo, &photo]).problem(400)["field"], "photo");
     assert!(contents(dir.path(), alone["id"].as_str().unwrap(), "depth").is_empty());
 }
 
 #[test]
-fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
+fn a_photos_title_is_its_file_name_or_the_uploads_title() {
     let (dir, server) = start(Arc::new(pipeline()));
     let title = |state: &serde_json::Value| state["settings"]["title"].as_str().map(str::to_owned);
     let by_file = named_form(&server, &[], "Söhne am Meer.jpeg", &jpeg(1)).json();
@@ -296,25 +296,25 @@ fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
     assert_eq!(title(&said).as_deref(), Some("Zwei & <drei>"));
     let raw = request(server.addr, "POST", "/v1/photos?title=By%20the%20sea", &[], &jpeg(3)).json();
     assert_eq!(title(&raw).as_deref(), Some("By the sea"));
-    // as macOS writes names of files
+    // decomposed characters, as in file names of macOS
     let apart = named_form(&server, &[], "A\u{308}gypten a\u{300} la plage.jpg", &jpeg(6)).json();
     assert_eq!(title(&apart).as_deref(), Some("Ägypten à la plage"));
     let nameless = named_form(&server, &[], "image.jpg", &jpeg(4)).json();
     assert_eq!(title(&nameless), None);
 
-    // a name is no part of what a photo is: another file's name changes none, a title that is sent does
+    // the same photo under another file name keeps its title; an explicit title replaces it
     let again = named_form(&server, &[], "mine.jpg", &jpeg(1)).json();
     assert_eq!((&again["id"], title(&again).as_deref()), (&by_file["id"], Some("Söhne am Meer")));
     let renamed = named_form(&server, &[("title", "Mine")], "mine.jpg", &jpeg(1)).json();
     assert_eq!((&renamed["id"], title(&renamed).as_deref()), (&by_file["id"], Some("Mine")));
-    // and it is the first of the list then, though it is as old as it was
+    // the photo is listed first, with its old creation time
     let list = get(server.addr, "/v1/photos").json();
     assert_eq!((&list["photos"][0]["id"], &list["photos"][0]["created"]), (&by_file["id"], &by_file["created"]), "{list}");
 
     for (fields, field) in [(&[("title", "a"), ("title", "b")][..], "title"), (&[("file", "x")], "file")] {
         assert_eq!(named_form(&server, fields, "a.jpg", &jpeg(5)).problem(400)["field"], field);
     }
-    // what is no field is said before it is read
+    // an unknown field is refused before its value is read
     let large = "x".repeat(100_000);
     let detail = named_form(&server, &[("picture", &large)], "a.jpg", &jpeg(5)).problem(400)["detail"].to_string();
     assert!(detail.contains("no such field"), "{detail}");

@@ -1,4 +1,4 @@
-//! Names that name bytes: what may be kept for ever, entity tags, ranges, and queries that are what they seem.
+//! Versions in addresses, entity tags, ranges, and checks of queries.
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ const PARTS: [&str; 9] = [
 ];
 
 #[test]
-fn only_an_address_that_names_the_version_is_kept_for_ever() {
+fn only_addresses_with_the_version_are_immutable() {
     let (_dir, server) = start(Arc::new(pipeline()));
     let id = server.upload(&picture(1, PictureFormat::Png));
     let version = server.wait(&id, "done")["version"].as_str().unwrap().to_owned();
@@ -52,7 +52,7 @@ fn only_an_address_that_names_the_version_is_kept_for_ever() {
     }
 }
 
-/// The pipeline under another name.
+/// The pipeline with another identity.
 struct Named(&'static str);
 
 impl Maker for Named {
@@ -88,7 +88,7 @@ fn a_better_network_makes_the_photo_again() {
     assert_ne!(first, second);
     server.wait(&second, "done");
     assert_eq!(server.upload(&jpeg(1)), second);
-    assert_eq!(get(server.addr, &format!("/v1/photos/{first}/atlas")).status, 200, "what was made stays");
+    assert_eq!(get(server.addr, &format!("/v1/photos/{first}/atlas")).status, 200, "the old photo stays");
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn a_photo_made_anew_has_another_version() {
 }
 
 #[test]
-fn ranges_are_of_get_alone() {
+fn ranges_apply_to_get_only() {
     let (_dir, server) = start(Arc::new(pipeline()));
     let id = server.upload(&jpeg(1));
     server.wait(&id, "done");
@@ -112,13 +112,13 @@ fn ranges_are_of_get_alone() {
     assert_eq!((head.status, head.header("content-range")), (200, None));
     assert_eq!(head.header("content-length"), whole.header("content-length"));
     assert_eq!(request(server.addr, "GET", &path, &[("range", "bytes=0-3")], &[]).body, whole.body[..4]);
-    // nothing was drawn yet of which `*` could be a version
+    // `*` matches a view that was never drawn
     let any = request(server.addr, "GET", &format!("/v1/photos/{id}/view?w=9"), &[("if-none-match", "*")], &[]);
     assert!(any.status == 304 && any.header("etag").is_some());
 }
 
 #[test]
-fn names_of_queries_are_known_and_given_once_on_every_route() {
+fn unknown_and_repeated_query_parameters_are_refused_on_every_route() {
     let (_dir, server) = start(Arc::new(pipeline()));
     let id = server.upload(&picture(1, PictureFormat::Png));
     server.wait(&id, "done");

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""What allocators cost and keep: processor time of views that are drawn anew and of containers, the same from many connections at a time, and resident
-memory once all has rested. The system's own, by how many arenas it may have, and, where Debian's packages are there, jemalloc and mimalloc."""
+"""Compares allocators: processor time of uncached views and of containers, the same from many connections, and resident memory when idle. glibc with
+several numbers of arenas and, if Debian's packages are installed, jemalloc and mimalloc."""
 import argparse, glob, statistics, threading, time
 from common import Server, Table, check, end, smooth
 

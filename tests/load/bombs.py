@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Small uploads that want much: answer, time, peak memory, and other clients' latency meanwhile."""
+"""Small uploads that need many resources: answer, time, peak memory, and other clients' latency meanwhile."""
 import argparse, base64, struct, time, zlib
 from common import Server, Table, Watch, check, chunk, end, noise, png, ramp, size_of, small
 
-# Seconds for the answer to an upload; peaks of resident memory in MiB: of the server, and of the process that makes photos, whose own bound
-# limits.job-memory is. 50 megapixels take up to 3.6 GiB.
+# Seconds for the answer to an upload; peaks of resident memory in MiB of the server and of the process that makes photos. limits.job-memory
+# bounds the latter. 50 megapixels take up to 3.6 GiB.
 ANSWER, SERVER, MAKER, MAKER_FULL = 10, 1024, 2048, 6144
 
 
@@ -102,7 +102,7 @@ def main():
             else:
                 ended = answer.get("type", "").rsplit(":", 1)[-1] + " " + answer.get("detail", "")[:70]
             check(status in (201, 202) or 400 <= status < 500, f"{name}: answered {status}")
-            # whoever comes next is served
+            # the next client is served
             status_next, after = server.upload(small(1, 96, 72), ramp())
             check(status_next in (201, 202) and server.wait(after["id"], 120)["state"] == "done", f"after {name} the next photo is made")
             time.sleep(0.2)

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""What one photo and one look at it ask of machines and of the store, measured with a node that serves and one that makes photos on one S3 store (moto), and
-what follows for a million photos a day and a hundred million looks. Processor time, not time by the clock: other work beside it does little harm."""
+"""Cost of one photo and of one page view in processor time and store requests, measured with a node that serves and one that makes photos on one S3 store
+(moto), and an estimate for a million photos and a hundred million page views a day. Other work on the machine matters little to processor time."""
 import argparse, collections, os, re, subprocess, sys, tempfile, time
 from pathlib import Path
 import engines

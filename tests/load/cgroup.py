@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""The whole server within a bound of memory that the system holds it to (a cgroup; as root alone): 256 MB serves 2 MP photos and refuses 50 MP with the
-figure, 1 GB makes 50 MP. Afterwards resident memory is back near where it began, and stays flat over many jobs, views and abandoned requests."""
+"""The whole server in a cgroup with a memory limit (root only): with 256 MB it serves 2 MP photos and refuses 50 MP with the needed memory, with 1 GB it
+makes 50 MP. Afterwards resident memory returns to near its start, and stays flat over many jobs, views and abandoned requests."""
 import argparse, json, os, socket, time
 from pathlib import Path
 from common import Server, Table, check, children, end, noise, ramp, small, smooth, status_kib

@@ -1,6 +1,6 @@
 """A server of its own on a free port with data in a temporary folder, pictures, a client, and tables. Python's standard library alone.
 
-Programs: `target/release/tmpi`, or what `TMPI` names, and `tmpi-lab` beside it. Every script starts its servers itself and asks nobody else.
+Programs: `target/release/tmpi`, or what `TMPI` names, and `tmpi-lab` beside it. Scripts connect only to servers that they start.
 """
 import atexit, contextlib, http.client, json, os, shutil, signal, socket, sqlite3, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
 from pathlib import Path
@@ -61,7 +61,7 @@ class Server:
 
     def connect(self, timeout=60):
         if self.scheme == "https":
-            # its own certificate, which nobody vouches for
+            # a self-signed certificate
             return http.client.HTTPSConnection(*self.address, timeout=timeout, context=ssl._create_unverified_context())
         return http.client.HTTPConnection(*self.address, timeout=timeout)
 

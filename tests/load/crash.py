@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`kill -9` under uploads loses and fails nothing; damage on disk is noticed, told and healed; damaged JPEGs are refused or told."""
+"""`kill -9` under uploads loses and fails nothing; damage on disk is noticed, reported and repaired; damaged JPEGs are refused or reported."""
 import argparse, json, os, queue, threading, time
 from common import check, contents, end, ramp, small, Server, Table
 

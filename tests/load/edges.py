@@ -63,7 +63,7 @@ def cost(nodes, stream, seconds):
         table.row(count, at, *(f"{100 * s / took:.0f} %" for s in spent), f"{each:.1f} µs" if count > 1 else "", f"{(now[0] - sent) / share / 1e3:.1f}", f"{rate:.1f}",
                   now[2] - lost, f"{a.resident_mib():.0f}, {c.resident_mib():.0f} MiB")
         readers.stop()
-    wait(lambda: c.metric("tmpi_live_edges") == 0, "an edge that nobody watches ends")
+    wait(lambda: c.metric("tmpi_live_edges") == 0, "an edge without viewers ends")
     sends.kill(), sends.wait()
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Faults of the machine: a full disk, a missing runtime library, damaged records. Nothing is lost, and it works again by itself."""
+"""Faults of the machine: a full disk, a missing runtime library, damaged records. Nothing is lost, and the server recovers by itself."""
 import argparse, json, os, shutil, subprocess, tempfile, time
 from pathlib import Path
 from common import ROOT, Server, Table, check, end, ramp, small

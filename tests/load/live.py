@@ -110,7 +110,7 @@ class Socket:
             if len(buffer) < head + length:
                 break
             opcode, payload = buffer[0] & 15, bytes(buffer[head:head + length])
-            # before it is handed out: whoever stops asking must not be given it again
+            # removed before it is yielded, so that a caller who stops iterating does not get it again
             del buffer[:head + length]
             if opcode == 8:
                 yield None
@@ -375,7 +375,7 @@ def hostile(server, stream, table, full):
     pictures = units(stream)
 
     def opened(first=None):
-        # whoever was here before may not be gone yet
+        # the previous publisher may not be gone yet
         for _ in range(200):
             client = Socket(server, room)
             if first is None:
@@ -447,7 +447,7 @@ def hostile(server, stream, table, full):
         ("video before HELLO", says(lambda c: c.send(video(0, b"x", True))), "HELLO"),
         ("another version", says(lambda c: c.send(hello(version=9))), "version"),
         ("frames of 100 000×9", says(lambda c: c.send(hello(size=(100_000, 9)))), "100000"),
-        ("a codec that nobody has", says(lambda c: c.send(hello("hev1.1"))), "hev1"),
+        ("an unknown codec", says(lambda c: c.send(hello("hev1.1"))), "hev1"),
         ("a million empty chunks", says(lambda c: c.send(field(GEOMETRY, b"\x12\0" * 500_000))), "chunks"),
         ("a message of 8 EiB", says(lambda c: c.raw(0x82, b"x", 1 << 62)), ""),
         ("2 MiB of fragments", says(lambda c: [c.raw(0x02, bytes(4096))] + [c.raw(0x00, bytes(4096)) for _ in range(511)]), ""),

@@ -61,7 +61,7 @@ def main():
         # this very question is a connection
         left = server.metric("tmpi_connections") - 1
     check(watch.failed == 0, "health answers while many read slowly")
-    check(left < count / 10, f"who takes next to nothing is cut off: {left:.0f} are not")
+    check(left < count / 10, f"slow readers are cut off: {left:.0f} are not")
     check(watch.peak < 768, f"slow readers hold no memory: {watch.peak:.0f} MiB")
     table.row(f"{count} readers of 10 bytes a second, {length / 1e6:.0f} MB each", f"{count - left:.0f} cut off", f"{time.monotonic() - began:.0f} s", **watch.row())
     for connection in readers:

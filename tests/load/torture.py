@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Odd and broken files, those of folders and crafted ones: each is answered 2xx, or 4xx with a reason, in time, and holds up nobody."""
+"""Odd and broken files, those of folders and crafted ones: each gets 2xx, or 4xx with a reason, in time, and delays no other client."""
 import argparse, json, random, struct, sys, time
 from pathlib import Path
 from common import ROOT, Server, Table, Watch, check, chunk, end, form, png, ramp, small

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Views of one pixel by the million, and as many that are given up, then an ordinary view."""
+"""Views of one pixel by the million, and as many abandoned ones, then an ordinary view."""
 import argparse, socket, threading, time
 from common import Server, Table, Watch, check, end, ramp, small
 

@@ -48,7 +48,7 @@ pub enum Profile {
 }
 
 impl Profile {
-    /// As cargo calls it, and the folder that it builds into.
+    /// Its name in cargo, and of its build folder.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Release => "release",
@@ -82,7 +82,7 @@ pub fn cargo(args: &[&str]) -> Command {
     command
 }
 
-/// The command as one would type it.
+/// The command as typed in a shell.
 pub fn shown(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words.map(|w| w.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
@@ -134,7 +134,7 @@ pub fn run_quietly(mut command: Command) -> Result<String, Fault> {
     Err(Fault::new(format!("`{}`: {}\n{}", shown(&command), output.status, text.trim())))
 }
 
-/// A program that is ended after so many minutes; its status is then 124.
+/// A program with a timeout, after which its status is 124.
 pub fn within_minutes(minutes: u64, program: &str) -> Command {
     let mut command = Command::new("timeout");
     command.args(["--kill-after=10s", &format!("{minutes}m"), program]).current_dir(root());

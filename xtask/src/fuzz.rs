@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use crate::command::{self, Fault, cargo, cores, output, root, run_quietly};
 
-/// Those of `src/fuzzing.rs`; a test there holds this list against them.
+/// The targets of `src/fuzzing.rs`; a test there compares the lists.
 const TARGETS: [&str; 28] = [
     "container",
     "built",
@@ -43,7 +43,7 @@ const SECONDS: u32 = 60;
 const TIMEOUT: &str = "-timeout=20";
 /// Largest resident memory. A target needs a tenth of it; the sanitizer's shadow and quarantine need the rest.
 const MEMORY: &str = "-rss_limit_mb=3072";
-/// The ends of threads of libraries are not waited for, so what they hold would count as leaked.
+/// Threads of libraries are not joined, so their memory would count as leaked.
 const LEAKS: &str = "-detect_leaks=0";
 /// Environment variable: the folder of inputs that earlier runs have found; `target/fuzz/corpus` without it.
 const CORPUS: &str = "TMPI_FUZZ_CORPUS";
@@ -63,7 +63,7 @@ const BOOTSTRAP: &str = "RUSTC_BOOTSTRAP";
 /// The same for what is C: zstd and libwebp.
 const C_FLAGS: &str = "-fsanitize=address -fno-omit-frame-pointer -O1";
 
-/// `[--seconds N] [TARGET…]`: every target, or those named, for so long each.
+/// `[--seconds N] [TARGET…]`: runs every target, or those named, for N seconds each.
 pub fn fuzz(args: &[String]) -> Result<(), Fault> {
     let (mut seconds, mut targets) = (SECONDS, Vec::new());
     let mut args = args.iter();
@@ -80,7 +80,7 @@ pub fn fuzz(args: &[String]) -> Result<(), Fault> {
     run(&targets, seconds)
 }
 
-/// Fuzzes the targets named, all of them where none is, for so many seconds each.
+/// Fuzzes the named targets, or all if none is named, for `seconds` each.
 pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
     let targets = if targets.is_empty() { TARGETS.to_vec() } else { targets.to_vec() };
     let program = build()?;
@@ -100,7 +100,7 @@ pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
     if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
 }
 
-/// Seconds for each target where all of them together may take so many minutes.
+/// Seconds for each target if all together may take `minutes`.
 pub fn seconds_each(minutes: u64) -> u32 {
     u32::try_from(minutes * 60 * cores() as u64 / TARGETS.len() as u64).unwrap_or(u32::MAX).max(1)
 }
@@ -118,7 +118,7 @@ fn build() -> Result<PathBuf, Fault> {
     Ok(root().join("target/fuzz").join(&triple).join("release/fuzz"))
 }
 
-/// One target for so many seconds: a line of figures, or all that it says where it finds something.
+/// Runs one target: prints a line of figures, or its whole output if it finds something.
 fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
     let corpus = std::env::var_os(CORPUS).filter(|v| !v.is_empty()).map_or_else(|| root().join("target/fuzz/corpus"), PathBuf::from);
     let (found, crashes) = (corpus.join(name), root().join("target/fuzz/crashes").join(name));

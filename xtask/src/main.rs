@@ -78,7 +78,7 @@ fn main() -> ExitCode {
 
 /// Flag of `test`: nothing is installed.
 const SKIP_MISSING: &str = "--skip-missing";
-/// Flag of `serve` and `release`: nothing is fetched but what cannot be done without.
+/// Flag of `serve` and `release`: fetch only what is required.
 const OFFLINE: &str = "--offline";
 
 fn serve(args: &[String]) -> Result<(), Fault> {
@@ -87,11 +87,11 @@ fn serve(args: &[String]) -> Result<(), Fault> {
     let chosen = |a: &String| a.starts_with("--depth-model") || a == OFFLINE;
     if !args.iter().any(chosen) && std::env::var_os("TMPI_DEPTH_MODEL").is_none() {
         let mut models = std::process::Command::new(built(Profile::Release, "tmpi"));
-        // where there is no network it says so in a line, and what is here is used
+        // without a network it prints a line, and the installed network is used
         models.args(["models", "get", "auto"]).stdout(std::process::Stdio::null());
         run(models).map_err(|e| e.in_step("depth network"))?;
     }
-    // The server prints its URL itself, once it listens
+    // the server prints its URL once it listens
     let mut server = std::process::Command::new(built(Profile::Release, "tmpi"));
     server.arg("serve").args(args.iter().filter(|a| *a != OFFLINE));
     runtime::name_to(&mut server);

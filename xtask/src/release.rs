@@ -1,4 +1,4 @@
-//! One archive with all that the program needs: itself, its library, a depth network, licences. It is tried where nothing else is.
+//! Builds an archive with the program, its library, a depth network and licences, and tries it in an empty environment.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -79,7 +79,7 @@ fn fill(stage: &Path, offline: bool) -> Result<(), Fault> {
     fs::write(&list, crates()?).map_err(|e| at(&list, &e))
 }
 
-/// The depth network that is worth fetching; none where it cannot be, as the program then says.
+/// The recommended depth network; `None` if it cannot be fetched, which the program reports.
 fn network(folder: &Path) -> Option<PathBuf> {
     let mut get = Command::new(built(Profile::Release, "tmpi"));
     get.args(["models", "get", "auto"]).env("TMPI_MODELS", folder);

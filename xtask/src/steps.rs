@@ -20,7 +20,7 @@ pub type Lane<'a> = &'a [Step];
 pub enum AfterFailure {
     /// No lane begins another step.
     Stop,
-    /// All steps run; the failures are told at the end.
+    /// All steps run; the failures are reported at the end.
     GoOn,
 }
 
@@ -33,7 +33,8 @@ struct Outcome {
 
 /// Runs phases of lanes, then prints how long each step took. With names, only the steps of these names run.
 ///
-/// The first lane of a phase prints as it runs. The output of a step of another lane is held back until that step ends, so that lines do not mix.
+/// The first lane of a phase prints as it runs. The output of a step of another lane is held back until that step ends, so that lines do
+/// not mix.
 ///
 /// # Errors
 /// The faults of all steps that failed; a name that no step has.

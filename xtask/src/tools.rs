@@ -42,12 +42,12 @@ pub fn skip_missing() {
     SKIP_MISSING.store(true, Ordering::Relaxed);
 }
 
-/// False where tests that miss something are skipped.
+/// Whether missing tools may be installed.
 pub fn may_install() -> bool {
     !SKIP_MISSING.load(Ordering::Relaxed)
 }
 
-/// Makes sure that everything is there that the tests need; installs it where this user may.
+/// Installs what the tests need and is missing, as far as this user may.
 pub fn fetch() -> Result<(), Fault> {
     if SKIP_MISSING.load(Ordering::Relaxed) {
         return node_packages();
@@ -64,7 +64,8 @@ pub fn fetch() -> Result<(), Fault> {
     s3_server()
 }
 
-/// Tells a test program where to find what was installed, what it must not be skipped without, and where to write what it skips.
+/// Sets the variables of a test program: paths of installed tools, the requirements without which tests fail, and the list of skipped
+/// tests.
 pub fn name_to(tests: &mut Command) {
     if root().join(S3_FOLDER).is_dir() {
         let others: Vec<PathBuf> = std::env::var_os("PYTHONPATH").map(|p| std::env::split_paths(&p).collect()).unwrap_or_default();
@@ -144,7 +145,7 @@ pub fn openapi_packages() -> Result<(), Fault> {
     clean_install("tests/openapi")
 }
 
-/// `npm ci`, where the lock file is newer than what is installed.
+/// Runs `npm ci` if the lock file is newer than the installed packages.
 fn clean_install(folder_name: &str) -> Result<(), Fault> {
     let folder = root().join(folder_name);
     let changed = |path: &Path| path.metadata().and_then(|m| m.modified()).ok();
@@ -159,7 +160,7 @@ fn clean_install(folder_name: &str) -> Result<(), Fault> {
     run_quietly(command).map(drop)
 }
 
-/// Installs moto, an S3 server, below the root where there is none.
+/// Installs moto, an S3 server, below the root if it is missing.
 fn s3_server() -> Result<(), Fault> {
     let folder = root().join(S3_FOLDER);
     let whole = folder.join("WHOLE");
@@ -173,6 +174,6 @@ fn s3_server() -> Result<(), Fault> {
     pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:", "--target"]);
     pip.arg(&folder).arg("--requirement").arg(root().join(S3_PACKAGES));
     run_quietly(pip)?;
-    // written last: a folder without it is half of one
+    // written last: marks the folder as complete
     fs::copy(root().join(S3_PACKAGES), &whole).map(drop).map_err(|e| Fault::new(format!("{}: {e}", whole.display())))
 }

@@ -58,7 +58,7 @@ impl Package {
         let python = self.python()?;
         let temporary = folder.join(format!("fetch-{}", std::process::id()));
         let done = self.download(wheel, &python, &temporary);
-        // What is left of the download is of no use to anyone
+        // remove what is left of the download
         let _ = fs::remove_dir_all(&temporary);
         done?;
         fs::write(&stamp, self.version).map_err(|e| Fault::new(format!("{}: {e}", stamp.display())))

@@ -1,4 +1,4 @@
-//! Uploads a photo, waits until it is made, lets everybody who has its address see it, and prints the HTML that shows it on a page.
+//! Uploads a photo, waits until it is made, makes it visible to everyone with its URL, and prints the HTML that embeds it.
 //!
 //!     cargo run --release -p tmpi-client --example upload_and_embed -- http://127.0.0.1:8080 beach.jpg [KEY]
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "that is what it is for")]
@@ -15,7 +15,7 @@ async fn embedded(server: &str, photo: Vec<u8>, key: Option<&str>) -> Result<Str
     };
     let accepted = client.upload(Upload::of(photo)).await?;
     let made = client.finished(&accepted.id, |stage| eprintln!("{}/{} {}", stage.step, stage.steps, stage.stage)).await?;
-    // only a server that asks who comes tells who may see a photo
+    // only servers with authentication have a visibility
     if made.visibility.is_some() {
         client.change(&made.id, &Settings { visibility: Some(Visibility::Link), ..Settings::default() }).await?;
     }

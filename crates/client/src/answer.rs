@@ -1,4 +1,4 @@
-//! One request: sent, sent again where that is safe, and its answer.
+//! Sending a request, with retries if that is safe, and reading its answer.
 
 use std::time::Duration;
 
@@ -20,12 +20,12 @@ pub(crate) struct Call {
     pub path: String,
     pub headers: Vec<(HeaderName, HeaderValue)>,
     pub body: Bytes,
-    /// Whether it does no harm to do it twice.
+    /// Whether it is idempotent.
     pub again: bool,
 }
 
 impl Call {
-    /// Of a body without a content, which may be asked twice.
+    /// An idempotent call without a body.
     pub fn new(method: Method, path: impl Into<String>) -> Self {
         Self { method, path: path.into(), headers: Vec::new(), body: Bytes::new(), again: true }
     }
@@ -41,7 +41,7 @@ impl Call {
     }
 }
 
-/// An answer that was taken whole.
+/// An answer with its whole body.
 pub(crate) struct Answer {
     pub status: StatusCode,
     pub headers: HeaderMap,
@@ -69,7 +69,7 @@ impl Answer {
 }
 
 impl Client {
-    /// Sends a call until it is answered, and takes the answer whole.
+    /// Sends a call, with retries, and reads the whole answer.
     pub(crate) async fn ask(&self, call: Call) -> Result<Answer, Error> {
         let until = Instant::now() + self.patience;
         let mut pause = PAUSE;
@@ -81,7 +81,7 @@ impl Client {
             let wait = match &tried {
                 Ok(answer) if refused_for_now(answer.status, call.again) => retry_after(&answer.headers).unwrap_or(pause),
                 Ok(answer) if answer.status.is_client_error() || answer.status.is_server_error() => return Err(answer.problem()),
-                // what was not even connected was not done
+                // without a connection the server has not seen the call
                 Err(Error::Network(error)) if call.again || error.is_connect() => pause,
                 _ => return tried,
             };
@@ -93,7 +93,7 @@ impl Client {
         }
     }
 
-    /// Sends a call once; the answer's body is still to come.
+    /// Sends a call once, without reading the answer's body.
     pub(crate) async fn send(&self, call: &Call) -> Result<Response, Error> {
         let mut request = self.http.request(call.method.clone(), self.address(&call.path)?).headers(self.headers.clone());
         for (name, value) in &call.headers {
@@ -106,7 +106,7 @@ impl Client {
     }
 }
 
-/// Whether another try may succeed and do no harm: 429 is said before anything is done, 503 also by who waited for it in vain.
+/// Whether a retry is useful and safe: the server sends 429 before it does anything, but 503 also after waiting in vain.
 fn refused_for_now(status: StatusCode, again: bool) -> bool {
     status == StatusCode::TOO_MANY_REQUESTS || again && status == StatusCode::SERVICE_UNAVAILABLE
 }
@@ -115,7 +115,7 @@ fn retry_after(headers: &HeaderMap) -> Option<Duration> {
     headers.get(RETRY_AFTER)?.to_str().ok()?.parse().ok().map(Duration::from_secs)
 }
 
-/// Takes an answer whole.
+/// Reads a whole answer.
 pub(crate) async fn take(mut response: Response) -> Result<Answer, Error> {
     let too_large = || Error::Answer(format!("it has more than {MOST} bytes"));
     let told = response.content_length().unwrap_or(0);

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-/// What the server says of a request that it does not do (RFC 9457).
+/// The server's reason for refusing a request (RFC 9457).
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[non_exhaustive]
 pub struct Problem {
@@ -13,7 +13,7 @@ pub struct Problem {
     pub title: String,
     /// HTTP status.
     pub status: u16,
-    /// What is wrong with this very request.
+    /// What is wrong with this request.
     #[serde(default)]
     pub detail: String,
     /// Field, parameter or option that is at fault.
@@ -27,11 +27,11 @@ pub struct Problem {
     pub retry_after: Option<u64>,
 }
 
-/// Why a call gives nothing.
+/// Why a call failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// An address cannot be asked.
+    /// A URL is invalid.
     #[error("the address {address:?}: {why}")]
     Address {
         /// The address.

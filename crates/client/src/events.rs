@@ -10,7 +10,7 @@ use crate::answer::{Call, take};
 use crate::photos::part;
 use crate::{Client, Error, PhotoState, Progress, State};
 
-/// Pause before the state is asked for where events broke off.
+/// Pause before reading the state after events broke off.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Bytes of an event; the server's are far smaller.
 const MOST: usize = 1 << 20;
@@ -18,7 +18,7 @@ const MOST: usize = 1 << 20;
 /// An event: its name and its data.
 type Event = (String, String);
 
-/// Cuts what comes into events.
+/// Splits a stream into events.
 #[derive(Default)]
 struct Reader {
     kept: Vec<u8>,
@@ -47,17 +47,17 @@ impl Reader {
 }
 
 impl Client {
-    /// Waits until a photo is made; `progress` is told each stage that it enters. It waits for as long as the server goes on with it; where
-    /// the server cannot be reached, for [`Client::patience`].
+    /// Waits until a photo is made; calls `progress` at each stage. Waits as long as the server works on it; if the server cannot be
+    /// reached, for [`Client::patience`].
     ///
     /// # Errors
-    /// [`Error::Photo`] where it could not be made; else [`Error`].
+    /// [`Error::Photo`] if it could not be made; else [`Error`].
     pub async fn finished(&self, id: &str, mut progress: impl FnMut(&Progress)) -> Result<PhotoState, Error> {
         let mut heard = Instant::now();
         loop {
             let followed = match self.send(&Call::new(Method::GET, part(id, "/events")).header(ACCEPT, "text/event-stream")?).await {
                 Ok(response) if response.status().is_success() => self.follow(response, &mut progress).await,
-                // the server has no place for another listener, or the photo is gone: the state tells
+                // the server has too many listeners, or the photo was deleted: the state tells
                 Ok(response) => take(response).await.map(drop),
                 Err(error) => Err(error),
             };

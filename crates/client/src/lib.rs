@@ -14,9 +14,9 @@
 //! # }
 //! ```
 //!
-//! Every call that fails gives an [`Error`]; what the server says of it is [`Error::Problem`]. What is safe to ask again is asked again where the
-//! network failed, and whatever was refused for want of room or pace, once the time is over that the server names ([`Client::patience`]).
-//! Programs without an executor of their own block on a runtime of tokio:
+//! Every failed call returns an [`Error`]; the server's refusals are [`Error::Problem`]. The client retries idempotent calls after network
+//! failures, and calls that the server refuses for lack of space or for their rate, after the time that the server names
+//! ([`Client::patience`]). Programs without an async executor block on a runtime of tokio:
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -49,9 +49,9 @@ pub use results::{Export, Fresh, View};
 pub use strokes::{Stroke, Strokes, Touch};
 pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visibility};
 
-/// What an owner's secret begins with.
+/// Prefix of an owner's secret.
 const OWNER: &str = "tmpi_o_";
-/// What a photo's own token begins with.
+/// Prefix of a photo's token.
 const MANAGE: &str = "tmpi_m_";
 /// Longest time without a byte from the server.
 const SILENCE: Duration = Duration::from_mins(1);
@@ -59,10 +59,10 @@ const SILENCE: Duration = Duration::from_mins(1);
 const CONNECT: Duration = Duration::from_secs(10);
 /// Time that a call waits in all before it gives up, besides what answers take themselves.
 const PATIENCE: Duration = Duration::from_mins(1);
-/// Bytes of an answer that are taken: the largest container and a little more.
+/// Longest answer in bytes: the largest container and a little more.
 const MOST: usize = 1 << 30;
 
-/// A server, and who asks it. Clones share their connections.
+/// A client of a server. Clones share their connections.
 #[derive(Clone)]
 pub struct Client {
     base: Arc<Url>,
@@ -80,7 +80,8 @@ impl std::fmt::Debug for Client {
 }
 
 impl Client {
-    /// A client of the server at `base`, as `https://photos.example.org` or `http://127.0.0.1:8080`; a path is where a proxy has the server.
+    /// A client of the server at `base`, as `https://photos.example.org` or `http://127.0.0.1:8080`; a path is where a proxy has the
+    /// server.
     ///
     /// # Errors
     /// [`Error::Address`].
@@ -88,13 +89,13 @@ impl Client {
         let wrong = |why: String| Error::Address { address: base.to_owned(), why };
         let mut url = Url::parse(base).map_err(|e| wrong(e.to_string()))?;
         if !matches!(url.scheme(), "http" | "https") {
-            return Err(wrong("http or https is wanted".into()));
+            return Err(wrong("expected http or https".into()));
         }
         if !url.path().ends_with('/') {
             let path = format!("{}/", url.path());
             url.set_path(&path);
         }
-        // one that a program has chosen already stays
+        // fails if the program has installed one already
         let _ = rustls::crypto::ring::default_provider().install_default();
         let http = reqwest::Client::builder()
             .connect_timeout(CONNECT)
@@ -106,10 +107,10 @@ impl Client {
         Ok(Self { base: Arc::new(url), http, headers: HeaderMap::new(), secret: None, patience: PATIENCE })
     }
 
-    /// Asks with an API key (`tmpi key add`), or with an owner's secret (`tmpi_o_…`).
+    /// Authenticates with an API key (`tmpi key add`), or with an owner's secret (`tmpi_o_…`).
     ///
     /// # Errors
-    /// [`Error::Key`] where it cannot be sent.
+    /// [`Error::Key`] if it is not a valid header value.
     pub fn with_key(mut self, key: &str) -> Result<Self, Error> {
         let mut value = HeaderValue::from_str(&format!("Bearer {key}")).map_err(|_| Error::Key)?;
         value.set_sensitive(true);
@@ -118,50 +119,51 @@ impl Client {
         Ok(self)
     }
 
-    /// Asks by a link to change one photo: [`Link::manage`], or `manage` of the [`Links`] of an upload. Nothing else can be had by it.
+    /// Authenticates with a link for changing one photo: [`Link::manage`], or `manage` of the [`Links`] of an upload. It gives access to
+    /// nothing else.
     ///
     /// # Errors
-    /// [`Error::Key`] where it is no such link.
+    /// [`Error::Key`] if it is not such a link.
     pub fn with_manage_link(self, link: &str) -> Result<Self, Error> {
         let token = link.split_once("#manage=").map(|(_, token)| token).filter(|token| token.starts_with(MANAGE));
         self.with_key(token.ok_or(Error::Key)?)
     }
 
-    /// Asks as a fresh owner: whoever keeps [`Client::secret`] owns what is uploaded with it.
+    /// Authenticates as a new owner: the holder of [`Client::secret`] owns the uploads.
     ///
     /// # Errors
-    /// [`Error::Key`] where the system has no random bytes.
+    /// [`Error::Key`] if the system has no random bytes.
     pub fn with_fresh_owner(self) -> Result<Self, Error> {
         let mut bytes = [0; 32];
         getrandom::fill(&mut bytes).map_err(|_| Error::Key)?;
         self.with_key(&format!("{OWNER}{}", hex(&bytes)))
     }
 
-    /// The owner's secret, where the client has one; it is to be kept as a password is.
+    /// The owner's secret, if the client has one. Keep it like a password.
     #[must_use]
     pub fn secret(&self) -> Option<&str> {
         self.secret.as_deref()
     }
 
-    /// Waits for so long in all, at most, where the server has no room or the network fails; a minute if it is not said, and not at all with zero.
+    /// Sets the longest total wait for retries; the default is a minute, zero disables retries.
     #[must_use]
     pub fn patience(mut self, most: Duration) -> Self {
         self.patience = most;
         self
     }
 
-    /// An address of the server; `path` is as the server's answers have it, from `/`.
+    /// A URL of the server, from a `path` in the server's answers, which begins with `/`.
     ///
     /// # Errors
     /// [`Error::Address`].
     pub fn address(&self, path: &str) -> Result<Url, Error> {
         let wrong = |why: String| Error::Address { address: path.to_owned(), why };
         let url = self.base.join(path.trim_start_matches('/')).map_err(|e| wrong(e.to_string()))?;
-        // what another server is to be asked is not asked with this one's key
+        // never send the key to another server
         if url.origin() == self.base.origin() { Ok(url) } else { Err(wrong("it is another server's".into())) }
     }
 
-    /// HTML that shows a photo on another site's page; it has to be one that whoever has its address may see.
+    /// HTML that embeds a photo in another site's page. The photo's visibility must be [`Visibility::Link`].
     ///
     /// # Errors
     /// [`Error::Address`].
@@ -169,7 +171,7 @@ impl Client {
         self.address(&photo.links.embed).map(|address| frame(photo, &address))
     }
 
-    /// The same of a photo that is its owner's alone, by a link: it is shown until that ends.
+    /// The same for a private photo, by a link: it shows until the link expires.
     ///
     /// # Errors
     /// [`Error::Address`].
@@ -208,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_sent_and_shown_to_nobody() {
+    fn keys_are_sent_but_never_shown() {
         let client = || Client::new("http://localhost").unwrap();
         assert!(client().with_key("a\nb").is_err());
         let (one, other) = (client().with_fresh_owner().unwrap(), client().with_fresh_owner().unwrap());

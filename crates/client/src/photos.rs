@@ -1,4 +1,4 @@
-//! Photos: up, waited for, listed, changed, gone.
+//! Uploading, listing, changing and deleting photos.
 
 use std::time::Duration;
 
@@ -42,7 +42,7 @@ impl Upload {
         self.option("title", title)
     }
 
-    /// Who may see it where the server asks who comes.
+    /// Who may see it, on a server with authentication.
     #[must_use]
     pub fn visibility(self, who: Visibility) -> Self {
         self.option("visibility", if who == Visibility::Link { "link" } else { "private" })
@@ -55,7 +55,7 @@ impl Upload {
         self
     }
 
-    /// Answered once the photo is made, or after that time.
+    /// Waits up to this time for the photo to be made.
     #[must_use]
     pub fn wait(mut self, most: Duration) -> Self {
         self.wait = Some(most);
@@ -73,8 +73,8 @@ struct Page {
 impl Client {
     /// Uploads a photo. When this returns it is on the server's disk, and is made even if the server is restarted.
     ///
-    /// The same upload by the same owner is the same photo, so it is sent again where the network fails – but not by a client without a key,
-    /// whom a server that asks who comes takes for another owner each time.
+    /// The same upload by the same owner is the same photo, so the client retries after network failures – but not without a key, because a
+    /// server with authentication then creates another owner each time.
     ///
     /// # Errors
     /// [`Error`]; [`Error::Problem`] names the field or the limit.
@@ -105,7 +105,7 @@ impl Client {
         self.ask(Call::new(Method::GET, part(id, ""))).await?.json()
     }
 
-    /// All photos that whoever asks may list, newest first.
+    /// All photos that the caller may list, newest first.
     ///
     /// # Errors
     /// [`Error`]; status 403 where the list is closed.
@@ -119,7 +119,7 @@ impl Client {
         Ok(all)
     }
 
-    /// Changes what the owner wants of viewers: what `change` names; the rest stays.
+    /// Changes the owner's settings for viewers: the fields in `change`; the rest stays.
     ///
     /// # Errors
     /// [`Error`]; [`Error::Problem`] names the setting.
@@ -128,7 +128,7 @@ impl Client {
         self.ask(Call::new(Method::PATCH, part(id, "")).header(CONTENT_TYPE, "application/merge-patch+json")?.body(body)).await?.json()
     }
 
-    /// Removes a photo and everything that was made of it; one that is gone already is gone.
+    /// Deletes a photo and everything made from it.
     ///
     /// # Errors
     /// [`Error`]; status 404 where there was none, or it is another's.
@@ -136,7 +136,7 @@ impl Client {
         self.ask(Call::new(Method::DELETE, part(id, ""))).await.map(drop)
     }
 
-    /// Takes back all links to a photo: those that would end later, and the one to change it. Only its owner does.
+    /// Revokes all links to a photo: those for viewing, and the one for changing it. Only its owner may.
     ///
     /// # Errors
     /// [`Error`]; status 404 where there is none, or it is another's.

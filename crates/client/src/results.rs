@@ -1,4 +1,4 @@
-//! What was made of a photo: container, scene, views, files.
+//! Results of a photo: container, scene, views, exports.
 
 use std::time::Duration;
 
@@ -13,15 +13,15 @@ use crate::answer::Call;
 use crate::photos::{part, query};
 use crate::{Client, Error, Problem};
 
-/// Pause between two looks at a file that is being written.
+/// Polling interval for a file that is being written.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// Bytes that the server gave before, or not again.
+/// The answer to a conditional request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fresh {
-    /// The bytes, and the tag to ask with next time.
+    /// New bytes, and the tag for the next request.
     New(Bytes, Option<String>),
-    /// They are those of the tag that was asked with.
+    /// The bytes are unchanged.
     Same,
 }
 
@@ -38,7 +38,8 @@ impl View {
         Self { pairs: Vec::new() }.with("w", &width).with("h", &height)
     }
 
-    /// From another place: metres to the right, down and forward in a scene whose nearest thing is a metre away; within the photo's view box.
+    /// From another place: metres to the right, down and forward in a scene whose nearest thing is a metre away; within the photo's view
+    /// box.
     #[must_use]
     pub fn at(self, x: f64, y: f64, z: f64) -> Self {
         self.with("tx", &x).with("ty", &y).with("tz", &z)
@@ -91,7 +92,7 @@ impl From<&str> for Export {
     }
 }
 
-/// How a file fares, as the server says.
+/// State of an export.
 #[derive(serde::Deserialize)]
 struct ExportState {
     state: String,
@@ -115,7 +116,7 @@ impl Client {
         self.result(id, "/atlas").await
     }
 
-    /// The same where it is not that of `tag` any more.
+    /// The container, unless it is still that of `tag`.
     ///
     /// # Errors
     /// As [`Client::container`].
@@ -149,7 +150,7 @@ impl Client {
         self.result(id, &query("/view", &view.pairs)?).await
     }
 
-    /// What was done, at what error and cost.
+    /// The report: what was done, with errors and costs.
     ///
     /// # Errors
     /// As [`Client::container`].
@@ -173,14 +174,14 @@ impl Client {
         self.result(id, "/thumbnail").await
     }
 
-    /// Has a file to download written, waits for it and fetches it; a format alone is a file as well. Dropped, it is written all the same, and the
-    /// same call finds it.
+    /// Orders an export, waits for it and downloads it; a format alone will do. If this future is dropped, the server still writes the
+    /// file, and the same call finds it.
     ///
     /// # Errors
     /// As [`Client::container`], and [`Error::Problem`] with why it could not be written.
     pub async fn export(&self, id: &str, what: impl Into<Export>) -> Result<Bytes, Error> {
         let what = what.into();
-        // asked for again it is the same file
+        // idempotent: the same order is the same file
         let order = Call::new(Method::POST, part(id, &query("/exports", &what.pairs)?));
         let mut state: ExportState = self.ask(order).await?.json()?;
         loop {

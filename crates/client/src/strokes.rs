@@ -8,11 +8,11 @@ use crate::answer::Call;
 use crate::photos::part;
 use crate::{Client, Error, PhotoState};
 
-/// What a stroke asks of the depth that it covers, as disparity: 0 is infinitely far, 1 the nearest thing.
+/// How a stroke changes the depth below it, as disparity: 0 is infinitely far, 1 the nearest thing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Touch {
-    /// So much more; less than 0 is farther.
+    /// Change by this much; negative values move farther.
     By(f64),
     /// As near as this place, in shares of the photo's width and height.
     Like([f64; 2]),
@@ -27,7 +27,7 @@ pub struct Stroke {
     pub points: Vec<[f64; 2]>,
     /// Half its width as a share of the photo's longer side, 0.002 to 0.25.
     pub radius: f64,
-    /// What it asks.
+    /// What it changes.
     #[serde(flatten)]
     pub touch: Touch,
 }
@@ -38,7 +38,7 @@ pub struct Stroke {
 pub struct Strokes {
     /// In their order.
     pub strokes: Vec<Stroke>,
-    /// Tag of these very strokes, to change them only if nobody else has.
+    /// Tag of these strokes, to change them only if they have not changed meanwhile.
     #[serde(skip)]
     pub tag: Option<String>,
 }
@@ -61,8 +61,8 @@ impl Client {
     }
 
     /// Replaces all strokes of a photo, at most 100 with 8192 points together; the photo is made again with them, under the same id
-    /// ([`Client::finished`]). Without any its depth is as it was, and all but the last undo that one. With `seen`, the tag of strokes, only
-    /// if these are still there.
+    /// ([`Client::finished`]). Without any its depth is as it was, and all but the last undo that one. With `seen`, the tag of strokes,
+    /// only if these are still there.
     ///
     /// # Errors
     /// [`Error`]; status 400 names the stroke, 409: the photo is being made, 412: others have changed them.
@@ -73,7 +73,7 @@ impl Client {
         if let Some(seen) = seen {
             call = call.header(IF_MATCH, seen)?;
         }
-        // once done, the strokes are others than those that were seen, and the photo is being made
+        // not idempotent: afterwards the tag has changed, and the photo is being made
         call.again = false;
         self.ask(call).await?.json()
     }

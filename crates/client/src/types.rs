@@ -1,4 +1,4 @@
-//! What the server tells of a photo; fields that it does not know of yet are passed over.
+//! Types of the server's answers. Unknown fields are ignored.
 
 use std::collections::BTreeMap;
 
@@ -59,8 +59,8 @@ pub struct Links {
     pub page: String,
     /// The photo alone, for frames of other sites.
     pub embed: String,
-    /// Page by which to see and change it, for [`crate::Client::with_manage_link`]: a secret, told once to whoever uploads without a key where the
-    /// server asks who comes.
+    /// Page for viewing and changing it, for [`crate::Client::with_manage_link`]: a secret. Only in the answer to an upload without a key,
+    /// on a server with authentication.
     #[serde(default)]
     pub manage: Option<String>,
 }
@@ -76,17 +76,17 @@ pub struct Offset {
     pub z: f64,
 }
 
-/// Who may see a photo where the server asks who comes.
+/// Who may see a photo, on a server with authentication.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Visibility {
-    /// Its owner alone.
+    /// Only its owner.
     Private,
-    /// Whoever has its address.
+    /// Everyone with its URL.
     Link,
 }
 
-/// What the owner of a photo wants of viewers; what is missing is left to them, and, in a change, left as it is.
+/// The owner's settings for viewers. Missing fields are up to the viewer; in a change they stay as they are.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// What to call the photo, 1 to 200 characters.
@@ -101,13 +101,13 @@ pub struct Settings {
     /// Where the camera starts, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Offset>,
-    /// How it moves by itself; `none` for not at all.
+    /// How it moves on its own; `none` for not at all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub idle: Option<String>,
     /// How fast that is, 0.25 to 4 times the usual.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
-    /// Who may see it where the server asks who comes.
+    /// Who may see it, on a server with authentication.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub visibility: Option<Visibility>,
     /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
@@ -128,7 +128,7 @@ pub struct PhotoState {
     /// When it was done or failed.
     #[serde(default)]
     pub finished: Option<String>,
-    /// When it goes by itself.
+    /// When retention deletes it.
     #[serde(default)]
     pub expires: Option<String>,
     /// Photos that are made before this one; only while it waits.
@@ -157,14 +157,13 @@ pub struct PhotoState {
     /// Version of what is made of it; once done.
     #[serde(default)]
     pub version: Option<String>,
-    /// A network that is at hand and better than the one that estimated its depth; only where the state alone was asked for, and only for whoever
-    /// may have it made again.
+    /// A better depth network that is available. Only in the state of a single photo, and only if the caller may have it made again.
     #[serde(default)]
     pub better_depth: Option<String>,
-    /// Who may see it; only where the server asks who comes.
+    /// Who may see it; only on a server with authentication.
     #[serde(default)]
     pub visibility: Option<Visibility>,
-    /// What its owner wants of viewers.
+    /// The owner's settings for viewers.
     #[serde(default)]
     pub settings: Settings,
     /// Options that it is made with.
@@ -174,7 +173,7 @@ pub struct PhotoState {
     pub links: Links,
 }
 
-/// A way to a photo for somebody else.
+/// A link to a photo for others.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[non_exhaustive]
 pub struct Link {
@@ -182,17 +181,17 @@ pub struct Link {
     pub page: String,
     /// The container.
     pub atlas: String,
-    /// What to put into the query of any address of the photo; none where the server asks nobody who they are.
+    /// Query that gives access to any URL of the photo; `None` on a server without authentication.
     #[serde(default)]
     pub query: Option<String>,
     /// When it ends, in seconds since 1970.
     #[serde(default)]
     pub expires: Option<u64>,
-    /// Page by which others see and change this photo, and no other, for [`crate::Client::with_manage_link`]: a secret, good until
+    /// Page on which others see and change this photo only, for [`crate::Client::with_manage_link`]: a secret, valid until
     /// [`crate::Client::take_links_back`].
     #[serde(default)]
     pub manage: Option<String>,
-    /// Where whoever asks can let another browser be the same owner; none where they have no secret of their own to pass on.
+    /// Page that makes another browser the same owner; `None` if the caller has no secret of its own.
     #[serde(default)]
     pub ticket: Option<String>,
 }

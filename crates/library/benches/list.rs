@@ -1,4 +1,4 @@
-//! A page of the list, the statistics and an acceptance among 100 000 photos, on SQLite.
+//! Benchmarks on SQLite with 100 000 photos: a page of the list, the statistics, and accepting an upload.
 #![allow(clippy::unwrap_used, reason = "bench")]
 
 use std::path::Path;
@@ -11,7 +11,7 @@ use tmpi_library::{Asker, Class, Config, Content, Filter, Library, PhotoId, Uplo
 /// Photos of the library, of 100 owners.
 const PHOTOS: u32 = 100_000;
 
-/// Enters photos that are done, as the library enters them; of their contents there is only the name.
+/// Inserts finished photos as the library does, without their blobs.
 const FILL: &str = "
     WITH RECURSIVE n (n) AS (SELECT 0 UNION ALL SELECT n + 1 FROM n WHERE n < 99)
     INSERT INTO owners SELECT printf('%064x', n), 0 FROM n;
@@ -61,7 +61,7 @@ fn lists(criterion: &mut Criterion) {
     group.bench_function("an owner's page of 50", |b| b.iter(|| page(&theirs, None)));
     group.bench_function("statistics", |b| b.iter(|| runtime.block_on(library.statistics()).unwrap()));
     group.finish();
-    // each photo is accepted once: no loop of criterion's
+    // not a criterion loop, because each photo can be accepted only once
     let begin = Instant::now();
     let uploads = 200;
     for n in 0..uploads {

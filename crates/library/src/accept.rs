@@ -1,4 +1,4 @@
-//! How an upload becomes a photo, and a photo is made again.
+//! Accepting uploads, and making photos again.
 
 use std::collections::BTreeMap;
 
@@ -14,24 +14,24 @@ use crate::names::PhotoId;
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, bytes_of, title_of, to_json};
 use crate::{Library, quota};
 
-/// An upload that is here whole.
+/// A complete upload.
 #[derive(Debug)]
 pub struct Upload {
     /// Its id; see [`Secret::photo_id`](crate::Secret::photo_id).
     pub id: PhotoId,
-    /// Who uploads: the photo is this owner's.
+    /// The caller, who owns the photo.
     pub asker: Asker,
     /// How urgent its making is.
     pub class: Class,
     /// Options as text, all of them.
     pub options: BTreeMap<String, String>,
-    /// What its owner wants of viewers, a JSON object. A photo that is there already keeps its own.
+    /// The owner's settings for viewers, a JSON object. A known photo keeps its own.
     pub settings: Value,
     /// The photo.
     pub photo: Content,
     /// Its depth map.
     pub depth: Option<Content>,
-    /// What was reserved for it, by [`Library::reserve`].
+    /// Its reservation, by [`Library::reserve`].
     pub reservation: Option<String>,
 }
 
@@ -44,17 +44,17 @@ impl Upload {
 /// What an upload led to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// The photo was not known.
+    /// The photo is new.
     New,
-    /// It was known; nothing has changed.
+    /// The photo is known; nothing has changed.
     Known,
-    /// It had failed, and is tried again.
+    /// It had failed, and is queued again.
     Retried,
-    /// Its results were damaged, and are made again.
+    /// Its results were damaged, and it is queued again.
     Healed,
 }
 
-/// An upload that was accepted: it survives a crash from now on.
+/// An accepted upload, which survives a crash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accepted {
     /// The photo.
@@ -63,19 +63,19 @@ pub struct Accepted {
     pub outcome: Outcome,
 }
 
-/// True for an error after which nothing was committed. After others it is not known, and what was written stays for `gc`.
+/// Whether an error guarantees that nothing was committed. After other errors the blobs stay for `gc`.
 pub(crate) const fn is_refusal(error: &LibraryError) -> bool {
     !matches!(error, LibraryError::Unavailable { .. } | LibraryError::Internal(_))
 }
 
-/// Names of contents, to delete them.
+/// Names of blobs, for deleting them.
 pub(crate) fn names_of(blobs: &Blobs) -> Vec<String> {
     blobs.values().map(|blob| blob.name.clone()).collect()
 }
 
 impl Library {
-    /// Accepts an upload. The same photo with the same options is known already: it is tried again where it had failed, and healed where its results
-    /// are damaged. Either way it comes first in the list.
+    /// Accepts an upload. If the same photo with the same options exists, it is queued again if it failed or its results are damaged. In
+    /// any case it moves to the head of the list.
     ///
     /// # Errors
     /// [`LibraryError::QueueFull`], [`LibraryError::QuotaExceeded`], [`LibraryError::StorageFull`], [`LibraryError::Unavailable`].
@@ -90,7 +90,7 @@ impl Library {
         if outcome == Outcome::Known {
             return match self.list_first(photo.id).await {
                 Ok(photo) => Ok(Accepted { photo, outcome }),
-                // somebody has deleted it
+                // deleted meanwhile
                 Err(LibraryError::NotFound(_)) => self.accept_new(upload).await,
                 Err(error) => Err(error),
             };
@@ -100,7 +100,7 @@ impl Library {
         let again = Again { class: upload.class, asker: &upload.asker, from: Some(photo.state) };
         match self.make_again_with(&photo, contents, again).await {
             Ok(photo) => Ok(Accepted { photo: self.list_first(photo.id).await?, outcome }),
-            // a twin was quicker
+            // a concurrent upload of the same photo was faster
             Err(LibraryError::Changed | LibraryError::NotReady) => {
                 Ok(Accepted { photo: self.list_first(photo.id).await?, outcome: Outcome::Known })
             }
@@ -108,7 +108,7 @@ impl Library {
         }
     }
 
-    /// Puts a photo that was uploaded once more at the head of the list.
+    /// Moves a photo to the head of the list.
     async fn list_first(&self, id: PhotoId) -> Result<Photo> {
         let mut tx = self.database().write().await?;
         photo_in(&mut tx, id).await?;
@@ -144,7 +144,7 @@ impl Library {
         }
     }
 
-    /// Enters a photo and its job; none where a twin of it is there.
+    /// Inserts a photo and its job; `None` if the photo exists.
     async fn insert(&self, upload: &Upload, blobs: &Blobs) -> Result<Option<Photo>> {
         let mut tx = self.database().write().await?;
         let bytes = bytes_of(blobs);
@@ -172,16 +172,17 @@ impl Library {
         Photo::from_row(&row).map(Some)
     }
 
-    /// Has a photo made again with the program and the network of now. Its results stay until the new ones are there. `seen` is the photo as the
-    /// caller read it.
+    /// Queues a photo to be made again with the current program and network. Its results stay until the new ones replace them. `seen` is
+    /// the photo as the caller read it.
     ///
     /// # Errors
-    /// [`LibraryError::NotReady`] while it is being made, [`LibraryError::Changed`], [`LibraryError::NotFound`], [`LibraryError::QueueFull`].
+    /// [`LibraryError::NotReady`] while it is being made, [`LibraryError::Changed`], [`LibraryError::NotFound`],
+    /// [`LibraryError::QueueFull`].
     pub async fn make_again(&self, seen: &Photo, class: Class, asker: &Asker) -> Result<Photo> {
         self.make_again_with(seen, Contents::new(), Again { class, asker, from: None }).await
     }
 
-    /// Gives a photo another touch-up, JSON that the pipeline reads, and has it made again.
+    /// Replaces a photo's touch-up, JSON for the pipeline, and queues it to be made again.
     ///
     /// # Errors
     /// As [`Library::make_again`].
@@ -210,7 +211,7 @@ impl Library {
         }
     }
 
-    /// Sets a photo back to its beginning with other contents; gives the names of those that these replace.
+    /// Queues a photo with other blobs; returns the names of the replaced blobs.
     async fn restart(&self, seen: &Photo, blobs: Blobs, again: Again<'_>) -> Result<(Photo, Vec<String>)> {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(seen.id).await?;
@@ -241,12 +242,12 @@ impl Library {
     }
 }
 
-/// How a photo is made again.
+/// Options of [`Library::restart`].
 #[derive(Clone, Copy)]
 struct Again<'a> {
     class: Class,
     asker: &'a Asker,
-    /// The state that it must still be in.
+    /// The required current state.
     from: Option<PhotoState>,
 }
 

@@ -1,4 +1,4 @@
-//! API keys, and the sessions of people's browsers. Both are kept as hashes: a secret is 256 random bits, so one SHA-256 of it is enough.
+//! API keys and browser sessions. Both are stored as hashes: a secret has 256 random bits, so one SHA-256 is enough.
 
 use std::time::Duration;
 
@@ -11,34 +11,34 @@ use crate::events::Event;
 use crate::names::{Digest, Millis, Owner, hex, random};
 use crate::{Library, millis};
 
-/// What a key begins with.
+/// Prefix of a key.
 pub const KEY_PREFIX: &str = "tmpi_k_";
-/// What a session's cookie begins with.
+/// Prefix of a session's cookie.
 pub const SESSION_PREFIX: &str = "tmpi_s_";
 /// Longest name of a key.
 const MOST_NAME: usize = 64;
-/// Hex digits of a key's hash by which it is told from others of its name.
+/// Hex digits of a key's id, from its hash.
 const ID_DIGITS: usize = 8;
 
-/// What a key is good for.
+/// What a key allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Scope {
-    /// Upload photos, change and delete one's own.
+    /// Upload photos; change and delete the owner's.
     Upload,
-    /// List and read one's own photos.
+    /// List and read the owner's photos.
     Read,
     /// Read the server's metrics.
     Metrics,
-    /// Everything, with everybody's photos.
+    /// Everything, on all photos.
     Admin,
 }
 
 impl Scope {
-    /// All of them.
+    /// All scopes.
     pub const ALL: [Self; 4] = [Self::Upload, Self::Read, Self::Metrics, Self::Admin];
 
-    /// As on the command line.
+    /// Name on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -53,17 +53,17 @@ impl Scope {
 /// A key, without its secret.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Key {
-    /// By what it is told from others of its name: eight hex digits.
+    /// Id among the keys of its name: eight hex digits.
     pub id: String,
     /// Its name.
     pub name: String,
-    /// Whose photos it is for: keys of one name have the same.
+    /// The owner, which keys of one name share.
     pub owner: Owner,
-    /// What it is good for.
+    /// Its scopes.
     pub scopes: Vec<Scope>,
-    /// When it was made.
+    /// When it was created.
     pub created_at: Millis,
-    /// When it ends; never where there is none.
+    /// When it expires; `None` for never.
     pub expires_at: Option<Millis>,
     hash: String,
 }
@@ -90,21 +90,21 @@ impl Key {
     }
 }
 
-/// A key that was made just now.
+/// A new key.
 #[derive(Clone, Debug)]
 pub struct NewKey {
     /// The key.
     pub key: Key,
-    /// Its secret, which is kept nowhere.
+    /// Its secret, which is not stored.
     pub secret: String,
 }
 
-/// Who a browser is.
+/// A browser's session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Session {
-    /// Whose photos it sees as its own.
+    /// The owner.
     pub owner: Owner,
-    /// The key that somebody signed in with; without one the session may do what its owner may.
+    /// The key of the sign-in, whose scopes bound the session; without one the session may do what its owner may.
     pub key: Option<Key>,
     /// When it ends.
     pub expires_at: Millis,
@@ -119,10 +119,10 @@ fn is_name(name: &str) -> bool {
 }
 
 impl Library {
-    /// Makes a key of a name.
+    /// Creates a key.
     ///
     /// # Errors
-    /// [`LibraryError::Invalid`] where the name is none, [`LibraryError::Unavailable`].
+    /// [`LibraryError::Invalid`] for an invalid name, [`LibraryError::Unavailable`].
     pub async fn add_key(&self, name: &str, scopes: &[Scope], lasts: Option<Duration>) -> Result<NewKey> {
         if !is_name(name) {
             return Err(LibraryError::Invalid("a name has 1 to 64 letters, digits, dots, - and _".into()));
@@ -143,7 +143,7 @@ impl Library {
         Ok(NewKey { key, secret })
     }
 
-    /// The key of a secret, where its time is not over.
+    /// The unexpired key of a secret.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`]: the caller must refuse access.
@@ -151,7 +151,7 @@ impl Library {
         self.key_of_hash(hash(secret)).await
     }
 
-    /// True where a key that was found before would be found again.
+    /// Whether a key still exists and has not expired.
     ///
     /// # Errors
     /// As [`Library::find_key`].
@@ -174,7 +174,7 @@ impl Library {
         rows.iter().map(Key::from_row).collect()
     }
 
-    /// Removes all keys of a name, or the one with an id, with the sessions that they opened; tells how many keys.
+    /// Removes all keys of a name, or the one with an id, and their sessions; returns the number of keys.
     ///
     /// # Errors
     /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
@@ -190,10 +190,10 @@ impl Library {
         Ok(removed)
     }
 
-    /// Opens a session of a browser; gives what its cookie is to have, which is kept nowhere.
+    /// Opens a session; returns the secret for its cookie, which is not stored.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`] where the key was removed meanwhile, [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`] if the key was removed meanwhile, [`LibraryError::Unavailable`].
     pub async fn open_session(&self, owner: &Owner, key: Option<&Key>, lasts: Duration) -> Result<String> {
         let secret = format!("{SESSION_PREFIX}{}", hex(&random::<32>()?));
         let mut tx = self.database().write().await?;
@@ -209,7 +209,7 @@ impl Library {
         Ok(secret)
     }
 
-    /// The session of a cookie, where neither its time nor that of its key is over.
+    /// The session of a cookie, unless the session or its key has expired.
     ///
     /// # Errors
     /// As [`Library::find_key`].

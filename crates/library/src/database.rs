@@ -1,6 +1,6 @@
-//! SQLite or PostgreSQL: one schema, one text of SQL.
+//! SQLite or PostgreSQL, with one schema and the same SQL.
 //!
-//! Statements keep to what both understand. What differs is here: how a transaction begins, how a row is locked, and what the time is.
+//! Statements use the common subset. This module handles the differences: beginning a transaction, locking a row, and reading the time.
 
 use std::path::Path;
 use std::time::Duration;
@@ -12,17 +12,17 @@ use crate::error::{LibraryError, Result};
 use crate::events::{CHANNEL, Event, Events};
 use crate::names::{Millis, PhotoId};
 
-/// Each runs once, in this order.
+/// Migrations; each runs once, in this order.
 const MIGRATIONS: [&str; 1] = [include_str!("../migrations/1.sql")];
-/// Connections that read, and those of a PostgreSQL node.
+/// Reading connections of SQLite, and connections of a node to PostgreSQL.
 const READERS: u32 = 4;
 const CONNECTIONS: u32 = 10;
-/// Time after which PostgreSQL ends a transaction that does nothing.
+/// Idle time after which PostgreSQL ends a transaction.
 const ABANDONED: Duration = Duration::from_secs(5);
-/// Longest wait for a connection, or for another process that writes.
+/// Longest wait for a connection, or for another writing process.
 const WAIT: Duration = Duration::from_secs(10);
 
-/// Advisory locks of PostgreSQL, by what they are for. SQLite has one writer.
+/// PostgreSQL's advisory locks. SQLite has a single writer and needs none.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Lock {
     Migrations = 0x746d_7069,
@@ -43,12 +43,12 @@ pub(crate) struct Database {
     writer: AnyPool,
     reader: AnyPool,
     events: Events,
-    /// Milliseconds by which a test has the database's clock jump.
+    /// Offset of the database's clock in tests, in milliseconds.
     #[cfg(test)]
     pub skew: std::sync::Arc<std::sync::atomic::AtomicI64>,
 }
 
-/// Percent-encodes what a path may not have within a URL.
+/// Percent-encodes a path for a URL.
 fn url_of(path: &Path) -> Result<String> {
     let text = path.to_str().ok_or_else(|| LibraryError::Invalid(format!("{} is not UTF-8", path.display())))?;
     let encoded: String = text
@@ -58,12 +58,12 @@ fn url_of(path: &Path) -> Result<String> {
     Ok(format!("sqlite://{encoded}?mode=rwc"))
 }
 
-/// One connection that writes, and some that read while it does.
+/// Opens one writing connection, and some for concurrent reading.
 async fn sqlite(path: &Path) -> Result<(AnyPool, AnyPool)> {
     let url = url_of(path)?;
     let pool = |connections: u32, more: &'static str| {
         let options = AnyPoolOptions::new().max_connections(connections).acquire_timeout(WAIT);
-        // a connection of this process does not go stale
+        // SQLite connections do not go stale
         options.test_before_acquire(false).idle_timeout(None).max_lifetime(None).after_connect(move |connection, _| {
             Box::pin(async move {
                 let busy = WAIT.as_millis();
@@ -91,7 +91,7 @@ impl Database {
     pub async fn postgres(url: &str) -> Result<Self> {
         install_default_drivers();
         let options = AnyPoolOptions::new().max_connections(CONNECTIONS).acquire_timeout(WAIT);
-        // a transaction whose future was dropped half way holds its locks until then
+        // a transaction whose future was dropped holds its locks until this timeout
         let options = options.after_connect(|connection, _| {
             Box::pin(async move {
                 let timeout = format!("SET idle_in_transaction_session_timeout = {}", ABANDONED.as_millis());
@@ -113,7 +113,7 @@ impl Database {
         Ok(database)
     }
 
-    /// Brings the schema up to date, one node at a time.
+    /// Migrates the schema, one node at a time.
     async fn migrate(&self) -> Result<()> {
         let begin = if self.kind == Kind::Sqlite { "BEGIN EXCLUSIVE" } else { "BEGIN" };
         let mut transaction = self.writer.begin_with(begin).await?;
@@ -125,7 +125,7 @@ impl Database {
         let version = row.try_get::<i64, _>("version")? as usize;
         if version > MIGRATIONS.len() {
             let known = MIGRATIONS.len();
-            return Err(LibraryError::Invalid(format!("the database has schema {version}, and this program knows none after {known}")));
+            return Err(LibraryError::Invalid(format!("the database has schema {version}, but this program supports only up to {known}")));
         }
         for (n, migration) in MIGRATIONS.into_iter().enumerate().skip(version) {
             transaction.execute(sqlx::raw_sql(migration)).await?;
@@ -134,7 +134,7 @@ impl Database {
         Ok(transaction.commit().await?)
     }
 
-    /// For statements that only read.
+    /// The pool for read-only statements.
     pub const fn reader(&self) -> &AnyPool {
         &self.reader
     }
@@ -161,12 +161,12 @@ impl Database {
     }
 
     #[cfg(not(test))]
-    #[allow(clippy::unused_self, reason = "a test has the clock jump")]
+    #[allow(clippy::unused_self, reason = "tests shift the clock")]
     const fn skewed(&self, now: Millis) -> Millis {
         now
     }
 
-    /// Begins a transaction that may write. It is rolled back where it is dropped.
+    /// Begins a writing transaction, which is rolled back if dropped.
     pub async fn write(&self) -> Result<Tx> {
         let begin = if self.kind == Kind::Sqlite { "BEGIN IMMEDIATE" } else { "BEGIN" };
         let mut inner = self.writer.begin_with(begin).await?;
@@ -174,7 +174,7 @@ impl Database {
         Ok(Tx { inner, now: self.skewed(now), database: self.clone(), events: Vec::new() })
     }
 
-    /// Tells of what changes no row.
+    /// Sends an event without a transaction.
     pub async fn tell(&self, event: Event) -> Result<()> {
         if self.kind == Kind::Postgres {
             sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(Events::payload(&event)?).execute(&self.writer).await?;
@@ -201,17 +201,17 @@ pub(crate) struct Tx {
 }
 
 impl Tx {
-    /// What statements run on.
+    /// The connection for statements.
     pub fn on(&mut self) -> &mut AnyConnection {
         &mut self.inner
     }
 
-    /// True where `FOR UPDATE SKIP LOCKED` is understood, and needed.
+    /// Whether the database supports and needs `FOR UPDATE SKIP LOCKED`.
     pub fn has_row_locks(&self) -> bool {
         self.database.kind == Kind::Postgres
     }
 
-    /// Holds one of the locks until the end. SQLite's writer is alone anyway.
+    /// Holds a lock until the transaction ends; does nothing in SQLite, which has a single writer.
     pub async fn lock(&mut self, lock: Lock) -> Result<()> {
         if self.has_row_locks() {
             sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(lock as i64).execute(self.on()).await?;
@@ -219,7 +219,7 @@ impl Tx {
         Ok(())
     }
 
-    /// Locks the rows of a photo's jobs, in the order in which all do.
+    /// Locks the rows of a photo's jobs, in a fixed order.
     pub async fn lock_jobs(&mut self, photo: PhotoId) -> Result<()> {
         if self.has_row_locks() {
             let select = sqlx::query("SELECT id FROM jobs WHERE photo = $1 ORDER BY id FOR UPDATE").bind(photo.to_string());
@@ -228,7 +228,7 @@ impl Tx {
         Ok(())
     }
 
-    /// Locks the row of a photo. Rows of jobs are locked before those of photos.
+    /// Locks the row of a photo. Lock the rows of jobs first.
     pub async fn lock_photo(&mut self, id: &str) -> Result<()> {
         if self.has_row_locks() {
             sqlx::query("SELECT id FROM photos WHERE id = $1 FOR UPDATE").bind(id).fetch_optional(self.on()).await?;
@@ -236,7 +236,7 @@ impl Tx {
         Ok(())
     }
 
-    /// Makes the row of an owner where there is none, and locks it.
+    /// Inserts the row of an owner if it is missing, and locks it.
     pub async fn lock_owner(&mut self, owner: &str) -> Result<()> {
         let (text, now) = (owner.to_owned(), self.now);
         let insert = sqlx::query("INSERT INTO owners (owner, created_at) VALUES ($1, $2) ON CONFLICT (owner) DO NOTHING");
@@ -247,18 +247,18 @@ impl Tx {
         Ok(())
     }
 
-    /// Has an event told once this is committed.
+    /// Sends an event when the transaction commits.
     pub fn tell(&mut self, event: Event) {
         self.events.push(event);
     }
 
-    /// Rolls back, now: where it is only dropped, its locks are held until its connection is used again.
+    /// Rolls back at once; a dropped transaction holds its locks until its connection is used again.
     pub async fn rollback(self) {
-        // a connection that is broken has no locks
+        // a broken connection has no locks
         let _ = self.inner.rollback().await;
     }
 
-    /// Commits, and tells the events.
+    /// Commits, and sends the events.
     pub async fn commit(mut self) -> Result<()> {
         let events = std::mem::take(&mut self.events);
         if self.has_row_locks() {

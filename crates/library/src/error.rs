@@ -1,22 +1,22 @@
-//! What can go wrong, in the terms of a caller that answers requests.
+//! Errors, in terms of a caller that answers requests.
 
 use std::io;
 use std::time::Duration;
 
 use crate::photo::Part;
 
-/// Whose places in the queue are taken.
+/// The limit of the queue that is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Share {
-    /// Those of all.
+    /// That of the whole queue.
     All,
-    /// The half that one owner may have.
+    /// That of one owner: half of the queue.
     Owner,
-    /// The half that one address may have.
+    /// That of one address: half of the queue.
     Address,
 }
 
-/// What an owner has too much of.
+/// A quota of an owner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quota {
     /// Photos.
@@ -25,7 +25,7 @@ pub enum Quota {
     Bytes,
 }
 
-/// What does not answer.
+/// An external service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Service {
     /// The database.
@@ -34,43 +34,43 @@ pub enum Service {
     Blobs,
 }
 
-/// Why the library does not do what it is asked.
+/// An error of the library.
 #[derive(Debug, thiserror::Error)]
 pub enum LibraryError {
-    /// There is no such thing: it was deleted, or never existed.
+    /// It was deleted, or never existed.
     #[error("there is no such {0}")]
     NotFound(&'static str),
-    /// The photo waits or is being made.
+    /// The photo is queued or being made.
     #[error("the photo is being made")]
     NotReady,
-    /// Somebody else changed it since the caller read it.
+    /// It has changed since the caller read it.
     #[error("it was changed meanwhile")]
     Changed,
-    /// No place in the queue is free.
+    /// The queue is full.
     #[error("{waiting} jobs wait, and {share:?} may have {places} places")]
     QueueFull {
-        /// Jobs that wait.
+        /// Number of waiting jobs.
         waiting: u64,
-        /// Places of that share.
+        /// Size of that share.
         places: u64,
-        /// Whose places are taken.
+        /// Which limit is reached.
         share: Share,
         /// When a place is likely to be free.
         retry_after: Duration,
     },
-    /// The owner has as much as one owner may.
-    #[error("the owner has {used} {quota:?} and asks for {asked} more, and {limit} is the limit")]
+    /// The owner's quota is exceeded.
+    #[error("the owner has {used} {quota:?} and asks for {asked} more; the limit is {limit}")]
     QuotaExceeded {
-        /// Of what.
+        /// Which quota.
         quota: Quota,
-        /// What the owner has.
+        /// Current use.
         used: u64,
         /// What this upload would add.
         asked: u64,
-        /// What one owner may have.
+        /// The limit.
         limit: u64,
     },
-    /// The job belongs to somebody else by now, or to nobody. What the caller made is discarded.
+    /// The caller no longer holds the job. Its result is discarded.
     #[error("the lease is lost")]
     LeaseLost,
     /// Another node has the room.
@@ -82,7 +82,7 @@ pub enum LibraryError {
     /// A value that cannot be accepted.
     #[error("{0}")]
     Invalid(String),
-    /// A blob is not as it was written.
+    /// A blob differs from what was written.
     #[error("{part} is damaged: {detail}")]
     Damaged {
         /// Which blob.
@@ -90,7 +90,7 @@ pub enum LibraryError {
         /// What is wrong with it.
         detail: String,
     },
-    /// The disk has no room beyond its reserve.
+    /// The disk has no space beyond its reserve.
     #[error("the storage is full")]
     StorageFull,
     /// The database or the blob store does not answer now.
@@ -98,10 +98,10 @@ pub enum LibraryError {
     Unavailable {
         /// Which of them.
         service: Service,
-        /// What it said.
+        /// Its error.
         reason: String,
     },
-    /// The database refuses a statement of this program, or holds what this program did not write.
+    /// The database refuses a statement, or holds invalid data.
     #[error("the database: {0}")]
     Internal(String),
 }
@@ -142,5 +142,5 @@ impl From<sqlx::Error> for LibraryError {
     }
 }
 
-/// What the library answers.
+/// Result of the library.
 pub type Result<T> = std::result::Result<T, LibraryError>;

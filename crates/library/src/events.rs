@@ -1,7 +1,7 @@
-//! What others are told at once. A receiver that misses something is told so, and reads again what it follows.
+//! Change events. A receiver that has missed events gets [`Event::Gap`], and should read what it follows again.
 //!
-//! With SQLite the events of a transaction go to the receivers of this process once it is committed. With PostgreSQL they go by `NOTIFY` within the
-//! transaction to every node, this one included.
+//! With SQLite, the events of a committed transaction go to the receivers of this process. With PostgreSQL, they go to every node,
+//! including this one, by `NOTIFY` within the transaction.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,32 +19,32 @@ use crate::names::PhotoId;
 
 /// PostgreSQL's channel.
 pub(crate) const CHANNEL: &str = "tmpi_library";
-/// Events that a receiver may be behind.
+/// Number of events by which a receiver may lag.
 const BEHIND: usize = 1024;
-/// Bytes of a notification: PostgreSQL's limit is 8 000.
+/// Longest notification in bytes: PostgreSQL's limit is 8 000.
 const MOST_BYTES: usize = 7_900;
-/// Pause before a lost connection is tried again.
+/// Pause before reconnecting.
 const RECONNECT: Duration = Duration::from_millis(500);
-/// Silence after which the connection is tried, and time for the answer.
+/// Silence after which the connection is checked, and the timeout of the check.
 const SILENCE: Duration = Duration::from_secs(15);
 const ANSWER: Duration = Duration::from_secs(5);
 
-/// What has happened.
+/// An event.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Event {
     /// A photo was accepted or changed, or one of its exports was.
     Photo(PhotoId),
-    /// A worker says how far it is.
+    /// A worker reports progress.
     Progress {
-        /// With which photo.
+        /// The photo.
         photo: PhotoId,
-        /// In the worker's own words, a JSON object.
+        /// The worker's report, a JSON object.
         progress: Value,
     },
     /// A photo was deleted.
     Deleted(PhotoId),
-    /// Somebody's key or session ended before its time, or links to a photo were taken back: whoever was let in is to be asked again.
+    /// A key, a session, or links to a photo were revoked: check the access of open connections again.
     Revoked,
     /// Some events were lost: read again what you follow.
     Gap,
@@ -55,7 +55,7 @@ pub enum Event {
 pub struct Subscription(broadcast::Receiver<Event>);
 
 impl Subscription {
-    /// The next event; none once the library is closed.
+    /// The next event; `None` once the library is closed.
     pub async fn next(&mut self) -> Option<Event> {
         match self.0.recv().await {
             Ok(event) => Some(event),
@@ -64,7 +64,7 @@ impl Subscription {
         }
     }
 
-    /// The next event that is here already; none where there is none.
+    /// The next event if one has arrived already.
     pub fn try_next(&mut self) -> Option<Event> {
         match self.0.try_recv() {
             Ok(event) => Some(event),
@@ -77,7 +77,7 @@ impl Subscription {
 #[derive(Debug)]
 struct Receivers {
     sender: broadcast::Sender<Event>,
-    /// What workers said last, for whoever begins to follow a photo.
+    /// The last progress of each photo, for new followers.
     progress: Mutex<HashMap<PhotoId, Value>>,
 }
 
@@ -91,12 +91,12 @@ impl Receivers {
             Event::Revoked => {}
         }
         drop(progress);
-        // nobody listens: nobody is to be told
+        // fails without receivers
         let _ = self.sender.send(event);
     }
 }
 
-/// Sends events, and hears those of other nodes.
+/// Sends events, and receives those of other nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct Events {
     receivers: Arc<Receivers>,
@@ -113,7 +113,7 @@ impl Drop for Listener {
 }
 
 impl Events {
-    /// Within one process; or with a PostgreSQL `url` among all nodes.
+    /// Connects the receivers of this process; with a PostgreSQL `url`, those of all nodes.
     pub async fn open(url: Option<&str>) -> Result<Self> {
         let receivers = Arc::new(Receivers { sender: broadcast::Sender::new(BEHIND), progress: Mutex::default() });
         let listener = match url {
@@ -130,12 +130,12 @@ impl Events {
         Subscription(self.receivers.sender.subscribe())
     }
 
-    /// What a worker said last of a photo.
+    /// The last progress of a photo.
     pub fn progress(&self, photo: PhotoId) -> Option<Value> {
         self.receivers.progress.lock().unwrap_or_else(PoisonError::into_inner).get(&photo).cloned()
     }
 
-    /// Tells this process's receivers of what is committed. Other nodes' events come by the listener.
+    /// Sends the events of a committed transaction to this process's receivers. Those of other nodes arrive through the listener.
     pub fn committed(&self, events: Vec<Event>) {
         if self.listener.is_none() {
             for event in events {
@@ -144,7 +144,7 @@ impl Events {
         }
     }
 
-    /// The payload of a notification; a progress that is too long only says that there is news.
+    /// The payload of a notification. A progress that is too long becomes [`Event::Photo`].
     pub fn payload(event: &Event) -> Result<String> {
         let text = crate::photo::to_json(event)?;
         match event {
@@ -166,7 +166,7 @@ async fn listen(url: String, first: PgListener, receivers: Arc<Receivers>) {
         let error = loop {
             let heard = match timeout(SILENCE, listener.try_recv()).await {
                 Ok(heard) => heard,
-                // a connection that is half open says nothing, either
+                // a half-open connection is silent, too
                 Err(_) => match timeout(ANSWER, sqlx::query("SELECT 1").execute(&mut listener)).await {
                     Ok(Ok(_)) => continue,
                     Ok(Err(error)) => Err(error),
@@ -176,14 +176,14 @@ async fn listen(url: String, first: PgListener, receivers: Arc<Receivers>) {
             match heard {
                 Ok(Some(notification)) => match serde_json::from_str(notification.payload()) {
                     Ok(event) => receivers.deliver(event),
-                    // a node of a later version
+                    // an event of a newer version
                     Err(_) => receivers.deliver(Event::Gap),
                 },
                 Ok(None) => receivers.deliver(Event::Gap),
                 Err(error) => break error,
             }
         };
-        tracing::warn!(%error, "the connection for events is lost");
+        tracing::warn!(%error, "lost the connection for events");
         listener = loop {
             tokio::time::sleep(RECONNECT).await;
             if let Ok(fresh) = connect(&url).await {

@@ -1,4 +1,4 @@
-//! Files to download that are written as jobs, and kept until nobody fetches them any more.
+//! Exports: files to download that jobs write, kept until they have not been fetched for a while.
 
 use std::time::Duration;
 
@@ -16,42 +16,43 @@ use crate::names::PhotoId;
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
 use crate::{Library, millis};
 
-/// An export weighs at least this share of the room of all, so that their number is bounded too.
+/// Each export counts as at least this fraction of the limit of all, which bounds their number.
 const MOST_EXPORTS: u64 = 1024;
-/// Time within which fetches of one file count as one: a player asks for many ranges.
+/// Fetches of a file within this time count as one: a player requests many ranges.
 const FETCHED: Duration = Duration::from_mins(1);
 
-/// A file that somebody wants of a photo.
+/// A request for an export.
 #[derive(Clone, Debug)]
 pub struct Order<'a> {
-    /// The photo, as the caller read it; it is done.
+    /// The finished photo, as the caller read it.
     pub photo: &'a Photo,
-    /// Name among the files of this photo: the same parameters have the same.
+    /// Name among the exports of this photo: equal parameters have equal names.
     pub key: &'a str,
     /// [`Kind::Export`] or [`Kind::Film`].
     pub kind: Kind,
-    /// What the worker is to write.
+    /// The worker's task.
     pub payload: Value,
     /// How urgent it is.
     pub class: Class,
-    /// Who asks.
+    /// The caller.
     pub asker: &'a Asker,
 }
 
-/// An order that was taken.
+/// An accepted order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ordered {
     /// Its job.
     pub job: Job,
-    /// False where the file is there, or on its way.
+    /// Whether the job is new; false if the file exists or is being written.
     pub new: bool,
 }
 
 impl Library {
-    /// Has a file of a photo written, unless it is there or on its way. One that failed is tried again.
+    /// Queues an export, unless it exists or is queued. A failed one is queued again.
     ///
     /// # Errors
-    /// [`LibraryError::NotReady`] where the photo is not done, [`LibraryError::Changed`] where it was made again meanwhile, [`LibraryError::QueueFull`].
+    /// [`LibraryError::NotReady`] if the photo is not done, [`LibraryError::Changed`] if it was made again meanwhile,
+    /// [`LibraryError::QueueFull`].
     pub async fn order(&self, order: &Order<'_>) -> Result<Ordered> {
         match self.job(order.kind, order.photo.id, Some(order.key)).await {
             Ok(job) if job.state != JobState::Failed && job.version == order.photo.version => return Ok(Ordered { job, new: false }),
@@ -75,7 +76,7 @@ impl Library {
                 tx.commit().await?;
                 Ok(Ordered { job, new: true })
             }
-            // a twin was quicker
+            // a concurrent order was faster
             Err(LibraryError::NotReady) => {
                 drop(tx);
                 Ok(Ordered { job: self.job(order.kind, photo.id, Some(order.key)).await?, new: false })
@@ -87,15 +88,15 @@ impl Library {
         }
     }
 
-    /// Keeps the file that was written. Those that were not fetched for longest make room for it.
+    /// Stores a written export. Deletes the least recently fetched ones to make room.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`], after which nothing is left of the file; [`LibraryError::Invalid`] where it is larger than all exports may be;
+    /// [`LibraryError::LeaseLost`], after which the file is discarded; [`LibraryError::Invalid`] if it exceeds the limit of all exports;
     /// [`LibraryError::StorageFull`], [`LibraryError::Unavailable`].
     pub async fn finish_export(&self, lease: &Lease, file: Content) -> Result<Job> {
         let (bytes, most) = (file.len(), self.limits().exports_bytes);
         if bytes > most {
-            return Err(LibraryError::Invalid(format!("the file has {bytes} bytes, and {most} is the limit of all exports")));
+            return Err(LibraryError::Invalid(format!("the file has {bytes} bytes; the limit of all exports is {most}")));
         }
         let stored = self.blobs().store(lease.job.photo, Contents::from([(Part::Export, file)])).await?;
         let Some(blob) = stored.into_values().next() else { return Err(LibraryError::NotFound("blob")) };
@@ -129,7 +130,7 @@ impl Library {
         Ok((job, gone))
     }
 
-    /// Removes exports that were not fetched for longest until the rest, with the one of `id`, fits.
+    /// Removes the least recently fetched exports until the rest, including `id`, fits.
     async fn trim(&self, tx: &mut Tx, id: &str) -> Result<Vec<String>> {
         let most = self.limits().exports_bytes;
         let select =
@@ -146,7 +147,7 @@ impl Library {
         Ok(gone)
     }
 
-    /// Notes that a file was fetched: it is kept for as long again. A second fetch within a minute writes nothing.
+    /// Records that an export was fetched, which extends its life. A second fetch within a minute writes nothing.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -157,7 +158,7 @@ impl Library {
         tx.commit().await
     }
 
-    /// Ends an export that waits or is being written, or forgets one that is; false where there is none.
+    /// Cancels or removes an export; false if it does not exist.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -172,13 +173,13 @@ impl Library {
     }
 }
 
-/// Removes the exports of a photo; gives the names of their files.
+/// Removes the exports of a photo; returns the names of their blobs.
 pub(crate) async fn remove_of(tx: &mut Tx, photo: PhotoId) -> Result<Vec<String>> {
     let delete = sqlx::query("DELETE FROM jobs WHERE photo = $1 AND kind IN ('export', 'film') RETURNING result");
     names_of(&delete.bind(photo.to_string()).fetch_all(tx.on()).await?)
 }
 
-/// Names of the files that deleted jobs had.
+/// Names of the blobs of deleted jobs.
 pub(crate) fn names_of(deleted: &[sqlx::any::AnyRow]) -> Result<Vec<String>> {
     let files: Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
     Ok(files?.into_iter().flatten().map(|blob| blob.name).collect())

@@ -1,7 +1,7 @@
-//! The queue: one for everything that takes time.
+//! The job queue.
 //!
-//! A job that is entered gets a turn: the next one of its owner, or of its address where nobody was asked who they are, and at least that of the job
-//! that is next. Jobs are taken by class, turn and age, so that of two owners one's hundred jobs do not delay the other's first.
+//! A new job gets a turn: the next one of its owner (of its address, if the caller is not authenticated), but at least that of the job at
+//! the head of the queue. Workers take jobs by class, turn and age, so that a hundred jobs of one owner do not delay the first of another.
 
 use std::net::{IpAddr, Ipv6Addr};
 use std::time::Duration;
@@ -17,9 +17,9 @@ use crate::error::{LibraryError, Result, Share};
 use crate::names::{Millis, Owner, PhotoId};
 use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, to_json};
 
-/// Guess of how long a job takes before one was measured.
+/// Estimated duration of a job before any was measured.
 const FIRST_GUESS: Duration = Duration::from_secs(5);
-/// Longest time after which a caller is told to come back.
+/// Longest `retry_after`.
 const MOST_RETRY: Duration = Duration::from_mins(2);
 
 /// What a job does.
@@ -35,7 +35,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 3] = [Self::Make, Self::Export, Self::Film];
 
     /// As in the database and in metrics.
@@ -48,7 +48,7 @@ impl Kind {
         }
     }
 
-    /// Kinds that share places with this one.
+    /// Kinds that share the limits of the queue with this one.
     const fn beside(self) -> [Self; 2] {
         match self {
             Self::Make => [Self::Make, Self::Make],
@@ -61,17 +61,17 @@ impl Kind {
     }
 }
 
-/// How a job fares.
+/// State of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum JobState {
-    /// It waits.
+    /// Waiting for a worker.
     Queued,
-    /// A worker has it.
+    /// A worker holds it.
     Working,
-    /// Its file is there.
+    /// Its file exists.
     Done,
-    /// It could not be done.
+    /// It failed.
     Failed,
 }
 
@@ -90,19 +90,19 @@ impl JobState {
     }
 }
 
-/// Who asks for something: places in the queue are counted by both.
+/// The caller. The limits of the queue apply to owner and address.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Asker {
-    /// Who they are, where they were asked.
+    /// The owner, if authenticated.
     pub owner: Option<Owner>,
-    /// Where they come from, where that tells clients apart. It is forgotten once the job is done.
+    /// The client's address, if known. Deleted when the job ends.
     pub address: Option<IpAddr>,
-    /// `traceparent` of the request, which is the payload of what is made for it.
+    /// `traceparent` of the request, which becomes the payload of its job.
     pub trace: Option<String>,
 }
 
 impl Asker {
-    /// The network that stands for all of one customer: 64 bits of IPv6.
+    /// The network of a single customer: 64 bits of IPv6.
     fn network(&self) -> Option<String> {
         self.address.map(|address| match address.to_canonical() {
             IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).to_string(),
@@ -114,33 +114,33 @@ impl Asker {
 /// A job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
-    /// Its id, which says what it is of.
+    /// Its id, from kind, photo and key.
     pub id: String,
     /// What it does.
     pub kind: Kind,
-    /// Of which photo.
+    /// The photo.
     pub photo: PhotoId,
-    /// Of which version of the photo.
+    /// The version of the photo.
     pub version: i64,
     /// How urgent it is.
     pub class: Class,
-    /// What it is to do in detail, as the caller entered it.
+    /// Details, as the caller passed them.
     pub payload: Value,
-    /// How it fares.
+    /// Its state.
     pub state: JobState,
-    /// Workers that it took down.
+    /// Number of workers that died on it.
     pub attempts: i64,
-    /// How far it was when its lease was last renewed.
+    /// Progress at the last renewal of its lease.
     pub progress: Option<Value>,
-    /// Why it failed; or while it waits, what of the server kept it from being done.
+    /// Why it failed; or while it waits, the last fault of the server.
     pub problem: Option<Problem>,
     /// The file that it wrote.
     pub result: Option<Blob>,
-    /// When it was entered.
+    /// When it was queued.
     pub created_at: Millis,
     /// When a worker took it.
     pub started_at: Option<Millis>,
-    /// When its file was written or fetched last.
+    /// When its file was last written or fetched.
     pub used_at: Millis,
 }
 
@@ -177,16 +177,16 @@ impl Job {
     }
 }
 
-/// Where a job stands in the queue.
+/// A job's position in the queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Position {
-    /// Jobs of its kind that are taken before it.
+    /// Jobs of its kind ahead of it.
     pub ahead: u64,
-    /// How long that is likely to take.
+    /// Estimated wait.
     pub wait: Duration,
 }
 
-/// A job to be entered.
+/// A job to queue.
 pub(crate) struct NewJob<'a> {
     pub kind: Kind,
     pub photo: PhotoId,
@@ -206,9 +206,9 @@ pub(crate) fn id_of(kind: Kind, photo: PhotoId, key: Option<&str>) -> String {
 }
 
 impl Library {
-    /// Enters a job where there is a place for it. One of the same id that has ended makes way.
+    /// Queues a job if the limits allow it. Replaces an ended job of the same id.
     pub(crate) async fn enqueue(&self, tx: &mut Tx, job: &NewJob<'_>, payload: &Value) -> Result<Job> {
-        // until the end of this transaction nobody else counts places or gives turns
+        // serialises counting jobs and assigning turns
         tx.lock(Lock::Queue).await?;
         self.check_places(tx, job).await?;
         let id = id_of(job.kind, job.photo, job.key);
@@ -227,7 +227,7 @@ impl Library {
         Job::from_row(&row.ok_or(LibraryError::NotReady)?)
     }
 
-    /// Refuses where no place is free, or who asks has half of them.
+    /// Checks the limits of the queue.
     async fn check_places(&self, tx: &mut Tx, job: &NewJob<'_>) -> Result<()> {
         let [one, other] = job.kind.beside();
         let all = if job.kind == Kind::Make { self.limits().queue } else { self.limits().exports };
@@ -251,7 +251,7 @@ impl Library {
         Ok(())
     }
 
-    /// Photos that may be entered before the queue is full.
+    /// Number of photos until the queue is full.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -261,7 +261,7 @@ impl Library {
         Ok(self.limits().queue.saturating_sub(row.try_get::<i64, _>("waiting")? as u64))
     }
 
-    /// Where a job stands; none where it does not wait.
+    /// A job's position; `None` if it is not waiting.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -276,7 +276,7 @@ impl Library {
         Ok(Some(Position { ahead, wait: wait_of(&rate, ahead + 1)? }))
     }
 
-    /// A job of a photo; of exports the one of this key.
+    /// A job of a photo; `key` names an export.
     ///
     /// # Errors
     /// [`LibraryError::NotFound`].
@@ -288,7 +288,7 @@ impl Library {
     }
 }
 
-/// The turn of a new job: behind those of who asks, and not before the job that is next.
+/// The turn of a new job: after those of the same party, and not before the job at the head of the queue.
 async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
     let turn = "SELECT COALESCE(
         (SELECT MAX(turn) + 1 FROM jobs WHERE state = 'queued' AND class = $1 AND COALESCE(owner, address, '') = $2),
@@ -297,7 +297,7 @@ async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
     Ok(row.try_get("turn")?)
 }
 
-/// How long jobs of a kind take, and how many are being done.
+/// Mean duration of the jobs of a kind, and the number of running ones.
 const RATE: &str = "SELECT (SELECT mean_ms FROM outcomes WHERE kind = $1 AND finished > 0) AS mean_ms,
     (SELECT COUNT(*) FROM jobs WHERE state = 'working' AND kind = $1) AS working";
 

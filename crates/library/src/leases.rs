@@ -1,7 +1,7 @@
-//! Workers take jobs and hold them by leases.
+//! Leases by which workers hold jobs.
 //!
-//! A lease ends in the database's time. Whoever finishes a job shows the lease's token within the transaction that keeps the result: a second result
-//! finds the token gone and is discarded. This process never takes a job from a worker of its own, however the clock jumps.
+//! A lease expires by the database's clock. The transaction that stores a result checks the lease's token, so a second result is discarded.
+//! A process never takes a job from one of its own workers, even if the clock jumps.
 
 use std::collections::HashSet;
 use std::sync::atomic::Ordering;
@@ -21,14 +21,14 @@ use crate::names::{Millis, hex, random};
 use crate::photo::{self, Blobs, Photo, PhotoState, Problem, bytes_of, to_json};
 use crate::{Library, exports, millis};
 
-/// Longest lease: one that ends later was given before the clock was put back.
+/// Longest lease: one that ends later was granted before the clock was set back.
 const MOST_LEASE: Duration = Duration::from_mins(10);
-/// Pause after the first fault of the server, doubled with each further one, and the longest.
+/// Pause after the server's first fault, doubled after each further one, and the longest pause.
 const BACK_OFF: Duration = Duration::from_millis(500);
 const MOST_BACK_OFF: Duration = Duration::from_mins(1);
-/// Of so many jobs one is taken by the opposite order of classes, so that none waits for ever.
+/// Every nth job is taken in the opposite order of classes, so that no class starves.
 const OTHER_WAY: u64 = 4;
-/// Pause between two looks for a job where no event tells of one.
+/// Polling interval for jobs without an event.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Tokens of this process's leases.
@@ -45,7 +45,7 @@ impl Held {
     }
 }
 
-/// Since when this node has reached the database without a break; none while it cannot.
+/// Since when this node has reached the database without interruption; `None` while it cannot.
 #[derive(Debug, Default)]
 pub(crate) struct Reached(Mutex<Since>);
 
@@ -66,7 +66,7 @@ impl Reached {
         };
     }
 
-    /// Whether a worker of another node that is alive has had the time to renew its lease.
+    /// Whether live workers of other nodes have had time to renew their leases.
     fn for_long(&self, lease: Duration) -> bool {
         match *self.0.lock().unwrap_or_else(PoisonError::into_inner) {
             Since::Start => true,
@@ -75,7 +75,7 @@ impl Reached {
     }
 }
 
-/// A job that is a worker's. Dropped unfinished, it is somebody else's once its time is over.
+/// A worker's lease of a job. If dropped unfinished, another worker gets the job once the lease expires.
 #[derive(Debug)]
 pub struct Lease {
     /// The job.
@@ -94,34 +94,34 @@ impl Drop for Lease {
     }
 }
 
-/// A job whose lease is over.
+/// A job whose lease has expired.
 struct Over {
     job: Job,
     token: String,
 }
 
-/// What a worker made of a photo.
+/// A worker's results for a photo.
 #[derive(Debug)]
 pub struct Made {
     /// Container, disparity, thumbnail and report.
     pub contents: Contents,
-    /// What it tells of them, a JSON object: width, height.
+    /// Details, a JSON object: width, height.
     pub details: Value,
 }
 
 /// Why a worker gives a job back.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Retry {
-    /// The job took down the process that did it. It fails once that has happened too often.
+    /// The worker's process died. The job fails if that happens too often.
     Died(String),
-    /// The server is at fault: its disk, its store, its memory. The job waits, longer each time.
+    /// The server is at fault: disk, store or memory. The job waits, longer each time.
     Fault(String),
-    /// The worker stops in good order.
+    /// The worker is shutting down.
     Stopping,
 }
 
 impl Library {
-    /// Takes the next job of these kinds, for `lasts`; none where none is to be done now.
+    /// Takes the next job of these kinds, for `lasts`; `None` if none is ready.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -130,7 +130,7 @@ impl Library {
         let begun = self.database().write().await;
         self.0.reached.note(begun.is_ok());
         let mut tx = begun?;
-        // after an outage of the database all leases are over, and those who hold them have yet to renew them
+        // after an outage of the database all leases have expired, and their holders have yet to renew them
         let over = if self.0.reached.for_long(lasts) { self.over(&mut tx).await? } else { Vec::new() };
         if !over.is_empty() {
             tx.commit().await?;
@@ -150,10 +150,10 @@ impl Library {
         if job.kind == Kind::Make {
             set_state(&mut tx, &job, PhotoState::Working).await?;
         }
-        // not locked: whoever makes it again waits for the locks of its jobs
+        // not locked: making the photo again waits for the locks of its jobs
         let photo = self.read_photo(tx.on(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
         tx.tell(Event::Photo(job.photo));
-        // before others can see it
+        // before the commit makes it visible
         self.0.held.hold(&token);
         let lease = Lease { job, photo, token, lasts, taken: Instant::now(), held: self.0.held.clone() };
         tx.commit().await?;
@@ -161,7 +161,7 @@ impl Library {
         Ok(Some(lease))
     }
 
-    /// The same, but waits for a job; none once `stop` is ready.
+    /// Like [`Self::take`], but waits for a job; `None` once `stop` completes.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -174,7 +174,7 @@ impl Library {
                 () = &mut stop => return Ok(None),
                 () = std::future::ready(()) => {}
             }
-            // never cancelled half way: a lease without a holder blocks its job until it expires
+            // not cancelled midway: a lease without a holder blocks its job until it expires
             if let Some(lease) = self.take(kinds, lasts).await? {
                 return Ok(Some(lease));
             }
@@ -182,13 +182,13 @@ impl Library {
             tokio::select! {
                 biased;
                 () = &mut stop => return Ok(None),
-                // jobs that wait for their time, and those of workers that have died, come without an event
+                // delayed jobs and those of dead workers become ready without an event
                 _ = tokio::time::timeout(LOOK, news) => {}
             }
         }
     }
 
-    /// Jobs whose leases are over: their workers have died.
+    /// Jobs with expired leases: their workers have died.
     async fn over(&self, tx: &mut Tx) -> Result<Vec<Over>> {
         let over = format!("SELECT {COLUMNS}, lease_token FROM jobs WHERE state = 'working' AND (lease_until <= $1 OR lease_until > $2)");
         let over = sqlx::query(AssertSqlSafe(over)).bind(tx.now).bind(tx.now + millis(MOST_LEASE));
@@ -200,15 +200,15 @@ impl Library {
             }
             match Job::from_row(&row) {
                 Ok(job) => jobs.push(Over { job, token }),
-                // of a node of a later version, which must not keep this one from all others
-                Err(error) => tracing::warn!(%error, "a job that this version cannot read stays"),
+                // from a newer version; must not block other jobs
+                Err(error) => tracing::warn!(%error, "skipping a job that this version cannot read"),
             }
         }
         Ok(jobs)
     }
 
-    /// Puts back all jobs that are being done. That counts against none, but each waits longer every time: one of them may be what took the server
-    /// down. Only for a process that knows that no other does any.
+    /// Requeues all running jobs. That does not count as an attempt, but each waits longer every time, because one of them may have crashed
+    /// the server. Only for a process that is the only one with workers.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -223,14 +223,14 @@ impl Library {
         Ok(())
     }
 
-    /// Puts jobs of dead workers back, each by itself: nobody holds the rows of two.
+    /// Requeues jobs of dead workers, each in its own transaction, so that none locks the rows of two.
     async fn take_back(&self, jobs: Vec<Over>) -> Result<()> {
         for Over { job, token } in jobs {
             let mut tx = self.database().write().await?;
-            let why = Retry::Died("its worker does not answer any more".into());
+            let why = Retry::Died("its worker stopped responding".into());
             match self.put_back(&mut tx, &job, &token, &why).await {
                 Ok(()) => tx.commit().await?,
-                // another node was quicker, or the worker is
+                // another node was faster, or the worker lives
                 Err(LibraryError::LeaseLost) => {}
                 Err(error) => return Err(error),
             }
@@ -238,7 +238,7 @@ impl Library {
         Ok(())
     }
 
-    /// The next job to be taken; its row is locked.
+    /// Locks and returns the next job.
     async fn choose(&self, tx: &mut Tx, kinds: &[Kind]) -> Result<Option<String>> {
         let Some(first) = kinds.first() else { return Ok(None) };
         let other_way = self.0.taken.load(Ordering::Relaxed) % OTHER_WAY == OTHER_WAY - 1;
@@ -256,10 +256,10 @@ impl Library {
         Ok(row.map(|row| row.try_get("id")).transpose()?)
     }
 
-    /// Keeps a lease for as long again, and what the worker says of how far it is.
+    /// Renews a lease, and stores the worker's progress.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`]: nobody wants the result any more, or somebody else makes it.
+    /// [`LibraryError::LeaseLost`]: the job was cancelled, or another worker has it.
     pub async fn renew(&self, lease: &Lease, progress: Option<&Value>) -> Result<()> {
         let mut tx = self.database().write().await?;
         let progress = progress.map(to_json).transpose()?;
@@ -272,7 +272,7 @@ impl Library {
         tx.commit().await
     }
 
-    /// Tells whoever follows the photo how far its worker is; nothing is written.
+    /// Sends the worker's progress to the photo's followers without storing it.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -280,11 +280,11 @@ impl Library {
         self.database().tell(Event::Progress { photo: lease.job.photo, progress }).await
     }
 
-    /// Keeps what was made of a photo: it is done.
+    /// Stores a photo's results and marks it done.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`], after which nothing is left of what was made; [`LibraryError::StorageFull`] and [`LibraryError::Unavailable`], after
-    /// which the lease still holds.
+    /// [`LibraryError::LeaseLost`], after which the results are discarded; [`LibraryError::StorageFull`] and [`LibraryError::Unavailable`],
+    /// after which the lease still holds.
     pub async fn finish(&self, lease: &Lease, made: Made) -> Result<Photo> {
         let blobs = self.blobs().store(lease.job.photo, made.contents).await?;
         let written = names_of(&blobs);
@@ -316,7 +316,7 @@ impl Library {
         let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Done.name()).bind(to_json(&all)?).bind(bytes_of(&all));
         let update = update.bind(to_json(details)?).bind(tx.now).bind(lease.job.photo.to_string());
         let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
-        // files of the version before
+        // exports of the previous version
         let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
         replaced.extend(names_of(&old));
         count(&mut tx, &lease.job, Some(lease.age())).await?;
@@ -325,7 +325,7 @@ impl Library {
         Ok((photo, replaced))
     }
 
-    /// The job cannot be done, and the photo or what was asked for is at fault: nothing follows.
+    /// Fails a job for good because of its photo or its parameters.
     ///
     /// # Errors
     /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
@@ -361,7 +361,7 @@ impl Library {
         Ok(())
     }
 
-    /// Gives a job back, which is tried again.
+    /// Requeues a job.
     ///
     /// # Errors
     /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
@@ -409,25 +409,25 @@ fn back_off(faults: i64) -> Millis {
     millis(BACK_OFF.saturating_mul(1 << (faults - 1).clamp(0, 16)).min(MOST_BACK_OFF))
 }
 
-/// Ends a job that leaves nothing; its row is gone.
+/// Deletes the row of a job.
 async fn end(tx: &mut Tx, lease: &Lease) -> Result<()> {
     let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(lease.job.id.clone()).bind(lease.token.clone());
     if delete.execute(tx.on()).await?.rows_affected() == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
 }
 
 impl Lease {
-    /// How long it lasts without being renewed.
+    /// How long it lasts without renewal.
     #[must_use]
     pub const fn lasts(&self) -> Duration {
         self.lasts
     }
 
-    /// What an `UPDATE` of the job's row must find.
+    /// The token, which an `UPDATE` of the job's row must match.
     pub(crate) fn token(&self) -> String {
         self.token.clone()
     }
 
-    /// How long the job has taken, by this process's own clock.
+    /// How long the job has run, by this process's clock.
     pub(crate) fn age(&self) -> Millis {
         millis(self.taken.elapsed())
     }
@@ -439,7 +439,7 @@ async fn set_state(tx: &mut Tx, job: &Job, state: PhotoState) -> Result<()> {
     Ok(())
 }
 
-/// Counts how a job ended: after so many milliseconds, or without a result.
+/// Counts the end of a job: after `took` milliseconds, or without a result.
 pub(crate) async fn count(tx: &mut Tx, job: &Job, took: Option<Millis>) -> Result<()> {
     let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, $2, $3, $4, 0) ON CONFLICT (kind) DO UPDATE SET
         mean_ms = CASE WHEN excluded.finished = 0 THEN outcomes.mean_ms WHEN outcomes.finished = 0 THEN excluded.mean_ms

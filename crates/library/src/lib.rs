@@ -1,10 +1,10 @@
-//! What a server keeps: photos and their jobs, owners and their keys, links, rooms.
+//! Storage of a server: photos and their jobs, owners and their keys, links, rooms.
 //!
-//! One library is SQLite and a folder on one machine, or PostgreSQL and an object store of many. Rows say what is; contents lie in the blob store.
-//! A content is written before the row that refers to it and deleted after it, so that a crash leaves at most a content that nobody refers to, which
-//! [`Library::gc`] removes after a day. Everything that takes time is a [`Job`] with a [`Lease`] in the database's time.
+//! A library is SQLite and a folder on one machine, or PostgreSQL and an object store for several. Rows are the truth; contents lie in the
+//! blob store. A blob is written before the row that refers to it and deleted after it, so a crash leaves at most orphans, which
+//! [`Library::gc`] removes after a day. Long-running work is a [`Job`] with a [`Lease`] by the database's clock.
 //!
-//! There is no HTTP here and no pixel.
+//! This crate knows nothing of HTTP or pixels.
 
 mod accept;
 mod blobs;
@@ -57,17 +57,17 @@ use database::Database;
 use leases::{Held, Reached};
 use retention::TrustedClock;
 
-/// How old a reading of the database's clock may be before it is read again. In between this process's steady clock counts on.
+/// How often to read the database's clock. In between, this process's monotonic clock continues it.
 const CLOCK: Duration = Duration::from_secs(5);
 
-/// What bounds a library.
+/// Limits of a library.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Photos that may wait; of these an owner and an address may each have half.
+    /// Photos that may wait. One owner, and one address, may have half of them.
     pub queue: u64,
-    /// Exports and films that may wait; likewise.
+    /// Exports and films that may wait, with the same shares.
     pub exports: u64,
-    /// Workers that a photo may take down before it fails.
+    /// Workers that may die on a job before it fails.
     pub attempts: i64,
     /// Photos that an owner may have.
     pub quota_photos: Option<u64>,
@@ -75,9 +75,9 @@ pub struct Limits {
     pub quota_bytes: Option<u64>,
     /// Age at which a photo is deleted.
     pub retain: Option<Duration>,
-    /// Bytes that all photos may take: beyond these the one that nobody has looked at for longest is deleted.
+    /// Bytes that all photos may take. Above this the least recently viewed ones are deleted.
     pub retain_bytes: Option<u64>,
-    /// How long an export is kept that nobody fetches.
+    /// How long an export is kept after its last fetch.
     pub exports_for: Duration,
     /// Bytes that all exports may take.
     pub exports_bytes: u64,
@@ -99,37 +99,37 @@ impl Default for Limits {
     }
 }
 
-/// Where a library is.
+/// Location and limits of a library.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Config {
-    /// Folder of this node. It has the database and the blobs where nothing else is named, and uploads on their way in.
+    /// Folder of this node, for incoming uploads, and by default the database and the blobs.
     pub data: PathBuf,
-    /// `postgres://…`; else SQLite within `data`.
+    /// `postgres://…`; default: SQLite in `data`.
     pub database: Option<String>,
-    /// `s3://…`, `gs://…` or `az://…`; else a folder within `data`.
+    /// `s3://…`, `gs://…` or `az://…`; default: a folder in `data`.
     pub blobs: Option<String>,
-    /// What bounds it.
+    /// The limits.
     pub limits: Limits,
-    /// Room that is kept free on the disk of a folder of blobs.
+    /// Free disk space to keep for a folder of blobs.
     pub reserve: Reserve,
 }
 
 impl fmt::Debug for Config {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // the URL of the database may have a password
+        // the database's URL may contain a password
         f.debug_struct("Config").field("data", &self.data).field("blobs", &self.blobs).field("limits", &self.limits).finish_non_exhaustive()
     }
 }
 
 impl Config {
-    /// All within a folder.
+    /// Everything in one folder.
     #[must_use]
     pub fn of_folder(data: &Path) -> Self {
         Self { data: data.to_owned(), database: None, blobs: None, limits: Limits::default(), reserve: Reserve::default() }
     }
 }
 
-/// Photos, jobs, owners, keys and rooms. A clone is another handle of the same.
+/// Photos, jobs, owners, keys and rooms. Clones share the same library.
 #[derive(Clone, Debug)]
 pub struct Library(Arc<Inner>);
 
@@ -142,16 +142,16 @@ struct Inner {
     incoming: PathBuf,
     held: Held,
     reached: Reached,
-    /// Jobs that were taken here.
+    /// Number of jobs that this process has taken.
     taken: AtomicU64,
-    /// Photos that were looked at since that was written down.
+    /// Photos viewed since the last [`Library::note_views`].
     viewed: Mutex<HashSet<PhotoId>>,
     clock: Mutex<Option<(Instant, Millis)>>,
     trusted: Mutex<Option<TrustedClock>>,
 }
 
 impl Library {
-    /// Opens a library, makes what is missing, and brings its schema up to date.
+    /// Opens a library, creates it if missing, and migrates its schema.
     ///
     /// # Errors
     /// The database or the blob store cannot be reached or written.
@@ -170,7 +170,7 @@ impl Library {
     }
 
     async fn of(database: Database, blobs: BlobStore, config: Config) -> Result<Self> {
-        // beside the blobs where these are files, which are moved there
+        // on the file system of the blobs, so that files can be moved there
         let incoming = config.data.join("blobs").join("incoming");
         blobs::create_private(&incoming)?;
         Box::pin(pair(&database, &blobs)).await?;
@@ -194,13 +194,13 @@ impl Library {
         &self.0.database
     }
 
-    /// Where contents lie.
+    /// The blob store.
     #[must_use]
     pub fn blobs(&self) -> &BlobStore {
         &self.0.blobs
     }
 
-    /// What bounds this library.
+    /// The limits.
     #[must_use]
     pub fn limits(&self) -> &Limits {
         &self.0.limits
@@ -212,25 +212,25 @@ impl Library {
         &self.0.secret
     }
 
-    /// Folder for uploads that are written while they come in; see [`Content::of_file`].
+    /// Folder for incoming uploads; see [`Content::of_file`].
     #[must_use]
     pub fn incoming(&self) -> &Path {
         &self.0.incoming
     }
 
-    /// Receives events from now on.
+    /// Subscribes to events.
     #[must_use]
     pub fn subscribe(&self) -> Subscription {
         self.database().events().subscribe()
     }
 
-    /// What a worker said last of a photo that it makes, as far as this node has heard.
+    /// The last progress of a photo that this node has received.
     #[must_use]
     pub fn progress_of(&self, photo: PhotoId) -> Option<Value> {
         self.database().events().progress(photo)
     }
 
-    /// The database's time, as it was read a moment ago.
+    /// The database's time, from a reading a few seconds old.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -244,17 +244,17 @@ impl Library {
         Ok(now)
     }
 
-    /// Looks whether the database and the blob store can be written, and the disk has room beyond its reserve.
+    /// Checks that the database and the blob store are writable, and the disk has space beyond its reserve.
     ///
     /// # Errors
-    /// What stands against it.
+    /// The first failed check.
     pub async fn check(&self) -> Result<()> {
         self.database().write().await?.commit().await?;
         self.blobs().room_for(0)?;
         self.blobs().probe().await
     }
 
-    /// Closes the connections to the database. Other handles of this library fail from then on.
+    /// Closes the connections to the database. Clones of this library fail afterwards.
     pub async fn close(&self) {
         self.database().close().await;
     }
@@ -271,7 +271,7 @@ async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
         None => {
             let photos = sqlx::query("SELECT id FROM photos LIMIT 1").fetch_optional(database.reader()).await?;
             if photos.is_some() {
-                let why = "the database has photos, and the blob store is another one: all nodes need the same --blobs";
+                let why = "the database has photos, but not in this blob store: all nodes need the same --blobs";
                 return Err(LibraryError::Invalid(why.into()));
             }
             blobs.set_library(&id).await

@@ -1,4 +1,4 @@
-//! Links that let others in: signed, so that none is stored. A photo's are signed over its generation, which its owner raises to take them back.
+//! Signed links that give access, none of which is stored. A photo's links are signed over its link generation; raising it revokes them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -42,10 +42,10 @@ impl Grant {
     }
 }
 
-/// What a link leads to.
+/// The target of a link.
 #[derive(Clone, Copy, Debug)]
 pub enum Subject<'a> {
-    /// This upload of a photo, until its links are taken back.
+    /// This upload of a photo, until its links are revoked.
     Photo(&'a Photo),
     /// A room of this name.
     Room(&'a str),
@@ -63,7 +63,7 @@ impl Subject<'_> {
     }
 }
 
-/// When a link ends, and its signature.
+/// A link: its expiry and signature.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Link {
     /// Seconds since 1970.
@@ -72,7 +72,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// 64 hex digits.
+    /// The signature as 64 hex digits.
     #[must_use]
     pub fn signature(&self) -> String {
         hex(&self.signature)
@@ -93,11 +93,11 @@ impl FromStr for Link {
             let (expires, signature) = text.split_once('.')?;
             Some(Self { expires: expires.parse().ok()?, signature: unhex(signature)? })
         };
-        read(text).ok_or_else(|| LibraryError::Invalid("this is no link".into()))
+        read(text).ok_or_else(|| LibraryError::Invalid("this is not a link".into()))
     }
 }
 
-/// What ids and links are made with; whoever has it can make them.
+/// The secret of ids and links: its holder can forge them.
 #[derive(Clone)]
 pub struct Secret([u8; BYTES]);
 
@@ -108,9 +108,9 @@ impl fmt::Debug for Secret {
 }
 
 impl Secret {
-    /// An HMAC-SHA-256 over `parts`, each with its length before it, for one purpose alone.
+    /// An HMAC-SHA-256 over `purpose` and `parts`, each preceded by its length.
     fn mac(&self, purpose: &str, parts: &[&[u8]]) -> Hmac<Sha256> {
-        // RFC 2104 fills a key up to a block with zeros
+        // RFC 2104 pads a key to a block with zeros
         let mut block = [0; 64];
         block[..BYTES].copy_from_slice(&self.0);
         let mut mac = Hmac::<Sha256>::new(&block.into());
@@ -121,8 +121,7 @@ impl Secret {
         mac
     }
 
-    /// Id of an owner's photo, where `content` says what it is made of: nobody else can tell from the content what its id is. Without an owner the
-    /// content is the id.
+    /// Id of an owner's photo with this content. Others cannot derive it from the content. Without an owner it is `content`.
     #[must_use]
     pub fn photo_id(&self, owner: Option<&Owner>, content: PhotoId) -> PhotoId {
         let Some(owner) = owner else { return content };
@@ -136,13 +135,13 @@ impl Secret {
         self.mac("tmpi link 3", &[grant.name().as_bytes(), subject.seal().as_bytes(), &expires.to_le_bytes()])
     }
 
-    /// A link that is good until `expires`, in seconds since 1970; for ever with [`u64::MAX`].
+    /// A link that is valid until `expires`, in seconds since 1970; for ever with [`u64::MAX`].
     #[must_use]
     pub fn sign(&self, grant: Grant, subject: Subject<'_>, expires: u64) -> Link {
         Link { expires, signature: self.of_link(grant, subject, expires).finalize().into_bytes().into() }
     }
 
-    /// Whether a link allows that at `now`. How long this takes does not depend on how much of the signature is right.
+    /// Whether a link grants access at `now`. Compares the signature in constant time.
     #[must_use]
     pub fn allows(&self, grant: Grant, subject: Subject<'_>, link: &Link, now: Millis) -> bool {
         let in_time = (now.max(0) as u64) / 1000 < link.expires;
@@ -150,13 +149,13 @@ impl Secret {
     }
 }
 
-/// The secret of all nodes of a database; made where there is none.
+/// The secret that all nodes of a database share; created if missing.
 pub(crate) async fn secret(database: &Database) -> Result<Secret> {
     let text = stored_secret(database, "links").await?;
-    unhex(&text).map(Secret).ok_or_else(|| LibraryError::Internal("the secret of links is not one".into()))
+    unhex(&text).map(Secret).ok_or_else(|| LibraryError::Internal("the secret of links is malformed".into()))
 }
 
-/// Random hex digits that all nodes of a database have by this name; made where there are none.
+/// Random hex digits that all nodes of a database share under this name; created if missing.
 pub(crate) async fn stored_secret(database: &Database, name: &'static str) -> Result<String> {
     let mut tx = database.write().await?;
     tx.lock(Lock::Secret).await?;

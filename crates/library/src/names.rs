@@ -1,4 +1,4 @@
-//! Names of photos, owners and contents: digests, never what they are digests of.
+//! Names of photos, owners and contents, which are all digests.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-/// Milliseconds since 1970 by the database's clock. No node's own clock is ever compared with it.
+/// Milliseconds since 1970 by the database's clock. Never compare it with a node's clock.
 pub type Millis = i64;
 
 /// SHA-256 of a content, as 64 lower-case hex digits.
@@ -15,13 +15,13 @@ pub type Millis = i64;
 pub struct Digest(String);
 
 impl Digest {
-    /// Of bytes that are here.
+    /// The digest of `bytes`.
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         Self(hex(&Sha256::digest(bytes)))
     }
 
-    /// From the 32 bytes of a SHA-256 that was taken elsewhere.
+    /// From the 32 bytes of a SHA-256.
     #[must_use]
     pub fn from_bytes(bytes: &[u8; 32]) -> Self {
         Self(hex(bytes))
@@ -36,8 +36,8 @@ impl Digest {
 
 /// Id of a photo: 128 bits as 32 lower-case hex digits.
 ///
-/// Two uploads of one photo with the same options by the same owner have the same id and share all work, until a better program or network
-/// makes it.
+/// Two uploads of one photo with the same options by the same owner have the same id and share all work, until the program or the network
+/// changes.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct PhotoId([u8; 16]);
 
@@ -48,8 +48,8 @@ impl PhotoId {
         Self(bytes)
     }
 
-    /// What a photo is made of: the digests of photo and depth map, the options in their canonical text, and the identity of the pipeline.
-    /// See [`Secret::photo_id`](crate::Secret::photo_id) for an id that others cannot tell from the content.
+    /// The id of a content: the digests of photo and depth map, the options in their canonical text, and the identity of the pipeline.
+    /// See [`Secret::photo_id`](crate::Secret::photo_id) for an id that others cannot derive from the content.
     #[must_use]
     pub fn of_content(photo: &Digest, depth: Option<&Digest>, options: &str, pipeline: &str) -> Self {
         let mut hash = Sha256::new();
@@ -105,7 +105,7 @@ impl<'de> Deserialize<'de> for PhotoId {
     }
 }
 
-/// Whose a photo is: a hash of a secret or of a name, from which neither follows. 64 hex digits.
+/// The owner of a photo: a one-way hash of a secret or a name, as 64 hex digits.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Owner(String);
@@ -115,19 +115,19 @@ impl Owner {
         Self(hex(&Sha256::digest(format!("tmpi owner 1\0{kind}\0{text}"))))
     }
 
-    /// Whoever keeps this secret.
+    /// The holder of this secret.
     #[must_use]
     pub fn of_secret(secret: &str) -> Self {
         Self::of("secret", secret)
     }
 
-    /// Whoever has a key of this name: keys of one name have the same photos, so that one can replace another.
+    /// The holders of keys with this name. Keys of one name share an owner, so that one can replace another.
     #[must_use]
     pub fn of_keys(name: &str) -> Self {
         Self::of("keys", name)
     }
 
-    /// The user of this machine. Quotas do not apply.
+    /// The user of this machine, who has no quotas.
     #[must_use]
     pub fn local_user() -> Self {
         Self::of("local", "")
@@ -151,7 +151,7 @@ pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().flat_map(|b| [digit(b >> 4), digit(b & 15)]).collect()
 }
 
-/// The `N` bytes that hex digits say; none where there are other characters, or more or fewer digits.
+/// Decodes exactly `N` bytes from hex digits.
 pub(crate) fn unhex<const N: usize>(text: &str) -> Option<[u8; N]> {
     let digits: Vec<u8> = text.chars().map(|c| c.to_digit(16).map(|d| d as u8)).collect::<Option<_>>()?;
     let mut bytes = [0; N];
@@ -164,10 +164,10 @@ pub(crate) fn unhex<const N: usize>(text: &str) -> Option<[u8; N]> {
     Some(bytes)
 }
 
-/// `N` bytes that nobody can guess.
+/// `N` cryptographically random bytes.
 ///
 /// # Errors
-/// The system has none.
+/// The system has no random bytes.
 pub(crate) fn random<const N: usize>() -> crate::Result<[u8; N]> {
     let mut bytes = [0; N];
     getrandom::fill(&mut bytes).map_err(|e| crate::LibraryError::Internal(format!("no random bytes: {e}")))?;

@@ -1,4 +1,4 @@
-//! A photo as the database has it.
+//! A photo in the database.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -12,26 +12,26 @@ use sqlx::any::AnyRow;
 use crate::error::{LibraryError, Result};
 use crate::names::{Digest, Millis, Owner, PhotoId};
 
-/// How a photo fares.
+/// State of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PhotoState {
-    /// It waits for a worker.
+    /// Waiting for a worker.
     Queued,
-    /// A worker has it.
+    /// A worker is making it.
     Working,
-    /// Its results are there.
+    /// It has its results.
     Done,
-    /// It could not be made.
+    /// It failed.
     Failed,
-    /// Its results are no longer as they were written.
+    /// Its results are damaged.
     Damaged,
 }
 
 impl PhotoState {
     pub(crate) const ALL: [Self; 5] = [Self::Queued, Self::Working, Self::Done, Self::Failed, Self::Damaged];
 
-    /// As in the database and in metrics.
+    /// Name in the database and in metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -43,7 +43,7 @@ impl PhotoState {
         }
     }
 
-    /// True where nothing follows by itself.
+    /// Whether no job is pending.
     #[must_use]
     pub const fn is_final(self) -> bool {
         matches!(self, Self::Done | Self::Failed | Self::Damaged)
@@ -54,7 +54,7 @@ impl PhotoState {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Class {
-    /// Somebody waits for it.
+    /// A person is waiting for it.
     #[default]
     Interactive,
     /// One of many.
@@ -64,7 +64,7 @@ pub enum Class {
 impl Class {
     pub(crate) const ALL: [Self; 2] = [Self::Interactive, Self::Batch];
 
-    /// As in forms and metrics.
+    /// Name in forms and metrics.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -78,7 +78,7 @@ impl Class {
     }
 }
 
-/// A content that belongs to a photo.
+/// A part of a photo's contents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
@@ -101,7 +101,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// As in the names of blobs.
+    /// Name in the names of blobs.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -116,7 +116,7 @@ impl Part {
         }
     }
 
-    /// True for what a worker makes of a photo.
+    /// Whether a worker makes this part.
     #[must_use]
     pub const fn is_result(self) -> bool {
         matches!(self, Self::Container | Self::Disparity | Self::Thumbnail | Self::Report)
@@ -129,7 +129,7 @@ impl fmt::Display for Part {
     }
 }
 
-/// A content in the blob store, as a row refers to it.
+/// A row's reference to a content in the blob store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Blob {
     /// Name in the store.
@@ -140,27 +140,27 @@ pub struct Blob {
     pub digest: Digest,
 }
 
-/// Why something failed, as its owner reads it.
+/// Why something failed, for the photo's owner.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Problem {
-    /// Kind that stays the same, such as `gave-up`.
+    /// Stable kind, such as `gave-up`.
     pub kind: String,
-    /// What is wrong with this very photo.
+    /// What is wrong with this photo.
     pub detail: String,
-    /// Field or option that is at fault.
+    /// Field or option at fault.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub field: Option<String>,
 }
 
 impl Problem {
-    /// One that no field is at fault of.
+    /// A problem without a field.
     #[must_use]
     pub fn new(kind: &str, detail: impl Into<String>) -> Self {
         Self { kind: kind.to_owned(), detail: detail.into(), field: None }
     }
 }
 
-/// Contents of a photo by what they are.
+/// Blobs of a photo by part.
 pub type Blobs = BTreeMap<Part, Blob>;
 
 /// A photo.
@@ -168,37 +168,37 @@ pub type Blobs = BTreeMap<Part, Blob>;
 pub struct Photo {
     /// Its id.
     pub id: PhotoId,
-    /// Whose it is; none where nobody was asked who they are.
+    /// Its owner; `None` if the upload was not authenticated.
     pub owner: Option<Owner>,
     /// When it was accepted.
     pub accepted_at: Millis,
-    /// When it was uploaded last: the list shows those first that were uploaded last.
+    /// When it was last uploaded, which is the order of the list.
     pub listed_at: Millis,
-    /// When somebody looked at it last, or it was accepted.
+    /// When it was last viewed, or accepted.
     pub viewed_at: Millis,
     /// How urgent its making is.
     pub class: Class,
     /// Options as text, all of them.
     pub options: BTreeMap<String, String>,
-    /// What its owner wants of viewers: a JSON object that the caller understands.
+    /// The owner's settings for viewers: a JSON object, opaque to this crate.
     pub settings: Value,
-    /// Grows by one with each change of the settings.
+    /// Incremented by each change of the settings.
     pub settings_version: i64,
-    /// Grows by one when the owner takes links back; these are signed over it.
+    /// Incremented when the owner revokes links, which are signed over it.
     pub link_generation: i64,
-    /// How it fares.
+    /// Its state.
     pub state: PhotoState,
-    /// Grows by one whenever it is to be made again. Results of an older version stay until the new ones are there.
+    /// Incremented whenever it is queued again. Results of an older version stay until new ones replace them.
     pub version: i64,
-    /// When it came into its final state.
+    /// When it reached its final state.
     pub finished_at: Option<Millis>,
-    /// What its worker tells of the results, a JSON object: width, height.
+    /// Details of the results, a JSON object: width, height.
     pub details: Option<Value>,
     /// Why it failed or is damaged.
     pub problem: Option<Problem>,
     /// Its contents.
     pub blobs: Blobs,
-    /// Bytes of all its contents, as quotas count them.
+    /// Bytes of all its contents, which quotas count.
     pub bytes: u64,
 }
 
@@ -206,7 +206,7 @@ pub struct Photo {
 pub(crate) const COLUMNS: &str = "id, owner, accepted_at, listed_at, viewed_at, class, options, settings, settings_version, link_generation, state, version, finished_at, details, problem, blobs, bytes";
 
 impl Photo {
-    /// A content of it.
+    /// The blob of a part.
     ///
     /// # Errors
     /// [`LibraryError::NotFound`].
@@ -214,7 +214,7 @@ impl Photo {
         self.blobs.get(&part).ok_or(LibraryError::NotFound(part.name()))
     }
 
-    /// Title of its settings.
+    /// Title in its settings.
     #[must_use]
     pub fn title(&self) -> Option<&str> {
         title_of(&self.settings)

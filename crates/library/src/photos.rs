@@ -1,4 +1,4 @@
-//! Photos as they are read, listed, changed and deleted.
+//! Reading, listing, changing and deleting photos.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,21 +15,21 @@ use crate::names::{Millis, Owner, PhotoId};
 use crate::photo::{COLUMNS, Photo, PhotoState, Problem, title_of, to_json};
 use crate::{Library, accept};
 
-/// Views that are noted in one transaction.
+/// Views recorded per transaction.
 const VIEWS: usize = 500;
 
-/// Which photos are listed.
+/// Filter of the list.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filter {
-    /// Those of one owner; else of all.
+    /// Photos of one owner; `None` for all.
     pub owner: Option<Owner>,
-    /// Those in one state.
+    /// Photos in one state.
     pub state: Option<PhotoState>,
-    /// Those whose titles contain this, whatever the case of ASCII letters.
+    /// Photos whose titles contain this text, ignoring ASCII case.
     pub title: Option<String>,
 }
 
-/// A place in the list. It stays where it is while photos come and go.
+/// A position in the list, stable while photos come and go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cursor {
     listed_at: Millis,
@@ -56,16 +56,16 @@ impl FromStr for Cursor {
             let (listed_at, id) = text.split_once('-')?;
             Some(Self { listed_at: listed_at.parse().ok()?, id: id.parse().ok()? })
         };
-        read(text).ok_or_else(|| LibraryError::Invalid(format!("{text:?} is no place in the list")))
+        read(text).ok_or_else(|| LibraryError::Invalid(format!("{text:?} is not a position in the list")))
     }
 }
 
-/// A page of the list, what was uploaded last first.
+/// A page of the list, most recently uploaded photos first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Page {
     /// Its photos.
     pub photos: Vec<Photo>,
-    /// Where the next page begins; none on the last one.
+    /// Start of the next page; `None` on the last one.
     pub next: Option<Cursor>,
 }
 
@@ -75,7 +75,7 @@ impl Library {
         select.fetch_optional(on).await?.map(|row| Photo::from_row(&row)).transpose()
     }
 
-    /// A photo; none where there is none.
+    /// A photo, if it exists.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -91,7 +91,7 @@ impl Library {
         self.find(id).await?.ok_or(LibraryError::NotFound("photo"))
     }
 
-    /// At most `limit` photos behind `after`, what was uploaded last first.
+    /// At most `limit` photos after `after`, most recently uploaded first.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -125,7 +125,7 @@ impl Library {
         Ok(Page { photos, next })
     }
 
-    /// Sets what a photo's owner wants of viewers, a JSON object, where it is still as the caller `seen` it.
+    /// Replaces a photo's settings for viewers, a JSON object, if the photo has not changed since the caller read it as `seen`.
     ///
     /// # Errors
     /// [`LibraryError::Changed`], [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
@@ -143,7 +143,7 @@ impl Library {
         Ok(Photo { settings: settings.clone(), settings_version: before.settings_version + 1, ..before })
     }
 
-    /// Takes back all links to a photo that were signed so far.
+    /// Revokes all links to a photo.
     ///
     /// # Errors
     /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
@@ -158,8 +158,8 @@ impl Library {
         tx.commit().await
     }
 
-    /// Deletes a photo with all that belongs to it, whatever it is at; false where there is none. With `accepted_at` only the upload that was
-    /// accepted then.
+    /// Deletes a photo in any state, with everything that belongs to it; false if it does not exist. With `accepted_at`, deletes only the
+    /// upload accepted at that time.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -181,12 +181,12 @@ impl Library {
         Ok(true)
     }
 
-    /// Says that somebody looked at a photo. It is written down by [`Library::note_views`].
+    /// Records a view of a photo in memory; [`Library::note_views`] writes it to the database.
     pub fn viewed(&self, id: PhotoId) {
         self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner).insert(id);
     }
 
-    /// Writes down which photos were looked at since the last time. [`Library::sweep`] does it, too.
+    /// Writes the recorded views to the database. [`Library::sweep`] calls it, too.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -196,7 +196,7 @@ impl Library {
             return Ok(());
         }
         let mut ids: Vec<PhotoId> = viewed.into_iter().collect();
-        // two nodes lock rows in one order
+        // all nodes lock rows in the same order
         ids.sort_unstable();
         let mut done = 0;
         for part in ids.chunks(VIEWS) {
@@ -218,14 +218,13 @@ impl Library {
         tx.commit().await
     }
 
-    /// Takes a finished photo out of service, as `detail` says what of it is no longer as it was written; false where it was made again or deleted
-    /// meanwhile. The same upload heals it.
+    /// Marks a finished photo as damaged, with `detail`; false if it was made again or deleted meanwhile. Uploading it again repairs it.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
     pub async fn mark_damaged(&self, seen: &Photo, detail: &str) -> Result<bool> {
         let mut tx = self.database().write().await?;
-        let problem = Problem::new("damaged", format!("{detail}: upload the photo again, and it is made anew"));
+        let problem = Problem::new("damaged", format!("{detail}: upload the photo again to repair it"));
         let update =
             "UPDATE photos SET state = 'damaged', problem = $1, finished_at = $2 WHERE id = $3 AND version = $4 AND state = 'done'";
         let update = sqlx::query(update).bind(to_json(&problem)?).bind(tx.now).bind(seen.id.to_string()).bind(seen.version);

@@ -1,4 +1,4 @@
-//! How much an owner may have.
+//! Quotas of owners.
 
 use sqlx::any::AnyRow;
 use sqlx::{Any, Row as _};
@@ -7,7 +7,7 @@ use crate::error::{LibraryError, Quota, Result};
 use crate::names::{Millis, Owner};
 use crate::{Library, database::Tx, millis};
 
-/// Photos of an owner, and what uploads in parts are going to be, but for one of them.
+/// Use of an owner: photos, and reservations of resumable uploads except one.
 const USED: &str = "SELECT
     (SELECT COUNT(*) FROM photos WHERE owner = $1) AS photos,
     (SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM photos WHERE owner = $1) AS bytes,
@@ -26,8 +26,8 @@ impl Library {
         *owner != Owner::local_user() && (limits.quota_photos.is_some() || limits.quota_bytes.is_some())
     }
 
-    /// Looks whether an owner may have one more photo of so many bytes, before these come. What comes is counted again as it is accepted.
-    /// `reservation` is what the upload has reserved.
+    /// Checks, before the bytes arrive, whether an owner may have one more photo of this size. [`Library::accept`] checks again.
+    /// `reservation` is the upload's own reservation.
     ///
     /// # Errors
     /// [`LibraryError::QuotaExceeded`].
@@ -40,7 +40,7 @@ impl Library {
         self.fits(&row, bytes)
     }
 
-    /// The same within the transaction that accepts, with the owner's row locked.
+    /// The same in the accepting transaction, with the owner's row locked.
     pub(crate) async fn check_quota_in(&self, tx: &mut Tx, owner: &Owner, bytes: u64, reservation: Option<&str>) -> Result<()> {
         if !self.has_quota(owner) {
             return Ok(());
@@ -64,10 +64,10 @@ impl Library {
         Ok(())
     }
 
-    /// Reserves room for an upload in parts, so many bytes all in all, for a time. A second call with the same `id` replaces the first.
+    /// Reserves this many bytes for a resumable upload, for `lasts`. A second call with the same `id` replaces the reservation.
     ///
     /// # Errors
-    /// [`LibraryError::QuotaExceeded`]; what was reserved before stays.
+    /// [`LibraryError::QuotaExceeded`]; the previous reservation stays.
     pub async fn reserve(&self, id: &str, owner: &Owner, bytes: u64, lasts: std::time::Duration) -> Result<()> {
         let mut tx = self.database().write().await?;
         tx.lock_owner(owner.as_str()).await?;
@@ -79,7 +79,7 @@ impl Library {
         tx.commit().await
     }
 
-    /// Gives a reservation back; nothing where there is none.
+    /// Releases a reservation, if it exists.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].

@@ -1,5 +1,5 @@
-//! What goes by itself: photos that are too old, those that nobody has looked at for longest where all take too much room, exports that nobody
-//! fetches, and what has ended.
+//! Retention: deletes photos that are too old, the least recently viewed photos if all take too much space, unused exports, and expired
+//! rows.
 
 use std::sync::PoisonError;
 use std::time::{Duration, Instant};
@@ -10,19 +10,19 @@ use crate::exports::names_of;
 use crate::names::{Millis, PhotoId};
 use crate::{Library, LibraryError, Result, millis};
 
-/// Photos that are looked at at a time.
+/// Photos per query.
 const PART: i64 = 256;
-/// How long it is remembered why an export could not be written.
+/// How long a failed export is kept.
 const FAILED_FOR: Duration = Duration::from_mins(10);
-/// How long a room that nobody has keeps its epoch.
+/// How long a room without a lease keeps its epoch.
 const ROOM_FOR: Duration = Duration::from_hours(24 * 30);
 
 /// What a sweep deleted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Swept {
-    /// Photos that were too old.
+    /// Photos deleted for their age.
     pub by_age: u64,
-    /// Photos that others needed the room of.
+    /// Photos deleted for space.
     pub by_room: u64,
     /// Bytes of both.
     pub bytes: u64,
@@ -30,7 +30,7 @@ pub struct Swept {
     pub exports: u64,
 }
 
-/// A photo that is to go.
+/// A photo to delete.
 struct Candidate {
     id: PhotoId,
     accepted_at: Millis,
@@ -38,16 +38,16 @@ struct Candidate {
 }
 
 impl Library {
-    /// When a photo that was accepted at a time goes by its age; none where none does.
+    /// When a photo accepted at this time is deleted for its age, if ever.
     #[must_use]
     pub fn ends_at(&self, accepted_at: Millis) -> Option<Millis> {
         self.limits().retain.map(|time| accepted_at.saturating_add(millis(time)))
     }
 
-    /// Deletes what is over. A photo that waits or is being made stays.
+    /// Applies the retention limits. Photos that wait or are being made stay.
     ///
     /// # Errors
-    /// [`LibraryError::Unavailable`]; what was deleted so far is gone.
+    /// [`LibraryError::Unavailable`], possibly after some deletions.
     pub async fn sweep(&self) -> Result<Swept> {
         self.note_views().await?;
         let mut swept = Swept::default();
@@ -96,7 +96,7 @@ impl Library {
         rows.iter().map(of).collect()
     }
 
-    /// Deletes photos until so many bytes are free; gives how many.
+    /// Deletes photos until `enough` bytes are free; returns how many.
     async fn delete_all(&self, going: &[Candidate], enough: u64, count: &mut u64, bytes: &mut u64) -> Result<u64> {
         let (mut deleted, mut freed) = (0, 0_u64);
         for photo in going {
@@ -113,7 +113,7 @@ impl Library {
         Ok(deleted)
     }
 
-    /// Removes exports that nobody fetches, and sessions, reservations and rooms that are over; gives how many exports.
+    /// Removes unused exports, and expired sessions, reservations and rooms; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
         let (now, limits) = (tx.now, self.limits());
@@ -132,7 +132,7 @@ impl Library {
         Ok(deleted.len() as u64)
     }
 
-    /// The database's time as far as it may be deleted by.
+    /// The database's time, as far as deletions may trust it.
     async fn trusted_now(&self) -> Result<Millis> {
         let told = self.database().now().await?;
         let latest = sqlx::query("SELECT MAX(accepted_at) AS latest FROM photos").fetch_one(self.database().reader()).await?;
@@ -143,23 +143,23 @@ impl Library {
     }
 }
 
-/// How far a clock may be ahead of the steady one before that is a jump.
+/// How far the clock may run ahead of the monotonic one before that counts as a jump.
 const SLACK: Duration = Duration::from_mins(10);
-/// For how long a clock must have stayed ahead until it is believed; and how far it may be ahead of the newest photo at the start.
+/// How long the clock must stay ahead before it is trusted, and how far it may be ahead of the newest photo at the start.
 const STAYS: Duration = Duration::from_hours(24);
 
-/// A clock by which may be deleted: one that jumps ahead is believed only once it has stayed there for a day. A clock that is wrong for a while, as
-/// before the network sets it right, must not take photos for years old.
+/// The clock for deletions, which trusts a jump ahead only after a day. A clock that is temporarily wrong, as before NTP corrects it, must
+/// not make photos look years old.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrustedClock {
     at: Millis,
     read: Instant,
-    /// Since when the database's clock is ahead, and how far.
+    /// Since when the database's clock has been ahead, and by how much.
     ahead: Option<(Instant, Millis)>,
 }
 
 impl TrustedClock {
-    /// Starts where the database's clock is; but at the newest photo where that is long before.
+    /// Starts at the database's time, or at the newest photo if that is more than [`STAYS`] older.
     fn start(told: Millis, latest: Option<Millis>, read: Instant) -> Self {
         let at = latest.filter(|latest| told > latest.saturating_add(millis(STAYS))).unwrap_or(told);
         Self { at, read, ahead: None }
@@ -169,11 +169,11 @@ impl TrustedClock {
         let counted = self.at.saturating_add(millis(read.saturating_duration_since(self.read)));
         let by = told.saturating_sub(counted);
         let is_ahead = by > millis(SLACK);
-        // one that jumps on, and far, has to stay there anew
+        // another far jump restarts the wait
         let since = self.ahead.filter(|(_, before)| by <= before.saturating_add(millis(STAYS))).map_or(read, |(since, _)| since);
         let is_believed = !is_ahead || read.saturating_duration_since(since) >= STAYS;
         if is_ahead && self.ahead.is_none() {
-            tracing::warn!(ahead_s = by / 1000, "the clock is ahead of what has passed: photos go by it once it has stayed so for a day");
+            tracing::warn!(ahead_s = by / 1000, "the clock jumped ahead: retention uses the new time after a day");
         }
         (self.at, self.read) = (if is_believed { told } else { counted }, read);
         self.ahead = (!is_believed).then_some((since, by));

@@ -1,4 +1,4 @@
-//! Which node has which room.
+//! Leases of rooms by nodes.
 
 use std::time::Duration;
 
@@ -7,29 +7,29 @@ use sqlx::Row as _;
 use crate::error::{LibraryError, Result};
 use crate::{Library, millis};
 
-/// Longest lease of a room: one that ends later was given before the clock was put back.
+/// Longest lease of a room: one that ends later was granted before the clock was set back.
 const MOST_LEASE: Duration = Duration::from_mins(1);
 
-/// How a node takes a room that another one has.
+/// How to claim a room that another node has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Claim {
-    /// Only once the other's lease is over.
+    /// Only after the other's lease has expired.
     IfFree,
-    /// At once: its publisher has come here.
+    /// At once: its publisher has connected to this node.
     TakeOver,
 }
 
 /// The node that has a room.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Origin {
-    /// Address at which other nodes subscribe to it.
+    /// URL at which other nodes subscribe to it.
     pub address: String,
-    /// Grows whenever the room changes hands: the higher one counts. A room whose row was removed meanwhile begins with a higher one, too.
+    /// Grows whenever another node takes the room: the higher epoch wins. It also grows if the room's row was removed meanwhile.
     pub epoch: i64,
 }
 
 impl Library {
-    /// Takes a room for the node at `address`, for `lasts`.
+    /// Claims a room for the node at `address`, for `lasts`.
     ///
     /// # Errors
     /// [`LibraryError::RoomTaken`], [`LibraryError::Unavailable`].
@@ -50,15 +50,15 @@ impl Library {
         Ok(Origin { address: address.to_owned(), epoch: row.try_get("epoch")? })
     }
 
-    /// Keeps a room for as long again.
+    /// Renews the lease of a room.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`] where another node has taken it, [`LibraryError::Unavailable`].
+    /// [`LibraryError::LeaseLost`] if another node has taken it, [`LibraryError::Unavailable`].
     pub async fn renew_room(&self, room: &str, origin: &Origin, lasts: Duration) -> Result<()> {
         self.set_room(room, origin, millis(lasts.min(MOST_LEASE))).await
     }
 
-    /// Gives a room back: it is free at once.
+    /// Releases a room at once.
     ///
     /// # Errors
     /// As [`Library::renew_room`].
@@ -75,7 +75,7 @@ impl Library {
         tx.commit().await
     }
 
-    /// The node that has a room; none where nobody has.
+    /// The node that has a room, if any.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].

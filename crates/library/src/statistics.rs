@@ -1,4 +1,4 @@
-//! Counts for health and metrics, of all nodes together.
+//! Statistics of all nodes, for health and metrics.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -11,42 +11,42 @@ use crate::jobs::{JobState, Kind};
 use crate::photo::{Class, PhotoState, class_of, state_of};
 use crate::{Library, LibraryError};
 
-/// How jobs of a kind ended since the library was made.
+/// Outcomes of the jobs of a kind since the library was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OutcomeCounts {
-    /// Those that were done.
+    /// Finished jobs.
     pub finished: u64,
-    /// Those that could not be done.
+    /// Failed jobs.
     pub failed: u64,
-    /// Workers that died on one.
+    /// Workers that died on a job.
     pub died: u64,
-    /// How long one takes, in milliseconds: a mean in which later ones weigh more.
+    /// Mean duration in milliseconds, weighted towards recent jobs.
     pub mean_ms: f64,
 }
 
-/// Counts.
+/// Statistics.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Statistics {
     /// Photos by state.
     pub photos: BTreeMap<PhotoState, u64>,
     /// Bytes of photos with their results.
     pub bytes: u64,
-    /// Jobs that wait, by kind and class.
+    /// Waiting jobs, by kind and class.
     pub waiting: BTreeMap<(Kind, Class), u64>,
-    /// Jobs that are being done, by kind.
+    /// Running jobs, by kind.
     pub working: BTreeMap<Kind, u64>,
-    /// Exports that are there, and their bytes.
+    /// Finished exports.
     pub exports: u64,
     /// Bytes of exports.
     pub exports_bytes: u64,
-    /// How long the job that waits longest has waited.
+    /// Longest current wait of a job.
     pub longest_wait: Duration,
-    /// What has become of jobs, by kind.
+    /// Outcomes of jobs, by kind.
     pub outcomes: BTreeMap<Kind, OutcomeCounts>,
 }
 
 impl Statistics {
-    /// Jobs of a kind that wait, of all classes.
+    /// Waiting jobs of a kind, of all classes.
     #[must_use]
     pub fn waiting_of(&self, kind: Kind) -> u64 {
         self.waiting.iter().filter(|((of, _), _)| *of == kind).map(|(_, n)| n).sum()

@@ -1,4 +1,4 @@
-//! Whether what the rows refer to is there, and what nobody refers to goes.
+//! Checking blobs, and deleting orphans.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -15,26 +15,26 @@ use crate::names::PhotoId;
 use crate::photo::{Blobs, COLUMNS, Part, Photo, PhotoState, json};
 use crate::photos::Filter;
 
-/// Age at which a blob that nobody refers to is deleted: by then whoever wrote it has referred to it, or has died.
+/// Age at which a blob without references is deleted: by then its writer has committed the reference or died.
 const ORPHAN: Duration = Duration::from_hours(24);
-/// Photos that are looked at at a time.
+/// Photos per query.
 const PART: usize = 100;
 
 /// What `gc` found and deleted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Collected {
-    /// Blobs that nobody refers to.
+    /// Deleted orphans.
     pub blobs: u64,
     /// Their bytes.
     pub bytes: u64,
 }
 
-/// A content that is not as it was written.
+/// A damaged content.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Damage {
-    /// Of which photo.
+    /// The photo.
     pub photo: PhotoId,
-    /// Which content.
+    /// The part.
     pub part: Part,
     /// What is wrong with it.
     pub detail: String,
@@ -47,15 +47,15 @@ impl fmt::Display for Damage {
 }
 
 impl Library {
-    /// Deletes blobs that nobody has referred to for a day, by the store's own clock.
+    /// Deletes blobs without references that are more than a day old by the store's clock.
     ///
     /// # Errors
-    /// [`LibraryError::Unavailable`]; what was deleted so far is gone.
+    /// [`LibraryError::Unavailable`], possibly after some deletions.
     pub async fn gc(&self) -> Result<Collected> {
         self.gc_older_than(ORPHAN).await
     }
 
-    /// The same once a day on one of all nodes; none where it is not this node's turn.
+    /// Runs [`Library::gc`] once a day, on one node; `None` if it is not due here.
     ///
     /// # Errors
     /// As [`Library::gc`].
@@ -63,7 +63,7 @@ impl Library {
         if self.is_due("gc", ORPHAN).await? { self.gc().await.map(Some) } else { Ok(None) }
     }
 
-    /// Whether a task that runs once in `period` on one of all nodes is this node's to run now.
+    /// Whether this node should now run a task that runs once per `period` on one node.
     async fn is_due(&self, task: &'static str, period: Duration) -> Result<bool> {
         let mut tx = self.database().write().await?;
         let claim = "INSERT INTO upkeep (task, ran_at) VALUES ($1, $2)
@@ -74,8 +74,8 @@ impl Library {
         Ok(claimed)
     }
 
-    /// Holds a photo's contents against their digests that were not for `period`, on one node alone. A damaged photo is taken out of service. Gives the
-    /// photo; none where none is due.
+    /// Verifies the contents of a photo that no node has verified for `period`, and marks it as damaged if they are. Returns the photo;
+    /// `None` if none is due.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`]: it cannot be told now.
@@ -101,7 +101,7 @@ impl Library {
         let before = self.blobs().now().await?.saturating_sub(millis(age));
         let mut collected = Collected::default();
         for prefix in prefixes().chain(["incoming".to_owned(), "probe".to_owned()]) {
-            // first the store, then the rows: what is written meanwhile is not in the list
+            // list the store before the rows, so that blobs written meanwhile are not in the list
             let mut old = self.blobs().list(&prefix).await?;
             old.retain(|blob| blob.written_at <= before);
             if old.is_empty() {
@@ -117,9 +117,9 @@ impl Library {
         Ok(collected)
     }
 
-    /// Names that rows of photos refer to whose ids begin with `prefix`.
+    /// Names of the blobs of photos whose ids begin with `prefix`.
     async fn referred(&self, prefix: &str) -> Result<HashSet<String>> {
-        // behind all hex digits
+        // sorts after all hex digits
         let end = format!("{prefix}g");
         let mut names = HashSet::new();
         let photos = sqlx::query("SELECT blobs FROM photos WHERE id >= $1 AND id < $2").bind(prefix.to_owned()).bind(end.clone());
@@ -133,7 +133,7 @@ impl Library {
         Ok(names)
     }
 
-    /// Holds the contents of a photo against their sizes and digests.
+    /// Checks the contents of a photo against their sizes and digests.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`]: it cannot be told now.
@@ -149,7 +149,7 @@ impl Library {
         Ok(all)
     }
 
-    /// Holds the contents of all photos against their sizes and digests. Photos whose results are damaged are taken out of service.
+    /// Checks the contents of all photos against their sizes and digests, and marks photos with damaged results.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
@@ -160,7 +160,7 @@ impl Library {
             for photo in &page.photos {
                 let found = self.verify(photo).await?;
                 self.take_out(photo, &found).await?;
-                // what was deleted or made again while it was read is not damaged
+                // a photo that was deleted or made again meanwhile is not damaged
                 if !found.is_empty() && self.find(photo.id).await?.is_some_and(|now| now.blobs == photo.blobs) {
                     all.extend(found);
                 }
@@ -172,7 +172,7 @@ impl Library {
         }
     }
 
-    /// Takes a photo out of service where one of its results is damaged.
+    /// Marks a photo as damaged if one of its results is.
     pub(crate) async fn take_out(&self, photo: &Photo, found: &[Damage]) -> Result<()> {
         match found.iter().find(|damage| damage.part.is_result()) {
             Some(damage) if photo.state == PhotoState::Done => self.mark_damaged(photo, &damage.to_string()).await.map(drop),

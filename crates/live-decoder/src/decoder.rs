@@ -1,4 +1,4 @@
-//! What an instance holds, and what its functions do.
+//! The state of an instance, and its functions.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
 use tmpi_core::live::{Changes, Colour, I420, KeyFrame, Layers, Model, VERSION, When, key_frame, read, to_rgb, write};
 use tmpi_core::{Class, Photo};
 
-/// What can be read out.
+/// Results that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Output {
@@ -31,7 +31,7 @@ pub enum Output {
     Message = 7,
 }
 
-/// How a frame is handed over.
+/// Pixel format of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Pixels {
@@ -46,7 +46,7 @@ pub enum Pixels {
 /// Changes of what key frames say that are remembered: frames are shown later than they come.
 const REMEMBERED: usize = 8;
 
-/// What a key frame says: colours, and columns and rows that are cut off to the left and above.
+/// Properties from a key frame: colours, and the columns and rows cropped at the left and the top.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Said {
     colour: Colour,
@@ -97,10 +97,10 @@ impl Decoder {
         &mut self.input
     }
 
-    /// Reads a message, and takes over what it says of the room; gives the number of its kind.
+    /// Reads a message, and updates the state of the room; returns the number of its kind.
     ///
     /// # Errors
-    /// Where it cannot be read, or tiles come before HELLO.
+    /// The message is invalid, or tiles come before HELLO.
     pub fn message(&mut self) -> Result<i32, String> {
         let kind = read(std::mem::take(&mut self.input).into()).map_err(|e| e.to_string())?;
         self.data = Bytes::new();
@@ -133,12 +133,12 @@ impl Decoder {
                 Ok(self.told(7, &[f64::from(u8::from(again)), f64::from(cause)]))
             }
             Kind::Credit(c) => Ok(self.told(8, &[f64::from(c.frames), f64::from(u8::from(c.key))])),
-            // measured depth is the server's alone
+            // only the server uses measured depth
             Kind::Depth(_) => Ok(self.told(9, &[])),
         }
     }
 
-    /// Takes over what a key frame says; what it says wrongly its decoder tells.
+    /// Reads the properties of a key frame; the video decoder reports invalid ones.
     fn key(&mut self, frame: u64, data: &[u8]) {
         let Ok(Some(KeyFrame { colour, left, top, .. })) = key_frame(&self.codec, data) else { return };
         let said = Said { colour, left, top };
@@ -150,7 +150,7 @@ impl Decoder {
         }
     }
 
-    /// What is said of a frame.
+    /// The properties of a frame.
     fn said_of(&self, frame: u64) -> Said {
         let since = self.said_by.iter().rev().find(|(first, _)| *first <= frame);
         since.map(|(_, said)| *said).unwrap_or_default()
@@ -161,7 +161,7 @@ impl Decoder {
         kind
     }
 
-    /// All tiles are to come anew; what is shown stays until they are there.
+    /// Resets the tiles; the current layers stay until all tiles have come.
     fn hello(&mut self, h: &Hello) -> Result<i32, String> {
         let model = Model::new(h).map_err(|e| e.to_string())?;
         self.changed = vec![false; model.tiles() as usize];
@@ -252,7 +252,7 @@ impl Decoder {
     /// Texels of each layer that was handed over.
     ///
     /// # Errors
-    /// Where there is no such layer.
+    /// A layer does not exist.
     pub fn cells(&mut self) -> Result<i32, String> {
         self.cells.clear();
         for numbers in self.input.as_chunks().0 {
@@ -267,7 +267,7 @@ impl Decoder {
     /// Writes HELLO of a publisher.
     ///
     /// # Errors
-    /// Where the codec strings are no text.
+    /// The codec strings are not UTF-8.
     pub fn write_hello(&mut self, (width, height): (u32, u32), fov_x: f64, sound: (u32, u32)) -> Result<i32, String> {
         let text = String::from_utf8(std::mem::take(&mut self.input)).map_err(|e| e.to_string())?;
         let (codec, named) = text.split_once('\n').unwrap_or((&text, ""));

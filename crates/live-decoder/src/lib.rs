@@ -17,10 +17,10 @@ thread_local! {
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
-/// What a call gives where it failed.
+/// The return value of a failed call.
 const FAILED: i32 = -1;
 
-/// Makes room for so many bytes to be handed to the next call; gives where they are to be written.
+/// Allocates the input buffer of the next call; returns its address.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
@@ -31,7 +31,7 @@ pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
     DECODER.with_borrow_mut(|decoder| decoder.room(length).as_mut_ptr())
 }
 
-/// Reads the message that was handed over; gives the number of its kind as in `proto/live.proto`. Its numbers and bytes are outputs.
+/// Reads the message in the input buffer; returns the number of its kind in `proto/live.proto`. Its numbers and bytes are outputs.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_message() -> i32 {
@@ -46,8 +46,7 @@ pub extern "C" fn tmpi_frame(format: u32, number: f64, time: f64) -> i32 {
     call(|decoder| decoder.frame(format, number as u64, time as u64))
 }
 
-/// Makes the layers of the last frame and of all tiles that came; gives how many tiles changed. 0 as long as there is no frame or not
-/// every tile.
+/// Updates the layers to the last frame and tiles; returns the number of changed tiles, or 0 before the first frame and all tiles.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_layers() -> i32 {
@@ -89,7 +88,7 @@ pub extern "C" fn tmpi_write_bye() -> i32 {
     call(|decoder| Ok(decoder.write_bye()))
 }
 
-/// Where a result lies, by the number of an [`Output`]. It stays until the next call that makes or changes it.
+/// Address of a result, by the number of an [`Output`]. It is valid until the next call that changes the result.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output(what: u32) -> *const u8 {

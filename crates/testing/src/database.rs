@@ -1,4 +1,4 @@
-//! A PostgreSQL server of this test program, in a temporary folder, with a database for each test.
+//! A PostgreSQL server for this test program, in a temporary folder, with one database per test.
 
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-/// The server ends when its standard input does, which is when this process ends, however that comes about.
+/// The server ends when its standard input closes: when this process ends in any way.
 const SCRIPT: &str = r#"
 "$1/initdb" -D "$2/db" -U postgres -A trust --no-sync > "$2/log" 2>&1 || exit 1
 "$1/postgres" -D "$2/db" -k "$2" -c listen_addresses= -c fsync=off -c max_connections=400 >> "$2/log" 2>&1 &
@@ -28,7 +28,7 @@ struct Server {
     _process: Child,
 }
 
-/// User and group that the server runs as where this process is root's, which PostgreSQL refuses.
+/// User and group for the server if this process runs as root, which PostgreSQL refuses.
 fn unprivileged(folder: &Path) -> Option<(u32, u32)> {
     let users = std::fs::read_to_string("/etc/passwd").ok()?;
     let of = |name: &str| {
@@ -57,7 +57,7 @@ fn url(folder: &Path, database: &str) -> String {
     format!("postgres://postgres@localhost/{database}?host={}", folder.display())
 }
 
-/// URL of an empty database; none where PostgreSQL is not installed, and the test is skipped.
+/// URL of an empty database; `None` without PostgreSQL, so that the test is skipped.
 ///
 /// # Panics
 /// The server does not start.

@@ -1,4 +1,4 @@
-//! Engines that tests start and stop: an S3 server (moto), an Azure one (azurite). A test is skipped where its engine is not installed.
+//! Engines that tests start and stop: an S3 server (moto) and an Azure one (azurite). Tests whose engine is not installed are skipped.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -15,7 +15,7 @@ pub const AZURE_KEY: &str = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2
 const AZURE_LEAVE: &str =
     "sv=2019-12-12&ss=b&srt=sco&sp=rwdlac&se=2099-01-01T00%3A00%3A00Z&spr=https,http&sig=0inStVod1SiNNw%2FCJ4fRrpJIdRZAadbisT7bZCD4KQs%3D";
 
-/// A process on a port that the system chose for it, which ends with this.
+/// A process on a free port, which ends when this is dropped.
 #[derive(Debug)]
 pub struct Engine {
     child: Option<Child>,
@@ -23,7 +23,7 @@ pub struct Engine {
     pub addr: SocketAddr,
 }
 
-/// True where `program` answers to `arguments`.
+/// Whether `program` runs successfully with `arguments`.
 fn is_there(program: &str, arguments: &[&str]) -> bool {
     Command::new(program).args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|s| s.success())
 }
@@ -36,7 +36,7 @@ fn address(line: &str) -> Option<SocketAddr> {
 }
 
 impl Engine {
-    /// Starts a program that was told to listen at port 0, and reads from what it says at which port it does.
+    /// Starts a program on port 0, and reads the actual port from its output.
     fn start(mut command: Command) -> Self {
         let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the engine starts");
         let (stdout, stderr) = (child.stdout.take().expect("a pipe"), child.stderr.take().expect("a pipe"));
@@ -44,7 +44,7 @@ impl Engine {
         let streams: [Box<dyn Read + Send>; 2] = [Box::new(stdout), Box::new(stderr)];
         for stream in streams {
             let tell = tell.clone();
-            // to the end: a program whose pipe is full stands still
+            // read to the end: a full pipe would block the program
             std::thread::spawn(move || {
                 let lines = BufReader::new(stream).lines().map_while(Result::ok);
                 for addr in lines.filter_map(|line| address(&line)) {
@@ -57,7 +57,7 @@ impl Engine {
         Self { child: Some(child), addr }
     }
 
-    /// An S3 server with an empty bucket `photos`, in memory; none where moto is not installed.
+    /// An in-memory S3 server with an empty bucket `photos`; `None` without moto.
     ///
     /// # Panics
     /// It does not start.
@@ -66,7 +66,7 @@ impl Engine {
         let there = is_there("python3", &["-c", "import moto.server"]).then_some(());
         Need::S3.or_skip(there.ok_or("pip install 'moto[server]'"))?;
         let mut command = Command::new("python3");
-        // the program itself: a script around it would be ended in its place
+        // start the program itself, not a wrapper script, which would be killed instead
         command.args(["-m", "moto.server", "-H", "127.0.0.1", "-p", "0"]);
         let engine = Self::start(command);
         let mut stream = TcpStream::connect(engine.addr).expect("the engine listens");
@@ -89,7 +89,7 @@ impl Engine {
         ]
     }
 
-    /// An Azure server with an empty container `photos`, in memory; none where azurite is not installed.
+    /// An in-memory Azure server with an empty container `photos`; `None` without azurite.
     ///
     /// # Panics
     /// It does not start.
@@ -110,7 +110,7 @@ impl Engine {
         Some(engine)
     }
 
-    /// Ends it without a chance to put anything right.
+    /// Kills it.
     pub fn kill(&mut self) {
         if let Some(mut child) = self.child.take() {
             let _ = child.kill();

@@ -1,4 +1,5 @@
-//! What tests need of the machine. A test that misses something is skipped, and a file lists it, unless `TMPI_REQUIRE` names the need.
+//! Requirements of tests. A test whose requirement is missing is skipped and listed in a file, or fails if `TMPI_REQUIRE` names the
+//! requirement.
 
 #[cfg(unix)]
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
@@ -28,7 +29,7 @@ pub const SKIPPED: &str = "TMPI_SKIPPED";
 /// Environment variable: the folder of photos and measured scenes that some tests read.
 pub const DATA: &str = "TMPI_DATA";
 
-/// What a test may be skipped without.
+/// A requirement of a test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// `gpu`: a graphics adapter, one in software included.
@@ -62,7 +63,7 @@ impl Need {
         }
     }
 
-    /// Gives what was found; none where it is missing, and the test is to end: the file that `TMPI_SKIPPED` names lists it then.
+    /// Returns `found`. If it is an error, lists the test in the file `TMPI_SKIPPED` and returns `None`; the test must then return.
     ///
     /// # Panics
     /// The need is missing and `TMPI_REQUIRE` names it, `TMPI_REQUIRE` holds an unknown word, or the list cannot be written.
@@ -113,7 +114,7 @@ fn test() -> String {
     named.or_else(program).unwrap_or_else(|| "unknown".into())
 }
 
-/// A folder below the one that `TMPI_DATA` names; none where it is not there, and the test is skipped.
+/// A folder in `TMPI_DATA`; `None` if it is missing, so that the test is skipped.
 ///
 /// # Panics
 /// As [`Need::or_skip`].
@@ -127,7 +128,7 @@ pub fn data(folder: &str) -> Option<PathBuf> {
     Need::Data.or_skip(found)
 }
 
-/// The folder with PostgreSQL's `initdb`, `postgres` and `createdb`, of the newest version; none where one is not installed, and the test is skipped.
+/// The folder with the newest PostgreSQL's `initdb`, `postgres` and `createdb`; `None` if one is missing, so that the test is skipped.
 ///
 /// # Panics
 /// As [`Need::or_skip`].

@@ -1,13 +1,13 @@
-//! What unpacks zstd sections for a page's decoder, which has no zstd: `tmpi_core::container::unpacked` as WebAssembly, behind a few C
-//! functions that `static/decode/unpack.js` calls. Fetched for containers alone that have such a section.
+//! Unpacks zstd sections for a page's decoder, which has no zstd: `tmpi_core::container::unpacked` as WebAssembly, behind a few C
+//! functions that `static/decode/unpack.js` calls. Pages fetch it only for containers with such a section.
 //!
-//! An instance unpacks one container. As in `tmpi-decoder`, a call that fails gives −1 and leaves a text; a panic ends the instance.
+//! An instance unpacks one container. As in `tmpi-decoder`, a failed call returns −1 and leaves a text; a panic ends the instance.
 
 use std::cell::RefCell;
 
 use tmpi_core::container::unpacked;
 
-/// What can be read out.
+/// Results that can be read.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
 pub enum Output {
@@ -19,17 +19,17 @@ pub enum Output {
     Container = 2,
 }
 
-/// What a call gives where it failed.
+/// The return value of a failed call.
 const FAILED: i32 = -1;
 
 thread_local! {
-    /// What was handed over, then what became of it.
+    /// The input, then the result.
     static CONTAINER: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
     static TEXT: RefCell<String> = const { RefCell::new(String::new()) };
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
-/// Makes room for a container of so many bytes; gives where they are to be written.
+/// Allocates the input buffer for a container of this length; returns its address.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
@@ -40,7 +40,7 @@ pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
     })
 }
 
-/// Unpacks it.
+/// Unpacks the container.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_unpack() -> i32 {
@@ -56,7 +56,7 @@ pub extern "C" fn tmpi_unpack() -> i32 {
     }
 }
 
-/// Where a result lies, by the number of an [`Output`]. It stays until the next call that makes or changes it.
+/// Address of a result, by the number of an [`Output`]. It is valid until the next call that changes the result.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output(what: u32) -> *const u8 {

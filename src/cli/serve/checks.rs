@@ -1,4 +1,4 @@
-//! What is looked at before anything is begun, and what the settings come to, for `tmpi config`.
+//! Checks of the settings before the server starts, and the effective settings for `tmpi config`.
 
 use std::path::Path;
 
@@ -10,25 +10,25 @@ use crate::cli::Usage;
 use crate::server::{Limits, Quotas, Role, Tls, check_collector};
 use tmpi_pipeline::networks::models::{self, Settings};
 
-/// What an option comes to.
+/// The effective value of an option.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::cli) struct Effect {
-    /// Its long name.
+    /// The option's long name.
     pub option: &'static str,
-    /// Its value; none where that is what was said, or the default.
+    /// The effective value, if it differs from the given value or the default.
     pub value: Option<String>,
-    /// What there is to say of it.
+    /// A remark.
     pub note: Option<String>,
 }
 
-/// The variable that names a collector of traces for all programs.
+/// OpenTelemetry's variable for the collector's URL.
 pub(super) const COLLECTOR: &str = "OTEL_EXPORTER_OTLP_ENDPOINT";
 
 impl ServeArgs {
-    /// Refuses what does not go together and files that cannot be used, without starting or writing anything.
+    /// Refuses options that exclude each other and unusable files. Starts and writes nothing.
     ///
     /// # Errors
-    /// [`Usage`] that names the option, or what is wrong with the file.
+    /// [`Usage`] with the option's name, or the file's error.
     pub(in crate::cli) fn check(&self) -> anyhow::Result<()> {
         let wrong = |text: &str| Err(Usage(text.into()).into());
         let limits = self.limits()?;
@@ -36,13 +36,13 @@ impl ServeArgs {
             return wrong("quotas are for --access private: with --access open, which is the default on loopback, photos have no owners");
         }
         if self.blobs.is_some() != self.database.is_some() {
-            return wrong("--blobs and --database go together: what nodes share is in both");
+            return wrong("--blobs and --database go together: nodes share both");
         }
         if let Some(collector) = self.traces()? {
             check_collector(&collector.url).map_err(|e| Usage(format!("--otlp: {e}")))?;
         }
         if let Some(pages) = self.pages.as_deref().filter(|dir| !dir.is_dir()) {
-            return Err(Usage(format!("--static: {} is no folder", pages.display())).into());
+            return Err(Usage(format!("--static: {} is not a folder", pages.display())).into());
         }
         if let Some((cert, key)) = self.tls_cert.clone().zip(self.tls_key.clone()) {
             Tls::open(cert, key).context("TLS")?;
@@ -56,10 +56,10 @@ impl ServeArgs {
         Ok(())
     }
 
-    /// The limits, and what flags come to of which the value is another than what was said, or follows from others.
+    /// The limits, and the options whose effective value differs from the given one or follows from others.
     ///
     /// # Errors
-    /// [`Usage`] that names what is wrong.
+    /// [`Usage`] with the reason.
     pub(in crate::cli) fn effects(&self) -> anyhow::Result<(Limits, Vec<Effect>)> {
         let says = |option, value: String| Effect { option, value: Some(value), note: None };
         let notes = |option, note: String| Effect { option, value: None, note: Some(note) };

@@ -33,15 +33,15 @@ fn a_node_that_works_has_a_database() {
 }
 
 #[test]
-fn who_comes_is_asked_beyond_loopback_and_under_another_name() {
+fn access_is_private_beyond_loopback_and_with_another_host_name() {
     let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.is_private();
-    assert!(!of(&[]) && !of(&["--addr", "[::1]:80"]), "on this machine all stays as it is");
+    assert!(!of(&[]) && !of(&["--addr", "[::1]:80"]), "loopback is open by default");
     assert!(of(&["--addr", "0.0.0.0:80"]) && of(&["--host", "photos.example"]) && of(&["--access", "private"]));
     assert!(!of(&["--addr", "0.0.0.0:80", "--host", "photos.example", "--access", "open"]));
 }
 
 #[test]
-fn rates_hold_where_strangers_come_by_themselves_or_are_given() {
+fn rates_apply_to_direct_clients_or_if_set() {
     let of = |args: &[&str]| limits(args).rates;
     assert_eq!((of(&[]), of(&["--addr", "0.0.0.0:80", "--host", "photos.example"])), (Rates::default(), Rates::default()));
     assert_eq!(of(&["--addr", "0.0.0.0:80"]), Rates::FOR_STRANGERS);
@@ -49,8 +49,8 @@ fn rates_hold_where_strangers_come_by_themselves_or_are_given() {
     assert_eq!(set, Rates { uploads: 7, views: 0, ..Rates::FOR_STRANGERS });
     assert_eq!(of(&["--set", "rates.requests=9"]), Rates { requests: 9, ..Rates::default() });
     let direct = ["--addr", "0.0.0.0:443", "--host", "photos.example", "--tls-cert", "c", "--tls-key", "k"];
-    assert_eq!(of(&direct), Rates::FOR_STRANGERS, "no proxy is in between");
-    assert_eq!(of(&["--host", "photos.example", "--trusted-proxies", "127.0.0.1"]), Rates::FOR_STRANGERS, "it tells clients apart");
+    assert_eq!(of(&direct), Rates::FOR_STRANGERS, "no proxy in front");
+    assert_eq!(of(&["--host", "photos.example", "--trusted-proxies", "127.0.0.1"]), Rates::FOR_STRANGERS, "the proxy tells clients apart");
 }
 
 #[test]

@@ -22,7 +22,7 @@ fn read(ring: &Ring, place: &mut Place, now: Instant) -> Vec<u8> {
 }
 
 #[test]
-fn who_comes_late_begins_with_the_last_key_frame() {
+fn a_late_viewer_begins_with_the_last_key_frame() {
     let (mut ring, start) = (Ring::default(), Instant::now());
     frames(&mut ring, 0..100, 60, start);
     let now = start + Duration::from_millis(100 * 33);
@@ -32,14 +32,14 @@ fn who_comes_late_begins_with_the_last_key_frame() {
 }
 
 #[test]
-fn who_comes_before_any_key_frame_waits_for_it() {
+fn a_viewer_without_a_key_frame_waits_for_one() {
     let (mut ring, now) = (Ring::default(), Instant::now());
     let mut place = ring.begin(now);
     ring.push(What::Frame { layer: 0 }, message(1, 10), now);
     ring.push(What::Geometry { frame: 1 }, message(2, 10), now);
     ring.push(What::Key, message(3, 10), now);
     ring.push(What::Frame { layer: 0 }, message(4, 10), now);
-    assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false }, "the tiles that were left out come first");
+    assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false }, "the dropped tiles come first");
     assert_eq!(place.known(), None);
     place.told(1);
     assert_eq!(read(&ring, &mut place, now), [3, 4]);
@@ -47,7 +47,7 @@ fn who_comes_before_any_key_frame_waits_for_it() {
 }
 
 #[test]
-fn who_stops_reading_skips_to_a_key_frame_and_never_gets_half_a_group() {
+fn a_viewer_that_stops_reading_skips_to_a_key_frame_and_never_gets_half_a_group() {
     let (mut ring, start) = (Ring::default(), Instant::now());
     let mut place = ring.begin(start);
     frames(&mut ring, 0..10, 60, start);
@@ -57,7 +57,7 @@ fn who_stops_reading_skips_to_a_key_frame_and_never_gets_half_a_group() {
     assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false });
     assert_eq!(read(&ring, &mut place, now), (120..130).collect::<Vec<u8>>());
     assert!(place.skipped > 50, "{}", place.skipped);
-    // past the key and behind again: the next one is waited for
+    // past the key and behind again: waits for the next key
     frames(&mut ring, 130..175, 60, start);
     let now = start + Duration::from_millis(175 * 33);
     assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: true });
@@ -66,7 +66,7 @@ fn who_stops_reading_skips_to_a_key_frame_and_never_gets_half_a_group() {
 }
 
 #[test]
-fn who_does_not_look_is_sent_sound_alone_and_then_goes_on_with_a_key_frame_and_hears_nothing_twice() {
+fn a_hidden_viewer_gets_only_sound_then_resumes_with_a_key_frame_and_no_sound_twice() {
     let (mut ring, start) = (Ring::default(), Instant::now());
     let at = |n: u8| start + Duration::from_millis(u64::from(n) * 20);
     let mut place = ring.begin(start);
@@ -89,18 +89,18 @@ fn who_does_not_look_is_sent_sound_alone_and_then_goes_on_with_a_key_frame_and_h
     let sounds = |range: std::ops::Range<u8>| range.filter(|n| n % 2 == 1 && n % 20 != 5).collect::<Vec<u8>>();
     assert_eq!(read(&ring, &mut place, at(30)), sounds(4..30));
     push(&mut ring, 30..34);
-    assert_eq!((ring.step(&mut place, at(200)), place.skipped), (Step::Wait, 0), "sound of over a second ago is none any more");
+    assert_eq!((ring.step(&mut place, at(200)), place.skipped), (Step::Wait, 0), "sound older than a second is dropped");
     push(&mut ring, 34..36);
     place.pause(false);
     assert_eq!(ring.step(&mut place, at(36)), Step::Skipped { wants_key: false });
-    assert_eq!(place.known(), None, "the tiles were left out");
+    assert_eq!(place.known(), None, "the tiles were dropped");
     place.told(25);
-    assert_eq!(read(&ring, &mut place, at(36)), [20, 22, 24, 25, 26, 28, 30, 32, 34, 35], "what was heard is not heard again");
-    // nothing changes for who looks already
+    assert_eq!(read(&ring, &mut place, at(36)), [20, 22, 24, 25, 26, 28, 30, 32, 34, 35], "no sound comes twice");
+    // nothing changes for a visible viewer
     place.pause(false);
     push(&mut ring, 36..38);
     assert_eq!(read(&ring, &mut place, at(38)), [36, 37]);
-    // a place in what another publisher sends
+    // a place in another publisher's ring
     place.pause(true);
     let other = Ring::default();
     let mut place = place.anew(&other, at(38));
@@ -129,7 +129,7 @@ fn a_frame_that_may_refer_to_one_that_was_left_out_is_left_out_too() {
     let (mut ring, now) = (Ring::default(), Instant::now());
     let mut place = ring.begin(now);
     ring.push(What::Key, message(0, 100), now);
-    // one of layer 1 that is far behind the end, the next one just before it
+    // a frame of layer 1 far from the end, and the next near it
     ring.push(What::Frame { layer: 1 }, message(1, 100), now);
     ring.push(What::Frame { layer: 2 }, message(2, 600_000), now);
     ring.push(What::Frame { layer: 1 }, message(3, 100), now);
@@ -143,7 +143,7 @@ fn a_frame_that_may_refer_to_one_that_was_left_out_is_left_out_too() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever comes and however it is read: memory is bounded, order is kept, nothing is decoded without what it needs.
+    /// For any input and any reader: memory is bounded, order is kept, and no frame is sent without those that it refers to.
     #[test]
     fn any_reader_gets_whole_groups_in_order(steps in prop::collection::vec((0u8..12, 0u16..60_000, 0u64..200, 0u8..4), 1..400)) {
         let (mut ring, mut now) = (Ring::default(), Instant::now());
@@ -169,13 +169,13 @@ proptest! {
                 if let Step::Send(bytes) = step {
                     let n = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
                     prop_assert!(got.is_none_or(|g| g < n));
-                    // no tiles are missing that came before what is looked at
+                    // the viewer has all tiles that came before this message
                     let tiles = sent[..n as usize].iter().filter_map(|(_, w)| frame_of(w)).next_back();
                     let is_sound = sent[n as usize].1 == What::Sound;
                     prop_assert!(is_sound || tiles <= place.known(), "{tiles:?} before {n}, known are those of {:?}", place.known());
                     if let What::Frame { .. } = sent[n as usize].1 {
                         let before = sent[..n as usize].iter().rev().find(|(_, w)| matches!(w, What::Key | What::Frame { .. }));
-                        // the frame that it refers to was given, too
+                        // it has the frame to which this one refers, too
                         prop_assert!(before.is_some_and(|(b, _)| got.is_some_and(|g| g >= *b)), "frame {n} after {got:?}");
                     }
                     got = Some(n);

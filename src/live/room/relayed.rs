@@ -1,4 +1,4 @@
-//! A room of which this node is an edge, or that edges of other nodes watch.
+//! Rooms that nodes share: edges and their origin.
 
 use std::time::Instant;
 
@@ -18,7 +18,8 @@ impl Room {
         self.lock().edge.is_some()
     }
 
-    /// Makes this node an edge of the room, until what this gives is cancelled; none where it is one already, or the publisher is here.
+    /// Makes this node an edge of the room until the token is cancelled; `None` if it is one already, the publisher is here, or the room is
+    /// closed.
     pub fn begin_edge(&self) -> Option<CancellationToken> {
         let mut state = self.lock();
         if state.taken || state.closed || state.edge.is_some() {
@@ -27,12 +28,12 @@ impl Room {
         let edge = CancellationToken::new();
         (state.edge, state.farewell) = (Some(edge.clone()), None);
         drop(state);
-        // edges of other nodes have to look elsewhere
+        // disconnects edges of other nodes, which then look up the origin again
         self.changed();
         Some(edge)
     }
 
-    /// This node is an edge of the room no more; who watches is told the origin's `farewell`, if there is one.
+    /// Stops being an edge; viewers get the origin's `farewell`, if any.
     pub fn end_edge(&self, edge: &CancellationToken, farewell: Option<Bye>) {
         let mut state = self.lock();
         // a publisher that came here has ended it already
@@ -43,7 +44,8 @@ impl Room {
         self.changed();
     }
 
-    /// The origin says `hello`, of which `chunks` are to be the tiles; false where the room is further already. The same epoch again goes on.
+    /// Takes the origin's `hello`, with empty `chunks` for its tiles; false if this node is no edge any more or `hello` has an older epoch.
+    /// The same epoch continues.
     pub fn relay_hello(&self, hello: Hello, chunks: Chunks) -> bool {
         let mut state = self.lock();
         if state.edge.is_none() || hello.epoch < state.epoch {
@@ -58,7 +60,7 @@ impl Room {
         true
     }
 
-    /// Hands on what the origin sent after a HELLO of `epoch`, as the bytes that came; frames that are here already are left out.
+    /// Passes on a message that the origin sent in `epoch`, unchanged; drops frames that this node has already.
     pub fn relay(&self, epoch: u64, kind: &Kind, bytes: Bytes) {
         let what = {
             let mut state = self.lock();
@@ -89,7 +91,7 @@ impl Room {
         self.push(epoch, what, bytes);
     }
 
-    /// An edge says how many watch there, and whether one of them needs a key frame.
+    /// Records an edge's number of viewers, and requests a key frame if one of them needs it.
     pub fn hear_edge(&self, viewer: &mut Viewer, viewers: u32, key: bool) {
         let Watches::Edge(before) = viewer.kind else { return };
         let mut state = self.lock();

@@ -10,7 +10,7 @@ use crate::live::tiles::tests::{geometry, message};
 
 pub const EPOCH: u64 = 7;
 
-/// A room as its publisher's socket and its worker see it.
+/// A room with a publisher and a worker.
 pub struct Made {
     pub room: Room,
     pub tiles: Geometry,
@@ -26,12 +26,12 @@ impl Made {
         made
     }
 
-    /// A frame of so many bytes, in which the tiles of an area changed.
+    /// Pushes a frame of this many bytes, with the changed tiles of an area.
     pub fn next(&mut self, key: bool, bytes: usize, changed: Option<Area>) {
         self.frame += 1;
         let video = wire::Video { frame: self.frame, key, data: vec![0; bytes].into(), ..wire::Video::default() };
         self.room.push(EPOCH, if key { What::Key } else { What::Frame { layer: 0 } }, write(Kind::Video(video)));
-        // as it is coded, to the bit
+        // exactly representable when encoded
         let depth = 0.125 + self.frame as f64 / 64.0;
         for tile in changed.into_iter().flat_map(|area| area.tiles(&self.tiles.grid)) {
             self.tiles.tiles[tile as usize] = geometry(depth).tiles[tile as usize].clone();
@@ -49,12 +49,12 @@ impl Made {
     }
 }
 
-/// Someone who watches.
+/// A viewer.
 pub struct Watcher {
     viewer: Viewer,
     pub model: Model,
     frames: usize,
-    /// Tiles of each message that came in the order of the room's.
+    /// Tiles of each GEOMETRY message of the room.
     pub given: Vec<BTreeSet<u32>>,
 }
 
@@ -63,7 +63,7 @@ impl Watcher {
         Self::at(&made.room, &made.tiles)
     }
 
-    /// Of a room with such tiles.
+    /// Joins a room with such tiles.
     pub fn at(room: &Room, tiles: &Geometry) -> Self {
         let model = Model::new(&Model::hello(tiles)).unwrap();
         let mut watcher = Self { viewer: room.join(Watches::Itself).unwrap(), model, frames: 0, given: Vec::new() };
@@ -77,14 +77,14 @@ impl Watcher {
         tiles.chunks.iter().flat_map(|c| chunk::area(c).tiles(&grid).collect::<Vec<_>>()).collect()
     }
 
-    /// Takes a message; the tiles that it holds.
+    /// Takes a message and returns its tiles.
     fn take(&mut self, bytes: Bytes) -> BTreeSet<u32> {
         let (Kind::Geometry(tiles) | Kind::Snapshot(tiles)) = read(bytes).unwrap() else { panic!("tiles") };
         self.model.take(&tiles).unwrap();
         Self::held(&tiles)
     }
 
-    /// Reads all that is there; the tiles that it was sent for what it was not, each time.
+    /// Reads all messages; returns the tiles that it got after each HELLO or skip.
     pub fn read(&mut self, room: &Room) -> Vec<BTreeSet<u32>> {
         let mut told = Vec::new();
         loop {
@@ -109,7 +109,7 @@ impl Watcher {
 fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who_comes_then() {
     let mut made = Made::new();
     let mut slow = Watcher::new(&made);
-    assert!(slow.model.geometry().is_some(), "who comes is sent all tiles");
+    assert!(slow.model.geometry().is_some(), "a new viewer gets all tiles");
     made.next(false, 10, Some(made.one(1)));
     assert_eq!(slow.read(&made.room), [] as [BTreeSet<u32>; 0]);
     // it does not read for a mebibyte, in which two tiles change, one of them twice
@@ -135,7 +135,7 @@ fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once(
     }
     made.next(true, 10, None);
     assert_eq!(slow.read(&made.room), [BTreeSet::new()]);
-    // all tiles change, then all again: what is sent is no longer than all of them
+    // all tiles change, then all again: the viewer gets each once
     let all = Area::all(&made.tiles.grid);
     for changed in [Some(all), Some(made.one(3)), Some(all), Some(made.one(5)), None] {
         made.next(false, 300_000, changed);
@@ -162,7 +162,7 @@ fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() 
 }
 
 #[test]
-fn tiles_that_are_sent_before_there_is_a_whole_frame_reach_whoever_comes_then() {
+fn tiles_sent_before_the_first_whole_frame_reach_new_viewers() {
     let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
     room.publish(Model::hello(&tiles), 0, EPOCH);
     let mut made = Made { room, tiles, frame: 9 };
@@ -173,7 +173,7 @@ fn tiles_that_are_sent_before_there_is_a_whole_frame_reach_whoever_comes_then() 
     }
     let whole = Watcher::new(&made);
     assert_eq!(whole.model.geometry().map(|g| &g.tiles), Some(&made.tiles.tiles));
-    // and after a driver that panicked, whose last frame is still there
+    // also after a driver panicked and left its last frame
     made.next(true, 10, None);
     made.tiles = geometry(0.25);
     made.room.push_tiles(EPOCH, message(&made.tiles, Area::all(&made.tiles.grid), made.frame + 1));
@@ -187,16 +187,16 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
     let mut made = Made::new();
     let asked = |made: &Made| made.room.keys.notified().now_or_never().is_some();
     let mut healthy = Watcher::new(&made);
-    // a group of pictures that is longer than what is kept of it
+    // a group of pictures longer than the ring
     for _ in 0..30 {
         made.next(false, 300_000, None);
         healthy.read(&made.room);
     }
-    assert!(!asked(&made), "whoever has all needs none");
+    assert!(!asked(&made), "a viewer that has read everything needs none");
     let since = Instant::now();
     let mut first = Watcher::new(&made);
     assert!(asked(&made) && first.frames == 0);
-    // somebody who comes within the second is not forgotten
+    // a viewer that joins within the second is not forgotten
     let mut second = Watcher::new(&made);
     let again = asked(&made);
     assert!(!again || since.elapsed() >= KEYS);
@@ -205,7 +205,7 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
     second.read(&made.room);
     first.read(&made.room);
     assert!(asked(&made) && !asked(&made));
-    // nobody who waits looks, and who has all is not behind
+    // the waiting viewers are hidden, and the healthy one is not behind
     healthy.read(&made.room);
     first.viewer.pause(true);
     second.viewer.pause(true);
@@ -214,7 +214,7 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
         viewer.read(&made.room);
     }
     assert!(!asked(&made));
-    // who cannot decode what it has is sent nothing before a key frame
+    // a viewer that cannot decode gets nothing before a key frame
     healthy.viewer.lose();
     let frames = healthy.frames;
     made.next(false, 10, None);

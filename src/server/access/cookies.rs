@@ -1,4 +1,4 @@
-//! What a browser sends by itself, and how long it keeps what not everybody may see.
+//! Cookies, and cache headers for private answers.
 
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::Response;
@@ -7,17 +7,16 @@ use crate::server::conditional::insert;
 use crate::server::hosts::origin;
 use tmpi_library::PhotoId;
 
-/// Cookie of an owner's secret, and its name where the browser came by TLS: one that no other host of the same domain can have set
-/// (RFC 6265bis, section 4.1.3.2).
+/// Cookie with an owner's secret. Over TLS it has a `__Host-` name, which no other host of the same domain can set (RFC 6265bis,
+/// section 4.1.3.2).
 const OWNER_COOKIE: &str = "tmpi_owner";
 const OWNER_COOKIE_TLS: &str = "__Host-tmpi_owner";
-/// Cookie of a photo's own token, below that photo's address alone, and its name where the browser came by TLS: only a host with TLS can have
-/// set that.
+/// Cookie with a photo's own token, scoped to that photo's path. Over TLS it has a `__Secure-` name, which only a host with TLS can set.
 const MANAGE_COOKIE: &str = "tmpi_manage";
 const MANAGE_COOKIE_TLS: &str = "__Secure-tmpi_manage";
-/// Cookie of a link by which a photo was opened.
+/// Cookie with the link that opened a photo.
 pub const LINK_COOKIE: &str = "tmpi_link";
-/// Seconds that a browser keeps an owner's secret, and a photo's token: as long as browsers keep any cookie.
+/// Lifetime of the owner and photo-token cookies in seconds: the longest that browsers allow.
 pub const KEPT: u64 = 400 * 86_400;
 
 /// The value of a cookie.
@@ -30,17 +29,17 @@ fn is_tls(headers: &HeaderMap) -> bool {
     origin(headers).is_some_and(|o| o.starts_with("https:"))
 }
 
-/// The owner's secret that a browser keeps.
+/// The owner's secret from the request's cookie.
 pub fn owner_cookie(headers: &HeaderMap) -> Option<&str> {
     cookie(headers, if is_tls(headers) { OWNER_COOKIE_TLS } else { OWNER_COOKIE })
 }
 
-/// The photo's token that a browser keeps for the address that it asks.
+/// The photo's token from the request's cookie.
 pub fn manage_cookie(headers: &HeaderMap) -> Option<&str> {
     cookie(headers, if is_tls(headers) { MANAGE_COOKIE_TLS } else { MANAGE_COOKIE })
 }
 
-/// Has the browser keep a cookie that no script reads and no other site's page sends.
+/// Sets a cookie that scripts cannot read and pages of other sites do not send.
 pub fn set_cookie(response: &mut Response, asked: &HeaderMap, pair: &str, path: &str, age: u64) {
     let secure = if is_tls(asked) { "; Secure" } else { "" };
     let text = format!("{pair}; Path={path}; Max-Age={age}; HttpOnly; SameSite=Lax{secure}");
@@ -51,19 +50,19 @@ pub fn set_cookie(response: &mut Response, asked: &HeaderMap, pair: &str, path: 
     }
 }
 
-/// Has the browser keep an owner's secret.
+/// Sets the cookie with an owner's secret.
 pub fn set_owner(response: &mut Response, asked: &HeaderMap, secret: &str) {
     let name = if is_tls(asked) { OWNER_COOKIE_TLS } else { OWNER_COOKIE };
     set_cookie(response, asked, &format!("{name}={secret}"), "/", KEPT);
 }
 
-/// Has the browser keep a photo's token, and send it for that photo alone.
+/// Sets the cookie with a photo's token, scoped to that photo's path.
 pub fn set_manage(response: &mut Response, asked: &HeaderMap, photo: PhotoId, token: &str) {
     let name = if is_tls(asked) { MANAGE_COOKIE_TLS } else { MANAGE_COOKIE };
     set_cookie(response, asked, &format!("{name}={token}"), &format!("/v1/photos/{photo}"), KEPT);
 }
 
-/// What not everybody may see is kept by the asker's own browser alone, and asked for again each time.
+/// Marks an answer as private: only the caller's browser may store it, and it revalidates each time.
 pub fn keep_private(response: &mut Response) {
     let kept = response.headers().get(header::CACHE_CONTROL).and_then(|v| v.to_str().ok()).unwrap_or_default();
     if kept != "no-store" {

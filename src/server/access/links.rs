@@ -1,27 +1,27 @@
-//! The parameters of a link by which others may read a photo for a while, as they come in addresses and in a cookie.
+//! Parameters of a signed, expiring read link, as they come in URLs.
 
 use axum::http::Uri;
 use axum::http::uri::PathAndQuery;
 use tmpi_library::Link;
 
-/// A link as addresses have it.
+/// A link as a URL query.
 #[must_use]
 pub fn query_of(link: &Link) -> String {
     format!("expires={}&signature={}", link.expires, link.signature())
 }
 
-/// The link that a request's address had, if it had parameters of one.
+/// The link in a request's URL; `None` if it is missing or malformed.
 #[derive(Clone)]
 pub struct Asked(pub Option<Link>);
 
-/// The link in the address that another address names in its parameter `url`, as those do that ask how to embed a page.
+/// The link in the URL that the parameter `url` names, as in oEmbed requests.
 #[must_use]
 pub fn link_of_url(uri: &Uri) -> Option<Link> {
     let (_, url) = form_urlencoded::parse(uri.query()?.as_bytes()).find(|(name, _)| name == "url")?;
     take_link(&url.parse().ok()?)?.1
 }
 
-/// The address without the parameters of a link, and the link, if these are one; none where there are no such parameters.
+/// Splits a URL into the URL without link parameters and the link (`None` if malformed). `None` without link parameters.
 #[must_use]
 pub fn take_link(uri: &Uri) -> Option<(Uri, Option<Link>)> {
     let query = uri.query()?;
@@ -32,7 +32,7 @@ pub fn take_link(uri: &Uri) -> Option<(Uri, Option<Link>)> {
     }
     let value = |name: &str| {
         let mut all = ours.iter().filter(|pair| of(pair, name));
-        // given twice is not given
+        // a repeated parameter does not count
         all.next().filter(|_| all.next().is_none()).and_then(|pair| pair.split_once('=')).map(|(_, value)| value)
     };
     let link = value("expires").zip(value("signature")).and_then(|(expires, signature)| format!("{expires}.{signature}").parse().ok());

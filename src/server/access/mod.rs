@@ -1,8 +1,8 @@
-//! Who may do what where access is private: one place that every request goes through.
+//! Access control for `--access private`; every request passes through here.
 //!
-//! Whoever uploads owns. An owner is known by a hash of a secret that they keep: an API key's name, or a secret of one's own, which a
-//! browser keeps in a cookie that no script reads, so that pictures, event streams and workers send it by themselves. What somebody may not
-//! have answers as what is not there.
+//! The uploader owns the photo. The server knows an owner by a hash: of an API key's name, or of a secret that the owner keeps. A browser
+//! keeps that secret in a cookie that scripts cannot read, so image, event-stream and worker requests carry it too. A photo that the caller
+//! may not see answers 404.
 
 mod cookies;
 mod links;
@@ -33,24 +33,24 @@ pub(super) use links::{link_of_url, query_of, take_link};
 use needs::{Need, need, refusal};
 use who::{Who, bearer, fresh, is_secret};
 
-/// How long another browser can be made the same owner.
+/// Lifetime of a ticket.
 pub const TICKET: Duration = Duration::from_mins(15);
-/// What a ticket begins with: a session that soon ends, and is good for nothing but another one.
+/// Prefix of a ticket: a short session that can only be exchanged for a long one.
 const TICKET_PREFIX: &str = "tmpi_t_";
 
-/// A request's caller, and what it may have.
+/// The caller of a request, with its rights.
 struct Caller {
     who: Who,
     owner: Option<Owner>,
     link: Option<Link>,
-    /// When it came, by the database's clock; only where it came with a link or a token.
+    /// Time of the request by the database's clock; 0 without a link or token.
     at: Millis,
     /// A photo's own token.
     token: Option<String>,
     need: Need,
-    /// Something that not everybody may see is answered.
+    /// The answer depends on the caller's rights.
     private: AtomicBool,
-    /// The link let in whoever would not have been without it.
+    /// Only the link gave access.
     linked: AtomicBool,
 }
 
@@ -62,55 +62,55 @@ fn caller() -> Option<Arc<Caller>> {
     CALLER.try_with(Arc::clone).ok()
 }
 
-/// What a caller was let in by.
+/// The rights with which a caller was admitted.
 pub struct Pass(Arc<Caller>);
 
-/// What decides.
+/// Decides who may do what.
 pub struct Guard {
     library: Library,
 }
 
-/// Who uploads.
+/// The owner of an upload.
 pub struct Uploader {
-    /// Whose the photo will be.
+    /// Owner of the new photo.
     pub owner: Owner,
-    /// They were nobody before: nobody has the secret of this owner, who is there for this one photo.
+    /// The caller sent no secret, so this owner was made for this one photo; its secret is not kept.
     pub is_new: bool,
 }
 
 impl Guard {
-    /// By the keys, sessions and links of a library.
+    /// Checks callers against the keys, sessions and links of `library`.
     #[must_use]
     pub const fn new(library: Library) -> Self {
         Self { library }
     }
 
-    /// Lets in whoever may ask a request as often as they do, and takes a link off its address.
+    /// Checks a request's rights and rate, and removes the link's parameters from its URL.
     ///
     /// # Errors
-    /// 401, 403 and 404 by who asks for what, 429 where they ask too often.
+    /// 401, 403, 404 or 405 if the caller has no right to the route, 429 if it sends too many requests.
     pub async fn admit(&self, hosts: &Hosts, rates: &Rates, request: &mut Request) -> (Told, Result<Pass, Problem>) {
         let come = self.come_in(hosts, request).await;
-        // who is refused has asked, too
+        // refused requests count, too
         let key = come.as_ref().ok().and_then(|caller| if let Who::Key(key) = &caller.who { Some(key.name.clone()) } else { None });
         let (told, taken) = rates.count(Asker::of(key, asker()), request);
         (told, taken.and(come).map(|caller| Pass(Arc::new(caller))))
     }
 
-    /// Answers a request by `next`, with who was let in at hand for the handlers.
+    /// Answers a request by `next`, with the caller available to handlers.
     pub async fn answer(&self, Pass(caller): Pass, request: Request, next: Next) -> Response {
         let path = request.uri().path().to_owned();
         let headers = request.headers().clone();
         let link = request.extensions().get::<Asked>().and_then(|asked| asked.0.clone());
         let mut response = CALLER.scope(Arc::clone(&caller), next.run(request)).await;
-        // a list is of who asks, also where it has nothing
+        // a list depends on the caller, even if it is empty
         if caller.need == Need::List || caller.private.load(Ordering::Relaxed) {
             keep_private(&mut response);
         }
         if path == "/" && response.status() != StatusCode::NOT_MODIFIED {
             let secret = match &caller.who {
                 Who::Owner(_, kept) => Ok(kept.clone()),
-                // one that is there is not lost, though a link of another site led here
+                // keep an existing cookie even if a link from another site led here
                 Who::Stranger if matches!(self.of_cookie(&headers).await, Ok(Who::Stranger)) => fresh(),
                 _ => return response,
             };
@@ -126,10 +126,10 @@ impl Guard {
         response
     }
 
-    /// Says who asks, and refuses what none of them may.
+    /// Identifies the caller, and refuses what needs no photo to decide.
     async fn come_in(&self, hosts: &Hosts, request: &mut Request) -> Result<Caller, Problem> {
         let need = match request.extensions().get::<MatchedPath>() {
-            // the answer that there is nothing, or to what a browser asks before a request
+            // 404s and preflights need no rights
             None => Need::Nothing,
             Some(_) if *request.method() == Method::OPTIONS => Need::Nothing,
             Some(path) => need(request.method(), path.as_str()).ok_or_else(|| refusal(request.method(), path.as_str()))?,
@@ -164,15 +164,15 @@ impl Guard {
         Ok(Caller { owner: who.owner(), who, link, at, token, need, private: AtomicBool::new(false), linked: AtomicBool::new(false) })
     }
 
-    /// Who asks, and a photo's token that they have besides. A key, secret or token that is sent counts alone; else what a browser sends by
-    /// itself, where no other site's page made it do so.
+    /// Identifies the caller, with the photo token that it also has. A bearer counts alone; otherwise cookies and loopback count, unless
+    /// another site's page made the request.
     async fn who(&self, hosts: &Hosts, headers: &HeaderMap, version: Version) -> Result<(Who, Option<String>), Problem> {
         let unknown = || {
-            let detail = "the key is unknown or no longer good, or the secret is none";
+            let detail = "the key is unknown or no longer valid, or the secret is malformed";
             let problem = Problem::new(StatusCode::UNAUTHORIZED, "key", detail).field("Authorization");
             problem.header(header::WWW_AUTHENTICATE, "Bearer error=\"invalid_token\"")
         };
-        // other schemes are a proxy's affair, which passes on what it let in by
+        // other schemes belong to a proxy in front, which forwards its own header
         let mut given = headers.get_all(header::AUTHORIZATION).iter().filter_map(bearer);
         if let Some(text) = given.next() {
             if given.next().is_some() {
@@ -197,14 +197,14 @@ impl Guard {
             return Ok((Who::Stranger, None));
         }
         let token = manage_cookie(headers).filter(|text| manage::is_token(text)).map(str::to_owned);
-        // by HTTP/1.0 come proxies that were told nothing, who name neither the client nor the host that was asked for
+        // unconfigured proxies use HTTP/1.0 and name neither the client nor the requested host
         if hosts.is_own(headers) && version != Version::HTTP_10 {
             return Ok((Who::Own, token));
         }
         Ok((self.of_cookie(headers).await?, token))
     }
 
-    /// Whoever a browser keeps the secret of, or has a session of.
+    /// The caller by its owner cookie: a secret or a session.
     async fn of_cookie(&self, headers: &HeaderMap) -> Result<Who, Problem> {
         let Some(kept) = owner_cookie(headers) else { return Ok(Who::Stranger) };
         if kept.starts_with(SESSION_PREFIX) {
@@ -214,7 +214,7 @@ impl Guard {
         Ok(if is_secret(kept) { Who::Owner(Owner::of_secret(kept), kept.to_owned()) } else { Who::Stranger })
     }
 
-    /// Whether a browser is already known as another owner than this one.
+    /// Whether the browser's cookie belongs to another owner.
     ///
     /// # Errors
     /// 503 where the library cannot be reached.
@@ -222,7 +222,7 @@ impl Guard {
         Ok(self.of_cookie(headers).await?.owner().is_some_and(|kept| kept != *owner))
     }
 
-    /// A ticket: whoever has it can be this owner in another browser for a while.
+    /// Issues a ticket that makes another browser this owner; see [`TICKET`] for its lifetime.
     ///
     /// # Errors
     /// 503 where the library cannot be reached.
@@ -231,7 +231,7 @@ impl Guard {
         Ok(session.replacen(SESSION_PREFIX, TICKET_PREFIX, 1))
     }
 
-    /// What a browser is to keep to be this owner: the secret that the caller came with, or a session for the ticket.
+    /// The cookie value that makes a browser this owner: the caller's secret, or a session in exchange for its ticket.
     ///
     /// # Errors
     /// 503 where the library cannot be reached.
@@ -242,10 +242,10 @@ impl Guard {
         }
     }
 
-    /// Whether the caller of this request may have a photo as the request means to.
+    /// Whether the caller has the right to a photo that this request needs.
     #[must_use]
     pub fn allows(&self, photo: &Photo) -> bool {
-        // without a caller nobody was let in
+        // no caller, no rights
         caller().is_some_and(|caller| self.lets(&caller, photo, caller.at))
     }
 
@@ -264,7 +264,7 @@ impl Guard {
         true
     }
 
-    /// Whether the caller of this request, whatever it asks, may change a photo. An answer that depends on it is theirs alone where it is so.
+    /// Whether the caller may change a photo, whatever this request needs. If so, the answer becomes private.
     #[must_use]
     pub fn may_change(&self, photo: &Photo) -> bool {
         let caller = caller().filter(|caller| caller.has(photo, Scope::Upload) || self.is_managed(caller, photo, caller.at));
@@ -274,16 +274,15 @@ impl Guard {
         caller.is_some()
     }
 
-    /// What the caller of this request was let in by, for answers that go on; none where there is no caller.
+    /// The caller's rights, for answers that go on; `None` without a caller.
     #[must_use]
     pub fn pass() -> Option<Pass> {
         caller().map(Pass)
     }
 
-    /// Whether a caller who was let in would be let in again: their key may be gone by now, the link's time over, or the photo no longer
-    /// everybody's.
+    /// Whether the caller still has access: its key may be revoked, its link expired, or the photo made private meanwhile.
     pub async fn still_allows(&self, Pass(caller): &Pass, photo: &Photo) -> bool {
-        // what cannot be looked up lets nobody in
+        // a failed lookup denies
         let good = match &caller.who {
             Who::Key(key) => self.library.is_still_good(key).await.unwrap_or(false),
             Who::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => {
@@ -297,10 +296,10 @@ impl Guard {
         }
     }
 
-    /// Whose the photo will be that the caller of this request uploads.
+    /// The owner of the caller's uploads; a new one if the caller has no secret.
     ///
     /// # Errors
-    /// 500 where the system has no random bytes.
+    /// 500 if the system has no random bytes.
     pub fn uploader() -> Result<Uploader, Problem> {
         if let Some(owner) = caller().and_then(|caller| caller.owner.clone()) {
             return Ok(Uploader { owner, is_new: false });
@@ -308,25 +307,25 @@ impl Guard {
         Ok(Uploader { owner: Owner::of_secret(&fresh()?), is_new: true })
     }
 
-    /// Who the caller of this request is known as; none where they have no secret.
+    /// The caller as an owner; `None` for tickets, photo tokens and callers without credentials.
     #[must_use]
     pub fn owner() -> Option<Owner> {
         caller().and_then(|caller| caller.owner.clone())
     }
 
-    /// Whether the caller of this request has everybody's photos.
+    /// Whether the caller has the rights of an administrator, and thus to all photos.
     #[must_use]
     pub fn has_all() -> bool {
         caller().is_some_and(|caller| caller.who.is_admin())
     }
 
-    /// Id of an owner's photo, where `content` names what it is made of.
+    /// Id of an owner's photo whose content hashes to `content`.
     #[must_use]
     pub fn id(&self, owner: &Owner, content: PhotoId) -> PhotoId {
         self.library.secret().photo_id(Some(owner), content)
     }
 
-    /// The query of a link by which a photo can be read until `expires`, in seconds since 1970.
+    /// Query of a link that can read a photo until `expires`, in seconds since 1970.
     #[must_use]
     pub fn query(&self, photo: &Photo, expires: u64) -> String {
         query_of(&self.library.secret().sign(Grant::View, Subject::Photo(photo), expires))
@@ -339,7 +338,7 @@ impl Caller {
     }
 }
 
-/// Who is to be the owner by what who asks came with.
+/// The owner that the caller's secret or ticket names.
 #[must_use]
 pub fn to_be() -> Option<Owner> {
     match &caller()?.who {
@@ -348,32 +347,32 @@ pub fn to_be() -> Option<Owner> {
     }
 }
 
-/// The owner by a secret that who asks is.
+/// The owner that the caller's secret or session names.
 #[must_use]
 pub fn owner_by_secret() -> Option<Owner> {
     caller().and_then(|caller| if let Who::Owner(owner, _) = &caller.who { Some(owner.clone()) } else { None })
 }
 
-/// The photo's own token that who asks came with.
+/// The photo token that the caller sent.
 #[must_use]
 pub fn token() -> Option<String> {
     caller().and_then(|caller| caller.token.clone())
 }
 
-/// The query of the link that let in the caller of this request, where nothing else did.
+/// Query of the caller's link, if only the link gave access.
 #[must_use]
 pub fn link() -> Option<String> {
     caller().filter(|caller| caller.linked.load(Ordering::Relaxed))?.link.as_ref().map(query_of)
 }
 
-/// Takes a link off a request's address where nobody is asked who they are: it has no say there.
+/// Removes a link's parameters from a request's URL. With open access they have no effect.
 pub fn drop_link(request: &mut Request) {
     if let Some((uri, _)) = take_link(request.uri()) {
         *request.uri_mut() = uri;
     }
 }
 
-/// Whether two texts are equal, in a time that depends on their lengths alone.
+/// Whether two texts are equal, in a time that depends only on their lengths.
 #[must_use]
 pub fn same(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && std::hint::black_box(a.iter().zip(b).fold(0, |all, (x, y)| all | (x ^ y))) == 0

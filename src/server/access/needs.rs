@@ -1,4 +1,4 @@
-//! What each route asks of its caller, where access is private: the one table. A route that is not in it is nobody's.
+//! The table of rights that each route needs with private access. A route that is not in it answers 404.
 
 use axum::http::Method;
 
@@ -11,19 +11,19 @@ pub enum Need {
     Nothing,
     /// A photo that the caller may see.
     Read,
-    /// A photo of one's own, or one of which one has the token.
+    /// The caller's own photo, or one whose token it has.
     Change,
-    /// A photo of one's own.
+    /// The caller's own photo.
     Own,
-    /// Leave to upload.
+    /// The right to upload.
     Upload,
-    /// Leave to see one's list.
+    /// The right to list the caller's photos.
     List,
-    /// Leave to read the server's counters.
+    /// The right to read the server's metrics.
     Metrics,
-    /// This server's own affairs.
+    /// Administration of the server.
     Admin,
-    /// A room, which asks for its own tokens.
+    /// A room, which checks its own tokens.
     Room,
 }
 
@@ -32,7 +32,7 @@ use Need::{Admin, Change, List, Metrics, Nothing, Own, Read, Room, Upload};
 const TABLE: &[(&str, &str, Need)] = &[
     ("GET", "/", Nothing),
     ("GET", "/demo", Nothing),
-    // the page itself says where there is no such photo; what it tells of one is read
+    // the page reports a missing photo itself, but its preview card needs read access
     ("GET", "/view/{id}", Read),
     ("GET", "/embed/{id}", Read),
     ("GET", "/live/{room}", Nothing),
@@ -46,7 +46,7 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("GET", "/v1/network", Admin),
     ("POST", "/v1/network", Admin),
     ("POST", "/v1/owner", Nothing),
-    // of who asks: a stranger has none
+    // the handler refuses callers that are no owner
     ("POST", "/v1/owner/ticket", Nothing),
     ("GET", "/v1/photos", List),
     ("POST", "/v1/photos", Upload),
@@ -56,7 +56,7 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("POST", "/v1/photos/{id}/again", Change),
     ("POST", "/v1/photos/{id}/links", Change),
     ("POST", "/v1/photos/{id}/manage", Change),
-    // whoever was given the token does not say who else has it
+    // a token does not entitle its holder to revoke it for others
     ("DELETE", "/v1/photos/{id}/manage", Own),
     ("GET", "/v1/photos/{id}/strokes", Read),
     ("PATCH", "/v1/photos/{id}/strokes", Change),
@@ -71,13 +71,13 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("POST", "/v1/photos/{id}/exports", Read),
     ("GET", "/v1/photos/{id}/exports/{key}", Read),
     ("GET", "/v1/photos/{id}/exports/{key}/file", Read),
-    // it is written for all who ask
+    // all readers of the photo share the file
     ("DELETE", "/v1/photos/{id}/exports/{key}", Change),
     ("GET", "/oembed", Read),
     ("POST", "/v1/live/{room}/token", Room),
 ];
 
-/// What a route needs by method and path with names for what varies; none where it is not known here.
+/// What a route needs, by method and path template; `None` for an unknown route.
 #[must_use]
 pub fn need(method: &Method, path: &str) -> Option<Need> {
     let method = if *method == Method::HEAD { "GET" } else { method.as_str() };
@@ -87,7 +87,7 @@ pub fn need(method: &Method, path: &str) -> Option<Need> {
     TABLE.iter().find(|(m, p, _)| *m == method && *p == path).map(|(_, _, need)| *need)
 }
 
-/// The answer to a method that a known route does not have, and to a route that is nobody's.
+/// 405 for a known route without this method, 404 for an unknown route.
 #[must_use]
 pub fn refusal(method: &Method, path: &str) -> Problem {
     let known = [Method::GET, Method::POST, Method::PATCH, Method::DELETE].into_iter().filter(|m| need(m, path).is_some());
@@ -117,7 +117,7 @@ mod tests {
         let all = routes::routes();
         for route in &all {
             for method in &route.methods {
-                assert!(need(method, &route.path).is_some(), "{method} {}: say in the table who may have it", route.path);
+                assert!(need(method, &route.path).is_some(), "{method} {}: add it to TABLE", route.path);
             }
         }
         for (method, path, _) in TABLE {

@@ -1,4 +1,4 @@
-//! Who asks, and what they came with.
+//! The caller's identity and credentials.
 
 use axum::http::HeaderValue;
 
@@ -7,9 +7,9 @@ use tmpi_library::{Key, Owner, Scope, hex};
 use super::manage;
 use crate::server::problem::Problem;
 
-/// What an owner's secret begins with.
+/// Prefix of an owner's secret.
 const OWNER: &str = "tmpi_o_";
-/// Characters of an owner's secret after that: 128 bits at least where they are chosen at random.
+/// Length of an owner's secret after the prefix: at least 128 bits if chosen at random.
 const CHARACTERS: std::ops::RangeInclusive<usize> = 32..=128;
 
 /// A fresh secret of an owner.
@@ -22,38 +22,38 @@ pub fn fresh() -> Result<String, Problem> {
     Ok(format!("{OWNER}{}", hex(&bytes)))
 }
 
-/// What a bearer brings (RFC 6750); none for other schemes, and nothing where it cannot be read.
+/// The token of an `Authorization: Bearer` header (RFC 6750); empty if it is not text, `None` for other schemes.
 pub fn bearer(value: &HeaderValue) -> Option<&str> {
     let text = value.to_str().unwrap_or("bearer ");
     let (scheme, rest) = text.split_once(' ').unwrap_or((text, ""));
     scheme.eq_ignore_ascii_case("bearer").then(|| rest.trim())
 }
 
-/// True for a text that may be an owner's secret.
+/// Whether a text has the form of an owner's secret.
 pub fn is_secret(text: &str) -> bool {
     let fits = |rest: &str| CHARACTERS.contains(&rest.len()) && rest.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
     text.strip_prefix(OWNER).is_some_and(fits)
 }
 
-/// Who asks.
+/// A caller.
 #[derive(Clone)]
 pub enum Who {
     /// This machine's own user.
     Own,
-    /// Whoever has a key.
+    /// Holder of an API key.
     Key(Key),
-    /// Whoever has a secret of their own, or a session by a ticket; with what the browser keeps for it.
+    /// Holder of an owner's secret or session, with the value of the browser's cookie.
     Owner(Owner, String),
-    /// Whoever has a ticket, by which another browser becomes this owner, and which is good for nothing else.
+    /// Holder of a ticket, which can only be exchanged for a session of this owner.
     Ticket(Owner),
-    /// Whoever sends one photo's own token, and is nobody else.
+    /// Sends only a photo's own token.
     Manager,
-    /// Anybody else.
+    /// Sends no credentials.
     Stranger,
 }
 
 impl Who {
-    /// By a secret or a photo's token that was sent; none where it is neither.
+    /// The caller by an owner's secret or a photo's token; `None` if `text` is neither.
     pub fn of_bearer(text: &str) -> Option<Self> {
         if manage::is_token(text) {
             return Some(Self::Manager);
@@ -65,7 +65,7 @@ impl Who {
         self.is_told(Scope::Admin)
     }
 
-    /// Whether it was said to them that they may what is nobody's by itself.
+    /// Whether the caller is the local user or has a key with this scope: what being an owner does not include.
     pub fn is_told(&self, scope: Scope) -> bool {
         matches!(self, Self::Own) || matches!(self, Self::Key(key) if key.may(scope))
     }
@@ -79,21 +79,21 @@ impl Who {
         }
     }
 
-    /// Only keys are for less than everything with one's own.
+    /// Whether the caller may do this with its own photos. Only keys can lack the right.
     pub fn may(&self, scope: Scope) -> bool {
         self.is_admin() || !matches!(self, Self::Key(key) if !key.may(scope))
     }
 
-    /// Refuses what is of no one photo where they may not have it.
+    /// Checks the right to a route that is not about one photo.
     ///
     /// # Errors
     /// 403.
     pub fn has_leave(&self, scope: Scope, name: &str) -> Result<(), Problem> {
         let refuse = |detail| Err(Problem::new(axum::http::StatusCode::FORBIDDEN, "scope", detail));
         match self {
-            // a photo's token makes nobody an owner: what it uploaded would be nobody's
-            Self::Manager => refuse("a photo's own token is for that photo alone".to_owned()),
-            who if !who.may(scope) => refuse(format!("the key has not the scope {name}")),
+            // a photo's token names no owner for an upload
+            Self::Manager => refuse("a photo's own token is valid for that photo only".to_owned()),
+            who if !who.may(scope) => refuse(format!("the key does not have the scope {name}")),
             _ => Ok(()),
         }
     }

@@ -1,4 +1,4 @@
-//! What such a process is asked, and how its answer is waited for: the same for photos and for files.
+//! Sends work to a child process and waits for the answer, for photos and for files.
 
 use std::io::{self, Write as _};
 use std::process::{Child, ChildStdin};
@@ -10,26 +10,26 @@ use super::{Frames, KEPT_BYTES, ProcessMaker, TICK, Worker, end, ending};
 use crate::server::maker::Fault;
 use tmpi_pipeline::Sink;
 
-/// What comes back for what is asked.
+/// The answer of a process.
 pub(super) trait Answer {
     /// What is made.
     type Made;
 
-    /// Takes a frame that is no fault. Gives what is made once all of it is there, with the most bytes of memory that the process has had.
+    /// Takes a frame that is no fault. Returns the result once it is complete, with the peak memory of the process in bytes.
     ///
     /// # Errors
     /// What is wrong with the frame.
     fn take(&mut self, kind: u8, bytes: Vec<u8>) -> Result<Option<(Self::Made, u64)>, String>;
 
-    /// The fault where the deadline passes.
+    /// The fault if the deadline passes.
     fn late(&self) -> Fault;
 }
 
-/// Why nothing was made.
+/// Why there is no result.
 enum Missed {
-    /// The process says so, and waits for the next.
+    /// The process reported it, and waits for the next work.
     Told(Fault),
-    /// It ended, or was not waited for, or answers nonsense.
+    /// The process ended, was given up, or sent an invalid answer.
     Lost(Fault),
 }
 
@@ -41,8 +41,8 @@ impl Missed {
 }
 
 impl ProcessMaker {
-    /// Sends what is asked to `worker` and waits for `answer`, until it is there, refused, cancelled or late. The process is kept for the next
-    /// where it may be, else ended.
+    /// Sends work to `worker` and waits for `answer`, until it is complete, refused, cancelled or late. Keeps the process for reuse if
+    /// possible, else ends it.
     pub(super) fn ask<A: Answer>(
         &self,
         mut worker: Worker,
@@ -52,23 +52,23 @@ impl ProcessMaker {
     ) -> Result<A::Made, Fault> {
         let (outcome, keep) = std::thread::scope(|scope| {
             let Worker { child, input, output, .. } = &mut worker;
-            // a process that does not read would hold up whoever writes to it, past deadline and cancellation
+            // send on a thread: a process that does not read would block past deadline and cancellation
             let sending = std::thread::Builder::new().name("tmpi-sends".into()).spawn_scoped(scope, || {
-                // where the process has ended, the end of its output tells
+                // if the process has ended, the end of its output shows it
                 let _ = send(&mut *input).and_then(|()| input.flush());
             });
             if let Err(error) = sending {
-                return (Err(Fault::Server(format!("no thread can be started: {error}"))), false);
+                return (Err(Fault::Server(format!("cannot start a thread: {error}"))), false);
             }
             let outcome = listen(child, output, &mut answer, sink);
             let keep = match &outcome {
                 Ok((_, peak)) => *peak < KEPT_BYTES,
                 Err(Missed::Told(Fault::Photo(_))) => true,
-                // after a fault of its own a fresh one begins anew: a library that was missing may be there
+                // after a fault of its own, start a new one: a missing library may be installed by then
                 Err(_) => false,
             };
             if !keep {
-                // what is still being sent to it ends with it, and what it started
+                // ends sending, and what the process started
                 end(child);
             }
             (outcome.map(|(made, _)| made).map_err(Missed::fault), keep)
@@ -81,9 +81,9 @@ impl ProcessMaker {
     }
 }
 
-/// Takes frames until there is an answer; gives it with the most memory that the process has had.
+/// Takes frames until the answer is complete; returns it with the peak memory of the process.
 fn listen<A: Answer>(child: &mut Child, output: &Frames, answer: &mut A, sink: &dyn Sink) -> Result<(A::Made, u64), Missed> {
-    // the photo may have brought it about, and must not hold up the others for ever
+    // the photo may be the cause, so it must not block others forever
     let lost = |what: String| Missed::Lost(Fault::Crashed(format!("the process that made it answered what it should not: {what}")));
     loop {
         if sink.cancelled() {

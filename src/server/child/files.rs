@@ -1,4 +1,4 @@
-//! Files to download, written in such a process.
+//! Writes export files in a child process.
 
 use super::ProcessMaker;
 use super::ask::Answer;
@@ -8,7 +8,7 @@ use crate::server::maker::Fault;
 use tmpi_pipeline::Sink;
 
 impl ProcessMaker {
-    /// Writes a file in a process that is ended once nobody wants it, or its time is over.
+    /// Writes a file in a process that is killed if the file is unwanted or late.
     pub(super) fn write_file(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
         let recipe = work.recipe.text();
         let worker = self.take(work.gives_way)?;
@@ -21,9 +21,9 @@ impl ProcessMaker {
     }
 }
 
-/// A file, as it comes.
+/// A file, as its frames arrive.
 struct Written {
-    /// The most bytes of memory that the process has had: more than any where it does not say.
+    /// Peak memory of the process in bytes; the maximum until it is known.
     peak: u64,
 }
 

@@ -1,4 +1,4 @@
-//! What goes through the pipes: frames of a kind of one byte, a length of eight (little-endian), and so many bytes.
+//! Frames in the pipes: kind (1 byte), length (8 bytes, little-endian), and that many bytes.
 
 use std::io::{self, Read, Write};
 
@@ -38,14 +38,14 @@ pub fn read(from: &mut impl Read) -> io::Result<(u8, Vec<u8>)> {
     let [kind, length @ ..] = head;
     let length = u64::from_le_bytes(length);
     if length > FRAME {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "a frame that is too long"));
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "the frame is too long"));
     }
     let mut bytes = Vec::new();
     from.take(length).read_to_end(&mut bytes)?;
     if bytes.len() as u64 == length { Ok((kind, bytes)) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
 }
 
-/// A stage as it is told.
+/// A stage in a frame.
 #[derive(Serialize, Deserialize)]
 pub struct Told {
     pub stage: String,

@@ -1,4 +1,4 @@
-//! What a process does that makes photos for a server.
+//! The child process that makes photos for a server.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -16,7 +16,7 @@ use crate::server::problem::Problem;
 use crate::server::work::{caught, said};
 use tmpi_pipeline::{Progress, Silent, Sink, strokes};
 
-/// Linux ends the process with the highest score first where memory is short: never the server for a photo's sake.
+/// If memory is short, Linux kills the process with the highest score first: never the server because of a photo.
 const SCORE: &str = "500";
 
 /// Writes progress as frames.
@@ -25,7 +25,7 @@ struct Tells<W>(Mutex<W>);
 impl<W: Write + Send> Tells<W> {
     fn tell(&self, kind: u8, bytes: &[u8]) {
         let mut output = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // where nobody listens any more, the end of the input says so
+        // if the server has gone, the end of the input shows it
         let _ = write(&mut *output, kind, bytes).and_then(|()| output.flush());
     }
 }
@@ -37,24 +37,24 @@ impl<W: Write + Send> Sink for Tells<W> {
     }
 }
 
-/// Steps by which a process gives way that writes what nobody waits for at the moment.
+/// `nice` increment of a low-priority process.
 #[cfg(unix)]
 const NICE: i32 = 10;
 
-/// Makes photos, and writes files with what `drawing` gives, for the server that started this process, until it closes the pipe;
-/// [`Limits::job_memory`] bounds what this process may take.
+/// Makes photos, and writes files with the renderer of `drawing`, for the server that started this process, until it closes the pipe.
+/// [`Limits::job_memory`] bounds the memory of this process.
 pub fn serve(maker: &PipelineMaker, limits: &Limits, drawing: Drawing<'_>) {
     let memory = limits.job_memory;
     if std::env::var_os(VARIABLE).is_some_and(|how| how == GIVES_WAY) {
         give_way();
     }
     if cfg!(target_os = "linux") {
-        // where that is not allowed, the kernel chooses as it likes
+        // if that is not allowed, the kernel chooses freely
         let _ = std::fs::write("/proc/self/oom_score_adj", SCORE);
     }
     outlive_signals();
     if let Err(error) = bound_memory(memory) {
-        tracing::warn!(%error, "memory cannot be bounded");
+        tracing::warn!(%error, "cannot limit memory");
     }
     let (tell, frames) = channel();
     let reader = std::thread::Builder::new().name("tmpi-frames".into()).spawn(move || {
@@ -62,19 +62,19 @@ pub fn serve(maker: &PipelineMaker, limits: &Limits, drawing: Drawing<'_>) {
         loop {
             let passed_on = read(&mut input).is_ok_and(|frame| tell.send(frame).is_ok());
             if !passed_on {
-                // the server has gone: nobody wants what is being made
+                // the server has gone
                 #[allow(clippy::disallowed_methods, reason = "what runs cannot be stopped otherwise, and owns nothing")]
                 std::process::exit(0);
             }
         }
     });
     if let Err(error) = reader {
-        tracing::error!(%error, "no thread can be started");
+        tracing::error!(%error, "cannot start a thread");
         return;
     }
     let output = Tells(Mutex::new(io::stdout()));
     let mut recipe = Vec::new();
-    // the first film waits for it, the others find it
+    // created for the first film and reused
     let renderer = OnceLock::new();
     let drawn = || match renderer.get() {
         Some(known) => Ok(Arc::clone(known)),
@@ -100,7 +100,7 @@ pub fn serve(maker: &PipelineMaker, limits: &Limits, drawing: Drawing<'_>) {
 fn file(recipe: &[u8], container: &[u8], limits: &Limits, drawing: Drawing<'_>) -> Result<Vec<u8>, Fault> {
     let recipe = Recipe::parse(&String::from_utf8_lossy(recipe), limits).map_err(Fault::Photo)?;
     let work = Work { recipe: &recipe, container, drawing, gives_way: false };
-    // whoever started this process ends it where nobody wants it any more
+    // the server kills this process to cancel
     catch_unwind(AssertUnwindSafe(|| work.here(&Silent)))
         .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("writing a file panicked", &said(panic.as_ref())))))
 }
@@ -115,11 +115,11 @@ fn tell_file(output: &Tells<impl Write + Send>, outcome: Result<Vec<u8>, Fault>)
     }
 }
 
-/// Has the system give time to others first.
+/// Lowers the priority of this process.
 #[cfg(unix)]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
 fn give_way() {
-    // SAFETY: it takes no pointer; where it is refused nothing changes
+    // SAFETY: it takes no pointer; if it fails, nothing changes
     let _ = unsafe { libc::nice(NICE) };
 }
 
@@ -152,7 +152,7 @@ fn answer(output: &Tells<impl Write + Send>, outcome: Result<Product, Fault>) {
     }
 }
 
-/// Signals to stop go to all processes of a service at once; the server decides what becomes of the photo that is being made.
+/// Ignores stop signals: a service manager sends them to all its processes, but the server decides about the current photo.
 #[cfg(unix)]
 #[allow(unsafe_code, reason = "two calls of libc that run no code of ours later")]
 fn outlive_signals() {
@@ -175,6 +175,6 @@ fn bound_memory(bytes: u64) -> io::Result<()> {
 
 #[cfg(not(target_os = "linux"))]
 fn bound_memory(_: u64) -> io::Result<()> {
-    // other systems have no limit that counts what a process takes for itself
+    // other systems have no limit on the memory that a process allocates
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Photos, made in such a process.
+//! Makes photos in a child process.
 
 use super::ProcessMaker;
 use super::ask::Answer;
@@ -8,7 +8,7 @@ use crate::server::options;
 use tmpi_pipeline::{MakeError, Options, Progress, STAGES, Sink, strokes};
 
 impl ProcessMaker {
-    /// Makes a photo in a process that is ended once nobody wants it, or its time is over.
+    /// Makes a photo in a process that is killed if the photo is unwanted or late.
     pub(super) fn make_photo(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         let worker = self.take(false)?;
         let strokes = strokes::write(&options.strokes);
@@ -28,7 +28,7 @@ impl ProcessMaker {
     }
 }
 
-/// A photo, as it comes.
+/// A photo, as its frames arrive.
 struct Made<'a> {
     product: Product,
     stage: &'static str,

@@ -1,22 +1,22 @@
-//! Folders for temporary files of processes, as the frames of a film on their way to a file: a process that is ended leaves them behind.
+//! Folders for the temporary files of child processes, such as frames of a film, which a killed process leaves behind.
 
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Name within the data directory of the folder of all.
+/// Name of the parent folder in the data directory.
 const FOLDER: &str = "scratch";
-/// By which programs find it.
+/// Environment variable that names the folder.
 pub(super) const VARIABLE: &str = if cfg!(windows) { "TMP" } else { "TMPDIR" };
-/// Tries to remove one, and the pause between two: what is being ended may still make a file in it.
+/// Tries to remove a folder, and the pause between them: a process being killed may still create a file in it.
 const TRIES: u32 = 100;
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// Removes what processes of before left in a data directory, which is this process's alone by now; blocks.
+/// Removes leftovers of earlier processes from a data directory that this process has locked; blocks.
 ///
 /// # Errors
-/// It cannot be removed.
+/// If they cannot be removed.
 pub fn empty(data: &Path) -> io::Result<()> {
     match std::fs::remove_dir_all(data.join(FOLDER)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -24,18 +24,18 @@ pub fn empty(data: &Path) -> io::Result<()> {
     }
 }
 
-/// The folder of all in a data directory.
+/// The parent folder in a data directory.
 pub(super) fn folder(data: &Path) -> PathBuf {
     let folder = data.join(FOLDER);
     std::path::absolute(&folder).unwrap_or(folder)
 }
 
-/// The folder of one process, which goes with this.
+/// The folder of one process; dropping it removes the folder.
 #[derive(Debug)]
 pub(super) struct Scratch(PathBuf);
 
 impl Scratch {
-    /// One that is not there yet: a process begins before the data directory is known to be its server's alone.
+    /// A folder that is not created yet: a process starts before the server has locked the data directory.
     pub fn below(folder: &Path) -> Self {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         Self(folder.join(NEXT.fetch_add(1, Ordering::Relaxed).to_string()))
@@ -45,10 +45,10 @@ impl Scratch {
         &self.0
     }
 
-    /// Makes it where it is missing, its owner's alone; blocks.
+    /// Creates it if it is missing, accessible only to its owner; blocks.
     ///
     /// # Errors
-    /// The data directory cannot be written.
+    /// If the data directory cannot be written.
     pub fn make(&self) -> io::Result<()> {
         let mut builder = std::fs::DirBuilder::new();
         #[cfg(unix)]
@@ -65,6 +65,6 @@ impl Drop for Scratch {
                 _ => return,
             }
         }
-        tracing::warn!(folder = %self.0.display(), "temporary files cannot be removed now; they go with the next start");
+        tracing::warn!(folder = %self.0.display(), "cannot remove temporary files; the next start does");
     }
 }

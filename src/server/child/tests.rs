@@ -56,15 +56,15 @@ fn credentials_are_not_passed_on() {
 #[cfg(target_os = "linux")]
 #[test]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
-fn the_memory_of_the_server_is_kept_from_others() {
+fn other_processes_cannot_read_the_memory_of_the_server() {
     keep_from_others();
     // SAFETY: it takes no pointer
     assert_eq!(unsafe { libc::prctl(libc::PR_GET_DUMPABLE, 0, 0, 0, 0) }, 0);
 }
 
 #[test]
-fn nonsense_from_a_process_counts_against_its_photo_alone() {
-    // a report that is none, an unknown frame, a frame of no end, and an end without a word
+fn invalid_answers_of_a_process_fail_only_its_photo() {
+    // an invalid report, an unknown frame, an endless frame, and an early end
     let all: [fn() -> io::Result<Command>; 4] = [
         || Ok(shell(r"printf '\011\004\0\0\0\0\0\0\0null'; cat > /dev/null")),
         || Ok(shell(r"printf '\143\0\0\0\0\0\0\0\0'; cat > /dev/null")),
@@ -80,7 +80,7 @@ fn nonsense_from_a_process_counts_against_its_photo_alone() {
 }
 
 #[test]
-fn a_process_that_made_a_photo_ends_once_it_has_rested() {
+fn an_idle_process_ends_after_its_rest() {
     let dir = tempfile::tempdir().unwrap();
     let maker = maker(|| Ok(shell("cat > /dev/null")), dir.path());
     maker.prepare();
@@ -108,13 +108,13 @@ impl Sink for Once<'_> {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn what_a_process_started_ends_with_it_and_its_temporary_files_go() {
+fn children_of_a_process_end_with_it_and_its_temporary_files_are_removed() {
     let runs = |id: &str| {
         let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
-        // nobody may wait for it here
+        // a zombie counts as ended, since nothing may wait for it here
         stat.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
     };
-    // one that is ended, and one that ends by itself, each with something that runs and a folder that it has not removed
+    // one that is killed and one that ends on its own, each with a running child and a folder left behind
     let all: [fn() -> io::Result<Command>; 2] = [
         || Ok(shell(r#"read -r line; sleep 600 > /dev/null & mkdir "$TMPDIR/film"; echo $! > "$TMPDIR/../../id"; cat > /dev/null"#)),
         || Ok(shell(r#"read -r line; sleep 600 > /dev/null & mkdir "$TMPDIR/film"; echo $! > "$TMPDIR/../../id"; kill -9 $$"#)),
@@ -125,7 +125,7 @@ fn what_a_process_started_ends_with_it_and_its_temporary_files_go() {
         let scratch = maker.scratch.clone();
         let told = dir.path().join("id");
         let recipe = Recipe::parse("format=zip", &Limits::default()).unwrap();
-        // the folder is there before anything is sent
+        // the folder exists before anything is sent
         let work = Work { recipe: &recipe, container: b"line\n", drawing: &|| Err(String::new()), gives_way: true };
         let fault = if n == 0 { maker.export(&work, &Once(&told)) } else { maker.export(&work, &Silent) }.unwrap_err();
         assert!(matches!((n, &fault), (0, Fault::Cancelled) | (1, Fault::Crashed(_))), "{fault:?}");
@@ -142,7 +142,7 @@ fn what_a_process_started_ends_with_it_and_its_temporary_files_go() {
 }
 
 #[test]
-fn what_processes_of_before_left_goes_at_the_start() {
+fn leftovers_of_earlier_processes_are_removed_at_the_start() {
     let dir = tempfile::tempdir().unwrap();
     empty_scratch(dir.path()).unwrap();
     let left = scratch::folder(dir.path()).join("7/film");

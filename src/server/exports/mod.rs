@@ -1,4 +1,4 @@
-//! Files to download: what they are made by, and how they are written.
+//! Export files: their recipes, and how they are written.
 
 mod query;
 mod recipe;

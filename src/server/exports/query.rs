@@ -1,4 +1,4 @@
-//! What a client says of a file to download.
+//! Query parameters of an export.
 
 use axum::http::Uri;
 
@@ -10,18 +10,17 @@ use crate::server::routes::Pairs;
 #[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ExportQuery {
-    /// `html`, `glb`, `ora` or `zip`; `html` if it is not given.
+    /// `html` (default), `glb`, `ora` or `zip`.
     #[param(value_type = Option<String>)]
     pub format: ExportFormat,
-    /// Space of a `glb`: `relief`, which fits into the frame that viewers put around a model, or `metric`, with far things far away;
-    /// `relief` if it is not given.
+    /// Space of a `glb`: `relief` (default), which fits into the frame that viewers put around a model, or `metric`, with true distances.
     #[param(value_type = Option<String>)]
     pub shape: ModelShape,
-    /// Textures of a `glb`: `plain`, JPEG and PNG, which every program reads, or `webp`, which are smaller and need `EXT_texture_webp`; `plain` if it
-    /// is not given.
+    /// Textures of a `glb`: `plain` (default), JPEG and PNG, which every program reads, or `webp`, which is smaller and needs
+    /// `EXT_texture_webp`.
     #[param(value_type = Option<String>)]
     pub textures: ModelTextures,
-    /// Version as in the photo's `links`: the file is kept for a year then.
+    /// Version as in the photo's `links`: browsers then cache the file for a year.
     #[param(rename = "v")]
     pub version: Option<String>,
 }
@@ -35,7 +34,7 @@ impl ExportQuery {
         Self::of(Pairs::read(uri, &["format", "shape", "textures", "v"])?)
     }
 
-    /// The same of parameters that are known.
+    /// Like [`Self::read`], for parameters that are parsed already.
     ///
     /// # Errors
     /// 400 that names the first parameter that is wrong.
@@ -63,7 +62,7 @@ impl ExportQuery {
         Ok(Self { format, shape, textures, version: pairs.take("v") })
     }
 
-    /// What a model is.
+    /// Options of a model.
     #[must_use]
     pub const fn model(&self) -> ModelOptions {
         ModelOptions { shape: self.shape, textures: self.textures }

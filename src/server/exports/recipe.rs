@@ -1,4 +1,4 @@
-//! What a file to download is made by: its format and parameters.
+//! The recipe of an export file: its format and parameters.
 
 use super::query::ExportQuery;
 use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures, ORA_BYTES};
@@ -8,38 +8,39 @@ use crate::server::problem::Problem;
 use crate::server::routes::{Pairs, StereoKind, ViewQuery};
 use tmpi_render::{AnimationFormat, Arrangement, Path};
 
-/// Memory of a process that writes a file, in bytes, without the photo; like the other figures, above what was measured on 12 megapixels.
+/// Memory of a process that writes a file, in bytes, without the photo. This and the other figures are above those measured on 12
+/// megapixels.
 const PROCESS: u64 = 48 << 20;
-/// Memory that textures and pictures under work take besides the scene, in bytes a pixel.
+/// Memory of textures and pictures besides the scene, in bytes a pixel.
 const PICTURES: u64 = 20;
-/// Memory of what a film is drawn from besides the scene, in bytes a pixel, and of its frame.
+/// Memory of the renderer's scene and the frame of a film, besides the scene, in bytes a pixel.
 const DRAWN: u64 = 14;
 const FRAME: u64 = 16;
-/// A page holds the container, as it is and as text.
+/// Memory of a page in multiples of the container: as bytes and as text.
 const PAGE: u64 = 4;
-/// Work on a scene in the serving process takes no more bytes than this: a megapixel and some, which takes tenths of a second.
+/// Most bytes of scene work in the server's process: about a megapixel, which takes tenths of a second.
 const CHEAP: u64 = 16 << 20;
 
 /// Parameters of a film.
 const FILM: [&str; 17] =
     ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames"];
 
-/// What a file is made by.
+/// How to make a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Recipe {
     /// The photo in another format.
     File {
         /// Format.
         format: ExportFormat,
-        /// What a model is.
+        /// Options of a model.
         model: ModelOptions,
     },
-    /// A film along a way of the camera, of frames of this size.
+    /// A film along a path of the camera, with frames of this size.
     Film(Box<ViewQuery>, (u32, u32)),
 }
 
 impl Recipe {
-    /// What somebody asks for by these parameters, those of an export or, with `path`, of a view, for a photo of `size` pixels.
+    /// Reads the parameters of an export or, with `path`, of a view, for a photo of `size` pixels.
     ///
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice, wrong or over the limits.
@@ -56,7 +57,7 @@ impl Recipe {
         Ok(Self::File { format: query.format, model: query.model() })
     }
 
-    /// The same from what [`Recipe::text`] gave.
+    /// Parses the text of [`Recipe::text`].
     ///
     /// # Errors
     /// As [`Recipe::read`].
@@ -66,7 +67,7 @@ impl Recipe {
         Self::read(text.split('&').map(pair).collect(), (1, 1), limits)
     }
 
-    /// All parameters, said in one way.
+    /// All parameters in canonical form.
     #[must_use]
     pub fn pairs(&self) -> Vec<(&'static str, String)> {
         match self {
@@ -86,13 +87,13 @@ impl Recipe {
         }
     }
 
-    /// The same as text, which names the file among those of one making of a photo.
+    /// The canonical text, which names the file among those of one version of a photo.
     #[must_use]
     pub fn text(&self) -> String {
         self.pairs().iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join("&")
     }
 
-    /// Media type and file name ending of what was written by [`Recipe::text`], whatever the limits are by now.
+    /// Media type and extension of the file for a [`Recipe::text`], whatever the current limits are.
     #[must_use]
     pub fn kind(text: &str) -> Option<(&'static str, &'static str)> {
         let format = text.split('&').find_map(|part| part.strip_prefix("format="))?;
@@ -100,7 +101,7 @@ impl Recipe {
         file.or_else(|| AnimationFormat::from_extension(format).map(|format| (format.media_type(), ending(format))))
     }
 
-    /// Memory that work on the scene takes besides it, in bytes.
+    /// Memory that the work takes besides the scene, in bytes.
     fn own(&self, done: &Done) -> u64 {
         let pixels = u64::from(done.width) * u64::from(done.height);
         match self {
@@ -111,15 +112,15 @@ impl Recipe {
         }
     }
 
-    /// Memory of a process that writes it, in bytes.
+    /// Memory of a process that writes the file, in bytes.
     #[must_use]
     pub fn memory(&self, done: &Done) -> u64 {
         let scene = if matches!(self, Self::File { format: ExportFormat::Html, .. }) { 0 } else { done.scene_bytes() };
         PROCESS + scene + self.own(done)
     }
 
-    /// True where it is written in the serving process for who waits for it: pages, which carry the container as it is, and other files of small
-    /// photos. Films never are.
+    /// Whether the server writes it in its own process, while the client waits: pages, which contain the container unchanged, and other
+    /// files of small photos, but no films.
     #[must_use]
     pub fn is_cheap(&self, done: &Done) -> bool {
         match self {
@@ -144,7 +145,7 @@ fn way(path: Path) -> &'static str {
 fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static str, String)> {
     let q = query;
     let number = |v: Option<f64>| v.map(|v| v.to_string());
-    // a pose that is not given is that of the photo
+    // the default pose is the photo's
     let pose = |v: Option<f64>| number(v.filter(|v| *v != 0.0));
     let stereo = q.stereo.map(|kind| match kind {
         StereoKind::Sbs => "sbs".to_owned(),
@@ -256,7 +257,7 @@ mod tests {
             let recipe = read(asked).unwrap();
             assert_eq!([recipe.is_cheap(&small), recipe.is_cheap(&large)], cheap, "{asked}");
         }
-        // peaks of 12 megapixels as they were measured: 323, 262, 400 and 309 MiB
+        // measured peaks at 12 megapixels: 323, 262, 400 and 309 MiB
         for (asked, peak) in [("format=glb", 323), ("format=zip", 262), ("format=ora", 400), ("path=orbit", 309)] {
             let memory = read(asked).unwrap().memory(&large) >> 20;
             assert!((peak..peak * 2).contains(&memory), "{asked}: {memory}");

@@ -1,4 +1,4 @@
-//! What writing a file takes: its memory, its time, and as many tries as a photo has.
+//! Writes files within limits: memory, time, and as many tries as for a photo.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -15,11 +15,11 @@ use crate::server::memory::Way;
 use crate::server::problem::Problem;
 use tmpi_pipeline::{Progress, Sink};
 
-/// Whether a file is waited for.
+/// Whether a file is still wanted, and how urgently.
 pub struct Wanted<'a> {
-    /// True once nobody wants it any more.
+    /// Returns true once it is unwanted.
     pub unwanted: &'a (dyn Fn() -> bool + Sync),
-    /// Whether it waits behind all others for memory, and the process that writes it gives way to everything else.
+    /// Whether it waits behind all others for memory, in a low-priority process.
     pub gives_way: bool,
 }
 
@@ -38,7 +38,7 @@ impl Sink for Until<'_> {
 }
 
 impl Shared {
-    /// Writes a file for who waits for it until it is `gone`, in another process where the server's maker has such; blocks.
+    /// Writes a file for a waiting client until it is `gone`, in a child process if the maker has those; blocks.
     ///
     /// # Errors
     /// As [`written`].
@@ -48,10 +48,10 @@ impl Shared {
     }
 }
 
-/// Writes a file of `container`, in another process where the server's maker has such; blocks.
+/// Writes a file of `container`, in a child process if the maker has those; blocks.
 ///
 /// # Errors
-/// 503 where it is not wanted any more or takes too long, 422 where it took down what wrote it as often as may be, and what writing it meets.
+/// 503 if it is unwanted or takes too long, 422 after too many crashes, and the errors of writing.
 pub fn written(app: &Shared, recipe: &Recipe, (container, done): (&[u8], &Done), wanted: &Wanted<'_>) -> Result<Vec<u8>, Problem> {
     let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export is not wanted any more").retry_after(1);
     let sink = Until(wanted, Instant::now() + app.limits.exports.timeout);
@@ -69,15 +69,15 @@ pub fn written(app: &Shared, recipe: &Recipe, (container, done): (&[u8], &Done),
         match app.maker.export(&work, &sink) {
             Ok(bytes) => return Ok(bytes),
             Err(Fault::Cancelled) if sink.cancelled() => return Err(cancelled()),
-            // nobody has cancelled it but its time
+            // only its time limit cancelled it
             Err(Fault::Cancelled) => return Err(late()),
             Err(Fault::Photo(problem)) => return Err(problem),
             Err(Fault::Server(reason)) => return Err(Problem::internal("exporting a photo", &reason)),
             Err(Fault::Crashed(reason)) => {
                 crashed += 1;
-                tracing::warn!(crashed, reason, recipe = recipe.text(), "a file took down what wrote it");
+                tracing::warn!(crashed, reason, recipe = recipe.text(), "a file crashed the process that wrote it");
                 if crashed >= app.limits.attempts {
-                    let detail = format!("writing this file took down what wrote it {crashed} times");
+                    let detail = format!("writing this file crashed its process {crashed} times");
                     return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail));
                 }
             }

@@ -1,4 +1,4 @@
-//! Writes a file to download by its recipe, in whichever process that is.
+//! Writes an export file by its recipe, in the server or a child process.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -14,21 +14,21 @@ use tmpi_core::{Camera, Scene};
 use tmpi_pipeline::Sink;
 use tmpi_render::{Animation, DEFAULT_QUALITY, Outlook, RenderError, Renderer, View, draw_several};
 
-/// Title of a page: the server knows no name of a photo.
+/// Title of a page: the server knows no name of the photo.
 pub const TITLE: &str = "3D photo";
 
-/// What draws films, asked for where one is drawn; else why there is none.
+/// Gets the renderer for films, or why there is none.
 pub type Drawing<'a> = &'a (dyn Fn() -> Result<Arc<dyn Renderer>, String> + Sync);
 
-/// A file to be written.
+/// An export file to write.
 pub struct Work<'a> {
-    /// How.
+    /// Its recipe.
     pub recipe: &'a Recipe,
-    /// Of which container.
+    /// The photo's container.
     pub container: &'a [u8],
-    /// What draws films in this process.
+    /// The renderer for films in this process.
     pub drawing: Drawing<'a>,
-    /// Whether whoever writes it gives way to all others.
+    /// Whether it has low priority.
     pub gives_way: bool,
 }
 
@@ -59,7 +59,7 @@ fn is_over(sink: &dyn Sink) -> bool {
     sink.cancelled() || sink.deadline().is_some_and(|deadline| Instant::now() >= deadline)
 }
 
-/// The answer to who wants what takes too long.
+/// The answer if writing takes too long.
 #[must_use]
 pub fn late() -> Problem {
     let detail = "writing the file takes longer than it may (exports.timeout): ask for fewer frames, a smaller size or another format";
@@ -98,7 +98,7 @@ fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unle
     animation.map_or(Ok(Vec::new()), Animation::finish).map_err(|e| photo(Problem::from(&e)))
 }
 
-/// Draws unless nobody waits any more.
+/// Renders unless the file is unwanted.
 struct Unless<'a> {
     sink: &'a dyn Sink,
     renderer: &'a Arc<dyn Renderer>,

@@ -1,5 +1,5 @@
-//! What operators ask at a door of its own ([`Config::admin`](crate::server::Config::admin)): nobody is asked who they are there, so that it is
-//! bound where operators alone come in.
+//! The admin listener ([`Config::admin`](crate::server::Config::admin)). It has no authentication: bind it to an address that only
+//! operators can reach.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -23,40 +23,40 @@ use tmpi_library::PhotoId;
 
 #[derive(OpenApi)]
 #[openapi(
-    info(title = "tmpi for operators", description = "What is asked at the address of `tmpi serve --admin`. Every error is a problem document (RFC 9457)."),
+    info(title = "tmpi for operators", description = "The API at the address of `tmpi serve --admin`. Every error is a problem document (RFC 9457)."),
     servers((url = "/", description = "This address")),
-    // whoever reaches it may
+    // no authentication
     security(()),
     tags((name = "system", description = "Health, counters, draining and taking down")),
     components(schemas(Problem))
 )]
 struct Document;
 
-/// Have the server end as SIGTERM does.
+/// Shut the server down as SIGTERM does.
 ///
-/// `/readyz` says 503 from now on; after the lame-duck time no more connections are taken, and requests and jobs under way have the drain
-/// time to end.
+/// `/readyz` answers 503 from now on. After the lame-duck time the server accepts no more connections; running requests and jobs then have
+/// the drain time to finish.
 #[utoipa::path(
     post, path = "/drain", tag = "system",
     responses(
-        (status = 202, description = "It leaves"),
-        (status = 400, description = "There are no parameters here"),
-        (status = 403, description = "A page of another site asks"),
+        (status = 202, description = "The server is shutting down"),
+        (status = 400, description = "The route takes no parameters"),
+        (status = 403, description = "The request comes from a page of another site"),
     )
 )]
 async fn drain(State(app): State<App>, _: NoQuery) -> StatusCode {
-    tracing::info!("asked to leave");
+    tracing::info!("asked to shut down");
     app.asked_to_leave.cancel();
     StatusCode::ACCEPTED
 }
 
-/// Take a photo down, whoever owns it, with everything that was made of it and what is kept of that.
+/// Delete a photo of any owner, with its results and their cache entries.
 #[utoipa::path(
     post, path = "/purge/{id}", tag = "system", params(("id" = String, Path, description = "Id of the photo")),
     responses(
-        (status = 204, description = "Gone"),
-        (status = 400, description = "There are no parameters here"),
-        (status = 403, description = "A page of another site asks"),
+        (status = 204, description = "Deleted"),
+        (status = 400, description = "The route takes no parameters"),
+        (status = 403, description = "The request comes from a page of another site"),
         (status = 404, description = "There is no such photo"),
         (status = 503, description = "The library cannot be reached"),
     )
@@ -73,7 +73,7 @@ async fn purge(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Re
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Routes with what is said of them.
+/// Routes with their `OpenAPI` descriptions.
 fn api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(system::healthz))
@@ -83,7 +83,7 @@ fn api() -> OpenApiRouter<App> {
         .routes(routes!(purge))
 }
 
-/// The door of operators, bound to `addr`; `names` are those under which it is asked besides loopback's and its address.
+/// Router of the admin listener, bound to `addr`. `names` are the accepted `Host` names besides loopback and its address.
 pub fn router(app: App, addr: SocketAddr, names: &[String]) -> Router {
     let (router, document) = api().split_for_parts();
     let mut document = serde_json::json!(document);

@@ -1,4 +1,4 @@
-//! The answer to what has a photo made again.
+//! The answer of routes that make a photo again.
 
 use axum::Json;
 use axum::http::header::LOCATION;
@@ -13,10 +13,9 @@ use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use tmpi_library::{Photo, PhotoState as Phase};
 
-/// The state of a photo that is in the queue: 200 once it is made, within the time that `Prefer: wait` gives and the request has; its problem where
-/// it could not be made; else 202.
+/// The state of a queued photo: 200 if it is made within the time of `Prefer: wait` and of the request, its problem if it fails, else 202.
 pub(super) async fn answer(app: &App, photo: Photo, headers: &HeaderMap, clock: &Clock) -> Result<Response, Problem> {
-    // nobody asks for the version of before any more
+    // drop cache entries of the old version
     app.forget(photo.id).await;
     let wait = prefer_wait(headers);
     let photo = wait_for(app, photo, clock, wait).await?;

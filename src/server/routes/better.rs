@@ -1,4 +1,4 @@
-//! Whether a photo can have better depth from the network that is at hand.
+//! Whether this node's network would give a photo better depth.
 
 use crate::server::app::{Shared, Stored};
 use tmpi_library::{Part, Photo};
@@ -10,15 +10,15 @@ struct MadeBy {
     depth_model: String,
 }
 
-/// Name of this node's network, where it is better than the one that estimated a photo's depth and the caller of this request may have the photo
-/// made again; none also where the depth is a person's own or the photo's, or nothing can be said now.
+/// Name of this node's network, if it is better than the one that estimated the photo's depth and the caller may have the photo made again.
+/// `None` if the depth was uploaded or came with the photo, or if the report cannot be read.
 pub(super) async fn better_depth(app: &Shared, photo: &Photo) -> Option<String> {
     let network = app.maker.network().to_owned();
     let worse = better_than(&network);
     if worse.is_empty() || app.guard.as_ref().is_some_and(|guard| !guard.may_change(photo)) {
         return None;
     }
-    // a report that cannot be read is told to whoever asks for it
+    // a request for the report itself answers with the error
     let Stored { source, .. } = app.file(photo, Part::Report).await.ok()?;
     let MadeBy { depth_model } = serde_json::from_slice(&source.head(source.len()).await.ok()?).ok()?;
     worse.iter().any(|kind| depth_model.starts_with(kind)).then_some(network)

@@ -1,4 +1,4 @@
-//! Answers that are made of a photo when they are asked for: views, films and exports.
+//! Answers that are derived from a photo on request: views, films and exports.
 
 use std::time::Duration;
 
@@ -10,26 +10,26 @@ use crate::server::conditional::{Coding, Entity, insert, kept, known_as, not_mod
 use crate::server::identity;
 use crate::server::made::Done;
 
-/// Such an answer before it is made.
+/// A derived answer before it is made.
 pub(super) struct Derived {
-    /// Its name: that of all it follows from.
+    /// Its name, a hash of everything that it depends on.
     pub made: String,
     cache_control: &'static str,
 }
 
 impl Derived {
-    /// Of a finished photo; `asked`: the version in the query, `name`: what the answer follows from, by the photo's version.
+    /// For a finished photo. `asked` is the version in the query; `name` maps the photo's version to everything that the answer depends on.
     pub fn new(app: &Shared, done: &Done, asked: Option<&str>, name: impl FnOnce(&str) -> String) -> Self {
         let results = app.version(done);
         Self { cache_control: kept(asked, || results.clone()), made: identity::short(&name(&results)) }
     }
 
-    /// The answer to a client that has it already.
+    /// 304 for a client that has the answer already.
     pub fn known(&self, headers: &HeaderMap) -> Option<Response> {
         known_as(headers, &self.made).map(|etag| not_modified(etag, self.cache_control))
     }
 
-    /// The answer, with what each phase of making it took, if it was made for this request.
+    /// The answer, with the time of each phase if it was made for this request.
     pub fn answer(&self, headers: &HeaderMap, stored: Stored, content_type: &str, timing: &[(&str, Duration)]) -> Response {
         let entity =
             Entity { source: stored.source, etag: &stored.etag, content_type, cache_control: self.cache_control, coding: Coding::Plain };

@@ -1,10 +1,10 @@
-//! The body of every error, written into the `OpenAPI` document in one place: handlers say status and reason alone.
+//! Writes the body of every error into the `OpenAPI` document, so that handlers give only status and reason.
 
 use serde_json::{Value, json};
 
 use crate::server::problem::MEDIA_TYPE;
 
-/// Gives each answer from 400 on of `document` a problem document as its body (RFC 9457).
+/// Gives every answer of `document` with a status from 400 on a problem document (RFC 9457) as its body.
 pub fn put(document: &mut Value) {
     let content = json!({MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}});
     let paths = document["paths"].as_object_mut().into_iter().flat_map(|paths| paths.values_mut());
@@ -21,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_and_they_alone_get_a_body() {
+    fn only_errors_get_a_body() {
         let mut document = json!({"paths": {"/a": {"get": {"responses": {"204": {}, "304": {}, "400": {}, "503": {"description": "x"}}}}}});
         put(&mut document);
         let answers = &document["paths"]["/a"]["get"]["responses"];

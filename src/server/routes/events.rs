@@ -20,7 +20,7 @@ use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use crate::server::share::{Place, asker};
 
-/// Pause between two looks at the queue, and at who may listen.
+/// Interval of the checks of the queue and of the client's access.
 const QUEUE_LOOK: Duration = Duration::from_secs(1);
 
 /// Where a photo stands in the queue.
@@ -29,27 +29,27 @@ struct Position {
     position: u64,
 }
 
-/// What one listener has been told.
+/// One open event stream.
 struct Listener {
     app: App,
     id: PhotoId,
     subscription: Subscription,
     /// False until the photo was read.
     seen: bool,
-    /// When it is looked next at the queue, and at who may listen.
+    /// Time of the next check of the queue and of the client's access.
     look: Instant,
-    /// The stage that was told last.
+    /// The stage that was sent last.
     stage: Option<Progress>,
-    /// Place in the queue that was told last, and nothing since.
+    /// The queue position that was sent last, if no other event followed.
     queued: Option<u64>,
     ended: bool,
-    /// What the listener was let in by, where the server asks who comes.
+    /// The client's rights, with private access.
     pass: Option<Pass>,
     _place: Place,
 }
 
 impl Listener {
-    /// The next events; none at the end.
+    /// The next events; `None` at the end.
     async fn next(&mut self) -> Option<Vec<Event>> {
         while !self.ended {
             let news = if self.seen { self.news().await } else { Some(News::Photo) };
@@ -71,12 +71,12 @@ impl Listener {
         None
     }
 
-    /// What has happened; none where the server stops: the client comes back by itself.
+    /// Waits for news; `None` if the server stops (the client then reconnects).
     async fn news(&mut self) -> Option<News> {
         let looks = self.queued.is_some() || self.pass.is_some();
         tokio::select! {
             biased;
-            // the queue moves without a word to those who wait in it; others' events must not put this off
+            // the queue moves without an event to those waiting; other photos' events must not delay this check
             () = tokio::time::sleep_until(self.look), if looks => {
                 self.look = Instant::now() + QUEUE_LOOK;
                 Some(News::Photo)
@@ -86,7 +86,7 @@ impl Listener {
         }
     }
 
-    /// False once the listener would not be let in again.
+    /// Whether the client still has access.
     async fn is_allowed(&self, photo: Option<&Photo>) -> bool {
         let (Some(guard), Some(pass)) = (&self.app.guard, &self.pass) else { return self.app.guard.is_none() };
         match photo {
@@ -98,7 +98,7 @@ impl Listener {
         }
     }
 
-    /// How the photo fares now; none where the listener may not be told.
+    /// Events for the photo's current state; `None` if the client has lost access.
     async fn fresh(&mut self) -> Option<Vec<Event>> {
         let Some(photo) = self.app.library.find(self.id).await.ok()? else { return Some(self.end("deleted", &serde_json::json!({}))) };
         if !self.is_allowed(Some(&photo)).await {
@@ -113,7 +113,7 @@ impl Listener {
         if photo.state == Phase::Working {
             return Some(Vec::new());
         }
-        // stages that were told before the end
+        // stages that came before the end
         let mut events = Vec::new();
         while let Some(happened) = self.subscription.try_next() {
             if let News::Stage(progress) = News::of(self.id, happened) {
@@ -128,7 +128,7 @@ impl Listener {
         Some(events)
     }
 
-    /// A stage, unless it was told already.
+    /// A stage, unless it was sent already.
     fn stage_events(&mut self, progress: Progress) -> Vec<Event> {
         if self.stage.as_ref() == Some(&progress) {
             return Vec::new();
@@ -144,7 +144,7 @@ impl Listener {
     }
 }
 
-/// What concerns a listener.
+/// What an event means for one photo.
 enum News {
     Nothing,
     Stage(Progress),
@@ -171,14 +171,14 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 
 /// Progress of a photo as server-sent events.
 ///
-/// Events: `queued` (`{"position": N}`, again when it moves up), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`), `failed` or
-/// `damaged` (a `Problem`) or `deleted`; then the stream ends. A client that connects late is told the last event first. Whoever would no longer
-/// be let in is told nothing more: the stream ends.
+/// Events: `queued` (`{"position": N}`, again when it moves up), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`),
+/// `failed` or `damaged` (a `Problem`) or `deleted`; then the stream ends. A client that connects late gets the last stage first. The
+/// stream also ends when the client loses access.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 200, description = "Events until the photo is done, has failed or is deleted", body = Progress, content_type = "text/event-stream"),
-        (status = 400, description = "There are no parameters here"),
+        (status = 400, description = "The route takes no parameters"),
         (status = 404, description = "There is no such photo"),
         (status = 503, description = "Too many streams are open"),
     )
@@ -186,12 +186,12 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let Some(place) = app.streams.take(asker()) else {
-        let detail = "as many event streams are open as may, or as one address may have";
+        let detail = "too many event streams are open, in all or from your address";
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(5));
     };
     let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
     let subscription = app.library.subscribe();
-    // the last that was said of it, then everything
+    // send the last stage first
     let last = app.library.progress_of(photo.id).and_then(|said| serde_json::from_value::<Progress>(said).ok());
     let stage = last.filter(|_| photo.state == Phase::Working);
     let last = stage.as_ref().map(|stage| event("stage", stage));
@@ -210,7 +210,7 @@ pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) 
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));
     let events = batches.flat_map(stream::iter);
     let mut response = Sse::new(stream::iter(last).chain(events).map(Ok::<_, Infallible>)).keep_alive(keep_alive).into_response();
-    // proxies that gather an answer before they pass it on would hold the events back
+    // keeps proxies from buffering the events
     insert(&mut response, header::HeaderName::from_static("x-accel-buffering"), "no");
     Ok(response)
 }

@@ -1,4 +1,4 @@
-//! A photo in forms that need no program of ours.
+//! Exports of a photo that other programs can open.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -18,11 +18,11 @@ use crate::server::exports::{ExportQuery, Recipe, TITLE};
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
 
-/// The photo as a page, a model, layers or an archive, to download.
+/// Download the photo as a page, a model, layers or an archive.
 ///
-/// `html` is one page that carries viewer and photo in itself and opens from disk without a network; `glb` is a glTF 2.0 model of
-/// textured, unlit polygons; `ora` is an `OpenRaster` file of 3 to 8 layers of the photo's size, as Krita and GIMP read it, with the depth
-/// map; `zip` holds the photo, every layer as a PNG, the disparity, and the planes as JSON.
+/// `html` is one page that contains viewer and photo and opens from disk without a network; `glb` is a glTF 2.0 model of textured, unlit
+/// polygons; `ora` is an `OpenRaster` file for Krita and GIMP, with 3 to 8 layers of the photo's size and the depth map; `zip` holds the
+/// photo, every layer as a PNG, the disparity, and the planes as JSON.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/export", tag = "photos",
     params(
@@ -69,7 +69,7 @@ pub async fn export(
         let own = if format == ExportFormat::Ora { export::ORA_BYTES * pixels } else { 0 };
         let slot = app.pool.enter(Class::Export, done.scene_bytes() + own).await?;
         let cheap = recipe.is_cheap(&done);
-        // a page carries the container as it is
+        // a page contains the container as it is
         let scene = if cheap && format != ExportFormat::Html { Some(app.scene(&photo, &slot).await?.0) } else { None };
         let (container, name, shared) = (app.container_of(&photo).await?, derived.made.clone(), Arc::clone(&app));
         let written = slot.run(move || {

@@ -1,4 +1,4 @@
-//! Files to download that are written as jobs.
+//! Export files that jobs write.
 
 use std::collections::BTreeMap;
 
@@ -21,22 +21,22 @@ use crate::server::problem::Problem;
 use crate::server::time::rfc3339;
 use tmpi_library::{Class, Job, JobState, Kind, LibraryError, Order, Part, Photo, Share};
 
-/// Bytes of the parameters.
+/// Most bytes of the parameters.
 const MOST: usize = 4 << 10;
-/// Seconds until it is worth asking again.
+/// Seconds of `Retry-After` while a file is not written.
 const LATER: u64 = 1;
 
-/// Parameters of a file to download: those of an export, or with `path` those of a view, which becomes a film.
+/// Parameters of an export file: those of an export, or with `path` those of a view, which becomes a film.
 #[derive(utoipa::ToSchema)]
 #[allow(dead_code, reason = "describes the body in the OpenAPI document; parameters are read by hand so that errors name them")]
 pub struct ExportOrder {
-    /// `html`, `glb`, `ora` or `zip`; `html` if it is not given. With `path` `webp`, which is the default then, or `mp4`.
+    /// `html` (default), `glb`, `ora` or `zip`; with `path`: `webp` (default) or `mp4`.
     format: Option<String>,
     /// Space of a `glb`: `relief` or `metric`.
     shape: Option<String>,
     /// Textures of a `glb`: `plain`, JPEG and PNG, or `webp`.
     textures: Option<String>,
-    /// The camera's way, `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`: the file is a film. All parameters of a view go with it.
+    /// The camera's path, `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`: the file is a film. It takes all parameters of a view.
     path: Option<String>,
     /// Frames of a film, 2 to 240.
     frames: Option<u32>,
@@ -46,17 +46,17 @@ pub struct ExportOrder {
     h: Option<u32>,
 }
 
-/// How a file fares.
+/// State of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ExportStateName {
-    /// Waits for its turn.
+    /// Waits in the queue.
     Queued,
     /// Is being written.
     Working,
-    /// Written; `links.file` has it.
+    /// Written; download it at `links.file`.
     Done,
-    /// Could not be written; `problem` says why. Whoever asks for it again has it tried again.
+    /// Could not be written; `problem` says why. Ordering it again retries.
     Failed,
 }
 
@@ -72,14 +72,14 @@ pub struct ExportLinks {
     photo: String,
 }
 
-/// A file to download that is written as a job.
+/// An export file that a job writes.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub struct ExportState {
-    /// Its name among those of the photo.
+    /// Its name, unique among the photo's files.
     key: String,
-    /// How it fares.
+    /// Its state.
     state: ExportStateName,
-    /// All its parameters, also those that were not given.
+    /// All its parameters, including defaults.
     parameters: BTreeMap<String, String>,
     /// Bytes, once it is written.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -87,7 +87,7 @@ pub struct ExportState {
     /// Why it could not be written.
     #[serde(skip_serializing_if = "Option::is_none")]
     problem: Option<Problem>,
-    /// When it goes if nobody fetches it (RFC 3339, UTC).
+    /// When it is deleted unless a client fetches it before (RFC 3339, UTC).
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(format = DateTime)]
     expires: Option<String>,
@@ -132,7 +132,7 @@ impl ExportState {
     }
 }
 
-/// The parameters of a request: a query, a form or an object, or several of these.
+/// The parameters of a request, from its query and its body (a form or a JSON object).
 async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> {
     let Query(mut pairs) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
     let (parts, body) = request.into_parts();
@@ -152,8 +152,8 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
             pairs.extend(form);
         }
         "application/json" => {
-            let object: serde_json::Map<String, serde_json::Value> =
-                serde_json::from_slice(&body).map_err(|e| Problem::bad_request(format!("an object of parameters is wanted: {e}")))?;
+            let object: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(&body)
+                .map_err(|e| Problem::bad_request(format!("the body must be an object of parameters: {e}")))?;
             for (name, value) in object {
                 let text = match value {
                     serde_json::Value::Null => continue,
@@ -172,14 +172,14 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
     Ok(pairs)
 }
 
-/// Have a file to download written.
+/// Order an export file.
 ///
-/// As a job, in a process of its own: a page, a model, layers, an archive, or a film along a way of the camera. The same of the same making of a photo
-/// has the same address, and is written once; what is asked for again once it failed is tried again. A written file is kept until nobody has
-/// fetched it for a while, others need the room, or the photo is deleted or made again.
+/// A job writes it in a process of its own: a page, a model, layers, an archive, or a film along a path of the camera. The same parameters
+/// for the same version of a photo give the same address, and the file is written once; ordering a failed file again retries. The server
+/// keeps a file until no client has fetched it for a while, other files need the space, or the photo is deleted or made again.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/exports", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
-    request_body(description = "The parameters; they may stand in the query, too", content(
+    request_body(description = "The parameters; the query may hold them, too", content(
         (ExportOrder = "application/json"), (ExportOrder = "application/x-www-form-urlencoded"))),
     responses(
         (status = 200, description = "It is written", body = ExportState, headers(("Location" = String, description = "Address of the file's state"))),
@@ -212,8 +212,8 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
         Ok(ordered) => Ok(ExportState::of(&app, &ordered.job).answer(StatusCode::OK)),
         Err(LibraryError::QueueFull { share, retry_after, .. }) => {
             let detail = match share {
-                Share::All => "as many files wait to be written as may (exports.waiting)",
-                Share::Owner | Share::Address => "half of the places to wait are yours already",
+                Share::All => "too many files are waiting to be written (exports.waiting)",
+                Share::Owner | Share::Address => "your files already take half of the queue",
             };
             Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(retry_after.as_secs().max(1)))
         }
@@ -221,15 +221,15 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
     }
 }
 
-/// A file of a photo that was ordered, of what the photo is now.
+/// The job of an ordered file, if it belongs to the photo's current version.
 async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
-    let none = || Problem::not_found("there is no such file of the photo: it was not asked for, or has gone; ask for it again");
+    let none = || Problem::not_found("the photo has no such file: it was not ordered, or is deleted; order it again");
     let (_, done) = Shared::done(photo).map_err(|_| none())?;
     let job = match app.library.job(Kind::Export, photo.id, Some(key)).await {
         Err(LibraryError::NotFound(_)) => return Err(none()),
         job => job?,
     };
-    // one of before the photo was made again, or of another program, goes by itself
+    // files of an older version of the photo or of the program expire on their own
     let is_current = job.version == photo.version && identity::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
     if is_current { Ok(job) } else { Err(none()) }
 }
@@ -238,7 +238,7 @@ fn recipe_of(job: &Job) -> &str {
     job.payload.as_str().unwrap_or_default()
 }
 
-/// How a file to download fares.
+/// State of an export file.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/exports/{key}", tag = "photos", operation_id = "export_state",
     params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
@@ -292,16 +292,16 @@ pub async fn file(
     };
     let stored = match Stored::of_blob(app.library.blobs(), Part::Export, blob).await {
         Err(error @ LibraryError::Damaged { .. }) => {
-            tracing::error!(photo = %photo.id, key, %error, "it is written again when it is asked for");
+            tracing::error!(photo = %photo.id, key, %error, "an export file is damaged; the next order writes it again");
             app.library.cancel(photo.id, &key).await?;
-            return Err(Problem::not_found("the file has gone; ask for it again"));
+            return Err(Problem::not_found("the file is deleted; order it again"));
         }
         opened => opened?,
     };
     if let Err(error) = app.library.fetched(&job).await {
-        tracing::warn!(%error, key, "a fetch is not noted, and the file may go earlier");
+        tracing::warn!(%error, key, "cannot record a fetch; the file may be deleted early");
     }
-    // not by the limits of today: it was written under those of then
+    // without checking today's limits: the file was written under earlier ones
     let (content_type, ending) = Recipe::kind(recipe_of(&job)).unwrap_or(("application/octet-stream", "bin"));
     let etag = format!("\"{key}-{}\"", blob.digest.as_str().get(..16).unwrap_or_default());
     let entity = Entity { source: stored.source, etag: &etag, content_type, cache_control: REVALIDATE, coding: Coding::Plain };
@@ -310,12 +310,12 @@ pub async fn file(
     Ok(response)
 }
 
-/// End a file that is being written, or forget one that is.
+/// Cancel the writing of an export file, or delete it.
 #[utoipa::path(
     delete, path = "/v1/photos/{id}/exports/{key}", tag = "photos", operation_id = "export_cancel",
     params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
     responses(
-        (status = 204, description = "Gone"),
+        (status = 204, description = "Cancelled or deleted"),
         (status = 404, description = "There is no such file"),
     )
 )]

@@ -52,7 +52,7 @@ use crate::live;
         title = "tmpi",
         description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457). \
                        On every route: a request has one Host (else 400) that is the server's own (else 421); parameters are known and given \
-                       once (else 400); changes by pages of other sites are refused (403); who asks too often is told when to come back (429)."
+                       once (else 400); pages of other sites cannot change anything (403); too many requests answer 429 with `Retry-After`."
     ),
     servers((url = "/", description = "This server")),
     tags(
@@ -64,7 +64,7 @@ use crate::live;
 )]
 struct Document;
 
-/// What elements and frames on other sites need.
+/// Routes that pages of any site can read.
 fn open_api() -> OpenApiRouter<App> {
     OpenApiRouter::new()
         .routes(routes!(photos::settings))
@@ -76,7 +76,7 @@ fn open_api() -> OpenApiRouter<App> {
         .routes(routes!(oembed::oembed))
 }
 
-/// What is for this server's own pages and for programs, besides its counters.
+/// Routes for this server's own pages and for programs, without metrics.
 fn pages_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
@@ -98,17 +98,17 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(system::openapi))
 }
 
-/// What is for this server's own pages and for programs.
+/// Routes for this server's own pages and for programs.
 fn own_api() -> OpenApiRouter<App> {
     pages_api().routes(routes!(system::metrics))
 }
 
-/// The answer to a method that an address does not have; OPTIONS asks which it has, and `Allow` says that in both.
+/// The answer to a method that a route does not have: 204 to OPTIONS, else 405. The router adds `Allow` to both.
 async fn no_method(method: Method) -> Response {
     if method == Method::OPTIONS { StatusCode::NO_CONTENT.into_response() } else { Problem::no_method(&method, None).into_response() }
 }
 
-/// Says which methods an address has where the layer that answers preflights answers OPTIONS.
+/// Adds `Allow` to the answers of the CORS layer to OPTIONS.
 async fn say_methods(mut response: Response) -> Response {
     let headers = response.headers_mut();
     if let Some(methods) = headers.get(header::ACCESS_CONTROL_ALLOW_METHODS).cloned() {
@@ -117,13 +117,13 @@ async fn say_methods(mut response: Response) -> Response {
     response
 }
 
-/// Says that any site may take the answer in as a picture.
+/// Lets pages of any site embed the answer.
 async fn open_to_all(mut response: Response) -> Response {
     response.headers_mut().insert(pages::RESOURCE_POLICY, HeaderValue::from_static("cross-origin"));
     response
 }
 
-/// Leave for pages of any site to read an answer.
+/// CORS for routes that pages of any site can read.
 fn cors() -> CorsLayer {
     let exposed = [
         "etag",
@@ -145,7 +145,7 @@ fn cors() -> CorsLayer {
         .max_age(std::time::Duration::from_hours(24))
 }
 
-/// The same for rooms: a token goes with the request, by which alone a page of another site is let in.
+/// CORS for rooms, where pages of other sites need a token.
 fn rooms_cors() -> CorsLayer {
     let exposed = ["etag", "content-length", "location", "server-timing", "x-request-id", "x-tmpi-frame", "x-tmpi-epoch", "retry-after"];
     cors()
@@ -156,12 +156,12 @@ fn rooms_cors() -> CorsLayer {
 /// The `OpenAPI` document as JSON.
 ///
 /// # Errors
-/// It cannot be written as JSON.
+/// If it cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
     openapi_of(&Limits::default(), false)
 }
 
-/// The same of a server that has these limits; where operators have a door of their own, counters are described there alone.
+/// The `OpenAPI` document of a server with these limits; with an admin listener, only that one's document describes metrics.
 ///
 /// # Errors
 /// As [`openapi`].
@@ -177,31 +177,31 @@ pub fn openapi_of(limits: &Limits, has_admin: bool) -> serde_json::Result<Bytes>
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
 
-/// Who may have what lies at an address.
+/// Which sites' pages can access a route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
-    /// Pages of any site may read it.
+    /// Pages of any site can read it.
     Open,
-    /// Pages of this server and programs, and pages of any site that have a token.
+    /// Pages of this server, programs, and pages of any site with a token.
     Token,
-    /// Frames of any site may show it; their pages cannot read it.
+    /// Pages of any site can show it in a frame, but not read it.
     Framed,
     /// Pages of this server, and programs.
     Own,
 }
 
-/// An address of the service.
+/// A route of the service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Route {
-    /// Path with names for what varies: `/v1/photos/{id}`.
+    /// Path template: `/v1/photos/{id}`.
     pub path: String,
-    /// Methods, HEAD left out: it goes with GET.
+    /// Methods without HEAD, which GET implies.
     pub methods: Vec<Method>,
-    /// Who may have it.
+    /// Which sites' pages can access it.
     pub access: Access,
 }
 
-/// Scripts and pictures that any site may take in.
+/// Scripts and pictures that any site can embed.
 fn files() -> [(&'static str, MethodRouter<App>); 2] {
     [("/static/{*name}", get(pages::file)), ("/tmpi-viewer.js", get(pages::script))]
 }
@@ -218,7 +218,7 @@ fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 6] {
     ]
 }
 
-/// All addresses, as [`router`] answers them: it has no others.
+/// All routes of [`router`].
 #[must_use]
 pub fn routes() -> Vec<Route> {
     let described = |api: utoipa::openapi::OpenApi, access| {
@@ -240,23 +240,23 @@ pub fn routes() -> Vec<Route> {
         .collect()
 }
 
-/// Health, metrics and the `OpenAPI` document alone, for a node that answers nobody else.
+/// Only health, metrics and the `OpenAPI` document, for nodes that only make photos.
 pub fn system_router(app: App) -> Router {
     let system =
         OpenApiRouter::<App>::new().routes(routes!(system::healthz)).routes(routes!(system::readyz)).routes(routes!(system::openapi));
     let system = if app.has_admin { system } else { system.routes(routes!(system::metrics)) };
     let (router, _) = system.split_for_parts();
     router
-        .fallback(async || Problem::not_found("this node makes photos, and answers about its health alone"))
+        .fallback(async || Problem::not_found("this node only makes photos and reports its health"))
         .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::disable())
         .layer(from_fn_with_state(app.clone(), middleware::around))
         .with_state(app)
 }
 
-/// The answer to a page of another site that would change something.
+/// 403 to a page of another site that tries to change something.
 fn foreign(_: ProtectionError) -> Response {
-    Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
+    Problem::new(StatusCode::FORBIDDEN, "cross-site", "pages of other sites cannot change anything here").into_response()
 }
 
 /// Rooms.
@@ -267,12 +267,12 @@ fn rooms_router(here: live::Here) -> Router {
     watching.merge(publishing).with_state(here)
 }
 
-/// The whole service, with rooms where there are any; counters are for operators alone where these have a door of their own.
+/// The whole service, with `rooms` if enabled, and without metrics if there is an admin listener.
 pub fn router(app: App, rooms: Option<live::Here>) -> Router {
     let (router, _) = if app.has_admin { pages_api() } else { own_api() }.split_for_parts();
     let (open, _) = open_api().split_for_parts();
-    // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
-    // layers that go together are one: each alone costs every request a box and a copy of all within
+    // set the fallback before the layers, so that they see every method (preflights are OPTIONS);
+    // a tuple of layers counts as one: each layer costs every request a box and a clone of the inner service
     let open = open.method_not_allowed_fallback(no_method).layer((map_response(say_methods), cors(), map_response(open_to_all)));
     let files = files().into_iter().fold(Router::new(), |router, (path, handler)| router.route(path, handler));
     let files = files.method_not_allowed_fallback(no_method).layer((map_response(say_methods), cors()));

@@ -1,4 +1,4 @@
-//! The depth network of the server, and photos made again with it.
+//! The server's depth network, and remaking photos with it.
 
 use axum::Json;
 use axum::extract::{Extension, Path, State};
@@ -17,22 +17,22 @@ use crate::server::upload::class_of;
 use tmpi_library::Class;
 use tmpi_pipeline::networks::models::registry::better_than;
 
-/// The network that estimates depth, and the better one that can be had.
+/// The network that estimates depth, and a better one that is available.
 #[derive(Serialize, utoipa::ToSchema)]
 pub struct Network {
-    /// Name of the network that photos are made with now, as in their reports.
+    /// Name of the current network, as in reports.
     #[schema(example = "tmpi")]
     name: String,
-    /// Kinds of networks that it is better than, from the best to the worst: that of a report is worse where its name begins with one of them.
+    /// Kinds of networks that it is better than, best first: a report's network is worse if its name begins with one of them.
     #[schema(example = json!(["midas-v2.1-small", "tmpi"]))]
     better_than: &'static [&'static str],
-    /// A better one that may be fetched; missing where there is none, or it is here.
+    /// A better network to download; missing if there is none, or it is installed.
     #[serde(skip_serializing_if = "Option::is_none")]
     better: Option<Offer>,
-    /// Bytes of it that are here; only while it is fetched.
+    /// Bytes downloaded; only during the download.
     #[serde(skip_serializing_if = "Option::is_none")]
     fetched_bytes: Option<u64>,
-    /// Why it could not be fetched; another try goes on from there.
+    /// Why the download failed; another try resumes it.
     #[serde(skip_serializing_if = "Option::is_none")]
     problem: Option<String>,
 }
@@ -48,25 +48,25 @@ fn network_now(app: &Shared) -> Network {
     Network { better_than: better_than(&name), name, better: maker.better(), fetched_bytes, problem }
 }
 
-/// Refuses strangers.
+/// Refuses remote callers, if the access guard has not checked already.
 fn own(app: &Shared, headers: &HeaderMap) -> Result<(), Problem> {
-    // where who comes is asked, keys with the scope admin were let in, too
+    // with private access the guard has checked for the local user or an admin key
     if app.guard.is_some() || app.hosts.is_own(headers) {
         return Ok(());
     }
-    let detail = "networks are this machine's own user's affair, at a loopback address";
+    let detail = "only this machine's own user can manage networks, at a loopback address";
     Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail))
 }
 
 /// The depth network of the server.
 ///
-/// Only for this machine's own user, see the list of photos.
+/// Only for this machine's own user, as with the list of photos.
 #[utoipa::path(
     get, path = "/v1/network", tag = "system",
     responses(
-        (status = 200, description = "The network, and the better one that can be had", body = Network),
-        (status = 400, description = "There are no parameters here"),
-        (status = 403, description = "Not for strangers"),
+        (status = 200, description = "The network, and a better one if available", body = Network),
+        (status = 400, description = "The route takes no parameters"),
+        (status = 403, description = "The caller is not this machine's own user"),
     )
 )]
 pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Json<Network>, Problem> {
@@ -74,17 +74,17 @@ pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     Ok(Json(network_now(&app)))
 }
 
-/// Fetch the better depth network.
+/// Download the better depth network.
 ///
-/// Only for this machine's own user. It is fetched in the background, once, from an address and held to a digest that the program knows; photos
-/// that are made from then on have their depth from it.
+/// Only for this machine's own user. The server downloads it once, in the background, from a fixed address, and checks its digest. Photos
+/// made from then on get their depth from it.
 #[utoipa::path(
     post, path = "/v1/network", tag = "system",
     responses(
-        (status = 200, description = "There is nothing to fetch", body = Network),
-        (status = 202, description = "It is being fetched", body = Network),
-        (status = 400, description = "There are neither parameters nor a body here"),
-        (status = 403, description = "Not for strangers"),
+        (status = 200, description = "There is nothing to download", body = Network),
+        (status = 202, description = "The download is running", body = Network),
+        (status = 400, description = "The route takes neither parameters nor a body"),
+        (status = 403, description = "The caller is not this machine's own user"),
     )
 )]
 pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
@@ -97,18 +97,18 @@ pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: No
 
 /// Make a photo again.
 ///
-/// With the program and the network of now; it keeps its id, its settings and its strokes, and has another version. Until it is done its results
-/// answer 409.
+/// Uses the current program and network. The photo keeps its id, settings and strokes and gets a new version. Its results answer 409 until
+/// it is done.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/again", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
-        ("class" = Option<String>, Query, pattern = "^(interactive|batch)$", description = "`batch` for one of many, which gives way; else `interactive`"),
+        ("class" = Option<String>, Query, pattern = "^(interactive|batch)$", description = "`batch` for bulk work, which gives way to others; else `interactive`"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
     responses(
-        (status = 200, description = "Made, in the time that `Prefer: wait` gave", body = PhotoState),
-        (status = 202, description = "It is made again", body = PhotoState, headers(("Location" = String, description = "Address of the photo"))),
+        (status = 200, description = "Made within the time of `Prefer: wait`", body = PhotoState),
+        (status = 202, description = "In the queue", body = PhotoState, headers(("Location" = String, description = "Address of the photo"))),
         (status = 400, description = "A parameter is wrong, or there is a body"),
         (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is being made"),

@@ -1,4 +1,4 @@
-//! How a site embeds a photo that somebody links to (oEmbed 1.0, <https://oembed.com>).
+//! oEmbed 1.0 (<https://oembed.com>): how other sites embed a linked photo.
 
 use axum::Json;
 use axum::extract::{Request, State};
@@ -11,14 +11,14 @@ use crate::server::card::Card;
 use crate::server::hosts;
 use crate::server::problem::Problem;
 
-/// Sides of a frame where the site does not say, in pixels.
+/// Default longest sides of a frame in pixels.
 const USUAL: u32 = 800;
-/// Least and most that a site may say.
+/// Allowed values of `maxwidth` and `maxheight`.
 const SIDES: std::ops::RangeInclusive<u32> = 1..=16_384;
-/// Seconds that an answer may be kept: titles change.
+/// Seconds that consumers may cache an answer: titles change.
 const CACHE_AGE: u32 = 3600;
 
-/// Parameters; others, which sites add as they like, are ignored.
+/// Parameters. The server ignores others, since sites add their own.
 #[derive(Debug, Default, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "describes the parameters in the OpenAPI document; they are read one by one so that errors name them")]
@@ -43,13 +43,13 @@ pub struct OEmbed {
     kind: &'static str,
     /// `1.0`.
     version: &'static str,
-    /// What the photo is called.
+    /// Title of the photo.
     title: String,
     /// `tmpi`.
     provider_name: &'static str,
     /// Address of this server.
     provider_url: String,
-    /// Seconds that this may be kept.
+    /// Seconds that consumers may cache this answer.
     cache_age: u32,
     /// A frame with the photo.
     html: String,
@@ -70,14 +70,14 @@ pub struct OEmbed {
 
 /// How to embed the photo at an address (oEmbed).
 ///
-/// Parameters of other names are ignored here: sites add their own.
+/// The route ignores unknown parameters, since sites add their own.
 #[utoipa::path(
     get, path = "/oembed", tag = "photos", params(OEmbedQuery),
     responses(
         (status = 200, description = "A frame and a picture", body = OEmbed),
         (status = 400, description = "A parameter is wrong"),
         (status = 404, description = "There is no such photo here"),
-        (status = 501, description = "Another format than JSON"),
+        (status = 501, description = "The format is not JSON"),
     )
 )]
 pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEmbed>, Problem> {
@@ -92,9 +92,9 @@ pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEm
     };
     let most = (side("maxwidth")?, side("maxheight")?);
     let url = pairs.get("url").ok_or_else(|| Problem::parameter("url", "is missing"))?;
-    let id = photo_of(&app, url).ok_or_else(|| Problem::not_found("the address is no photo's page of this server").field("url"))?;
+    let id = photo_of(&app, url).ok_or_else(|| Problem::not_found("the URL is not a photo page of this server").field("url"))?;
     let photo = app.photo(&id).await?;
-    let base = hosts::origin(request.headers()).ok_or_else(|| Problem::bad_request("the Host header is no host"))?;
+    let base = hosts::origin(request.headers()).ok_or_else(|| Problem::bad_request("the Host header is not a host"))?;
     let card = Card::of(&app, &photo, base.clone());
     let (html, width, height) = card.frame(most);
     let picture = card.picture(most);
@@ -115,7 +115,7 @@ pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEm
     }))
 }
 
-/// Id of the photo whose page is at an address, where that is one of this server's names.
+/// Id of the photo whose page is at `url`, if its host is this server.
 fn photo_of(app: &App, url: &str) -> Option<String> {
     let url: Uri = url.parse().ok()?;
     let ours = matches!(url.scheme_str(), Some("http" | "https")) && app.hosts.allows(url.authority()?.host());

@@ -1,4 +1,4 @@
-//! Links by which others may read a photo for a while, or change it until its owner takes that back, and a browser's own secret.
+//! Read links that expire, edit links until revoked, and the owner secret in a browser's cookie.
 
 use axum::Json;
 use axum::extract::{Path, State};
@@ -13,43 +13,43 @@ use crate::server::app::App;
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 
-/// Seconds that a link is good for where nothing is said.
+/// Default lifetime of a link in seconds.
 const USUAL: u64 = 86_400;
-/// Where tickets are made.
+/// Route that issues tickets.
 const TICKET: &str = "/v1/owner/ticket";
 
-/// A way to a photo for somebody else.
+/// Links to share a photo.
 #[derive(Serialize, utoipa::ToSchema)]
 pub struct PhotoLink {
     /// Page with the viewer.
     page: String,
     /// The container.
     atlas: String,
-    /// What to put into the query of any address below the photo's; missing where the server asks nobody who they are.
+    /// Query to add to any address of this photo; missing with open access.
     #[serde(skip_serializing_if = "Option::is_none")]
     query: Option<String>,
-    /// When it ends, in seconds since 1970.
+    /// When the link expires, in seconds since 1970; missing with open access.
     #[serde(skip_serializing_if = "Option::is_none")]
     expires: Option<u64>,
-    /// Page by which somebody else may see and change this photo, and no other, with the photo's token behind its `#`: a secret. It has no end, but
-    /// can be taken back; missing where the server asks nobody who they are.
+    /// Page with the photo's token after its `#`: a secret. Anyone who has it can see and change this photo only. It does not expire, but
+    /// the owner can revoke it. Missing with open access.
     #[serde(skip_serializing_if = "Option::is_none")]
     manage: Option<String>,
-    /// Where whoever asks can let another browser be the same owner; missing where they have no secret of their own to pass on.
+    /// Route that issues tickets for other browsers; missing if the caller has no owner's secret.
     #[serde(skip_serializing_if = "Option::is_none")]
     ticket: Option<&'static str>,
 }
 
-/// Let others read a photo for a while, or change it.
+/// Share a photo.
 ///
-/// Whoever has the link can read the photo and what is made of it until it ends, and change nothing. It goes for any address of this one photo:
-/// its parameters `expires` and `signature` name no version and no view, and are no part of what is kept of an answer. Whoever has `manage` can
-/// do with this photo what its owner can, but for taking links back.
+/// A caller with the link can read the photo and its results until the link expires, but not change them. Its parameters `expires` and
+/// `signature` are valid for any address of this photo and are not part of cache keys. A caller with `manage` can do what the photo's owner
+/// can, except revoke links.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/links", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
-        ("seconds" = Option<u64>, Query, minimum = 1, maximum = 31_622_400, description = "How long it is good, 1 to 31622400; a day if it is not given. Where the server asks nobody who they are, links do not end, and this is refused"),
+        ("seconds" = Option<u64>, Query, minimum = 1, maximum = 31_622_400, description = "Lifetime, 1 to 31622400; a day if it is not given. With open access links do not expire, and the parameter is an error"),
     ),
     responses(
         (status = 200, description = "The link", body = PhotoLink),
@@ -65,7 +65,7 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: 
     let read = |text: &str| text.parse().ok().filter(|n| (1..=most).contains(n)).ok_or_else(|| wrong(text));
     let given = pairs.get("seconds").map(read).transpose()?;
     if given.is_some() && app.guard.is_none() {
-        let detail = "this server lets everybody see every photo (--access open): links do not end here, so leave it out";
+        let detail = "links do not expire on this server, which shows every photo to everyone (--access open); leave the parameter out";
         return Err(Problem::parameter("seconds", detail));
     }
     let seconds = given.unwrap_or(USUAL.min(most));
@@ -84,17 +84,18 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: 
     }))
 }
 
-/// Have a browser keep a photo's token.
+/// Store a photo's token in a cookie.
 ///
-/// Sent as a bearer, it comes back as a cookie for this photo's addresses alone, which no script reads. Pages call this for links with `#manage=`.
+/// Send the token as a bearer; the answer sets it as a cookie for this photo's addresses only, which scripts cannot read. Pages call this
+/// for links with `#manage=`.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/manage", tag = "photos",
     params(("id" = String, Path, description = "Id of the photo")),
     responses(
-        (status = 204, description = "Kept, where a token came and the server asks who comes"),
-        (status = 400, description = "There are neither parameters nor a body here"),
-        (status = 401, description = "The token is none"),
-        (status = 404, description = "There is no such photo, or the token is not its own, or was taken back"),
+        (status = 204, description = "The cookie is set, if the caller sent a token and access is private"),
+        (status = 400, description = "The route takes neither parameters nor a body"),
+        (status = 401, description = "The token is malformed"),
+        (status = 404, description = "There is no such photo, or the token is not its own, or is revoked"),
     )
 )]
 pub async fn keep_token(
@@ -112,17 +113,17 @@ pub async fn keep_token(
     Ok(response)
 }
 
-/// Take back all links to a photo.
+/// Revoke all links to a photo.
 ///
-/// Its token, also where browsers keep it, and links that would still be good are so no longer; new ones can be made. Only for its owner.
+/// The photo's token, also in cookies, and its unexpired links become invalid; you can make new ones. Only for its owner.
 #[utoipa::path(
     delete, path = "/v1/photos/{id}/manage", tag = "photos",
     params(("id" = String, Path, description = "Id of the photo")),
     responses(
-        (status = 204, description = "They are taken back"),
-        (status = 400, description = "There are no parameters here"),
+        (status = 204, description = "All links are revoked"),
+        (status = 400, description = "The route takes no parameters"),
         (status = 404, description = "There is no such photo"),
-        (status = 412, description = "It was changed meanwhile"),
+        (status = 412, description = "The photo changed meanwhile"),
     )
 )]
 pub async fn take_back(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
@@ -131,30 +132,30 @@ pub async fn take_back(State(app): State<App>, Path(id): Path<String>, _: NoQuer
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// What makes another browser the same owner.
+/// A ticket that makes another browser the same owner.
 #[derive(Serialize, utoipa::ToSchema)]
 pub struct Ticket {
-    /// A secret: it goes behind `#owner=` of any photo's page. It does not tell the owner's own.
+    /// A secret to append to a photo's page after `#owner=`. It does not reveal the owner's own secret.
     ticket: String,
-    /// When it ends, in seconds since 1970.
+    /// When it expires, in seconds since 1970.
     expires: u64,
 }
 
-/// Let another browser be the same owner.
+/// Make another browser the same owner.
 ///
-/// Whoever opens a photo's page with the ticket behind `#owner=` within a quarter of an hour, and says so there, owns what this owner does. What their
-/// browser keeps cannot be taken back.
+/// A browser that opens a photo's page with the ticket after `#owner=` within 15 minutes, and whose user confirms, becomes this owner. You
+/// cannot revoke its cookie.
 #[utoipa::path(
     post, path = "/v1/owner/ticket", tag = "system",
     responses(
         (status = 200, description = "The ticket", body = Ticket),
-        (status = 400, description = "There are neither parameters nor a body here"),
-        (status = 403, description = "Only for whoever has an owner's secret"),
+        (status = 400, description = "The route takes neither parameters nor a body"),
+        (status = 403, description = "The caller has no owner's secret"),
     )
 )]
 pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Response, Problem> {
     let Some((guard, owner)) = app.guard.as_ref().zip(access::owner_by_secret()) else {
-        let detail = "only whoever has an owner's secret can let another browser be that owner";
+        let detail = "only a caller with an owner's secret can make another browser that owner";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-owner", detail));
     };
     let expires = app.library.now().await?.max(0) as u64 / 1000 + access::TICKET.as_secs();
@@ -163,18 +164,18 @@ pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Res
     Ok(response)
 }
 
-/// Have a browser keep an owner's secret.
+/// Store an owner's secret in a cookie.
 ///
-/// Sent as a bearer, it comes back as a cookie that no script reads; a ticket is exchanged for one that says the same. Pages call this for links with
-/// `#owner=`, once somebody has said so: what the browser uploads from then on belongs to whoever has the secret.
+/// Send the secret or a ticket as a bearer; the answer sets a cookie that scripts cannot read: the secret, or a session in exchange for the
+/// ticket. Pages call this for links with `#owner=` once the user confirms: this owner then owns what the browser uploads.
 #[utoipa::path(
     post, path = "/v1/owner", tag = "system",
-    params(("replace" = Option<bool>, Query, description = "Whether the secret of another owner goes, which the browser keeps; else `false`")),
+    params(("replace" = Option<bool>, Query, description = "Whether to replace the cookie of another owner; else `false`")),
     responses(
-        (status = 204, description = "Kept, where the server asks who comes"),
+        (status = 204, description = "The cookie is set, if access is private"),
         (status = 400, description = "A parameter is wrong, or there is a body"),
-        (status = 401, description = "The secret is none, or the ticket's time is over"),
-        (status = 409, description = "The browser is another owner: without that secret its photos are lost to it"),
+        (status = 401, description = "The secret is malformed, or the ticket has expired"),
+        (status = 409, description = "The browser has another owner's cookie; without it, it loses access to that owner's photos"),
     )
 )]
 pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
@@ -188,7 +189,7 @@ pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBod
         && let Some(owner) = access::to_be()
     {
         if !replace && guard.is_another(&headers, &owner).await? {
-            let detail = "the browser keeps the secret of another owner, which would be lost; replace=true does it all the same";
+            let detail = "the browser has another owner's secret, which would be lost; replace=true overwrites it";
             return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
         }
         access::set_owner(&mut response, &headers, &guard.to_keep(&owner).await?);

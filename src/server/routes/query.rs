@@ -1,4 +1,4 @@
-//! Queries: every name is known and given once, on every route.
+//! Strict query parsing: on every route, parameters are known and given once.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use crate::server::problem::Problem;
 pub struct Pairs(BTreeMap<String, String>);
 
 impl Pairs {
-    /// Reads a query of which the parameters are among `names`.
+    /// Reads a query with parameters from `names`.
     ///
     /// # Errors
     /// 400 that names the first parameter that is unknown or given twice.
@@ -23,7 +23,7 @@ impl Pairs {
         Self::reading(uri, names, true)
     }
 
-    /// The same where parameters of other names are somebody else's, and ignored.
+    /// Like [`Pairs::read`], but ignores parameters with other names.
     ///
     /// # Errors
     /// 400 that names the first parameter that is given twice.
@@ -36,7 +36,7 @@ impl Pairs {
         Self::among(pairs, names, strict)
     }
 
-    /// The same of parameters that came in another way.
+    /// Like [`Pairs::read`], for parameters that are parsed already.
     ///
     /// # Errors
     /// As [`Pairs::read`].
@@ -51,7 +51,7 @@ impl Pairs {
                 if !strict {
                     continue;
                 }
-                let known = if names.is_empty() { "none here".into() } else { names.join(", ") };
+                let known = if names.is_empty() { "none".into() } else { names.join(", ") };
                 return Err(Problem::parameter(name, format!("there is no such parameter; there are {known}")));
             }
             if given.insert(name.clone(), value).is_some() {
@@ -73,7 +73,7 @@ impl Pairs {
     }
 }
 
-/// A route that has no parameters.
+/// Extractor of routes without parameters.
 pub struct NoQuery;
 
 impl<S: Sync> FromRequestParts<S> for NoQuery {
@@ -84,19 +84,19 @@ impl<S: Sync> FromRequestParts<S> for NoQuery {
     }
 }
 
-/// A request without a body: what its client put there would have no effect, and nobody would say so.
+/// Extractor of routes without a body. It refuses one, rather than ignore it silently.
 pub struct NoBody;
 
 impl<S: Sync> FromRequest<S> for NoBody {
     type Rejection = Problem;
 
     async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
-        let refused = || Problem::bad_request("there is no body here; parameters go in the query");
+        let refused = || Problem::bad_request("this route takes no body; parameters go in the query");
         let mut body = request.into_body();
         if body.size_hint().lower() > 0 {
             return Err(refused());
         }
-        // chunks of which the first is the last are none
+        // an empty chunked body counts as none
         while let Some(frame) = http_body_util::BodyExt::frame(&mut body).await {
             if frame.map_err(|e| body::problem(&e))?.data_ref().is_some_and(|data| !data.is_empty()) {
                 return Err(refused());
@@ -106,7 +106,7 @@ impl<S: Sync> FromRequest<S> for NoBody {
     }
 }
 
-/// The version that a results' query asks for, where it has no other parameter.
+/// The version `v` in the query of a result, for routes without other parameters.
 pub struct OnlyVersion(pub Option<String>);
 
 impl<S: Sync> FromRequestParts<S> for OnlyVersion {

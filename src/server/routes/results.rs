@@ -15,27 +15,27 @@ use tmpi_pipeline::strokes;
 
 /// The container of a photo.
 ///
-/// Its index says where each section lies, so that these can be fetched one by one with `Range`; or `sections` names those that a
-/// smaller container is to hold. The entity tag is strong and other for every level and choice of sections.
+/// Its index says where each section lies, so that you can fetch sections one by one with `Range`, or choose those of a smaller container
+/// with `sections`. The entity tag is strong and differs for every level and choice of sections.
 /// A smaller level has the same planes over a photo of half, a quarter or an eighth of the size. With `region` it is the container of
-/// the fewest whole tiles that cover a rectangle of the photo, at the same poses; the photo's part of it is coded anew as levels are.
+/// the fewest whole tiles that cover a rectangle of the photo, at the same poses; the photo is encoded again, as in levels.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/atlas", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
-        ("level" = Option<u8>, Query, description = "0 (default) the photo's own size, 1 half of it, 2 a quarter, 3 an eighth"),
-        ("fit" = Option<u16>, Query, description = "In place of a level: the smallest whose longer side has at least so many pixels; with \
-            `region` the longer side of that"),
-        ("region" = Option<String>, Query, description = "`x,y,w,h` in pixels of the photo at its own size: only the tiles over it. Where \
-            the answer's photo lies follows from its principal point: it is the whole one's less the corner",
+        ("level" = Option<u8>, Query, description = "0 (default): the photo's own size, 1: half of it, 2: a quarter, 3: an eighth"),
+        ("fit" = Option<u16>, Query, description = "Instead of a level: the smallest whose longer side, or that of `region`, has at least \
+            this many pixels"),
+        ("region" = Option<String>, Query, description = "`x,y,w,h` in pixels of the photo at its own size: only the tiles over it. The \
+            answer's principal point is the whole photo's less the corner of the answer",
             example = "512,512,512,512"),
-        ("sections" = Option<String>, Query, description = "Which of `index` (always there), `photo`, `planes`, `labels`, `alpha` and \
-            `hidden` the container is to hold, with commas between them; all if it is not given. What a photo does not have is left out",
+        ("sections" = Option<String>, Query, description = "Sections of the container, separated by commas: `index` (always included), \
+            `photo`, `planes`, `labels`, `alpha` and `hidden`; all if it is not given. Sections that the photo does not have are left out",
             example = "photo"),
-        ("v" = Option<String>, Query, description = "Version as in the photo's `links`: what lies there never changes and is kept for a \
-            year; without it, or where there is another version now, browsers ask again"),
+        ("v" = Option<String>, Query, description = "Version as in the photo's `links`: browsers cache the answer for a year; without it, \
+            or if the photo has another version now, they revalidate"),
         ("Range" = Option<String>, Header, description = "One range of bytes"),
-        ("If-Range" = Option<String>, Header, description = "Entity tag that the range is meant for"),
+        ("If-Range" = Option<String>, Header, description = "Entity tag that the range belongs to"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
     ),
     responses(
@@ -52,7 +52,7 @@ use tmpi_pipeline::strokes;
 )]
 pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
-    // a wrong query is wrong whether the photo is finished or not
+    // check the query first: 400 goes before 409
     let pairs = Pairs::read(&uri, &["level", "fit", "region", "sections", "v"])?;
     wanted_level(&pairs, 0)?;
     let (sections, region) = (wanted_sections(&pairs)?, wanted_region(&pairs)?);
@@ -64,7 +64,7 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     Ok(answer(file, &headers, MEDIA_TYPE, cache_control, Coding::Plain))
 }
 
-/// Names of the sections that a query asks for; none where it does not say.
+/// Names of the sections in a query; `None` for all.
 fn wanted_sections(pairs: &Pairs) -> Result<Option<Vec<&'static str>>, Problem> {
     let Some(list) = pairs.get("sections") else { return Ok(None) };
     let known = |name: &str| {
@@ -74,12 +74,12 @@ fn wanted_sections(pairs: &Pairs) -> Result<Option<Vec<&'static str>>, Problem> 
     list.split(',').map(known).collect::<Result<_, _>>().map(Some)
 }
 
-/// The rectangle of the photo that a query asks for; none where it does not say.
+/// The rectangle of the photo in a query.
 fn wanted_region(pairs: &Pairs) -> Result<Option<Rect>, Problem> {
     pairs.get("region").map(|text| text.parse().map_err(|e| Problem::parameter("region", e))).transpose()
 }
 
-/// The level that a query asks for, of a photo whose longer side has `side` pixels.
+/// The level that a query selects; the longer side of the photo or region has `side` pixels.
 fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
     if let Some(level) = pairs.get("level") {
         let range = || Problem::parameter("level", format!("must be 0 to {LEVELS}"));
@@ -93,20 +93,20 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
 
 /// The disparity that the photo was made with.
 ///
-/// Where strokes touched it up, `before=strokes` gives the map that they went over, to show what all of them, or others, would do.
+/// If strokes touched it up, `before=strokes` returns the map without them, for previews.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/depth", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
         ("before" = Option<String>, Query, pattern = "^strokes$", description = "`strokes`: the map before them, at most 640 pixels a side, and \
-            before its edges were drawn to the photo's"),
+            before its edges were snapped to the photo's"),
         ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
     ),
     responses(
         (status = 200, description = "Grey PNG of 16 bits, δ = v / 65535, larger is nearer", body = String, content_type = "image/png"),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is unknown or given twice"),
-        (status = 404, description = "There is no such photo; or no map before strokes, as it has none or an older program made it"),
+        (status = 404, description = "There is no such photo, or no map before strokes: it has none, or an older program made it"),
         (status = 409, description = "Not finished yet"),
     )
 )]
@@ -125,12 +125,12 @@ pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     let cache_control = kept(pairs.get("v"), || app.version(&done));
     let file = app.file(&photo, Part::Disparity).await?;
     let head = file.source.head(strokes::HEAD).await.map_err(|e| Problem::store(&e))?;
-    let none = || Problem::not_found("no map of before the strokes is kept: the photo has none, or an older program made it");
+    let none = || Problem::not_found("there is no map before the strokes: the photo has no strokes, or an older program made it");
     let map = strokes::before(&head).ok_or_else(none)?;
     Ok(answer(Stored::new(map.to_vec()), &headers, "image/png", cache_control, Coding::Plain))
 }
 
-/// What was done, what was left out, and at what error and cost.
+/// Report on how the photo was made: steps taken, steps skipped, errors and costs.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/report", tag = "photos",
     params(

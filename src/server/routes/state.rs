@@ -1,4 +1,4 @@
-//! A photo's state as clients read it.
+//! A photo's state as JSON.
 
 use std::collections::BTreeMap;
 
@@ -12,30 +12,30 @@ use crate::server::settings::{Settings, Visibility};
 use crate::server::time::rfc3339;
 use tmpi_library::{Kind, LibraryError, Part, Photo, PhotoState as Phase};
 
-/// How a photo fares.
+/// State of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum StateName {
     /// Waits for a worker.
     Queued,
-    /// Is being made.
+    /// A worker is making it.
     Working,
-    /// Finished: atlas, views, depth, report and thumbnail are there.
+    /// Finished: atlas, views, depth, report and thumbnail are available.
     Done,
-    /// Could not be made; `problem` says why. Another upload of the same photo tries again.
+    /// Could not be made; `problem` says why. Uploading the same photo again retries.
     Failed,
-    /// Was finished, but is no longer on disk as it was; `problem` says what of it. Another upload of the same photo makes it again.
+    /// Was finished, but its files are damaged; `problem` says which. Uploading the same photo again makes it again.
     Damaged,
 }
 
-/// Stage that a photo is at.
+/// Current stage of a photo.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Progress {
     /// Name of the stage: `photo`, `depth`, `planes`, and so on.
     pub stage: String,
     /// Number of the stage, from 1.
     pub step: u32,
-    /// Count of the stages that this photo goes through.
+    /// Number of stages of this photo.
     pub steps: u32,
     /// Milliseconds since the job's start.
     pub elapsed_ms: f64,
@@ -47,8 +47,8 @@ impl From<&tmpi_pipeline::Progress> for Progress {
     }
 }
 
-/// Addresses of everything that belongs to a photo. Those of results answer once it is done. Those that take no other parameters than `v` then
-/// name the version: what lies there never changes.
+/// Addresses of everything that belongs to a photo. Those of results work once it is done; addresses with `v` then name the version, and
+/// their content never changes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub struct Links {
     /// This state.
@@ -56,7 +56,7 @@ pub struct Links {
     pub this: String,
     /// Progress as server-sent events.
     pub events: String,
-    /// What its owner wants of viewers, alone.
+    /// The owner's settings for viewers.
     pub settings: String,
     /// The container.
     pub atlas: String,
@@ -64,22 +64,22 @@ pub struct Links {
     pub view: String,
     /// Disparity as used.
     pub depth: String,
-    /// What was done, left out, and at what error and cost.
+    /// Report: steps taken, steps skipped, errors and costs.
     pub report: String,
-    /// Strokes that the depth is touched up with.
+    /// Strokes that touch up the depth.
     pub strokes: String,
     /// Small picture.
     pub thumbnail: String,
-    /// The view that stands for the photo: the one that its settings name, else the thumbnail.
+    /// Preview image: the view that the settings name, else the thumbnail.
     pub poster: String,
     /// Page, model or archive to download.
     pub export: String,
     /// Page with the viewer.
     pub page: String,
-    /// The photo alone, for frames of other sites.
+    /// The viewer without the page around it, for frames of other sites.
     pub embed: String,
-    /// Page by which to see and change it, with its token behind the `#`: a secret, told once to whoever uploads without one where the server asks
-    /// who comes.
+    /// Page with the photo's token after its `#`, to see and change the photo: a secret. With private access, the answer to an upload
+    /// without credentials has it, once.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub manage: Option<String>,
 }
@@ -90,7 +90,7 @@ pub struct PhotoState {
     /// Id: 32 hex digits, a hash of photo, depth map and options.
     #[schema(example = "0123456789abcdef0123456789abcdef")]
     pub id: String,
-    /// How it fares.
+    /// Its state.
     pub state: StateName,
     /// When it was accepted (RFC 3339, UTC).
     #[schema(format = DateTime)]
@@ -99,20 +99,20 @@ pub struct PhotoState {
     #[schema(format = DateTime)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub finished: Option<String>,
-    /// When it goes by itself; only where photos do by their age.
+    /// When the server deletes it; only if photos expire.
     #[schema(format = DateTime)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub expires: Option<String>,
-    /// Photos that are made before this one; only while it waits.
+    /// Number of photos ahead in the queue; only while it waits.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position: Option<u64>,
-    /// What keeps it from being made, a fault of the server's; only while it waits.
+    /// Fault of the server that keeps it from being made; only while it waits.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub waits_for: Option<String>,
-    /// Stage that it is at; only while it is being made.
+    /// Current stage; only while it is being made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
-    /// Why it could not be made, or what of it is damaged; only if it failed or is damaged.
+    /// Why it failed, or which part is damaged; only if it failed or is damaged.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<Problem>,
     /// Size of the uploaded photo in bytes.
@@ -129,20 +129,20 @@ pub struct PhotoState {
     /// Height of the scene in pixels; once done.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
-    /// Version of everything that is made of it, once done: results at addresses with `v=VERSION` never change.
+    /// Version of its results, once done: results at addresses with `v=VERSION` never change.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
-    /// Name of a network that is at hand and better than the one that estimated its depth; only in the answer to a `GET` of this state, and only to
-    /// whoever may have it made again (`POST …/again`). Where a store has several nodes it is that of the node that answers; another may make it.
+    /// Name of this node's network, if it is better than the one that estimated the photo's depth; only in answers to `GET` of this state,
+    /// and only if the caller may have the photo made again (`POST …/again`). With several nodes on one store, another node may make it.
     #[schema(example = "depth-anything-v2-small-fp16")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub better_depth: Option<String>,
-    /// Who may see it; only where the server asks who comes.
+    /// Who may see it; only with private access.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub visibility: Option<Visibility>,
-    /// What its owner wants of viewers.
+    /// The owner's settings for viewers.
     pub settings: Settings,
-    /// Options that it is made with, all of them.
+    /// All options that it is made with.
     pub options: BTreeMap<String, String>,
     /// Addresses.
     pub links: Links,
@@ -171,10 +171,10 @@ impl From<Phase> for StateName {
 }
 
 impl PhotoState {
-    /// The state of a photo as it was read.
+    /// The full state of a photo.
     ///
     /// # Errors
-    /// 503 where the library cannot be reached.
+    /// 503 if the library is unreachable.
     pub async fn of(app: &Shared, photo: &Photo) -> Result<Self, Problem> {
         let mut state = Self::of_row(app, photo);
         match photo.state {
@@ -195,13 +195,13 @@ impl PhotoState {
         Ok(state)
     }
 
-    /// The same, but for what the row of the photo does not say.
+    /// The part of the state that the photo's row holds.
     fn of_row(app: &Shared, photo: &Photo) -> Self {
         let (settings, done) = (Settings::of(photo), Done::of(photo));
         let poster = settings.poster_query(&options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
         let at = |part: &str| format!("/v1/photos/{}{part}", photo.id);
         let version = done.as_ref().map(|done| app.version(done));
-        // what lies there never changes, so browsers need not ask again
+        // content at such an address never changes, so browsers need not revalidate
         let fixed = |part: &str| match &version {
             Some(v) => at(&format!("{part}{}v={v}", if part.contains('?') { '&' } else { '?' })),
             None => at(part),

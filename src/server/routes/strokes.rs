@@ -16,7 +16,7 @@ use crate::server::settings::still_as_seen;
 use tmpi_library::Content;
 use tmpi_pipeline::strokes::{BYTES, Stroke, patch, write};
 
-/// Strokes as they are sent and kept, tagged by their bytes.
+/// Strokes as JSON, with an entity tag of its bytes.
 fn stored(strokes: &[Stroke]) -> Stored {
     Stored::new(write(strokes))
 }
@@ -28,7 +28,7 @@ pub struct Strokes {
     /// 1.
     #[schema(example = 1, minimum = 1, maximum = 1, required = false)]
     version: u32,
-    /// In their order, at most 100 with 8192 points together. Each asks one thing of its region: `by`, `like` or `to`.
+    /// Strokes in order: at most 100, with at most 8192 points in all. Each changes its region in one way: `by`, `like` or `to`.
     strokes: Vec<Stroke>,
 }
 
@@ -39,12 +39,12 @@ pub struct StrokesPatch {
     /// 1.
     #[schema(example = 1, minimum = 1, maximum = 1, required = false)]
     version: u32,
-    /// All strokes in their order, at most 100 with 8192 points together. Null removes them; without this field they stay as they are.
+    /// All strokes in order: at most 100, with at most 8192 points in all. Null removes them; without this field they stay as they are.
     #[schema(nullable)]
     strokes: Option<Vec<Stroke>>,
 }
 
-/// The strokes that a photo's depth is touched up with.
+/// The strokes that touch up a photo's depth.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/strokes", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
@@ -63,26 +63,26 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
 
 /// Touch up a photo's depth.
 ///
-/// A JSON merge patch (RFC 7396): `strokes` replaces all strokes, null removes them, and without it nothing changes. The photo is made again with them and has the same id
-/// and another version; until it is done its results answer 409, and should it fail, other strokes try again. A stroke covers what its brush
-/// does, out to the edges of the photo around it: see `radius`.
+/// A JSON merge patch (RFC 7396): `strokes` replaces all strokes, null removes them, and without it nothing changes. The photo is made
+/// again and keeps its id, but gets a new version. Its results answer 409 until it is done; if it fails, changing the strokes retries. A
+/// stroke covers the area of its brush, out to the edges of the photo around it: see `radius`.
 #[utoipa::path(
     patch, path = "/v1/photos/{id}/strokes", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
-        ("If-Match" = Option<String>, Header, description = "Change only these strokes, by their tag"),
+        ("If-Match" = Option<String>, Header, description = "Change the strokes only if they have this tag"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
     request_body(content((StrokesPatch = "application/merge-patch+json"), (StrokesPatch = "application/json"))),
     responses(
-        (status = 200, description = "Made with these strokes, in the time that `Prefer: wait` gave or long ago", body = PhotoState,
+        (status = 200, description = "The photo has these strokes: already, or within the time of `Prefer: wait`", body = PhotoState,
             headers(("ETag" = String, description = "Version of the strokes"))),
-        (status = 202, description = "On disk; the photo is made again", body = PhotoState,
+        (status = 202, description = "The strokes are stored, and the photo waits to be made again", body = PhotoState,
             headers(("ETag" = String, description = "Version of the strokes"))),
         (status = 400, description = "A stroke is wrong; `field` names it"),
         (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is being made"),
-        (status = 412, description = "It was changed meanwhile"),
+        (status = 412, description = "The strokes changed meanwhile"),
         (status = 413, description = "The patch is too large"),
         (status = 415, description = "Not JSON"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),

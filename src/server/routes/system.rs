@@ -36,20 +36,20 @@ const HEALTHY: Health = Health { status: "ok", version: env!("CARGO_PKG_VERSION"
     get, path = "/healthz", tag = "system",
     responses(
         (status = 200, description = "Alive", body = Health),
-        (status = 400, description = "There are no parameters here"),
+        (status = 400, description = "The route takes no parameters"),
     )
 )]
 pub async fn healthz(_: NoQuery) -> Json<Health> {
     Json(HEALTHY)
 }
 
-/// The server works: it was not told to stop, the library can be written, and nothing of the server keeps photos from being made. A full
-/// queue refuses uploads alone, so a node with one is ready.
+/// The server works: it is not stopping, it can write the library, and no fault of its own keeps it from making photos. A full queue
+/// refuses only uploads, so such a node is ready.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
         (status = 200, description = "Ready", body = Health),
-        (status = 400, description = "There are no parameters here"),
+        (status = 400, description = "The route takes no parameters"),
         (status = 503, description = "Not ready; `detail` says why"),
     )
 )]
@@ -72,7 +72,7 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
     get, path = "/metrics", tag = "system",
     responses(
         (status = 200, description = "OpenMetrics text 1.0.0, which Prometheus reads", body = String, content_type = "application/openmetrics-text"),
-        (status = 400, description = "There are no parameters here"),
+        (status = 400, description = "The route takes no parameters"),
     )
 )]
 pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
@@ -122,7 +122,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         gauge("tmpi_batch_queued", "Photos of many that wait", batch as f64),
         gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
-    // the file systems of some answer slowly
+    // some file systems answer slowly
     let shared = App::clone(&app);
     let looked = tokio::task::spawn_blocking(move || {
         let mut figures = process::figures();
@@ -147,7 +147,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     get, path = "/openapi.json", tag = "system",
     responses(
         (status = 200, description = "OpenAPI document", body = Object),
-        (status = 400, description = "There are no parameters here"),
+        (status = 400, description = "The route takes no parameters"),
     )
 )]
 pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {

@@ -23,7 +23,7 @@ use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, d
 use super::derived::Derived;
 use super::view_query::ViewQuery;
 
-/// The format that a client likes best; PNG where it has no preference. None where it takes none of them.
+/// The format that the client prefers; PNG without a preference. `None` if it accepts none.
 fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
     let ranges: Vec<(String, f32)> = headers
         .get_all(header::ACCEPT)
@@ -40,20 +40,20 @@ fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
     if ranges.is_empty() {
         return Some(PictureFormat::default());
     }
-    // the most specific range that matches counts
+    // the most specific matching range counts
     let quality = |format: PictureFormat| {
         let named = |name: &str| ranges.iter().find(|(n, _)| n == name).map(|(_, q)| *q);
         named(format.media_type()).or_else(|| named("image/*")).or_else(|| named("*/*")).unwrap_or(0.0)
     };
     let best = PictureFormat::ALL.map(|f| (f, quality(f))).into_iter().filter(|(_, q)| *q > 0.0);
-    // the first of equals
+    // the first one wins a tie
     best.reduce(|a, b| if b.1 > a.1 { b } else { a }).map(|(f, _)| f)
 }
 
-/// The format that is asked for, else that which a client likes best.
+/// The format in the query, else the one that the client prefers.
 ///
 /// # Errors
-/// 406 where it takes none of them.
+/// 406 if it accepts none.
 fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFormat, Problem> {
     asked.or_else(|| negotiate(headers)).ok_or_else(|| {
         let status = axum::http::StatusCode::NOT_ACCEPTABLE;
@@ -63,8 +63,8 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
 
 /// A rendered view of a photo for any camera.
 ///
-/// The pose is rounded (lengths to 0.00001, angles to 0.001 degrees), so that views which look the same are drawn once and kept
-/// for a while. `Server-Timing` tells what decoding, rendering and encoding took where it was drawn for this request.
+/// The server rounds the pose (lengths to 0.00001, angles to 0.001 degrees), so that views that look the same share a cache entry. If it
+/// rendered the view for this request, `Server-Timing` has the times of decoding, rendering and encoding.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/view", tag = "photos",
     params(("id" = String, Path, description = "Id of the photo"), ViewQuery),
@@ -74,7 +74,7 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
         (status = 404, description = "There is no such photo"),
-        (status = 406, description = "The client takes none of the formats"),
+        (status = 406, description = "The client accepts none of the formats"),
         (status = 409, description = "Not finished yet"),
         (status = 501, description = "There is no ffmpeg for an animation"),
         (status = 503, description = "Too much waits; `Retry-After` says when to come back"),
@@ -101,7 +101,7 @@ pub async fn view(
     }
     let mut timing = Vec::new();
     let full = if query.moving.is_some() { Full::Refuse } else { Full::Memory };
-    // whoever asks for the same view meanwhile waits for this one
+    // concurrent requests for the same view wait for this one
     let drawn = async {
         let (bytes, took) = draw(&app, (&photo, &done), &query, size, format).await?;
         timing = took;
@@ -123,15 +123,15 @@ pub async fn view(
     Ok(response)
 }
 
-/// Counts what the phases of drawing took.
+/// Records the times of the phases.
 fn count(app: &App, timing: &[(&'static str, Duration)]) {
-    // a scene that was at hand would make decoding look cheap
+    // a cached scene would make decoding look cheap
     for (phase, took) in timing.iter().filter(|(_, took)| !took.is_zero()) {
         app.telemetry.view(phase, *took);
     }
 }
 
-/// Draws and encodes; with what each phase took.
+/// Renders and encodes a view or film; also returns the time of each phase.
 async fn draw(
     app: &App,
     (photo, done): (&Photo, &Done),
@@ -139,13 +139,13 @@ async fn draw(
     size: (u32, u32),
     format: PictureFormat,
 ) -> Result<(Vec<u8>, Vec<(&'static str, Duration)>), Problem> {
-    // set when the client goes away; what is under way ends with the view that it draws
+    // cancelled when the client goes away; rendering then stops after the current view
     let gone = CancellationToken::new();
     let renderer = Unless { gone: gone.clone(), renderer: Arc::clone(&app.renderer) };
     let _guard = gone.drop_guard();
     let asked = Instant::now();
     let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
-    // decoding is a part of the work: who waits holds no scene
+    // decode inside the slot, so that waiting requests hold no scene
     let slot = app.pool.enter(class, done.scene_bytes()).await?;
     let waited = asked.elapsed();
     if query.moving.is_some() {
@@ -173,12 +173,12 @@ async fn draw(
         Ok::<_, Problem>((bytes, rendered - start, rendered.elapsed()))
     });
     let (bytes, rendering, encoding) = drawn.await??;
-    // a scene at hand took no decoding
+    // a cached scene took no decoding
     let timing = vec![("decode", decoding.unwrap_or_default()), ("wait", waited), ("render", rendering), ("encode", encoding)];
     Ok((bytes, timing))
 }
 
-/// Draws unless the client has gone.
+/// Renders unless the client has gone.
 struct Unless {
     gone: CancellationToken,
     renderer: Arc<dyn Renderer>,

@@ -1,4 +1,4 @@
-//! What a request for a view asks for.
+//! Query parameters of a view.
 
 use axum::http::Uri;
 
@@ -8,39 +8,39 @@ use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
 use tmpi_render::{AnimationFormat, Arrangement, EYES, Outlook, Path, PictureFormat, Rig, pivot};
 
-/// Fields of view that are drawn, in degrees.
+/// Allowed fields of view in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
-/// Distances of the first camera from the last.
+/// Allowed distances of the first camera from the last.
 const BASELINE: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
-/// Disparities that may lie in the screen.
+/// Allowed disparities of the screen plane.
 const FOCUS: std::ops::RangeInclusive<f64> = 0.0..=2.0;
-/// Lengths of a pose are rounded to this, in units of the nearest distance, and angles to [`ANGLE_STEP`]: far below what moves a
-/// pixel, so that poses which look the same are kept once.
+/// Lengths of a pose are rounded to this, in units of the nearest distance, and angles to [`ANGLE_STEP`]: too little to move a pixel, so
+/// poses that look the same share a cache entry.
 const LENGTH_STEP: f64 = 1e-5;
 /// Degrees.
 const ANGLE_STEP: f64 = 1e-3;
 
 const NAMES: [&str; 18] =
     ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v"];
-/// Frames of an animation.
+/// Allowed numbers of frames of an animation.
 const FRAMES: std::ops::RangeInclusive<u32> = 2..=240;
-/// Frames where the query does not say: two seconds.
+/// Default number of frames: two seconds.
 const USUAL_FRAMES: u32 = 60;
-/// Frames that may have as many pixels as a single view each.
+/// Number of frames that may each have as many pixels as a single view.
 const FILM: u64 = 8;
-/// Longest side that WebP can say, in pixels.
+/// Longest side of a WebP animation in pixels.
 const WEBP_SIDE: u32 = 16_383;
-/// Longer side of an animation where the query does not say.
+/// Default longer side of an animation.
 const USUAL_SIDE: u32 = 640;
 
 /// A camera that moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Moving {
-    /// Its way.
+    /// Its path.
     pub path: Path,
-    /// Frames of the whole way.
+    /// Number of frames.
     pub frames: u32,
-    /// What they become.
+    /// File format.
     pub format: AnimationFormat,
 }
 
@@ -53,7 +53,7 @@ pub enum StereoKind {
     Anaglyph,
 }
 
-/// A part of a picture, in shares of its width and height.
+/// A part of a picture, in fractions of its width and height.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crop {
     /// Left and upper border.
@@ -62,7 +62,7 @@ pub struct Crop {
     pub size: [f64; 2],
 }
 
-/// Least side of a part, as a share: a pixel of the largest photo is about that.
+/// Smallest side of a crop as a fraction: about a pixel of the largest photo.
 const LEAST_CROP: f64 = 1e-4;
 
 impl std::str::FromStr for Crop {
@@ -72,7 +72,7 @@ impl std::str::FromStr for Crop {
         const WRONG: &str = "must be x,y,w,h, all from 0 to 1 and within the picture, w and h at least 0.0001";
         let numbers: Vec<f64> = text.split(',').map(|v| v.trim().parse().map_err(|_| WRONG)).collect::<Result<_, _>>()?;
         let &[x, y, w, h] = numbers.as_slice() else { return Err(WRONG) };
-        // what was rounded may be a hair too wide
+        // rounding may make it slightly too wide
         let within = |from: f64, length: f64| from >= 0.0 && length >= LEAST_CROP && from + length <= 1.0 + LEAST_CROP;
         if within(x, w) && within(y, h) { Ok(Self { corner: [x, y], size: [w, h] }) } else { Err(WRONG) }
     }
@@ -94,7 +94,7 @@ pub struct ViewQuery {
     pub pitch: Option<f64>,
     /// Degrees clockwise.
     pub roll: Option<f64>,
-    /// Width in pixels, of each view where there are several; the photo's if neither `w` nor `h` is given, else by its aspect.
+    /// Width in pixels of each view. Without it: from `h` and the photo's aspect ratio; the photo's width if `h` is missing, too.
     #[param(minimum = 1, maximum = 16384)]
     pub w: Option<u32>,
     /// Height in pixels.
@@ -103,34 +103,34 @@ pub struct ViewQuery {
     /// Horizontal field of view in degrees; that of the photo if it is not given.
     #[param(minimum = 0.1, maximum = 179.0)]
     pub fov: Option<f64>,
-    /// `x,y,w,h`: only this part of the picture, in shares of the whole one's width and height, as if one looked closer; `w`, `h` and
-    /// `fov` are as without it, but that `w` and `h` are the part's.
+    /// `x,y,w,h`: only this part of the picture, in fractions of its width and height. `fov` still means the whole picture, while `w` and
+    /// `h` mean the part.
     #[param(value_type = Option<String>, example = "0.25,0.25,0.5,0.5")]
     pub crop: Option<Crop>,
-    /// `png`, `jpeg` or `webp`; by `Accept` if it is not given. With `path` `webp`, which is the default then, or `mp4`.
+    /// `png`, `jpeg` or `webp`; by `Accept` if it is not given. With `path`: `webp` (default) or `mp4`.
     #[param(value_type = Option<String>)]
     pub format: Option<PictureFormat>,
     /// Two views in one picture: `sbs` side by side, `anaglyph` for red and cyan glasses.
     #[param(value_type = Option<String>)]
     pub stereo: Option<StereoKind>,
-    /// `COLUMNSxROWS` views from left to right, from the lower left on, as light-field displays take them; at most 100.
+    /// `COLUMNSxROWS` views from left to right, starting at the lower left, for light-field displays; at most 100.
     #[param(value_type = Option<String>)]
     pub quilt: Option<Arrangement>,
-    /// From the first camera to the last, in units of the nearest distance; 1/30 for stereo, and for a quilt the width of the view box, at most 0.06,
-    /// if it is not given.
+    /// Distance of the first camera from the last, in units of the nearest distance. Default: 1/30 for stereo, the width of the view box
+    /// but at most 0.06 for a quilt.
     #[param(minimum = 0.0001, maximum = 10.0)]
     pub ipd: Option<f64>,
-    /// Disparity that lies in the screen, that of the middle of the area if it is not given: what is nearer stands before it.
+    /// Disparity of the screen plane; nearer things appear in front of it. Default: that of the middle of the area.
     #[param(minimum = 0.0, maximum = 2.0)]
     pub focus: Option<f64>,
-    /// `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom` (into the nearest thing): an animation of the camera's way, 30 frames a second; no more than 640
-    /// pixels a side if the size is not given. Needs ffmpeg on the server.
+    /// `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom` (into the nearest thing): an animation along this path of the camera, 30 frames a
+    /// second, with at most 640 pixels a side if you give no size. Needs ffmpeg on the server.
     #[param(value_type = Option<String>, rename = "path")]
     pub moving: Option<Moving>,
     /// Frames of an animation, 60 if it is not given.
     #[param(minimum = 2, maximum = 240)]
     pub frames: Option<u32>,
-    /// Version as in the photo's `links`: the view is kept for a year then.
+    /// Version as in the photo's `links`: browsers then cache the view for a year.
     #[param(rename = "v")]
     pub version: Option<String>,
 }
@@ -144,7 +144,7 @@ impl ViewQuery {
         Self::of(Pairs::read(uri, &NAMES)?, limits)
     }
 
-    /// The same of parameters that are known.
+    /// Like [`Self::read`], for parameters that are parsed already.
     ///
     /// # Errors
     /// 400 that names the first parameter that is not finite or out of range.
@@ -212,10 +212,10 @@ impl ViewQuery {
         Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, moving, frames, version })
     }
 
-    /// Size of each view of a photo of `photo` pixels.
+    /// Size of each view of a photo of `photo` pixels. Without a size in the query, views of large photos are reduced to the limits.
     ///
     /// # Errors
-    /// 400 where all views together are over the limits; without a size in the query, views of a larger photo are reduced instead.
+    /// 400 if all views together are over the limits.
     pub fn size(&self, photo: (u32, u32), limits: &Limits) -> Result<(u32, u32), Problem> {
         let (columns, rows) = self.arrangement().map_or((1, 1), Arrangement::grid);
         self.renders_within(Limits::RENDERS)?;
@@ -251,7 +251,7 @@ impl ViewQuery {
         Ok((w, h))
     }
 
-    /// Each picture costs however small it is.
+    /// Limits the number of pictures: each has a cost, however small it is.
     fn renders_within(&self, most: u32) -> Result<(), Problem> {
         let views = match self.arrangement() {
             Some(Arrangement::Quilt { columns, rows }) => columns * rows,
@@ -273,7 +273,7 @@ impl ViewQuery {
         }))
     }
 
-    /// The cameras where there are several.
+    /// The cameras of stereo pictures and quilts.
     #[must_use]
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
@@ -281,7 +281,7 @@ impl ViewQuery {
         Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or_else(|| pivot(scene)) })
     }
 
-    /// The same view said in the same words: without what is told by its size and format.
+    /// The query without size, format and version: equal for equal cameras.
     #[must_use]
     pub fn canonical(&self) -> Self {
         Self { w: None, h: None, format: None, version: None, ..self.clone() }
@@ -306,7 +306,7 @@ impl ViewQuery {
     }
 }
 
-/// The lens of a picture of `size` that shows a part of one of a photo.
+/// Intrinsics of a picture of `size` that shows the part `crop` of a picture of `photo` pixels.
 fn part(k: &Intrinsics, photo: (u32, u32), crop: &Crop, size: (u32, u32)) -> Intrinsics {
     let scale = f64::from(size.0) / (crop.size[0] * f64::from(photo.0));
     let centre = |c: f64, axis: usize, photo: u32, size: u32| {
@@ -315,7 +315,7 @@ fn part(k: &Intrinsics, photo: (u32, u32), crop: &Crop, size: (u32, u32)) -> Int
     Intrinsics { fx: k.fx * scale, fy: k.fy * scale, cx: centre(k.cx, 0, photo.0, size.0), cy: centre(k.cy, 1, photo.1, size.1) }
 }
 
-/// `v` rounded to whole multiples of `step`; as it is where it is too large for that.
+/// `v` rounded to multiples of `step`; unchanged if it is too large for that.
 fn rounded(v: f64, step: f64) -> f64 {
     // by the reciprocal, so that decimal steps stay short
     let steps = (1.0 / step).round();
@@ -335,7 +335,7 @@ mod tests {
         let crop: Crop = "0.25,0.5,0.5,0.25".parse().unwrap();
         let k = Intrinsics { fx: 300.0, fy: 310.0, cx: 190.0, cy: 110.0 };
         let own = part(&k, (400, 200), &crop, (400, 100));
-        // twice as large, and the corner of the part is the corner of the picture
+        // twice as large, with the part's corner at the picture's corner
         assert!((own.fx - 600.0).abs() < 1e-9 && (own.fy - 620.0).abs() < 1e-9, "{own:?}");
         assert!((own.cx - (190.0 - 100.0) * 2.0).abs() < 1e-9 && (own.cy - (110.0 - 100.0) * 2.0).abs() < 1e-9, "{own:?}");
         let all: Crop = "0,0,1,1".parse().unwrap();
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn what_webp_cannot_hold_is_refused() {
+    fn sizes_over_the_webp_limit_are_refused() {
         let size = |query: &str| read(query).unwrap().size((60, 30), &Limits::default());
         assert_eq!(size("path=orbit&frames=8&w=16384&h=1").unwrap_err().field.as_deref(), Some("w"));
         assert!(size("path=orbit&frames=8&w=16383&h=1").is_ok() && size("path=orbit&frames=8&w=16384&h=1&format=mp4").is_ok());

@@ -1,5 +1,5 @@
-//! Words that fields and parameters may be, written into the `OpenAPI` document from where they are read: types of other crates describe
-//! themselves to the command line alone.
+//! Writes the allowed values of fields and parameters into the `OpenAPI` document, from the types that parse them: types of other crates
+//! have no `utoipa` schemas.
 
 use clap::ValueEnum;
 use serde_json::Value;
@@ -11,12 +11,12 @@ use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, PlaneMethod, Switch};
 use tmpi_render::{Path, PictureFormat};
 
-/// All words of a choice.
+/// All values of a choice.
 fn words<T: ValueEnum>() -> Vec<String> {
     T::value_variants().iter().map(chosen).collect()
 }
 
-/// What a text may be.
+/// Allowed values of a string.
 enum Text {
     Words(Vec<String>),
     Pattern(&'static str),
@@ -32,24 +32,24 @@ impl Text {
     }
 }
 
-/// What is read field by field, so that another field is an error.
+/// Schemas whose parsers refuse unknown fields.
 const CLOSED: [&str; 6] = ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm"];
 
-/// Writes them into `document`, and which schemas have no other fields than theirs.
+/// Writes allowed values, closed schemas and security schemes into `document`.
 pub fn put(document: &mut Value) {
     for name in CLOSED {
         document["components"]["schemas"][name]["additionalProperties"] = false.into();
     }
     document["components"]["securitySchemes"] = serde_json::json!({
-        "bearer": {"type": "http", "scheme": "bearer", "description": "An API key (`tmpi_k_…`, by `tmpi key add`), or an owner's own secret: \
-            `tmpi_o_` and 32 to 128 letters, digits, - and _ chosen at random; or a photo's own token (`tmpi_m_…`, of `manage` in links). Asked for \
-            with `tmpi serve --access private` alone"},
-        "cookie": {"type": "apiKey", "in": "cookie", "name": "tmpi_owner", "description": "An owner's secret as a browser keeps it"},
+        "bearer": {"type": "http", "scheme": "bearer", "description": "An API key (`tmpi_k_…`, from `tmpi key add`), an owner's own secret \
+            (`tmpi_o_` and 32 to 128 random letters, digits, - and _), or a photo's own token (`tmpi_m_…`, from `manage` in links). Only \
+            with `tmpi serve --access private`"},
+        "cookie": {"type": "apiKey", "in": "cookie", "name": "tmpi_owner", "description": "An owner's secret or session in a browser"},
     });
     settings(&mut document["components"]["schemas"]);
-    // the parameters of a file may stand in the query
+    // the query may hold the parameters of a file
     document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"] = false.into();
-    // nothing is needed where the server asks nobody, and for what its owner lets everybody see
+    // no credentials are needed with open access, and for photos that their owner shows to everyone
     document["security"] = serde_json::json!([{}, {"bearer": []}, {"cookie": []}]);
     let form = &mut document["components"]["schemas"]["UploadForm"]["properties"];
     for (field, text) in [
@@ -104,7 +104,7 @@ fn settings(schemas: &mut Value) {
     let (reach, place) = (bounded(0.0), bounded(-1.0));
     schemas["Offset"] = place;
     let settings = &mut schemas["Settings"]["properties"];
-    // a part of the view box, not a place in it
+    // a fraction of the view box, not a position in it
     let mut motion = reach;
     motion["description"] = settings["motion"]["oneOf"][0]["description"].take();
     settings["motion"]["oneOf"][0] = motion;
@@ -118,11 +118,11 @@ fn settings(schemas: &mut Value) {
     settings["idle"]["enum"] = ways.collect();
 }
 
-/// Writes how long a link may be good.
+/// Writes the longest lifetime of a link.
 pub fn put_link(document: &mut Value, most: u64) {
     let parameters = document["paths"]["/v1/photos/{id}/links"]["post"]["parameters"].as_array_mut();
     if let Some(seconds) = parameters.into_iter().flatten().find(|p| p["name"] == "seconds") {
         seconds["schema"]["maximum"] = most.into();
-        seconds["description"] = format!("How long it is good, 1 to {most}; a day, or that, if it is not given").into();
+        seconds["description"] = format!("Lifetime, 1 to {most}; at most a day if it is not given").into();
     }
 }

@@ -1,8 +1,7 @@
-//! Traces: what a request led to, as spans that go to a collector by OTLP over HTTP.
+//! Tracing of requests and jobs: exports spans to a collector by OTLP over HTTP.
 //!
-//! A request is a span; what is made of the photo that it brought is one within it, on whichever node that is made; each stage is one within
-//! that. Work of a request that waits for a slot (views, smaller levels, files) is one within the request, too. Where there is no collector
-//! nothing of this is done.
+//! Each request is a span; making its photo is a child of it, on any node, and each stage is a child of that. Work of a request that waits
+//! for a slot (views, smaller levels, files) is a child of the request, too. Without a collector there are no spans.
 
 mod send;
 mod span;
@@ -26,23 +25,23 @@ pub use send::check as check_collector;
 pub use span::{Current, Job, Parent, TRACE, Work, current, parent};
 use tmpi_library::PhotoId;
 
-/// Spans that wait for the collector at most, about 1 KB each; what comes beyond is dropped and counted.
+/// Most spans that wait for the collector, about 1 KB each; further ones are dropped and counted.
 pub(super) const QUEUE: usize = 4096;
-/// Time that the collector has for what is left when the server stops.
+/// Time for the last spans when the server stops.
 const FLUSH: Duration = Duration::from_secs(5);
-/// Asked every few seconds, about the server itself.
+/// Monitoring routes, which are not traced.
 const HEALTH: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
-/// Where traces go.
+/// A collector of traces.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Collector {
     /// Its address, as `http://127.0.0.1:4318`; spans go to `v1/traces` below it.
     pub url: String,
-    /// Share of the traces that begin here that are sent, 0 to 1. Those that began elsewhere are sent where their `traceparent` says so.
+    /// Fraction of the traces that begin here to send, 0 to 1. Those with a `traceparent` follow its sampling flag.
     pub ratio: f64,
 }
 
-/// The collector cannot be one.
+/// The collector is not usable.
 #[derive(Debug, thiserror::Error)]
 #[error("collector of traces {url}: {why}")]
 pub struct CollectorError {
@@ -53,21 +52,21 @@ pub struct CollectorError {
 /// Spans that were `sent`, `refused` (or not taken in time), and `dropped` because too many waited.
 pub(super) type Counts = Family<Outcome, Counter>;
 
-/// Makes spans, and sends them.
+/// Creates and exports spans.
 pub struct Traces {
     provider: SdkTracerProvider,
     tracer: SdkTracer,
 }
 
 impl Traces {
-    /// Sends spans to a collector, in the runtime of the caller.
+    /// Exports spans to a collector, in the caller's runtime.
     ///
     /// # Errors
-    /// The address is none.
+    /// If the address is not valid.
     pub(super) fn open(to: &Collector, counts: Counts) -> Result<Self, CollectorError> {
         let processor = send::processor(&to.url, counts).map_err(|why| CollectorError { url: to.url.clone(), why })?;
         let mut resource = Resource::builder().with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION")));
-        // the standard variable is read where it is set
+        // the SDK reads the standard variable if it is set
         if std::env::var_os("OTEL_SERVICE_NAME").is_none() {
             resource = resource.with_service_name("tmpi");
         }
@@ -77,7 +76,7 @@ impl Traces {
         Ok(Self { tracer: provider.tracer("tmpi"), provider })
     }
 
-    /// Begins the span of a request, within the one that its `traceparent` names; none for who asks how the server fares.
+    /// Starts the span of a request, within its `traceparent`; `None` for monitoring routes.
     #[must_use]
     pub fn request(&self, method: &'static str, route: &str, headers: &HeaderMap, peer: Option<IpAddr>) -> Option<Current> {
         if HEALTH.contains(&route) {
@@ -90,7 +89,7 @@ impl Traces {
         Some(Current::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer)))
     }
 
-    /// Begins the span of a making, within the request that asked for it where that is known.
+    /// Starts the span of making a photo, within the request if it is known.
     #[must_use]
     pub fn job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> Current {
         let attributes = vec![
@@ -103,15 +102,15 @@ impl Traces {
         Current::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer))
     }
 
-    /// Sends what is left, and no more after that; blocks for some seconds at most.
+    /// Sends the remaining spans and stops; blocks for some seconds at most.
     pub fn end(&self) {
         if let Err(error) = self.provider.shutdown_with_timeout(FLUSH) {
-            tracing::warn!(%error, "not all traces were sent");
+            tracing::warn!(%error, "could not send all traces");
         }
     }
 }
 
-/// Where a client is, which is all that is told of its address.
+/// The class of a client's address; spans contain nothing else of it.
 fn class(peer: IpAddr) -> &'static str {
     match peer.to_canonical() {
         ip if ip.is_loopback() => "loopback",
@@ -126,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_told_by_their_class_alone() {
+    fn spans_contain_only_the_class_of_an_address() {
         for (address, told) in [
             ("127.0.0.1", "loopback"),
             ("::1", "loopback"),

@@ -1,4 +1,4 @@
-//! The way to the collector: a queue that is bounded, a thread that empties it, and counts of what became of spans. Nobody waits for it.
+//! Exporter to the collector: a bounded queue, a thread that empties it, and counters. Nothing waits for it.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -19,15 +19,15 @@ use tokio::runtime::Handle;
 use super::{Counts, QUEUE};
 use crate::server::telemetry::Outcome;
 
-/// Spans that are sent at a time, and the longest wait of one.
+/// Spans per batch, and the longest wait of one.
 const BATCH: usize = 512;
 const DELAY: Duration = Duration::from_secs(1);
-/// Time that the collector has to take them.
+/// Timeout of the collector.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Of an answer, bytes.
+/// Most bytes of its answer.
 const MOST: usize = 64 << 10;
 
-/// Looks whether a collector may have this address.
+/// Checks the address of a collector.
 ///
 /// # Errors
 /// What is wrong with it.
@@ -37,10 +37,10 @@ pub fn check(url: &str) -> Result<(), String> {
     if is_one { Ok(()) } else { Err("an address as http://127.0.0.1:4318 is wanted".into()) }
 }
 
-/// What takes spans that have ended, for the collector at `url`.
+/// The span processor for the collector at `url`.
 pub fn processor(url: &str, counts: Counts) -> Result<impl SpanProcessor + use<>, String> {
     check(url)?;
-    // one that a program has chosen already stays
+    // keeps a provider that is installed already
     let _ = rustls::crypto::ring::default_provider().install_default();
     let client = reqwest::Client::builder().timeout(PATIENCE).redirect(reqwest::redirect::Policy::none()).build();
     let client = Client { client: client.map_err(|e| e.to_string())?, runtime: Handle::current() };
@@ -53,7 +53,7 @@ pub fn processor(url: &str, counts: Counts) -> Result<impl SpanProcessor + use<>
         .build()
         .map_err(|e| e.to_string())?;
     for outcome in ["sent", "refused", "dropped"] {
-        // told from the beginning
+        // so that metrics show them from the start
         drop(counts.get_or_create(&Outcome { outcome }));
     }
     let waiting = Arc::new(AtomicUsize::new(0));
@@ -63,7 +63,7 @@ pub fn processor(url: &str, counts: Counts) -> Result<impl SpanProcessor + use<>
     Ok(Bounded { queue: BatchSpanProcessor::builder(exporter).with_batch_config(config).build(), waiting, counts })
 }
 
-/// Asks in the server's runtime, for a thread that has none.
+/// An HTTP client that uses the server's runtime, for a thread without one.
 #[derive(Debug)]
 struct Client {
     client: reqwest::Client,
@@ -102,11 +102,11 @@ impl HttpClient for Client {
     }
 }
 
-/// Takes no more spans than fit, and counts those beyond.
+/// Limits the queue, and counts dropped spans.
 #[derive(Debug)]
 struct Bounded {
     queue: BatchSpanProcessor,
-    /// Spans in the queue, and on their way.
+    /// Spans in the queue and in flight.
     waiting: Arc<AtomicUsize>,
     counts: Counts,
 }
@@ -141,7 +141,7 @@ impl SpanProcessor for Bounded {
     }
 }
 
-/// Counts what the collector took.
+/// Counts what the collector accepted.
 #[derive(Debug)]
 struct Counted {
     exporter: SpanExporter,
@@ -157,10 +157,10 @@ impl opentelemetry_sdk::trace::SpanExporter for Counted {
         self.waiting.fetch_sub(spans, Ordering::AcqRel);
         let outcome = if taken.is_ok() { "sent" } else { "refused" };
         self.counts.get_or_create(&Outcome { outcome }).inc_by(spans as u64);
-        // once when it begins and once when it ends
+        // log only the first failure and the recovery
         match (&taken, self.fails.swap(taken.is_err(), Ordering::AcqRel)) {
-            (Err(error), false) => tracing::warn!(%error, spans, "the collector takes no traces"),
-            (Ok(()), true) => tracing::info!("the collector takes traces again"),
+            (Err(error), false) => tracing::warn!(%error, spans, "the collector does not accept traces"),
+            (Ok(()), true) => tracing::info!("the collector accepts traces again"),
             _ => {}
         }
         taken

@@ -1,4 +1,4 @@
-//! Spans as they are handed on: within a request, to the job that it begins, to the stages of that.
+//! Spans of requests, their jobs and stages.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -10,51 +10,51 @@ use opentelemetry::{Context, KeyValue};
 use opentelemetry_sdk::propagation::TraceContextPropagator;
 use opentelemetry_sdk::trace::{SdkTracer, Span};
 
-/// Name of the header, and of what it says.
+/// Name of the header and of its value in a carrier.
 const PARENT: &str = "traceparent";
 
 tokio::task_local! {
-    /// The span of the request at which this task works.
+    /// The span of this task's request.
     pub static TRACE: Option<Current>;
 }
 
-/// The span of the request at which this task works; none where nothing is traced.
+/// The span of this task's request; `None` if it is not traced.
 #[must_use]
 pub fn current() -> Option<Current> {
     TRACE.try_with(Clone::clone).ok().flatten()
 }
 
-/// What a job that begins now belongs to.
+/// The parent of a job that this request starts.
 #[must_use]
 pub fn parent() -> Option<Parent> {
     current().and_then(|current| current.parent())
 }
 
-/// A span that others may name as theirs: `traceparent` of W3C Trace Context.
+/// A span as a parent: `traceparent` of W3C Trace Context.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Parent(String);
 
 impl Parent {
-    /// As a job keeps it.
+    /// As text, for the job.
     #[must_use]
     pub fn into_text(self) -> String {
         self.0
     }
 
-    /// As it was kept.
+    /// From the job's text.
     #[must_use]
     pub fn read(text: &str) -> Self {
         Self(text.to_owned())
     }
 
-    /// Of what is no such text nothing follows: a trace of its own begins.
+    /// The context for child spans; an invalid text starts a new trace.
     pub(super) fn context(&self) -> Context {
         let carrier = HashMap::from([(PARENT.to_owned(), self.0.clone())]);
         TraceContextPropagator::new().extract_with_context(&Context::new(), &carrier)
     }
 }
 
-/// A span under way; it ends when the last clone goes.
+/// A running span; ends when the last clone is dropped.
 #[derive(Clone)]
 pub struct Current {
     tracer: SdkTracer,
@@ -78,7 +78,7 @@ impl Current {
         self.context.span().span_context().trace_id().to_string()
     }
 
-    /// As what follows from it names it.
+    /// As a parent of further spans.
     #[must_use]
     pub fn parent(&self) -> Option<Parent> {
         let mut carrier = HashMap::new();
@@ -86,7 +86,7 @@ impl Current {
         carrier.remove(PARENT).map(Parent)
     }
 
-    /// Ends the span of a request that was answered.
+    /// Ends the span of an answered request.
     pub fn answered(self, status: u16) {
         let span = self.context.span();
         span.set_attribute(KeyValue::new("http.response.status_code", i64::from(status)));
@@ -101,27 +101,27 @@ impl Current {
         Self::new(self.tracer.clone(), span)
     }
 
-    /// Begins the span of work of a class within the request.
+    /// Starts the span of work of a class within the request.
     #[must_use]
     pub fn work(&self, class: &'static str) -> Work {
         Work { _span: self.child("work", vec![KeyValue::new("tmpi.job.class", class)]) }
     }
 }
 
-/// The span of work within a request, to its end.
+/// The span of work within a request; ends when it is dropped.
 #[derive(Debug)]
 pub struct Work {
     _span: Current,
 }
 
-/// A making that is traced, or not.
+/// The trace of a photo being made, if any.
 #[derive(Debug, Default)]
 pub struct Job(Option<Traced>);
 
 #[derive(Debug)]
 struct Traced {
     job: Current,
-    /// The one that it is at.
+    /// The current stage.
     stage: Mutex<Option<(&'static str, Current)>>,
 }
 
@@ -132,31 +132,31 @@ impl Traced {
 }
 
 impl Job {
-    /// One whose span has begun.
+    /// With a started span.
     #[must_use]
     pub fn new(job: Current) -> Self {
         Self(Some(Traced { job, stage: Mutex::default() }))
     }
 
-    /// A stage begins, and the one before ends.
+    /// Ends the last stage and starts the next.
     pub fn stage(&self, name: &'static str) {
         let Some(traced) = &self.0 else { return };
         let mut stage = traced.stage();
         if stage.as_ref().is_none_or(|(at, _)| *at != name) {
-            // first of all the one before ends
+            // end the last one first
             *stage = None;
             *stage = Some((name, traced.job.child(name, Vec::new())));
         }
     }
 
-    /// The last stage ends; what follows is the server's own work: keeping what was made.
+    /// Ends the last stage; the server then stores the results.
     pub fn made(&self) {
         if let Some(traced) = &self.0 {
             *traced.stage() = None;
         }
     }
 
-    /// Ends.
+    /// Ends the span.
     pub fn end(self, outcome: &'static str) {
         self.made();
         let Some(Traced { job, .. }) = self.0 else { return };

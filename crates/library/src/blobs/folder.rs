@@ -1,7 +1,7 @@
-//! Blobs in a folder of this machine.
+//! Blobs in a local folder.
 //!
-//! A blob is written beside its place, synced, and renamed into it; then the folder is synced. What a crash leaves half written has a name that is
-//! nobody's, and goes when the folder is opened again.
+//! A blob is written to a temporary file, synced, and renamed; then the folder is synced. A crash may leave temporary files, which are
+//! deleted when the folder is next opened.
 
 use std::fmt::Debug;
 use std::fs::{self, File, OpenOptions};
@@ -18,17 +18,17 @@ use super::{Listed, Source, Write};
 use crate::error::{LibraryError, Result};
 use crate::names::Millis;
 
-/// Folder of what is being written.
+/// Folder for temporary files.
 const INCOMING: &str = "incoming";
-/// Number of the next file there.
+/// Number of the next temporary file.
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
-/// Room of a disk that uploads may not take, so that what was accepted can be finished: what was said, or as much as is usual.
+/// Free disk space that uploads must leave, so that accepted photos can be finished.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Reserve {
-    /// Bytes; where there is none [`Reserve::BYTES`], or a twentieth of a smaller disk.
+    /// Bytes; by default [`Reserve::BYTES`], or a twentieth of a smaller disk.
     pub bytes: Option<u64>,
-    /// Files; where there is none [`Reserve::FILES`], or a hundredth of those that a smaller disk has place for.
+    /// Files; by default [`Reserve::FILES`], or a hundredth of the capacity of a smaller disk.
     pub files: Option<u64>,
 }
 
@@ -39,16 +39,16 @@ impl Reserve {
     pub const FILES: u64 = 1024;
 }
 
-/// What a file system has left.
+/// Free space of a file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
     /// Free bytes.
     pub bytes: u64,
     /// All bytes.
     pub all_bytes: u64,
-    /// Files that can still be made.
+    /// Number of files that can still be created.
     pub files: u64,
-    /// All files that it has place for; 0 where the number of files has no limit of its own.
+    /// Capacity in files; 0 if the file system does not limit their number.
     pub all_files: u64,
 }
 
@@ -60,20 +60,20 @@ impl Room {
     }
 }
 
-/// What a folder of blobs does with files, as a seam for tests: the disk, or one that forgets what was not synced.
+/// File operations, which tests replace by a disk that loses unsynced data.
 pub(crate) trait Files: Debug + Send + Sync + 'static {
     fn create_dir(&self, path: &Path) -> io::Result<()>;
     /// Writes a whole file and syncs it.
     fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
     fn sync(&self, path: &Path) -> io::Result<()>;
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
-    /// Makes durable what was made, renamed and removed within a folder.
+    /// Syncs the entries of a folder.
     fn sync_dir(&self, path: &Path) -> io::Result<()>;
     fn read(&self, path: &Path, range: Option<Range<u64>>) -> io::Result<Vec<u8>>;
     fn remove(&self, path: &Path) -> io::Result<()>;
-    /// The files of a folder by their own names.
+    /// The files of a folder, by name.
     fn list(&self, path: &Path) -> io::Result<Vec<Listed>>;
-    /// None where the system does not tell.
+    /// Free space; `None` if the system does not tell.
     fn room(&self, path: &Path) -> Option<Room>;
 }
 
@@ -100,7 +100,7 @@ impl Files for Disk {
     }
 
     fn sync(&self, path: &Path) -> io::Result<()> {
-        // for writing, as some systems want it
+        // some systems only sync files that are open for writing
         OpenOptions::new().write(true).open(path)?.sync_all()
     }
 
@@ -157,7 +157,7 @@ impl Files for Disk {
     }
 }
 
-/// Makes a folder that is its owner's alone to read, with those above it.
+/// Creates a folder, with its parents, that only its owner can read.
 pub(crate) fn create_private(path: &Path) -> Result<()> {
     Disk.create_dir(path).map_err(|e| LibraryError::Invalid(format!("the folder {} cannot be made: {e}", path.display())))
 }
@@ -181,7 +181,7 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Makes the folders that are missing.
+    /// Creates missing folders.
     fn prepare(&self) -> io::Result<()> {
         for prefix in super::prefixes().chain([INCOMING.to_owned(), super::PROBE.to_owned()]) {
             self.files.create_dir(&self.root.join(prefix))?;
@@ -205,7 +205,7 @@ impl Folder {
         }
     }
 
-    /// Does `work` on a thread that may block.
+    /// Runs `work` on a thread that may block.
     async fn blocking<T: Send + 'static>(&self, work: impl FnOnce(&Self) -> io::Result<T> + Send + 'static) -> Result<T> {
         let folder = self.clone();
         let done = tokio::task::spawn_blocking(move || work(&folder)).await;
@@ -234,12 +234,12 @@ impl Folder {
     fn write_one(&self, write: &Write, place: &Path) -> io::Result<()> {
         match &write.source {
             Source::Bytes(bytes) => {
-                // of two that write the same name, neither finds the other's half
+                // concurrent writers of one name need different temporary files
                 let n = NEXT.fetch_add(1, Ordering::Relaxed);
                 let fresh = self.root.join(INCOMING).join(format!("{}-{}-{n}", write.name.replace('/', "-"), std::process::id()));
                 let written = self.files.write(&fresh, bytes).and_then(|()| self.files.rename(&fresh, place));
                 if written.is_err() {
-                    // what filled the disk must not keep it full
+                    // a partial file must not keep the disk full
                     let _ = self.files.remove(&fresh);
                 }
                 written
@@ -284,6 +284,6 @@ mod tests {
         assert!(has(MUCH, MUCH, 0, 0), "a system that does not limit files");
         let said = Reserve { bytes: Some(50), files: Some(500) };
         let room = Room { bytes: 60, all_bytes: 100, files: 500, all_files: 600 };
-        assert!(room.has(10, said) && !room.has(11, said) && !Room { files: 499, ..room }.has(10, said), "what was said holds");
+        assert!(room.has(10, said) && !room.has(11, said) && !Room { files: 499, ..room }.has(10, said), "explicit values hold");
     }
 }

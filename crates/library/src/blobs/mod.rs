@@ -1,8 +1,7 @@
-//! Contents: large, written once, never changed. They lie in a folder of this machine or in an object store, of which nothing is asked but put,
-//! range get, delete and list.
+//! Blobs: large, immutable contents in a local folder or an object store. The store needs only put, range get, delete and list.
 //!
-//! A blob's name has its photo, what it is, the begin of its digest, and a number that no other writing has. So a name that no row refers to after a
-//! day can never be referred to again, and `gc` may delete it without asking anybody.
+//! A blob's name has its photo, its part, the start of its digest, and a number that is unique to each write. So a name that no row refers
+//! to after a day will never be referred to again, and `gc` may delete it without any lock.
 
 mod folder;
 mod objects;
@@ -25,16 +24,16 @@ use crate::photo::{Blob, Blobs, Part};
 use folder::Folder;
 use objects::Objects;
 
-/// Hex digits of the digest within a name.
+/// Hex digits of the digest in a name.
 const DIGITS: usize = 16;
-/// Folder of the names that the probe writes.
+/// Folder of the probe's blobs.
 const PROBE: &str = "probe";
-/// Name of the blob that says whose store it is.
+/// Name of the blob with the id of the store's library.
 const LIBRARY: &str = "library-id";
-/// How long a reader may take who began before a photo was made again.
+/// How long replaced blobs stay for readers that began before.
 const READERS: Duration = Duration::from_mins(15);
 
-/// A content on its way into the store.
+/// A content to be stored.
 #[derive(Debug)]
 pub struct Content {
     source: Source,
@@ -45,20 +44,20 @@ pub struct Content {
 #[derive(Debug)]
 pub(crate) enum Source {
     Bytes(Bytes),
-    /// A file within [`Library::incoming`](crate::Library::incoming), which is moved.
+    /// A file in [`Library::incoming`](crate::Library::incoming), which is moved.
     File(PathBuf),
 }
 
 impl Content {
-    /// Of bytes.
+    /// A content from bytes.
     #[must_use]
     pub fn of_bytes(bytes: impl Into<Bytes>) -> Self {
         let bytes = bytes.into();
         Self { bytes: bytes.len() as u64, digest: Digest::of(&bytes), source: Source::Bytes(bytes) }
     }
 
-    /// Of a file within [`Library::incoming`](crate::Library::incoming), of which size and digest were taken as it was written. The file is gone
-    /// once the content is stored.
+    /// A content from a file in [`Library::incoming`](crate::Library::incoming), with the size and digest computed while it was written.
+    /// Storing the content removes the file.
     #[must_use]
     pub const fn of_file(path: PathBuf, bytes: u64, digest: Digest) -> Self {
         Self { source: Source::File(path), bytes, digest }
@@ -70,7 +69,7 @@ impl Content {
         self.bytes
     }
 
-    /// True where it has no byte.
+    /// Whether it is empty.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.bytes == 0
@@ -83,7 +82,7 @@ impl Content {
     }
 }
 
-/// Contents of a photo on their way into the store.
+/// Contents of a photo to be stored.
 pub type Contents = BTreeMap<Part, Content>;
 
 /// A blob that is being written.
@@ -97,11 +96,11 @@ pub(crate) struct Write {
 pub(crate) struct Listed {
     pub name: String,
     pub bytes: u64,
-    /// By the store's own clock.
+    /// By the store's clock.
     pub written_at: Millis,
 }
 
-/// Where contents lie.
+/// The blob store.
 #[derive(Clone, Debug)]
 pub struct BlobStore(Place);
 
@@ -112,25 +111,25 @@ enum Place {
 }
 
 impl BlobStore {
-    /// A folder, which is made where it is missing.
+    /// A local folder, created if missing.
     pub(crate) fn folder(path: &Path, reserve: Reserve) -> Result<Self> {
         Folder::open(path, reserve).map(|folder| Self(Place::Folder(folder)))
     }
 
-    /// The same of other files than the disk's.
+    /// The same with other file operations.
     #[cfg(test)]
     pub(crate) fn folder_of(files: std::sync::Arc<dyn Files>, path: &Path) -> Result<Self> {
         Folder::open_in(files, path, Reserve::default()).map(|folder| Self(Place::Folder(folder)))
     }
 
-    /// The same of an S3 server with a bucket `photos`.
+    /// An S3 server with a bucket `photos`.
     #[cfg(test)]
     pub(crate) fn s3_at(addr: std::net::SocketAddr) -> Self {
         Self(Place::Objects(Objects::s3_at(addr)))
     }
 
-    /// A bucket and a prefix: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or `az://CONTAINER/PREFIX`. Endpoint, region and credentials come from the
-    /// usual variables of the environment.
+    /// A bucket and a prefix: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or `az://CONTAINER/PREFIX`. Endpoint, region and credentials come
+    /// from the usual environment variables.
     pub(crate) fn objects(url: &str) -> Result<Self> {
         Objects::open(url).map(|objects| Self(Place::Objects(objects)))
     }
@@ -138,17 +137,17 @@ impl BlobStore {
     /// Writes, reads and deletes a blob.
     ///
     /// # Errors
-    /// What the store refuses.
+    /// The store's error.
     pub async fn probe(&self) -> Result<()> {
         let name = format!("{PROBE}/{}", hex(&random::<8>()?));
         let written = Bytes::from_static(b"tmpi");
         self.put_all(vec![Write { name: name.clone(), source: Source::Bytes(written.clone()) }]).await?;
         let read = self.get(&name, Some(0..written.len() as u64)).await;
         self.delete(&name).await?;
-        if read? == written { Ok(()) } else { Err(LibraryError::Invalid("the blob store gives other bytes than were written".into())) }
+        if read? == written { Ok(()) } else { Err(LibraryError::Invalid("the blob store returned other bytes than were written".into())) }
     }
 
-    /// Refuses where the disk has no more than its reserve beside so many bytes.
+    /// Checks that the disk has space for this many bytes beyond its reserve.
     ///
     /// # Errors
     /// [`LibraryError::StorageFull`].
@@ -159,7 +158,7 @@ impl BlobStore {
         }
     }
 
-    /// What the disk has left; none of an object store.
+    /// Free space of the disk; `None` for an object store.
     #[must_use]
     pub fn disk(&self) -> Option<Room> {
         match &self.0 {
@@ -168,7 +167,7 @@ impl BlobStore {
         }
     }
 
-    /// Stores contents of a photo; all are durable when this returns. Where it fails some may be there, which nobody refers to.
+    /// Stores contents of a photo. All are durable when this returns; after an error it may leave orphans.
     pub(crate) async fn store(&self, photo: PhotoId, contents: Contents) -> Result<Blobs> {
         self.room_for(contents.values().map(Content::len).sum())?;
         let (mut blobs, mut writes) = (Blobs::new(), Vec::new());
@@ -189,7 +188,7 @@ impl BlobStore {
         Ok(blobs)
     }
 
-    /// The library that the store belongs to, as [`BlobStore::set_library`] has written it.
+    /// Id of the store's library, as written by [`BlobStore::set_library`].
     pub(crate) async fn library(&self) -> Result<Option<Bytes>> {
         match self.get(LIBRARY, None).await {
             Err(LibraryError::NotFound(_)) => Ok(None),
@@ -197,7 +196,7 @@ impl BlobStore {
         }
     }
 
-    /// Says whose store it is.
+    /// Writes the id of the store's library.
     pub(crate) async fn set_library(&self, id: &str) -> Result<()> {
         self.put_all(vec![Write { name: LIBRARY.into(), source: Source::Bytes(Bytes::from(id.to_owned())) }]).await
     }
@@ -219,12 +218,12 @@ impl BlobStore {
     /// A range of a blob's bytes.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`] where it is missing, [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
     pub async fn read_range(&self, blob: &Blob, range: Range<u64>) -> Result<Bytes> {
         self.get(&blob.name, Some(range.start.min(blob.bytes)..range.end.min(blob.bytes))).await
     }
 
-    /// A whole blob, held against its size and digest.
+    /// A whole blob, checked against its size and digest.
     ///
     /// # Errors
     /// [`LibraryError::Damaged`], [`LibraryError::Unavailable`].
@@ -237,13 +236,13 @@ impl BlobStore {
         if bytes.len() as u64 != blob.bytes {
             return Err(damaged(format!("it has {} bytes, and {} were written", bytes.len(), blob.bytes)));
         }
-        // a large one would keep a thread of the runtime for a second
+        // hashing a large blob would block the runtime for a second
         let hash = move || (Digest::of(&bytes), bytes);
         let (digest, bytes) = tokio::task::spawn_blocking(hash).await.map_err(|e| LibraryError::Internal(e.to_string()))?;
         if digest == blob.digest { Ok(bytes) } else { Err(damaged("it is not what was written".into())) }
     }
 
-    /// The file of a blob, where blobs are files of this machine.
+    /// The file of a blob, if the store is a local folder.
     #[must_use]
     pub fn path(&self, blob: &Blob) -> Option<PathBuf> {
         match &self.0 {
@@ -259,16 +258,16 @@ impl BlobStore {
         }
     }
 
-    /// Deletes what no row refers to any more. What cannot be deleted now `gc` finds later.
+    /// Deletes blobs without references. If that fails, `gc` deletes them later.
     pub(crate) async fn discard(&self, names: impl IntoIterator<Item = String>) {
         for name in names {
             if let Err(error) = self.delete(&name).await {
-                tracing::warn!(name, %error, "a blob is left for gc");
+                tracing::warn!(name, %error, "cannot delete a blob; gc will");
             }
         }
     }
 
-    /// The same once readers of the version before have had their time: of an object store they read piece by piece, and a file of a folder stays open.
+    /// [`Self::discard`], in an object store after [`READERS`]: readers fetch objects piece by piece, while they keep files open.
     pub(crate) async fn discard_later(&self, names: Vec<String>) {
         match &self.0 {
             Place::Folder(_) => self.discard(names).await,
@@ -282,7 +281,7 @@ impl BlobStore {
         }
     }
 
-    /// Blobs whose names begin with `prefix`, a folder: those of photos whose ids begin so.
+    /// Blobs in the folder `prefix`: those of photos whose ids begin with it.
     pub(crate) async fn list(&self, prefix: &str) -> Result<Vec<Listed>> {
         match &self.0 {
             Place::Folder(folder) => folder.list(prefix).await,
@@ -290,18 +289,18 @@ impl BlobStore {
         }
     }
 
-    /// The time by the store's own clock.
+    /// The store's time.
     pub(crate) async fn now(&self) -> Result<Millis> {
         let name = format!("{PROBE}/{}", hex(&random::<8>()?));
         self.put_all(vec![Write { name: name.clone(), source: Source::Bytes(Bytes::from_static(b"now")) }]).await?;
         let listed = self.list(PROBE).await;
         self.delete(&name).await?;
         let written = listed?.into_iter().find(|listed| listed.name == name).map(|listed| listed.written_at);
-        written.ok_or_else(|| LibraryError::Invalid("the blob store does not list what was written".into()))
+        written.ok_or_else(|| LibraryError::Invalid("the blob store does not list a blob that was written".into()))
     }
 }
 
-/// Folders of names: the first two digits of photos' ids.
+/// All folders: the first two digits of photos' ids.
 pub(crate) fn prefixes() -> impl Iterator<Item = String> {
     (0..=u8::MAX).map(|byte| hex(&[byte]))
 }

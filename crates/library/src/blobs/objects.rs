@@ -1,4 +1,4 @@
-//! Blobs in an object store: S3 and what speaks like it, Google Cloud Storage, Azure.
+//! Blobs in an object store: S3 and compatible stores, Google Cloud Storage, Azure.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -15,9 +15,9 @@ use object_store::{BackoffConfig, ClientOptions, Error, ObjectStore, ObjectStore
 use super::{Listed, Source, Write};
 use crate::error::{LibraryError, Result, Service};
 
-/// Longest that a request is tried again: callers know what to do without the store.
+/// How long to retry a request: callers handle an unavailable store.
 const RETRY: Duration = Duration::from_secs(3);
-/// Longest that a request, and a connection, may take.
+/// Timeout of a request and of a connection.
 const REQUEST: Duration = Duration::from_mins(1);
 const CONNECT: Duration = Duration::from_secs(3);
 
@@ -28,10 +28,10 @@ pub(super) struct Objects {
     prefix: String,
 }
 
-/// What makes a store of a builder.
+/// Result of building a store.
 type Built = object_store::Result<Arc<dyn ObjectStore>>;
 
-/// How a store is asked; without TLS where `plain`.
+/// Options of the HTTP client; `plain` allows HTTP without TLS.
 fn client(plain: bool) -> ClientOptions {
     ClientOptions::new().with_timeout(REQUEST).with_connect_timeout(CONNECT).with_allow_http(plain)
 }
@@ -68,13 +68,13 @@ impl Objects {
                 _ => return None,
             })
         };
-        // what else is built in may ask for another kind of TLS; a second call changes nothing
+        // other dependencies may build rustls with another provider; a second call changes nothing
         let _ = rustls::crypto::ring::default_provider().install_default();
         let store = store().ok_or_else(unknown)?.map_err(|e| invalid(e.to_string()))?;
         Ok(Self { store, prefix: prefix.trim_matches('/').to_owned() })
     }
 
-    /// An S3 server of a test, with a bucket `photos`.
+    /// A test's S3 server with a bucket `photos`.
     #[cfg(test)]
     pub fn s3_at(addr: std::net::SocketAddr) -> Self {
         let _ = rustls::crypto::ring::default_provider().install_default();
@@ -83,7 +83,7 @@ impl Objects {
         Self { store: s3(builder, true).unwrap(), prefix: "library".into() }
     }
 
-    /// One in memory.
+    /// A store in memory.
     #[cfg(test)]
     pub fn in_memory() -> Self {
         Self { store: Arc::new(object_store::memory::InMemory::new()), prefix: "a/b".into() }
@@ -101,7 +101,7 @@ impl Objects {
             };
             self.store.put(&self.path(&name), bytes.into()).await.map_err(problem)?;
             if let Source::File(path) = source {
-                // it is stored: what is left of it here takes room, and no more
+                // it is stored: a leftover file only takes space
                 let _ = tokio::fs::remove_file(path).await;
             }
         }
@@ -135,7 +135,7 @@ impl Objects {
     }
 }
 
-/// That an object is missing says something of it; that its bucket is says nothing.
+/// Maps errors. A missing object is [`LibraryError::NotFound`], but a missing bucket is not.
 #[allow(clippy::needless_pass_by_value, reason = "it is what map_err gives")]
 fn problem(error: Error) -> LibraryError {
     let told = format!("{error:?}");

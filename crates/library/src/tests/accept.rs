@@ -21,7 +21,7 @@ async fn an_upload_is_accepted_once_and_known_after(bed: Bed) {
     let photo = make_next(&library).await;
     assert_eq!((photo.state, photo.details.clone().unwrap()["width"].as_i64()), (PhotoState::Done, Some(640)));
     assert_eq!(library.accept(upload(1, owner("ann"))).await.unwrap().outcome, Outcome::Known);
-    // it is the same, at the head of the list
+    // the same photo, at the head of the list
     let again = library.get(photo.id).await.unwrap();
     assert!(again.listed_at > again.accepted_at || again.listed_at == photo.listed_at);
     assert_eq!(Photo { listed_at: photo.listed_at, ..again }, photo);
@@ -42,7 +42,7 @@ async fn of_twins_at_a_time_one_is_new(bed: Bed) {
         new += u32::from(twin.await.unwrap() == Outcome::New);
     }
     assert_eq!(new, 1);
-    assert_eq!(bed.blobs(&nodes[0]).await.len(), 1, "what twins wrote is deleted");
+    assert_eq!(bed.blobs(&nodes[0]).await.len(), 1, "blobs of concurrent uploads are deleted");
     make_next(&nodes[1]).await;
     assert!(nodes[0].take(&Kind::ALL, LEASE).await.unwrap().is_none());
 }
@@ -56,15 +56,15 @@ async fn a_failed_photo_is_tried_again_and_a_damaged_one_healed(bed: Bed) {
     assert_eq!(library.get(lease.photo.id).await.unwrap().problem, Some(problem));
     assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Retried);
     let photo_done = make_next(&library).await;
-    assert_eq!(bed.blobs(&library).await.len(), 3, "the upload of before is deleted");
-    // nobody has noticed the damage
+    assert_eq!(bed.blobs(&library).await.len(), 3, "the previous upload is deleted");
+    // the damage is not marked yet
     let container = library.blobs().path(photo_done.blob(Part::Container).unwrap()).unwrap();
     std::fs::write(&container, b"made of photo 2").unwrap();
     assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Healed);
     let healed = make_next(&library).await;
     assert_eq!((healed.state, healed.version), (PhotoState::Done, 3));
     assert!(library.verify(&healed).await.unwrap().is_empty() && !container.exists());
-    // somebody has
+    // now it is
     assert!(library.mark_damaged(&healed, "container is damaged").await.unwrap());
     assert!(!library.mark_damaged(&healed, "once more").await.unwrap());
     assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Healed);
@@ -80,13 +80,13 @@ async fn a_photo_made_again_keeps_its_results_until_then(bed: Bed) {
     assert!(matches!(library.touch_up(&before, strokes(), &owner("ann")).await, Err(LibraryError::NotReady)));
     let after = make_next(&library).await;
     assert_ne!(after.blobs[&Part::Container].name, before.blobs[&Part::Container].name);
-    assert!(matches!(library.make_again(&before, Class::Batch, &owner("ann")).await, Err(LibraryError::Changed)), "a version ago");
+    assert!(matches!(library.make_again(&before, Class::Batch, &owner("ann")).await, Err(LibraryError::Changed)), "an older version");
     assert_eq!(bed.blobs(&library).await.len(), 4);
     library.make_again(&after, Class::Batch, &owner("ann")).await.unwrap();
     assert_eq!(make_next(&library).await.version, 3);
 }
 
-/// How many of 16 uploads, at two nodes at a time, get in.
+/// Number of accepted uploads out of 16 concurrent ones at two nodes.
 async fn taken(bed: &Bed, limits: &Limits) -> usize {
     let nodes = [bed.node_with(limits.clone()).await, bed.node_with(limits.clone()).await];
     let uploads: Vec<_> = (0..16)
@@ -116,7 +116,7 @@ async fn no_more_photos_get_in_than_the_quota_allows(bed: Bed) {
 }
 
 async fn no_more_bytes_get_in_than_the_quota_allows(bed: Bed) {
-    // each has 8
+    // each has 8 bytes
     assert_eq!(taken(&bed, &Limits { quota_bytes: Some(47), ..Limits::default() }).await, 5);
 }
 
@@ -139,7 +139,7 @@ async fn a_reservation_counts_until_it_is_a_photo(bed: Bed) {
     library.reserve("three", &ann, 13, Duration::from_secs(1)).await.unwrap();
     bed.jump(1_000);
     library.0.clock.lock().unwrap().take();
-    assert!(library.check_quota(&ann, 13, None).await.is_ok(), "its time is over");
+    assert!(library.check_quota(&ann, 13, None).await.is_ok(), "the reservation has expired");
 }
 
 async fn a_full_queue_and_a_greedy_owner_are_refused(bed: Bed) {

@@ -1,13 +1,13 @@
 use super::*;
 
 on_both! {
-    gc_deletes_what_nobody_refers_to_for_a_day,
+    gc_deletes_blobs_without_references_after_a_day,
     fsck_finds_what_is_missing_short_and_changed,
     a_store_of_another_library_is_refused,
     blobs_are_collected_once_a_day_by_one_of_all_nodes,
 }
 
-async fn gc_deletes_what_nobody_refers_to_for_a_day(bed: Bed) {
+async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
     let library = bed.node().await;
     let photo = done(&library, 1, owner("ann")).await;
     let asker = owner("ann");

@@ -1,4 +1,4 @@
-//! Whatever is cut off, and wherever: what was accepted is finished, nothing is lost, and nothing is made twice.
+//! Crashes at any point: accepted photos are finished, nothing is lost, and nothing is made twice.
 
 use super::files::Forgetful;
 use super::*;
@@ -10,10 +10,10 @@ on_both! {
     workers_and_uploads_that_die_at_random_lose_and_double_nothing,
 }
 
-/// More polls than anything here takes.
+/// More polls than any operation here takes.
 const MOST_POLLS: u32 = 400;
 
-/// Waits until what was cut off within the database is committed or rolled back.
+/// Waits until the database has committed or rolled back an interrupted transaction.
 async fn settle(library: &Library) {
     let mut tx = library.database().write().await.unwrap();
     if tx.has_row_locks() {
@@ -21,7 +21,7 @@ async fn settle(library: &Library) {
     }
 }
 
-/// Holds that what the rows refer to is there and right, and after `gc` nothing else.
+/// Asserts that all referenced blobs are intact, and that `gc` leaves no others.
 async fn is_consistent(bed: &Bed, library: &Library, photos: usize) {
     assert_eq!(library.fsck().await.unwrap(), []);
     library.gc_older_than(Duration::ZERO).await.unwrap();
@@ -80,7 +80,7 @@ async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
             if answer.is_some() {
                 return;
             }
-            // cut off after it was committed: once more
+            // interrupted after the commit: once more
             library.make_again(&photo, Class::Batch, &Asker::default()).await.unwrap();
             make_next(&library).await;
             return;
@@ -114,7 +114,7 @@ async fn a_deletion_cut_off_anywhere_is_whole_or_nothing(bed: Bed) {
     panic!("it never completes");
 }
 
-/// The next of a row of numbers that look random.
+/// The next pseudorandom number.
 fn random(seed: &mut u64) -> u32 {
     *seed ^= *seed << 13;
     *seed ^= *seed >> 7;
@@ -122,7 +122,7 @@ fn random(seed: &mut u64) -> u32 {
     (*seed >> 33) as u32
 }
 
-/// Accepts its photos, each until it is, though what it asks is often cut off.
+/// Accepts photos, and retries each until it succeeds, while calls are often interrupted.
 async fn uploads(library: Library, photos: std::ops::Range<u32>, mut seed: u64) {
     for n in photos {
         let asker = owner(&(n % 7).to_string());
@@ -130,7 +130,7 @@ async fn uploads(library: Library, photos: std::ops::Range<u32>, mut seed: u64) 
     }
 }
 
-/// Makes photos until all are done, though it often dies.
+/// Makes photos until all are done, while it often dies.
 async fn works(library: Library, bed: Arc<Bed>, all: u64, mut seed: u64) {
     while library.statistics().await.unwrap().photos.get(&PhotoState::Done) != Some(&all) {
         let polls = random(&mut seed) % 120;
@@ -144,9 +144,9 @@ async fn works(library: Library, bed: Arc<Bed>, all: u64, mut seed: u64) {
             }
             true
         };
-        // where nothing waits, time passes for those whose workers have died
+        // with nothing waiting, let leases of dead workers expire
         if cut(work, polls).await == Some(false) {
-            // slowly, or those that live lose their leases before they finish
+            // slowly, or live workers lose their leases before they finish
             tokio::time::sleep(Duration::from_millis(20)).await;
             bed.jump(1_000);
         }
@@ -180,7 +180,7 @@ async fn workers_and_uploads_that_die_at_random_lose_and_double_nothing(bed: Bed
     }
 }
 
-/// A node whose blobs are forgetful.
+/// A node whose blob folder loses unsynced data.
 async fn forgetful(bed: &Bed) -> (Library, Arc<Forgetful>) {
     let files = Arc::new(Forgetful::default());
     let blobs = BlobStore::folder_of(files.clone(), Path::new("/blobs")).unwrap();
@@ -225,5 +225,5 @@ async fn a_full_disk_refuses_uploads_and_keeps_makings_waiting() {
     library.accept(photo(2)).await.unwrap();
     make_next(&library).await;
     let left = library.gc_older_than(Duration::ZERO).await.unwrap();
-    assert_eq!(left, Collected::default(), "what filled the disk is gone");
+    assert_eq!(left, Collected::default(), "partial files are deleted");
 }

@@ -45,11 +45,11 @@ async fn sessions_end_with_their_time_and_their_key(bed: Bed) {
     later(&bed, &library, hour);
     assert!(library.find_session(&mine).await.unwrap().is_none() && library.find_session(&by_key).await.unwrap().is_some());
     later(&bed, &library, hour);
-    assert!(library.find_session(&by_key).await.unwrap().is_none(), "its key's time is over");
+    assert!(library.find_session(&by_key).await.unwrap().is_none(), "its key has expired");
     let key = library.add_key("bob", &[Scope::Read], None).await.unwrap().key;
     let by_key = library.open_session(&key.owner, Some(&key), hour).await.unwrap();
     library.remove_keys("bob", Some(&key.id)).await.unwrap();
-    assert!(library.find_session(&by_key).await.unwrap().is_none(), "its key is gone");
+    assert!(library.find_session(&by_key).await.unwrap().is_none(), "its key was removed");
     assert!(matches!(library.open_session(&key.owner, Some(&key), hour).await, Err(LibraryError::NotFound("key"))));
     let all = [library.open_session(&ann, None, hour).await.unwrap(), library.open_session(&ann, None, hour).await.unwrap()];
     library.end_session(&all[0]).await.unwrap();

@@ -4,14 +4,14 @@ on_both! {
     a_photo_is_followed_from_its_acceptance_to_its_end,
 }
 
-/// The next event of a photo that is not about something else.
+/// The next event about a photo.
 async fn next(events: &mut Subscription) -> Event {
     tokio::time::timeout(Duration::from_secs(30), events.next()).await.unwrap().unwrap()
 }
 
 async fn a_photo_is_followed_from_its_acceptance_to_its_end(bed: Bed) {
     let worker = bed.node().await;
-    // with PostgreSQL another node hears it all
+    // with PostgreSQL another node receives all events
     let node = if bed.url.is_some() { bed.node().await } else { worker.clone() };
     let mut events = node.subscribe();
     let id = worker.accept(photo(1)).await.unwrap().photo.id;
@@ -21,7 +21,7 @@ async fn a_photo_is_followed_from_its_acceptance_to_its_end(bed: Bed) {
     let progress = json!({"stage": "depth", "step": 2});
     worker.tell_progress(&lease, progress.clone()).await.unwrap();
     assert_eq!(next(&mut events).await, Event::Progress { photo: id, progress: progress.clone() });
-    assert_eq!(node.progress_of(id), Some(progress.clone()), "who comes late is told the last");
+    assert_eq!(node.progress_of(id), Some(progress.clone()), "new followers get the last progress");
     worker.renew(&lease, Some(&progress)).await.unwrap();
     assert_eq!(node.job(Kind::Make, id, None).await.unwrap().progress, Some(progress));
     worker.finish(&lease, made(&worker, &lease).await).await.unwrap();

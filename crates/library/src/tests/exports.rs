@@ -75,7 +75,7 @@ async fn exports_have_places_and_room_of_their_own(bed: Bed) {
     library.finish_export(&lease, Content::of_bytes(vec![0; 4])).await.unwrap();
     bed.jump(10);
     write_next(&library, &[1; 4]).await;
-    // within a minute it would count as one fetch with its writing
+    // within a minute of its writing a fetch would not count
     bed.jump(60_000);
     let a = library.job(Kind::Export, photo.id, Some("a")).await.unwrap();
     library.fetched(&a).await.unwrap();
@@ -88,6 +88,6 @@ async fn exports_have_places_and_room_of_their_own(bed: Bed) {
             there.push_str(key);
         }
     }
-    assert_eq!(there, "ac", "the one that was not fetched for longest makes room");
+    assert_eq!(there, "ac", "the least recently fetched one makes room");
     assert_eq!(bed.blobs(&library).await.len(), 3 + 2);
 }

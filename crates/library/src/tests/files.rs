@@ -1,4 +1,4 @@
-//! Files that forget, at a crash, what was not synced; and a disk that is full.
+//! Files that lose unsynced data in a crash, and a full disk.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -17,10 +17,10 @@ struct File {
 #[derive(Debug, Default)]
 struct Inner {
     files: Vec<File>,
-    /// Which file has which name, now and after a crash.
+    /// Files by name, now and after a crash.
     now: BTreeMap<PathBuf, usize>,
     synced: BTreeMap<PathBuf, usize>,
-    /// Changes that are still made: the one after them, and all that follow, fail.
+    /// Number of changes that still succeed; all later ones fail.
     left: Option<usize>,
     is_full: bool,
 }
@@ -30,17 +30,17 @@ struct Inner {
 pub struct Forgetful(Mutex<Inner>);
 
 impl Forgetful {
-    /// The process ends after so many more changes.
+    /// Ends the process after this many more changes.
     pub fn end_after(&self, changes: usize) {
         self.0.lock().unwrap().left = Some(changes);
     }
 
-    /// From now on there is no room, or there is again.
+    /// Fills or frees the disk.
     pub fn fill(&self, is_full: bool) {
         self.0.lock().unwrap().is_full = is_full;
     }
 
-    /// The machine stops: what was not synced is gone.
+    /// Stops the machine: unsynced data is lost.
     pub fn crash(&self) {
         let mut inner = self.0.lock().unwrap();
         inner.left = None;
@@ -75,7 +75,7 @@ impl Files for Forgetful {
 
     fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         let mut inner = self.0.lock().unwrap();
-        // what a process leaves that ends while it writes: a part, and nothing synced
+        // a process that ends while writing leaves an unsynced part
         let at = inner.files.len();
         inner.files.push(File { now: bytes[..bytes.len() / 2].to_vec(), synced: None });
         inner.now.insert(path.to_owned(), at);

@@ -1,4 +1,4 @@
-//! One suite for both databases. PostgreSQL's half is skipped, and says so, where PostgreSQL is not installed.
+//! One suite for both databases. Without PostgreSQL its half is skipped with a message.
 
 mod accept;
 mod blobs;
@@ -28,7 +28,7 @@ use serde_json::json;
 use crate::database::Database;
 use crate::*;
 
-/// A lease that ends only where a test has the clock jump.
+/// A lease that expires only when a test shifts the clock.
 pub const LEASE: Duration = Duration::from_mins(1);
 
 /// Defines each test for SQLite and for PostgreSQL.
@@ -52,7 +52,7 @@ macro_rules! on_both {
 }
 pub(crate) use on_both;
 
-/// An empty database and an empty folder of blobs, of which a test opens as many nodes as it wants.
+/// An empty database and an empty folder of blobs, for any number of nodes.
 pub struct Bed {
     dir: tempfile::TempDir,
     pub url: Option<String>,
@@ -102,12 +102,12 @@ impl Bed {
         Library::of(database, blobs, Config { limits, ..Config::of_folder(self.path()) }).await
     }
 
-    /// Has the database's clock jump.
+    /// Shifts the database's clock.
     pub fn jump(&self, by: i64) {
         self.clock.fetch_add(by, Ordering::SeqCst);
     }
 
-    /// Names of all blobs that are there.
+    /// Names of all blobs.
     pub async fn blobs(&self, library: &Library) -> Vec<String> {
         let mut all = Vec::new();
         for prefix in crate::blobs::prefixes() {
@@ -117,7 +117,7 @@ impl Bed {
     }
 }
 
-/// Who comes from an address of their own.
+/// A caller with an address of its own.
 pub fn owner(name: &str) -> Asker {
     Asker { owner: Some(Owner::of_secret(name)), ..Asker::default() }
 }
@@ -147,12 +147,12 @@ pub fn upload(n: u32, asker: Asker) -> Upload {
     }
 }
 
-/// The same of nobody.
+/// An upload of the `n`th photo without an owner.
 pub fn photo(n: u32) -> Upload {
     upload(n, Asker::default())
 }
 
-/// What a worker makes of a photo whose bytes it reads.
+/// A worker's results for a photo, which it reads.
 pub async fn made(library: &Library, lease: &Lease) -> Made {
     let read = library.blobs().read(Part::Upload, lease.photo.blob(Part::Upload).unwrap()).await.unwrap();
     let container = [b"made of ".as_slice(), &read].concat();
@@ -173,7 +173,7 @@ pub async fn done(library: &Library, n: u32, asker: Asker) -> Photo {
     make_next(library).await
 }
 
-/// A future that is dropped after so many polls, as one is whose process is killed; none where it was.
+/// Drops a future after this many polls, as if its process was killed; `None` if it was dropped.
 pub struct Cut<F> {
     future: Option<Pin<Box<F>>>,
     polls: u32,

@@ -18,7 +18,7 @@ async fn all(library: &Library, filter: &Filter, limit: usize) -> Vec<Photo> {
         assert!(page.photos.len() == limit || page.next.is_none());
         photos.extend(page.photos);
         after = match page.next {
-            // as it goes through an address
+            // as in a URL
             Some(next) => Some(next.to_string().parse().unwrap()),
             None => return photos,
         };
@@ -41,7 +41,7 @@ async fn pages_are_newest_first_by_owner_state_and_title(bed: Bed) {
     }
     let is_done = Filter { state: Some(PhotoState::Done), ..Filter::default() };
     assert_eq!(all(&library, &is_done, 9).await.len(), 1);
-    // what is uploaded once more comes first, and is as old as it was
+    // a photo that is uploaded again comes first, but keeps its age
     let before = all(&library, &Filter::default(), 100).await.into_iter().find(|photo| photo.title() == Some("Photo 0")).unwrap();
     let again = library.accept(upload(0, owner("ann"))).await.unwrap().photo;
     assert_eq!((again.id, again.accepted_at), (before.id, before.accepted_at));
@@ -65,7 +65,7 @@ async fn pages_stay_in_place_while_photos_come_and_go(bed: Bed) {
         let Some(next) = page.next else { break };
         after = Some(next);
         library.accept(photo(n)).await.unwrap();
-        // also the one that the next page begins behind
+        // including the one after which the next page begins
         let gone = page.photos.last().unwrap().id;
         library.delete(gone, None).await.unwrap();
         n += 1;

@@ -86,7 +86,7 @@ async fn what_somebody_waits_for_comes_first_but_not_always(bed: Bed) {
     for _ in 0..8 {
         order.push_str(&make_next(&library).await.class.name()[..1]);
     }
-    assert_eq!(order, "ibiiibii", "each fourth is taken the other way");
+    assert_eq!(order, "ibiiibii", "every fourth is taken in the opposite order");
 }
 
 async fn a_dead_workers_job_is_taken_again_and_its_result_discarded(bed: Bed) {
@@ -119,7 +119,7 @@ async fn a_worker_keeps_its_lease_however_the_clock_jumps(bed: Bed) {
         assert!(library.take(&[Kind::Make], LEASE).await.unwrap().is_none(), "{jump}");
         library.renew(&lease, Some(&json!({"stage": "depth"}))).await.unwrap();
         library.finish(&lease, made(&library, &lease).await).await.unwrap();
-        // once its process is gone, the job is others' however far ahead the lease seems to end
+        // once its process is gone, another takes the job, however late the lease seems to end
         library.accept(photo(10 + n)).await.unwrap();
         drop(library.take(&[Kind::Make], LEASE).await.unwrap().unwrap());
         bed.jump(jump);
@@ -127,7 +127,7 @@ async fn a_worker_keeps_its_lease_however_the_clock_jumps(bed: Bed) {
         bed.jump(1_000);
         let again = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
         assert_eq!(again.job.attempts, 1, "{jump}");
-        // and what waits for its time is not forgotten
+        // and a delayed job is not forgotten
         library.retry(&again, &Retry::Fault("the disk is full".into())).await.unwrap();
         bed.jump(jump);
         make_next(&library).await;
@@ -175,7 +175,7 @@ async fn a_fault_of_the_server_only_costs_time(bed: Bed) {
         };
         pauses.push(pause);
     }
-    // the database's own clock runs on meanwhile
+    // the database's clock runs on meanwhile
     let doubled = [500, 1_000, 2_000, 4_000, 8_000, 16_000, 32_000, 60_000, 60_000];
     assert!(pauses.iter().zip(doubled).all(|(is, most)| (most / 2..=most).contains(is)), "{pauses:?}");
     assert_eq!((lease.job.attempts, lease.job.problem.clone()), (0, None));

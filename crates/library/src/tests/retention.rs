@@ -5,7 +5,7 @@ const DAY: i64 = 86_400_000;
 
 on_both! {
     photos_go_by_their_age_but_not_by_a_clock_that_jumps,
-    photos_that_nobody_looks_at_make_room,
+    the_least_recently_viewed_photos_make_room,
     exports_sessions_and_reservations_go_with_their_time,
 }
 
@@ -17,7 +17,7 @@ async fn photos_go_by_their_age_but_not_by_a_clock_that_jumps(bed: Bed) {
     let young = done(&library, 2, owner("b")).await;
     let waits = library.accept(photo(3)).await.unwrap().photo;
     assert_eq!(library.ends_at(old.accepted_at), Some(old.accepted_at + DAY / 24 * 47));
-    // a program that starts believes its clock where it has seen a photo within a day
+    // a new process trusts its clock if the newest photo is less than a day old
     bed.jump(DAY - 60_000);
     let swept = bed.node_with(limits.clone()).await.sweep().await.unwrap();
     assert_eq!((swept.by_age, swept.bytes), (1, old.bytes));
@@ -25,13 +25,13 @@ async fn photos_go_by_their_age_but_not_by_a_clock_that_jumps(bed: Bed) {
     let swept = library.sweep().await.unwrap();
     bed.jump(400 * DAY);
     assert_eq!((swept, library.sweep().await.unwrap()), (Swept::default(), Swept::default()), "a year ahead from one sweep to the next");
-    assert_eq!(bed.node_with(limits).await.sweep().await.unwrap(), Swept::default(), "and for a program that starts");
+    assert_eq!(bed.node_with(limits).await.sweep().await.unwrap(), Swept::default(), "and for a new process");
     for id in [young.id, waits.id] {
         assert!(library.find(id).await.unwrap().is_some());
     }
 }
 
-async fn photos_that_nobody_looks_at_make_room(bed: Bed) {
+async fn the_least_recently_viewed_photos_make_room(bed: Bed) {
     let library = bed.node().await;
     let mut photos = Vec::new();
     for n in 0..5 {
@@ -40,7 +40,7 @@ async fn photos_that_nobody_looks_at_make_room(bed: Bed) {
     }
     library.accept(photo(9)).await.unwrap();
     let all: u64 = photos.iter().map(|photo| photo.bytes).sum::<u64>() + 7;
-    // room for all but one, and a byte less
+    // space for all but one, less a byte
     let limits = Limits { retain_bytes: Some(all - photos[0].bytes - 1), ..Limits::default() };
     let sweeper = bed.node_with(limits).await;
     sweeper.viewed(photos[0].id);

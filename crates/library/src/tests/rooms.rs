@@ -19,11 +19,11 @@ async fn a_room_has_one_origin_and_a_higher_epoch_each_time(bed: Bed) {
     bed.jump(4_000);
     assert!(two.room("attic").await.unwrap().is_some());
     bed.jump(1_001);
-    assert_eq!(two.room("attic").await.unwrap(), None, "its node has died");
+    assert_eq!(two.room("attic").await.unwrap(), None, "its lease has expired");
     let second = two.claim_room("attic", "two:8080", Claim::IfFree, SECONDS).await.unwrap();
     assert!(second.epoch > first.epoch);
     assert!(matches!(one.renew_room("attic", &first, SECONDS).await, Err(LibraryError::LeaseLost)));
-    // the publisher reconnects elsewhere before the lease is over
+    // the publisher reconnects elsewhere before the lease expires
     let third = one.claim_room("attic", "one:8080", Claim::TakeOver, SECONDS).await.unwrap();
     assert_eq!(one.room("attic").await.unwrap(), Some(third.clone()));
     assert!(third.epoch > second.epoch && matches!(two.renew_room("attic", &second, SECONDS).await, Err(LibraryError::LeaseLost)));
@@ -31,7 +31,7 @@ async fn a_room_has_one_origin_and_a_higher_epoch_each_time(bed: Bed) {
     assert_eq!(two.room("attic").await.unwrap(), None);
     let fourth = two.claim_room("attic", "two:8080", Claim::IfFree, SECONDS).await.unwrap();
     assert!(fourth.epoch > third.epoch);
-    // long after, when the row is removed
+    // long after, when the row has been removed
     bed.jump(1000 * 3600 * 24 * 31);
     one.sweep().await.unwrap();
     assert!(one.claim_room("attic", "one:8080", Claim::IfFree, SECONDS).await.unwrap().epoch > fourth.epoch);
