@@ -56,7 +56,7 @@ pub fn end_of(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Opti
 
 /// Prefix of a token among the WebSocket protocols: the one header of a WebSocket that a page can set.
 const AMONG_PROTOCOLS: &str = "token.";
-/// The protocol of a room's WebSockets.
+/// The protocol of a room's web sockets.
 pub const PROTOCOL: &str = "tmpi.live.v1";
 
 /// The token in a request's headers: a bearer token (RFC 6750), or one among the WebSocket protocols.
@@ -68,7 +68,7 @@ pub fn token_of(headers: &HeaderMap) -> Option<&str> {
     bearer.or_else(among)
 }
 
-/// Refuses requests from pages of other sites: browsers let a page open WebSockets to any server, but send the page's origin.
+/// Refuses requests from pages of other sites: browsers let a page open web sockets to any server, but send the page's origin.
 ///
 /// # Errors
 /// 403.
