@@ -1,9 +1,11 @@
 //! Flags that several commands share. Ranges are those of [`Options::validate`]; an error names flag and range.
 
+use std::path::Path;
+
 use tmpi_core::ViewBox;
-use tmpi_pipeline::depth::DepthKind;
+use tmpi_pipeline::depth::{DepthError, DepthKind};
 use tmpi_pipeline::strokes::Stroke;
-use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Stereo, Switch, TileSize};
 
 /// How a photo is read and its depth found.
 #[derive(Clone, Debug, clap::Args)]
@@ -11,6 +13,10 @@ pub(super) struct DepthFlags {
     /// Depth that the photo brings along (Google's depth map metadata, Dynamic Depth, portraits of iPhones sent as JPEG); on: fail without
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub photo_depth: Switch,
+    /// Where the picture of a second eye is, against which depth is measured; auto: behind the first in the file (MPO), or as its name says
+    /// (name.left-right.jpg, name.top-bottom.jpg)
+    #[arg(long, value_enum, default_value_t, value_name = "WHERE")]
+    pub stereo: Stereo,
     /// Cleaning of the depth map
     #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
     pub denoise: Denoise,
@@ -23,10 +29,19 @@ pub(super) struct DepthFlags {
 }
 
 impl DepthFlags {
+    /// Where the second eye of a photo is: as the flag says, else as the file's name does.
+    ///
+    /// # Errors
+    /// It is of a kind that is not made.
+    pub(super) fn stereo_of(&self, photo: &Path) -> Result<Stereo, DepthError> {
+        let name = photo.file_name().unwrap_or_default().to_string_lossy();
+        if self.stereo == Stereo::Auto { Stereo::of_name(&name) } else { Ok(self.stereo) }
+    }
+
     /// The options that the flags stand for; all others are the usual ones.
     pub(super) fn options(&self) -> Options {
-        let Self { photo_depth, snap, denoise, max_size } = *self;
-        Options { photo_depth, snap, denoise, max_size, ..Options::default() }
+        let Self { photo_depth, stereo, snap, denoise, max_size } = *self;
+        Options { photo_depth, stereo, snap, denoise, max_size, ..Options::default() }
     }
 }
 
