@@ -3,7 +3,7 @@
 
 /// Pairs of pixels by which both are compared, and the share of them in one order below which the eyes are the other way round.
 const PAIRS: usize = 20_000;
-const CROSSED: f64 = 0.35;
+const CROSSED: f64 = 0.2;
 /// Differences of a pair that say an order: of the estimate, and of the measured disparity in pixels.
 const TELLS: (f32, f32) = (0.1, 1.0);
 /// Tries of scale and shift, and the share of the measured range within which a pixel agrees with them.

@@ -8,6 +8,8 @@ pub mod fuse;
 mod halves;
 pub mod rectify;
 pub mod sgm;
+#[cfg(test)]
+mod tests;
 
 use tmpi_core::{DisparityMap, Photo};
 
@@ -28,8 +30,9 @@ const SIDES: f64 = 0.35;
 /// Shares of the pixels measured there that the range may leave out at either end, and what is added to it.
 const TAIL: f64 = 0.002;
 const MARGIN: f64 = 0.1;
-/// Share of the pixels of a piece that is taken for chance.
-const SPECK: f64 = 1e-4;
+/// Share of the pixels of a piece that is taken for chance; and of one at the small size, where the range must not follow it.
+const SPECK: f64 = 1e-3;
+const SMALL_SPECK: f64 = 4e-3;
 /// Least share of the pixels that must be measured.
 const ENOUGH: f64 = 0.25;
 /// Least range of disparity, in pixels at which it was measured.
@@ -127,7 +130,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
     pair[1] = model.rectified(&pair[1]);
     let rectify_ms = clock.ms();
     let mut range = range(&pair).ok_or(Unmeasured::Few { share: 0.0 })?;
-    let count = (range.1 - range.0).max(1.0) * f64::from(size.0);
+    let count = (range.1 - range.0) * f64::from(size.0);
     if count > MOST as f64 {
         size = working_size(size, f64::from(size.0) * f64::from(size.1) * (MOST as f64 / count).powi(2));
         pair = [grey(first, size), grey(second, size)];
@@ -135,7 +138,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
     }
     range = (range.0 * f64::from(size.0), range.1 * f64::from(size.0));
     let range = Range::holding(range.0.floor() as i32, range.1.ceil() as i32);
-    let disparity = matched(&pair, range);
+    let disparity = matched(&pair, range, SPECK);
     let share = share(&disparity);
     if share < ENOUGH {
         return Err(Unmeasured::Few { share });
@@ -203,11 +206,11 @@ fn grey(photo: &Photo, size: (u32, u32)) -> Grey {
 }
 
 /// Disparity of the first of a pair, without specks.
-fn matched(pair: &[Grey; 2], range: Range) -> Vec<f32> {
+fn matched(pair: &[Grey; 2], range: Range, speck: f64) -> Vec<f32> {
     let (width, height) = (pair[0].width, pair[0].height);
     let [own, other] = [census(&pair[0]), census(&pair[1])];
     let mut disparity = sgm::disparity(&Views { width, height, grey: &pair[0].values, own: &own, other: &other }, range);
-    let least = ((width * height) as f64 * SPECK).ceil() as usize;
+    let least = ((width * height) as f64 * speck).ceil() as usize;
     fuse::drop_specks(&mut disparity, width, least.max(4));
     disparity
 }
@@ -218,7 +221,7 @@ fn range(pair: &[Grey; 2]) -> Option<(f64, f64)> {
     let small = [rectify::reduced(&pair[0], by), rectify::reduced(&pair[1], by)];
     let width = small[0].width as f64;
     let side = (width * SIDES).ceil() as i32;
-    let disparity = matched(&small, Range::holding(-side, side));
+    let disparity = matched(&small, Range::holding(-side, side), SMALL_SPECK);
     if share(&disparity) < ENOUGH / 2.0 {
         return None;
     }
