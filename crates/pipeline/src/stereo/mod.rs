@@ -38,6 +38,9 @@ const ENOUGH: f64 = 0.25;
 /// Least range of disparity, in pixels at which it was measured.
 const PARALLAX: f32 = 1.5;
 
+/// Shortest side of a picture, in pixels, that is matched.
+const LEAST: u32 = 16;
+
 /// Why a second view tells no depth.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Unmeasured {
@@ -120,6 +123,9 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
     let text = |p: &Photo| format!("{}×{}", p.width, p.height);
     if !depth::fits((second.width, second.height), (first.width, first.height)) {
         return Err(Unmeasured::Shape { first: text(first), second: text(second) });
+    }
+    if first.width.min(first.height) < LEAST {
+        return Err(Unmeasured::Few { share: 0.0 });
     }
     let clock = Clock::start();
     let mut size = working_size((first.width, first.height), WORK);

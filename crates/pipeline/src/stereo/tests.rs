@@ -97,7 +97,7 @@ fn two_surfaces_are_measured_whichever_way_they_shift() {
         assert!(off(10..115, far) < 0.02 && off(145..250, near) < 0.02, "{far} {near}: {} {}", off(10..115, far), off(145..250, near));
         let estimate = DisparityMap { width: 300, height: 260, delta: (0..78_000).map(|i| f32::from(u8::from(i >= 39_000))).collect() };
         let Joined { map, figures, .. } = measured.joined(&photo, &estimate);
-        assert!((figures.nearest_px - f64::from(near)).abs() < 1.0 && !figures.crossed, "{figures:?}");
+        assert!((figures.nearest_px - f64::from(near)).abs() < 2.0 && !figures.crossed, "{figures:?}");
         assert!(map.delta.iter().all(|d| (0.0..=1.0).contains(d)) && map.delta[200 * 300 + 150] > map.delta[50 * 300 + 150] + 0.3);
     }
 }
@@ -122,7 +122,7 @@ fn rows_of_a_turned_picture_are_found() {
         assert!((found.model.down(u, v) + model.down(u, v)).abs() < 0.002, "{model:?}: {found:?}");
     }
     let as_it_is = rectify(&photo, &photo).unwrap();
-    assert_eq!((as_it_is.model, as_it_is.after_px), (Model::default(), 0.0));
+    assert!(as_it_is.model == Model::default() && as_it_is.after_px < 0.1, "{as_it_is:?}");
 }
 
 #[test]
