@@ -60,6 +60,7 @@ pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
             plane_method: PlaneMethod::Linear,
             refine: Switch::Off,
             quality: 1,
+            stereo: args.flags.stereo_of(&args.photo).with_context(|| name.clone())?,
             ..args.flags.options()
         };
         tmpi_pipeline::make(&models, &limits, &bytes, None, &options, &bar).with_context(|| name.clone())?.disparity

@@ -1,9 +1,11 @@
 //! Flags that several commands share. [`Options::validate`] defines the ranges; an error names the flag and its range.
 
+use std::path::Path;
+
 use tmpi_core::ViewBox;
-use tmpi_pipeline::depth::DepthKind;
+use tmpi_pipeline::depth::{DepthError, DepthKind};
 use tmpi_pipeline::strokes::Stroke;
-use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Stereo, Switch, TileSize};
 
 /// How to read a photo and estimate its depth.
 #[derive(Clone, Debug, clap::Args)]
@@ -12,6 +14,10 @@ pub(super) struct DepthFlags {
     /// without it
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub photo_depth: Switch,
+    /// Where the picture of a second eye is, by which depth is measured; auto: behind the first in the file (MPO), or as the file's name
+    /// says (name.left-right.jpg, name.top-bottom.jpg)
+    #[arg(long, value_enum, default_value_t, value_name = "WHERE")]
+    pub stereo: Stereo,
     /// How to denoise the depth map
     #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
     pub denoise: Denoise,
@@ -24,10 +30,19 @@ pub(super) struct DepthFlags {
 }
 
 impl DepthFlags {
+    /// Where the second eye of a photo is: as the flag says, else as the file's name does.
+    ///
+    /// # Errors
+    /// The name tells of a kind of stereo that is not supported.
+    pub(super) fn stereo_of(&self, photo: &Path) -> Result<Stereo, DepthError> {
+        let name = photo.file_name().unwrap_or_default().to_string_lossy();
+        if self.stereo == Stereo::Auto { Stereo::of_name(&name) } else { Ok(self.stereo) }
+    }
+
     /// The pipeline's options; those without a flag here keep their defaults.
     pub(super) fn options(&self) -> Options {
-        let Self { photo_depth, snap, denoise, max_size } = *self;
-        Options { photo_depth, snap, denoise, max_size, ..Options::default() }
+        let Self { photo_depth, stereo, snap, denoise, max_size } = *self;
+        Options { photo_depth, stereo, snap, denoise, max_size, ..Options::default() }
     }
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 
+use anyhow::Context;
 use serde_json::json;
 
 use super::batch::{Batch, Item};
@@ -14,7 +15,7 @@ use tmpi_pipeline::Report;
 use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{self, Made, Models, Options};
+use tmpi_pipeline::{self, Made, Models, Options, Stereo};
 
 /// Make tiled multiplane images of photos
 #[derive(Clone, Debug, clap::Args)]
@@ -39,6 +40,9 @@ pub(super) struct MakeArgs {
     /// Depth map of the one photo, a grey PNG of 8 or 16 bits; in place of one that lies beside it
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
+    /// The same scene by the other eye, from beside the one photo: depth is measured against it
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["depth", "stereo"])]
+    second: Option<PathBuf>,
     /// Also write the report: of one photo an object, of several a list
     #[arg(long, value_name = "FILE.json")]
     report: Option<PathBuf>,
@@ -63,6 +67,9 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     if args.depth.is_some() && items.len() > 1 {
         return Err(one_map().into());
     }
+    if args.second.is_some() && items.len() > 1 {
+        return Err(Usage("--second takes the other picture of one photo; several photos were given".into()).into());
+    }
     if args.flags.strokes.is_some() && items.len() > 1 {
         return Err(Usage("--strokes takes those of one photo; several photos were given".into()).into());
     }
@@ -82,9 +89,9 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     if items.is_empty() {
         return Ok(());
     }
-    let depth = args.depth.as_deref().map(files::read).transpose()?;
+    let depth = args.depth.as_deref().or(args.second.as_deref()).map(files::read).transpose()?;
     let models = models::load(&args.models.settings())?;
-    let work = Work { models: &models, depth: depth.as_deref(), options: &args.flags.options(), bars: &bars, total: items.len() };
+    let work = Work { models: &models, depth: depth.as_deref(), args, bars: &bars, total: items.len() };
     let (mut made, mut failed) = (Vec::new(), 0);
     let mut telling = true;
     work.all(&items, args.jobs, |index, result| {
@@ -122,7 +129,7 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
 struct Work<'a> {
     models: &'a Models,
     depth: Option<&'a [u8]>,
-    options: &'a Options,
+    args: &'a MakeArgs,
     bars: &'a Bars,
     total: usize,
 }
@@ -161,7 +168,10 @@ impl Work<'_> {
         let found = item.depth.as_deref().filter(|_| self.depth.is_none()).map(files::read).transpose()?;
         let name = item.photo.display().to_string();
         let bar = self.bars.bar(&if self.total > 1 { format!("[{}/{}] {name}", index + 1, self.total) } else { name.clone() });
-        let made = tmpi_pipeline::make(self.models, &Limits::default(), &bytes, self.depth.or(found.as_deref()), self.options, &bar);
+        let flags = &self.args.flags;
+        let stereo = if self.args.second.is_some() { Ok(Stereo::Beside) } else { flags.depth.stereo_of(&item.photo) };
+        let options = Options { stereo: stereo.with_context(|| name.clone())?, ..flags.options() };
+        let made = tmpi_pipeline::make(self.models, &Limits::default(), &bytes, self.depth.or(found.as_deref()), &options, &bar);
         drop(bar);
         let Made { container, report, .. } = made.map_err(|e| anyhow::Error::new(e).context(name))?;
         files::write(&item.output, &container)?;
@@ -177,6 +187,11 @@ fn tell(bars: &Bars, item: &Item, report: &Report, args: &MakeArgs) -> anyhow::R
     {
         let (map, name) = (format!("{}×{}", depth.width, depth.height), photo.display());
         bars.note(&format!("{name}: its depth map ({map}) has another shape than the photo and was stretched"));
+    }
+    if !args.quiet
+        && let Some(problem) = &report.input.depth_problem
+    {
+        bars.note(&format!("{}: depth is estimated: {problem}", photo.display()));
     }
     if args.json {
         return bars.result(

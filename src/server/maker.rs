@@ -5,9 +5,10 @@ use std::time::Duration;
 use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
+use tmpi_pipeline::depth::DepthError;
 use tmpi_pipeline::photo::{self, Head};
 use tmpi_pipeline::strokes;
-use tmpi_pipeline::{self, MakeError, Models, Options};
+use tmpi_pipeline::{self, MakeError, Models, Options, Stereo};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::exports::Work;
@@ -51,6 +52,8 @@ pub enum HeadOf<'a> {
     PhotoSoFar(&'a Options),
     /// A depth map.
     Depth,
+    /// The picture of a second eye.
+    Second,
 }
 
 /// Makes photos.
@@ -162,7 +165,8 @@ impl Maker for PipelineMaker {
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         // the checks of the upload's head come first, so that a whole file gets the same errors
         self.check_head(HeadOf::Photo(options), photo)?;
-        let (size, map) = self.sizes(photo, depth)?;
+        options.stereo.check(photo, depth.is_some())?;
+        let (size, map) = self.sizes(photo, depth, options)?;
         self.check_size(size, map, options)
     }
 
@@ -174,18 +178,19 @@ impl Maker for PipelineMaker {
         let told = match of {
             HeadOf::Photo(_) | HeadOf::PhotoSoFar(_) => photo::head(head, &self.limits)?,
             HeadOf::Depth => tmpi_pipeline::depth::head(head, &self.limits)?,
+            HeadOf::Second => photo::head(head, &self.limits).map_err(|e| DepthError::Second(e.to_string()))?,
         };
         match (of, told) {
             (_, Head::Needs(bytes)) => return Ok(Some(bytes)),
             (HeadOf::Photo(options), Head::Size(w, h)) => self.check_size((w, h), None, options)?,
             (HeadOf::PhotoSoFar(options), Head::Size(w, h)) => options.check_decoded((w, h), &self.limits)?,
-            (HeadOf::Depth, Head::Size(..)) | (_, Head::Silent) => {}
+            (HeadOf::Depth | HeadOf::Second, Head::Size(..)) | (_, Head::Silent) => {}
         }
         Ok(None)
     }
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
-        let need = self.sizes(photo, depth).and_then(|(size, map)| Ok(options.fitted(size, map, &self.limits)?.memory(size, map)));
+        let need = self.sizes(photo, depth, options).and_then(|(size, map)| Ok(options.fitted(size, map, &self.limits)?.memory(size, map)));
         // unreadable or refused photos take nothing
         need.unwrap_or(0)
     }
@@ -200,9 +205,13 @@ type Sizes = ((u32, u32), Option<(u32, u32)>);
 
 impl PipelineMaker {
     /// Sizes from the headers only.
-    fn sizes(&self, photo: &[u8], depth: Option<&[u8]>) -> Result<Sizes, MakeError> {
+    fn sizes(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<Sizes, MakeError> {
         let (_, size) = photo::check(photo, &self.limits)?;
-        let map = depth.map(|depth| tmpi_pipeline::depth::check(depth, &self.limits)).transpose()?;
+        let map = depth.map(|depth| match options.stereo {
+            Stereo::Beside => photo::check(depth, &self.limits).map(|(_, size)| size).map_err(|e| DepthError::Second(e.to_string())),
+            _ => tmpi_pipeline::depth::check(depth, &self.limits),
+        });
+        let map = map.transpose()?;
         Ok((size, map))
     }
 
@@ -214,7 +223,7 @@ impl PipelineMaker {
     }
 
     fn product(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
-        let (size, map) = self.sizes(photo, depth)?;
+        let (size, map) = self.sizes(photo, depth, options)?;
         let fitted = options.fitted(size, map, &self.limits)?;
         let mut made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, &fitted, sink)?;
         made.report.input.fitted = fitted.max_size != options.max_size;

@@ -7,10 +7,10 @@ use clap::ValueEnum;
 use super::problem::Problem;
 use tmpi_core::ViewBox;
 use tmpi_pipeline::depth::DepthKind;
-use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Stereo, Switch, TileSize};
 
 /// Names of all options.
-pub const NAMES: [&str; 14] = [
+pub const NAMES: [&str; 15] = [
     "budget-ms",
     "denoise",
     "depth-kind",
@@ -23,6 +23,7 @@ pub const NAMES: [&str; 14] = [
     "quality",
     "refine",
     "snap",
+    "stereo",
     "tile",
     "view-box",
 ];
@@ -49,6 +50,7 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
         }
         "quality" => options.quality = whole(&name, value, "from 1 to 100")?,
         "refine" => options.refine = choice::<Switch>(&name, value)?,
+        "stereo" => options.stereo = choice::<Stereo>(&name, value)?,
         "snap" => options.snap = choice::<Switch>(&name, value)?,
         "tile" => {
             options.tile = if value == "full" { TileSize::Full } else { TileSize::Pixels(whole(&name, value, "of pixels, or full")?) }
@@ -86,6 +88,7 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     put("quality", o.quality.to_string());
     put("refine", chosen(&o.refine));
     put("snap", chosen(&o.snap));
+    put("stereo", chosen(&o.stereo));
     put(
         "tile",
         match o.tile {
@@ -177,6 +180,7 @@ mod tests {
                 "denoise" | "refine" | "snap" | "photo-depth" => "off",
                 "depth-kind" => "metric",
                 "plane-method" => "lloyd",
+                "stereo" => "left-right",
                 "view-box" => "0.1, 0.2,0.3",
                 _ => "40",
             };

@@ -290,6 +290,10 @@ impl From<&MakeError> for Problem {
             MakeError::Depth(DepthError::Map(_) | DepthError::Carried(_) | DepthError::NotCarried) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
+            MakeError::Depth(DepthError::Second(_)) => {
+                Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-second-picture", error.to_string()).field("second")
+            }
+            MakeError::Depth(e @ (DepthError::NoSecond | DepthError::Sphere)) => e.into(),
             MakeError::Generate(
                 e @ (StageError::Option { field, .. } | StageError::Bound { field, .. } | StageError::Network { field, .. }),
             ) => Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field),
@@ -300,6 +304,15 @@ impl From<&MakeError> for Problem {
             MakeError::Depth(_) | MakeError::Generate(_) | MakeError::Atlas(_) | MakeError::Render(_) => {
                 Self::internal("making the photo", error)
             }
+        }
+    }
+}
+
+impl From<&DepthError> for Problem {
+    fn from(error: &DepthError) -> Self {
+        match error {
+            DepthError::NoSecond | DepthError::Sphere => Self::parameter("stereo", error.to_string()),
+            _ => Self::internal("finding the depth", error),
         }
     }
 }

@@ -25,7 +25,7 @@ use super::options;
 use super::problem::Problem;
 use super::settings::{Settings, title_of_file};
 use tmpi_library::{Class, Content, Digest, LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
-use tmpi_pipeline::Options;
+use tmpi_pipeline::{Options, Stereo};
 
 /// Longest name of a field in bytes.
 const MAX_NAME: usize = 64;
@@ -101,7 +101,7 @@ struct Chosen {
     class: Class,
     /// With the title that the upload names.
     settings: Settings,
-    /// Title by the photo's file name, where the upload names none.
+    /// Name of the photo's file: the title, where the upload names none, and where a second eye is.
     of_file: Option<String>,
 }
 
@@ -180,8 +180,12 @@ async fn take_chosen(app: &App, chosen: Chosen, request: Request, owner: Option<
 /// Checks an upload and has it accepted.
 async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Photo, Problem> {
     let Parts { photo, depth, chosen } = parts;
-    let Chosen { options, class, settings: told, of_file, .. } = chosen;
-    let settings = Settings { title: told.title.clone().or(of_file), ..told.clone() };
+    let Chosen { mut options, class, settings: told, of_file, .. } = chosen;
+    let title = told.title.clone().or_else(|| of_file.as_deref().and_then(title_of_file));
+    let settings = Settings { title, ..told.clone() };
+    if options.stereo == Stereo::Auto {
+        options.stereo = of_file.map_or(Ok(Stereo::Auto), |name| Stereo::of_name(&name)).map_err(|e| Problem::from(&e))?;
+    }
     let photo = photo.ok_or_else(|| Problem::parameter("photo", "is missing, or its file is empty"))?;
     if photo.bytes == 0 {
         return Err(Problem::parameter("photo", "is empty"));
@@ -259,11 +263,11 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
         if name.len() > MAX_NAME {
             return Err(Problem::parameter(name, format!("the name of a field is longer than {MAX_NAME} bytes")));
         }
-        let (is_map, slot) = match name.as_str() {
-            "photo" => (false, &mut parts.photo),
-            "depth" => (true, &mut parts.depth),
+        let slot = match name.as_str() {
+            "photo" => &mut parts.photo,
+            "depth" | "second" => &mut parts.depth,
             _ => {
-                known(&name, "field; there are photo, depth, title, visibility, class")?;
+                known(&name, "field; there are photo, depth, second, title, visibility, class")?;
                 let value = text(&name, field).await?;
                 if !value.trim().is_empty() {
                     parts.chosen.set(&name, &value)?;
@@ -271,18 +275,26 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
                 continue;
             }
         };
-        let title = file_name(field.headers()).and_then(|file| title_of_file(&file));
+        let file_name = file_name(field.headers());
         let Some(first) = first_bytes(&mut field).await? else { continue };
         if slot.is_some() {
-            return Err(Problem::parameter(&name, "is given twice"));
+            let detail = if name == "photo" { "is given twice" } else { "is given twice: a depth map, or the picture of a second eye" };
+            return Err(Problem::parameter(&name, detail));
+        }
+        if name == "second" {
+            parts.chosen.set("stereo", &options::chosen(&Stereo::Beside))?;
         }
         let file = futures_util::stream::iter([Ok(first)]).chain(field);
         let (mut admission, options) = (Admission::new(&app.maker), &parts.chosen.options);
-        let of = if is_map { HeadOf::Depth } else { HeadOf::PhotoSoFar(options) };
+        let of = match name.as_str() {
+            "depth" => HeadOf::Depth,
+            "second" => HeadOf::Second,
+            _ => HeadOf::PhotoSoFar(options),
+        };
         let look = |bytes: &[u8]| admission.see(bytes, of);
         *slot = Some(write(app, file, |e| body::problem(&e), look).await?);
-        if !is_map {
-            parts.chosen.of_file = title;
+        if name == "photo" {
+            parts.chosen.of_file = file_name;
         }
     }
     Ok(())

@@ -406,7 +406,7 @@ impl State {
         let intrinsics = self.geometry.intrinsics;
         // the stage looks at camera and map alone
         let photo = Photo { width: frame.photo.width, height: frame.photo.height, rgb: Vec::new() };
-        let prepared = Prepared { photo, intrinsics, format: PhotoFormat::Jpeg, uploaded: None, reduced: None };
+        let prepared = Prepared { photo, intrinsics, format: PhotoFormat::Jpeg, uploaded: None, reduced: None, other_eye: None };
         let map = Estimated {
             delta: std::mem::replace(&mut self.delta, DisparityMap { width: 0, height: 0, delta: Vec::new() }),
             confidence: None,

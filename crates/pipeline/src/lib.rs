@@ -11,6 +11,7 @@ pub mod networks;
 pub mod photo;
 pub mod planes;
 pub mod run;
+pub mod stereo;
 pub mod strokes;
 
 pub use error::StageError;
@@ -18,3 +19,4 @@ pub use run::{
     Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Moved, Movement, Options, PlaneCount,
     PlaneError, PlaneMethod, Progress, PruneError, Reduction, Report, STAGES, Silent, Sink, StageTime, Switch, TileSize, make,
 };
+pub use stereo::Stereo;

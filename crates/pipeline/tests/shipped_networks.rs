@@ -121,7 +121,7 @@ fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let mut job = Context::new(models, &limits, &options, &Silent);
     let intrinsics = Intrinsics::centred(SIZE.0, SIZE.1, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(SIZE.0));
     let format = tmpi_core::container::PhotoFormat::Png;
-    let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None };
+    let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None, other_eye: None };
     let map = Estimated { delta: scene.delta.clone(), confidence: None, given: true };
     let placed = job.run(&mut stages::Planes::default(), (&prepared, &map)).unwrap();
     let layered = job.run(&mut stages::Layers, (&mut prepared, placed, &map.delta)).unwrap();

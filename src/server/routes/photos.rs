@@ -38,6 +38,9 @@ pub struct UploadForm {
     /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike); replaces the estimated depth.
     #[schema(value_type = Option<String>, format = Binary)]
     depth: Option<Vec<u8>>,
+    /// The same scene by the other eye, from beside the photo (JPEG, PNG, WebP): depth is measured against it. It comes in place of a depth map.
+    #[schema(value_type = Option<String>, format = Binary)]
+    second: Option<Vec<u8>>,
     /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending, and a photo that is there already
     /// keeps its title.
     title: Option<String>,
@@ -50,6 +53,9 @@ pub struct UploadForm {
     depth_kind: Option<String>,
     /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.
     photo_depth: Option<String>,
+    /// Where the picture of a second eye is: `auto` behind the first in the file (MPO), or as the name of the photo's file says; `left-right` or
+    /// `top-bottom` in its halves, `beside` in the field `second`, `none` nowhere.
+    stereo: Option<String>,
     /// Horizontal field of view in degrees.
     fov_x: Option<f64>,
     /// Planes a tile: `auto` or a number.

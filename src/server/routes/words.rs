@@ -8,7 +8,7 @@ use crate::export::ExportFormat;
 use crate::server::options::chosen;
 use crate::server::settings::{Idle, SPEED, TITLE, VERSION};
 use tmpi_pipeline::depth::DepthKind;
-use tmpi_pipeline::{Denoise, PlaneMethod, Switch};
+use tmpi_pipeline::{Denoise, PlaneMethod, Stereo, Switch};
 use tmpi_render::{Path, PictureFormat};
 
 /// All values of a choice.
@@ -61,6 +61,7 @@ pub fn put(document: &mut Value) {
         ("planes", Text::Pattern("^(auto|[0-9]+)$")),
         ("refine", Text::Words(words::<Switch>())),
         ("snap", Text::Words(words::<Switch>())),
+        ("stereo", Text::Words(words::<Stereo>())),
         ("tile", Text::Pattern("^(full|[0-9]+)$")),
         ("visibility", Text::Words(["private", "link"].map(str::to_owned).into())),
         ("view_box", Text::Pattern("^[^,]+,[^,]+,[^,]+$")),

@@ -13,6 +13,8 @@ mod smooth;
 mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Outputs, Sampling, SizeRule, Sky, adapter, margin};
+pub(crate) use carried::multi::second_eye;
+pub(crate) use carried::xmp;
 pub use carried::{Carried, carried};
 pub use detect::detect;
 pub(crate) use map::fits;
@@ -46,6 +48,15 @@ pub enum DepthError {
     /// The photo brings no depth along, and none but that was wanted.
     #[error("there is no depth map within the photo, and photo-depth is on")]
     NotCarried,
+    /// The picture of the second eye cannot be read.
+    #[error("the picture of the second eye cannot be taken: {0}")]
+    Second(String),
+    /// A picture of the second eye was promised, and there is none.
+    #[error("stereo is beside, and there is no picture of the second eye beside the photo")]
+    NoSecond,
+    /// The eyes' pictures are of all directions.
+    #[error("this is a 360° picture of two eyes, which no flat photo can show; stereo none takes it as it is, as one flat photo")]
+    Sphere,
     /// The map cannot be written as a file.
     #[error("the depth map cannot be written: {0}")]
     Write(String),

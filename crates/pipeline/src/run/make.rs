@@ -5,7 +5,8 @@ use super::{Context, Made, MakeError, Models, Options, Sink};
 use crate::photo::Limits;
 use crate::strokes;
 
-/// Runs a photo through all stages. `depth` is the user's own depth map as a picture file, if there is one.
+/// Runs a photo through all stages. `depth` is the user's own depth map as a picture file, if there is one; or
+/// the picture of the second eye, where [`crate::Stereo::Beside`] is chosen.
 ///
 /// # Errors
 /// [`MakeError`]: the photo, the depth map, an option, or a network is at fault, or the caller has given up.
@@ -22,6 +23,7 @@ pub fn make(
     let mut job = Context::new(models, limits, options, sink);
     let source = Source::choose(photo, depth, &mut job)?;
     let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
+    let source = source.or_half(prepared.other_eye.take());
     let map = job.run(&mut Depth::default(), (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));

@@ -5,6 +5,7 @@
 
 use super::{MakeError, Options, PlaneCount};
 use crate::photo::{Limits, PhotoError};
+use crate::stereo::Stereo;
 
 /// What does not grow with the photo: program, tables, and the embedded depth network, which takes the most of it. With a depth map the program takes
 /// 16 MiB for a photo of 3000 pixels; with the network 99, and 118 for 0.25 and 0.5 megapixels, of which the rest of the formula covers 15 and 29.
@@ -19,6 +20,8 @@ const LAYER: u64 = 1200;
 const DECODED: u64 = 16;
 /// Bytes a pixel of a photo that is kept beside that.
 const PHOTO: u64 = 3;
+/// What measuring depth against a second picture takes, at the size of matching.
+const STEREO: u64 = 80 << 20;
 /// Fewest pixels that a photo is brought to so that it fits: as many as a screen has.
 const LEAST_PIXELS: u64 = 2_000_000;
 /// Fewest planes a tile, without its background, for which there must be room: where it is up to the program, it takes more only as far
@@ -64,6 +67,7 @@ impl Options {
         let (w, h) = crate::photo::reduced_size(file, side);
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
         // what is decoded is let go before planes are placed
+        let made = made + if matches!(self.stereo, Stereo::Auto | Stereo::None) { 0 } else { STEREO };
         let other = |size: (u32, u32)| if size == (w, h) { 0 } else { BASE + area(size) * DECODED + area((w, h)) * PHOTO };
         made.max(other(file)).max(map.map_or(0, other))
     }

@@ -7,6 +7,7 @@ use crate::StageError;
 use crate::depth::DepthKind;
 use crate::photo::Limits;
 use crate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement};
+use crate::stereo::Stereo;
 use crate::strokes::{self, Stroke};
 
 /// How planes are placed in a tile.
@@ -81,6 +82,8 @@ pub struct Options {
     pub depth_kind: DepthKind,
     /// Depth that a photo brings along within its file, where the user gives none: used where it can be read; on: nothing else will do.
     pub photo_depth: Switch,
+    /// Where the picture of a second eye is.
+    pub stereo: Stereo,
     /// Horizontal field of view in degrees; none: EXIF, else 0.58 × width.
     pub fov_x: Option<f64>,
     /// Planes a tile.
@@ -117,6 +120,7 @@ impl Default for Options {
         Self {
             depth_kind: DepthKind::default(),
             photo_depth: Switch::default(),
+            stereo: Stereo::default(),
             fov_x: None,
             planes: PlaneCount::default(),
             plane_method: PlaneMethod::default(),

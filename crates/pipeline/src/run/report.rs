@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::container::SectionBytes;
 
 use crate::photo::Reduction;
+use crate::stereo::StereoError;
 
 /// The uploaded photo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -23,7 +24,7 @@ pub struct Input {
     /// The depth map that came with it; none where depth was estimated.
     #[serde(default)]
     pub depth: Option<InputDepth>,
-    /// Why depth that the photo brings along was not used.
+    /// Why depth that the photo brings along, or a second view, was not used.
     #[serde(default)]
     pub depth_problem: Option<String>,
     /// Strokes of a touch-up that were applied to the depth.
@@ -34,7 +35,8 @@ pub struct Input {
 /// A depth map that came with a photo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct InputDepth {
-    /// Where it was: `given` beside the photo, or within its file as `gdepth`, `dynamic-depth` or `multi-picture`.
+    /// Where it was: `given` beside the photo, or within its file as `gdepth`, `dynamic-depth` or `multi-picture`; or `stereo`, measured
+    /// against a second view.
     pub source: String,
     /// Width in pixels.
     pub width: u32,
@@ -145,6 +147,8 @@ pub struct ErrorFigures {
     pub depth_filled: Option<f64>,
     /// Share of pixels, 0 to 1, that were nearer than the nearest distance, and were put there; of a map with depth in metres.
     pub depth_clipped: Option<f64>,
+    /// Depth was measured against a second view.
+    pub stereo: Option<StereoError>,
     /// The disparity map was brought to the photo's size.
     pub resampling: Option<Moved>,
     /// It was cleaned of noise.
@@ -200,7 +204,7 @@ pub struct Report {
     pub width: u32,
     /// Size of the scene in pixels.
     pub height: u32,
-    /// Depth network, or `given` (a map beside the photo) or `carried` (one within its file).
+    /// Depth network, or `given` (a map beside the photo) or `carried` (one within its file), or `stereo` (measured against a second view).
     pub depth_model: String,
     /// All stages in order.
     pub stages: Vec<StageTime>,

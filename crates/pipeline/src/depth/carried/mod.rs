@@ -6,10 +6,10 @@
 
 mod dynamic;
 mod gdepth;
-mod multi;
+pub(crate) mod multi;
 #[cfg(test)]
 mod tests;
-mod xmp;
+pub(crate) mod xmp;
 
 use super::map::{Grey, grey};
 use super::{DepthError, Read};

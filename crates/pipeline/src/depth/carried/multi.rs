@@ -8,12 +8,15 @@ const APPLE: &str = "http://ns.apple.com/pixeldatainfo/1.0/";
 const ENTRIES: u16 = 0xB002;
 /// Bytes of an entry: attributes, length, place, and two numbers of other pictures.
 const ENTRY: usize = 16;
+/// Bits of an entry's attributes that say what its picture is, and their value for one of the eyes of a 3D camera.
+const KIND: u32 = 0x00FF_FFFF;
+const EYE: u32 = 0x0002_0002;
 /// Pictures that are looked at, at most.
 const MOST: usize = 16;
 
 /// The first picture behind the photo that is a depth map.
 pub(super) fn find(photo: &[u8]) -> Option<Found> {
-    pictures(photo).into_iter().find_map(|picture| {
+    pictures(photo).find_map(|picture| {
         let packets = xmp::packets(picture);
         let document = packets.iter().find_map(|p| xmp::document(p))?;
         let get = |name| xmp::anywhere(&document, APPLE, name);
@@ -42,7 +45,27 @@ pub(super) fn find(photo: &[u8]) -> Option<Found> {
 }
 
 /// The pictures behind the first one.
-fn pictures(photo: &[u8]) -> Vec<&[u8]> {
+fn pictures(photo: &[u8]) -> impl Iterator<Item = &[u8]> {
+    entries(photo).into_iter().filter_map(|entry| entry.picture)
+}
+
+/// The picture of the other eye, as 3D cameras write it behind that of the first; none where there is none.
+///
+/// # Errors
+/// It lies beyond the end of the file.
+pub(crate) fn second_eye(photo: &[u8]) -> Option<Result<&[u8], &'static str>> {
+    let eye = entries(photo).into_iter().find(|entry| entry.attributes & KIND == EYE)?;
+    Some(eye.picture.ok_or("the file ends before the picture of the second eye does"))
+}
+
+/// A picture behind the first.
+struct Entry<'a> {
+    attributes: u32,
+    /// None where it is not within the file.
+    picture: Option<&'a [u8]>,
+}
+
+fn entries(photo: &[u8]) -> Vec<Entry<'_>> {
     let segments = applications(photo);
     let index = segments.iter().filter(|s| s.number == 2).find_map(|s| Some((s.at + 4, s.body.strip_prefix(b"MPF\0")?)));
     let Some((start, tiff)) = index else { return Vec::new() };
@@ -53,7 +76,7 @@ fn pictures(photo: &[u8]) -> Vec<&[u8]> {
             let entry = at.checked_add(i * ENTRY)?;
             let (length, place) = (tiff.long(entry + 4)? as usize, tiff.long(entry + 8)? as usize);
             let from = start.checked_add(place)?;
-            photo.get(from..from.checked_add(length)?)
+            Some(Entry { attributes: tiff.long(entry)?, picture: photo.get(from..from.checked_add(length)?) })
         }))
     };
     entries().into_iter().flatten().collect()

@@ -19,7 +19,7 @@ const NAMESPACES: usize = 256;
 
 /// The packets of a JPEG as text, the main one first. Of extended packets it is the one that the main one names; editors leave old ones
 /// behind. Where it names none it is the first.
-pub(super) fn packets(jpeg: &[u8]) -> Vec<String> {
+pub(crate) fn packets(jpeg: &[u8]) -> Vec<String> {
     let segments = applications(jpeg);
     let bodies = || segments.iter().filter(|s| s.number == 1).map(|s| s.body);
     let mut found: Vec<String> = bodies().find_map(|b| text(b.strip_prefix(MAIN)?)).into_iter().collect();
@@ -76,7 +76,7 @@ fn joined(first: &Part, parts: &[Part]) -> Option<String> {
 }
 
 /// A packet's elements; none where it is no XML, or has more than those of photos have.
-pub(super) fn document(packet: &str) -> Option<Document<'_>> {
+pub(crate) fn document(packet: &str) -> Option<Document<'_>> {
     if packet.bytes().filter(|b| *b == b'=').count() > ATTRIBUTES || packet.matches("xmlns").count() > NAMESPACES {
         return None;
     }
@@ -91,7 +91,7 @@ pub(super) fn property<'a>(element: Node<'a, '_>, space: &str, name: &str) -> Op
 }
 
 /// The first property of that name anywhere in the document.
-pub(super) fn anywhere<'a>(document: &'a Document, space: &str, name: &str) -> Option<&'a str> {
+pub(crate) fn anywhere<'a>(document: &'a Document, space: &str, name: &str) -> Option<&'a str> {
     document.descendants().find_map(|node| property(node, space, name))
 }
 

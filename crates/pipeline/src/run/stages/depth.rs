@@ -3,6 +3,7 @@
 use tmpi_core::{DisparityMap, Photo};
 
 use crate::run::{self, Context, MakeError, Switch};
+use crate::stereo::{self, Joined, Measured, Stereo};
 use crate::{denoise, depth, edges, photo};
 
 /// Photo, and where its disparity is to come from → disparity.
@@ -37,32 +38,93 @@ pub enum Source<'a> {
     Given(&'a [u8], u8),
     /// The map that the photo brings along.
     Carried(depth::Carried),
+    /// The picture of a second eye.
+    Second(Eye<'a>),
+}
+
+/// Where the picture of a second eye is.
+#[derive(Clone, Debug)]
+pub enum Eye<'a> {
+    /// A file beside the photo.
+    Beside(&'a [u8]),
+    /// A file within the photo's.
+    Within(&'a [u8]),
+    /// The other half of the photo's picture.
+    Half(Photo),
 }
 
 impl<'a> Source<'a> {
-    /// The user's own map if there is one, else what the photo brings along as far as `wanted`, else the network. Depth within the photo that cannot
-    /// be read is told in the report, and only fails where nothing else is wanted.
+    /// The user's own map or second eye if there is one, else what the photo brings along as far as that is wanted – a map, then a second eye – else
+    /// the network. What the photo brings along and cannot be read is told in the report, and only fails where nothing else is wanted.
     ///
     /// # Errors
     /// [`MakeError::Depth`] where the photo's own depth is wanted and is not there or not readable.
-    pub fn choose(photo: &[u8], given: Option<&'a [u8]>, context: &mut Context) -> Result<Self, MakeError> {
-        let wanted = context.options.photo_depth;
-        if let Some(given) = given {
-            return Ok(Self::Given(given, photo::orientation(photo)));
+    pub fn choose(photo: &'a [u8], given: Option<&'a [u8]>, context: &mut Context) -> Result<Self, MakeError> {
+        let (wanted, stereo) = (context.options.photo_depth, context.options.stereo);
+        stereo.check(photo, given.is_some())?;
+        match given {
+            Some(second) if stereo == Stereo::Beside => return Ok(Self::Second(Eye::Beside(second))),
+            Some(given) => return Ok(Self::Given(given, photo::orientation(photo))),
+            // its half is cut off once it is decoded
+            None if stereo.halves().is_some() => return Ok(Self::Network),
+            None => {}
         }
         if wanted == Switch::Off {
             return Ok(Self::Network);
         }
         match depth::carried(photo) {
             Ok(Some(carried)) => Ok(Self::Carried(carried)),
-            Ok(None) if wanted == Switch::On => Err(depth::DepthError::NotCarried.into()),
-            Ok(None) => Ok(Self::Network),
+            Ok(None) => match depth::second_eye(photo).filter(|_| stereo == Stereo::Auto) {
+                Some(Ok(second)) => Ok(Self::Second(Eye::Within(second))),
+                Some(Err(problem)) if wanted == Switch::On => Err(depth::DepthError::Second(problem.into()).into()),
+                Some(Err(problem)) => {
+                    context.report.input.depth_problem = Some(problem.into());
+                    Ok(Self::Network)
+                }
+                None if wanted == Switch::On => Err(depth::DepthError::NotCarried.into()),
+                None => Ok(Self::Network),
+            },
             Err(error) if wanted == Switch::On => Err(error.into()),
             Err(error) => {
                 context.report.input.depth_problem = Some(error.to_string());
                 Ok(Self::Network)
             }
         }
+    }
+
+    /// The half of the photo's picture, where there is one and nothing else was given.
+    #[must_use]
+    pub fn or_half(self, half: Option<Photo>) -> Self {
+        match (self, half) {
+            (Self::Network, Some(half)) => Self::Second(Eye::Half(half)),
+            (source, _) => source,
+        }
+    }
+}
+
+impl Eye<'_> {
+    /// Measures `photo` against it; none where that tells nothing, and the network's estimate will do.
+    ///
+    /// # Errors
+    /// [`MakeError`]: a file that was given cannot be read; or nothing was measured, and nothing else will do.
+    fn measure(self, photo: &Photo, context: &mut Context) -> Result<Option<Measured>, MakeError> {
+        let decoded = |file: &[u8]| photo::decode(file, context.limits, Some(photo.width.max(photo.height))).map(|d| d.photo);
+        let given = matches!(self, Self::Beside(_));
+        let second = match self {
+            Self::Half(half) => Ok(half),
+            Self::Beside(file) | Self::Within(file) => decoded(file).map_err(|e| depth::DepthError::Second(e.to_string())),
+        };
+        let problem = match second.map(|second| stereo::measure(photo, &second)) {
+            Ok(Ok(measured)) => return Ok(Some(measured)),
+            Ok(Err(why)) => depth::DepthError::Second(why.to_string()),
+            Err(error) if given => return Err(error.into()),
+            Err(error) => error,
+        };
+        if context.options.photo_depth == Switch::On {
+            return Err(problem.into());
+        }
+        context.report.input.depth_problem = Some(problem.to_string());
+        Ok(None)
     }
 }
 
@@ -84,8 +146,12 @@ impl run::Stage for Depth {
 
     fn run(&mut self, (photo, source): (&Photo, Source), context: &mut Context) -> Result<Estimated, MakeError> {
         let (width, height) = (photo.width, photo.height);
+        let (source, measured) = match source {
+            Source::Second(eye) => (Source::Network, eye.measure(photo, context)?),
+            other => (other, None),
+        };
         let read = match &source {
-            Source::Network => None,
+            Source::Network | Source::Second(_) => None,
             Source::Given(file, orientation) => {
                 let kind = context.options.depth_kind;
                 Some(("given", "given", depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?))
@@ -99,7 +165,7 @@ impl run::Stage for Depth {
                 }
             },
         };
-        let given = read.is_some();
+        let given = read.is_some() || measured.is_some();
         let (mut delta, own) = if let Some((name, format, read)) = read {
             context.report.depth_model = name.into();
             let (w, h) = read.size;
@@ -114,7 +180,16 @@ impl run::Stage for Depth {
             let estimate =
                 size.map_or_else(|| network.estimate(photo).map(depth::Estimate::from), |size| network.estimate_at(photo, size))?;
             self.network_ms = if self.size.is_some() { estimate.network_ms } else { 0.0 };
-            (estimate.map, estimate.small)
+            if let Some(measured) = measured {
+                let Joined { map, own, figures } = measured.joined(photo, &estimate.map);
+                context.report.depth_model = "stereo".into();
+                let (width, height) = own.as_ref().map_or((width, height), |own| (own.width, own.height));
+                context.report.input.depth = Some(run::InputDepth { source: "stereo".into(), width, height, stretched: false });
+                context.report.error.stereo = Some(figures);
+                (map, own)
+            } else {
+                (estimate.map, estimate.small)
+            }
         };
         // anything that is no disparity lies at infinity: no input may give NaN further on
         for d in &mut delta.delta {

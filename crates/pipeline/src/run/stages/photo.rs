@@ -24,6 +24,8 @@ pub struct Prepared {
     pub uploaded: Option<Vec<u8>>,
     /// Longest side in pixels that a budget of run time brought it to.
     pub reduced: Option<u32>,
+    /// The other half of a file that shows two eyes.
+    pub other_eye: Option<Photo>,
 }
 
 impl Stage for Prepare {
@@ -41,8 +43,20 @@ impl Stage for Prepare {
             }
             None => None,
         };
-        let decoded = photo::decode(file, context.limits, reduced.or(options.max_size))?;
-        let Decoded { photo, original, format, mut intrinsics, carried: uploaded, damaged, reduction, .. } = decoded;
+        let most = reduced.or(options.max_size);
+        let most = if let Some((side, halves)) = most.zip(options.stereo.halves()) {
+            Some(halves.of_both(file, context.limits, side)?)
+        } else {
+            most
+        };
+        let decoded = photo::decode(file, context.limits, most)?;
+        let Decoded { mut photo, original, format, mut intrinsics, carried: mut uploaded, damaged, reduction, .. } = decoded;
+        let mut other_eye = None;
+        if let Some((first, second)) = options.stereo.halves().and_then(|halves| halves.split(&photo)) {
+            let focal = intrinsics.fx * f64::from(first.width) / f64::from(photo.width);
+            intrinsics = Intrinsics::centred(first.width, first.height, focal);
+            (photo, other_eye, uploaded) = (first, Some(second), None);
+        }
         options.check_readable(photo.width, photo.height)?;
         if let Some(fov) = options.fov_x {
             intrinsics = Intrinsics::from_fov_x(photo.width, photo.height, fov);
@@ -51,6 +65,6 @@ impl Stage for Prepare {
         (context.report.width, context.report.height) = (photo.width, photo.height);
         context.report.error.reduction = reduction;
         context.movement = Some(Movement::new(intrinsics, options.view_box));
-        Ok(Prepared { photo, intrinsics, format, uploaded, reduced })
+        Ok(Prepared { photo, intrinsics, format, uploaded, reduced, other_eye })
     }
 }

@@ -1,0 +1,118 @@
+//! Where the picture of a second eye is.
+
+use tmpi_core::Photo;
+
+use crate::depth::{DepthError, xmp};
+use crate::photo::{self, Limits, PhotoError};
+
+const PANO: &str = "http://ns.google.com/photos/1.0/panorama/";
+/// What names of files call two eyes beside one another, and one above the other, each between other signs than letters and digits.
+const BESIDE: [&str; 4] = ["left-right", "side-by-side", "sbs", "lr"];
+const ABOVE: [&str; 5] = ["top-bottom", "over-under", "ou", "tb", "tab"];
+/// What they call pictures of all directions.
+const SPHERE: [&str; 3] = ["360", "vr360", "vr180"];
+
+/// Where the picture of a second eye is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stereo {
+    /// Behind the first in the file, as 3D cameras write it (MPO), or as the file's name says.
+    #[default]
+    Auto,
+    /// In the photo's right half.
+    LeftRight,
+    /// In its lower half.
+    TopBottom,
+    /// A file of its own, in place of a depth map.
+    Beside,
+    /// Nowhere: the photo is taken as it is.
+    None,
+}
+
+/// Two eyes in the halves of one picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Halves {
+    /// Left and right.
+    LeftRight,
+    /// Top and bottom.
+    TopBottom,
+}
+
+impl Stereo {
+    /// What the name of a photo's file says, as `name.left-right.jpg` does; [`Stereo::Auto`] where it says nothing.
+    ///
+    /// # Errors
+    /// [`DepthError::Sphere`] where it says that the picture is of all directions, too.
+    pub fn of_name(name: &str) -> Result<Self, DepthError> {
+        let name = name.to_lowercase();
+        let says = |word: &&str| {
+            name.match_indices(*word).any(|(at, _)| {
+                let apart = |c: Option<char>| c.is_none_or(|c| !c.is_alphanumeric());
+                apart(name[..at].chars().next_back()) && apart(name[at + word.len()..].chars().next())
+            })
+        };
+        let layout = match (BESIDE.iter().any(says), ABOVE.iter().any(says)) {
+            (true, false) => Self::LeftRight,
+            (false, true) => Self::TopBottom,
+            _ => return Ok(Self::Auto),
+        };
+        if SPHERE.iter().any(says) { Err(DepthError::Sphere) } else { Ok(layout) }
+    }
+
+    /// How a picture that shows both is cut, where it is.
+    #[must_use]
+    pub fn halves(self) -> Option<Halves> {
+        match self {
+            Self::LeftRight => Some(Halves::LeftRight),
+            Self::TopBottom => Some(Halves::TopBottom),
+            Self::Auto | Self::Beside | Self::None => None,
+        }
+    }
+
+    /// Refuses halves of a file that says that it is of all directions, and a second picture that is promised and not given.
+    ///
+    /// # Errors
+    /// [`DepthError::Sphere`], [`DepthError::NoSecond`].
+    pub fn check(self, photo: &[u8], given: bool) -> Result<(), DepthError> {
+        if self == Self::Beside && !given {
+            return Err(DepthError::NoSecond);
+        }
+        let packets = if self.halves().is_some() { xmp::packets(photo) } else { Vec::new() };
+        let mut documents = packets.iter().filter_map(|p| xmp::document(p));
+        let sphere = documents.any(|d| xmp::anywhere(&d, PANO, "ProjectionType").is_some_and(|p| p.trim() == "equirectangular"));
+        if sphere { Err(DepthError::Sphere) } else { Ok(()) }
+    }
+}
+
+impl Halves {
+    /// Size of an eye's picture of one of both.
+    fn of((width, height): (u32, u32), halves: Self) -> (u32, u32) {
+        match halves {
+            Self::LeftRight => (width / 2, height),
+            Self::TopBottom => (width, height / 2),
+        }
+    }
+
+    /// Longest side of a file's picture, in pixels, at which that of an eye is `side`.
+    pub(crate) fn of_both(self, file: &[u8], limits: &Limits, side: u32) -> Result<u32, PhotoError> {
+        let both = photo::upright_size(file, limits)?;
+        let eye = Self::of(both, self);
+        let (both, eye) = (u64::from(both.0.max(both.1)), u64::from(eye.0.max(eye.1)).max(1));
+        Ok(u32::try_from((u64::from(side) * both).div_ceil(eye)).unwrap_or(u32::MAX))
+    }
+
+    /// The first eye's picture and the second's; of an odd count of columns or rows the middle one is left out. None of a picture of one.
+    #[must_use]
+    pub fn split(self, photo: &Photo) -> Option<(Photo, Photo)> {
+        let (width, height) = Self::of((photo.width, photo.height), self);
+        if width == 0 || height == 0 {
+            return None;
+        }
+        let (right, down) = (photo.width - width, photo.height - height);
+        let cut = |x: u32, y: u32| {
+            let row = |y: u32| &photo.rgb[(y * photo.width + x) as usize..][..width as usize];
+            Photo { width, height, rgb: (y..y + height).flat_map(row).copied().collect() }
+        };
+        Some((cut(0, 0), cut(right, down)))
+    }
+}

@@ -1,0 +1,251 @@
+//! Depth by measuring: a second view of the scene, from beside the first, tells how far off each point is that both show.
+//!
+//! The second picture is brought to the [rows of the first](rectify), matched with it [semi-globally](sgm) by [census](census), and what both
+//! directions agree in is [joined](fuse) with what the network estimates.
+
+pub mod census;
+pub mod fuse;
+mod halves;
+pub mod rectify;
+pub mod sgm;
+#[cfg(test)]
+mod tests;
+
+use tmpi_core::{DisparityMap, Photo};
+
+use self::census::{Grey, census};
+pub use self::halves::{Halves, Stereo};
+use self::rectify::Rectified;
+use self::sgm::{Range, Views};
+use crate::clock::Clock;
+use crate::depth;
+use crate::photo::{Filter, resample};
+
+/// Pixels at which pictures are matched, at most, and disparities that are looked at.
+const WORK: f64 = 700_000.0;
+const MOST: usize = 192;
+/// Longest side at which the range of disparity is found, and the share of the width to either side that is looked at for it.
+const COARSE: usize = 240;
+const SIDES: f64 = 0.35;
+/// Shares of the pixels measured there that the range may leave out at either end, and what is added to it.
+const TAIL: f64 = 0.002;
+const MARGIN: f64 = 0.1;
+/// Share of the pixels of a piece that is taken for chance; and of one at the small size, where the range must not follow it.
+const SPECK: f64 = 1e-3;
+const SMALL_SPECK: f64 = 4e-3;
+/// Least share of the pixels that must be measured.
+const ENOUGH: f64 = 0.25;
+/// Least range of disparity, in pixels at which it was measured.
+const PARALLAX: f32 = 1.5;
+
+/// Shortest side of a picture, in pixels, that is matched.
+const LEAST: u32 = 16;
+
+/// Why a second view tells no depth.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Unmeasured {
+    /// It has another shape.
+    #[error("the second picture has another shape ({second}) than the first ({first})")]
+    Shape {
+        /// Width × height of the first.
+        first: String,
+        /// Those of the second.
+        second: String,
+    },
+    /// The two do not fit together, or show too little to go by.
+    #[error("the two pictures agree in {:.0} % of their pixels, too few to measure depth by: they are evenly coloured, or do not belong together", share * 100.0)]
+    Few {
+        /// Share of the pixels that was measured.
+        share: f64,
+    },
+    /// Both were taken from one place.
+    #[error("the two pictures show no parallax: they were taken from one place, or all is far off")]
+    NoParallax,
+}
+
+/// What measuring came to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+pub struct StereoError {
+    /// Share of the pixels, 0 to 1, whose depth was measured.
+    pub measured: f64,
+    /// Share that the network filled; the rest lies behind an edge, hidden from the other eye, and took the depth of what is behind.
+    pub estimated: f64,
+    /// Median distance of matches from their row before the second picture was brought to the rows of the first, in pixels of the photo.
+    pub rows_before_px: f64,
+    /// And after that.
+    pub rows_px: f64,
+    /// Disparity of the nearest point between the two pictures, in pixels of the photo.
+    pub nearest_px: f64,
+    /// That of the farthest.
+    pub farthest_px: f64,
+    /// That which was taken for infinity.
+    pub infinity_px: f64,
+    /// The second picture is the left eye's.
+    pub crossed: bool,
+    /// Width at which they were matched, in pixels.
+    pub width: u32,
+    /// Milliseconds that rectification took.
+    pub rectify_ms: f64,
+    /// That matching took.
+    pub match_ms: f64,
+    /// That joining with the network's estimate took.
+    pub fuse_ms: f64,
+}
+
+/// Disparities of a pair.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    width: u32,
+    height: u32,
+    /// In pixels at this size; NaN where not measured.
+    disparity: Vec<f32>,
+    /// The cameras stood on one line and looked one way, as far as rows tell.
+    parallel: bool,
+    figures: StereoError,
+}
+
+/// What was measured, and what the network filled.
+#[derive(Clone, Debug)]
+pub struct Joined {
+    /// Disparity δ at the photo's size, 1 at the nearest point and 0 at infinity.
+    pub map: DisparityMap,
+    /// The same at the size of matching, where that is another.
+    pub own: Option<DisparityMap>,
+    /// What that came to.
+    pub figures: StereoError,
+}
+
+/// Measures the first picture of a pair against the second.
+///
+/// # Errors
+/// [`Unmeasured`]: there is too little to go by.
+pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
+    let text = |p: &Photo| format!("{}×{}", p.width, p.height);
+    if !depth::fits((second.width, second.height), (first.width, first.height)) {
+        return Err(Unmeasured::Shape { first: text(first), second: text(second) });
+    }
+    if first.width.min(first.height) < LEAST {
+        return Err(Unmeasured::Few { share: 0.0 });
+    }
+    let clock = Clock::start();
+    let mut size = working_size((first.width, first.height), WORK);
+    let mut pair = [grey(first, size), grey(second, size)];
+    // rows that cannot be told are taken as they are
+    let rectified = rectify::rectify(&pair[0], &pair[1]);
+    let Rectified { model, before_px, after_px, .. } = rectified.unwrap_or_default();
+    pair[1] = model.rectified(&pair[1]);
+    let rectify_ms = clock.ms();
+    let mut range = range(&pair).ok_or(Unmeasured::Few { share: 0.0 })?;
+    let count = (range.1 - range.0) * f64::from(size.0);
+    if count > MOST as f64 {
+        size = working_size(size, f64::from(size.0) * f64::from(size.1) * (MOST as f64 / count).powi(2));
+        pair = [grey(first, size), grey(second, size)];
+        pair[1] = model.rectified(&pair[1]);
+    }
+    range = (range.0 * f64::from(size.0), range.1 * f64::from(size.0));
+    let range = Range::holding(range.0.floor() as i32, range.1.ceil() as i32);
+    let disparity = matched(&pair, range, SPECK);
+    let share = share(&disparity);
+    if share < ENOUGH {
+        return Err(Unmeasured::Few { share });
+    }
+    if percentile(&disparity, 0.99) - percentile(&disparity, 0.01) < PARALLAX {
+        return Err(Unmeasured::NoParallax);
+    }
+    let scale = f64::from(first.width) / f64::from(size.0);
+    let figures = StereoError {
+        measured: share,
+        rows_before_px: before_px * scale,
+        rows_px: after_px * scale,
+        width: size.0,
+        rectify_ms,
+        match_ms: clock.ms() - rectify_ms,
+        ..StereoError::default()
+    };
+    let parallel = rectified.is_some() && model == rectify::Model::default();
+    Ok(Measured { width: size.0, height: size.1, disparity, parallel, figures })
+}
+
+impl Measured {
+    /// Disparity at the size of `photo`, where `estimate` at the photo's size fills what was not measured.
+    #[must_use]
+    pub fn joined(self, photo: &Photo, estimate: &DisparityMap) -> Joined {
+        let Self { width, height, mut disparity, parallel, mut figures } = self;
+        let clock = Clock::start();
+        let from = (estimate.width, estimate.height);
+        let estimate = resample(&estimate.delta, from, (width, height), Filter::Triangle, |v: f32| [v], |[v]| v);
+        figures.crossed = fuse::is_crossed(&disparity, &estimate);
+        if figures.crossed {
+            for d in &mut disparity {
+                *d = -*d;
+            }
+        }
+        let low = percentile(&disparity, 0.002);
+        // of cameras that look one way infinity has no disparity; else it is no nearer than the farthest point
+        let infinity = if parallel { low.min(0.0) } else { low };
+        figures.estimated = fuse::fill(&mut disparity, &estimate, width as usize);
+        let near = percentile(&disparity, 0.999).max(infinity + PARALLAX);
+        let scale = f64::from(photo.width) / f64::from(width);
+        let [nearest, farthest, at_infinity] = [near, low, infinity].map(|d| f64::from(d) * scale);
+        (figures.nearest_px, figures.farthest_px, figures.infinity_px) = (nearest, farthest, at_infinity);
+        let delta = disparity.iter().map(|d| ((d - infinity) / (near - infinity)).clamp(0.0, 1.0)).collect();
+        let small = DisparityMap { width, height, delta };
+        let own = (width, height) == (photo.width, photo.height);
+        let map = if own { small.clone() } else { depth::resized(&small, photo.width, photo.height) };
+        figures.fuse_ms = clock.ms();
+        Joined { map, own: (!own).then_some(small), figures }
+    }
+}
+
+/// The size of a picture, reduced to so many pixels.
+fn working_size((width, height): (u32, u32), most: f64) -> (u32, u32) {
+    let scale = (most / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
+    let side = |s: u32| ((f64::from(s) * scale).round() as u32).clamp(1, s);
+    (side(width), side(height))
+}
+
+/// Brightness of a picture at a size.
+fn grey(photo: &Photo, size: (u32, u32)) -> Grey {
+    let luma = |p: [u8; 3]| [0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])];
+    let values = resample(&photo.rgb, (photo.width, photo.height), size, Filter::Triangle, luma, |[v]| v.round().clamp(0.0, 255.0) as u8);
+    Grey { width: size.0 as usize, height: size.1 as usize, values }
+}
+
+/// Disparity of the first of a pair, without specks.
+fn matched(pair: &[Grey; 2], range: Range, speck: f64) -> Vec<f32> {
+    let (width, height) = (pair[0].width, pair[0].height);
+    let [own, other] = [census(&pair[0]), census(&pair[1])];
+    let mut disparity = sgm::disparity(&Views { width, height, grey: &pair[0].values, own: &own, other: &other }, range);
+    let least = ((width * height) as f64 * speck).ceil() as usize;
+    fuse::drop_specks(&mut disparity, width, least.max(4));
+    disparity
+}
+
+/// Least and greatest disparity, in widths of the picture, by a match at a small size; none where next to nothing matches.
+fn range(pair: &[Grey; 2]) -> Option<(f64, f64)> {
+    let by = pair[0].width.max(pair[0].height).div_ceil(COARSE).max(1);
+    let small = [rectify::reduced(&pair[0], by), rectify::reduced(&pair[1], by)];
+    let width = small[0].width as f64;
+    let side = (width * SIDES).ceil() as i32;
+    let disparity = matched(&small, Range::holding(-side, side), SMALL_SPECK);
+    if share(&disparity) < ENOUGH / 2.0 {
+        return None;
+    }
+    let (low, high) = (f64::from(percentile(&disparity, TAIL)), f64::from(percentile(&disparity, 1.0 - TAIL)));
+    let margin = 1.0 + (high - low) * MARGIN;
+    Some(((low - margin) / width, (high + margin) / width))
+}
+
+fn share(disparity: &[f32]) -> f64 {
+    disparity.iter().filter(|d| d.is_finite()).count() as f64 / disparity.len().max(1) as f64
+}
+
+/// The value below which so large a share of the finite ones lies; 0 where there are none.
+fn percentile(disparity: &[f32], share: f64) -> f32 {
+    let mut known: Vec<f32> = disparity.iter().copied().filter(|d| d.is_finite()).collect();
+    if known.is_empty() {
+        return 0.0;
+    }
+    let at = ((known.len() - 1) as f64 * share).round() as usize;
+    *known.select_nth_unstable_by(at, f32::total_cmp).1
+}

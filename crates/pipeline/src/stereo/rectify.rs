@@ -1,0 +1,366 @@
+//! Brings the second picture of a pair to the rows of the first: cameras that are held by hand, or two lenses, differ by small rotations, an
+//! offset and a scale. These are fitted to sparse matches.
+
+use rayon::prelude::*;
+
+use tmpi_core::simd::dispatch;
+
+use super::census::{Grey, census};
+
+/// Side in pixels of the squares of which each gives the corner that is matched.
+const CELL: usize = 8;
+/// Longest side at which corners are first looked for.
+const COARSE: usize = 240;
+/// Half the window of a corner.
+const HALF: usize = 2;
+/// Least brightness variation of a corner in both directions, as the smaller eigenvalue of its structure tensor, in levels² a pixel.
+const CORNER: f32 = 40.0;
+/// Places that are looked at, as shares of the width to the sides and of the height up and down.
+const SIDES: f64 = 0.35;
+const UP: f64 = 0.08;
+/// The best place is below this share of all others that are no neighbours.
+const UNIQUE: f32 = 0.8;
+/// Tries of a model, and pixels within which a match agrees with one.
+const TRIES: usize = 400;
+const AGREES: f64 = 1.5;
+/// Fewest matches that must agree with a model, and the least share of all.
+const FEWEST: usize = 24;
+const SHARE: f64 = 0.3;
+/// Largest share of the width that the model moves a border by.
+const MOST: f64 = 0.12;
+
+/// How the second picture lies to the rows of the first, to the first order of small rotations. Places `(u, v)` are from the middle of the
+/// picture, in widths of it; the second shows at `(u + shift.0, v + shift.1)` what belongs to `(u, v)`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Model {
+    /// Down, in widths.
+    pub offset: f64,
+    /// Rotation about the axis of sight, in radians, clockwise as shown.
+    pub roll: f64,
+    /// Scale, less 1.
+    pub scale: f64,
+    /// Turning aside, as rows draw apart to one side.
+    pub yaw: f64,
+    /// Turning up.
+    pub pitch: f64,
+}
+
+impl Model {
+    fn of([offset, roll, scale, yaw, pitch]: [f64; 5]) -> Self {
+        Self { offset, roll, scale, yaw, pitch }
+    }
+
+    fn terms(u: f64, v: f64) -> [f64; 5] {
+        [1.0, u, v, u * v, v * v]
+    }
+
+    /// How far down.
+    #[must_use]
+    pub fn down(&self, u: f64, v: f64) -> f64 {
+        let all = [self.offset, self.roll, self.scale, self.yaw, self.pitch];
+        all.iter().zip(Self::terms(u, v)).map(|(a, b)| a * b).sum()
+    }
+
+    /// How far to the right, but for what is parallax.
+    #[must_use]
+    pub fn right(&self, u: f64, v: f64) -> f64 {
+        -self.roll * v + self.scale * u + self.yaw * u * u + self.pitch * u * v
+    }
+
+    /// The second picture, on the rows of the first.
+    #[must_use]
+    pub fn rectified(&self, second: &Grey) -> Grey {
+        let (w, h) = (second.width, second.height);
+        if *self == Self::default() {
+            return second.clone();
+        }
+        let mut values = vec![0; w * h];
+        values.par_chunks_exact_mut(w).enumerate().for_each(|(y, row)| {
+            for (x, out) in row.iter_mut().enumerate() {
+                let (u, v) = centred((x as f64, y as f64), (w, h));
+                let place = (x as f64 + self.right(u, v) * w as f64, y as f64 + self.down(u, v) * w as f64);
+                *out = at(second, place);
+            }
+        });
+        Grey { values, ..*second }
+    }
+}
+
+/// What sparse matches tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rectified {
+    /// The model; none moves nothing.
+    pub model: Model,
+    /// Matches that agree with it.
+    pub matches: usize,
+    /// Median distance of these from their rows, in pixels, as the pictures are and by the model.
+    pub before_px: f64,
+    /// And by the model.
+    pub after_px: f64,
+}
+
+/// Fits the model; none where too few matches agree with any.
+#[must_use]
+pub fn rectify(first: &Grey, second: &Grey) -> Option<Rectified> {
+    let size = (first.width, first.height);
+    let matches = matches(first, second);
+    let enough = |n: usize| n >= FEWEST && n as f64 >= SHARE * matches.len() as f64;
+    let best = sample(&matches, size);
+    let mut agreeing = agreeing(&matches, &best, size, AGREES);
+    if !enough(agreeing.len()) {
+        return None;
+    }
+    let mut model = best;
+    for within in [AGREES, AGREES, AGREES / 2.0] {
+        model = fit(&agreeing, size)?;
+        agreeing = self::agreeing(&matches, &model, size, within);
+    }
+    let (w, h) = (size.0 as f64, size.1 as f64);
+    let corners = [(-0.5, -h / w / 2.0), (0.5, -h / w / 2.0), (-0.5, h / w / 2.0), (0.5, h / w / 2.0)];
+    let far = corners.iter().any(|&(u, v)| model.down(u, v).abs().max(model.right(u, v).abs()) > MOST);
+    if !enough(agreeing.len()) || far {
+        return None;
+    }
+    let (before_px, after_px) = (median(&agreeing, &Model::default(), size), median(&agreeing, &model, size));
+    // pictures that lie on their rows stay as they are
+    let better = before_px - after_px > 0.1;
+    let (model, after_px) = if better { (model, after_px) } else { (Model::default(), before_px) };
+    Some(Rectified { model, matches: agreeing.len(), before_px, after_px })
+}
+
+/// A corner of the first picture, and where the second shows it, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Match {
+    from: (f64, f64),
+    to: (f64, f64),
+}
+
+impl Match {
+    /// Pixels between where the second picture shows it and its row by a model.
+    fn off(&self, model: &Model, size: (usize, usize)) -> f64 {
+        let (u, v) = centred((self.to.0, self.from.1), size);
+        self.to.1 - self.from.1 - model.down(u, v) * size.0 as f64
+    }
+}
+
+fn centred((x, y): (f64, f64), (w, h): (usize, usize)) -> (f64, f64) {
+    ((x - (w as f64 - 1.0) / 2.0) / w as f64, (y - (h as f64 - 1.0) / 2.0) / w as f64)
+}
+
+/// Brightness between pixels; beyond the border its outermost pixels go on.
+fn at(picture: &Grey, (x, y): (f64, f64)) -> u8 {
+    let (w, h) = (picture.width, picture.height);
+    let place = |p: f64, n: usize| {
+        let p = p.clamp(0.0, (n - 1) as f64);
+        (p as usize, (p as usize + 1).min(n - 1), p.fract())
+    };
+    let ((x0, x1, fx), (y0, y1, fy)) = (place(x, w), place(y, h));
+    let value = |x: usize, y: usize| f64::from(picture.values[y * w + x]);
+    let line = |y: usize| value(x0, y) + (value(x1, y) - value(x0, y)) * fx;
+    (line(y0) + (line(y1) - line(y0)) * fy).round() as u8
+}
+
+/// The picture at a whole part of its size: means of squares.
+#[must_use]
+pub fn reduced(picture: &Grey, by: usize) -> Grey {
+    let (width, height) = ((picture.width / by).max(1), (picture.height / by).max(1));
+    let mean = |i: usize| {
+        let (x, y) = (i % width * by, i / width * by);
+        let rows = y..(y + by).min(picture.height);
+        let sum = |y: usize| picture.values[y * picture.width..][x..(x + by).min(picture.width)].iter().map(|v| u32::from(*v)).sum::<u32>();
+        let n = rows.len() * ((x + by).min(picture.width) - x);
+        (rows.map(sum).sum::<u32>() / n.max(1) as u32) as u8
+    };
+    Grey { width, height, values: (0..width * height).map(mean).collect() }
+}
+
+/// Corners of the first picture that the second shows at one place alone: found at a part of the size, then to a part of a pixel.
+fn matches(first: &Grey, second: &Grey) -> Vec<Match> {
+    let by = first.width.max(first.height).div_ceil(COARSE).max(1);
+    let small = [reduced(first, by), reduced(second, by)];
+    let words = [census(&small[0]), census(&small[1])];
+    let fine = [census(first), census(second)];
+    let (w, h) = (small[0].width, small[0].height);
+    let (sides, up) = ((w as f64 * SIDES) as i64, (h as f64 * UP).ceil().max(3.0) as i64);
+    let one = |corner: (usize, usize)| {
+        let search = Search { about: (0, 0), reach: (sides, up), half: 1, unique: UNIQUE };
+        let coarse = nearest((&words[0], &words[1]), (w, h), corner, &search)?;
+        let fine_corner = (corner.0 * by + by / 2, corner.1 * by + by / 2);
+        let about = (coarse.0.round() as i64 * by as i64, coarse.1.round() as i64 * by as i64);
+        let search = Search { about, reach: (by as i64 + 1, by as i64 + 1), half: HALF, unique: 1.0 };
+        let (dx, dy) = nearest((&fine[0], &fine[1]), (first.width, first.height), fine_corner, &search)?;
+        let from = (fine_corner.0 as f64, fine_corner.1 as f64);
+        Some(Match { from, to: (from.0 + dx, from.1 + dy) })
+    };
+    corners(&small[0]).into_par_iter().filter_map(one).collect()
+}
+
+/// The corner of each square, where there is one.
+fn corners(picture: &Grey) -> Vec<(usize, usize)> {
+    let (w, h) = (picture.width, picture.height);
+    let value = |x: usize, y: usize| f32::from(picture.values[y * w + x]);
+    let strength = |x: usize, y: usize| {
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for j in y - HALF..=y + HALF {
+            for i in x - HALF..=x + HALF {
+                let (a, b) = ((value(i + 1, j) - value(i - 1, j)) / 2.0, (value(i, j + 1) - value(i, j - 1)) / 2.0);
+                (xx, xy, yy) = (xx + a * a, xy + a * b, yy + b * b);
+            }
+        }
+        let n = ((2 * HALF + 1) * (2 * HALF + 1)) as f32;
+        (f32::midpoint(xx, yy) - ((xx - yy) * (xx - yy) / 4.0 + xy * xy).sqrt()) / n
+    };
+    let edge = HALF + 1;
+    let mut found = Vec::new();
+    for top in (edge..h.saturating_sub(edge)).step_by(CELL) {
+        for left in (edge..w.saturating_sub(edge)).step_by(CELL) {
+            let (bottom, right) = ((top + CELL).min(h - edge), (left + CELL).min(w - edge));
+            let places = (top..bottom).flat_map(|y| (left..right).map(move |x| (x, y)));
+            let best = places.map(|(x, y)| (strength(x, y), (x, y))).max_by(|a, b| a.0.total_cmp(&b.0));
+            found.extend(best.filter(|(s, _)| *s > CORNER).map(|(_, place)| place));
+        }
+    }
+    found
+}
+
+/// Where a corner is looked for.
+#[derive(Clone, Copy, Debug)]
+struct Search {
+    /// The place about which, as steps from the corner's own, and how far to either side and up or down.
+    about: (i64, i64),
+    reach: (i64, i64),
+    /// Half the window that is compared.
+    half: usize,
+    /// The best is below this share of all that are no neighbours, or there is none.
+    unique: f32,
+}
+
+/// How far the second picture shows a corner from its own place, to a part of a pixel down; none where another place is as good, or the best
+/// lies at the end.
+fn nearest(words: (&[u64], &[u64]), (w, h): (usize, usize), (x, y): (usize, usize), search: &Search) -> Option<(f64, f64)> {
+    let Search { about, reach, half, unique } = *search;
+    // places at which the whole window lies inside
+    let range = |at: usize, about: i64, reach: i64, n: usize| {
+        let (own, most) = (at as i64, n as i64 - 1 - half as i64);
+        let inside = at >= half && own <= most;
+        let (from, to) = ((own + about - reach).max(half as i64), (own + about + reach).min(most));
+        (inside && from <= to).then_some(from as usize..to as usize + 1)
+    };
+    let (xs, ys) = (range(x, about.0, reach.0, w)?, range(y, about.1, reach.1, h)?);
+    let columns = xs.len();
+    let mut costs = vec![0u32; columns * ys.len()];
+    for (row, to_y) in costs.chunks_exact_mut(columns).zip(ys.clone()) {
+        for j in 0..=2 * half {
+            let own = &words.0[(y - half + j) * w + x - half..][..=2 * half];
+            let other = &words.1[(to_y - half + j) * w + xs.start - half..][..columns + 2 * half];
+            add_distances(own, other, row);
+        }
+    }
+    let at = costs.iter().enumerate().min_by_key(|(_, c)| **c)?.0;
+    let (column, line, least) = (at % columns, at / columns, costs[at]);
+    let apart = |i: usize| (i % columns).abs_diff(column) > 2 || (i / columns).abs_diff(line) > 2;
+    let rival = costs.iter().enumerate().filter(|(i, _)| apart(*i)).map(|(_, c)| *c).min();
+    if unique < 1.0 && rival.is_none_or(|r| least as f32 > unique * r as f32) {
+        return None;
+    }
+    let (above, below) = (costs.get(at.checked_sub(columns)?)?, costs.get(at + columns)?);
+    let (above, below) = (f64::from(*above), f64::from(*below));
+    let curve = above + below - 2.0 * f64::from(least);
+    let part = if curve > 0.0 { ((above - below) / (2.0 * curve)).clamp(-0.5, 0.5) } else { 0.0 };
+    Some(((xs.start + column) as f64 - x as f64, (ys.start + line) as f64 + part - y as f64))
+}
+
+/// Adds the census distances of a row of a window to those of each place that it is laid at.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn distances(own: &[u64], other: &[u64], out: &mut [u32]) {
+    let n = out.len();
+    for (i, word) in own.iter().enumerate() {
+        for (out, there) in out.iter_mut().zip(&other[i..i + n]) {
+            *out += (word ^ there).count_ones();
+        }
+    }
+}
+
+dispatch!(add_distances, distances, (own: &[u64], other: &[u64], out: &mut [u32]));
+
+/// The model of three matches with which most agree; drawn alike each time.
+fn sample(matches: &[Match], size: (usize, usize)) -> Model {
+    let mut state = 0x2545_F491_4F6C_DD1D_u64;
+    let mut draw = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        &matches[(state >> 33) as usize % matches.len()]
+    };
+    let mut best = (0, Model::default());
+    for _ in 0..if matches.len() < FEWEST { 0 } else { TRIES } {
+        let rows = [draw(), draw(), draw()].map(|m| row(m, size));
+        let picked = rows.map(|(terms, value)| ([terms[0], terms[1], terms[2]], value));
+        let Some([offset, roll, scale]) = solve(normal(&picked, 1e-9)) else { continue };
+        let model = Model { offset, roll, scale, ..Model::default() };
+        let n = matches.iter().filter(|m| m.off(&model, size).abs() < AGREES).count();
+        if n > best.0 {
+            best = (n, model);
+        }
+    }
+    best.1
+}
+
+fn row(m: &Match, size: (usize, usize)) -> ([f64; 5], f64) {
+    let (u, v) = centred((m.to.0, m.from.1), size);
+    (Model::terms(u, v), (m.to.1 - m.from.1) / size.0 as f64)
+}
+
+fn agreeing(matches: &[Match], model: &Model, size: (usize, usize), within: f64) -> Vec<Match> {
+    matches.iter().filter(|m| m.off(model, size).abs() < within).copied().collect()
+}
+
+/// Least squares; small terms where the matches do not tell.
+fn fit(matches: &[Match], size: (usize, usize)) -> Option<Model> {
+    let rows: Vec<_> = matches.iter().map(|m| row(m, size)).collect();
+    solve(normal(&rows, 1e-4 * matches.len() as f64)).map(Model::of)
+}
+
+/// Normal equations of `N` unknowns: rows of terms and, last, what they give. `ridge` is added for all unknowns but the first three.
+fn normal<const N: usize>(rows: &[([f64; N], f64)], ridge: f64) -> ([[f64; N]; N], [f64; N]) {
+    let (mut matrix, mut right) = ([[0.0; N]; N], [0.0; N]);
+    for (terms, value) in rows {
+        for i in 0..N {
+            right[i] += terms[i] * value;
+            for j in 0..N {
+                matrix[i][j] += terms[i] * terms[j];
+            }
+        }
+    }
+    for (i, row) in matrix.iter_mut().enumerate() {
+        row[i] += if i < 3 { 1e-12 } else { ridge };
+    }
+    (matrix, right)
+}
+
+/// Gaussian elimination with pivots.
+fn solve<const N: usize>((mut a, mut b): ([[f64; N]; N], [f64; N])) -> Option<[f64; N]> {
+    for p in 0..N {
+        let best = (p..N).max_by(|i, j| a[*i][p].abs().total_cmp(&a[*j][p].abs()))?;
+        a.swap(p, best);
+        b.swap(p, best);
+        let pivot = a[p];
+        if pivot[p].abs() < 1e-14 {
+            return None;
+        }
+        for q in (0..N).filter(|q| *q != p) {
+            let factor = a[q][p] / pivot[p];
+            for (to, from) in a[q].iter_mut().zip(pivot) {
+                *to -= factor * from;
+            }
+            b[q] -= factor * b[p];
+        }
+    }
+    Some(std::array::from_fn(|i| b[i] / a[i][i])).filter(|x: &[f64; N]| x.iter().all(|v| v.is_finite()))
+}
+
+/// Median distance from the rows, in pixels.
+fn median(matches: &[Match], model: &Model, size: (usize, usize)) -> f64 {
+    let mut off: Vec<f64> = matches.iter().map(|m| m.off(model, size).abs()).collect();
+    off.sort_by(f64::total_cmp);
+    off.get(off.len() / 2).copied().unwrap_or_default()
+}

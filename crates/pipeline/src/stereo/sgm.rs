@@ -1,0 +1,265 @@
+//! Semi-global matching (Hirschmüller 2008): the disparity of each pixel of a picture against another, along eight paths.
+//!
+//! Rows are matched in bands of a fixed height, each with rows before and behind it on which its paths begin: so the result is the same on any
+//! number of threads, and memory is bounded.
+
+use rayon::prelude::*;
+
+use tmpi_core::simd::dispatch;
+
+/// Cost of a step of one pixel between neighbours, and of a larger one where the picture is even; an edge of [`EDGE`] levels halves the latter.
+const SMALL: u8 = 7;
+const LARGE: u8 = 100;
+const EDGE: u32 = 12;
+/// Cost of a place outside the other picture.
+const OUTSIDE: u8 = 30;
+/// Rows of a band, and of those on either side on which its paths begin.
+const ROWS: usize = 96;
+const BEFORE: usize = 24;
+/// Bytes that the sums of all bands that are matched side by side may take.
+const BYTES: usize = 48 << 20;
+/// Disparities are a multiple of that many: whole vectors.
+pub const STEP: usize = 32;
+/// The best sum of costs is below this share of any other that is not its neighbour's, or the pixel is not measured.
+const UNIQUE: f32 = 0.97;
+
+/// Disparities that are looked at: `x_own − x_other` in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Range {
+    /// The least; below 0 where pictures cross.
+    pub first: i32,
+    /// How many, a multiple of [`STEP`].
+    pub count: usize,
+}
+
+impl Range {
+    /// The least range that holds both ends.
+    #[must_use]
+    pub fn holding(low: i32, high: i32) -> Self {
+        Self { first: low, count: ((high - low).max(0) as usize + 1).next_multiple_of(STEP) }
+    }
+}
+
+/// What is matched: brightness of a picture, and the census of it and of the other, all of one size.
+#[derive(Clone, Copy, Debug)]
+pub struct Views<'a> {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Brightness of the picture itself.
+    pub grey: &'a [u8],
+    /// Its census.
+    pub own: &'a [u64],
+    /// That of the other.
+    pub other: &'a [u64],
+}
+
+/// Disparity of each pixel, to a part of a pixel; NaN where it is not measured: the two directions do not agree, or two places fit alike.
+#[must_use]
+pub fn disparity(views: &Views, range: Range) -> Vec<f32> {
+    let (w, h) = (views.width, views.height);
+    let mut out = vec![f32::NAN; w * h];
+    let band = ROWS * w * range.count * size_of::<u16>();
+    let beside = (BYTES / band.max(1)).max(1);
+    for (group, rows) in out.chunks_mut(w * ROWS * beside).enumerate() {
+        rows.par_chunks_mut(w * ROWS).enumerate().for_each(|(i, rows)| Band::new(views, range, (group * beside + i) * ROWS).run(rows));
+    }
+    out
+}
+
+/// Costs along the paths that end in a row, for each of its pixels: those of each disparity between two guards, and the least.
+struct Paths {
+    costs: Vec<u8>,
+    least: Vec<u8>,
+}
+
+/// A band of rows on its way.
+struct Band<'a> {
+    views: &'a Views<'a>,
+    range: Range,
+    /// First row.
+    first: usize,
+    /// Costs of a row.
+    row: Vec<u8>,
+    /// Paths from the three pixels of the row before, and those of this one.
+    before: [Paths; 3],
+    now: [Paths; 3],
+}
+
+impl<'a> Band<'a> {
+    fn new(views: &'a Views<'a>, range: Range, first: usize) -> Self {
+        let (w, n) = (views.width, range.count);
+        let paths = || Paths { costs: vec![u8::MAX; w * (n + 2)], least: vec![0; w] };
+        let three = || [paths(), paths(), paths()];
+        Self { views, range, first, row: vec![0; w * n], before: three(), now: three() }
+    }
+
+    fn run(mut self, out: &mut [f32]) {
+        let (w, n) = (self.views.width, self.range.count);
+        let (first, rows) = (self.first, out.len() / w);
+        let mut sums = vec![0u16; rows * w * n];
+        for y in first.saturating_sub(BEFORE)..first + rows {
+            let sums = y.checked_sub(first).map(|y| &mut sums[y * w * n..(y + 1) * w * n]);
+            self.pass(y, y.checked_sub(1).filter(|b| *b + BEFORE >= first), false, sums);
+        }
+        let last = (first + rows + BEFORE).min(self.views.height);
+        for y in (first..last).rev() {
+            let sums = (y < first + rows).then(|| &mut sums[(y - first) * w * n..(y - first + 1) * w * n]);
+            self.pass(y, Some(y + 1).filter(|b| *b < last), true, sums);
+        }
+        for (out, sums) in out.chunks_exact_mut(w).zip(sums.chunks_exact(w * n)) {
+            choose(sums, self.range, out);
+        }
+    }
+
+    /// Goes along row `y`, from the row `from` before it; added to `sums` where there are some.
+    fn pass(&mut self, y: usize, from: Option<usize>, back: bool, sums: Option<&mut [u16]>) {
+        let (w, n) = (self.views.width, self.range.count);
+        match_costs(&self.views.own[y * w..(y + 1) * w], &self.views.other[y * w..(y + 1) * w], self.range.first, n, &mut self.row);
+        std::mem::swap(&mut self.before, &mut self.now);
+        let grey = |y: usize| &self.views.grey[y * w..(y + 1) * w];
+        let along = Along { w, n, back, own: grey(y), above: from.map(grey), costs: &self.row };
+        aggregate(along, &self.before, &mut self.now, sums);
+    }
+}
+
+/// What a pass along a row reads.
+#[derive(Clone, Copy)]
+struct Along<'a> {
+    w: usize,
+    n: usize,
+    back: bool,
+    own: &'a [u8],
+    above: Option<&'a [u8]>,
+    costs: &'a [u8],
+}
+
+/// Census distances of a row for `n` disparities from `first` on.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn costs_of(own: &[u64], other: &[u64], first: i32, n: usize, out: &mut [u8]) {
+    let w = own.len();
+    for (x, (word, out)) in own.iter().zip(out.chunks_exact_mut(n)).enumerate() {
+        // the place in the other picture falls as the disparity grows
+        let most = x as i64 - i64::from(first);
+        let (start, end) = inside(most, w, n);
+        out.fill(OUTSIDE);
+        if start < end {
+            let others = &other[(most - end as i64 + 1) as usize..=(most - start as i64) as usize];
+            for (o, there) in out[start..end].iter_mut().zip(others.iter().rev()) {
+                *o = (word ^ there).count_ones() as u8;
+            }
+        }
+    }
+}
+
+dispatch!(match_costs, costs_of, (own: &[u64], other: &[u64], first: i32, n: usize, out: &mut [u8]));
+
+/// Penalty of a large step between pixels of two brightnesses.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn large(a: u8, b: u8) -> u8 {
+    let even = u32::from(LARGE) * EDGE / (EDGE + u32::from(a.abs_diff(b)));
+    (even as u8).max(SMALL + 2)
+}
+
+/// One step of a path: from the costs `from` (with guards) of which the least is `least` to `to`, whose least it gives.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn step(costs: &[u8], from: &[u8], least: u8, large: u8, to: &mut [u8]) -> u8 {
+    let n = costs.len();
+    let (below, same, above) = (&from[..n], &from[1..=n], &from[2..n + 2]);
+    let far = least.saturating_add(large);
+    for (i, to) in to[1..=n].iter_mut().enumerate() {
+        let near = below[i].min(above[i]).saturating_add(SMALL);
+        *to = costs[i].saturating_add(same[i].min(near).min(far) - least);
+    }
+    to[1..=n].iter().fold(u8::MAX, |a, b| a.min(*b))
+}
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn aggregate_row(along: Along, before: &[Paths; 3], now: &mut [Paths; 3], mut sums: Option<&mut [u16]>) {
+    let Along { w, n, back, own, above, costs } = along;
+    let mut last = vec![u8::MAX; n + 2];
+    let mut next = last.clone();
+    let mut least = 0;
+    for i in 0..w {
+        let x = if back { w - 1 - i } else { i };
+        let cost = &costs[x * n..(x + 1) * n];
+        if i == 0 {
+            next[1..=n].copy_from_slice(cost);
+            least = cost.iter().fold(u8::MAX, |a, b| a.min(*b));
+        } else {
+            let before = if back { x + 1 } else { x - 1 };
+            least = step(cost, &last, least, large(own[x], own[before]), &mut next);
+        }
+        std::mem::swap(&mut last, &mut next);
+        for (k, (from, to)) in before.iter().zip(now.iter_mut()).enumerate() {
+            let to_costs = &mut to.costs[x * (n + 2)..(x + 1) * (n + 2)];
+            let source = (x + k).checked_sub(1).filter(|s| *s < w).zip(above);
+            to.least[x] = if let Some((s, grey)) = source {
+                step(cost, &from.costs[s * (n + 2)..(s + 1) * (n + 2)], from.least[s], large(own[x], grey[s]), to_costs)
+            } else {
+                to_costs[1..=n].copy_from_slice(cost);
+                cost.iter().fold(u8::MAX, |a, b| a.min(*b))
+            };
+        }
+        if let Some(sums) = sums.as_deref_mut() {
+            let [a, b, c] = [0, 1, 2].map(|k: usize| &now[k].costs[x * (n + 2) + 1..][..n]);
+            let along = &last[1..=n];
+            for (i, sum) in sums[x * n..(x + 1) * n].iter_mut().enumerate() {
+                *sum += u16::from(along[i]) + u16::from(a[i]) + u16::from(b[i]) + u16::from(c[i]);
+            }
+        }
+    }
+}
+
+dispatch!(aggregate, aggregate_row, (along: Along<'_>, before: &[Paths; 3], now: &mut [Paths; 3], sums: Option<&mut [u16]>));
+
+/// Takes the disparity of the least sum of each pixel of a row, where the other picture's pixel would take the same and no other place fits as well.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn choose_row(sums: &[u16], range: Range, out: &mut [f32]) {
+    let (w, n) = (out.len(), range.count);
+    // for each place of the other picture the least sum, and behind it the disparity's number
+    let mut other = vec![u32::MAX; w];
+    for (x, sums) in sums.chunks_exact(n).enumerate() {
+        let most = x as i64 - i64::from(range.first);
+        let (start, end) = inside(most, w, n);
+        if start < end {
+            let places = &mut other[(most - end as i64 + 1) as usize..=(most - start as i64) as usize];
+            for ((i, sum), place) in (start as u32..).zip(&sums[start..end]).zip(places.iter_mut().rev()) {
+                *place = (*place).min(u32::from(*sum) << 16 | i);
+            }
+        }
+    }
+    for (x, (sums, out)) in sums.chunks_exact(n).zip(out).enumerate() {
+        let least = sums.iter().fold(u16::MAX, |a, b| if *b < a { *b } else { a });
+        let Some(i) = sums.iter().position(|s| *s == least) else { continue };
+        let d = range.first + i as i32;
+        let Some(back) = usize::try_from(x as i64 - i64::from(d)).ok().and_then(|place| other.get(place)) else { continue };
+        let rival = sums[..i.saturating_sub(1)].iter().chain(&sums[(i + 2).min(n)..]).fold(u16::MAX, |a, b| if *b < a { *b } else { a });
+        if (back & 0xFFFF).abs_diff(i as u32) <= 1 && f32::from(least) < UNIQUE * f32::from(rival) {
+            *out = d as f32 + between(i.checked_sub(1).map(|i| sums[i]), least, sums.get(i + 1).copied());
+        }
+    }
+}
+
+dispatch!(choose, choose_row, (sums: &[u16], range: Range, out: &mut [f32]));
+
+/// Which disparities, from and to by number, lead to a place of the other picture, `w` wide, from a pixel whose first leads to `most`.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn inside(most: i64, w: usize, n: usize) -> (usize, usize) {
+    ((most - w as i64 + 1).clamp(0, n as i64) as usize, (most + 1).clamp(0, n as i64) as usize)
+}
+
+/// Place of the least of two lines of one slope through three sums, −0.5 to 0.5 about the middle one; 0 at an end.
+fn between(before: Option<u16>, least: u16, after: Option<u16>) -> f32 {
+    let (Some(before), Some(after)) = (before, after) else { return 0.0 };
+    let (a, b, c) = (f32::from(before), f32::from(least), f32::from(after));
+    let steep = (a - b).max(c - b);
+    if steep > 0.0 { (a - c) / (2.0 * steep) } else { 0.0 }
+}

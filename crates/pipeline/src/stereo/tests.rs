@@ -1,0 +1,181 @@
+//! Matching against its definition, and pairs that are made to break it.
+
+use super::census::{Grey, census};
+use super::rectify::{Model, rectify};
+use super::sgm::{self, Range, Views};
+use super::*;
+use crate::photo::resize;
+
+fn noise(x: u32, y: u32, seed: u32) -> u8 {
+    let i = (y.wrapping_mul(4099).wrapping_add(x).wrapping_add(seed.wrapping_mul(77_777))).wrapping_mul(2_654_435_761);
+    ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 24) as u8
+}
+
+/// Spots of some pixels, as photos have them.
+fn spots(width: u32, height: u32, seed: u32) -> Photo {
+    let (w, h) = (width.div_ceil(3), height.div_ceil(3));
+    let small = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [noise(i % w, i / w, seed); 3]).collect() };
+    resize(&small, width, height)
+}
+
+/// `photo` seen from beside: its upper half `far` and its lower half `near` pixels further to the left.
+fn beside(photo: &Photo, far: i32, near: i32) -> Photo {
+    let (w, h) = (photo.width as i32, photo.height as i32);
+    let from = |i: i32| (i / w, (i % w + if i / w < h / 2 { far } else { near }).clamp(0, w - 1));
+    Photo { rgb: (0..w * h).map(|i| photo.rgb[(from(i).0 * w + from(i).1) as usize]).collect(), ..*photo }
+}
+
+fn grey_of(photo: &Photo) -> Grey {
+    grey(photo, (photo.width, photo.height))
+}
+
+/// Costs of all disparities of all pixels summed over eight paths by their definition.
+fn by_definition(first: &Grey, second: &Grey, range: Range) -> Vec<Vec<i64>> {
+    let (w, h, n) = (first.width as i64, first.height as i64, range.count as i64);
+    let [own, other] = [census(first), census(second)];
+    let cost = |x: i64, y: i64, i: i64| {
+        let to = x - i64::from(range.first) - i;
+        if (0..w).contains(&to) { i64::from((own[(y * w + x) as usize] ^ other[(y * w + to) as usize]).count_ones()) } else { 30 }
+    };
+    let mut sums = vec![vec![0; n as usize]; (w * h) as usize];
+    for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)] {
+        let mut path = vec![Vec::new(); (w * h) as usize];
+        for j in 0..h {
+            for k in 0..w {
+                let (x, y) = (if dx < 0 { w - 1 - k } else { k }, if dy < 0 { h - 1 - j } else { j });
+                let (px, py) = (x - dx, y - dy);
+                let at = (y * w + x) as usize;
+                path[at] = if (0..w).contains(&px) && (0..h).contains(&py) {
+                    let before: &Vec<i64> = &path[(py * w + px) as usize];
+                    let least = *before.iter().min().unwrap();
+                    let step = i64::from(first.values[at].abs_diff(first.values[(py * w + px) as usize]));
+                    let large = (100 * 12 / (12 + step)).max(9);
+                    let one = |i: i64| {
+                        let near = [i - 1, i + 1].into_iter().filter_map(|k| before.get(usize::try_from(k).ok()?)).min();
+                        let near = near.map_or(i64::MAX, |v| v + 7);
+                        cost(x, y, i) + before[i as usize].min(near).min(least + large) - least
+                    };
+                    (0..n).map(one).collect()
+                } else {
+                    (0..n).map(|i| cost(x, y, i)).collect()
+                };
+                sums[at].iter_mut().zip(&path[at]).for_each(|(s, p)| *s += p);
+            }
+        }
+    }
+    sums
+}
+
+#[test]
+fn what_is_measured_is_the_least_sum_by_the_definition() {
+    for (w, h, first) in [(40, 21, 0), (33, 9, -20), (1, 12, 0), (12, 1, -3)] {
+        let (a, b) = (grey_of(&spots(w, h, 1)), grey_of(&beside(&spots(w, h, 1), 3, 5)));
+        let range = Range { first, count: sgm::STEP };
+        let [own, other] = [census(&a), census(&b)];
+        let views = Views { width: a.width, height: a.height, grey: &a.values, own: &own, other: &other };
+        let got = sgm::disparity(&views, range);
+        for (d, sums) in got.iter().zip(by_definition(&a, &b, range)).filter(|(d, _)| d.is_finite()) {
+            let least = *sums.iter().min().unwrap();
+            let near = sums.iter().enumerate().filter(|(_, s)| **s == least).any(|(i, _)| (d - (first + i as i32) as f32).abs() <= 0.5);
+            assert!(near, "{w}×{h}: {d}");
+        }
+        assert!(w < 30 || first < 0 || got.iter().filter(|d| d.is_finite()).count() > 300);
+    }
+}
+
+#[test]
+fn two_surfaces_are_measured_whichever_way_they_shift() {
+    let photo = spots(300, 260, 2);
+    for (far, near) in [(4, 17), (-20, -3), (-6, 9)] {
+        let measured = measure(&photo, &beside(&photo, far, near)).unwrap();
+        let off = |rows: std::ops::Range<usize>, d: i32| {
+            let places = rows.flat_map(|y| (40..260).map(move |x| y * 300 + x));
+            let all: Vec<f32> = places.map(|i| measured.disparity[i]).collect();
+            // the second shows to the left what comes from the right: x − x' is the shift
+            all.iter().filter(|v| (**v - d as f32).abs() > 0.75 || v.is_nan()).count() as f64 / all.len() as f64
+        };
+        assert!(off(10..115, far) < 0.02 && off(145..250, near) < 0.02, "{far} {near}: {} {}", off(10..115, far), off(145..250, near));
+        let estimate = DisparityMap { width: 300, height: 260, delta: (0..78_000).map(|i| f32::from(u8::from(i >= 39_000))).collect() };
+        let Joined { map, figures, .. } = measured.joined(&photo, &estimate);
+        assert!((figures.nearest_px - f64::from(near)).abs() < 2.0 && !figures.crossed, "{figures:?}");
+        assert!(map.delta.iter().all(|d| (0.0..=1.0).contains(d)) && map.delta[200 * 300 + 150] > map.delta[50 * 300 + 150] + 0.3);
+    }
+}
+
+#[test]
+fn eyes_the_other_way_round_are_told_by_the_estimate() {
+    let photo = spots(300, 260, 3);
+    let measured = measure(&photo, &beside(&photo, -4, -17)).unwrap();
+    let estimate = DisparityMap { width: 300, height: 260, delta: (0..78_000).map(|i| f32::from(u8::from(i >= 39_000))).collect() };
+    let Joined { map, figures, .. } = measured.joined(&photo, &estimate);
+    assert!(figures.crossed && map.delta[200 * 300 + 150] > map.delta[50 * 300 + 150] + 0.3, "{figures:?}");
+}
+
+#[test]
+fn rows_of_a_turned_picture_are_found() {
+    let photo = grey_of(&spots(400, 300, 4));
+    for model in [Model { offset: 0.015, ..Model::default() }, Model { roll: 0.02, scale: 0.01, offset: -0.01, ..Model::default() }] {
+        let turned = model.rectified(&photo);
+        let found = rectify(&photo, &turned).unwrap();
+        assert!(found.before_px > 1.0 && found.after_px < 0.35, "{found:?}");
+        let (u, v) = (0.3, -0.2);
+        assert!((found.model.down(u, v) + model.down(u, v)).abs() < 0.002, "{model:?}: {found:?}");
+    }
+    let as_it_is = rectify(&photo, &photo).unwrap();
+    assert!(as_it_is.model == Model::default() && as_it_is.after_px < 0.1, "{as_it_is:?}");
+}
+
+#[test]
+fn pairs_that_tell_nothing_are_told_from_others() {
+    let photo = spots(200, 160, 5);
+    let even = |v: u8| Photo { rgb: vec![[v; 3]; photo.rgb.len()], ..photo };
+    assert_eq!(measure(&photo, &photo).unwrap_err(), Unmeasured::NoParallax);
+    for other in [even(0), even(255), spots(200, 160, 6)] {
+        let error = measure(&photo, &other).unwrap_err();
+        assert!(matches!(error, Unmeasured::Few { .. }), "{error}");
+    }
+    assert!(measure(&even(9), &even(9)).is_err());
+    assert!(matches!(measure(&photo, &spots(160, 200, 5)).unwrap_err(), Unmeasured::Shape { .. }));
+    for (w, h) in [(1, 1), (1, 40), (40, 1), (5, 5)] {
+        assert!(measure(&spots(w, h, 7), &spots(w, h, 8)).is_err(), "{w}×{h}");
+    }
+}
+
+#[test]
+fn what_is_not_measured_is_filled_whatever_is_known() {
+    for known in [0, 1, 700] {
+        let mut measured: Vec<f32> = (0..1000).map(|i| if i < known { i as f32 / 10.0 } else { f32::NAN }).collect();
+        let share = fuse::fill(&mut measured, &vec![0.5; 1000], 40);
+        assert!(measured.iter().all(|d| d.is_finite()) && share <= 1.0 - known as f64 / 1000.0 + 1e-9, "{known}");
+    }
+    // a gap that a nearer surface leaves lies on the farther one
+    let mut row = vec![2.0, 2.0, f32::NAN, f32::NAN, f32::NAN, f32::NAN, 6.0, 6.0];
+    assert!(fuse::fill(&mut row, &[0.0; 8], 8) < 1e-9 && row[2..6].iter().all(|d| (d - 2.0).abs() < 1e-6), "{row:?}");
+}
+
+#[test]
+fn names_of_files_say_where_the_eyes_are() {
+    for (name, want) in [
+        ("a.left-right.jpg", Stereo::LeftRight),
+        ("A_SBS.JPG", Stereo::LeftRight),
+        ("a.top-bottom.png", Stereo::TopBottom),
+        ("a-ou.webp", Stereo::TopBottom),
+        ("could.jpg", Stereo::Auto),
+        ("left.jpg", Stereo::Auto),
+        ("360.jpg", Stereo::Auto),
+    ] {
+        assert_eq!(Stereo::of_name(name).unwrap(), want, "{name}");
+    }
+    assert!(Stereo::of_name("walrus-360.top-bottom.jpg").is_err());
+}
+
+#[test]
+fn halves_are_of_one_size() {
+    let photo = Photo { width: 5, height: 3, rgb: (0..15).map(|i| [i; 3]).collect() };
+    let (left, right) = Halves::LeftRight.split(&photo).unwrap();
+    assert_eq!((left.at(1, 2), right.at(0, 0), right.width), ([11; 3], [3; 3], 2));
+    let (top, bottom) = Halves::TopBottom.split(&photo).unwrap();
+    assert_eq!((top.at(0, 0), bottom.at(0, 0), bottom.height), ([0; 3], [10; 3], 1));
+    let one = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
+    assert!(Halves::LeftRight.split(&one).is_none() && Halves::TopBottom.split(&one).is_none());
+}
