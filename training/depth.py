@@ -24,6 +24,7 @@ import pack
 import render
 import sources
 from batches import Pictures
+from common import sent
 from paths import HERE, RUNS
 
 # share of a picture's worst pixels that counts for nothing: rendered disparity is exact, the rest is not; and the weight of its gradients, by how
@@ -47,22 +48,26 @@ def loss_of(p, batch, taught, generator, weights=WEIGHTS):
     def add(name, per_picture, at):
         parts[name] = parts.get(name, 0.0) + (per_picture * batch.good[at]).sum() / len(batch.of)
 
+    def found(wanted):
+        at = batch.where(wanted)
+        return at if at.stop else None
+
     for space, known in (("disparity", losses.disparity), ("depth", losses.depth)):
-        if at := batch.where(lambda g, s: s == space):
-            trim, sharp = torch.tensor([TRUST[batch.of[i][0]] for i in at], device=p.device).unbind(1)
+        if at := found(lambda g, s: s == space):
+            trim, sharp = zip(*(TRUST[group] for group, _ in batch.of[at]))
             error, gradients = known(p[at], batch.value[at], trim)
             add("error", error, at)
-            add("gradient", gradients * sharp, at)
-    if at := batch.where(lambda g, s: s == "order"):
+            add("gradient", gradients * sent([np.float32(sharp)], p.device)[0], at)
+    if at := found(lambda g, s: s == "order"):
         add("order", losses.order(p[at], batch.value[at], generator), at)
-    if at := batch.where(lambda g, s: g == "label"):
+    if at := found(lambda g, s: g == "label"):
         wrong, broken = losses.things(p[at], batch.value[at], batch.region[at], batch.kind[at])
         add("border", wrong, at)
         add("whole", broken, at)
         add("sky", losses.sky(p[at], batch.kind[at]), at)
     if taught is not None:
         at = batch.where(lambda g, s: s == "none")
-        error, gradients = losses.disparity(p[at], taught, torch.full((len(at),), TAUGHT[0], device=p.device))
+        error, gradients = losses.disparity(p[at], taught, [TAUGHT[0]] * len(taught))
         parts["photo"] = (error + TAUGHT[1] * gradients).sum() / len(batch.of)
     return {"loss": sum(weights[k] * v for k, v in parts.items()), **parts}
 
@@ -70,7 +75,8 @@ def loss_of(p, batch, taught, generator, weights=WEIGHTS):
 @torch.no_grad()
 def teach(mean, rgb):
     """What the running mean says of photographs, and of their mirror images."""
-    straight, turned = (losses.unit(mean.half(network.normal(x))[:, 0]) for x in (rgb, rgb.flip(3)))
+    both = network.normal(torch.cat([rgb, rgb.flip(3)])).contiguous(memory_format=torch.channels_last)
+    straight, turned = losses.unit(mean.half(both)[:, 0]).chunk(2)
     return losses.unit(straight + turned.flip(2))
 
 
@@ -91,12 +97,13 @@ class Steps:
         rng = loop.stream(self.args.seed, "batch", step)
         batch = self.pictures.batch(self.args.batch, rng)
         photos, lesson = batch.where(lambda g, s: s == "none"), self.lesson(step)
-        memory, device = torch.channels_last, batch.rgb.device.type
-        with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
-            taught = teach(self.mean, batch.rgb[photos].contiguous(memory_format=memory)) if photos and lesson else None
-            x = network.normal(augment.photometric(batch.rgb, batch.value, rng)).contiguous(memory_format=memory)
+        device = batch.rgb.device
+        # colours keep their 24 bits, which those of the network's arithmetic on a card are not enough for
+        x = network.normal(augment.photometric(batch.rgb, batch.value, rng)).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            taught = teach(self.mean, batch.rgb[photos]) if photos.stop and lesson else None
             p = self.net.half(x)[:, 0]
-        generator = torch.Generator().manual_seed(rng.getrandbits(60))
+        generator = torch.Generator(device).manual_seed(rng.getrandbits(60))
         return loss_of(p, batch, taught, generator, WEIGHTS | {"photo": WEIGHTS["photo"] * lesson})
 
 

@@ -20,8 +20,7 @@ def scene(h=48, w=64):
     return torch.tensor(t[None], dtype=torch.float32), torch.tensor(region[None]), torch.tensor(kind[None])
 
 
-NONE = torch.zeros(1)
-SOME = torch.full((1,), 0.1)
+NONE, SOME = [0.0], [0.1]
 
 
 def noise(shape, seed=0):
