@@ -9,7 +9,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from common import constant, sent
+from common import constant, generator, sent
 
 # quantisation of luma by JPEG at quality 50
 LUMA = (
@@ -30,7 +30,7 @@ class Draws:
 
     def __init__(self, count, rng, device):
         self.count, self.device = count, device
-        self.generator = torch.Generator(device).manual_seed(rng.getrandbits(60))
+        self.generator = generator(rng.getrandbits(60), device)
 
     def uniform(self, low, high, channels=1, size=(1, 1)):
         return torch.rand(self.count, channels, *size, generator=self.generator, device=self.device) * (high - low) + low

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
 from common import sent
 
@@ -28,8 +27,6 @@ FAMILIES = {
 CLOSEST = 0.5
 # how fast a picture's chance falls with the logarithm of how much wider or narrower than the batch it is, and of how much it would be enlarged
 WIDER, ENLARGED = 4.0, 1.0
-# samples a side of each pixel of a batch
-FINE = 2
 # numbers that a region can have
 REGIONS = 256
 
@@ -171,37 +168,67 @@ class Pictures:
         return Batch(*self.cut(rows, shape, frames(rows[:, 1], rows[:, 2], shape, draw)), of)
 
     def cut(self, rows, shape, frame):
-        """Colours, map, regions, kinds, and what counts, of the frames of pictures: as in [`Batch`]."""
-        (height, width), half = shape, (shape[0] // 2, shape[1] // 2)
-        at, kinds = sent([rows[:, 0].astype(np.int64)[:, None], rows[:, 3].astype(np.int64)[:, None]], self.device)
-        told = sent([v.astype(np.float32)[:, None] for v in (*frame, rows[:, 1], rows[:, 2], np.where(rows[:, 4], 0, 0.5), rows[:, 5])], self.device)
-        top, left, down, along, h, w, least, shown = told
-        pixels, values = self.store.pixels, self.store.values
+        """Colours, map, regions, kinds, and what counts, of the frames of pictures: as in [`Batch`]. What colours are made of are triangles, as wide as
+        their pixel; what maps are made of are means of the pixels below."""
+        (height, width), (top, left, down, along) = shape, frame
+        first = [np.maximum(0, np.floor(np.minimum(start, start + extent)) - 1) for start, extent in ((top, down), (left, along))]
+        rows_of, columns_of = (int(np.ceil(np.abs(extent).max())) + 4 for extent in (down, along))
+        at, kinds = sent([rows[:, n].astype(np.int64)[:, None] for n in (0, 3)], self.device)
+        told = (*frame, *first, rows[:, 1], rows[:, 2], np.where(rows[:, 4], 0, 0.5), rows[:, 5])
+        top, left, down, along, y0, x0, h, w, least, shown = sent([v.astype(np.float32)[:, None] for v in told], self.device)
 
         def index(y, x):
-            return (at + y.long() * w.long())[:, :, None] + x.long()[:, None, :]
+            y, x = torch.minimum(y, h - 1).long(), torch.minimum(x, w - 1).long()
+            return (at + y * w.long())[:, :, None] + x[:, None, :]
 
-        y, x = positions(top, down, FINE * height, h), positions(left, along, FINE * width, w)
-        nearest = values[index(y + 0.5, x + 0.5)].float()
-        y0, x0 = y.floor(), x.floor()
-        y1, x1 = torch.minimum(y0 + 1, h - 1), torch.minimum(x0 + 1, w - 1)
-        corners = [pixels[index(*yx)] for yx in ((y0, x0), (y0, x1), (y1, x0), (y1, x1))]
-        fy, fx, rgb = (y - y0)[:, :, None], (x - x0)[:, None, :], []
-        for shift in (0, 8, 16):
-            a, b, c, d = ((v >> shift & 255).float() for v in corners)
-            rgb.append(F.avg_pool2d(torch.lerp(torch.lerp(a, b, fx), torch.lerp(c, d, fx), fy)[:, None], FINE))
-        rgb = torch.cat(rgb, 1).div_(255).clamp_(0, 1)
-        known = ~nearest.isnan()
-        share, total = (F.avg_pool2d(v[:, None], 2 * FINE)[:, 0] for v in (known.float(), nearest.nan_to_num(0)))
+        within = index(*(start + torch.arange(n, device=self.device) for start, n in ((y0, rows_of), (x0, columns_of))))
+        pixels = self.store.pixels[within]
+        high, wide = Taps(top, down, y0, rows_of, h), Taps(left, along, x0, columns_of, w)
+        rgb = torch.stack([pixels >> shift & 255 for shift in (0, 8, 16)], 1) / 255
+        rgb = (high.triangles(height) @ rgb @ wide.triangles(width).mT).clamp(0, 1)
+        value = self.store.values[within].float()
+        told = torch.stack([value.isfinite().float(), value.nan_to_num(0)], 1)
+        share, total = (high.means(height // 2) @ told @ wide.means(width // 2).mT).unbind(1)
         known = share > least[:, :, None]
         value = torch.where(known, total / share.clamp_min(1e-6), torch.nan)
         span = torch.where(known, value, -torch.inf).amax((1, 2)) - torch.where(known, value, torch.inf).amin((1, 2))
         good = (known.float().mean((1, 2)) > shown[:, 0]) & (span > 0.05)
-        region = pixels[index(positions(top, down, half[0], h) + 0.5, positions(left, along, half[1], w) + 0.5)] >> 24 & 255
+        region = self.store.pixels[index(high.middles(height // 2).floor(), wide.middles(width // 2).floor())] >> 24 & 255
         if self.sent_kinds is None:
             self.sent_kinds = sent([self.kinds], self.device)[0]
         kind = self.sent_kinds.flatten()[kinds[:, :, None] * REGIONS + region]
         return rgb, value, region.long(), kind.long(), good.float()
+
+
+class Taps:
+    """How much the pixels along one side of each picture, `count` from `first` on, of `size` [N, 1], matter to equal parts of an extent that begins at
+    `start` and is negative where the picture is mirrored: matrices [N, 1, parts, count] whose rows have the sum 1."""
+
+    def __init__(self, start, extent, first, count, size):
+        self.start, self.extent = start, extent
+        self.at = first + torch.arange(count, device=start.device) + 0.5
+        self.beyond = self.at > size
+
+    def middles(self, parts):
+        return self.start + (torch.arange(parts, device=self.start.device) + 0.5) / parts * self.extent
+
+    def apart(self, parts):
+        """Distance of pixels from the middles of parts, and the length of a part."""
+        apart = (self.at[:, None, :] - self.middles(parts)[:, :, None]).abs().masked_fill(self.beyond[:, None, :], torch.inf)
+        return apart, self.extent.abs()[:, :, None] / parts
+
+    def triangles(self, parts):
+        apart, length = self.apart(parts)
+        return summed((1 - apart / length.clamp_min(1)).clamp_min(0))
+
+    def means(self, parts):
+        apart, length = self.apart(parts)
+        return summed(torch.minimum(((1 + length) / 2 - apart).clamp_min(0), length.clamp_max(1)))
+
+
+def summed(weights):
+    """With a sum of 1 in each row, for all channels."""
+    return (weights / weights.sum(2, keepdim=True))[:, None]
 
 
 def frames(height, width, shape, draw):
@@ -214,9 +241,3 @@ def frames(height, width, shape, draw):
     h, w = np.where(whole, height, width / aspect) * zoom, np.where(whole, height * aspect, width) * zoom
     y, x, turned = draw.random(n) * (height - h), draw.random(n) * (width - w), draw.random(n) < 0.5
     return y, np.where(turned, x + w, x), h, np.where(turned, -w, w)
-
-
-def positions(start, extent, count, size):
-    """The middles of `count` equal parts of extents [N, 1], in pixels of a picture of a size [N, 1]: [N, count]."""
-    at = (torch.arange(count, device=start.device) + 0.5) / count
-    return torch.minimum((start + at * extent - 0.5).clamp_min(0), size - 1)

@@ -23,6 +23,11 @@ def sent(arrays, device):
     return [part.view(a.shape) for part, a in zip(flat.split([a.size for a in arrays]), arrays)]
 
 
+def generator(seed, device):
+    """A generator of PyTorch of its own, on the device."""
+    return torch.Generator(device).manual_seed(seed)
+
+
 @functools.cache
 def constant(values, device):
     """Numbers, in tuples, as float32 on the device: sent once, since a transfer from ordinary memory waits for the device."""

@@ -24,7 +24,7 @@ import pack
 import render
 import sources
 from batches import Pictures
-from common import sent
+from common import generator, sent
 from paths import HERE, RUNS
 
 # share of a picture's worst pixels that counts for nothing: rendered disparity is exact, the rest is not; and the weight of its gradients, by how
@@ -40,9 +40,9 @@ LEAST, LOOK = 200, 20
 GROWN = (200, 600)
 
 
-def loss_of(p, batch, taught, generator, weights=WEIGHTS):
+def loss_of(p, batch, taught, pairs, weights=WEIGHTS):
     """Sum of all that is known of a batch, and its parts: means over the batch's pictures; p is [N, H, W], `taught` what the running mean says of its
-    photographs without a map."""
+    photographs without a map, `pairs` the generator that pairs of pixels are drawn from."""
     parts = {}
 
     def add(name, per_picture, at):
@@ -59,7 +59,7 @@ def loss_of(p, batch, taught, generator, weights=WEIGHTS):
             add("error", error, at)
             add("gradient", gradients * sent([np.float32(sharp)], p.device)[0], at)
     if at := found(lambda g, s: s == "order"):
-        add("order", losses.order(p[at], batch.value[at], generator), at)
+        add("order", losses.order(p[at], batch.value[at], pairs), at)
     if at := found(lambda g, s: g == "label"):
         wrong, broken = losses.things(p[at], batch.value[at], batch.region[at], batch.kind[at])
         add("border", wrong, at)
@@ -103,8 +103,8 @@ class Steps:
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
             taught = teach(self.mean, batch.rgb[photos]) if photos.stop and lesson else None
             p = self.net.half(x)[:, 0]
-        generator = torch.Generator(device).manual_seed(rng.getrandbits(60))
-        return loss_of(p, batch, taught, generator, WEIGHTS | {"photo": WEIGHTS["photo"] * lesson})
+        pairs = generator(rng.getrandbits(60), device)
+        return loss_of(p, batch, taught, pairs, WEIGHTS | {"photo": WEIGHTS["photo"] * lesson})
 
 
 def measured(net, sets, device, ramp=0.05):

