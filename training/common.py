@@ -11,10 +11,6 @@ import torch
 from paths import DATA, HERE, MODELS, RUNS  # noqa: F401 - others import them from here
 
 
-def device():
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-
-
 def sent(arrays, device):
     """Arrays of one dtype on the device, by one transfer that waits for nothing which the device has under way."""
     flat = torch.from_numpy(np.concatenate([a.ravel() for a in arrays]))

@@ -269,7 +269,7 @@ def arguments(parser, steps, seed, every):
     """The options that every training has."""
     parser.add_argument("--steps", type=int, default=steps, help="length of the whole run: the learning rate falls over it")
     parser.add_argument("--stop", type=int, help="end after that many steps; the same command without it goes on")
-    parser.add_argument("--minutes", type=float, help="end after so long")
+    parser.add_argument("--minutes", type=float, help="end after so long, but for the last checkpoint")
     parser.add_argument("--every", type=int, default=every, help="steps between checkpoints")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=seed)
