@@ -1,22 +1,28 @@
 """What light, lenses, sensors and codecs do to the colours of photographs, on batches [N, 3, H, W] in 0..1, on any device.
 
-What happens is a function of the generator `rng` of Python's `random` alone. Sides are multiples of 8."""
+What happens is a function of the generator `rng` of Python's `random`, and of the kind of device. Sides are multiples of 8. Nothing waits for the device."""
 
+import functools
 import math
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 
+from common import constant, generator, sent
+
 # quantisation of luma by JPEG at quality 50
-LUMA = [
+LUMA = (
     16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51, 87, 80, 62,
     18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99,
-]  # fmt: skip
+)  # fmt: skip
 # chroma is quantised more coarsely by so much
 CHROMA = 1.6
-YCC = [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]]
+YCC = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -0.081312))
 # lightness, red against green, yellow against blue
-OPPONENT = [[1 / 3, 1 / 3, 1 / 3], [0.5, -0.5, 0.0], [0.25, 0.25, -0.5]]
+OPPONENT = ((1 / 3, 1 / 3, 1 / 3), (0.5, -0.5, 0.0), (0.25, 0.25, -0.5))
+# the cosines of JPEG's blocks
+COSINES = tuple(tuple(0.5 * math.cos((2 * x + 1) * k * math.pi / 16) * (1 if k else 0.5**0.5) for x in range(8)) for k in range(8))
 
 
 class Draws:
@@ -24,25 +30,40 @@ class Draws:
 
     def __init__(self, count, rng, device):
         self.count, self.device = count, device
-        self.generator = torch.Generator().manual_seed(rng.getrandbits(60))
+        self.generator = generator(rng.getrandbits(60), device)
 
     def uniform(self, low, high, channels=1, size=(1, 1)):
-        return (torch.rand(self.count, channels, *size, generator=self.generator) * (high - low) + low).to(self.device)
+        return torch.rand(self.count, channels, *size, generator=self.generator, device=self.device) * (high - low) + low
 
     def normal(self, channels=1):
-        return torch.randn(self.count, channels, 1, 1, generator=self.generator).to(self.device)
+        return torch.randn(self.count, channels, 1, 1, generator=self.generator, device=self.device)
 
     def some(self, share):
         return self.uniform(0, 1) < share
 
 
-def constant(values, x):
-    return torch.tensor(values, device=x.device, dtype=torch.float32)
+@functools.cache
+def inverse(matrix):
+    """The inverse of a matrix of tuples, as tuples."""
+    return tuple(map(tuple, np.linalg.inv(np.array(matrix)).tolist()))
 
 
 def channels(matrix, x):
-    """Each pixel's colour times a matrix."""
-    return torch.einsum("oc,nchw->nohw", matrix, x)
+    """Each pixel's colour times a matrix of tuples."""
+    return torch.einsum("oc,nchw->nohw", constant(matrix, x.device), x)
+
+
+def changed(x, at, change, *more):
+    """`x` with `change` made to the pictures `at`, their numbers; `more` goes along, picture by picture."""
+    if not at:
+        return x
+    index = sent([np.array(at)], x.device)[0]
+    return x.index_copy(0, index, change(*(v.index_select(0, index) for v in (x, *more))))
+
+
+def some(count, share, rng):
+    """Numbers of about a share of the pictures, which the host knows: what costs much is done to these alone."""
+    return [i for i in range(count) if rng.random() < share]
 
 
 def blurred(x, sigma, reach):
@@ -57,13 +78,13 @@ def blurred(x, sigma, reach):
 
 def toned(x, draw):
     """Mean and spread of lightness and of both colour differences on the way to those of other photographs."""
-    to = constant(OPPONENT, x)
-    y = channels(to, x)
+    y = channels(OPPONENT, x)
+    three = lambda *v: constant(v, x.device)[:, None, None]
     mean, spread = y.mean((2, 3), keepdim=True), y.std((2, 3), keepdim=True) + 0.004
-    want = constant([0.45, 0.0, 0.02], x)[:, None, None] + draw.normal(3) * constant([0.12, 0.02, 0.04], x)[:, None, None]
-    least, most = (constant(v, x)[:, None, None] for v in ([0.14, 0.01, 0.02], [0.28, 0.06, 0.1]))
-    gain = torch.minimum((draw.uniform(0, 1, 3) * (most - least) + least).div(spread).clamp_min(0.4), constant([2.0, 2.5, 2.5], x)[:, None, None])
-    return channels(torch.linalg.inv(to), (y - mean) * gain + 0.35 * mean + 0.65 * want).clamp(0, 1)
+    want = three(0.45, 0.0, 0.02) + draw.normal(3) * three(0.12, 0.02, 0.04)
+    least, most = three(0.14, 0.01, 0.02), three(0.28, 0.06, 0.1)
+    gain = torch.minimum((draw.uniform(0, 1, 3) * (most - least) + least).div(spread).clamp_min(0.4), three(2.0, 2.5, 2.5))
+    return channels(inverse(OPPONENT), (y - mean) * gain + 0.35 * mean + 0.65 * want).clamp(0, 1)
 
 
 def focused(x, value, draw):
@@ -80,15 +101,13 @@ def focused(x, value, draw):
 def compressed(x, quality):
     """What JPEG of a quality [N, 1, 1, 1] does."""
     n, _, h, w = x.shape
-    i = torch.arange(8, device=x.device)
-    basis = torch.cos((2 * i[None] + 1) * i[:, None] * math.pi / 16) * 0.5
-    basis[0] *= 0.5**0.5
-    step = constant(LUMA, x).view(8, 8) * torch.where(quality < 50, 50 / quality, 2 - quality / 50)[..., None, None]
-    step = step.round().clamp(1, 255) * constant([1, CHROMA, CHROMA], x).view(3, 1, 1, 1, 1)
-    to = constant(YCC, x)
-    blocks = channels(to, x * 255 - 128).view(n, 3, h // 8, 8, w // 8, 8).transpose(3, 4)
-    blocks = basis.T @ ((basis @ blocks @ basis.T / step).round() * step) @ basis
-    y = channels(torch.linalg.inv(to), blocks.transpose(3, 4).reshape(n, 3, h, w))
+    basis = constant(COSINES, x.device)
+    basis = torch.kron(basis, basis)
+    step = constant(LUMA, x.device) * torch.where(quality < 50, 50 / quality, 2 - quality / 50)
+    step = step.round().clamp(1, 255) * constant((1, CHROMA, CHROMA), x.device)[:, None, None]
+    blocks = channels(YCC, x * 255 - 128).view(n, 3, h // 8, 8, w // 8, 8).transpose(3, 4).reshape(n, 3, h * w // 64, 64)
+    blocks = (blocks @ basis.T / step).round() * step @ basis
+    y = channels(inverse(YCC), blocks.view(n, 3, h // 8, w // 8, 8, 8).transpose(3, 4).reshape(n, 3, h, w))
     return ((y + 128) / 255).clamp(0, 1)
 
 
@@ -97,8 +116,8 @@ def photometric(x, value, rng):
     n = x.shape[0]
     draw = Draws(n, rng, x.device)
     x = torch.where(draw.some(0.5), toned(x, draw), x)
-    if soft := [i for i in range(n) if rng.random() < 0.12]:
-        x[soft] = focused(x[soft], value[soft].nan_to_num(0), Draws(len(soft), rng, x.device))
+    soft = some(n, 0.12, rng)
+    x = changed(x, soft, lambda x, v: focused(x, v.nan_to_num(0), Draws(len(soft), rng, x.device)), value)
     gain = (1 + 0.08 * draw.normal(3)) * draw.uniform(0.7, 1.35)
     x = (x * gain).clamp(1e-4, 1) ** draw.uniform(0.7, 1.4)
     grey = x.mean(1, keepdim=True)
@@ -106,8 +125,8 @@ def photometric(x, value, rng):
     # uneven light
     light = F.interpolate(draw.uniform(0.7, 1.3, size=(3, 3)), size=x.shape[2:], mode="bicubic", align_corners=False)
     x = torch.where(draw.some(0.35), x * light, x)
-    x = torch.where(draw.some(0.4), blurred(x, draw.uniform(0.3, 1.4), 4), x)
-    noise = torch.randn(x.shape, generator=torch.Generator(x.device).manual_seed(rng.getrandbits(60)), device=x.device)
+    x = changed(x, some(n, 0.4, rng), lambda x, s: blurred(x, s, 4), draw.uniform(0.3, 1.4))
+    noise = torch.randn(x.shape, generator=draw.generator, device=x.device)
     x = torch.where(draw.some(0.6), x + noise * draw.uniform(1, 10) / 255, x).clamp(0, 1)
-    x = torch.where(draw.some(0.4), compressed(x, draw.uniform(35, 95)), x)
+    x = changed(x, some(n, 0.4, rng), compressed, draw.uniform(35, 95))
     return (x * 255).round() / 255

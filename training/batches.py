@@ -1,16 +1,22 @@
-"""Pictures in the memory of a device, and the batches that are cut out of them there."""
+"""Pictures in the memory of a device, and the batches that are cut out of them there: all pictures of a batch at once, and without waiting for the device."""
 
 import math
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
-# (height, width) of batches, about the pixels that the program runs at, and how often each is drawn
-SHAPES = {(192, 256): 0.4, (192, 288): 0.15, (160, 288): 0.12, (224, 224): 0.12, (256, 192): 0.15, (288, 192): 0.06}
+from common import sent
+
+# (height, width) of batches, and how often each is drawn: half about the pixels that the program takes for rooms, the rest larger, up to twice as many
+SHAPES = {
+    (192, 256): 0.16, (192, 288): 0.07, (160, 288): 0.07, (224, 224): 0.06, (256, 192): 0.09, (288, 160): 0.05,
+    (256, 288): 0.08, (224, 320): 0.11, (192, 384): 0.03, (320, 224): 0.08,
+    (256, 384): 0.1, (320, 320): 0.04, (384, 256): 0.06,
+}  # fmt: skip
 # share of a batch that each group of pictures makes, where there are any
-SHARES = {"scene": 0.45, "label": 0.22, "rgbd": 0.09, "stereo": 0.02, "pairs:depth": 0.08, "pairs:disparity": 0.02, "pairs:order": 0.02, "photo": 0.1}
+SHARES = {"scene": 0.45, "label": 0.22, "rgbd": 0.09, "stereo": 0.02, "pairs:disparity": 0.02, "pairs:depth": 0.08, "pairs:order": 0.02, "photo": 0.1}
 # how often a family of scenes is drawn: photographs have more ground in them than `tmpi-lab synth` has by itself
 FAMILIES = {
     "room": 0.14, "corridor": 0.03, "lounge": 0.09, "kitchen": 0.08, "street": 0.09, "field": 0.17, "water": 0.05, "terrain": 0.03, "crowd": 0.04,
@@ -19,28 +25,16 @@ FAMILIES = {
 }  # fmt: skip
 # a crop has at least this share of its picture's height or width
 CLOSEST = 0.5
-# tries to find a picture about as wide as the batch
-TRIES = 4
-
-
-@dataclass
-class Held:
-    """A picture on the device: colours u8 [3, H, W], map f16 [H, W] with NaN where unknown, number of each pixel's region u8 [H, W] or None, kind of
-    each region, and the share of a crop's map that has to be known for it to count."""
-
-    space: str
-    rgb: torch.Tensor
-    value: torch.Tensor
-    region: torch.Tensor | None
-    kinds: torch.Tensor | None
-    sparse: bool
-    shown: float
+# how fast a picture's chance falls with the logarithm of how much wider or narrower than the batch it is, and of how much it would be enlarged
+WIDER, ENLARGED = 4.0, 1.0
+# numbers that a region can have
+REGIONS = 256
 
 
 @dataclass
 class Batch:
     """Colours [N, 3, H, W] in 0..1; at half of that size the map to learn with NaN where unknown, number and kind of regions; what crops show enough
-    to count [N]; group and space of each picture."""
+    to count [N]; group and space of each picture, of which those of one group or space are neighbours."""
 
     rgb: torch.Tensor
     value: torch.Tensor
@@ -50,90 +44,200 @@ class Batch:
     of: list
 
     def where(self, wanted):
-        """Numbers of the pictures whose group and space `wanted` says yes to."""
-        return [i for i, (group, space) in enumerate(self.of) if wanted(group, space)]
+        """The pictures whose group and space `wanted` says yes to, which are neighbours: a slice."""
+        found = [i for i, (group, space) in enumerate(self.of) if wanted(group, space)]
+        if found and found[-1] - found[0] + 1 != len(found):
+            raise ValueError(f"pictures {found} of a batch are no neighbours")
+        return slice(found[0], found[-1] + 1) if found else slice(0, 0)
+
+
+@dataclass
+class Row:
+    """A picture in the store: where it begins there, height, width; row of its kinds of regions; whether its map is single points, and the share of a
+    crop's map that has to be known for it to count."""
+
+    at: int
+    height: int
+    width: int
+    kinds: int
+    sparse: bool
+    shown: float
+
+
+class Store:
+    """Pictures one behind the other in the device's memory: red, green, blue and the number of the region in the bytes of an int32, from the lowest
+    on; the map in float16, NaN where unknown."""
+
+    def __init__(self, device, room=1 << 22):
+        self.device, self.end = device, 0
+        self.pixels, self.values = torch.empty(room, dtype=torch.int32, device=device), torch.empty(room, dtype=torch.float16, device=device)
+
+    def add(self, packed):
+        """Where the pixels of a [`pack.Packed`] begin."""
+        parts = [c.astype(np.int32) << s for c, s in zip((*np.moveaxis(packed.rgb, 2, 0), packed.region), (0, 8, 16, 24))]
+        pixels, values = parts[0] | parts[1] | parts[2] | parts[3], packed.value.astype(np.float16)
+        at, self.end = self.end, self.end + pixels.size
+        while self.end > len(self.pixels):
+            self.pixels, self.values = (torch.cat([x, torch.empty_like(x)]) for x in (self.pixels, self.values))
+        self.pixels[at : self.end], self.values[at : self.end] = sent([pixels.ravel()], self.device)[0], sent([values.ravel()], self.device)[0]
+        return at
+
+
+@dataclass
+class Group:
+    """Pictures that share their part of a batch: of a photograph with two labels each counts half."""
+
+    space: str
+    rows: list = field(default_factory=list)
+    names: list = field(default_factory=list)
+    table: np.ndarray = None  # the rows, one column each
+    chances: np.ndarray = None  # running sums of the chance of each row, for each shape
+
+    def add(self, row, name):
+        self.rows.append((row.at, row.height, row.width, row.kinds, row.sparse, row.shown))
+        self.names.append(name)
+        self.table = None
+
+    def prepare(self):
+        """Chances: each picture as often as the others, mostly in shapes about as wide, and no larger, than itself."""
+        if self.table is not None:
+            return
+        self.table = np.array(self.rows, np.float64)
+        shape, often = np.array(list(SHAPES), np.float64), np.array(list(SHAPES.values()))
+        height, width = self.table[:, 1:2], self.table[:, 2:3]
+        wider = np.abs(np.log(width / height * shape[:, 0] / shape[:, 1]))
+        larger = np.maximum(0, np.log(shape.prod(1) / (height * width)))
+        near = np.exp(-WIDER * wider - ENLARGED * larger) * often
+        times = Counter(self.names)
+        weight = np.array([1 / times[n] for n in self.names])[:, None]
+        self.chances = np.cumsum(weight * near / near.sum(1, keepdims=True) / often, 0)
+
+    def drawn(self, shape, count, draw):
+        """`count` rows of the table for the shape of this number."""
+        self.prepare()
+        sums = self.chances[:, shape]
+        return self.table[np.minimum(np.searchsorted(sums, draw.random(count) * sums[-1], side="right"), len(sums) - 1)]
 
 
 class Pictures:
-    """All pictures that are learnt from, by group; of a photograph with two labels each counts half."""
+    """All pictures that are learnt from."""
 
     def __init__(self, device):
-        self.device, self.groups = device, {}  # of each group (name, pictures): more than one where it was labelled again
+        self.device, self.store, self.groups = device, Store(device), {}
+        self.kinds = np.zeros((1, REGIONS), np.uint8)  # of each region, by picture: row 0 is that of pictures without
+        self.sent_kinds = None
 
     def add(self, packed):
         """A [`pack.Packed`]."""
-        send = lambda a, dtype: torch.from_numpy(np.ascontiguousarray(a)).to(self.device, dtype)
-        labelled = bool(packed.region.any())
-        known = float(np.isfinite(packed.value).mean())
-        held = Held(
-            packed.space, send(packed.rgb.transpose(2, 0, 1), torch.uint8), send(packed.value, torch.float16),
-            send(packed.region, torch.uint8) if labelled else None, send(packed.kinds, torch.uint8) if labelled else None,
-            packed.sparse, 0.02 if packed.sparse else 0.4 * known,
-        )  # fmt: skip
-        own, name = self.groups.setdefault(packed.group, []), packed.name.removesuffix(".b")
-        again = next((n for n in own if n[0] == name), None) if packed.group == "label" else None
-        if again is not None:
-            again[1].append(held)
-        else:
-            own.append((name, [held]))
+        kinds = 0
+        if packed.region.any():
+            kinds, own = len(self.kinds), np.zeros((1, REGIONS), np.uint8)
+            own[0, : len(packed.kinds)] = packed.kinds
+            self.kinds, self.sent_kinds = np.concatenate([self.kinds, own]), None
+        shown = 0.02 if packed.sparse else 0.4 * float(np.isfinite(packed.value).mean())
+        row = Row(self.store.add(packed), *packed.value.shape, kinds, packed.sparse, shown)
+        name = packed.name.removesuffix(".b") if packed.group == "label" else packed.name
+        self.groups.setdefault(packed.group, Group(packed.space)).add(row, name)
 
     def count(self, group):
         """Of pictures in a group, or in all families of scenes."""
-        return sum(len(v) for g, v in self.groups.items() if g.split(":")[0] == group or g == group)
+        return sum(len(v.rows) for g, v in self.groups.items() if g.split(":")[0] == group or g == group)
 
     def shares(self):
-        """Groups and families that there are, and how often each is drawn."""
-        families = {g: FAMILIES[g.removeprefix("scene:")] for g in self.groups if g.startswith("scene:")}
+        """Groups and families that there are, those of one space beside each other, and how often each is drawn."""
+        families = {g: FAMILIES[g.removeprefix("scene:")] for g in sorted(self.groups) if g.startswith("scene:")}
         total = sum(families.values())
-        found = {g: SHARES["scene"] * v / total for g, v in families.items()}
-        return found | {g: SHARES[g] for g in self.groups if g in SHARES}
+        found = {g: SHARES["scene"] * v / total for g, v in families.items()} | {g: v for g, v in SHARES.items() if g in self.groups}
+        return {g: v / sum(found.values()) for g, v in found.items()}
 
-    def drawn(self, shape, group, rng):
-        """A picture of a group; such as are about as wide as the batch are drawn more often."""
-        for _ in range(TRIES):
-            held = rng.choice(rng.choice(self.groups[group])[1])
-            off = math.log(held.rgb.shape[2] / held.rgb.shape[1] * shape[0] / shape[1])
-            if rng.random() < math.exp(-4 * abs(off)):
-                break
-        return held
-
-    def batch(self, count, rng):
-        """A batch, which is a function of the pictures that there are and of `rng`."""
+    def batch(self, count, rng, shape=None):
+        """A batch, which is a function of the pictures that there are and of `rng`; of the smallest shape it has `count` pictures, of others as many
+        pixels. Without `shape` that is drawn."""
+        draw = np.random.default_rng(rng.getrandbits(128))
+        often = np.array(list(SHAPES.values()))
+        number = list(SHAPES).index(shape) if shape else draw.choice(len(often), p=often / often.sum())
+        shape = list(SHAPES)[number]
+        count = max(1, round(count * min(h * w for h, w in SHAPES) / math.prod(shape)))
         shares = self.shares()
-        shape = rng.choices(list(SHAPES), SHAPES.values())[0]
-        groups = sorted(rng.choices(list(shares), shares.values(), k=count))
-        held = [self.drawn(shape, g, rng) for g in groups]
-        crops = [cropped(h, shape, rng) for h in held]
-        rgb, value, region, kind, good = (torch.stack(part) for part in zip(*crops))
-        return Batch(rgb, value, region, kind, good, [(g.split(":")[0] if g.startswith("scene") else g, h.space) for g, h in zip(groups, held)])
+        # each group has its share, rounded to one of its two neighbours so that the mean over batches is exact
+        bounds = np.floor(np.cumsum([0, *shares.values()]) * count + draw.random()).astype(int)
+        bounds[-1] = count
+        counts = dict(zip(shares, np.diff(bounds)))
+        rows = np.concatenate([self.groups[g].drawn(number, n, draw) for g, n in counts.items()])
+        of = [(g.split(":")[0] if g.startswith("scene") else g, self.groups[g].space) for g, n in counts.items() for _ in range(n)]
+        return Batch(*self.cut(rows, shape, frames(rows[:, 1], rows[:, 2], shape, draw)), of)
+
+    def cut(self, rows, shape, frame):
+        """Colours, map, regions, kinds, and what counts, of the frames of pictures: as in [`Batch`]. What colours are made of are triangles, as wide as
+        their pixel; what maps are made of are means of the pixels below."""
+        (height, width), (top, left, down, along) = shape, frame
+        first = [np.maximum(0, np.floor(np.minimum(start, start + extent)) - 1) for start, extent in ((top, down), (left, along))]
+        rows_of, columns_of = (int(np.ceil(np.abs(extent).max())) + 4 for extent in (down, along))
+        at, kinds = sent([rows[:, n].astype(np.int64)[:, None] for n in (0, 3)], self.device)
+        told = (*frame, *first, rows[:, 1], rows[:, 2], np.where(rows[:, 4], 0, 0.5), rows[:, 5])
+        top, left, down, along, y0, x0, h, w, least, shown = sent([v.astype(np.float32)[:, None] for v in told], self.device)
+
+        def index(y, x):
+            y, x = torch.minimum(y, h - 1).long(), torch.minimum(x, w - 1).long()
+            return (at + y * w.long())[:, :, None] + x[:, None, :]
+
+        within = index(*(start + torch.arange(n, device=self.device) for start, n in ((y0, rows_of), (x0, columns_of))))
+        pixels = self.store.pixels[within]
+        high, wide = Taps(top, down, y0, rows_of, h), Taps(left, along, x0, columns_of, w)
+        rgb = torch.stack([pixels >> shift & 255 for shift in (0, 8, 16)], 1) / 255
+        rgb = (high.triangles(height) @ rgb @ wide.triangles(width).mT).clamp(0, 1)
+        value = self.store.values[within].float()
+        told = torch.stack([value.isfinite().float(), value.nan_to_num(0)], 1)
+        share, total = (high.means(height // 2) @ told @ wide.means(width // 2).mT).unbind(1)
+        known = share > least[:, :, None]
+        value = torch.where(known, total / share.clamp_min(1e-6), torch.nan)
+        span = torch.where(known, value, -torch.inf).amax((1, 2)) - torch.where(known, value, torch.inf).amin((1, 2))
+        good = (known.float().mean((1, 2)) > shown[:, 0]) & (span > 0.05)
+        region = self.store.pixels[index(high.middles(height // 2).floor(), wide.middles(width // 2).floor())] >> 24 & 255
+        if self.sent_kinds is None:
+            self.sent_kinds = sent([self.kinds], self.device)[0]
+        kind = self.sent_kinds.flatten()[kinds[:, :, None] * REGIONS + region]
+        return rgb, value, region.long(), kind.long(), good.float()
 
 
-def frame(size, shape, rng):
-    """Top, left, height and width of a random crop of about the wanted shape."""
-    (h, w), (to_h, to_w) = size, shape
-    zoom = rng.uniform(CLOSEST, 1) if rng.random() < 0.6 else 1
-    aspect = to_w / to_h * math.exp(rng.uniform(-0.12, 0.12) if rng.random() < 0.5 else 0)
-    crop_h, crop_w = (h, h * aspect) if w > h * aspect else (w / aspect, w)
-    crop_h, crop_w = min(h, max(16, int(crop_h * zoom))), min(w, max(16, int(crop_w * zoom)))
-    return rng.randint(0, h - crop_h), rng.randint(0, w - crop_w), crop_h, crop_w
+class Taps:
+    """How much the pixels along one side of each picture, `count` from `first` on, of `size` [N, 1], matter to equal parts of an extent that begins at
+    `start` and is negative where the picture is mirrored: matrices [N, 1, parts, count] whose rows have the sum 1."""
+
+    def __init__(self, start, extent, first, count, size):
+        self.start, self.extent = start, extent
+        self.at = first + torch.arange(count, device=start.device) + 0.5
+        self.beyond = self.at > size
+
+    def middles(self, parts):
+        return self.start + (torch.arange(parts, device=self.start.device) + 0.5) / parts * self.extent
+
+    def apart(self, parts):
+        """Distance of pixels from the middles of parts, and the length of a part."""
+        apart = (self.at[:, None, :] - self.middles(parts)[:, :, None]).abs().masked_fill(self.beyond[:, None, :], torch.inf)
+        return apart, self.extent.abs()[:, :, None] / parts
+
+    def triangles(self, parts):
+        apart, length = self.apart(parts)
+        return summed((1 - apart / length.clamp_min(1)).clamp_min(0))
+
+    def means(self, parts):
+        apart, length = self.apart(parts)
+        return summed(torch.minimum(((1 + length) / 2 - apart).clamp_min(0), length.clamp_max(1)))
 
 
-def cropped(held, shape, rng):
-    """Colours [3, H, W], map, region and kind [H / 2, W / 2] of a random crop, mirrored half of the time; and whether it shows enough to count."""
-    y, x, h, w = frame(held.value.shape, shape, rng)
-    half = shape[0] // 2, shape[1] // 2
-    cut = lambda m: m[..., y : y + h, x : x + w].float()
-    rgb = F.interpolate(cut(held.rgb)[None] / 255, shape, mode="bilinear", antialias=True)[0].clamp(0, 1)
-    value = cut(held.value)
-    total, share = F.interpolate(torch.stack([value.nan_to_num(0), value.isfinite().float()])[None], half, mode="area")[0]
-    known = share > (0 if held.sparse else 0.5)
-    value = torch.where(known, total / share.clamp_min(1e-6), torch.nan)
-    span = torch.where(known, value, -torch.inf).amax() - torch.where(known, value, torch.inf).amin()
-    good = (known.float().mean() > held.shown) & (span > 0.05)
-    region = torch.zeros(half, device=rgb.device, dtype=torch.int64)
-    kind = region
-    if held.region is not None:
-        region = F.interpolate(cut(held.region)[None, None], half, mode="nearest-exact")[0, 0].long()
-        kind = held.kinds[region].long()
-    maps = [rgb, value, region, kind]
-    return *([m.flip(-1) for m in maps] if rng.random() < 0.5 else maps), good.float()
+def summed(weights):
+    """With a sum of 1 in each row, for all channels."""
+    return (weights / weights.sum(2, keepdim=True))[:, None]
+
+
+def frames(height, width, shape, draw):
+    """Top, left, height and width, float64 [N] each, of random crops of pictures that are about as wide as the shape; half of them mirrored: their left is
+    the right border, and their width negative."""
+    n, (to_h, to_w) = len(height), shape
+    zoom = np.where(draw.random(n) < 0.6, draw.uniform(CLOSEST, 1, n), 1)
+    aspect = to_w / to_h * np.exp(np.where(draw.random(n) < 0.5, draw.uniform(-0.12, 0.12, n), 0))
+    whole = width > height * aspect
+    h, w = np.where(whole, height, width / aspect) * zoom, np.where(whole, height * aspect, width) * zoom
+    y, x, turned = draw.random(n) * (height - h), draw.random(n) * (width - w), draw.random(n) < 0.5
+    return y, np.where(turned, x + w, x), h, np.where(turned, -w, w)

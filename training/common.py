@@ -1,5 +1,6 @@
-"""What the three trainings share: reading scenes and photographs, and crops."""
+"""What the three trainings share: reading scenes and photographs, crops, and how numbers come to the device."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -10,8 +11,23 @@ import torch
 from paths import DATA, HERE, MODELS, RUNS  # noqa: F401 - others import them from here
 
 
-def device():
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+def sent(arrays, device):
+    """Arrays of one dtype on the device, by one transfer that waits for nothing which the device has under way."""
+    flat = torch.from_numpy(np.concatenate([a.ravel() for a in arrays]))
+    if device.type == "cuda":
+        flat = flat.pin_memory().to(device, non_blocking=True)
+    return [part.view(a.shape) for part, a in zip(flat.split([a.size for a in arrays]), arrays)]
+
+
+def generator(seed, device):
+    """A generator of PyTorch of its own, on the device."""
+    return torch.Generator(device).manual_seed(seed)
+
+
+@functools.cache
+def constant(values, device):
+    """Numbers, in tuples, as float32 on the device: sent once, since a transfer from ordinary memory waits for the device."""
+    return torch.tensor(values, dtype=torch.float32, device=device)
 
 
 def scenes(*folders):

@@ -2,12 +2,13 @@
 mean teaches. On a processor or a graphics card.
 
     python depth.py --renderers 1                                                      # from the published encoder
-    python depth.py --renderers 1 --init FILE.pt --lr 1e-3                             # from a checkpoint
+    python depth.py --renderers 1 --init FILE.pt                                       # from a checkpoint
     python depth.py --scenes runs/data/train runs/data/models --steps 400 --batch 12   # on scenes that are there: repeatable to the bit on a processor
 """
 
 import argparse
 import copy
+import time
 from pathlib import Path
 
 import cv2
@@ -15,8 +16,6 @@ import numpy as np
 import torch
 
 import augment
-import common
-import eval_depth
 import losses
 import loop
 import network
@@ -24,6 +23,8 @@ import pack
 import render
 import sources
 from batches import Pictures
+from choose import Choice
+from common import generator, sent
 from paths import HERE, RUNS
 
 # share of a picture's worst pixels that counts for nothing: rendered disparity is exact, the rest is not; and the weight of its gradients, by how
@@ -34,35 +35,39 @@ TAUGHT = (0.1, 0.5)
 # weight of each part of the loss
 WEIGHTS = {"error": 1.0, "gradient": 1.0, "order": 1.0, "border": 1.0, "whole": 0.5, "sky": 0.5, "photo": 1.0}
 # scenes without which no training begins, and steps after which new ones are looked for
-LEAST, LOOK = 200, 20
+LEAST, LOOK = 100, 20
 # steps after which a mean of new weights is worth learning from, and has its whole weight
 GROWN = (200, 600)
 
 
-def loss_of(p, batch, taught, generator, weights=WEIGHTS):
+def loss_of(p, batch, taught, pairs, weights=WEIGHTS):
     """Sum of all that is known of a batch, and its parts: means over the batch's pictures; p is [N, H, W], `taught` what the running mean says of its
-    photographs without a map."""
+    photographs without a map, `pairs` the generator that pairs of pixels are drawn from."""
     parts = {}
 
     def add(name, per_picture, at):
         parts[name] = parts.get(name, 0.0) + (per_picture * batch.good[at]).sum() / len(batch.of)
 
+    def found(wanted):
+        at = batch.where(wanted)
+        return at if at.stop else None
+
     for space, known in (("disparity", losses.disparity), ("depth", losses.depth)):
-        if at := batch.where(lambda g, s: s == space):
-            trim, sharp = torch.tensor([TRUST[batch.of[i][0]] for i in at], device=p.device).unbind(1)
+        if at := found(lambda g, s: s == space):
+            trim, sharp = zip(*(TRUST[group] for group, _ in batch.of[at]))
             error, gradients = known(p[at], batch.value[at], trim)
             add("error", error, at)
-            add("gradient", gradients * sharp, at)
-    if at := batch.where(lambda g, s: s == "order"):
-        add("order", losses.order(p[at], batch.value[at], generator), at)
-    if at := batch.where(lambda g, s: g == "label"):
+            add("gradient", gradients * sent([np.float32(sharp)], p.device)[0], at)
+    if at := found(lambda g, s: s == "order"):
+        add("order", losses.order(p[at], batch.value[at], pairs), at)
+    if at := found(lambda g, s: g == "label"):
         wrong, broken = losses.things(p[at], batch.value[at], batch.region[at], batch.kind[at])
         add("border", wrong, at)
         add("whole", broken, at)
         add("sky", losses.sky(p[at], batch.kind[at]), at)
     if taught is not None:
         at = batch.where(lambda g, s: s == "none")
-        error, gradients = losses.disparity(p[at], taught, torch.full((len(at),), TAUGHT[0], device=p.device))
+        error, gradients = losses.disparity(p[at], taught, [TAUGHT[0]] * len(taught))
         parts["photo"] = (error + TAUGHT[1] * gradients).sum() / len(batch.of)
     return {"loss": sum(weights[k] * v for k, v in parts.items()), **parts}
 
@@ -70,7 +75,8 @@ def loss_of(p, batch, taught, generator, weights=WEIGHTS):
 @torch.no_grad()
 def teach(mean, rgb):
     """What the running mean says of photographs, and of their mirror images."""
-    straight, turned = (losses.unit(mean.half(network.normal(x))[:, 0]) for x in (rgb, rgb.flip(3)))
+    both = network.normal(torch.cat([rgb, rgb.flip(3)])).contiguous(memory_format=torch.channels_last)
+    straight, turned = losses.unit(mean.half(both)[:, 0]).chunk(2)
     return losses.unit(straight + turned.flip(2))
 
 
@@ -91,21 +97,14 @@ class Steps:
         rng = loop.stream(self.args.seed, "batch", step)
         batch = self.pictures.batch(self.args.batch, rng)
         photos, lesson = batch.where(lambda g, s: s == "none"), self.lesson(step)
-        memory, device = torch.channels_last, batch.rgb.device.type
-        with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
-            taught = teach(self.mean, batch.rgb[photos].contiguous(memory_format=memory)) if photos and lesson else None
-            x = network.normal(augment.photometric(batch.rgb, batch.value, rng)).contiguous(memory_format=memory)
+        device = batch.rgb.device
+        # colours keep their 24 bits, which those of the network's arithmetic on a card are not enough for
+        x = network.normal(augment.photometric(batch.rgb, batch.value, rng)).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            taught = teach(self.mean, batch.rgb[photos]) if photos.stop and lesson else None
             p = self.net.half(x)[:, 0]
-        generator = torch.Generator().manual_seed(rng.getrandbits(60))
-        return loss_of(p, batch, taught, generator, WEIGHTS | {"photo": WEIGHTS["photo"] * lesson})
-
-
-def measured(net, sets, device, ramp=0.05):
-    """RMSE / deviation of each set to choose by, and `score`, their mean."""
-    net.eval()
-    shipped = network.Shipped(lambda x: net(x.to(device)).cpu(), ramp=ramp)
-    found = {k: v["net"] for k, v in eval_depth.evaluate(shipped, sets).items()}
-    return found | ({"score": float(np.mean(list(found.values())))} if found else {})
+        pairs = generator(rng.getrandbits(60), device)
+        return loss_of(p, batch, taught, pairs, WEIGHTS | {"photo": WEIGHTS["photo"] * lesson})
 
 
 def started(init):
@@ -123,54 +122,68 @@ def arguments():
     a.add_argument("--pack", type=Path, default=pack.FILE, help="what pack.py made")
     a.add_argument("--scenes", nargs="*", default=[], help="folders of scenes of `tmpi-lab synth`")
     a.add_argument("--renderers", type=int, default=0, help="processes that render further scenes meanwhile; such a run cannot be repeated to the bit")
-    a.add_argument("--program", default=str(HERE.parent / "target" / "release" / "tmpi"), help="what renders")
+    a.add_argument("--program", default=str(HERE.parent / "target" / "release" / "tmpi-lab"), help="what renders")
     a.add_argument("--models", help="folder of binary glTF files with z up for the renderers")
-    a.add_argument("--init", help="checkpoint whose running mean to begin with")
+    a.add_argument("--init", help="checkpoint whose running mean to begin with, as weights.pt")
+    a.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     a.add_argument("--out", default=str(RUNS / "depth"))
-    a.add_argument("--batch", type=int, default=96, help="pictures; on a processor about 12")
-    a.add_argument("--lr", type=float, default=2e-3)
-    a.add_argument("--gain", type=float, default=0.25, help="share of the rate at which the encoder learns")
+    a.add_argument("--batch", type=int, default=96, help="pictures of the smallest size; on a processor about 12")
+    a.add_argument("--lr", type=float, default=1.5e-3)
+    a.add_argument("--gain", type=float, default=0.3, help="share of the rate at which the encoder learns")
     a.add_argument("--decay", type=float, default=2e-2, help="weight decay of the decoder")
-    a.add_argument("--ema", type=float, default=0.9985, help="decay of the mean over weights")
+    a.add_argument("--ema", type=float, default=0.999, help="decay of the mean over weights")
     loop.arguments(a, steps=10000, seed=1, every=250)
-    return a.parse_args()
+    return a
 
 
-def rendering(a, out, packed, pictures):
-    """Processes that render meanwhile, where some are wanted, once there are scenes enough to begin with."""
+def rendering(a, out, packed):
+    """Processes that render meanwhile, where some are wanted."""
     if not a.renderers:
         return None
     first = render.FIRST + loop.stream(a.seed, "scenes", loop.reached(out)).randrange(10**9) * 1000
-    renderers = render.Renderers(a.program, a.renderers, out / "rendered", first, render.textures(packed, out / "textures"), a.models)
-    while pictures.count("scene") < LEAST:
-        for scene in renderers.taken(wait=True):
-            pictures.add(scene)
-    return renderers
+    return render.Renderers(a.program, a.renderers, out / "rendered", first, render.textures(packed, out / "textures"), a.models)
+
+
+class Run:
+    """A training that is ready to begin: pictures and network on the device, pictures to choose by, and what renders."""
+
+    def __init__(self, a):
+        cv2.setNumThreads(1)
+        self.args, self.device, self.out = a, torch.device(a.device), Path(a.out)
+        packed, scenes = list(pack.opened(a.pack)), sources.scenes(a.scenes) if a.scenes else []
+        self.pictures, self.choice = Pictures(self.device), Choice(pack.sets_of(packed), self.device)
+        self.renderers = rendering(a, self.out, packed)
+        try:
+            for p in [*(p for p in packed if not p.group.startswith(pack.CHOICE)), *map(render.read, scenes)]:
+                self.pictures.add(p)
+            loop.seed_all(a.seed)
+            self.net = started(a.init).to(self.device, memory_format=torch.channels_last)
+            self.mean = copy.deepcopy(self.net).eval()
+            self.inputs = {"pack": [a.pack], "scenes": [f for s in scenes for f in s.files], "start": [a.init or network.published()]}
+            self.plan = loop.Plan(steps=a.steps, lr=a.lr, weight_decay=a.decay, ema=a.ema, every=a.every, seed=a.seed, threads=a.threads, warm=min(200, 1 + a.steps // 10))
+            self.slow = list(self.net.encoder.parameters())
+            self.steps = Steps(self.net, self.mean, self.pictures, a, self.renderers)
+            while self.renderers is not None and self.pictures.count("scene") < LEAST:
+                for scene in self.renderers.taken(wait=True):
+                    self.pictures.add(scene)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self):
+        if self.renderers is not None:
+            self.renderers.close()
 
 
 def main():
-    a = arguments()
-    cv2.setNumThreads(1)
-    device, packed, out = common.device(), list(pack.opened(a.pack)), Path(a.out)
-    pictures, scenes = Pictures(device), sources.scenes(a.scenes) if a.scenes else []
-    for p in [*(p for p in packed if not p.group.startswith(pack.CHOICE)), *map(render.read, scenes)]:
-        pictures.add(p)
-    loop.seed_all(a.seed)
-    net = started(a.init).to(device, memory_format=torch.channels_last)
-    mean, sets = copy.deepcopy(net).eval(), pack.sets_of(packed)
-    inputs = {"pack": [a.pack], "scenes": [f for s in scenes for f in s.files], "start": [a.init or network.published()]}
-    plan = loop.Plan(steps=a.steps, lr=a.lr, weight_decay=a.decay, ema=a.ema, every=a.every, seed=a.seed, threads=a.threads, warm=200)
-    options = loop.remaining(a, "pack", "scenes", "renderers", "program", "models", "init", "decay", "lr", "ema") | {"init": bool(a.init)}
-    renderers = rendering(a, out, packed, pictures)
-    steps = Steps(net, mean, pictures, a, renderers)
+    began, a = time.time(), arguments().parse_args()
+    run = Run(a)
+    options = loop.remaining(a, "pack", "scenes", "renderers", "program", "models", "init", "device", "decay", "lr", "ema") | {"init": bool(a.init)}
+    minutes = a.minutes and max(1e-3, a.minutes - (time.time() - began) / 60)
     try:
-        loop.train(
-            out, plan, net, steps.loss_at, inputs, options, lambda m: measured(m, sets, device), a.stop, a.minutes, mean,
-            slow=list(net.encoder.parameters()), gain=a.gain,
-        )  # fmt: skip
+        loop.train(run.out, run.plan, run.net, run.steps.loss_at, run.inputs, options, run.choice, a.stop, minutes, run.mean, slow=run.slow, gain=a.gain)
     finally:
-        if renderers is not None:
-            renderers.close()
+        run.close()
 
 
 if __name__ == "__main__":

@@ -180,7 +180,7 @@ def evaluate_things(net, items, **how):
             names.append(item.name)
     if not own:
         return None
-    mean = lambda rows: {k: float(np.mean([r[k] for r in rows])) for k in rows[0]}
+    mean = lambda rows: {k: float(np.mean(v)) for k in things.MEASURES if (v := [r[k] for r in rows if k in r])}
     return {"net": mean(own), "ramp": mean(ramp), "pictures": names, "each": own}
 
 
@@ -233,9 +233,9 @@ def main():
         print(f"{k:12} {v['pictures']:8}  " + "   ".join(f"{n:10.3f} {r:6.3f}" for n, r in zip(v["all"], v["all_ramp"])))
     print(f"mean {np.mean([v['net'] for v in result.values()]):.4f}")
     if objects:
-        print(f"\nthings of {len(objects['pictures'])} held-out labelled photographs      net    ramp")
+        print(f"\nthings of {len(objects['pictures'])} held-out labelled photographs                      net    ramp")
         for k in objects["net"]:
-            print(f"{things.MEASURES[k]:52} {objects['net'][k]:6.3f} {objects['ramp'][k]:6.3f}")
+            print(f"{things.MEASURES[k]:68} {objects['net'][k]:6.3f} {objects['ramp'][k]:6.3f}")
 
 
 if __name__ == "__main__":

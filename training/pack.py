@@ -1,12 +1,15 @@
-"""Everything that the depth network learns from and is chosen by, but for rendered scenes, in one file of about 40 MB: `depth.py` needs no other data.
+"""Everything that the depth network learns from and is chosen by, but for rendered scenes, in one file of about 20 MB: `depth.py` needs no other data.
 
     python pack.py [-o runs/pictures.zip]
 
-Labels are painted and maps read once. Pictures are at most `LONGEST` pixels long: JPEG, the map as PNG of `STEPS` steps (0: unknown), the numbers of its
-regions as PNG. `index.json` lists them: name, group, space, whether the map is single points, kind of each region.
+Labels are painted and maps read once. Pictures are at most `LONGEST` pixels long, and stand there once though a photograph may be in two groups: WebP,
+which takes two thirds of JPEG's room. Maps have `STEPS` steps (0: unknown), their bytes as the colours of a lossless WebP; what was measured stands at half
+of the size, at which it is learnt. The numbers of regions are a PNG. `index.json` lists all: name, group, space, whether the map is single points, kind of
+each region, number of the picture.
 """
 
 import argparse
+import hashlib
 import json
 import zipfile
 from dataclasses import dataclass
@@ -22,10 +25,12 @@ from paths import RUNS
 
 FILE = RUNS / "pictures.zip"
 LONGEST = 432
-# quality of the JPEGs: of what is learnt from, and of what is measured on
+# quality of the pictures: of what is learnt from, and of what is measured on
 QUALITY, MEASURED = 80, 95
 # steps of a map, of which 0 is where nothing is known
 STEPS = 4095
+# groups, before a colon, whose maps stand at half of the size
+HALVED = ("rgbd", "stereo", "pairs")
 # group of a picture that checkpoints are chosen by, before the name of its set
 CHOICE = "choice:"
 
@@ -48,30 +53,46 @@ def png(values):
     return cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
-def jpeg(rgb, quality):
-    return cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+def webp(rgb, quality):
+    """Above a quality of 100 without loss."""
+    return cv2.imencode(".webp", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
+
+
+def coded(value):
+    """A map in 0..1 with NaN as colours u8 [H, W, 3]: low and high byte of its step."""
+    code = np.where(np.isfinite(value), 1 + np.round(np.clip(np.nan_to_num(value), 0, 1) * (STEPS - 1)), 0).astype(np.uint16)
+    return np.stack([code & 255, code >> 8, np.zeros_like(code)], 2).astype(np.uint8)
+
+
+def decoded(rgb):
+    code = rgb[..., 0] + 256 * rgb[..., 1].astype(np.float32)
+    return np.where(code > 0, (code - 1) / (STEPS - 1), np.nan).astype(np.float32)
 
 
 class Writer:
     """A pack that is being written."""
 
     def __init__(self, path):
-        self.file, self.index = zipfile.ZipFile(path, "w"), []
+        self.file, self.index, self.pictures = zipfile.ZipFile(path, "w"), [], {}
 
     def add(self, name, group, space, sample, sparse=False, quality=QUALITY):
         h, w = sample.rgb.shape[:2]
         scale = min(1, LONGEST / max(h, w))
         size = max(8, round(w * scale)), max(8, round(h * scale))
-        told = {"name": name, "group": group, "space": space, "sparse": sparse, "kinds": []}
         number = len(self.index)
-        rgb = cv2.resize(sample.rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else sample.rgb
-        self.file.writestr(f"{number}.jpg", jpeg(rgb, quality))
+        rgb = webp(cv2.resize(sample.rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else sample.rgb, quality)
+        picture = self.pictures.setdefault(hashlib.sha256(rgb).digest(), number)
+        told = {"name": name, "group": group, "space": space, "sparse": sparse, "kinds": [], "picture": picture}
+        if picture == number:
+            self.file.writestr(f"{number}.webp", rgb)
         if space != "none":
             # between the regions of a label nothing is mixed
-            nearest = sample.region.any() or group.startswith(CHOICE)
-            value = cv2.resize(sample.value, size, interpolation=cv2.INTER_NEAREST) if nearest else common.shrunk(sample.value, size[::-1], 0.0 if sparse else 0.5)
-            code = np.where(np.isfinite(value), 1 + np.round(np.clip(np.nan_to_num(value), 0, 1) * (STEPS - 1)), 0)
-            self.file.writestr(f"{number}.map.png", png(code.astype(np.uint16)))
+            if sample.region.any() or group.startswith(CHOICE):
+                value = cv2.resize(sample.value, size, interpolation=cv2.INTER_NEAREST)
+            else:
+                size_of = [(v + 1) // 2 for v in size] if group.split(":")[0] in HALVED else size
+                value = common.shrunk(sample.value, size_of[::-1], 0.0 if sparse else 0.5)
+            self.file.writestr(f"{number}.map.webp", webp(coded(value), 101))
         if sample.region.any():
             self.file.writestr(f"{number}.region.png", png(cv2.resize(sample.region, size, interpolation=cv2.INTER_NEAREST)))
             told["kinds"] = kinds_of(sample).tolist()
@@ -97,11 +118,13 @@ def opened(path):
         def read(name, how=cv2.IMREAD_UNCHANGED):
             return cv2.imdecode(np.frombuffer(z.read(name), np.uint8), how) if name in names else None
 
+        def colours(name):
+            return cv2.cvtColor(read(name, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB) if name in names else None
+
         for n, told in enumerate(json.loads(z.read("index.json"))):
-            rgb = cv2.cvtColor(read(f"{n}.jpg", cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
-            code, region = read(f"{n}.map.png"), read(f"{n}.region.png")
-            none = np.zeros(rgb.shape[:2], np.uint8)
-            value = np.full(rgb.shape[:2], np.nan, np.float32) if code is None else np.where(code > 0, (code.astype(np.float32) - 1) / (STEPS - 1), np.nan)
+            rgb, code, region = colours(f"{told.pop('picture')}.webp"), colours(f"{n}.map.webp"), read(f"{n}.region.png")
+            size, none = rgb.shape[:2], np.zeros(rgb.shape[:2], np.uint8)
+            value = np.full(size, np.nan, np.float32) if code is None else cv2.resize(decoded(code), size[::-1], interpolation=cv2.INTER_NEAREST)
             kinds = np.array(told.pop("kinds") or [0], np.uint8)
             yield Packed(**told, rgb=rgb, value=value, region=none if region is None else region, kinds=kinds)
 

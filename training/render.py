@@ -14,8 +14,8 @@ import numpy as np
 import pack
 import sources
 
-# scenes that a process renders before they are learnt from
-CHUNK = 40
+# scenes that a process renders before they are learnt from: at first, so that the training begins soon, and after that
+SOON, CHUNK = 8, 40
 # seeds are at least this: those from 9 000 000 on are held out, and those below were rendered by hand
 FIRST = 10**9
 
@@ -39,20 +39,22 @@ class Renderers:
             thread.start()
 
     def work(self, worker):
+        count = SOON
         try:
             while not self.ended.is_set():
                 with self.lock:
                     seed = next(self.seeds)
-                self.found.put(self.chunk(worker, seed))
+                self.found.put(self.chunk(worker, seed, count))
+                count = CHUNK
         except Exception as e:  # to be raised where scenes are taken
             if not self.ended.is_set():
                 self.found.put(e)
 
-    def chunk(self, worker, seed):
-        """Scenes from a seed on."""
+    def chunk(self, worker, seed, count):
+        """`count` scenes from a seed on."""
         out = self.folder / str(seed)
         models = ["--models", self.models, "--models-up", "z"] if self.models and (seed // CHUNK) % 2 else []
-        command = [self.program, "synth", "-o", out, "--count", CHUNK, "--seed", seed, "--supersampling", 2, "--pictures", self.pictures, *models]
+        command = [self.program, "synth", "-o", out, "--count", count, "--seed", seed, "--supersampling", 2, "--pictures", self.pictures, *models]
         environment = os.environ | {"RAYON_NUM_THREADS": "1"}
         self.running[worker] = subprocess.Popen(["nice", *map(str, command)], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         _, told = self.running[worker].communicate()

@@ -49,12 +49,14 @@ class Item:
 
 @dataclass
 class Sample:
-    """Colours u8 [H, W, 3], the map float32 [H, W] in 0..1 with NaN where unknown, number and kind of the region of each pixel u8 [H, W], 0 for none."""
+    """Colours u8 [H, W, 3], the map float32 [H, W] in 0..1 with NaN where unknown, number and kind of the region of each pixel u8 [H, W], 0 for none; and
+    the numbers of the regions that were drawn as lines: thin things."""
 
     rgb: np.ndarray
     value: np.ndarray
     region: np.ndarray
     kind: np.ndarray
+    lines: tuple = ()
 
 
 def scenes(folders):
@@ -161,4 +163,5 @@ def labelled(label):
         raise SystemExit(f"{label['photo']}: more than 255 regions")
     value = ranged(np.where(told["known"], told["disparity"], np.nan))
     region = told["region"].astype(np.uint8)
-    return Sample(rgb, value, region, kinds(label, told["kind"])[region])
+    lines = tuple(n for n, r in enumerate(label["regions"], 1) if "line" in r)
+    return Sample(rgb, value, region, kinds(label, told["kind"])[region], lines)

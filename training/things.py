@@ -9,11 +9,17 @@ from sources import THING
 MEASURES = {
     "order": "share of the borders of things with the right order",
     "whole": "variation within things / step at their borders",
+    "border": "share of the borders of things with a right step within 2 pixels",
+    "thin": "the same of thin things, drawn as lines",
 }
 # disparity differs at a border by this share of the nearer side's, and by this share of the range
 STEP, LEAST = 0.08, 0.03
 # distance of the two sides of a border that are compared, of the picture's longer side
 REACH = 0.015
+# pixels on each side of a border within which the step has to be, and within which the whole step is looked for
+NEAR, ABOUT = 2, 6
+# share of the whole step that has to be near
+MOST = 0.5
 # least pixels of a border, and of a thing's inside, that count
 BORDER, INSIDE = 30, 200
 
@@ -36,7 +42,8 @@ def measure(p, sample):
 
     `order`: of all pairs of pixels across a thing's outline where the label steps, the share in which the nearer side is nearer (equal: half), mean over things.
     `whole`: mean absolute difference of neighbours at the same distance within a thing, less what the label says, over the mean step at its
-    outline where it is the nearer side; the median over things, which a thing without any step (infinite) does not throw."""
+    outline where it is the nearer side; the median over things, which a thing without any step (infinite) does not throw.
+    `border`, `thin`: see [`borders`]; absent where there is none."""
     t, region, kind = sample.value.astype(np.float64), sample.region.astype(int), sample.kind
     known = np.isfinite(t)
     if not known.any() or not np.isfinite(p).all():
@@ -68,4 +75,55 @@ def measure(p, sample):
         return None
     steps = step[full] / outer[full]
     whole = np.where(steps > 0, (inside[full] / inner[full]) / np.maximum(steps, 1e-9), np.inf)
-    return {"order": float(np.mean(right[bordered] / seen[bordered])), "whole": float(min(np.median(whole), 99.0))}
+    return {"order": float(np.mean(right[bordered] / seen[bordered])), "whole": float(min(np.median(whole), 99.0)), **borders(q, sample)}
+
+
+def filled(sample):
+    """The label's map with the pixels of each region that do not count, such as at its outline, at the nearest value of their region that does."""
+    t = sample.value.astype(np.float64)
+    for n in np.unique(sample.region[np.isnan(t)]):
+        own = sample.region == n
+        known = own & np.isfinite(sample.value)
+        if not known.any():
+            continue
+        _, nearest = cv2.distanceTransformWithLabels((~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+        value = np.zeros(nearest.max() + 1)
+        value[nearest[known]] = sample.value[known]
+        hole = own & ~known
+        t[hole] = value[nearest[hole]]
+    return t
+
+
+def borders(q, sample):
+    """Of a map in the label's units: the share of the borders of things at which it steps where the label does, pixels of the label's size, which is its
+    photograph's; and that of the borders of regions that were drawn as lines alone.
+
+    A border lies between neighbours of two regions, one of them a thing, whose disparity differs by [`STEP`] and [`LEAST`]. It is right where the
+    map, along the row or column across it, rises to the nearer side by as much within `NEAR` pixels before and behind, and where that is at least `MOST`
+    of what it rises by within `ABOUT` pixels."""
+    t, found = filled(sample), []
+    lines = np.isin(sample.region, sample.lines)
+    for turn in (False, True):
+        tt, qq, region, kind, line = ((v.T if turn else v) for v in (t, q, sample.region, sample.kind, lines))
+        w = tt.shape[1]
+        ta, tb = tt[:, :-1], tt[:, 1:]
+        differs = (region[:, :-1] != region[:, 1:]) & ((kind[:, :-1] == THING) | (kind[:, 1:] == THING))
+        with np.errstate(invalid="ignore"):
+            y, x = np.nonzero(differs & (np.abs(ta - tb) > np.maximum(STEP * np.maximum(ta, tb), LEAST)))
+        sign = np.sign(tb - ta)[y, x]
+
+        def rise(reach):
+            """The most that the map rises by, from a pixel to one further on, to the nearer side."""
+            lowest, most = np.full(len(y), np.inf), np.zeros(len(y))
+            for offset in range(-reach, reach + 2):
+                value = sign * qq[y, np.clip(x + offset, 0, w - 1)]
+                lowest = np.minimum(lowest, value)
+                most = np.maximum(most, value - lowest)
+            return most
+
+        near, about = rise(NEAR), rise(ABOUT)
+        least = np.maximum(STEP * np.maximum(ta, tb)[y, x], LEAST)
+        found.append(np.stack([(near > least) & (near >= MOST * about), line[y, x] | line[y, x + 1]], 1))
+    right, thin = np.concatenate(found).T.astype(bool)
+    shares = {"border": right, "thin": right[thin]}
+    return {k: float(v.mean()) for k, v in shares.items() if len(v) >= BORDER}

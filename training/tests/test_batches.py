@@ -1,8 +1,10 @@
 """What a batch of the depth network's training holds."""
 
+import math
 import random
 import tempfile
 import unittest
+import zipfile
 from pathlib import Path
 
 import cv2
@@ -11,6 +13,7 @@ import torch
 
 import augment
 import batches
+import common
 import loop
 import pack
 import render
@@ -29,13 +32,13 @@ def filled(**shares):
 
 
 def held(value, region=None):
-    """A picture whose colours are its map."""
+    """One picture, whose colours are its map."""
     value = np.float32(value)
     rgb = np.repeat((np.nan_to_num(value) * 255).astype(np.uint8)[..., None], 3, 2)
     pictures = batches.Pictures(CPU)
     none = np.zeros(value.shape, np.uint8)
     pictures.add(pack.Packed("x", "label", "disparity", False, rgb, value, none if region is None else region, np.uint8([0, 4, 1])))
-    return pictures.groups["label"][0][1][0]
+    return pictures
 
 
 class Batches(unittest.TestCase):
@@ -54,29 +57,84 @@ class Batches(unittest.TestCase):
         pictures = batches.Pictures(CPU)
         for name in ("a.b", "a", "c"):
             pictures.add(next(pack.Packed(**vars(p) | {"name": name}) for p in packed() if p.group == "label"))
-        self.assertEqual([(name, len(own)) for name, own in pictures.groups["label"]], [("a", 2), ("c", 1)])
+        group = pictures.groups["label"]
+        drawn = group.drawn(0, 4000, np.random.default_rng(1))[:, 0].tolist()
+        for row, share in zip(group.rows, (0.25, 0.25, 0.5), strict=True):
+            self.assertAlmostEqual(drawn.count(row[0]) / len(drawn), share, delta=0.04)
+
+    def test_shapes_have_as_many_pixels_and_are_drawn_as_often_as_is_said(self):
+        pictures, drawn = filled(), {}
+        for seed in range(40):
+            n, _, *shape = pictures.batch(4, random.Random(seed)).rgb.shape
+            self.assertLess(abs(math.log(n * math.prod(shape) / (4 * min(h * w for h, w in batches.SHAPES)))), 0.3)
+            drawn[tuple(shape)] = drawn.get(tuple(shape), 0) + 1
+        self.assertLessEqual(set(drawn), set(batches.SHAPES))
+        small = sum(v for (h, w), v in drawn.items() if h * w < 60_000)
+        self.assertAlmostEqual(small / 40, sum(v for (h, w), v in batches.SHAPES.items() if h * w < 60_000), delta=0.2)
+
+    def test_groups_and_spaces_of_a_batch_are_neighbours(self):
+        batch = filled().batch(60, random.Random(1))
+        for wanted in ("scene", "label", "rgbd", "pairs:depth", "pairs:order", "photo"):
+            at = batch.where(lambda g, s: g == wanted)
+            self.assertGreater(at.stop, at.start)
+            self.assertEqual({g for g, _ in batch.of[at]}, {wanted})
+        self.assertEqual(batch.where(lambda g, s: False), slice(0, 0))
+        with self.assertRaisesRegex(ValueError, "no neighbours"):
+            batch.where(lambda g, s: g in ("scene", "photo"))
+
+    def test_a_picture_is_shown_in_shapes_like_its_own(self):
+        pictures = batches.Pictures(CPU)
+        one = next(packed())
+        for name, size in (("wide", (64, 128)), ("high", (128, 64))):
+            rgb, none = np.zeros((*size, 3), np.uint8), np.zeros(size, np.uint8)
+            pictures.add(pack.Packed(**vars(one) | {"name": name, "rgb": rgb, "value": np.float32(none), "region": none}))
+        shape = list(batches.SHAPES).index((192, 384))
+        drawn = pictures.groups[one.group].drawn(shape, 400, np.random.default_rng(1))
+        self.assertGreater((drawn[:, 2] > drawn[:, 1]).mean(), 0.9)
+
+    def test_the_store_grows_and_keeps_what_it_has(self):
+        few, many = batches.Store(CPU, room=16), batches.Store(CPU)
+        for p in packed():
+            self.assertEqual(few.add(p), many.add(p))
+        self.assertTrue(torch.equal(few.pixels[: few.end], many.pixels[: many.end]))
+        self.assertTrue(torch.equal(few.values[: few.end].view(torch.int16), many.values[: many.end].view(torch.int16)))
 
     def test_colours_map_and_regions_are_cropped_alike(self):
         ramp = np.tile(np.linspace(0, 1, 320), (240, 1))
         region = np.where(ramp > 0.5, 2, 1).astype(np.uint8)
-        picture = held(ramp, region)
-        for seed in range(8):
-            rgb, value, region, kind, good = batches.cropped(picture, (64, 96), random.Random(seed))
-            small = torch.nn.functional.avg_pool2d(rgb, 2)[0]
-            self.assertLess(float((small - value).abs().max()), 0.02)
-            sure = (value - 0.5).abs() > 0.03
-            self.assertTrue(((value > 0.5) == (region == 2))[sure].all() and (kind == torch.where(region == 2, 1, 4)).all())
-            self.assertEqual(float(good), 1.0)
+        batch = held(ramp, region).batch(8, random.Random(1))
+        value, region = batch.value, batch.region
+        small = torch.nn.functional.avg_pool2d(batch.rgb, 2)
+        self.assertLess(float((small - value[:, None]).abs().max()), 0.02)
+        sure = (value - 0.5).abs() > 0.03
+        self.assertTrue(((value > 0.5) == (region == 2))[sure].all() and (batch.kind == torch.where(region == 2, 1, 4)).all())
+        self.assertTrue((batch.good == 1).all())
+        # some are mirrored
+        rises = (value[:, :, -1] > value[:, :, 0]).all(1)
+        self.assertTrue(rises.any() and not rises.all())
+
+    def test_a_whole_picture_at_its_own_size_is_itself(self):
+        rng = np.random.default_rng(1)
+        value = cv2.GaussianBlur(rng.random((192, 256), np.float32), (0, 0), 4)
+        pictures = held((value - value.min()) / (value.max() - value.min()))
+        rows = pictures.groups["label"]
+        rows.prepare()
+        whole = (np.zeros(1), np.zeros(1), np.full(1, 192.0), np.full(1, 256.0))
+        rgb, value, *_ = pictures.cut(rows.table, (192, 256), whole)
+        stored = pictures.store
+        self.assertLess(float((rgb[0, 0] * 255 - (stored.pixels[: stored.end] & 255).view(192, 256)).abs().max()), 0.01)
+        want = torch.nn.functional.avg_pool2d(stored.values[: stored.end].float().view(1, 192, 256), 2)
+        self.assertLess(float((value - want).abs().max()), 1e-3)
 
     def test_crops_do_not_spread_the_unknown(self):
         value = np.tile(np.linspace(0, 1, 320), (240, 1))
         value[:, 160:] = np.nan
-        rgb, value, *_ = batches.cropped(held(value), (64, 96), random.Random(1))
-        dark = torch.nn.functional.avg_pool2d(rgb, 2)[0] < 0.01
-        self.assertTrue(value[~dark].isfinite().float().mean() > 0.95)
+        batch = held(value).batch(4, random.Random(1))
+        dark = torch.nn.functional.avg_pool2d(batch.rgb, 2)[:, 0] < 0.01
+        self.assertTrue((~dark).any() and batch.value[~dark].isfinite().float().mean() > 0.95)
 
     def test_a_crop_without_relief_does_not_count(self):
-        self.assertEqual(float(batches.cropped(held(np.full((80, 96), 0.5)), (64, 96), random.Random(1))[-1]), 0.0)
+        self.assertEqual(float(held(np.full((80, 96), 0.5)).batch(4, random.Random(1)).good.sum()), 0.0)
 
     def test_augmented_colours_stay_in_range(self):
         x, value = torch.rand(6, 3, 64, 96), torch.rand(6, 32, 48)
@@ -100,12 +158,22 @@ class Packs(unittest.TestCase):
             writer, written = pack.Writer(path), list(packed(each=1))
             for p in written:
                 writer.add(p.name, p.group, p.space, sources.Sample(p.rgb, p.value, p.region, p.kinds[p.region]))
+            # the photograph of the last again, with a label
+            again = pack.Packed(**vars(written[1]) | {"name": "again", "rgb": written[-1].rgb})
+            writer.add(again.name, again.group, again.space, sources.Sample(again.rgb, again.value, again.region, again.kinds[again.region]))
             writer.close()
-            for a, b in zip(written, pack.opened(path), strict=True):
+            found = list(pack.opened(path))
+            for a, b in zip([*written, again], found, strict=True):
                 self.assertEqual((a.name, a.group, a.space, a.sparse), (b.name, b.group, b.space, b.sparse))
-                np.testing.assert_allclose(a.value, b.value, atol=0.51 / (pack.STEPS - 1))
+                value = a.value
+                if a.group.split(":")[0] in pack.HALVED:
+                    value = cv2.resize(common.shrunk(value, (32, 48), 0.5), (96, 64), interpolation=cv2.INTER_NEAREST)
+                np.testing.assert_allclose(value, b.value, atol=0.51 / (pack.STEPS - 1))
                 np.testing.assert_array_equal(a.region, b.region)
                 np.testing.assert_array_equal(a.kinds[a.region], b.kinds[b.region])
+            np.testing.assert_array_equal(found[-1].rgb, found[-2].rgb)
+            with zipfile.ZipFile(path) as z:
+                self.assertEqual(sum(n.endswith(".webp") and ".map." not in n for n in z.namelist()), len(written))
 
 
 # stands in for the program: writes a scene for each seed

@@ -2,6 +2,7 @@
 
 import unittest
 
+import cv2
 import numpy as np
 import torch
 
@@ -20,8 +21,7 @@ def scene(h=48, w=64):
     return torch.tensor(t[None], dtype=torch.float32), torch.tensor(region[None]), torch.tensor(kind[None])
 
 
-NONE = torch.zeros(1)
-SOME = torch.full((1,), 0.1)
+NONE, SOME = [0.0], [0.1]
 
 
 def noise(shape, seed=0):
@@ -132,6 +132,32 @@ class Things(unittest.TestCase):
         found = things.measure(3 * t + 2, sample)
         self.assertEqual(found["order"], 1.0)
         self.assertLess(found["whole"], 1e-6)
+
+    def test_a_border_may_be_two_pixels_off_and_no_more(self):
+        t, sample = self.sized()
+        found = [things.measure(np.roll(t, n, 1), sample)["border"] for n in range(-4, 5)]
+        # what runs along a row is not moved, and is right
+        level = found[4] - found[0]
+        self.assertEqual(found[4], 1.0)
+        self.assertGreater(min(found[2:7]), 1 - 0.1 * level)
+        self.assertLess(max(*found[:2], *found[7:]), 1 - 0.8 * level)
+        self.assertEqual(things.measure(-t, sample).get("border"), 0.0)
+        self.assertLess(things.measure(cv2.GaussianBlur(t, (0, 0), 12), sample)["border"], 0.3)
+
+    def test_thin_things_are_told_alone(self):
+        t, sample = self.sized()
+        sample.region[60:150, 128:132], sample.kind[60:150, 128:132], sample.lines = 9, THING, (9,)
+        missed = t.copy()
+        sample.value[60:150, 128:132] = t[60:150, 128:132] = 1.0
+        # unknown at its outline, as labels are
+        sample.value[60:150, [127, 128, 131, 132]] = np.nan
+        self.assertNotIn("thin", things.measure(t, self.sample()))
+        for off, least, most in ((0, 0.99, 1), (2, 0.9, 1), (8, 0, 0.2)):
+            p = missed.copy()
+            p[60:150, 128 + off : 132 + off] = 1.0
+            thin = things.measure(p, sample)["thin"]
+            self.assertTrue(least <= thin <= most, (off, thin))
+        self.assertLess(things.measure(missed, sample)["thin"], 0.05)
 
     def test_the_opposite_is_wrong(self):
         t, sample = self.sized()
