@@ -102,7 +102,7 @@ fn an_unfinished_photo_has_no_preview_picture() {
 }
 
 #[test]
-fn addresses_have_the_requested_host_and_the_proxys_scheme() {
+fn addresses_have_the_requested_host_and_the_proxy_scheme() {
     let (_dir, server, id) = start();
     let path = format!("/view/{id}");
     let url = |headers: &[(&str, &str)]| tags(&String::from_utf8(call(&server, &path, headers).body).unwrap())["og:url"].clone();
