@@ -1,6 +1,7 @@
 //! Stiff and extreme cases: every numerical kernel against a plain `f64` reference, each case with the bound that it must hold
 //! and the error that it has (DESIGN, section 7).
 
+mod border_blur;
 mod borders;
 mod clustering;
 mod compositing;

@@ -5,7 +5,8 @@
 
 use rayon::prelude::*;
 
-use tmpi_core::{Camera, Pose, Scene};
+use super::border_blur::Blur;
+use tmpi_core::{Camera, Class, Pose, Scene};
 use tmpi_render::{NEAR, OPAQUE, border_margin};
 
 /// A layer, unpacked, at its own place or mirrored beyond the photo's borders: there the ray is mirrored instead.
@@ -62,7 +63,8 @@ pub fn cast_in_layer_order(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
 /// What each pixel's ray meets, brought into order from front to back, and blended.
 fn cast_in(scene: &Scene, camera: &Camera, order: impl Fn(&mut Vec<Hit>) + Sync) -> Vec<[f64; 4]> {
     let margin = border_margin(scene);
-    let sheets: Vec<Sheet> = (0..scene.layers.len()).flat_map(|i| sheets(scene, i, margin)).collect();
+    let blur = Blur::new(&scene.photo);
+    let sheets: Vec<Sheet> = (0..scene.layers.len()).flat_map(|i| sheets(scene, i, margin, &blur)).collect();
     let (k, out) = (&scene.intrinsics, &camera.intrinsics);
     let pixel = |p: [f64; 3]| [k.fx * p[0] + k.cx * p[2], k.fy * p[1] + k.cy * p[2], p[2]];
     let place = pixel([camera.pose.tx, camera.pose.ty, camera.pose.tz]);
@@ -104,7 +106,7 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 }
 
 /// A layer and its mirror images within `margin` of the photo's borders.
-fn sheets(scene: &Scene, index: usize, margin: [u32; 2]) -> Vec<Sheet> {
+fn sheets(scene: &Scene, index: usize, margin: [u32; 2], blur: &Blur) -> Vec<Sheet> {
     let (l, grid) = (&scene.layers[index], &scene.grid);
     // first pixel, the one after the last, and the mirror
     let parts = |from: u32, size: u32, length: u32, margin: u32| {
@@ -116,8 +118,17 @@ fn sheets(scene: &Scene, index: usize, margin: [u32; 2]) -> Vec<Sheet> {
     let rows = parts(l.rect.y, l.rect.h, grid.height, margin[1]);
     let whole = sheet(scene, index);
     let cut = |&(y0, y1, my): &(u32, u32, Option<f64>), &(x0, x1, mx): &(u32, u32, Option<f64>)| {
-        let rows = whole.texels.chunks(whole.width).skip((y0 - l.rect.y) as usize).take((y1 - y0) as usize);
-        let texels = rows.flat_map(|row| &row[(x0 - l.rect.x) as usize..(x1 - l.rect.x) as usize]).copied().collect();
+        let texel = |(y, x): (u32, u32)| {
+            let at = ((y - l.rect.y) * l.rect.w + x - l.rect.x) as usize;
+            let own = whole.texels[at];
+            if scene.texels.class[l.first_texel + at] != Class::Photo as u8 {
+                return own;
+            }
+            let beyond = [(mx, x), (my, y)].map(|(mirror, at)| mirror.map_or(0.0, |twice| (f64::from(at) + 0.5 - twice / 2.0).abs()));
+            let [r, g, b] = if mx.or(my).is_some() { blur.colour(x, y, beyond[0].max(beyond[1])) } else { [own[0], own[1], own[2]] };
+            [r, g, b, own[3]]
+        };
+        let texels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (y, x))).map(texel).collect();
         Sheet {
             n: whole.n,
             rect: [x0, y0, x1 - x0, y1 - y0].map(f64::from),
