@@ -16,10 +16,8 @@ MEASURES = {
 STEP, LEAST = 0.08, 0.03
 # distance of the two sides of a border that are compared, of the picture's longer side
 REACH = 0.015
-# pixels on each side of a border within which the step has to be, and within which the whole step is looked for
-NEAR, ABOUT = 2, 6
-# share of the whole step that has to be near
-MOST = 0.5
+# pixels on each side of a border within which the middle of the step has to be, and within which the step is looked for
+NEAR, ABOUT = 2, 10
 # least pixels of a border, and of a thing's inside, that count
 BORDER, INSIDE = 30, 200
 
@@ -94,13 +92,25 @@ def filled(sample):
     return t
 
 
+def rise(profiles):
+    """The most that each of N profiles [K, N] rises by, from a place to one further on, and the place after which it is half way up."""
+    lowest = np.minimum.accumulate(profiles, 0)
+    end = (profiles - lowest).argmax(0)
+    n = np.arange(profiles.shape[1])
+    low, high = lowest[end, n], profiles[end, n]
+    place = np.arange(len(profiles))[:, None]
+    # the last place before the end that is below
+    below = (profiles < (low + high) / 2) & (place < end)
+    return high - low, np.where(below, place, 0).max(0, initial=0)
+
+
 def borders(q, sample):
     """Of a map in the label's units: the share of the borders of things at which it steps where the label does, pixels of the label's size, which is its
     photograph's; and that of the borders of regions that were drawn as lines alone.
 
     A border lies between neighbours of two regions, one of them a thing, whose disparity differs by [`STEP`] and [`LEAST`]. It is right where the
-    map, along the row or column across it, rises to the nearer side by as much within `NEAR` pixels before and behind, and where that is at least `MOST`
-    of what it rises by within `ABOUT` pixels."""
+    map, along the row or column across it, rises to the nearer side by as much within `ABOUT` pixels before and behind, and is half way up at most `NEAR`
+    pixels from the border: how steep the step is does not matter."""
     t, found = filled(sample), []
     lines = np.isin(sample.region, sample.lines)
     for turn in (False, True):
@@ -111,19 +121,10 @@ def borders(q, sample):
         with np.errstate(invalid="ignore"):
             y, x = np.nonzero(differs & (np.abs(ta - tb) > np.maximum(STEP * np.maximum(ta, tb), LEAST)))
         sign = np.sign(tb - ta)[y, x]
-
-        def rise(reach):
-            """The most that the map rises by, from a pixel to one further on, to the nearer side."""
-            lowest, most = np.full(len(y), np.inf), np.zeros(len(y))
-            for offset in range(-reach, reach + 2):
-                value = sign * qq[y, np.clip(x + offset, 0, w - 1)]
-                lowest = np.minimum(lowest, value)
-                most = np.maximum(most, value - lowest)
-            return most
-
-        near, about = rise(NEAR), rise(ABOUT)
+        profiles = sign * np.stack([qq[y, np.clip(x + k, 0, w - 1)] for k in range(-ABOUT, ABOUT + 2)])
+        most, middle = rise(profiles)
         least = np.maximum(STEP * np.maximum(ta, tb)[y, x], LEAST)
-        found.append(np.stack([(near > least) & (near >= MOST * about), line[y, x] | line[y, x + 1]], 1))
+        found.append(np.stack([(most > least) & (np.abs(middle - ABOUT) <= NEAR), line[y, x] | line[y, x + 1]], 1))
     right, thin = np.concatenate(found).T.astype(bool)
     shares = {"border": right, "thin": right[thin]}
     return {k: float(v.mean()) for k, v in shares.items() if len(v) >= BORDER}

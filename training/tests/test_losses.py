@@ -142,7 +142,8 @@ class Things(unittest.TestCase):
         self.assertGreater(min(found[2:7]), 1 - 0.1 * level)
         self.assertLess(max(*found[:2], *found[7:]), 1 - 0.8 * level)
         self.assertEqual(things.measure(-t, sample).get("border"), 0.0)
-        self.assertLess(things.measure(cv2.GaussianBlur(t, (0, 0), 12), sample)["border"], 0.3)
+        # how steep it is does not matter
+        self.assertGreater(things.measure(cv2.GaussianBlur(t, (0, 0), 2), sample)["border"], 0.9)
 
     def test_thin_things_are_told_alone(self):
         t, sample = self.sized()
