@@ -44,20 +44,47 @@ impl BorderBlur {
     /// Appends the blurred colours of pixels from column `x` on of row `y`, which are `mirrored` in x, in y, at the nearer border; `sharp` are
     /// their own colours.
     pub fn row(&self, x: usize, y: usize, sharp: &[[u8; 3]], mirrored: [bool; 2], out: &mut Vec<[u8; 3]>) {
+        let Some(last) = (x + sharp.len()).checked_sub(1) else { return };
         let beyond = |at: usize, axis: usize| if mirrored[axis] { at.min(self.size[axis] - 1 - at) as f32 + 0.5 } else { 0.0 };
         let down = beyond(y, 1);
-        out.extend(sharp.iter().zip(x..).map(|(own, x)| self.pixel(x, y, own.map(f32::from), beyond(x, 0).max(down))));
+        let radius = |x: usize| (1.0 + beyond(x, 0).max(down) / PIXELS_PER_RADIUS).min((1 << COARSEST) as f32);
+        // the farthest pixel of the row may be one between its ends, where the photo is narrow
+        let farthest = (self.size[0] / 2).clamp(x, last);
+        let coarsest = (1 + radius(farthest).max(radius(x)).max(radius(last)) as usize).ilog2() as usize + 1;
+        let lines: Vec<Line> = self.levels.iter().zip(1..).take(coarsest).map(|(level, n)| level.line(x..last + 1, y, n)).collect();
+        out.extend(sharp.iter().zip(x..).map(|(own, x)| {
+            let radius = radius(x);
+            // the logarithm, but straight between powers of two
+            let fine = (radius as usize).ilog2() as usize;
+            let share = radius / (1 << fine) as f32 - 1.0;
+            let a = if fine == 0 { own.map(f32::from) } else { lines[fine - 1].at(x) };
+            let b = lines[fine.min(COARSEST - 1)].at(x);
+            std::array::from_fn(|c| (a[c] + share * (b[c] - a[c]) + 0.5) as u8)
+        }));
     }
+}
 
-    /// The colour of a pixel that is shown so many pixels beyond a border.
-    fn pixel(&self, x: usize, y: usize, own: [f32; 3], beyond: f32) -> [u8; 3] {
-        // the logarithm, but straight between powers of two
-        let radius = (1.0 + beyond / PIXELS_PER_RADIUS).min((1 << COARSEST) as f32);
-        let fine = (radius as usize).ilog2() as usize;
-        let share = radius / (1 << fine) as f32 - 1.0;
-        let of = |level: usize| if level == 0 { own } else { self.levels[level - 1].at(x, y, level) };
-        let (a, b) = (of(fine), of((fine + 1).min(COARSEST)));
-        std::array::from_fn(|c| (a[c] + share * (b[c] - a[c]) + 0.5) as u8)
+/// A level's colours along a row of pixels.
+struct Line {
+    /// Size of a texel in pixels, as its inverse.
+    scale: f32,
+    /// Number of the first texel.
+    first: usize,
+    texels: Vec<[f32; 3]>,
+}
+
+/// The texel whose centre lies at or before the centre of a pixel, and the share of the next one.
+fn place(pixel: usize, scale: f32) -> (usize, f32) {
+    let at = ((pixel as f32 + 0.5) * scale - 0.5).max(0.0);
+    (at as usize, at.fract())
+}
+
+impl Line {
+    /// The colour at the centre of a pixel, between the centres of two texels.
+    fn at(&self, x: usize) -> [f32; 3] {
+        let (i, share) = place(x, self.scale);
+        let (a, b) = (self.texels[i - self.first], self.texels[i + 1 - self.first]);
+        std::array::from_fn(|c| a[c] + share * (b[c] - a[c]))
     }
 }
 
@@ -82,17 +109,16 @@ impl<T: AsRef<[[u8; 3]]>> Level<T> {
         Level { top, width, texels: places.map(mean).collect() }
     }
 
-    /// The colour at the centre of pixel `(x, y)` of the photo, bilinear between the centres of this level's texels.
-    fn at(&self, x: usize, y: usize, level: usize) -> [f32; 3] {
-        let scale = 1.0 / (1 << level) as f32;
-        let place = |at: usize| {
-            let at = ((at as f32 + 0.5) * scale - 0.5).max(0.0);
-            (at as usize, at.fract())
+    /// Colours about columns `xs` of row `y` of the photo's pixels, between the centres of texels of this level, of 2ⁿ × 2ⁿ pixels.
+    fn line(&self, xs: std::ops::Range<usize>, y: usize, n: usize) -> Line {
+        let scale = 1.0 / (1 << n) as f32;
+        let (first, last) = (place(xs.start, scale).0, place(xs.end - 1, scale).0 + 1);
+        let (row, share) = place(y, scale);
+        let mix = |x: usize| {
+            let (a, b) = (self.texel(x, row).map(f32::from), self.texel(x, row + 1).map(f32::from));
+            std::array::from_fn(|c| a[c] + share * (b[c] - a[c]))
         };
-        let ((x, fx), (y, fy)) = (place(x), place(y));
-        let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| self.texel(x + i, y + j).map(f32::from));
-        let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
-        std::array::from_fn(|c| four.iter().zip(weights).map(|(t, w)| t[c] * w).sum())
+        Line { scale, first, texels: (first..=last).map(mix).collect() }
     }
 }
 
