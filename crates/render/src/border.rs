@@ -102,15 +102,15 @@ impl Piece {
 /// Expands the texels of a scene's pieces; pieces of a layer that come one after the other share the work.
 pub(super) struct Expander<'a> {
     scene: &'a Scene,
-    blur: &'a BorderBlur,
+    blur: Option<&'a BorderBlur>,
     /// All texels of the layer at hand, with the colours of pieces that are mirrored as `of` says.
     layer: Vec<[u8; 4]>,
     of: Option<(usize, [bool; 2])>,
 }
 
 impl<'a> Expander<'a> {
-    /// For pieces of `scene`; `blur` comes from [`border_blur`].
-    pub const fn new(scene: &'a Scene, blur: &'a BorderBlur) -> Self {
+    /// For pieces of `scene`; `blur` comes from [`border_blur`]. Without it, mirrored pieces stay sharp.
+    pub const fn new(scene: &'a Scene, blur: Option<&'a BorderBlur>) -> Self {
         Self { scene, blur, layer: Vec::new(), of: None }
     }
 
@@ -119,7 +119,7 @@ impl<'a> Expander<'a> {
         let Self { scene, blur, layer, of } = self;
         if *of != Some((piece.layer, piece.mirrored)) {
             layer.clear();
-            if piece.is_mirrored() {
+            if let Some(blur) = blur.filter(|_| piece.is_mirrored()) {
                 let (width, photo) = (scene.photo.width as usize, &scene.photo.rgb);
                 let own = |x: usize, y: usize, count: usize| &photo[y * width + x..][..count];
                 scene.expand_layer_with(piece.layer, |x, y, n, row| blur.row(x, y, own(x, y, n), piece.mirrored, row), layer);
@@ -141,13 +141,10 @@ impl<'a> Expander<'a> {
     }
 }
 
-/// What blurs the mirrored ones of a scene's pieces; empty where there is none.
-pub(super) fn border_blur(scene: &Scene, pieces: &[Piece]) -> BorderBlur {
-    if pieces.iter().any(Piece::is_mirrored) {
-        BorderBlur::new(&scene.photo.rgb, [scene.photo.width, scene.photo.height], 0)
-    } else {
-        BorderBlur::default()
-    }
+/// The blur of a scene's mirrored pieces; `None` if it has none.
+pub(super) fn border_blur(scene: &Scene, pieces: &[Piece]) -> Option<BorderBlur> {
+    let size = [scene.photo.width, scene.photo.height];
+    pieces.iter().any(Piece::is_mirrored).then(|| BorderBlur::new(&scene.photo.rgb, size, 0))
 }
 
 /// All pieces of a scene, layer after layer in their order, each layer's own place first.
@@ -264,7 +261,7 @@ mod tests {
         let outside: usize = all[1..].iter().map(area).sum();
         assert_eq!(outside, (100 + 2 * x as usize) * (60 + 2 * y as usize) - 6000);
         // mirrored: the disparity is continuous across the border, and texels repeat there but for their blur
-        let blur = border_blur(&scene, &all);
+        let blur = border_blur(&scene, &all).unwrap();
         let half = scene.grid.half();
         for p in &all {
             let own = &all[0];
@@ -274,7 +271,7 @@ mod tests {
             let want = delta(own, reflected(at[0], 100.0), reflected(at[1], 60.0));
             assert!((delta(p, at[0], at[1]) - want).abs() < 1e-12, "{p:?}");
             let mut texels = Vec::new();
-            Expander::new(&scene, &blur).append(p, &mut texels);
+            Expander::new(&scene, Some(&blur)).append(p, &mut texels);
             let (x, y) = (reflected(at[0], 100.0) as usize, reflected(at[1], 60.0) as usize);
             let mut want = Vec::new();
             blur.row(x, y, &scene.photo.rgb[y * 100 + x..][..1], p.mirrored, &mut want);

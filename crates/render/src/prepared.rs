@@ -63,10 +63,12 @@ pub(super) struct Prepared {
 }
 
 impl Prepared {
-    /// Checks and expands `scene`.
-    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+    /// Checks and expands `scene`; `blurred`: mirrored pieces are blurred.
+    pub fn new(scene: &Scene, blurred: bool) -> Result<Self, SceneError> {
         scene.validate()?;
-        Ok(Self::of(scene, pieces(scene)))
+        let pieces = pieces(scene);
+        let blur = if blurred { border_blur(scene, &pieces) } else { None };
+        Ok(Self::of(scene, pieces, blur.as_ref()))
     }
 
     /// Checks and expands what the photo's own place sees of `scene`: nothing beyond the borders.
@@ -74,10 +76,10 @@ impl Prepared {
         scene.validate()?;
         let mut pieces = pieces(scene);
         pieces.retain(|p| !p.is_mirrored());
-        Ok(Self::of(scene, pieces))
+        Ok(Self::of(scene, pieces, None))
     }
 
-    fn of(scene: &Scene, pieces: Vec<Piece>) -> Self {
+    fn of(scene: &Scene, pieces: Vec<Piece>, blur: Option<&BorderBlur>) -> Self {
         let contents: Vec<Content> = pieces.iter().map(|p| Content::of(p.alphas(scene))).collect();
         let drawn = |i: usize| contents[i].opaque || contents[i].soft;
         let mut first = Vec::with_capacity(pieces.len());
@@ -103,7 +105,7 @@ impl Prepared {
             parts.push((piece, own));
             rest = after;
         }
-        expand(scene, &border_blur(scene, &pieces), parts, count);
+        expand(scene, blur, parts, count);
         Self { pieces, texels, first, order, reference: ReferenceView::default() }
     }
 
@@ -118,7 +120,7 @@ impl Prepared {
 /// Writes the texels of pieces into their places, `count` of them.
 ///
 /// Threads of its own, not rayon's: one of those may wait for this scene while it holds what this waits for.
-fn expand(scene: &Scene, blur: &BorderBlur, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
+fn expand(scene: &Scene, blur: Option<&BorderBlur>, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(count / THREAD_TEXELS);
     if threads < 2 {
         return expand_some(scene, blur, &mut parts);
@@ -142,7 +144,7 @@ fn expand(scene: &Scene, blur: &BorderBlur, mut parts: Vec<(&Piece, &mut [[u8; 4
     });
 }
 
-fn expand_some(scene: &Scene, blur: &BorderBlur, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
+fn expand_some(scene: &Scene, blur: Option<&BorderBlur>, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
     let mut expander = Expander::new(scene, blur);
     for (piece, out) in parts {
         let width = piece.size[0] as usize;
@@ -241,13 +243,13 @@ mod tests {
     #[test]
     fn texels_that_several_threads_expand_are_those_of_each_piece_with_its_ends_twice() {
         let scene = discs(640, 480).1;
-        let prepared = Prepared::new(&scene).unwrap();
+        let prepared = Prepared::new(&scene, true).unwrap();
         assert!(prepared.texels.len() > 3 * THREAD_TEXELS && prepared.pieces.iter().any(Piece::is_mirrored));
         let blur = border_blur(&scene, &prepared.pieces);
         for &i in &prepared.order {
             let (piece, first) = (&prepared.pieces[i], prepared.first[i]);
             let mut own = Vec::new();
-            Expander::new(&scene, &blur).append(piece, &mut own);
+            Expander::new(&scene, blur.as_ref()).append(piece, &mut own);
             let (w, h) = (piece.size[0] as usize, piece.size[1] as usize);
             let texel = |i: usize| own[(i / (w + 1)).min(h - 1) * w + (i % (w + 1)).min(w - 1)];
             assert!((0..padded(piece)).all(|i| prepared.texels[first + i] == texel(i)), "{piece:?}");

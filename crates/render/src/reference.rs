@@ -40,7 +40,7 @@ impl Renderer for Reference {
         scene.validate()?;
         let pieces = pieces(scene);
         let blur = border_blur(scene, &pieces);
-        let mut expander = Expander::new(scene, &blur);
+        let mut expander = Expander::new(scene, blur.as_ref());
         let seen: Vec<Seen> = (pieces.iter().enumerate())
             .filter_map(|(index, piece)| {
                 let footprint = Footprint::new(scene, piece, camera)?;

@@ -77,7 +77,7 @@ fn compare(photo: &Photo, geometry: &Geometry, cameras: impl Fn(&Scene) -> Vec<C
     let kept: Vec<Vec<TexturedLayer>> = all.iter().zip(geometry.masks()).map(|(all, kept)| cut(all, &kept.layers)).collect();
     let compose = |tiles| Arc::new(compose(photo.clone(), geometry, tiles));
     let (all, kept) = (compose(all), compose(kept));
-    let cpu = Cpu::default();
+    let cpu = Cpu::default().sharp_beyond_borders();
     let mut change = PruneError { tiles: geometry.tiles.len(), ..PruneError::default() };
     for camera in cameras(&all) {
         let (a, b) = (cpu.render(&all, &camera)?.rgba, cpu.render(&kept, &camera)?.rgba);

@@ -38,6 +38,7 @@ type Slot = Arc<OnceLock<Result<Arc<Prepared>, SceneError>>>;
 #[derive(Debug)]
 pub struct Cpu {
     scenes: Mutex<SceneCache<Slot>>,
+    blurred: bool,
 }
 
 impl Cpu {
@@ -47,7 +48,13 @@ impl Cpu {
     /// A backend that keeps at most `cache_bytes` of expanded texels, and always those of the last scene.
     #[must_use]
     pub fn new(cache_bytes: usize) -> Self {
-        Self { scenes: Mutex::new(SceneCache::new(cache_bytes)) }
+        Self { scenes: Mutex::new(SceneCache::new(cache_bytes)), blurred: true }
+    }
+
+    /// The same with a sharp mirror image beyond the photo's borders. It is quicker, for views that are only compared with each other.
+    #[must_use]
+    pub fn sharp_beyond_borders(self) -> Self {
+        Self { blurred: false, ..self }
     }
 
     fn prepared(&self, scene: &Arc<Scene>) -> Result<Arc<Prepared>, SceneError> {
@@ -57,7 +64,7 @@ impl Cpu {
             slot.unwrap_or_else(|| Arc::clone(scenes.insert(scene, Prepared::bytes(scene), Slot::default)))
         };
         // outside the lock: other scenes go on, and several views of a new scene expand it once
-        slot.get_or_init(|| Prepared::new(scene).map(Arc::new)).clone()
+        slot.get_or_init(|| Prepared::new(scene, self.blurred).map(Arc::new)).clone()
     }
 }
 

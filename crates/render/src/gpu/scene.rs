@@ -148,7 +148,7 @@ impl Plan {
         let texture = device.atlas(p.width, p.height, p.pages, format);
         let mut page = vec![T::zeroed(); p.width as usize * p.height as usize];
         let (blur, mut texels) = (border_blur(scene, &self.pieces), Vec::new());
-        let mut expander = Expander::new(scene, &blur);
+        let mut expander = Expander::new(scene, blur.as_ref());
         for number in 0..p.pages {
             for (piece, place) in self.pieces.iter().zip(&p.places).filter(|(_, place)| place.page == number) {
                 texels.clear();
