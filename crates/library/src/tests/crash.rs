@@ -74,7 +74,7 @@ async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
         let is_done = photo.state == PhotoState::Done;
         assert_eq!(library.job(Kind::Make, id, None).await.is_ok(), !is_done, "after {polls} polls");
         if is_done {
-            assert!(polls > 10, "{polls}");
+            assert!(polls > 3, "{polls}");
             is_consistent(&bed, &library, 1).await;
             assert_eq!(library.statistics().await.unwrap().outcomes[&Kind::Make].finished, 1);
             if answer.is_some() {

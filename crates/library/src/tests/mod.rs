@@ -161,9 +161,17 @@ pub async fn made(library: &Library, lease: &Lease) -> Made {
     Made { contents, details: json!({"width": 640, "height": 480}) }
 }
 
-/// Makes the next photo.
+/// Makes the next photo, once no transaction that ends holds its row any more.
 pub async fn make_next(library: &Library) -> Photo {
-    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let taken = async {
+        loop {
+            if let Some(lease) = library.take(&[Kind::Make], LEASE).await.unwrap() {
+                return lease;
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    let lease = tokio::time::timeout(Duration::from_secs(10), taken).await.expect("a photo waits to be made");
     library.finish(&lease, made(library, &lease).await).await.unwrap()
 }
 
