@@ -175,9 +175,13 @@ impl Problem {
             "not-found" => StatusCode::NOT_FOUND,
             "photo-too-large" => StatusCode::PAYLOAD_TOO_LARGE,
             "unsupported-photo" => StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            "broken-photo" | "broken-depth-map" | "beyond-readers" | "gave-up" | "export-too-large" | "view-too-large" => {
-                StatusCode::UNPROCESSABLE_ENTITY
-            }
+            "broken-photo"
+            | "broken-depth-map"
+            | "broken-second-picture"
+            | "beyond-readers"
+            | "gave-up"
+            | "export-too-large"
+            | "view-too-large" => StatusCode::UNPROCESSABLE_ENTITY,
             "no-animations" => StatusCode::NOT_IMPLEMENTED,
             "late" | "busy" | "cancelled" => StatusCode::SERVICE_UNAVAILABLE,
             "storage-full" => StatusCode::INSUFFICIENT_STORAGE,
@@ -374,6 +378,28 @@ mod tests {
         assert_eq!(status(PhotoError::TooManyPixels { width: 2, height: 1, limit: 1 }), 413);
         assert_eq!(status(PhotoError::SideTooLong { width: 2, height: 1, limit: 1 }), 413);
         assert_eq!(status(PhotoError::Broken("x".into())), 422);
+    }
+
+    #[test]
+    fn a_photo_that_failed_keeps_its_status_and_field() {
+        let depth = |e: DepthError| MakeError::Depth(e);
+        let option = StageError::Option { field: "quality", range: "1 to 100", value: "0".into() };
+        for error in [
+            MakeError::from(PhotoError::Broken("x".into())),
+            PhotoError::TooManyPixels { width: 2, height: 1, limit: 1 }.into(),
+            PhotoError::Unsupported.into(),
+            depth(DepthError::Map("x".into())),
+            depth(DepthError::NotCarried),
+            depth(DepthError::Second("x".into())),
+            depth(DepthError::NoSecond),
+            depth(DepthError::Sphere),
+            ContainerError::Bound("x".into()).into(),
+            option.into(),
+        ] {
+            let told = Problem::from(&error);
+            let kept = Problem::of_library(&told.to_library());
+            assert_eq!((kept.status, &kept.field), (told.status, &told.field), "{error}");
+        }
     }
 
     #[test]

@@ -36,6 +36,7 @@ mod rates;
 mod rest_client;
 mod results;
 mod retention;
+mod second;
 mod settings;
 mod sharing;
 mod strokes;

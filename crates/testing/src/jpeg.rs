@@ -62,6 +62,30 @@ pub fn adobe(transform: u8) -> (u8, Vec<u8>) {
     (0xEE, [&b"Adobe\0\x64\0\0\0\0"[..], &[transform]].concat())
 }
 
+/// What the entry of a picture says that is one of the eyes of a 3D camera, in [`multi_picture`].
+pub const EYE: u32 = 0x0002_0002;
+
+/// A file of several pictures (Multi-Picture Format, CIPA DC-007-2009): `first`, and behind it others, each with the attributes of its entry.
+#[must_use]
+pub fn multi_picture(first: &[u8], behind: &[(u32, &[u8])]) -> Vec<u8> {
+    let index = |length: usize| {
+        let entry = |attributes: u32, length: usize, at: usize| [attributes, length as u32, at as u32, 0].map(u32::to_be_bytes).concat();
+        let bytes = 16 * (behind.len() as u32 + 1);
+        let head = [b"MM\0*\0\0\0\x08\0\x01\xB0\x02\0\x07".as_slice(), &bytes.to_be_bytes(), b"\0\0\0\x1A\0\0\0\0"].concat();
+        let mut body = [b"MPF\0", head.as_slice(), &entry(0, length, 0)].concat();
+        // places count from the byte order on, which lies behind two markers, a length and the name
+        let mut at = length.saturating_sub(10);
+        for (attributes, picture) in behind {
+            body.extend(entry(*attributes, picture.len(), at));
+            at += picture.len();
+        }
+        [&[0xFF, 0xE2], ((body.len() + 2) as u16).to_be_bytes().as_slice(), &body].concat()
+    };
+    let length = first.len() + index(0).len();
+    let pictures = behind.iter().flat_map(|(_, picture)| picture.iter().copied());
+    [&first[..2], &index(length), &first[2..]].concat().into_iter().chain(pictures).collect()
+}
+
 /// Order of a file's scans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scans {

@@ -5,6 +5,7 @@ use std::io::Cursor;
 use base64::Engine as _;
 use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use proptest::prelude::*;
+use tmpi_testing::jpeg::multi_picture;
 
 use super::*;
 use crate::{Models, Options, Switch};
@@ -123,16 +124,7 @@ fn multi(fields: &[(&str, &str)]) -> Vec<u8> {
     let behind = |d: &str| with(&encoded(map(), ImageFormat::Jpeg), &[main(d)]);
     let matte = behind(&apple(&[("AuxiliaryImageType", "depth"), ("AuxiliaryImageSubType", "portraiteffectsmatte")]));
     let map = behind(&apple(fields));
-    let photo = photo();
-    let index = |photo: u32| {
-        // places count from the byte order on, which lies behind two markers, a length and "MPF\0"
-        let entry = |length: usize, at: u32| [0u32, length as u32, at, 0].map(u32::to_be_bytes).concat();
-        let head = [b"MM\0*\0\0\0\x08\0\x01\xB0\x02\0\x07\0\0\0\x30\0\0\0\x1A".as_slice(), &[0; 4]].concat();
-        let entries = [entry(photo as usize, 0), entry(matte.len(), photo - 10), entry(map.len(), photo - 10 + matte.len() as u32)];
-        segment(0xE2, &[b"MPF\0", &head, &entries.concat()])
-    };
-    let length = with(&photo, &[index(1000)]).len() as u32;
-    [with(&photo, &[index(length)]), matte, map].concat()
+    multi_picture(&photo(), &[(0, &matte), (0, &map)])
 }
 
 /// δ at the left and at the right of a photo's map, once for PNG and within what a JPEG leaves.
