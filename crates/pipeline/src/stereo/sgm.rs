@@ -1,7 +1,9 @@
 //! Semi-global matching (Hirschmüller 2008): the disparity of each pixel of a picture against another, along eight paths.
 //!
-//! Rows are matched in bands of a fixed height, each with rows before and behind it on which its paths begin: so the result is the same on any
-//! number of threads, and memory is bounded.
+//! Rows are matched in bands, each with rows before and behind it on which its paths begin. The picture decides their height: so the result is
+//! the same on any number of threads, and memory is bounded.
+
+use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
@@ -13,7 +15,7 @@ const LARGE: u8 = 100;
 const EDGE: u32 = 12;
 /// Cost of a place outside the other picture.
 const OUTSIDE: u8 = 30;
-/// Rows of a band, and of those on either side on which its paths begin.
+/// Rows of a band, at most, and those on either side on which its paths begin.
 const ROWS: usize = 96;
 const BEFORE: usize = 24;
 /// Bytes that the sums of all bands that are matched side by side may take.
@@ -60,11 +62,20 @@ pub struct Views<'a> {
 pub fn disparity(views: &Views, range: Range) -> Vec<f32> {
     let (w, h) = (views.width, views.height);
     let mut out = vec![f32::NAN; w * h];
-    let band = ROWS * w * range.count * size_of::<u16>();
-    let beside = (BYTES / band.max(1)).max(1);
-    for (group, rows) in out.chunks_mut(w * ROWS * beside).enumerate() {
-        rows.par_chunks_mut(w * ROWS).enumerate().for_each(|(i, rows)| Band::new(views, range, (group * beside + i) * ROWS).run(rows));
-    }
+    // bands of one height, so that none waits for a longer one
+    let rows = h.div_ceil(h.div_ceil(ROWS).max(1)).max(1);
+    let bands = h.div_ceil(rows);
+    let beside = BYTES / (rows * w * range.count * size_of::<u16>()).max(1);
+    let workers = beside.min(bands).min(rayon::current_num_threads()).max(1);
+    let left = Mutex::new(out.chunks_mut((w * rows).max(1)).enumerate());
+    // memory is taken once for each worker: pages that are new cost more than what is written to them
+    (0..workers).into_par_iter().for_each(|_| {
+        let mut band = Band::new(views, range, rows);
+        let next = || left.lock().unwrap_or_else(PoisonError::into_inner).next();
+        while let Some((i, out)) = next() {
+            band.run(i * rows, out);
+        }
+    });
     out
 }
 
@@ -78,48 +89,47 @@ struct Paths {
 struct Band<'a> {
     views: &'a Views<'a>,
     range: Range,
-    /// First row.
-    first: usize,
     /// Costs of a row.
     row: Vec<u8>,
     /// Paths from the three pixels of the row before, and those of this one.
     before: [Paths; 3],
     now: [Paths; 3],
+    /// Costs of the paths of all rows.
+    sums: Vec<u16>,
 }
 
 impl<'a> Band<'a> {
-    fn new(views: &'a Views<'a>, range: Range, first: usize) -> Self {
+    fn new(views: &'a Views<'a>, range: Range, rows: usize) -> Self {
         let (w, n) = (views.width, range.count);
         let paths = || Paths { costs: vec![u8::MAX; w * (n + 2)], least: vec![0; w] };
         let three = || [paths(), paths(), paths()];
-        Self { views, range, first, row: vec![0; w * n], before: three(), now: three() }
+        Self { views, range, row: vec![0; w * n], before: three(), now: three(), sums: vec![0; rows * w * n] }
     }
 
-    fn run(mut self, out: &mut [f32]) {
-        let (w, n) = (self.views.width, self.range.count);
-        let (first, rows) = (self.first, out.len() / w);
-        let mut sums = vec![0u16; rows * w * n];
-        for y in first.saturating_sub(BEFORE)..first + rows {
-            let sums = y.checked_sub(first).map(|y| &mut sums[y * w * n..(y + 1) * w * n]);
-            self.pass(y, y.checked_sub(1).filter(|b| *b + BEFORE >= first), false, sums);
+    /// Measures the rows from `first` on, as many as `out` holds.
+    fn run(&mut self, first: usize, out: &mut [f32]) {
+        let w = self.views.width;
+        let end = first + out.len() / w;
+        for y in first.saturating_sub(BEFORE)..end {
+            self.pass(y, y.checked_sub(1).filter(|b| *b + BEFORE >= first), false, y.checked_sub(first));
         }
-        let last = (first + rows + BEFORE).min(self.views.height);
+        let last = (end + BEFORE).min(self.views.height);
         for y in (first..last).rev() {
-            let sums = (y < first + rows).then(|| &mut sums[(y - first) * w * n..(y - first + 1) * w * n]);
-            self.pass(y, Some(y + 1).filter(|b| *b < last), true, sums);
+            self.pass(y, Some(y + 1).filter(|b| *b < last), true, (y < end).then_some(y - first));
         }
-        for (out, sums) in out.chunks_exact_mut(w).zip(sums.chunks_exact(w * n)) {
+        for (out, sums) in out.chunks_exact_mut(w).zip(self.sums.chunks_exact(w * self.range.count)) {
             choose(sums, self.range, out);
         }
     }
 
-    /// Goes along row `y`, from the row `from` before it; added to `sums` where there are some.
-    fn pass(&mut self, y: usize, from: Option<usize>, back: bool, sums: Option<&mut [u16]>) {
+    /// Goes along row `y`, from the row `from` before it; the sums are those of row `row` of the band, or none.
+    fn pass(&mut self, y: usize, from: Option<usize>, back: bool, row: Option<usize>) {
         let (w, n) = (self.views.width, self.range.count);
         match_costs(&self.views.own[y * w..(y + 1) * w], &self.views.other[y * w..(y + 1) * w], self.range.first, n, &mut self.row);
         std::mem::swap(&mut self.before, &mut self.now);
         let grey = |y: usize| &self.views.grey[y * w..(y + 1) * w];
         let along = Along { w, n, back, own: grey(y), above: from.map(grey), costs: &self.row };
+        let sums = row.map(|row| &mut self.sums[row * w * n..(row + 1) * w * n]);
         aggregate(along, &self.before, &mut self.now, sums);
     }
 }
@@ -129,6 +139,7 @@ impl<'a> Band<'a> {
 struct Along<'a> {
     w: usize,
     n: usize,
+    /// From the last pixel to the first: the second pass, which adds to the sums that the first has set.
     back: bool,
     own: &'a [u8],
     above: Option<&'a [u8]>,
@@ -167,15 +178,42 @@ fn large(a: u8, b: u8) -> u8 {
 /// One step of a path: from the costs `from` (with guards) of which the least is `least` to `to`, whose least it gives.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
-fn step(costs: &[u8], from: &[u8], least: u8, large: u8, to: &mut [u8]) -> u8 {
+fn step<'a>(costs: &'a [u8], from: &'a [u8], least: u8, large: u8, to: &mut [u8]) -> u8 {
     let n = costs.len();
-    let (below, same, above) = (&from[..n], &from[1..=n], &from[2..n + 2]);
     let far = least.saturating_add(large);
-    for (i, to) in to[1..=n].iter_mut().enumerate() {
-        let near = below[i].min(above[i]).saturating_add(SMALL);
-        *to = costs[i].saturating_add(same[i].min(near).min(far) - least);
+    let blocks = |values: &'a [u8]| values.as_chunks::<STEP>().0.iter();
+    let (below, same, above) = (blocks(&from[..n]), blocks(&from[1..=n]), blocks(&from[2..n + 2]));
+    let mut lowest = [u8::MAX; STEP];
+    let (to, _) = to[1..=n].as_chunks_mut::<STEP>();
+    for ((((to, costs), below), same), above) in to.iter_mut().zip(blocks(costs)).zip(below).zip(same).zip(above) {
+        for i in 0..STEP {
+            let near = below[i].min(above[i]).saturating_add(SMALL);
+            // nothing that a path comes from is below the least, so this does not wrap
+            to[i] = costs[i].saturating_add(same[i].min(near).min(far).wrapping_sub(least));
+            lowest[i] = lowest[i].min(to[i]);
+        }
     }
-    to[1..=n].iter().fold(u8::MAX, |a, b| a.min(*b))
+    least_of(&lowest)
+}
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn least_of(costs: &[u8]) -> u8 {
+    costs.iter().fold(u8::MAX, |a, b| a.min(*b))
+}
+
+/// Sums of the costs of four paths, or adds them to those of the other four.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn add_paths(add: bool, sums: &mut [u16], paths: [&[u8]; 4]) {
+    let [a, b, c, d] = paths.map(|path| path.as_chunks::<STEP>().0);
+    for ((((sums, a), b), c), d) in sums.as_chunks_mut::<STEP>().0.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+        for i in 0..STEP {
+            let four = u16::from(a[i]).wrapping_add(u16::from(b[i])).wrapping_add(u16::from(c[i])).wrapping_add(u16::from(d[i]));
+            // eight paths of one byte each do not wrap
+            sums[i] = if add { sums[i].wrapping_add(four) } else { four };
+        }
+    }
 }
 
 #[inline(always)]
@@ -190,7 +228,7 @@ fn aggregate_row(along: Along, before: &[Paths; 3], now: &mut [Paths; 3], mut su
         let cost = &costs[x * n..(x + 1) * n];
         if i == 0 {
             next[1..=n].copy_from_slice(cost);
-            least = cost.iter().fold(u8::MAX, |a, b| a.min(*b));
+            least = least_of(cost);
         } else {
             let before = if back { x + 1 } else { x - 1 };
             least = step(cost, &last, least, large(own[x], own[before]), &mut next);
@@ -203,15 +241,12 @@ fn aggregate_row(along: Along, before: &[Paths; 3], now: &mut [Paths; 3], mut su
                 step(cost, &from.costs[s * (n + 2)..(s + 1) * (n + 2)], from.least[s], large(own[x], grey[s]), to_costs)
             } else {
                 to_costs[1..=n].copy_from_slice(cost);
-                cost.iter().fold(u8::MAX, |a, b| a.min(*b))
+                least_of(cost)
             };
         }
         if let Some(sums) = sums.as_deref_mut() {
-            let [a, b, c] = [0, 1, 2].map(|k: usize| &now[k].costs[x * (n + 2) + 1..][..n]);
-            let along = &last[1..=n];
-            for (i, sum) in sums[x * n..(x + 1) * n].iter_mut().enumerate() {
-                *sum += u16::from(along[i]) + u16::from(a[i]) + u16::from(b[i]) + u16::from(c[i]);
-            }
+            let path = |k: usize| &now[k].costs[x * (n + 2) + 1..][..n];
+            add_paths(back, &mut sums[x * n..(x + 1) * n], [&last[1..=n], path(0), path(1), path(2)]);
         }
     }
 }
@@ -230,7 +265,7 @@ fn choose_row(sums: &[u16], range: Range, out: &mut [f32]) {
         let (start, end) = inside(most, w, n);
         if start < end {
             let places = &mut other[(most - end as i64 + 1) as usize..=(most - start as i64) as usize];
-            for ((i, sum), place) in (start as u32..).zip(&sums[start..end]).zip(places.iter_mut().rev()) {
+            for ((i, sum), place) in (start as u32..end as u32).zip(&sums[start..end]).zip(places.iter_mut().rev()) {
                 *place = (*place).min(u32::from(*sum) << 16 | i);
             }
         }

@@ -68,9 +68,9 @@ fn by_definition(first: &Grey, second: &Grey, range: Range) -> Vec<Vec<i64>> {
 
 #[test]
 fn what_is_measured_is_the_least_sum_by_the_definition() {
-    for (w, h, first) in [(40, 21, 0), (33, 9, -20), (1, 12, 0), (12, 1, -3)] {
+    for (w, h, first, steps) in [(40, 21, 0, 1), (40, 21, 0, 3), (33, 9, -20, 1), (33, 9, -60, 2), (1, 12, 0, 1), (12, 1, -3, 1)] {
         let (a, b) = (grey_of(&spots(w, h, 1)), grey_of(&beside(&spots(w, h, 1), 3, 5)));
-        let range = Range { first, count: sgm::STEP };
+        let range = Range { first, count: steps * sgm::STEP };
         let [own, other] = [census(&a), census(&b)];
         let views = Views { width: a.width, height: a.height, grey: &a.values, own: &own, other: &other };
         let got = sgm::disparity(&views, range);
@@ -81,6 +81,23 @@ fn what_is_measured_is_the_least_sum_by_the_definition() {
         }
         assert!(w < 30 || first < 0 || got.iter().filter(|d| d.is_finite()).count() > 300);
     }
+}
+
+#[test]
+fn bands_give_the_same_bits_on_any_number_of_threads_and_leave_no_seams() {
+    // three bands
+    let (a, b) = (grey_of(&spots(80, 250, 9)), grey_of(&beside(&spots(80, 250, 9), 6, 6)));
+    let [own, other] = [census(&a), census(&b)];
+    let views = Views { width: 80, height: 250, grey: &a.values, own: &own, other: &other };
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| sgm::disparity(&views, Range { first: 0, count: sgm::STEP }))
+    };
+    let one = on(1);
+    let bits = |all: &[f32]| all.iter().map(|d| d.to_bits()).collect::<Vec<_>>();
+    assert!([2, 5].into_iter().all(|threads| bits(&on(threads)) == bits(&one)));
+    let inside = (0..250).flat_map(|y| (20..60).map(move |x| y * 80 + x));
+    assert!(inside.clone().all(|i| (one[i] - 6.0).abs() < 0.5), "{:?}", inside.map(|i| one[i]).find(|d| (d - 6.0).abs() >= 0.5));
 }
 
 #[test]
