@@ -8,7 +8,7 @@ use tmpi_pipeline::Sink;
 use tmpi_pipeline::depth::DepthError;
 use tmpi_pipeline::photo::{self, Head};
 use tmpi_pipeline::strokes;
-use tmpi_pipeline::{self, MakeError, Models, Options, Stereo};
+use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::exports::Work;
@@ -166,8 +166,7 @@ impl Maker for PipelineMaker {
         // the checks of the upload's head come first, so that a whole file gets the same errors
         self.check_head(HeadOf::Photo(options), photo)?;
         options.stereo.check(photo, depth.is_some())?;
-        let (size, map) = self.sizes(photo, depth, options)?;
-        self.check_size(size, map, options)
+        self.check_size(&Sizes::of(photo, depth, options, &self.limits)?, options)
     }
 
     fn check_head(&self, of: HeadOf<'_>, head: &[u8]) -> Result<Option<usize>, MakeError> {
@@ -182,7 +181,7 @@ impl Maker for PipelineMaker {
         };
         match (of, told) {
             (_, Head::Needs(bytes)) => return Ok(Some(bytes)),
-            (HeadOf::Photo(options), Head::Size(w, h)) => self.check_size((w, h), None, options)?,
+            (HeadOf::Photo(options), Head::Size(w, h)) => self.check_size(&Sizes::of_photo((w, h)), options)?,
             (HeadOf::PhotoSoFar(options), Head::Size(w, h)) => options.check_decoded((w, h), &self.limits)?,
             (HeadOf::Depth | HeadOf::Second, Head::Size(..)) | (_, Head::Silent) => {}
         }
@@ -190,7 +189,8 @@ impl Maker for PipelineMaker {
     }
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
-        let need = self.sizes(photo, depth, options).and_then(|(size, map)| Ok(options.fitted(size, map, &self.limits)?.memory(size, map)));
+        let sizes = Sizes::of(photo, depth, options, &self.limits);
+        let need = sizes.and_then(|sizes| Ok(options.fitted(&sizes, &self.limits)?.memory(&sizes)));
         // unreadable or refused photos take nothing
         need.unwrap_or(0)
     }
@@ -200,31 +200,16 @@ impl Maker for PipelineMaker {
     }
 }
 
-/// Width and height of a photo and of its depth map, from the files.
-type Sizes = ((u32, u32), Option<(u32, u32)>);
-
 impl PipelineMaker {
-    /// Sizes from the headers only.
-    fn sizes(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<Sizes, MakeError> {
-        let (_, size) = photo::check(photo, &self.limits)?;
-        let map = depth.map(|depth| match options.stereo {
-            Stereo::Beside => photo::check(depth, &self.limits).map(|(_, size)| size).map_err(|e| DepthError::Second(e.to_string())),
-            _ => tmpi_pipeline::depth::check(depth, &self.limits),
-        });
-        let map = map.transpose()?;
-        Ok((size, map))
-    }
-
     /// Refuses sizes that take too much with `options`, or give containers that no reader accepts.
-    fn check_size(&self, size: (u32, u32), map: Option<(u32, u32)>, options: &Options) -> Result<(), MakeError> {
-        let options = options.fitted(size, map, &self.limits)?;
-        let (width, height) = photo::reduced_size(size, options.max_size);
+    fn check_size(&self, sizes: &Sizes, options: &Options) -> Result<(), MakeError> {
+        let options = options.fitted(sizes, &self.limits)?;
+        let (width, height) = photo::reduced_size(options.shown(sizes.file), options.max_size);
         Ok(options.check_readable(width, height)?)
     }
 
     fn product(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
-        let (size, map) = self.sizes(photo, depth, options)?;
-        let fitted = options.fitted(size, map, &self.limits)?;
+        let fitted = options.fitted(&Sizes::of(photo, depth, options, &self.limits)?, &self.limits)?;
         let mut made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, &fitted, sink)?;
         made.report.input.fitted = fitted.max_size != options.max_size;
         // publish only what can be read back; layers follow from what is read here

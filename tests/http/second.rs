@@ -4,9 +4,9 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use serde_json::Value;
-use tmpi::server::Limits;
+use tmpi::server::{Limits, Maker};
 use tmpi_pipeline::depth::{DepthKind, from_map};
-use tmpi_pipeline::photo;
+use tmpi_pipeline::{Options, Stereo, photo};
 use tmpi_render::{PictureFormat, View, encode};
 use tmpi_testing::jpeg::{EYE, multi_picture};
 
@@ -134,6 +134,20 @@ fn depth_is_measured_between_halves_and_behind_one_another() {
     is_measured(server.addr, &sent(server.addr, &[("photo", &both)]));
     let none = sent(server.addr, &[("stereo", b"none"), ("photo", &both)]);
     assert_eq!(report(server.addr, &none)["depth_model"], "ramp");
+}
+
+#[test]
+fn a_job_is_admitted_by_what_measuring_takes_wherever_the_second_picture_is() {
+    let maker = way_within(photo::Limits::default());
+    let [a, b] = [seen(W, H, 0, 0), seen(W, H, FAR, NEAR)].map(|view| file(&view, PictureFormat::Jpeg));
+    let options = |stereo| Options { stereo, ..Options::default() };
+    let (auto, none) = (options(Stereo::Auto), options(Stereo::None));
+    let beside = maker.memory(&a, Some(&b), &options(Stereo::Beside));
+    assert!(beside > maker.memory(&a, None, &auto));
+    let both = multi_picture(&a, &[(EYE, &b)]);
+    assert_eq!(maker.memory(&both, None, &auto), beside);
+    assert_eq!(maker.memory(&both, None, &none), maker.memory(&a, None, &auto));
+    assert_eq!(maker.memory(&halves(false), None, &options(Stereo::LeftRight)), beside);
 }
 
 #[test]

@@ -12,12 +12,21 @@ def blocks(megapixels, size):
     return png(width, height, 1, (lines[y // size] for y in range(height)))
 
 
+def eye(megapixels, second):
+    """Noise as an eye sees it, whose upper half lies farther off than the lower."""
+    (width, height), pick = size_of(megapixels), random.Random(1)
+    most = max(4, width // 12)
+    table = bytes(i % 2 * 255 for i in range(256))
+    shifts = (most // 4 * second if y < height // 2 else most * second for y in range(height))
+    return png(width, height, 3, (pick.randbytes(3 * (width + most)).translate(table)[3 * s : 3 * (s + width)] for s in shifts))
+
+
 def cases(full):
-    """Megapixels, photo, map, options."""
+    """Megapixels, photo, map or second picture, options."""
     raw = ["--denoise", "off", "--snap", "off", "--max-error", "0"]
     sizes = (0.003, 0.1, 0.5, 2, 6, 12, 24, 49.9) if full else (0.003, 0.1, 0.5, 2)
     for mp in sizes:
-        yield from ((mp, "noise", None, []), (mp, "smooth", "smooth", []), (mp, "noise", "noise", []))
+        yield from ((mp, "noise", None, []), (mp, "smooth", "smooth", []), (mp, "noise", "noise", []), (mp, "eye", "second", []))
         if full or mp <= 0.5:
             yield mp, "noise", "noise", raw
     # planes of noise take the most time: a minute a megapixel and more
@@ -37,13 +46,13 @@ def main():
     with tempfile.TemporaryDirectory(prefix="tmpi-load-") as folder:
         folder = Path(folder)
         for mp, kind, depth, options in cases(full):
-            (folder / "photo.png").write_bytes(noise(mp) if kind == "noise" else smooth(mp))
+            (folder / "photo.png").write_bytes(noise(mp) if kind == "noise" else eye(mp, False) if kind == "eye" else smooth(mp))
             command = [PROGRAM, "make", "--force", str(folder / "photo.png"), "-o", str(folder / "out.tmpi"), "--report", str(folder / "r.json"), *options]
             if depth:
                 levels = 16 if mp < 30 else 8
-                made = smooth(mp, 1) if depth == "smooth" else noise(mp, 1, levels) if depth == "noise" else blocks(mp, depth)
+                made = eye(mp, True) if depth == "second" else smooth(mp, 1) if depth == "smooth" else noise(mp, 1, levels) if depth == "noise" else blocks(mp, depth)
                 (folder / "depth.png").write_bytes(made)
-                command += ["--depth", str(folder / "depth.png")]
+                command += ["--second" if depth == "second" else "--depth", str(folder / "depth.png")]
             run = subprocess.run(command, capture_output=True, text=True)
             if run.returncode:
                 check(False, f"{mp} MP {kind} {depth} {options}: {run.stderr.strip()[-200:]}")

@@ -17,6 +17,6 @@ pub mod strokes;
 pub use error::StageError;
 pub use run::{
     Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Moved, Movement, Options, PlaneCount,
-    PlaneError, PlaneMethod, Progress, PruneError, Reduction, Report, STAGES, Silent, Sink, StageTime, Switch, TileSize, make,
+    PlaneError, PlaneMethod, Progress, PruneError, Reduction, Report, STAGES, Silent, Sink, Sizes, StageTime, Switch, TileSize, make,
 };
 pub use stereo::Stereo;

@@ -1,7 +1,7 @@
 //! The driver of a photo.
 
 use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Strokes, Verify};
-use super::{Context, Made, MakeError, Models, Options, Sink};
+use super::{Context, Made, MakeError, Models, Options, Sink, Sizes};
 use crate::photo::Limits;
 use crate::strokes;
 
@@ -22,6 +22,7 @@ pub fn make(
     models.check(options)?;
     let mut job = Context::new(models, limits, options, sink);
     let source = Source::choose(photo, depth, &mut job)?;
+    job.sizes = Some(Sizes::of(photo, depth, options, limits)?);
     let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
     let source = source.or_half(prepared.other_eye.take());
     let map = job.run(&mut Depth::default(), (&prepared.photo, source))?;

@@ -3,9 +3,9 @@
 //! Peaks of the process were measured (`tests/load/memory.py`) on photographs, on pictures and depth maps of one ramp, of noise and of
 //! blocks, of 0.5 to 50 megapixels, in tiles of 8 pixels to the whole photo, with 1 to 64 planes a tile. [`bytes`] is above all of them.
 
-use super::{MakeError, Options, PlaneCount};
-use crate::photo::{Limits, PhotoError};
-use crate::stereo::Stereo;
+use super::{MakeError, Options, Other, PlaneCount, Sizes};
+use crate::depth::DepthError;
+use crate::photo::{Limits, PhotoError, reduced_size};
 
 /// What does not grow with the photo: program, tables, and the embedded depth network, which takes the most of it. With a depth map the program takes
 /// 16 MiB for a photo of 3000 pixels; with the network 99, and 118 for 0.25 and 0.5 megapixels, of which the rest of the formula covers 15 and 29.
@@ -20,7 +20,7 @@ const LAYER: u64 = 1200;
 const DECODED: u64 = 16;
 /// Bytes a pixel of a photo that is kept beside that.
 const PHOTO: u64 = 3;
-/// What measuring depth against a second picture takes, at the size of matching.
+/// What measuring depth against a second picture takes, at the size of matching, whatever its pixels.
 const STEREO: u64 = 80 << 20;
 /// Fewest pixels that a photo is brought to so that it fits: as many as a screen has.
 const LEAST_PIXELS: u64 = 2_000_000;
@@ -45,40 +45,50 @@ pub fn most_planes(pixels: u64, tiles: u64, memory: u64) -> u32 {
 }
 
 impl Options {
-    /// Memory that making a photo takes at most, in bytes, where the file holds `file` and the depth map, if there is one, `map` pixels
-    /// (width, height). Where planes are [`PlaneCount::Auto`], more are placed only as far as [`Limits::memory`] goes.
+    /// Memory that making a photo takes at most, in bytes, of pictures of these sizes. Where planes are [`PlaneCount::Auto`], more are placed
+    /// only as far as [`Limits::memory`] goes.
     #[must_use]
-    pub fn memory(&self, file: (u32, u32), map: Option<(u32, u32)>) -> u64 {
-        self.memory_at(file, map, self.max_size)
+    pub fn memory(&self, sizes: &Sizes) -> u64 {
+        self.memory_at(sizes, self.max_size)
     }
 
     /// The same, with the longest side at most `side`.
-    fn memory_at(&self, file: (u32, u32), map: Option<(u32, u32)>, side: Option<u32>) -> u64 {
+    fn memory_at(&self, sizes: &Sizes, side: Option<u32>) -> u64 {
         let planes = match self.planes {
             PlaneCount::Fixed(n) => n,
             PlaneCount::Auto => LEAST,
         };
-        self.memory_with(file, map, side, planes)
+        self.memory_with(sizes, side, planes)
     }
 
     /// The same, with so many planes a tile, without its background, in the mean.
     #[must_use]
-    pub fn memory_with(&self, file: (u32, u32), map: Option<(u32, u32)>, side: Option<u32>, planes: u32) -> u64 {
-        let (w, h) = crate::photo::reduced_size(file, side);
+    pub fn memory_with(&self, sizes: &Sizes, side: Option<u32>, planes: u32) -> u64 {
+        let (w, h) = reduced_size(self.shown(sizes.file), side);
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
+        let measures = self.stereo.halves().is_some() || matches!(sizes.other, Some(Other::Eye(_)));
         // what is decoded is let go before planes are placed
-        let made = made + if matches!(self.stereo, Stereo::Auto | Stereo::None) { 0 } else { STEREO };
-        let other = |size: (u32, u32)| if size == (w, h) { 0 } else { BASE + area(size) * DECODED + area((w, h)) * PHOTO };
-        made.max(other(file)).max(map.map_or(0, other))
+        let made = made + if measures { STEREO } else { 0 };
+        let decoded = |size: (u32, u32)| if size == (w, h) { 0 } else { decoding(size) + area((w, h)) * PHOTO };
+        made.max(decoded(sizes.file)).max(sizes.other.map_or(0, |other| decoded(other.size())))
+    }
+
+    /// Width and height of the picture that a file of that size shows: of one with two eyes, a half.
+    #[must_use]
+    pub fn shown(&self, file: (u32, u32)) -> (u32, u32) {
+        self.stereo.halves().map_or(file, |halves| halves.of(file))
     }
 
     /// The longest side, in pixels, to which a photo is brought so that making it takes no more memory than `limits` allow; none where it
     /// fits as it is. It is not brought below 2 megapixels, nor where tiles or planes were asked for that take so much.
     ///
     /// # Errors
-    /// [`PhotoError::TooMuchWork`] names the limit and the need.
-    pub fn side_by_memory(&self, file: (u32, u32), map: Option<(u32, u32)>, limits: &Limits) -> Result<Option<u32>, MakeError> {
-        let bytes = self.memory(file, map);
+    /// [`PhotoError::TooMuchWork`] names the limit and the need; [`DepthError`] where that is of a picture beside the photo alone.
+    pub fn side_by_memory(&self, sizes: &Sizes, limits: &Limits) -> Result<Option<u32>, MakeError> {
+        if let Some(other) = sizes.other {
+            check_other(other, limits)?;
+        }
+        let bytes = self.memory(sizes);
         if bytes <= limits.memory {
             return Ok(None);
         }
@@ -87,13 +97,14 @@ impl Options {
         if (self.planes, self.tile) != (usual.planes, usual.tile) {
             return Err(refused.into());
         }
-        let fits = |side: u32| self.memory_at(file, map, Some(side)) <= limits.memory;
-        let (mut most, mut too_large) = (0, file.0.max(file.1).min(self.max_size.unwrap_or(u32::MAX)));
+        let shown = self.shown(sizes.file);
+        let fits = |side: u32| self.memory_at(sizes, Some(side)) <= limits.memory;
+        let (mut most, mut too_large) = (0, shown.0.max(shown.1).min(self.max_size.unwrap_or(u32::MAX)));
         while too_large - most > 1 {
             let middle = most + (too_large - most) / 2;
             *(if fits(middle) { &mut most } else { &mut too_large }) = middle;
         }
-        if area(crate::photo::reduced_size(file, Some(most))) < LEAST_PIXELS { Err(refused.into()) } else { Ok(Some(most)) }
+        if area(reduced_size(shown, Some(most))) < LEAST_PIXELS { Err(refused.into()) } else { Ok(Some(most)) }
     }
 
     /// Refuses a file of that size that does not fit into memory whatever other options are chosen: where it is decoded at all.
@@ -101,20 +112,35 @@ impl Options {
     /// # Errors
     /// [`PhotoError::TooMuchWork`] names the limit and the need with these options.
     pub fn check_decoded(&self, file: (u32, u32), limits: &Limits) -> Result<(), MakeError> {
-        if BASE + area(file) * DECODED <= limits.memory {
+        if decoding(file) <= limits.memory {
             return Ok(());
         }
-        Err(PhotoError::TooMuchWork { bytes: self.memory(file, None), limit: limits.memory }.into())
+        Err(PhotoError::TooMuchWork { bytes: self.memory(&Sizes::of_photo(file)), limit: limits.memory }.into())
     }
 
     /// These options, with a photo brought to the size at which it fits into memory, where it does not as it is.
     ///
     /// # Errors
     /// As [`Options::side_by_memory`].
-    pub fn fitted(&self, file: (u32, u32), map: Option<(u32, u32)>, limits: &Limits) -> Result<Self, MakeError> {
-        let side = self.side_by_memory(file, map, limits)?;
+    pub fn fitted(&self, sizes: &Sizes, limits: &Limits) -> Result<Self, MakeError> {
+        let side = self.side_by_memory(sizes, limits)?;
         Ok(Self { max_size: side.or(self.max_size), ..self.clone() })
     }
+}
+
+/// Refuses a picture beside the photo that does not fit into memory where it is decoded at all.
+fn check_other(other: Other, limits: &Limits) -> Result<(), DepthError> {
+    let bytes = decoding(other.size());
+    if bytes <= limits.memory {
+        return Ok(());
+    }
+    let text = PhotoError::TooMuchWork { bytes, limit: limits.memory }.to_string();
+    Err(if matches!(other, Other::Map(_)) { DepthError::Map(text) } else { DepthError::Second(text) })
+}
+
+/// Memory that decoding a picture takes at most, with what does not grow with it.
+fn decoding(size: (u32, u32)) -> u64 {
+    BASE + area(size) * DECODED
 }
 
 fn area((w, h): (u32, u32)) -> u64 {
@@ -125,6 +151,15 @@ fn area((w, h): (u32, u32)) -> u64 {
 mod tests {
     use super::*;
     use crate::run::TileSize;
+    use crate::stereo::Stereo;
+
+    fn with_map(file: (u32, u32), map: (u32, u32)) -> Sizes {
+        Sizes { file, other: Some(Other::Map(map)) }
+    }
+
+    fn with_eye(file: (u32, u32), eye: (u32, u32)) -> Sizes {
+        Sizes { file, other: Some(Other::Eye(eye)) }
+    }
 
     #[test]
     fn planes_that_fit_fit_and_one_more_do_not() {
@@ -141,17 +176,17 @@ mod tests {
     fn fifty_megapixels_fit_by_default_and_what_is_asked_for_beyond_that_is_named() {
         let limits = Limits { memory: 6 << 30, ..Limits::default() };
         let largest = (8160, 6120);
-        assert_eq!(Options::default().side_by_memory(largest, Some(largest), &limits).unwrap(), None);
-        assert_eq!(Options::default().side_by_memory(largest, Some((100, 100)), &limits).unwrap(), None);
+        assert_eq!(Options::default().side_by_memory(&with_map(largest, largest), &limits).unwrap(), None);
+        assert_eq!(Options::default().side_by_memory(&with_map(largest, (100, 100)), &limits).unwrap(), None);
         let planes = |n| Options { planes: PlaneCount::Fixed(n), ..Options::default() };
-        assert_eq!(planes(16).side_by_memory((4000, 3000), None, &limits).unwrap(), None);
-        let refused = planes(64).side_by_memory((4000, 3000), None, &limits).unwrap_err().to_string();
-        let need = planes(64).memory((4000, 3000), None);
+        assert_eq!(planes(16).side_by_memory(&Sizes::of_photo((4000, 3000)), &limits).unwrap(), None);
+        let refused = planes(64).side_by_memory(&Sizes::of_photo((4000, 3000)), &limits).unwrap_err().to_string();
+        let need = planes(64).memory(&Sizes::of_photo((4000, 3000)));
         assert!(refused.contains(&need.to_string()) && refused.contains(&limits.memory.to_string()), "{refused}");
         // a map that is much larger than its photo counts, too
-        assert!(Options::default().memory((80, 60), Some((8000, 6000))) > 700 << 20);
+        assert!(Options::default().memory(&with_map((80, 60), (8000, 6000))) > 700 << 20);
         let small = Options { tile: TileSize::Pixels(8), ..Options::default() };
-        assert!(small.memory((4000, 3000), None) > Options::default().memory((4000, 3000), None) + (500 << 20));
+        assert!(small.memory(&Sizes::of_photo((4000, 3000))) > Options::default().memory(&Sizes::of_photo((4000, 3000))) + (500 << 20));
     }
 
     #[test]
@@ -160,18 +195,55 @@ mod tests {
         let (file, options) = ((8160, 6120), Options::default());
         // 112 MiB, and 50 megapixels of 16 bytes
         let refused = options.check_decoded(file, &limits(873)).unwrap_err();
-        assert_eq!(refused.to_string(), options.side_by_memory(file, None, &limits(873)).unwrap_err().to_string());
+        assert_eq!(refused.to_string(), options.side_by_memory(&Sizes::of_photo(file), &limits(873)).unwrap_err().to_string());
         assert!(options.check_decoded(file, &limits(875)).is_ok());
         for planes in [PlaneCount::Auto, PlaneCount::Fixed(1)] {
             for tile in [TileSize::Full, TileSize::Pixels(8)] {
                 for max_size in [None, Some(1), Some(2000)] {
                     let options = Options { planes, tile, max_size, ..Options::default() };
                     for map in [None, Some((80, 60)), Some(file)] {
-                        assert!(options.side_by_memory(file, map, &limits(873)).is_err(), "{options:?} {map:?}");
+                        let sizes = Sizes { other: map.map(Other::Map), ..Sizes::of_photo(file) };
+                        assert!(options.side_by_memory(&sizes, &limits(873)).is_err(), "{options:?} {map:?}");
                     }
                 }
             }
         }
+    }
+
+    #[test]
+    fn measuring_counts_wherever_the_second_picture_is() {
+        let (auto, eye) = (Options::default(), (4000, 3000));
+        let alone = auto.memory(&Sizes::of_photo(eye));
+        assert_eq!(auto.memory(&with_eye(eye, eye)), alone + STEREO);
+        let halves = |stereo| Options { stereo, ..Options::default() };
+        assert_eq!(halves(Stereo::LeftRight).memory(&Sizes::of_photo((8000, 3000))), alone + STEREO);
+        assert_eq!(halves(Stereo::TopBottom).memory(&Sizes::of_photo((4000, 6000))), alone + STEREO);
+        // the longest side is that of what is shown, and both halves are decoded
+        let small = Options { max_size: Some(1000), ..halves(Stereo::LeftRight) };
+        assert_eq!(small.memory(&Sizes::of_photo((8000, 3000))), decoding((8000, 3000)) + 750_000 * PHOTO);
+        let side = small.memory_with(&Sizes::of_photo((2000, 750)), Some(1000), 6);
+        assert_eq!(side, auto.memory_with(&with_eye((1000, 750), (1000, 750)), None, 6));
+        // a second picture that is much larger than the first counts, too
+        assert_eq!(auto.memory(&with_eye((80, 60), (8000, 6000))), decoding((8000, 6000)) + 4800 * PHOTO);
+    }
+
+    #[test]
+    fn what_does_not_fit_beside_a_photo_is_named() {
+        let limits = Limits { memory: 600 << 20, ..Limits::default() };
+        let options = Options::default();
+        let second = options.side_by_memory(&with_eye((2000, 1500), (8000, 6000)), &limits).unwrap_err();
+        assert!(matches!(&second, MakeError::Depth(DepthError::Second(text)) if text.contains(&limits.memory.to_string())), "{second}");
+        let map = options.side_by_memory(&with_map((2000, 1500), (8000, 6000)), &limits).unwrap_err();
+        assert!(matches!(map, MakeError::Depth(DepthError::Map(_))), "{map}");
+        // both fit by themselves, and are brought to what fits with measuring
+        let both = with_eye((6000, 4000), (6000, 4000));
+        let side = options.side_by_memory(&both, &limits).unwrap().expect("it does not fit as it is");
+        assert!(options.memory_at(&both, Some(side)) <= limits.memory);
+        assert!(side < options.side_by_memory(&Sizes::of_photo((6000, 4000)), &limits).unwrap().unwrap());
+        // so are halves, by the longest side of one
+        let halves = Options { stereo: Stereo::LeftRight, ..options };
+        let side = halves.side_by_memory(&Sizes::of_photo((7000, 4000)), &limits).unwrap().expect("it does not fit as it is");
+        assert!(halves.memory_at(&Sizes::of_photo((7000, 4000)), Some(side)) <= limits.memory && side < 4000);
     }
 
     #[test]
@@ -180,17 +252,17 @@ mod tests {
         let options = Options::default();
         for (file, mib) in [((8160, 6120), 960), ((6120, 8160), 1500), ((6000, 4000), 600), ((12_000, 4000), 2000)] {
             let limits = limits(mib);
-            let side = options.side_by_memory(file, None, &limits).unwrap().expect("it does not fit as it is");
-            let at = |side| Options { max_size: Some(side), ..options.clone() }.memory(file, None);
+            let side = options.side_by_memory(&Sizes::of_photo(file), &limits).unwrap().expect("it does not fit as it is");
+            let at = |side| Options { max_size: Some(side), ..options.clone() }.memory(&Sizes::of_photo(file));
             assert!(at(side) <= limits.memory && at(side + 8) > limits.memory, "{file:?}: {side}");
-            assert_eq!(options.fitted(file, None, &limits).unwrap().max_size, Some(side));
+            assert_eq!(options.fitted(&Sizes::of_photo(file), &limits).unwrap().max_size, Some(side));
         }
         // decoding alone takes too much; what fits is too small
         for (file, mib) in [((8160, 6120), 256), ((3000, 2000), 200)] {
-            let refused = options.side_by_memory(file, None, &limits(mib)).unwrap_err().to_string();
-            assert!(refused.contains(&options.memory(file, None).to_string()), "{refused}");
+            let refused = options.side_by_memory(&Sizes::of_photo(file), &limits(mib)).unwrap_err().to_string();
+            assert!(refused.contains(&options.memory(&Sizes::of_photo(file)).to_string()), "{refused}");
         }
         let smaller = Options { max_size: Some(2000), ..Options::default() };
-        assert_eq!(smaller.side_by_memory((8160, 6120), None, &limits(960)).unwrap(), None);
+        assert_eq!(smaller.side_by_memory(&Sizes::of_photo((8160, 6120)), &limits(960)).unwrap(), None);
     }
 }

@@ -10,6 +10,7 @@ mod options;
 mod progress;
 mod prune;
 mod report;
+mod sizes;
 mod stage;
 pub mod stages;
 #[cfg(test)]
@@ -31,6 +32,7 @@ pub use movement::{Movement, TileError};
 pub use options::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 pub use progress::{Progress, Silent, Sink};
 pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, Moved, PlaneError, PruneError, Report, StageTime};
+pub use sizes::{Other, Sizes};
 pub use stage::{Context, Stage};
 pub use stages::STAGES;
 

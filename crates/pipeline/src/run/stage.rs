@@ -1,6 +1,6 @@
 //! What a stage is, and what drives one after the other.
 
-use super::{MakeError, Models, Movement, Options, Progress, Report, Sink, StageTime};
+use super::{MakeError, Models, Movement, Options, Progress, Report, Sink, Sizes, StageTime};
 use crate::clock::{self, Clock};
 use crate::photo::Limits;
 
@@ -29,6 +29,8 @@ pub struct Context<'a> {
     pub limits: &'a Limits,
     /// What the caller chose.
     pub options: &'a Options,
+    /// Sizes of what it is made of; none in a room.
+    pub sizes: Option<Sizes>,
     /// What has been done so far.
     pub report: Report,
     /// What errors of disparity do in views of a photo; none before its camera is known, and in a room, whose errors are not measured.
@@ -41,7 +43,7 @@ impl<'a> Context<'a> {
     /// A photo at its start.
     #[must_use]
     pub fn new(models: &'a Models, limits: &'a Limits, options: &'a Options, sink: &'a dyn Sink) -> Self {
-        Self { models, limits, options, report: Report::default(), movement: None, sink, clock: Clock::start() }
+        Self { models, limits, options, sizes: None, report: Report::default(), movement: None, sink, clock: Clock::start() }
     }
 
     /// Runs a stage: tells that it begins, and what it took; not where the caller has given up or the time is over.

@@ -220,5 +220,5 @@ fn what_making_took_is_below_the_bound_that_it_was_admitted_by() {
     let options = Options { max_error: 0.0, ..plain() };
     let report = made(&photo(200, 150), &map(200, 150, noise), &options).report;
     // six planes a tile of noise
-    assert_eq!(report.memory_bound_bytes, options.memory_with((200, 150), None, None, 6));
+    assert_eq!(report.memory_bound_bytes, options.memory_with(&Sizes::of_photo((200, 150)), None, 6));
 }

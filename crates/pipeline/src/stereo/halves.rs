@@ -86,8 +86,8 @@ impl Stereo {
 
 impl Halves {
     /// Size of an eye's picture of one of both.
-    fn of((width, height): (u32, u32), halves: Self) -> (u32, u32) {
-        match halves {
+    pub(crate) fn of(self, (width, height): (u32, u32)) -> (u32, u32) {
+        match self {
             Self::LeftRight => (width / 2, height),
             Self::TopBottom => (width, height / 2),
         }
@@ -96,7 +96,7 @@ impl Halves {
     /// Longest side of a file's picture, in pixels, at which that of an eye is `side`.
     pub(crate) fn of_both(self, file: &[u8], limits: &Limits, side: u32) -> Result<u32, PhotoError> {
         let both = photo::upright_size(file, limits)?;
-        let eye = Self::of(both, self);
+        let eye = self.of(both);
         let (both, eye) = (u64::from(both.0.max(both.1)), u64::from(eye.0.max(eye.1)).max(1));
         Ok(u32::try_from((u64::from(side) * both).div_ceil(eye)).unwrap_or(u32::MAX))
     }
@@ -104,7 +104,7 @@ impl Halves {
     /// The first eye's picture and the second's; of an odd count of columns or rows the middle one is left out. None of a picture of one.
     #[must_use]
     pub fn split(self, photo: &Photo) -> Option<(Photo, Photo)> {
-        let (width, height) = Self::of((photo.width, photo.height), self);
+        let (width, height) = self.of((photo.width, photo.height));
         if width == 0 || height == 0 {
             return None;
         }

@@ -12,14 +12,14 @@ fn noise(x: u32, y: u32, seed: u32) -> u8 {
 }
 
 /// Spots of some pixels, as photos have them.
-fn spots(width: u32, height: u32, seed: u32) -> Photo {
+pub(super) fn spots(width: u32, height: u32, seed: u32) -> Photo {
     let (w, h) = (width.div_ceil(3), height.div_ceil(3));
     let small = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [noise(i % w, i / w, seed); 3]).collect() };
     resize(&small, width, height)
 }
 
 /// `photo` seen from beside: its upper half `far` and its lower half `near` pixels further to the left.
-fn beside(photo: &Photo, far: i32, near: i32) -> Photo {
+pub(super) fn beside(photo: &Photo, far: i32, near: i32) -> Photo {
     let (w, h) = (photo.width as i32, photo.height as i32);
     let from = |i: i32| (i / w, (i % w + if i / w < h / 2 { far } else { near }).clamp(0, w - 1));
     Photo { rgb: (0..w * h).map(|i| photo.rgb[(from(i).0 * w + from(i).1) as usize]).collect(), ..*photo }

@@ -29,7 +29,7 @@ pub struct Carried {
     pixels: u64,
 }
 
-/// Pixels of maps that may be larger than their photo, which programs made smaller: as many as phones write. Reading them takes less memory
+/// Pixels of maps and second pictures that may be larger than their photo, which programs made smaller: as many as phones write. Reading them takes less memory
 /// than the network that they stand in for.
 const SMALL: u64 = 2_000_000;
 

@@ -1,8 +1,9 @@
 //! Pictures behind a photo in the Multi-Picture Format (CIPA DC-007-2009), and what Apple says in the XMP of its depth maps.
 
-use super::{Found, Scale, number, xmp};
+use super::{Found, SMALL, Scale, number, xmp};
 use crate::photo::exif::Tiff;
 use crate::photo::segments::applications;
+use crate::photo::{self, Limits};
 
 const APPLE: &str = "http://ns.apple.com/pixeldatainfo/1.0/";
 const ENTRIES: u16 = 0xB002;
@@ -52,10 +53,14 @@ fn pictures(photo: &[u8]) -> impl Iterator<Item = &[u8]> {
 /// The picture of the other eye, as 3D cameras write it behind that of the first; none where there is none.
 ///
 /// # Errors
-/// It lies beyond the end of the file.
+/// It lies beyond the end of the file, or is so large that reading it takes more memory than the photo itself.
 pub(crate) fn second_eye(photo: &[u8]) -> Option<Result<&[u8], &'static str>> {
     let eye = entries(photo).into_iter().find(|entry| entry.attributes & KIND == EYE)?;
-    Some(eye.picture.ok_or("the file ends before the picture of the second eye does"))
+    let Some(picture) = eye.picture else { return Some(Err("the file ends before the picture of the second eye does")) };
+    // what cannot be read has no pixels; nothing is copied for this
+    let pixels = |file| photo::upright_size(file, &Limits::NONE).map_or(0, |(w, h)| u64::from(w) * u64::from(h));
+    let larger = pixels(picture) > pixels(photo).max(SMALL);
+    Some(if larger { Err("the picture of the second eye is larger than that of the first") } else { Ok(picture) })
 }
 
 /// A picture behind the first.

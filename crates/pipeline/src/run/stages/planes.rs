@@ -5,7 +5,7 @@ use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 use super::{Estimated, Prepared};
 use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::budget::Costs;
-use crate::run::{Budget, Context, MakeError, Movement, PlaneCount, PlaneError, Stage, TileError, memory};
+use crate::run::{Budget, Context, MakeError, Movement, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
 use tmpi_core::container::{most_planes, readable};
 
 /// Disparity → planes and labels of every tile.
@@ -123,9 +123,9 @@ impl Stage for Planes {
             (tiles, rounding) = parted(place_rounded(delta, confidence, &grid, &placement));
         }
         let input = &context.report.input;
-        let map_size = input.depth.as_ref().map(|d| (d.width, d.height));
+        let sizes = context.sizes.unwrap_or(Sizes::of_photo((input.width, input.height)));
         let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>().div_ceil(tiles.len().max(1));
-        context.report.memory_bound_bytes = options.memory_with((input.width, input.height), map_size, Some(w.max(h)), planes as u32);
+        context.report.memory_bound_bytes = options.memory_with(&sizes, Some(w.max(h)), planes as u32);
         let geometry = scene(tiles);
         let error = &mut context.report.error;
         (error.depth_mae, error.depth_mse, error.depth_q25) = discretisation_error(delta, &grid, &geometry.tiles);
