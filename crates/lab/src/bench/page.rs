@@ -1,4 +1,4 @@
-//! The results as one page that needs nothing else.
+//! Writes the results as a self-contained page.
 
 use std::fmt::Write;
 
@@ -22,15 +22,15 @@ th{font-weight:600;color:var(--soft)}tr.default{background:var(--mark);font-weig
 dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem 1rem;font-size:.95rem}dt{color:var(--soft)}dd{margin:0}
 ";
 
-/// The page.
+/// The results as an HTML page.
 #[must_use]
 pub fn html(r: &Results) -> String {
     let m = &r.machine;
     let mut out = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
          <title>tmpi-lab bench</title><style>{STYLE}</style><h1>tmpi-lab bench</h1>\
-         <p>What every approximation costs and what error it makes. Filled points: no other setting of the plot is better in both. \
-         The dotted line joins them. A ring: the defaults. A bar: one deviation over the scenes. Hover over a point for its setting.</p><dl>"
+         <p>Cost and error of each approximation. No other setting of a plot is better on both axes than a filled point; a dotted line \
+         joins these. A ring marks the defaults, a bar one standard deviation over the scenes. Hover over a point for its setting.</p><dl>"
     );
     let gigabytes = m.memory as f64 / 1e9;
     let load = m.load.map_or(String::new(), |l| format!(", load {l:.1} at the end"));
@@ -39,14 +39,14 @@ pub fn html(r: &Results) -> String {
         ("Program", format!("tmpi {}", r.version)),
         ("Measured on", r.subjects.join(", ")),
         ("Times", format!("medians of {} runs, means over all scenes", r.repeats)),
-        ("Took", format!("{:.0} s", r.seconds)),
+        ("Duration", format!("{:.0} s", r.seconds)),
     ];
     for (name, value) in facts {
-        // a String takes everything
+        // writing to a String cannot fail
         let _ = write!(out, "<dt>{name}</dt><dd>{}</dd>", escaped(&value));
     }
     for s in &r.skipped {
-        let _ = write!(out, "<dt>Left out</dt><dd>{}</dd>", escaped(s));
+        let _ = write!(out, "<dt>Skipped</dt><dd>{}</dd>", escaped(s));
     }
     out += "</dl><nav>";
     for e in &r.experiments {
