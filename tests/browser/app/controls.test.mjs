@@ -215,6 +215,10 @@ describe('every control', () => {
       'a: Two views side by side (.jpg)': async () => {
         assert.match(await page.locator('[data-view=sbs]').getAttribute('href'), /\/v1\/photos\/box\/view\?stereo=sbs&/);
       },
+      'a: A stereo photo for 3D displays (.mpo)': async () => {
+        assert.match(await page.locator('[data-view=mpo]').getAttribute('href'), /\?stereo=sbs&format=mpo&/);
+        assert.equal(await page.locator('[data-view=mpo]').getAttribute('download'), 'Another.mpo');
+      },
       'a: For a light-field display (.png)': async () => {
         assert.match(await page.locator('[data-view=quilt]').getAttribute('href'), /\?quilt=8x6&w=420&h=560&format=png&/);
         assert.match(await page.locator('[data-view=quilt]').getAttribute('download'), /_qs8x6a0\.75\.png$/);
