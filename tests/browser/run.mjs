@@ -12,8 +12,8 @@ const FOLDER = import.meta.dirname;
 const SLOWEST = 10;
 /** Time limit for a test file. */
 const FILE_MS = 10 * 60_000;
-/** Browser test files that run in parallel; software rendering uses all processors for one. */
-const BROWSER_CONCURRENCY = Number(process.env.TMPI_PAGES_AT_ONCE || 1);
+/** Browser test files that run in parallel: one alone leaves most of a processor idle while it waits. */
+const BROWSER_CONCURRENCY = Number(process.env.TMPI_PAGES_AT_ONCE || Math.min(2, availableParallelism()));
 /** Files with timing tests, which run alone. */
 const TIMED = /^(?:live|input)\/|^element\/room/;
 
