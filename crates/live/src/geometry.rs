@@ -37,6 +37,13 @@ pub const REST: Duration = Duration::from_millis(80);
 /// less than half the bytes and less flicker, and views of estimated depth are as good.
 pub const MAX_ERROR: f64 = 3.5;
 
+/// Milliseconds that the geometry of a room's frame may take, where nothing is said.
+/// `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3, 13.1 and 17.5 ms of processor a frame, views of 23.4, 23.3, 23.4 and 23.3 dB, flicker .070, .064, .054 and .080 levels, edges 2.1, 2.2, 2.1 and 2.2
+/// pixels short. At 640×480 12, 20, 30 and 45 (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short. With 20
+/// instead of 30 pictures come a sixth sooner where all share two cores (`glass-to-glass.mjs`); but at 640×480 there more tiles wait,
+/// and what moves is seen torn where they meet others more often.
+pub const BUDGET_MS: f64 = 20.0;
+
 /// Share of that error where depth is measured: planes are then what views lose the most by, and few.
 const MEASURED: f64 = 0.5;
 

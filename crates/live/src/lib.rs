@@ -31,6 +31,6 @@ pub mod video;
 
 pub use budget::{Budget, Share};
 pub use change::Tolerance;
-pub use geometry::{Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, REST, Settings, Update};
+pub use geometry::{BUDGET_MS, Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, REST, Settings, Update};
 pub use moved::moved;
 pub use settle::{SETTLES, Settling};

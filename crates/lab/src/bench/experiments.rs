@@ -22,6 +22,8 @@ struct Set {
     depth: Depth,
     /// Level of the container that is looked at.
     level: u8,
+    /// Place on the horizontal axis, where that is the setting itself.
+    at: Option<f64>,
     /// It is what ships.
     default: bool,
 }
@@ -29,7 +31,7 @@ struct Set {
 impl Set {
     fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
         let default = options == Options::default();
-        Self { words: words.into(), options, depth, level: 0, default }
+        Self { words: words.into(), options, depth, level: 0, at: None, default }
     }
 }
 
@@ -48,9 +50,9 @@ impl Plan {
         let mut curves = Vec::new();
         for (name, settings) in self.curves {
             let mut points: Vec<Point> = Vec::new();
-            for Set { words, options, depth, level, default } in settings {
+            for Set { words, options, depth, level, at, default } in settings {
                 let p = bench.point_of_level(subjects, &depth, &options, level, words, (x.label, y.label))?;
-                points.push(Point { default, ..p });
+                points.push(Point { default, x: at.unwrap_or(p.x), ..p });
             }
             curves.push(Curve { name: name.into(), points });
         }
@@ -82,13 +84,24 @@ fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Ve
 fn planes(quick: bool, axes: (Axis, Axis)) -> Plan {
     let n: &[u32] = if quick { &[1, 2, 4, 8] } else { &[1, 2, 3, 4, 6, 8, 12] };
     let mut curves: Vec<_> = METHODS.map(|(name, m)| (name, counts(m, name, n, TileSize::Pixels(64)))).into();
-    curves.push(("slanted, by error", errors(quick)));
+    curves.push(("slanted, by error", vec![known("--planes auto", |_| {})]));
     Plan {
         id: "planes",
         title: "Planes: how they are placed, and how many",
         about: "A fixed count of planes a tile by each method, and the fewest slanted planes that keep the parallax error.",
         axes,
         curves,
+    }
+}
+
+/// The error that planes may leave.
+fn max_error(quick: bool, axes: (Axis, Axis)) -> Plan {
+    Plan {
+        id: "max-error",
+        title: "Largest parallax error",
+        about: "How far, in pixels at the corners of the view box, planes may show a point from where it should be. A smaller error takes more planes.",
+        axes,
+        curves: vec![("slanted, by error", errors(quick))],
     }
 }
 
@@ -204,11 +217,11 @@ fn quality(quick: bool) -> Plan {
 }
 
 fn prune(quick: bool) -> Plan {
-    let all: &[f64] = if quick { &[0.015, 0.06, 0.12] } else { &[0.015, 0.045, 0.06, 0.12, 0.25] };
-    let one = |&v: &f64| {
-        known(format!("--view-box {v},{v},{v} --verify-prune"), |o| {
-            (o.view_box, o.verify_prune) = (ViewBox { x: v, y: v, z: v }, true);
-        })
+    let all: &[f64] = if quick { &[0.125, 0.5, 1.0] } else { &[0.125, 0.25, 0.5, 1.0, 2.0] };
+    let one = |&s: &f64| {
+        let v = scaled(s);
+        let words = format!("--view-box {},{},{} --verify-prune", v.x, v.y, v.z);
+        Set { default: v == Options::VIEW_BOX, ..known(words, |o| (o.view_box, o.verify_prune) = (v, true)) }
     };
     Plan {
         id: "prune",
@@ -222,12 +235,17 @@ fn prune(quick: bool) -> Plan {
     }
 }
 
+/// So many times the usual view box.
+fn scaled(by: f64) -> ViewBox {
+    let usual = Options::VIEW_BOX;
+    ViewBox { x: usual.x * by, y: usual.y * by, z: usual.z * by }
+}
+
 /// How far cameras may go, by what it costs.
 fn view_box(quick: bool) -> Plan {
-    let usual = Options::VIEW_BOX;
     let all: &[f64] = if quick { &[0.5, 1.0, 2.0] } else { &[0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0] };
     let one = |&s: &f64| {
-        let v = ViewBox { x: usual.x * s, y: usual.y * s, z: usual.z * s };
+        let v = scaled(s);
         known(format!("--view-box {},{},{}", v.x, v.y, v.z), |o| o.view_box = v)
     };
     Plan {
@@ -269,23 +287,31 @@ fn network(words: String, default: bool, settings: &models::Settings) -> Option<
     Some(Set { default, ..Set::new(words, Options::default(), Depth::By(models.depth)) })
 }
 
+const DEPTH_MS: Axis = Axis { label: "depth, ms", log: true, up: Some(false) };
+const DEPTH_ERROR: Axis = Axis { label: "disparity error, 1e-3", log: false, up: Some(false) };
+
 /// What can be set of the depth network.
-fn depth_settings(quick: bool, given: &models::Settings) -> Plan {
+fn depth_settings(quick: bool, given: &models::Settings) -> [Plan; 4] {
     let with = |change: &dyn Fn(&mut models::Settings)| {
         let mut settings = given.clone();
         change(&mut settings);
         settings
     };
     let own = |v: f64, own: f64| (v - own).abs() < 1e-12;
-    let numbers: &[f64] = if quick { &[0.0, 1.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
+    let numbers: &[f64] = if quick { &[0.0, 1.0, 2.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
     let smoothing = given.depth_smoothing.unwrap_or(given.depth.smoothing);
-    let smoothed = numbers.iter().map(|s| smoothing.max(0.01) * s);
-    let smoothed =
-        smoothed.filter_map(|s| network(format!("--depth-smoothing {s}"), own(s, smoothing), &with(&|n| n.depth_smoothing = Some(s))));
+    let at = |v: f64, set: Set| Set { at: Some(v), ..set };
+    let smoothed = numbers.iter().map(|s| smoothing.max(0.01) * s).filter_map(|s| {
+        network(format!("--depth-smoothing {s}"), own(s, smoothing), &with(&|n| n.depth_smoothing = Some(s))).map(|set| at(s, set))
+    });
     let ramp = given.depth_ramp.unwrap_or(given.depth.ramp);
-    let ramps = numbers.iter().map(|s| 0.25 * s).chain([ramp]);
-    let ramps = ramps.filter_map(|r| network(format!("--depth-ramp {r}"), own(r, ramp), &with(&|n| n.depth_ramp = Some(r))));
-    let areas: &[u32] = if quick { &[50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
+    let mut steps: Vec<f64> = numbers.iter().map(|s| 0.25 * s).chain([ramp]).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.dedup_by(|a, b| own(*a, *b));
+    let ramps = steps
+        .into_iter()
+        .filter_map(|r| network(format!("--depth-ramp {r}"), own(r, ramp), &with(&|n| n.depth_ramp = Some(r))).map(|set| at(r, set)));
+    let areas: &[u32] = if quick { &[25_000, 50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
     let mut pixels: Vec<Set> = areas
         .iter()
         .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), &with(&|n| n.depth_pixels = Some(p))))
@@ -293,16 +319,32 @@ fn depth_settings(quick: bool, given: &models::Settings) -> Plan {
     pixels.extend(network("its own size".into(), given.depth_pixels.is_none(), given));
     let flip = given.flip.unwrap_or(given.depth.flip);
     let flips = [false, true].into_iter().filter_map(|f| network(format!("--flip {f}"), f == flip, &with(&|n| n.flip = Some(f))));
-    Plan {
-        id: "network",
-        title: "Settings of the depth network",
-        about: "Size that the network works at, smoothing of its map, a vertical ramp added to it, and the mean with the mirrored photo.",
-        axes: (
-            Axis { label: "depth, ms", log: true, up: Some(false) },
-            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
+    let plan = |id, title, about, x, curve| Plan { id, title, about, axes: (x, DEPTH_ERROR), curves: vec![curve] };
+    let set = |label| Axis { label, log: false, up: None };
+    [
+        plan("depth-pixels", "Depth network: pixels", "How many pixels of the photo the network sees.", DEPTH_MS, ("pixels", pixels)),
+        plan(
+            "depth-smoothing",
+            "Depth network: smoothing",
+            "How strongly the network's map is smoothed up to the photo's edges. It takes as long at any strength above 0.",
+            set("--depth-smoothing"),
+            ("smoothing", smoothed.collect()),
         ),
-        curves: vec![("pixels", pixels), ("smoothing", smoothed.collect()), ("ramp", ramps.collect()), ("mirror image", flips.collect())],
-    }
+        plan(
+            "depth-ramp",
+            "Depth network: vertical ramp",
+            "How much of a ramp, nearer below, is added to the network's map. It takes no time.",
+            set("--depth-ramp"),
+            ("ramp", ramps.collect()),
+        ),
+        plan(
+            "depth-mirror",
+            "Depth network: mirror image",
+            "The network's map alone, and its mean with the map of the mirrored photo.",
+            DEPTH_MS,
+            ("mirror image", flips.collect()),
+        ),
+    ]
 }
 
 fn depth() -> Plan {
@@ -310,10 +352,7 @@ fn depth() -> Plan {
         id: "depth",
         title: "Depth network",
         about: "Disparity of the network against the exact one, after the best scale and shift.",
-        axes: (
-            Axis { label: "depth, ms", log: true, up: Some(false) },
-            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
-        ),
+        axes: (DEPTH_MS, DEPTH_ERROR),
         curves: vec![("estimated", vec![Set::new("as given by --depth-model", Options::default(), Depth::Estimated)])],
     }
 }
@@ -334,18 +373,53 @@ pub(super) fn on_scenes(
     let quick = settings.quick;
     // the first run of a process pays for its threads and its memory
     bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
-    let mut plans =
-        vec![planes(quick, (MS, VIEW)), tiles(quick), steps(bench.psi().is_some()), quality(quick), prune(quick), view_box(quick)];
+    let mut plans = vec![
+        max_error(quick, (MS, VIEW)),
+        planes(quick, (MS, VIEW)),
+        tiles(quick),
+        steps(bench.psi().is_some()),
+        quality(quick),
+        prune(quick),
+        view_box(quick),
+    ];
     plans.extend(sizes(quick));
     if let Err(reason) = networks::available() {
-        skipped.push(format!("depth and denoise networks: {}", brief(&reason)));
+        skipped.push(format!("denoise networks: {}", brief(&reason)));
     } else {
-        plans.extend([denoise(bench.models.theta.is_some()), depth(), depth_settings(quick, &settings.networks)]);
+        plans.push(denoise(bench.models.theta.is_some()));
     }
+    run(bench, scenes, plans, settings, progress)
+}
+
+/// Experiments on what the depth network makes of subjects whose disparity is known.
+pub(super) fn of_network(
+    bench: &Bench,
+    subjects: &[Subject],
+    settings: &Settings,
+    skipped: &mut Vec<String>,
+    progress: &dyn Fn(&str),
+) -> Result<Vec<Experiment>, BenchError> {
+    if let Err(reason) = networks::available() {
+        skipped.push(format!("depth network: {}", brief(&reason)));
+        return Ok(Vec::new());
+    }
+    let mut plans = vec![depth()];
+    plans.extend(depth_settings(settings.quick, &settings.networks));
+    run(bench, subjects, plans, settings, progress)
+}
+
+/// Those of the experiments that are asked for.
+fn run(
+    bench: &Bench,
+    subjects: &[Subject],
+    plans: Vec<Plan>,
+    settings: &Settings,
+    progress: &dyn Fn(&str),
+) -> Result<Vec<Experiment>, BenchError> {
     let mut all = Vec::new();
     for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {
         progress(plan.title);
-        all.push(plan.run(bench, scenes)?);
+        all.push(plan.run(bench, subjects)?);
     }
     Ok(all)
 }
@@ -361,7 +435,10 @@ pub(super) fn on_photos(
         skipped.push(format!("photos: {}", brief(&reason)));
         return Ok(Vec::new());
     }
-    let plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
+    let mut plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
+    if let Some((_, by_error)) = plan.curves.last_mut() {
+        *by_error = errors(true);
+    }
     progress(plan.title);
     Ok(vec![plan.run(bench, photos)?])
 }

@@ -11,6 +11,8 @@ mod drawing;
 mod efficiency;
 mod experiments;
 mod families;
+mod glance;
+mod live;
 mod machine;
 mod measure;
 mod mesh;
@@ -47,10 +49,11 @@ pub struct Settings {
 }
 
 /// Short names of the experiments, in the order in which they are done.
-pub const EXPERIMENTS: [&str; 24] = [
+pub const EXPERIMENTS: [&str; 29] = [
     "scaling",
     "efficiency",
     "clustering",
+    "max-error",
     "planes",
     "tiles",
     "steps",
@@ -62,7 +65,10 @@ pub const EXPERIMENTS: [&str; 24] = [
     "levels",
     "denoise",
     "depth",
-    "network",
+    "depth-pixels",
+    "depth-smoothing",
+    "depth-ramp",
+    "depth-mirror",
     "without",
     "labels",
     "moves",
@@ -72,6 +78,7 @@ pub const EXPERIMENTS: [&str; 24] = [
     "families",
     "drawing",
     "budget",
+    "live-budget",
 ];
 
 impl Settings {
@@ -174,6 +181,9 @@ pub enum BenchError {
     /// A container could not be read back.
     #[error(transparent)]
     Atlas(#[from] tmpi_core::container::ContainerError),
+    /// A room could not be run.
+    #[error(transparent)]
+    Room(#[from] crate::live::LiveBenchError),
     /// A scene could not be written as a picture.
     #[error("writing a scene: {0}")]
     Picture(String),
@@ -222,7 +232,10 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let photos = subject::photos(&settings.photos, settings.quick)?;
     let bench = measure::Bench { models: &settings.models, repeats };
     let mut experiments = first;
+    let known = photos.iter().any(|p| p.disparity.is_some());
+    let measured = if known { &photos } else { &scenes };
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
+    experiments.extend(experiments::of_network(&bench, measured, settings, &mut skipped, progress)?);
     if wants("ramps") {
         experiments.push(ramps::run(&bench, &scenes, progress)?);
     }
@@ -245,8 +258,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
         experiments.extend(mesh::against(&bench, &photos, progress)?);
     }
     if wants("discretisation") {
-        let known = photos.iter().any(|p| p.disparity.is_some());
-        experiments.push(discretisation::run(&bench, if known { &photos } else { &scenes }, progress)?);
+        experiments.push(discretisation::run(&bench, measured, progress)?);
     }
     if wants("drawing") {
         experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
@@ -255,6 +267,9 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     if wants("budget") {
         experiments.push(costs::kept(&bench, &scenes, progress)?);
         costs = Some(costs::fitted(&bench, &scenes, progress)?);
+    }
+    if wants("live-budget") {
+        experiments.push(live::budget(&settings.models, settings.quick, &mut skipped, progress)?);
     }
     experiments.extend(scaling);
     for e in &mut experiments {
@@ -273,14 +288,19 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
 }
 
 impl Experiment {
-    /// Marks the points that no other one beats in both directions.
+    /// Marks the points that no other one that can be compared with them beats in both directions.
     pub(crate) fn mark(&mut self) {
         let (Some(x_up), Some(y_up)) = (self.x.up, self.y.up) else { return };
         let score = |p: &Point| (if x_up { p.x } else { -p.x }, if y_up { p.y } else { -p.y });
+        let apart = self.is_apart();
         let all: Vec<(f64, f64)> = self.curves.iter().flat_map(|c| &c.points).map(score).collect();
-        for p in self.curves.iter_mut().flat_map(|c| &mut c.points) {
-            let (x, y) = score(p);
-            p.pareto = !all.iter().any(|&(a, b)| a >= x && b >= y && (a > x || b > y));
+        for c in &mut self.curves {
+            let own: Vec<(f64, f64)> = c.points.iter().map(score).collect();
+            let others = if apart { &own } else { &all };
+            for p in &mut c.points {
+                let (x, y) = score(p);
+                p.pareto = !others.iter().any(|&(a, b)| a >= x && b >= y && (a > x || b > y));
+            }
         }
     }
 }
