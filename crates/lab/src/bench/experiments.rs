@@ -4,7 +4,7 @@ use super::measure::{Bench, Depth};
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, Settings};
 use tmpi_core::{DisparityMap, ViewBox};
-use tmpi_pipeline::networks::{self, models};
+use tmpi_pipeline::networks;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 const MS: Axis = Axis { label: "making, ms", log: true, up: Some(false) };
@@ -15,7 +15,7 @@ const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
 /// A point of a curve.
-struct Set {
+pub(super) struct Set {
     /// As on the command line.
     words: String,
     options: Options,
@@ -23,25 +23,25 @@ struct Set {
     /// Level of the container that is looked at.
     level: u8,
     /// Place on the horizontal axis, where that is the setting itself.
-    at: Option<f64>,
+    pub at: Option<f64>,
     /// It is what ships.
-    default: bool,
+    pub default: bool,
 }
 
 impl Set {
-    fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
+    pub fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
         let default = options == Options::default();
         Self { words: words.into(), options, depth, level: 0, at: None, default }
     }
 }
 
 /// One experiment to be.
-struct Plan {
-    id: &'static str,
-    title: &'static str,
-    about: &'static str,
-    axes: (Axis, Axis),
-    curves: Vec<(&'static str, Vec<Set>)>,
+pub(super) struct Plan {
+    pub id: &'static str,
+    pub title: &'static str,
+    pub about: &'static str,
+    pub axes: (Axis, Axis),
+    pub curves: Vec<(&'static str, Vec<Set>)>,
 }
 
 impl Plan {
@@ -281,84 +281,8 @@ fn sizes(quick: bool) -> [Plan; 2] {
     ]
 }
 
-/// A network that is given a setting.
-fn network(words: String, default: bool, settings: &models::Settings) -> Option<Set> {
-    let models = models::load(settings).ok()?;
-    Some(Set { default, ..Set::new(words, Options::default(), Depth::By(models.depth)) })
-}
-
-const DEPTH_MS: Axis = Axis { label: "depth, ms", log: true, up: Some(false) };
-const DEPTH_ERROR: Axis = Axis { label: "disparity error, 1e-3", log: false, up: Some(false) };
-
-/// What can be set of the depth network.
-fn depth_settings(quick: bool, given: &models::Settings) -> [Plan; 4] {
-    let with = |change: &dyn Fn(&mut models::Settings)| {
-        let mut settings = given.clone();
-        change(&mut settings);
-        settings
-    };
-    let own = |v: f64, own: f64| (v - own).abs() < 1e-12;
-    let numbers: &[f64] = if quick { &[0.0, 1.0, 2.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
-    let smoothing = given.depth_smoothing.unwrap_or(given.depth.smoothing);
-    let at = |v: f64, set: Set| Set { at: Some(v), ..set };
-    let smoothed = numbers.iter().map(|s| smoothing.max(0.01) * s).filter_map(|s| {
-        network(format!("--depth-smoothing {s}"), own(s, smoothing), &with(&|n| n.depth_smoothing = Some(s))).map(|set| at(s, set))
-    });
-    let ramp = given.depth_ramp.unwrap_or(given.depth.ramp);
-    let mut steps: Vec<f64> = numbers.iter().map(|s| 0.25 * s).chain([ramp]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.dedup_by(|a, b| own(*a, *b));
-    let ramps = steps
-        .into_iter()
-        .filter_map(|r| network(format!("--depth-ramp {r}"), own(r, ramp), &with(&|n| n.depth_ramp = Some(r))).map(|set| at(r, set)));
-    let areas: &[u32] = if quick { &[25_000, 50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
-    let mut pixels: Vec<Set> = areas
-        .iter()
-        .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), &with(&|n| n.depth_pixels = Some(p))))
-        .collect();
-    pixels.extend(network("its own size".into(), given.depth_pixels.is_none(), given));
-    let flip = given.flip.unwrap_or(given.depth.flip);
-    let flips = [false, true].into_iter().filter_map(|f| network(format!("--flip {f}"), f == flip, &with(&|n| n.flip = Some(f))));
-    let plan = |id, title, about, x, curve| Plan { id, title, about, axes: (x, DEPTH_ERROR), curves: vec![curve] };
-    let set = |label| Axis { label, log: false, up: None };
-    [
-        plan("depth-pixels", "Depth network: pixels", "How many pixels of the photo the network sees.", DEPTH_MS, ("pixels", pixels)),
-        plan(
-            "depth-smoothing",
-            "Depth network: smoothing",
-            "How strongly the network's map is smoothed up to the photo's edges. It takes as long at any strength above 0.",
-            set("--depth-smoothing"),
-            ("smoothing", smoothed.collect()),
-        ),
-        plan(
-            "depth-ramp",
-            "Depth network: vertical ramp",
-            "How much of a ramp, nearer below, is added to the network's map. It takes no time.",
-            set("--depth-ramp"),
-            ("ramp", ramps.collect()),
-        ),
-        plan(
-            "depth-mirror",
-            "Depth network: mirror image",
-            "The network's map alone, and its mean with the map of the mirrored photo.",
-            DEPTH_MS,
-            ("mirror image", flips.collect()),
-        ),
-    ]
-}
-
-fn depth() -> Plan {
-    Plan {
-        id: "depth",
-        title: "Depth network",
-        about: "Disparity of the network against the exact one, after the best scale and shift.",
-        axes: (DEPTH_MS, DEPTH_ERROR),
-        curves: vec![("estimated", vec![Set::new("as given by --depth-model", Options::default(), Depth::Estimated)])],
-    }
-}
-
 /// The first words of a reason: a list of all places that were searched is of no use here.
-fn brief(reason: &impl std::fmt::Display) -> String {
+pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
     reason.to_string().split(':').next().unwrap_or_default().to_owned()
 }
 
@@ -391,25 +315,8 @@ pub(super) fn on_scenes(
     run(bench, scenes, plans, settings, progress)
 }
 
-/// Experiments on what the depth network makes of subjects whose disparity is known.
-pub(super) fn of_network(
-    bench: &Bench,
-    subjects: &[Subject],
-    settings: &Settings,
-    skipped: &mut Vec<String>,
-    progress: &dyn Fn(&str),
-) -> Result<Vec<Experiment>, BenchError> {
-    if let Err(reason) = networks::available() {
-        skipped.push(format!("depth network: {}", brief(&reason)));
-        return Ok(Vec::new());
-    }
-    let mut plans = vec![depth()];
-    plans.extend(depth_settings(settings.quick, &settings.networks));
-    run(bench, subjects, plans, settings, progress)
-}
-
 /// Those of the experiments that are asked for.
-fn run(
+pub(super) fn run(
     bench: &Bench,
     subjects: &[Subject],
     plans: Vec<Plan>,

@@ -16,6 +16,7 @@ mod live;
 mod machine;
 mod measure;
 mod mesh;
+mod network;
 mod page;
 mod plot;
 mod ramps;
@@ -235,7 +236,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let known = photos.iter().any(|p| p.disparity.is_some());
     let measured = if known { &photos } else { &scenes };
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
-    experiments.extend(experiments::of_network(&bench, measured, settings, &mut skipped, progress)?);
+    experiments.extend(network::run(&bench, measured, settings, &mut skipped, progress)?);
     if wants("ramps") {
         experiments.push(ramps::run(&bench, &scenes, progress)?);
     }

@@ -191,9 +191,8 @@ mod tests {
         assert!(failed(|c| fill(c, faulty(|scene| scene.texels.hidden.iter_mut().for_each(|p| *p = [250; 3])))) > 0);
         assert!(failed(|c| rounding(c, |p| Plane { a: p.a + 4.0 * Plane::STEP, ..*p }.quantised())) > 0);
         assert!(failed(|c| rounding(c, |p| *p)) > 0);
-        let eight_bits = |map: &DisparityMap| {
-            Some(DisparityMap { delta: map.delta.iter().map(|d| (d * 255.0).round() / 255.0).collect(), ..*map })
-        };
+        let eight_bits =
+            |map: &DisparityMap| Some(DisparityMap { delta: map.delta.iter().map(|d| (d * 255.0).round() / 255.0).collect(), ..*map });
         assert!(failed(|c| sixteen_bits(c, eight_bits)) > 0);
         let none = Hosts { all: Vec::new() };
         let hole = faulty(|scene| drop(scene.layers.pop()));

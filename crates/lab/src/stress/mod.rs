@@ -23,12 +23,12 @@ use std::time::Instant;
 use serde::Serialize;
 
 pub use raycast::{cast, cast_in_layer_order};
-use tmpi_pipeline::Models;
 #[cfg(test)]
 use tmpi_core::{Camera, Scene};
+use tmpi_pipeline::Models;
+use tmpi_render::{Cpu, Gpu, Reference, Renderer};
 #[cfg(test)]
 use tmpi_render::{RenderError, View};
-use tmpi_render::{Cpu, Gpu, Reference, Renderer};
 
 /// What became of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -60,7 +60,10 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
             .collect();
         let worst = |s: usize, wanted: &dyn Fn(usize) -> bool| {
             let share = |c: usize| shares[s][c];
-            (0..names.len()).filter(|&c| wanted(c)).max_by(|a, b| share(*a).total_cmp(&share(*b))).map_or(("no camera", 0.0), |c| (names[c], share(c)))
+            (0..names.len())
+                .filter(|&c| wanted(c))
+                .max_by(|a, b| share(*a).total_cmp(&share(*b)))
+                .map_or(("no camera", 0.0), |c| (names[c], share(c)))
         };
         let mut told = |s: usize, order: &str, (camera, share): (&str, f64)| {
             let name = format!("{}{order}, worst of {}: {camera}", scenes[s].0, names.len());
