@@ -15,6 +15,7 @@ mod glance;
 mod live;
 mod machine;
 mod measure;
+mod measuring;
 mod mesh;
 mod network;
 mod page;
@@ -50,7 +51,7 @@ pub struct Settings {
 }
 
 /// Short names of the experiments, in the order in which they are done.
-pub const EXPERIMENTS: [&str; 29] = [
+pub const EXPERIMENTS: [&str; 30] = [
     "scaling",
     "efficiency",
     "clustering",
@@ -80,6 +81,7 @@ pub const EXPERIMENTS: [&str; 29] = [
     "drawing",
     "budget",
     "live-budget",
+    "measuring",
 ];
 
 impl Settings {
@@ -271,6 +273,9 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     }
     if wants("live-budget") {
         experiments.push(live::budget(&settings.models, settings.quick, &mut skipped, progress)?);
+    }
+    if wants("measuring") {
+        experiments.push(measuring::run(&bench, &scenes, settings.quick, progress)?);
     }
     experiments.extend(scaling);
     for e in &mut experiments {

@@ -10,7 +10,9 @@ use tmpi_pipeline::networks::models;
 /// Measure second views against the truth: this program, plain multiplane images and a mesh, on scenes whose views are known
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct EvalArgs {
-    /// Folders of scenes: those of `tmpi-lab synth --views N`, or rectified stereo pairs (`left.png`, `right.png`, `disp_left.png`, `meta.json`)
+    /// Folders of scenes: those of `tmpi-lab synth --views N`, rectified stereo pairs (`left.png`, `right.png`, `disp_left.png`, `meta.json`), light
+    /// fields (`cameras.json`), frames of a depth camera with poses (`camera-intrinsics.txt`), or pictures of two eyes (`NAME-left.jpg` with
+    /// `NAME-right.jpg`, `NAME.left-right.jpg`)
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Where depth comes from

@@ -222,3 +222,29 @@ fn what_making_took_is_below_the_bound_that_it_was_admitted_by() {
     // six planes a tile of noise
     assert_eq!(report.memory_bound_bytes, options.memory_with(&Sizes::of_photo((200, 150)), None, 6));
 }
+
+/// A map of which so large a share of the tiles needs many planes.
+fn busy(share: f64) -> DisparityMap {
+    map(500, 400, move |x, y| if f64::from(x) < share * 500.0 { noise(x, y) } else { 0.5 })
+}
+
+#[test]
+fn no_budget_costs_more_than_none_however_busy_a_photo_is() {
+    for share in [0.0, 0.5, 0.9] {
+        let make = |budget_ms| made(&photo(500, 400), &busy(share), &Options { budget_ms, ..plain() }).report;
+        let plenty = make(Some(1e7));
+        let told = |report: &Report| report.budget.clone().unwrap();
+        assert!((told(&plenty).busy - share).abs() < 0.1, "{share}: {:?}", told(&plenty));
+        assert_eq!(plenty.error.planes.bound_px, Some(Options::MAX_ERROR));
+        let free = make(None);
+        assert_eq!((plenty.planes, plenty.bytes.total), (free.planes, free.bytes.total), "{share}: what is enough changes nothing");
+        for asked in [1.0, 30.0, 60.0] {
+            let hurried = make(Some(asked));
+            let (size, whole) = (hurried.width * hurried.height, free.width * free.height);
+            assert!(hurried.planes <= free.planes && size <= whole && hurried.bytes.total <= free.bytes.total, "{share}, {asked} ms");
+        }
+        // one plane does for all tiles of a flat photo whatever the error: to give it up would gain nothing
+        let bound = make(Some(1.0)).error.planes.bound_px.unwrap();
+        assert_eq!(bound > Options::MAX_ERROR, share > 0.0, "{share}: {bound}");
+    }
+}
