@@ -24,6 +24,9 @@ pub(super) struct EvalArgs {
     /// Also LPIPS by this network: an ONNX file with two inputs [1, 3, height, width] in −1 to 1
     #[arg(long, value_name = "FILE.onnx")]
     lpips: Option<PathBuf>,
+    /// Write the true views and those of every way to this folder
+    #[arg(long, value_name = "DIR")]
+    files: Option<PathBuf>,
     /// The figures as JSON, scene by scene
     #[arg(long)]
     json: bool,
@@ -33,7 +36,7 @@ pub(super) struct EvalArgs {
 
 pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let models = models::load(&args.models.settings())?;
-    let settings = Settings { depth: args.depth, only: args.only.clone(), lpips: args.lpips.clone() };
+    let settings = Settings { depth: args.depth, only: args.only.clone(), lpips: args.lpips.clone(), files: args.files.clone() };
     let results = eval::run(&models, &args.folders, &settings, &|scene| note(&format!("tmpi-lab eval: {scene}")))?;
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }

@@ -173,6 +173,8 @@ pub struct Settings {
     pub only: Vec<String>,
     /// A network for LPIPS as an ONNX file.
     pub lpips: Option<PathBuf>,
+    /// A folder for the views of every way and the true ones, as PNG files.
+    pub files: Option<PathBuf>,
 }
 
 /// Measures the ways named, or all, on all scenes below the folders.
@@ -180,7 +182,7 @@ pub struct Settings {
 /// # Errors
 /// [`EvalError`].
 pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, EvalError> {
-    let Settings { depth, only, lpips } = settings;
+    let Settings { depth, only, lpips, files } = settings;
     let depth = *depth;
     let lpips = lpips.as_deref().map(lpips_network).transpose()?;
     if let Some(unknown) = only.iter().find(|o| !names().contains(&o.as_str())) {
@@ -205,11 +207,16 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
             }
             let photo = photo(&case)?;
             let mut own: Vec<Vec<Score>> = vec![Vec::new(); all.len()];
-            for truth in &case.views {
+            for (view, truth) in case.views.iter().enumerate() {
                 let exact = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST);
                 let mask = Mask::new(truth.camera.width as usize, &exact.covered);
                 let parts = Parts::new(&exact, &truth.camera);
-                let scored = |m| scored(m, &case, truth, (&mask, &parts), depth, lpips.as_ref());
+                let write = |name: &str, rgb: &[[u8; 3]]| match files {
+                    Some(folder) => written(&folder.join(&case.name).join(view.to_string()), name, &truth.camera, rgb),
+                    None => Ok(()),
+                };
+                write("true", &truth.rgb)?;
+                let scored = |m: &Made| scored(m, &case, truth, (&mask, &parts), depth, lpips.as_ref(), &write);
                 let drawn: Vec<Scored> = all.iter().map(scored).collect::<Result<_, _>>()?;
                 if drawn.iter().any(|d| d.blank > BLANK) {
                     blank += 1;
@@ -324,15 +331,24 @@ fn scored(
     (mask, parts): (&Mask, &Parts),
     depth: Depth,
     lpips: Option<&Session>,
+    write: &dyn Fn(&str, &[[u8; 3]]) -> Result<(), EvalError>,
 ) -> Result<Scored, EvalError> {
     let camera = if depth == Depth::Own { seen(&truth.camera, Fit::new(&made.disparity, &case.truth)) } else { truth.camera };
     let start = Instant::now();
     let drawn = draw(made, &case.intrinsics, &camera)?;
     let ms = start.elapsed().as_secs_f64() * 1e3;
+    write(made.row.way, &drawn.rgb)?;
     let mut score = mask.score(&drawn.rgb, &truth.rgb);
     score.lpips = lpips.map(|network| mask.lpips(network, &drawn.rgb, &truth.rgb)).transpose()?;
     let sources = parts.sources(&drawn.rgb, &truth.rgb, mask.inside());
     Ok(Scored { score, sources, blank: mask.share(|i| drawn.blank[i]), ms })
+}
+
+fn written(folder: &Path, name: &str, camera: &Camera, rgb: &[[u8; 3]]) -> Result<(), EvalError> {
+    let path = folder.join(format!("{name}.png"));
+    std::fs::create_dir_all(folder).map_err(|e| EvalError::file(folder, &e))?;
+    image::save_buffer(&path, rgb.as_flattened(), camera.width, camera.height, image::ExtendedColorType::Rgb8)
+        .map_err(|e| EvalError::file(&path, &e))
 }
 
 /// The camera that sees a scene of estimated disparity δ, which has neither scale nor zero, where `camera` sees the true one,

@@ -225,7 +225,9 @@ fn what_making_took_is_below_the_bound_that_it_was_admitted_by() {
 
 /// A map of which so large a share of the tiles needs many planes.
 fn busy(share: f64) -> DisparityMap {
-    map(500, 400, move |x, y| if f64::from(x) < share * 500.0 { noise(x, y) } else { 0.5 })
+    // nine tiles a row, 56 pixels apart
+    let columns = (share * 9.0).round() as u32;
+    map(500, 400, move |x, y| if x < columns * 56 { noise(x, y) } else { 0.5 })
 }
 
 #[test]
