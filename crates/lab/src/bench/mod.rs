@@ -12,7 +12,6 @@ mod efficiency;
 mod experiments;
 mod families;
 mod glance;
-mod live;
 mod machine;
 mod measure;
 mod measuring;
@@ -50,7 +49,7 @@ pub struct Settings {
     pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
-/// Short names of the experiments, in the order in which they are done.
+/// Short names of the experiments, in the order in which they are done. `live-budget` is [`crate::live::budget`]'s.
 pub const EXPERIMENTS: [&str; 30] = [
     "scaling",
     "efficiency",
@@ -80,12 +79,14 @@ pub const EXPERIMENTS: [&str; 30] = [
     "families",
     "drawing",
     "budget",
-    "live-budget",
     "measuring",
+    "live-budget",
 ];
 
 impl Settings {
-    fn wants(&self, experiment: &str) -> bool {
+    /// Whether an experiment is asked for.
+    #[must_use]
+    pub fn wants(&self, experiment: &str) -> bool {
         self.only.is_empty() || self.only.iter().any(|o| o == experiment)
     }
 }
@@ -184,9 +185,6 @@ pub enum BenchError {
     /// A container could not be read back.
     #[error(transparent)]
     Atlas(#[from] tmpi_core::container::ContainerError),
-    /// A room could not be run.
-    #[error(transparent)]
-    Room(#[from] crate::live::LiveBenchError),
     /// A scene could not be written as a picture.
     #[error("writing a scene: {0}")]
     Picture(String),
@@ -270,9 +268,6 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     if wants("budget") {
         experiments.push(costs::kept(&bench, &scenes, progress)?);
         costs = Some(costs::fitted(&bench, &scenes, progress)?);
-    }
-    if wants("live-budget") {
-        experiments.push(live::budget(&settings.models, settings.quick, &mut skipped, progress)?);
     }
     if wants("measuring") {
         experiments.push(measuring::run(&bench, &scenes, settings.quick, progress)?);

@@ -1,6 +1,7 @@
 //! `tmpi-lab live-bench`: rendered sequences, encoded, through the driver of a room to a reader, with error against time and bytes.
 
 pub mod baseline;
+pub mod budget;
 pub mod damaged;
 pub mod encode;
 mod measure;

@@ -1,8 +1,8 @@
 //! What a budget of milliseconds makes of a room's frames.
 
-use super::{Axis, BenchError, Curve, Experiment, Point};
-use crate::live::sweep::{self, OperatingPoint};
-use crate::live::{self, NAMES, SEED};
+use super::sweep::{self, OperatingPoint};
+use super::{LiveBenchError, NAMES, SEED, Settings};
+use crate::bench::{Axis, Curve, Experiment, Point};
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks;
 
@@ -12,9 +12,12 @@ const BITRATE: u32 = 384_000;
 /// Times the usual budget; the last stands for none.
 const BUDGETS: [f64; 6] = [0.25, 0.4, 0.6, 1.0, 1.5, 0.0];
 
-/// A sequence each at several budgets.
-pub(super) fn budget(models: &Models, quick: bool, skipped: &mut Vec<String>, progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    let settings = live::Settings {
+/// Rendered sequences at several budgets; one and fewer frames where it is to be quick. What cannot be measured is added to `skipped`.
+///
+/// # Errors
+/// [`LiveBenchError`].
+pub fn experiment(models: &Models, quick: bool, skipped: &mut Vec<String>, progress: &dyn Fn(&str)) -> Result<Experiment, LiveBenchError> {
+    let settings = Settings {
         size: SIZE,
         seed: SEED,
         frames: if quick { 30 } else { 150 },
@@ -38,7 +41,7 @@ pub(super) fn budget(models: &Models, quick: bool, skipped: &mut Vec<String>, pr
     let found = sweep::measure(&settings, &at, &|what| progress(&format!("budget of a room: {what}")))?;
     skipped.extend(found.skipped.iter().cloned());
     let curves = found.curves(|f| f.server_ms).into_iter().map(|c| Curve { points: marked(c.points, &at), ..c });
-    Ok(Experiment {
+    let mut experiment = Experiment {
         id: "live-budget",
         title: "Budget of a room's frames".into(),
         about: format!(
@@ -49,7 +52,9 @@ pub(super) fn budget(models: &Models, quick: bool, skipped: &mut Vec<String>, pr
         x: Axis { label: "server, ms a frame", log: true, up: Some(false) },
         y: Axis { label: "view, dB", log: false, up: Some(true) },
         curves: curves.collect(),
-    })
+    };
+    experiment.mark();
+    Ok(experiment)
 }
 
 /// The points of a sequence, with that of the usual budget told.
