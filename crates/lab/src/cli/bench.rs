@@ -82,7 +82,8 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let told = |what: &str| note(&format!("tmpi-lab bench: {what}"));
     let mut results = bench::run(&settings, &told)?;
     if settings.wants("live-budget") {
-        results.experiments.push(budget::experiment(&settings.models, args.quick, &mut results.skipped, &told)?);
+        let rooms = models::load(&args.models.settings_of_rooms())?;
+        results.experiments.push(budget::experiment(&rooms, args.quick, &mut results.skipped, &told)?);
     }
     write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
     write(&args.output.join("results.csv"), results.csv().as_bytes())?;
