@@ -17,11 +17,11 @@ const METHODS: [(&str, PlaneMethod); 4] =
 /// A point of a curve.
 pub(super) struct Set {
     /// As on the command line.
-    words: String,
-    options: Options,
-    depth: Depth,
+    pub words: String,
+    pub options: Options,
+    pub depth: Depth,
     /// Level of the container that is looked at.
-    level: u8,
+    pub level: u8,
     /// Place on the horizontal axis, where that is the setting itself.
     pub at: Option<f64>,
     /// It is what ships.

@@ -1,12 +1,12 @@
 //! Whether a default is what its curve speaks for.
 
-use super::{Axis, Curve, Experiment, Point};
+use super::{Axis, Experiment, Point};
 
 /// Gains below this share of a time or a size, and below this share of an error or a quality, are none: two runs differ by as much.
 const NOISE: [f64; 2] = [0.03, 0.002];
 
 /// What an experiment says of a default.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub(super) struct Verdict<'a> {
     /// Curve of the default, where there are several.
     pub curve: Option<&'a str>,
@@ -56,6 +56,7 @@ fn gain(axis: &Axis, value: f64, than: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Curve;
     use super::*;
 
     fn experiment(x_up: Option<bool>, curves: &[&[(f64, f64, bool)]]) -> Experiment {

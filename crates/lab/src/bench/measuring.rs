@@ -61,7 +61,10 @@ fn of(bench: &Bench, s: &Subject) -> Result<Vec<(&'static str, f64)>, BenchError
     };
     // of a step that changes nothing nothing is measured
     let steps = [made.report.error.denoise, made.report.error.snap].iter().flatten().count();
-    let maps = steps as f64 * timed(&|| drop(std::hint::black_box(movement.between(&raw.disparity, &made.disparity))));
+    let maps = steps as f64
+        * timed(&|| {
+            std::hint::black_box(movement.between(&raw.disparity, &made.disparity));
+        });
     let planes = timed(&|| {
         std::hint::black_box(movement.of_planes(&made.disparity, &geometry));
         std::hint::black_box(discretisation_error(&made.disparity, &geometry.grid, &geometry.tiles));

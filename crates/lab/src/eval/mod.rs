@@ -211,12 +211,11 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
                 let exact = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST);
                 let mask = Mask::new(truth.camera.width as usize, &exact.covered);
                 let parts = Parts::new(&exact, &truth.camera);
-                let write = |name: &str, rgb: &[[u8; 3]]| match files {
-                    Some(folder) => written(&folder.join(&case.name).join(view.to_string()), name, &truth.camera, rgb),
-                    None => Ok(()),
-                };
-                write("true", &truth.rgb)?;
-                let scored = |m: &Made| scored(m, &case, truth, (&mask, &parts), depth, lpips.as_ref(), &write);
+                let folder = files.as_ref().map(|folder| folder.join(&case.name).join(view.to_string()));
+                if let Some(folder) = &folder {
+                    written(folder, "true", &truth.camera, &truth.rgb)?;
+                }
+                let scored = |m: &Made| scored(m, &case, truth, (&mask, &parts), depth, lpips.as_ref(), folder.as_deref());
                 let drawn: Vec<Scored> = all.iter().map(scored).collect::<Result<_, _>>()?;
                 if drawn.iter().any(|d| d.blank > BLANK) {
                     blank += 1;
@@ -331,13 +330,15 @@ fn scored(
     (mask, parts): (&Mask, &Parts),
     depth: Depth,
     lpips: Option<&Session>,
-    write: &dyn Fn(&str, &[[u8; 3]]) -> Result<(), EvalError>,
+    folder: Option<&Path>,
 ) -> Result<Scored, EvalError> {
     let camera = if depth == Depth::Own { seen(&truth.camera, Fit::new(&made.disparity, &case.truth)) } else { truth.camera };
     let start = Instant::now();
     let drawn = draw(made, &case.intrinsics, &camera)?;
     let ms = start.elapsed().as_secs_f64() * 1e3;
-    write(made.row.way, &drawn.rgb)?;
+    if let Some(folder) = folder {
+        written(folder, made.row.way, &camera, &drawn.rgb)?;
+    }
     let mut score = mask.score(&drawn.rgb, &truth.rgb);
     score.lpips = lpips.map(|network| mask.lpips(network, &drawn.rgb, &truth.rgb)).transpose()?;
     let sources = parts.sources(&drawn.rgb, &truth.rgb, mask.inside());

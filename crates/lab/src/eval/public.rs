@@ -47,11 +47,11 @@ pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, Eval
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if let Some(name) = file.strip_suffix("-left.jpg") {
             let second = bytes(&path.with_file_name(format!("{name}-right.jpg")))?;
-            cases.extend(eyes(name, eye(&bytes(&path)?, &path)?, eye(&second, &path)?, depth)?);
+            cases.extend(eyes(name, &eye(&bytes(&path)?, &path)?, &eye(&second, &path)?, depth)?);
         } else if let Some(name) = file.strip_suffix(".left-right.jpg") {
             let both = decode(&bytes(&path)?, &Limits::default(), Some(2 * EYE)).map_err(|e| EvalError::file(&path, &e))?.photo;
             if let Some((first, second)) = Halves::LeftRight.split(&both) {
-                cases.extend(eyes(name, first, second, depth)?);
+                cases.extend(eyes(name, &first, &second, depth)?);
             }
         }
     }
@@ -139,9 +139,9 @@ fn light_field(folder: &Path, depth: &dyn Estimator) -> Result<Case, EvalError> 
 }
 
 /// None where measuring the two against each other tells nothing.
-fn eyes(name: &str, first: Photo, second: Photo, depth: &dyn Estimator) -> Result<Option<Case>, EvalError> {
-    let second = on_rows(&first, &second);
-    let Some(measured) = measured(&first, &second, depth)? else { return Ok(None) };
+fn eyes(name: &str, first: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Case>, EvalError> {
+    let second = on_rows(first, second);
+    let Some(measured) = measured(first, &second, depth)? else { return Ok(None) };
     let (width, height) = (first.width, first.height);
     let intrinsics = Intrinsics::centred(width, height, FOCAL * f64::from(width));
     let mut photo = Vec::new();

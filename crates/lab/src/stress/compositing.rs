@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_fault_of_a_renderer_is_caught() {
-        let right = Faulty::hosts(|cpu, scene, camera| cpu.render(scene, camera));
+        let right = Faulty::hosts(Renderer::render);
         assert_eq!(failed(|c| run(c, &right)), 0);
         // of equals the first lies in front
         let first = Faulty::hosts(|cpu, scene, camera| {

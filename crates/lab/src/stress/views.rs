@@ -140,8 +140,7 @@ mod tests {
 
     #[test]
     fn a_fault_of_a_renderer_is_caught() {
-        let right: fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError> = |cpu, scene, camera| cpu.render(scene, camera);
-        assert!(!noticed(near, right) && !noticed(refusals, right));
+        assert!(!noticed(near, Renderer::render) && !noticed(refusals, Renderer::render));
         // a surface is lost where it comes near
         assert!(noticed(near, |cpu, scene, camera| {
             let mut view = cpu.render(scene, camera)?;
