@@ -95,7 +95,7 @@ pub fn close(deltas: &[f64]) -> Scene {
 
 /// Pixels that lie on either of two disparities by chance; hidden texels behind the near ones.
 fn noise([far, near]: [f64; 2]) -> Scene {
-    let mut b = Builder::new(Grid::new(100, 70, 64));
+    let mut b = Builder::new(Grid::new(200, 120, 64));
     let is_near = |x: u32, y: u32| {
         let i = (x * 71 + y).wrapping_mul(2_654_435_761);
         (i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 31 == 1
