@@ -208,9 +208,9 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
             let photo = photo(&case)?;
             let mut own: Vec<Vec<Score>> = vec![Vec::new(); all.len()];
             for (view, truth) in case.views.iter().enumerate() {
-                let exact = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST);
-                let mask = Mask::new(truth.camera.width as usize, &exact.covered);
-                let parts = Parts::new(&exact, &truth.camera);
+                let warp = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST);
+                let mask = Mask::new(truth.camera.width as usize, &warp.covered);
+                let parts = Parts::new(&warp, &truth.camera);
                 let folder = files.as_ref().map(|folder| folder.join(&case.name).join(view.to_string()));
                 if let Some(folder) = &folder {
                     written(folder, "true", &truth.camera, &truth.rgb)?;

@@ -67,7 +67,7 @@ impl<'a> Parts<'a> {
         let aside = |f: f64, t: f64, half: f64| f * t.abs() + half * p.tz.abs();
         let most = aside(k.fx, p.tx, w as f64 / 2.0).max(aside(k.fy, p.ty, h as f64 / 2.0));
         let apart = |a: usize, b: usize| match (warp.covered[a], warp.covered[b]) {
-            (true, true) => (warp.disparity[a] - warp.disparity[b]).abs() * most > STEP,
+            (true, true) => (warp.depth[a] - warp.depth[b]).abs() * most > STEP,
             (a, b) => a != b,
         };
         let edge = |i: usize| (i % w + 1 < w && apart(i, i + 1)) || (i / w + 1 < h && apart(i, i + w));
