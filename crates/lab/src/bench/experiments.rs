@@ -1,4 +1,4 @@
-//! What is varied.
+//! Definitions of the experiments.
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
@@ -7,24 +7,24 @@ use tmpi_core::{DisparityMap, ViewBox};
 use tmpi_pipeline::networks;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
-const MS: Axis = Axis { label: "making, ms", log: true, up: Some(false) };
+const MS: Axis = Axis { label: "processing, ms", log: true, up: Some(false) };
 const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };
 const PARALLAX: Axis = Axis { label: "parallax error, px", log: true, up: Some(false) };
 
 const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
-/// A point of a curve.
+/// A setting to measure: one point of a curve.
 pub(super) struct Set {
-    /// As on the command line.
+    /// The setting as on the command line.
     pub words: String,
     pub options: Options,
     pub depth: Depth,
-    /// Level of the container that is looked at.
+    /// Level of the container to measure.
     pub level: u8,
-    /// Place on the horizontal axis, where that is the setting itself.
+    /// Position on the horizontal axis, if that shows the setting itself.
     pub at: Option<f64>,
-    /// It is what ships.
+    /// Whether this is the default.
     pub default: bool,
 }
 
@@ -35,7 +35,7 @@ impl Set {
     }
 }
 
-/// One experiment to be.
+/// An experiment to run.
 pub(super) struct Plan {
     pub id: &'static str,
     pub title: &'static str,
@@ -80,15 +80,15 @@ fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Ve
     counts.iter().map(one).collect()
 }
 
-/// Plane placement by count and by error.
+/// Plane fitting by count and by error.
 fn planes(quick: bool, axes: (Axis, Axis)) -> Plan {
     let n: &[u32] = if quick { &[1, 2, 4, 8] } else { &[1, 2, 3, 4, 6, 8, 12] };
     let mut curves: Vec<_> = METHODS.map(|(name, m)| (name, counts(m, name, n, TileSize::Pixels(64)))).into();
     curves.push(("slanted, by error", vec![known("--planes auto", |_| {})]));
     Plan {
         id: "planes",
-        title: "Planes: how they are placed, and how many",
-        about: "A fixed count of planes a tile by each method, and the fewest slanted planes that keep the parallax error.",
+        title: "Planes: method and number",
+        about: "A fixed number of planes per tile by each method, and the fewest slanted planes that meet the parallax error.",
         axes,
         curves,
     }
@@ -99,13 +99,13 @@ fn max_error(quick: bool, axes: (Axis, Axis)) -> Plan {
     Plan {
         id: "max-error",
         title: "Largest parallax error",
-        about: "How far, in pixels at the corners of the view box, planes may show a point from where it should be. A smaller error takes more planes.",
+        about: "How many pixels planes may misplace a point, at the corners of the view box. A smaller error takes more planes.",
         axes,
         curves: vec![("slanted, by error", errors(quick))],
     }
 }
 
-/// The paper's figure: tile size by plane count.
+/// Tile size by number of planes, as in the paper's figure.
 fn tiles(quick: bool) -> Plan {
     let sizes: &[(&'static str, TileSize)] = &[
         ("tiles of 32", TileSize::Pixels(32)),
@@ -124,13 +124,13 @@ fn tiles(quick: bool) -> Plan {
     Plan {
         id: "tiles",
         title: "Tile size",
-        about: "Slanted planes on tiles of several sizes, and regular multiplane images: one tile, many fronto-parallel planes.",
+        about: "Slanted planes on tiles of several sizes, and ordinary multiplane images: one tile with many fronto-parallel planes.",
         axes: (MS, VIEW),
         curves,
     }
 }
 
-/// Gaussian noise of variance 1e-3 by a fixed generator.
+/// Adds Gaussian noise of variance 1e-3 from a fixed generator.
 pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
     let mut state = 1u64;
     let mut uniform = || {
@@ -141,12 +141,12 @@ pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
     DisparityMap { delta: map.delta.iter().map(|d| (d + noise()).clamp(0.0, 1.0)).collect(), ..*map }
 }
 
-/// A box of 5×5 pixels: what networks do to edges.
+/// Blurs with a box of 5×5 pixels, similar to what networks do to edges.
 pub(super) fn blurred(map: &DisparityMap) -> DisparityMap {
     box_blurred(map, 2)
 }
 
-/// Means over `(2r+1)²` pixels, fewer at borders.
+/// Box blur over `(2r+1)²` pixels, fewer at borders.
 pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
     let (w, h) = (map.width as usize, map.height as usize);
     let mean = |i: usize| {
@@ -158,7 +158,7 @@ pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
     DisparityMap { delta: (0..w * h).map(mean).collect(), ..*map }
 }
 
-/// Each step off, one at a time. `refined`: whether there is a network for it.
+/// Changes one option at a time. `refined`: whether Ψ is available.
 fn steps(refined: bool) -> Plan {
     let on = |setting: &str, change: &dyn Fn(&mut Options)| {
         let mut o = Options::default();
@@ -181,13 +181,13 @@ fn steps(refined: bool) -> Plan {
     Plan {
         id: "steps",
         title: "Steps on and off",
-        about: "One step changed at a time, on exact disparity and on disparity whose edges are blurred over 5 pixels.",
+        about: "One option changed at a time, on exact disparity and on disparity with edges blurred over 5 pixels.",
         axes: (MS, VIEW),
-        curves: vec![("exact disparity", of(&Depth::Known)), ("blurred disparity", of(&Depth::Spoilt(blurred)))],
+        curves: vec![("exact disparity", of(&Depth::Known)), ("blurred disparity", of(&Depth::Degraded(blurred)))],
     }
 }
 
-/// `theta`: whether that network is there.
+/// Cleaning methods. `theta`: whether the network Θ is available.
 fn denoise(theta: bool) -> Plan {
     let of = |depth: &Depth| {
         [("off", Denoise::Off), ("classic", Denoise::Classic), ("auto", Denoise::Auto), ("theta", Denoise::Theta)]
@@ -198,10 +198,10 @@ fn denoise(theta: bool) -> Plan {
     };
     Plan {
         id: "denoise",
-        title: "Cleaning of disparity",
-        about: "Nothing, a median with a guided filter, fitted planes where the map is damaged (auto), and the network Θ, on noise of variance 1e-3 and on blurred edges.",
+        title: "Disparity cleaning",
+        about: "No cleaning, a median with a guided filter, planes fitted where the map is damaged (auto), and the network Θ, with noise of variance 1e-3 and with blurred edges.",
         axes: (MS, VIEW),
-        curves: vec![("noisy disparity", of(&Depth::Spoilt(noisy))), ("blurred disparity", of(&Depth::Spoilt(blurred)))],
+        curves: vec![("noisy disparity", of(&Depth::Degraded(noisy))), ("blurred disparity", of(&Depth::Degraded(blurred)))],
     }
 }
 
@@ -210,7 +210,7 @@ fn quality(quick: bool) -> Plan {
     Plan {
         id: "quality",
         title: "Picture quality",
-        about: "How large the container is, and how near its views are to the exact ones.",
+        about: "Size of the container, and similarity of its views to the exact ones.",
         axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
         curves: vec![("quality", all.iter().map(|&q| known(format!("--quality {q}"), |o| o.quality = q)).collect())],
     }
@@ -225,23 +225,23 @@ fn prune(quick: bool) -> Plan {
     };
     Plan {
         id: "prune",
-        title: "Leaving out what is never seen",
-        about: "Pixels that differ by more than 8 levels at the corners of the view box and the middles of its sides, drawn with and without the texels left out; the corner where they are most.",
+        title: "Pruning of unseen texels",
+        about: "Pixels that differ by more than 8 levels between views with and without the pruned texels, at the corners and side centres of the view box; the worst of these cameras.",
         axes: (
-            Axis { label: "texels for each pixel", log: false, up: Some(false) },
-            Axis { label: "left out wrongly, % of pixels", log: false, up: Some(false) },
+            Axis { label: "texels per pixel", log: false, up: Some(false) },
+            Axis { label: "wrongly pruned, % of pixels", log: false, up: Some(false) },
         ),
         curves: vec![("view box", all.iter().map(one).collect())],
     }
 }
 
-/// So many times the usual view box.
+/// A multiple of the default view box.
 fn scaled(by: f64) -> ViewBox {
     let usual = Options::VIEW_BOX;
     ViewBox { x: usual.x * by, y: usual.y * by, z: usual.z * by }
 }
 
-/// How far cameras may go, by what it costs.
+/// Costs of the view box's size.
 fn view_box(quick: bool) -> Plan {
     let all: &[f64] = if quick { &[0.5, 1.0, 2.0] } else { &[0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0] };
     let one = |&s: &f64| {
@@ -251,42 +251,42 @@ fn view_box(quick: bool) -> Plan {
     Plan {
         id: "view-box",
         title: "View box",
-        about: "How far from the photo's own place cameras may go, at the same parallax error: what it takes, and how near views within half of the usual box are to the exact ones.",
+        about: "How far cameras may move from the photo's camera, at the same parallax error: costs, and similarity of views within half of the default box to the exact ones.",
         axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
         curves: vec![("view box", all.iter().map(one).collect())],
     }
 }
 
-/// Photos made smaller before anything else, and containers made smaller afterwards.
+/// Photos reduced before processing, and containers reduced afterwards.
 fn sizes(quick: bool) -> [Plan; 2] {
     let all: &[u32] = if quick { &[96, 192] } else { &[96, 160, 240, 360, 480] };
     let mut smaller: Vec<Set> = all.iter().map(|&n| known(format!("--max-size {n}"), |o| o.max_size = Some(n))).collect();
-    smaller.push(known("as it is", |_| {}));
+    smaller.push(known("original size", |_| {}));
     let level = |level: u8| Set { level, default: level == 0, ..known(format!("level {level}"), |_| {}) };
     [
         Plan {
             id: "size",
             title: "Largest side",
-            about: "The photo reduced before it is made; views are drawn at the photo's own size.",
+            about: "The photo is reduced before processing; views are rendered at its original size.",
             axes: (MS, VIEW),
             curves: vec![("largest side", smaller)],
         },
         Plan {
             id: "levels",
             title: "Levels of a container",
-            about: "A container at 1, 1/2, 1/4 and 1/8 of its size, as small screens and slow links get it; views are drawn at the photo's own size.",
+            about: "A container at 1, 1/2, 1/4 and 1/8 of its size, as for small screens and slow connections; views are rendered at the photo's original size.",
             axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
             curves: vec![("levels", (0..=tmpi_core::container::LEVELS).map(level).collect())],
         },
     ]
 }
 
-/// The first words of a reason: a list of all places that were searched is of no use here.
+/// Shortens a reason to the part before its list of searched paths.
 pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
     reason.to_string().split(':').next().unwrap_or_default().to_owned()
 }
 
-/// Experiments on scenes with exact views.
+/// Runs the experiments on scenes with exact views.
 pub(super) fn on_scenes(
     bench: &Bench,
     scenes: &[Subject],
@@ -295,7 +295,7 @@ pub(super) fn on_scenes(
     progress: &dyn Fn(&str),
 ) -> Result<Vec<Experiment>, BenchError> {
     let quick = settings.quick;
-    // the first run of a process pays for its threads and its memory
+    // warm-up: the first run of a process pays for threads and memory
     bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
     let mut plans = vec![
         max_error(quick, (MS, VIEW)),
@@ -331,7 +331,7 @@ pub(super) fn run(
     Ok(all)
 }
 
-/// Experiments on photos, whose disparity the network estimates.
+/// Runs the experiments on photos with estimated disparity.
 pub(super) fn on_photos(
     bench: &Bench,
     photos: &[Subject],

@@ -59,7 +59,7 @@ fn depth_settings(quick: bool, given: &models::Settings) -> [Plan; 4] {
         .iter()
         .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), &with(&|n| n.depth_pixels = Some(p))))
         .collect();
-    pixels.extend(network("its own size".into(), given.depth_pixels.is_none(), given));
+    pixels.extend(network("the network's default size".into(), given.depth_pixels.is_none(), given));
     let flip = given.flip.unwrap_or(given.depth.flip);
     let flips = [false, true].into_iter().filter_map(|f| network(format!("--flip {f}"), f == flip, &with(&|n| n.flip = Some(f))));
     let plan = |id, title, about, x, curve| Plan { id, title, about, axes: (x, DEPTH_ERROR), curves: vec![curve] };
@@ -94,8 +94,8 @@ fn depth() -> Plan {
     Plan {
         id: "depth",
         title: "Depth network",
-        about: "Disparity of the network against the exact one, after the best scale and shift.",
+        about: "Disparity of the network against the exact one, after alignment of scale and shift.",
         axes: (DEPTH_MS, DEPTH_ERROR),
-        curves: vec![("estimated", vec![Set::new("as given by --depth-model", Options::default(), Depth::Estimated)])],
+        curves: vec![("estimated", vec![Set::new("the network of --depth-model", Options::default(), Depth::Estimated)])],
     }
 }

@@ -1,4 +1,4 @@
-//! The results as one page that needs nothing else.
+//! Writes the results as a self-contained page.
 
 use std::fmt::Write;
 
@@ -36,14 +36,14 @@ const READING: &str = "<h2>How to read the plots</h2><ul>\
 <details><summary>What the figures mean</summary><dl>\
 <dt>view, dB</dt><dd>A scene is made of one photo and drawn from other places, where the exact picture is known: PSNR against that, without the outer 15 % on \
 each side. 1 dB more is a tenth less error.</dd>\
-<dt>making, ms</dt><dd>Wall time from the disparity map to the container: without reading the photo, the depth network and the measuring of errors.</dd>\
+<dt>processing, ms</dt><dd>Wall time from the disparity map to the container: without reading the photo, the depth network and the measuring of errors.</dd>\
 <dt>parallax error, px</dt><dd>Pixels between where planes show a point and where the disparity map has it, by the camera of the view box that shows them the \
 farthest apart; mean over the photo.</dd>\
 <dt>disparity error</dt><dd>Mean distance of the network's disparity from the true one, after the best scale and shift; disparity runs from 0 (infinitely far) to 1 \
 (the nearest point).</dd>\
 <dt>container, KB</dt><dd>What a viewer downloads.</dd></dl></details>";
 
-/// The page.
+/// The results as an HTML page.
 #[must_use]
 pub fn html(r: &Results) -> String {
     let m = &r.machine;
@@ -59,14 +59,14 @@ pub fn html(r: &Results) -> String {
         ("Program", format!("tmpi {}", r.version)),
         ("Measured on", r.subjects.join(", ")),
         ("Times", format!("medians of {} runs, means over all scenes", r.repeats)),
-        ("Took", format!("{:.0} s", r.seconds)),
+        ("Duration", format!("{:.0} s", r.seconds)),
     ];
     for (name, value) in facts {
-        // a String takes everything
+        // writing to a String cannot fail
         let _ = write!(out, "<dt>{name}</dt><dd>{}</dd>", escaped(&value));
     }
     for s in &r.skipped {
-        let _ = write!(out, "<dt>Left out</dt><dd>{}</dd>", escaped(s));
+        let _ = write!(out, "<dt>Skipped</dt><dd>{}</dd>", escaped(s));
     }
     out += "</dl><nav>";
     for e in &r.experiments {

@@ -8,13 +8,13 @@ use tmpi_lab::stress::{self, Checked, Kernel, Verdict};
 use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
-/// Check every numerical kernel on stiff and extreme cases against f64
+/// Check each numerical kernel on stiff and extreme cases against an f64 reference
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CheckArgs {
-    /// All cases as JSON on standard output
+    /// Print all cases as JSON
     #[arg(long)]
     json: bool,
-    /// Instead: what cameras at the corners of the view box see past the borders of the photos of this folder; may be given several times
+    /// Instead, check what cameras at the corners of the view box see past the borders of the photos in this folder; repeatable
     #[arg(long, value_name = "DIR")]
     photos: Vec<PathBuf>,
     #[command(flatten)]
@@ -42,7 +42,7 @@ fn table(checked: &Checked) -> String {
         let number = |v: f64| if v == 0.0 || (1e-3..1e4).contains(&v) { format!("{v:.3}") } else { format!("{v:.1e}") };
         let error = c.error.map_or("none".into(), number);
         let verdict = if c.verdict == Verdict::Ok { "ok" } else { "FAIL" };
-        // a String takes everything
+        // writing to a String cannot fail
         let _ = writeln!(
             out,
             "{:family$}  {:name$}  {:subject$}  {:>9}  {error:>9}  {verdict:7}  {}",

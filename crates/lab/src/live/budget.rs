@@ -30,10 +30,10 @@ pub fn experiment(models: &Models, quick: bool, skipped: &mut Vec<String>, progr
         true_scale: false,
         max_error: tmpi_live::MAX_ERROR,
         parallax: tmpi_live::PARALLAX,
-        rest: tmpi_live::REST,
+        cooldown: tmpi_live::COOLDOWN,
         late: 0,
         follow: tmpi_core::live::FOLLOWS,
-        settles: tmpi_live::SETTLES,
+        recheck: tmpi_live::RECHECK,
         only: quick.then(|| NAMES[0].into()),
         files: None,
     };
