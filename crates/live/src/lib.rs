@@ -34,6 +34,6 @@ pub mod video;
 
 pub use budget::{Budget, TileBudget};
 pub use change::Tolerance;
-pub use geometry::{COOLDOWN, Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, Settings, Update};
+pub use geometry::{BUDGET_MS, COOLDOWN, Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, Settings, Update};
 pub use recheck::{RECHECK, RecheckSettings};
 pub use reprojection::reprojection_error;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::measure::{self, Bench};
+use super::measure::{self, Bench, Figures};
 use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::eval::mesh;
@@ -231,18 +231,13 @@ fn changes(b: &Geometry) -> f64 {
 
 /// Measures a setting on all subjects; the figures are means.
 pub(super) fn point(all: &[Prepared], setting: String, without: Without, neighbour: f32, axes: (&str, &str)) -> Result<Point, BenchError> {
-    let mut figures: Vec<(&'static str, f64)> = Vec::new();
+    let mut figures = Figures::default();
     for p in all {
         for (name, value) in p.figures(without, neighbour)? {
-            let value = value / all.len() as f64;
-            match figures.iter_mut().find(|f| f.0 == name) {
-                Some(f) => f.1 += value,
-                None => figures.push((name, value)),
-            }
+            figures.add(name, value);
         }
     }
-    let of = |name: &str| figures.iter().find(|f| f.0 == name).map_or(0.0, |f| f.1);
-    Ok(Point { setting, x: of(axes.0), y: of(axes.1), figures, ..Point::default() })
+    Ok(figures.point(setting, axes))
 }
 
 const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };

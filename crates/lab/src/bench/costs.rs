@@ -89,7 +89,8 @@ pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -
             }
         }
         let unbounded = (0..bench.repeats).map(|_| make(None)).collect::<Result<Vec<_>, _>>()?;
-        points.push(point("without a budget".into(), &unbounded, median_of(&unbounded, |m| m.report.total_ms)));
+        let free = point("without a budget".into(), &unbounded, median_of(&unbounded, |m| m.report.total_ms));
+        points.push(Point { default: true, ..free });
         curves.push(Curve { name: s.name.clone(), points });
     }
     Ok(Experiment {

@@ -4,7 +4,7 @@ use super::measure::{Bench, Depth};
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, Settings};
 use tmpi_core::{DisparityMap, ViewBox};
-use tmpi_pipeline::networks::{self, models};
+use tmpi_pipeline::networks;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 const MS: Axis = Axis { label: "processing, ms", log: true, up: Some(false) };
@@ -15,31 +15,33 @@ const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
 /// A setting to measure: one point of a curve.
-struct Set {
+pub(super) struct Set {
     /// The setting as on the command line.
-    words: String,
-    options: Options,
-    depth: Depth,
+    pub words: String,
+    pub options: Options,
+    pub depth: Depth,
     /// Level of the container to measure.
-    level: u8,
+    pub level: u8,
+    /// Position on the horizontal axis, if that shows the setting itself.
+    pub at: Option<f64>,
     /// Whether this is the default.
-    default: bool,
+    pub default: bool,
 }
 
 impl Set {
-    fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
+    pub fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
         let default = options == Options::default();
-        Self { words: words.into(), options, depth, level: 0, default }
+        Self { words: words.into(), options, depth, level: 0, at: None, default }
     }
 }
 
 /// An experiment to run.
-struct Plan {
-    id: &'static str,
-    title: &'static str,
-    about: &'static str,
-    axes: (Axis, Axis),
-    curves: Vec<(&'static str, Vec<Set>)>,
+pub(super) struct Plan {
+    pub id: &'static str,
+    pub title: &'static str,
+    pub about: &'static str,
+    pub axes: (Axis, Axis),
+    pub curves: Vec<(&'static str, Vec<Set>)>,
 }
 
 impl Plan {
@@ -48,9 +50,9 @@ impl Plan {
         let mut curves = Vec::new();
         for (name, settings) in self.curves {
             let mut points: Vec<Point> = Vec::new();
-            for Set { words, options, depth, level, default } in settings {
+            for Set { words, options, depth, level, at, default } in settings {
                 let p = bench.point_of_level(subjects, &depth, &options, level, words, (x.label, y.label))?;
-                points.push(Point { default, ..p });
+                points.push(Point { default, x: at.unwrap_or(p.x), ..p });
             }
             curves.push(Curve { name: name.into(), points });
         }
@@ -82,13 +84,24 @@ fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Ve
 fn planes(quick: bool, axes: (Axis, Axis)) -> Plan {
     let n: &[u32] = if quick { &[1, 2, 4, 8] } else { &[1, 2, 3, 4, 6, 8, 12] };
     let mut curves: Vec<_> = METHODS.map(|(name, m)| (name, counts(m, name, n, TileSize::Pixels(64)))).into();
-    curves.push(("slanted, by error", errors(quick)));
+    curves.push(("slanted, by error", vec![known("--planes auto", |_| {})]));
     Plan {
         id: "planes",
         title: "Planes: method and number",
         about: "A fixed number of planes per tile by each method, and the fewest slanted planes that meet the parallax error.",
         axes,
         curves,
+    }
+}
+
+/// The error that planes may leave.
+fn max_error(quick: bool, axes: (Axis, Axis)) -> Plan {
+    Plan {
+        id: "max-error",
+        title: "Largest parallax error",
+        about: "How many pixels planes may misplace a point, at the corners of the view box. A smaller error takes more planes.",
+        axes,
+        curves: vec![("slanted, by error", errors(quick))],
     }
 }
 
@@ -204,11 +217,11 @@ fn quality(quick: bool) -> Plan {
 }
 
 fn prune(quick: bool) -> Plan {
-    let all: &[f64] = if quick { &[0.015, 0.06, 0.12] } else { &[0.015, 0.045, 0.06, 0.12, 0.25] };
-    let one = |&v: &f64| {
-        known(format!("--view-box {v},{v},{v} --verify-prune"), |o| {
-            (o.view_box, o.verify_prune) = (ViewBox { x: v, y: v, z: v }, true);
-        })
+    let all: &[f64] = if quick { &[0.125, 0.5, 1.0] } else { &[0.125, 0.25, 0.5, 1.0, 2.0] };
+    let one = |&s: &f64| {
+        let v = scaled(s);
+        let words = format!("--view-box {},{},{} --verify-prune", v.x, v.y, v.z);
+        Set { default: v == Options::VIEW_BOX, ..known(words, |o| (o.view_box, o.verify_prune) = (v, true)) }
     };
     Plan {
         id: "prune",
@@ -222,12 +235,17 @@ fn prune(quick: bool) -> Plan {
     }
 }
 
+/// A multiple of the default view box.
+fn scaled(by: f64) -> ViewBox {
+    let usual = Options::VIEW_BOX;
+    ViewBox { x: usual.x * by, y: usual.y * by, z: usual.z * by }
+}
+
 /// Costs of the view box's size.
 fn view_box(quick: bool) -> Plan {
-    let default = Options::VIEW_BOX;
     let all: &[f64] = if quick { &[0.5, 1.0, 2.0] } else { &[0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0] };
     let one = |&s: &f64| {
-        let v = ViewBox { x: default.x * s, y: default.y * s, z: default.z * s };
+        let v = scaled(s);
         known(format!("--view-box {},{},{}", v.x, v.y, v.z), |o| o.view_box = v)
     };
     Plan {
@@ -263,63 +281,8 @@ fn sizes(quick: bool) -> [Plan; 2] {
     ]
 }
 
-/// The depth network with these settings; `None` if it cannot be loaded.
-fn network(words: String, default: bool, settings: &models::Settings) -> Option<Set> {
-    let models = models::load(settings).ok()?;
-    Some(Set { default, ..Set::new(words, Options::default(), Depth::By(models.depth)) })
-}
-
-/// Settings of the depth network.
-fn depth_settings(quick: bool, given: &models::Settings) -> Plan {
-    let with = |change: &dyn Fn(&mut models::Settings)| {
-        let mut settings = given.clone();
-        change(&mut settings);
-        settings
-    };
-    let own = |v: f64, own: f64| (v - own).abs() < 1e-12;
-    let numbers: &[f64] = if quick { &[0.0, 1.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
-    let smoothing = given.depth_smoothing.unwrap_or(given.depth.smoothing);
-    let smoothed = numbers.iter().map(|s| smoothing.max(0.01) * s);
-    let smoothed =
-        smoothed.filter_map(|s| network(format!("--depth-smoothing {s}"), own(s, smoothing), &with(&|n| n.depth_smoothing = Some(s))));
-    let ramp = given.depth_ramp.unwrap_or(given.depth.ramp);
-    let ramps = numbers.iter().map(|s| 0.25 * s).chain([ramp]);
-    let ramps = ramps.filter_map(|r| network(format!("--depth-ramp {r}"), own(r, ramp), &with(&|n| n.depth_ramp = Some(r))));
-    let areas: &[u32] = if quick { &[50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
-    let mut pixels: Vec<Set> = areas
-        .iter()
-        .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), &with(&|n| n.depth_pixels = Some(p))))
-        .collect();
-    pixels.extend(network("the network's default size".into(), given.depth_pixels.is_none(), given));
-    let flip = given.flip.unwrap_or(given.depth.flip);
-    let flips = [false, true].into_iter().filter_map(|f| network(format!("--flip {f}"), f == flip, &with(&|n| n.flip = Some(f))));
-    Plan {
-        id: "network",
-        title: "Settings of the depth network",
-        about: "The network's input size, smoothing of its map, a vertical ramp added to it, and averaging with the mirrored photo.",
-        axes: (
-            Axis { label: "depth, ms", log: true, up: Some(false) },
-            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
-        ),
-        curves: vec![("pixels", pixels), ("smoothing", smoothed.collect()), ("ramp", ramps.collect()), ("mirror image", flips.collect())],
-    }
-}
-
-fn depth() -> Plan {
-    Plan {
-        id: "depth",
-        title: "Depth network",
-        about: "Disparity of the network against the exact one, after alignment of scale and shift.",
-        axes: (
-            Axis { label: "depth, ms", log: true, up: Some(false) },
-            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
-        ),
-        curves: vec![("estimated", vec![Set::new("the network of --depth-model", Options::default(), Depth::Estimated)])],
-    }
-}
-
 /// Shortens a reason to the part before its list of searched paths.
-fn brief(reason: &impl std::fmt::Display) -> String {
+pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
     reason.to_string().split(':').next().unwrap_or_default().to_owned()
 }
 
@@ -334,18 +297,36 @@ pub(super) fn on_scenes(
     let quick = settings.quick;
     // warm-up: the first run of a process pays for threads and memory
     bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
-    let mut plans =
-        vec![planes(quick, (MS, VIEW)), tiles(quick), steps(bench.psi().is_some()), quality(quick), prune(quick), view_box(quick)];
+    let mut plans = vec![
+        max_error(quick, (MS, VIEW)),
+        planes(quick, (MS, VIEW)),
+        tiles(quick),
+        steps(bench.psi().is_some()),
+        quality(quick),
+        prune(quick),
+        view_box(quick),
+    ];
     plans.extend(sizes(quick));
     if let Err(reason) = networks::available() {
-        skipped.push(format!("depth and denoise networks: {}", brief(&reason)));
+        skipped.push(format!("denoise networks: {}", brief(&reason)));
     } else {
-        plans.extend([denoise(bench.models.theta.is_some()), depth(), depth_settings(quick, &settings.networks)]);
+        plans.push(denoise(bench.models.theta.is_some()));
     }
+    run(bench, scenes, plans, settings, progress)
+}
+
+/// Those of the experiments that are asked for.
+pub(super) fn run(
+    bench: &Bench,
+    subjects: &[Subject],
+    plans: Vec<Plan>,
+    settings: &Settings,
+    progress: &dyn Fn(&str),
+) -> Result<Vec<Experiment>, BenchError> {
     let mut all = Vec::new();
     for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {
         progress(plan.title);
-        all.push(plan.run(bench, scenes)?);
+        all.push(plan.run(bench, subjects)?);
     }
     Ok(all)
 }
@@ -361,7 +342,10 @@ pub(super) fn on_photos(
         skipped.push(format!("photos: {}", brief(&reason)));
         return Ok(Vec::new());
     }
-    let plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
+    let mut plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
+    if let Some((_, by_error)) = plan.curves.last_mut() {
+        *by_error = errors(true);
+    }
     progress(plan.title);
     Ok(vec![plan.run(bench, photos)?])
 }

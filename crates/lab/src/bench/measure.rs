@@ -56,10 +56,10 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
 
 /// Values of all subjects by figure name.
 #[derive(Default)]
-struct Figures(Vec<(&'static str, Vec<f64>)>);
+pub(super) struct Figures(Vec<(&'static str, Vec<f64>)>);
 
 impl Figures {
-    fn add(&mut self, name: &'static str, value: f64) {
+    pub fn add(&mut self, name: &'static str, value: f64) {
         match self.0.iter_mut().find(|(n, _)| *n == name) {
             Some((_, all)) => all.push(value),
             None => self.0.push((name, vec![value])),
@@ -72,6 +72,13 @@ impl Figures {
         let n = all.len() as f64;
         let mean = all.iter().sum::<f64>() / n;
         [mean, (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()]
+    }
+
+    /// The means, with two of them as the place of a point, and the spread of the second.
+    pub fn point(&self, setting: String, axes: (&str, &str)) -> Point {
+        let ([x, _], [y, spread]) = (self.of(axes.0), self.of(axes.1));
+        let figures = self.0.iter().map(|(name, _)| (*name, self.of(name)[0])).collect();
+        Point { setting, x, y, spread, figures, ..Point::default() }
     }
 }
 
@@ -109,9 +116,7 @@ impl Bench<'_> {
                 figures.add(name, value);
             }
         }
-        let ([x, _], [y, spread]) = (figures.of(axes.0), figures.of(axes.1));
-        let means = figures.0.iter().map(|(name, _)| (*name, figures.of(name)[0])).collect();
-        Ok(Point { setting, x, y, spread, figures: means, ..Point::default() })
+        Ok(figures.point(setting, axes))
     }
 
     /// Processes a subject as often as configured.

@@ -11,9 +11,12 @@ mod drawing;
 mod efficiency;
 mod experiments;
 mod families;
+mod glance;
 mod machine;
 mod measure;
+mod measuring;
 mod mesh;
+mod network;
 mod page;
 mod plot;
 mod ramps;
@@ -46,11 +49,12 @@ pub struct Settings {
     pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
-/// Short names of the experiments.
-pub const EXPERIMENTS: [&str; 24] = [
+/// Short names of the experiments. `live-budget` is [`crate::live::budget`]'s.
+pub const EXPERIMENTS: [&str; 30] = [
     "scaling",
     "efficiency",
     "clustering",
+    "max-error",
     "planes",
     "tiles",
     "steps",
@@ -62,7 +66,10 @@ pub const EXPERIMENTS: [&str; 24] = [
     "levels",
     "denoise",
     "depth",
-    "network",
+    "depth-pixels",
+    "depth-smoothing",
+    "depth-ramp",
+    "depth-mirror",
     "without",
     "labels",
     "moves",
@@ -72,10 +79,14 @@ pub const EXPERIMENTS: [&str; 24] = [
     "families",
     "drawing",
     "budget",
+    "measuring",
+    "live-budget",
 ];
 
 impl Settings {
-    fn wants(&self, experiment: &str) -> bool {
+    /// Whether an experiment is asked for.
+    #[must_use]
+    pub fn wants(&self, experiment: &str) -> bool {
         self.only.is_empty() || self.only.iter().any(|o| o == experiment)
     }
 }
@@ -222,7 +233,10 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let photos = subject::photos(&settings.photos, settings.quick)?;
     let bench = measure::Bench { models: &settings.models, repeats };
     let mut experiments = first;
+    let known = photos.iter().any(|p| p.disparity.is_some());
+    let measured = if known { &photos } else { &scenes };
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
+    experiments.extend(network::run(&bench, measured, settings, &mut skipped, progress)?);
     if wants("ramps") {
         experiments.push(ramps::run(&bench, &scenes, progress)?);
     }
@@ -245,8 +259,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
         experiments.extend(mesh::against(&bench, &photos, progress)?);
     }
     if wants("discretisation") {
-        let known = photos.iter().any(|p| p.disparity.is_some());
-        experiments.push(discretisation::run(&bench, if known { &photos } else { &scenes }, progress)?);
+        experiments.push(discretisation::run(&bench, measured, progress)?);
     }
     if wants("drawing") {
         experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
@@ -255,6 +268,9 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     if wants("budget") {
         experiments.push(costs::kept(&bench, &scenes, progress)?);
         costs = Some(costs::fitted(&bench, &scenes, progress)?);
+    }
+    if wants("measuring") {
+        experiments.push(measuring::run(&bench, &scenes, settings.quick, progress)?);
     }
     experiments.extend(scaling);
     for e in &mut experiments {
@@ -273,14 +289,19 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
 }
 
 impl Experiment {
-    /// Marks the Pareto-optimal points.
+    /// Marks the Pareto-optimal points, among those that can be compared.
     pub(crate) fn mark(&mut self) {
         let (Some(x_up), Some(y_up)) = (self.x.up, self.y.up) else { return };
         let score = |p: &Point| (if x_up { p.x } else { -p.x }, if y_up { p.y } else { -p.y });
+        let apart = self.is_apart();
         let all: Vec<(f64, f64)> = self.curves.iter().flat_map(|c| &c.points).map(score).collect();
-        for p in self.curves.iter_mut().flat_map(|c| &mut c.points) {
-            let (x, y) = score(p);
-            p.pareto = !all.iter().any(|&(a, b)| a >= x && b >= y && (a > x || b > y));
+        for c in &mut self.curves {
+            let own: Vec<(f64, f64)> = c.points.iter().map(score).collect();
+            let others = if apart { &own } else { &all };
+            for p in &mut c.points {
+                let (x, y) = score(p);
+                p.pareto = !others.iter().any(|&(a, b)| a >= x && b >= y && (a > x || b > y));
+            }
         }
     }
 }

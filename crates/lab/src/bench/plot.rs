@@ -11,6 +11,15 @@ const BORDER: [f64; 4] = [70.0, 14.0, 170.0, 50.0];
 /// Colour-blind safe colours (Okabe and Ito) that are visible on white and on black.
 const COLOURS: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9"];
 
+/// Largest number of points whose values are written beside them.
+const NAMED: usize = 12;
+
+/// The value in a setting as on the command line.
+fn brief(setting: &str) -> &str {
+    let value = setting.strip_prefix("--").and_then(|s| s.split_once(' ')).map_or(setting, |(_, value)| value);
+    value.split_once(" --").map_or(value, |(value, _)| value)
+}
+
 /// Escapes text for markup.
 pub(super) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
@@ -83,6 +92,7 @@ pub(super) fn svg(e: &Experiment) -> String {
     axes(&mut out, e, &x, &y);
     front(&mut out, e, &x, &y);
     let mut labels: Vec<(f64, usize)> = Vec::new();
+    let named = e.joined() && points().count() <= NAMED;
     for (i, c) in e.curves.iter().enumerate() {
         let colour = COLOURS[i % COLOURS.len()];
         let dash = if i < COLOURS.len() { "" } else { " stroke-dasharray=\"5 4\"" };
@@ -98,8 +108,17 @@ pub(super) fn svg(e: &Experiment) -> String {
             if p.default {
                 put(
                     &mut out,
-                    &format!("<circle cx=\"{a:.1}\" cy=\"{b:.1}\" r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/>"),
+                    &format!(
+                        "<circle cx=\"{a:.1}\" cy=\"{b:.1}\" r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/>\
+                         <text x=\"{:.1}\" y=\"{:.1}\" class=\"own\">default</text>",
+                        a + 11.0,
+                        b + 16.0
+                    ),
                 );
+            }
+            if named {
+                let name = escaped(brief(&p.setting));
+                put(&mut out, &format!("<text x=\"{:.1}\" y=\"{:.1}\" class=\"of\">{name}</text>", a + 7.0, b - 7.0));
             }
             if let (Some(top), Some(bottom)) = (y.at(p.y + p.spread), y.at(p.y - p.spread))
                 && p.spread > 0.0
@@ -190,7 +209,7 @@ fn axes(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
 
 /// Draws the Pareto front as steps.
 fn front(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
-    if !e.joined() || e.x.up.is_none() {
+    if !e.joined() || e.x.up.is_none() || e.is_apart() {
         return;
     }
     let mut best: Vec<(f64, f64)> =
@@ -237,6 +256,7 @@ mod tests {
     fn numbers_and_text_are_formatted() {
         assert_eq!([0.0, 0.5, 12.345, 1234.5].map(number), ["0", "0.5000", "12.3", "1234"]);
         assert_eq!((short(20000.0).as_str(), short(0.3).as_str()), ("20k", "0.3"));
+        assert_eq!(["--max-error 1", "--view-box 1,2,3 --verify-prune", "level 2"].map(brief), ["1", "1,2,3", "level 2"]);
         assert_eq!(escaped("<a&\"b\">"), "&lt;a&amp;&quot;b&quot;&gt;");
     }
 }

@@ -15,6 +15,8 @@ use tmpi_pipeline::photo::Limits;
 
 /// First seed of the benchmark's scenes, far from those that networks were trained on.
 const SEED: u64 = 900_000;
+/// Samples a pixel, across and down.
+const SAMPLES: u32 = 3;
 
 /// A scene or a photo.
 pub(super) struct Subject {
@@ -39,7 +41,6 @@ pub(super) fn rendered(quick: bool) -> Result<Vec<Subject>, BenchError> {
 fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
     let scene = scenes::Scene::framed(seed, width, height);
     let camera = scene.camera();
-    let picture = scene.render(&camera, 3);
     let side = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
     let poses = [
         Pose::at(0.06 * side, 0.0, 0.0),
@@ -49,8 +50,15 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
     ];
     let views = poses.map(|pose| {
         let c = Camera { pose, ..camera };
-        (c, scene.render(&c, 3).photo)
+        (c, scene.render(&c, SAMPLES).photo)
     });
+    Ok(Subject { views: views.into(), ..photo_of(&scene, seed, (width, height))? })
+}
+
+/// A scene's photo and disparity, without views.
+fn photo_of(scene: &scenes::Scene, seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
+    let camera = scene.camera();
+    let picture = scene.render(&camera, SAMPLES);
     let mut file = Vec::new();
     PngEncoder::new(&mut file)
         .write_image(picture.photo.rgb.as_flattened(), width, height, ExtendedColorType::Rgb8)
@@ -61,8 +69,14 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
         disparity: Some(Arc::new(picture.disparity)),
         seed: Some(seed),
         fov_x: Some(camera.intrinsics.fov_x(width)),
-        views: views.into(),
+        views: Vec::new(),
     })
+}
+
+/// Renders one scene at a given size, without views.
+pub(super) fn large((width, height): (u32, u32)) -> Result<Subject, BenchError> {
+    let scene = scenes::Scene::framed(SEED, width, height);
+    Ok(Subject { name: format!("{width}×{height}"), ..photo_of(&scene, SEED, (width, height))? })
 }
 
 /// Renders `count` scenes of each family; families are sorted by name.

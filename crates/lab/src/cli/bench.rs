@@ -7,6 +7,7 @@ use anyhow::Context;
 use super::{note, read, result, write};
 use tmpi_lab::bench::serve::{Load, Target};
 use tmpi_lab::bench::{self, Settings};
+use tmpi_lab::live::budget;
 use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -77,7 +78,12 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let networks = args.models.settings();
     let models = models::load(&networks)?;
     let settings = Settings { quick: args.quick, photos: args.photos.clone(), only: args.only.clone(), models, networks };
-    let results = bench::run(&settings, &|what| note(&format!("tmpi-lab bench: {what}")))?;
+    let told = |what: &str| note(&format!("tmpi-lab bench: {what}"));
+    let mut results = bench::run(&settings, &told)?;
+    if settings.wants("live-budget") {
+        let rooms = models::load(&args.models.settings_of_rooms())?;
+        results.experiments.push(budget::experiment(&rooms, args.quick, &mut results.skipped, &told)?);
+    }
     write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
     write(&args.output.join("results.csv"), results.csv().as_bytes())?;
     if let Some(costs) = &results.costs {

@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use super::result;
-use tmpi_lab::stress::{self, Checked, Verdict};
+use tmpi_lab::stress::{self, Checked, Kernel, Verdict};
 use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
@@ -56,6 +56,23 @@ fn table(checked: &Checked) -> String {
     for s in &checked.skipped {
         let _ = writeln!(out, "skipped: {s}");
     }
-    let _ = write!(out, "{} cases, {} failed", checked.cases.len(), checked.failed());
+    let _ = write!(out, "\n{}{} cases, {} failed", kernels(checked), checked.cases.len(), checked.failed());
+    out
+}
+
+/// A line for each kernel: how many cases, how near to their bounds, how long.
+fn kernels(checked: &Checked) -> String {
+    let all = checked.kernels();
+    let widest = |f: &dyn Fn(&Kernel) -> usize| all.iter().map(f).max().unwrap_or(0);
+    let (family, subject) = (widest(&|k| k.family.len()), widest(&|k| k.subject.len()));
+    let mut out = format!("{:family$}  {:subject$}  cases  failed  error/bound       ms\n", "family", "of");
+    for k in &all {
+        // a String takes everything
+        let _ = writeln!(
+            out,
+            "{:family$}  {:subject$}  {:>5}  {:>6}  {:>11.2}  {:>7.0}",
+            k.family, k.subject, k.cases, k.failed, k.nearest, k.ms
+        );
+    }
     out
 }

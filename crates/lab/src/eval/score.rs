@@ -72,6 +72,11 @@ impl Mask {
         Self { width, inside: (0..covered.len()).map(|i| middle(i) && !outside[i]).collect() }
     }
 
+    /// Whether each pixel is scored.
+    pub fn inside(&self) -> &[bool] {
+        &self.inside
+    }
+
     /// Share of the scored pixels that `blank` names.
     pub fn share(&self, blank: impl Fn(usize) -> bool) -> f64 {
         let all = self.inside.iter().filter(|b| **b).count();

@@ -1,6 +1,7 @@
 //! `tmpi-lab live-bench`: runs rendered sequences through encoder, room and reader, and measures error against time and bytes.
 
 pub mod baseline;
+pub mod budget;
 pub mod damaged;
 pub mod encode;
 mod measure;

@@ -139,7 +139,7 @@ impl Points {
     }
 
     /// A curve for each sequence and size.
-    fn curves(&self, x: fn(&Figures) -> f64) -> Vec<Curve> {
+    pub(super) fn curves(&self, x: fn(&Figures) -> f64) -> Vec<Curve> {
         let mut curves: Vec<Curve> = Vec::new();
         for Point { at, figures: f } in &self.points {
             let name = format!("{}, {}x{}", f.sequence, at.size.0, at.size.1);
