@@ -11,7 +11,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "load"))
-from common import ROOT, Server, check, end
+from common import ROOT, Server, check, finish
 from engines import free_port
 
 # of sockets and of streams that do not end nothing comes that could be judged
@@ -98,7 +98,7 @@ def main():
             play(public, server.address, server, "everything else", "", "-n", many)
             # that one tells the server to leave
             play(admin, door, server, "operators", "", "-n", many, "--exclude-path", "/drain")
-    end()
+    finish()
 
 
 main()
