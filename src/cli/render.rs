@@ -99,10 +99,10 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let scene = Arc::new(container::decode(&bytes).with_context(|| args.input.display().to_string())?);
     let (width, height) = args.size.unwrap_or((scene.grid.width, scene.grid.height));
     let rig = rig(args, &scene);
-    let (columns, rows) = rig.map_or((1, 1), |r| r.arrangement.grid());
-    let (whole_width, whole_height) = (width.saturating_mul(columns), height.saturating_mul(rows));
+    let (whole_width, whole_height) = rig.map_or((width, height), |r| r.arrangement.size((width, height)));
     if whole_width > MAX_SIDE || whole_height > MAX_SIDE || u64::from(whole_width) * u64::from(whole_height) > MAX_PIXELS {
-        let problem = format!("{columns}×{rows} views of {width}×{height} are more than {MAX_SIDE} a side or {MAX_PIXELS} pixels together");
+        let views = rig.map_or(1, |r| r.arrangement.views());
+        let problem = format!("{views} views of {width}×{height} are more than {MAX_SIDE} a side or {MAX_PIXELS} pixels together");
         return Err(Usage(format!("{problem}: give a smaller --size")).into());
     }
     let intrinsics = match args.fov_x {

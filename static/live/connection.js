@@ -13,7 +13,7 @@ const POLL_MS = 1000;
 const FULL_PAUSES_MS = [5000, 10_000, 20_000, 30_000];
 /** Timeout of a status request, ms. */
 const STATUS_TIMEOUT_MS = 10_000;
-/** CREDIT messages (field 8) of a viewer: no frames while nobody looks; frames again, from a key frame on. */
+/** CREDIT messages (field 8) of a viewer: one stops the frames of a hidden page, the other resumes them from a key frame on. */
 export const SOUND_ALONE = Uint8Array.of((8 << 3) | 2, 0);
 export const EVERYTHING = Uint8Array.of((8 << 3) | 2, 4, 1 << 3, 1, 2 << 3, 1);
 

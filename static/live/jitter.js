@@ -10,7 +10,7 @@ const SHARE = 0.95;
 /** Largest and smallest number of frames that the estimate is based on. */
 const MAX_FRAMES = 120;
 const MIN_FRAMES = 15;
-/** Largest decrease of the delay per frame, ms: the picture then runs slightly faster, which nobody notices. */
+/** Largest decrease of the delay per frame, ms: the picture then runs slightly faster, too little to notice. */
 const STEP_MS = 1;
 /** The shortest transit time is taken over the last SPANS spans of SPAN_MS, because clocks drift apart. */
 const SPANS = 5;

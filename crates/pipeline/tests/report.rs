@@ -6,8 +6,7 @@
 
 use std::sync::Arc;
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::ExtendedColorType;
 use tmpi_core::container;
 use tmpi_core::{Camera, DisparityMap, Geometry, Intrinsics, Photo, Pose, Scene, TileFrame, ViewBox, compose, texture};
 use tmpi_pipeline::depth::{DepthError, DepthKind, Estimator, to_png};
@@ -15,6 +14,7 @@ use tmpi_pipeline::photo::{Limits, decode};
 use tmpi_pipeline::run::{ErrorFigures, Moved};
 use tmpi_pipeline::{Denoise, Made, Models, Options, Silent, Switch, make};
 use tmpi_render::{Reference, Renderer};
+use tmpi_testing::pictures::{noise, png, waves as photo};
 
 /// Depth is given with every photo.
 struct NoNetwork;
@@ -38,27 +38,8 @@ struct Subject {
     options: Options,
 }
 
-fn png(width: u32, height: u32, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
-    let mut file = Vec::new();
-    PngEncoder::new(&mut file).write_image(samples, width, height, colour).unwrap();
-    file
-}
-
-/// Waves and squares, without loss.
-fn photo(width: u32, height: u32) -> Vec<u8> {
-    let wave = |v: u32, by: f64| (127.5 + 100.0 * (f64::from(v) / by).sin()) as u8;
-    let pixel = |x: u32, y: u32| [wave(x, 9.0), wave(y, 7.0), if (x / 30 + y / 20).is_multiple_of(2) { 200 } else { 90 }];
-    let rgb: Vec<u8> = (0..width * height).flat_map(|i| pixel(i % width, i / width)).collect();
-    png(width, height, &rgb, ExtendedColorType::Rgb8)
-}
-
 fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
     DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
-}
-
-fn noise(x: u32, y: u32) -> f32 {
-    let i = (y * 4099 + x).wrapping_mul(2_654_435_761);
-    ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 8) as f32 / (1 << 24) as f32
 }
 
 fn stairs(x: u32, y: u32) -> f32 {

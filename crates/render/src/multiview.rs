@@ -113,12 +113,19 @@ impl Arrangement {
         }
     }
 
-    /// Width and height of the picture in multiples of those of a view.
+    /// Width and height of the picture in multiples of those of a view; a squeezed view may make it a pixel less.
     #[must_use]
     pub const fn grid(self) -> (u32, u32) {
         let (columns, rows) = self.cells();
         let (wide, high) = self.squeeze();
         (columns / wide, rows / high)
+    }
+
+    /// Size of the picture whose views have `width × height` pixels before they are squeezed.
+    #[must_use]
+    pub fn size(self, (width, height): (u32, u32)) -> (u32, u32) {
+        let ((columns, rows), (wide, high)) = (self.cells(), self.squeeze());
+        ((width / wide).max(1).saturating_mul(columns), (height / high).max(1).saturating_mul(rows))
     }
 
     /// Number of views.
@@ -341,8 +348,11 @@ mod tests {
         ] {
             let picture = draw(layout);
             assert_eq!((picture.width, picture.height), size, "{layout:?}");
-            let (columns, rows) = Arrangement::Stereo(layout).grid();
-            assert_eq!((40 * columns, 30 * rows), size, "{layout:?}");
+            let (arrangement, odd) = (Arrangement::Stereo(layout), Camera { width: 41, height: 31, ..camera });
+            let (columns, rows) = arrangement.grid();
+            assert_eq!(((40 * columns, 30 * rows), arrangement.size((40, 30))), (size, size), "{layout:?}");
+            let drawn = draw_multiview(&cpu, &scene, &odd, &Rig { arrangement, baseline: 0.1, focus: 0.0 }).unwrap();
+            assert_eq!((drawn.width, drawn.height), arrangement.size((41, 31)), "{layout:?}");
             for (tx, (x, y)) in [(-0.05, left), (0.05, right)] {
                 let want = eye(tx, wide, high);
                 let (w, h) = (want.width as usize, want.height as usize);

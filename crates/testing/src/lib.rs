@@ -7,6 +7,7 @@ mod database;
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 pub mod engines;
 pub mod jpeg;
+pub mod pictures;
 pub mod png;
 
 use std::ffi::OsStr;

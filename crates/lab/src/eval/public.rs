@@ -34,7 +34,7 @@ const NEAREST: f64 = 0.005;
 /// - `camera-intrinsics.txt`, with `frame-N.color.jpg`, `frame-N.depth.png` (mm, 0 and 65535 unknown) and `frame-N.pose.txt` (camera to world).
 /// - `NAME-left.jpg` with `NAME-right.jpg`, and `NAME.left-right.jpg`: the pictures of two eyes.
 ///
-/// Where nobody knows the depth, it is measured between two of the pictures, and `depth` fills what both do not show.
+/// Without true depth, two of the pictures are matched, and `depth` fills what either of them hides.
 pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, EvalError> {
     if folder.join("cameras.json").exists() {
         return Ok(vec![light_field(folder, depth)?]);

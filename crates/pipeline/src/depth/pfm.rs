@@ -27,13 +27,19 @@ pub(super) fn is_pfm(bytes: &[u8]) -> bool {
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
 pub(super) fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthError> {
+    split(bytes, limits).map(|(header, _)| (header.width, header.height))
+}
+
+/// The header of a whole file, and the bytes of its values.
+fn split<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Header, &'a [u8]), DepthError> {
     limits.check_bytes(bytes.len()).map_err(|e| DepthError::Map(e.to_string()))?;
     let header = Header::read(bytes, limits)?;
-    let (has, wants) = ((bytes.len() - header.length) as u64, 4 * u64::from(header.width) * u64::from(header.height));
-    if has < wants {
+    let (values, wants) = (&bytes[header.length..], 4 * u64::from(header.width) * u64::from(header.height));
+    if (values.len() as u64) < wants {
+        let has = values.len();
         return Err(DepthError::Map(format!("the file is cut short: {wants} bytes of values follow its header, and {has} are there")));
     }
-    Ok((header.width, header.height))
+    Ok((header, values))
 }
 
 /// What the first bytes of a map tell, while the rest of it is still on its way.
@@ -52,13 +58,11 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
 pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
-    check(bytes, limits)?;
-    let Header { width, height, little_endian, length } = Header::read(bytes, limits)?;
+    let (Header { width, height, little_endian, .. }, floats) = split(bytes, limits)?;
     let mut values = Vec::with_capacity(width as usize * height as usize);
     // the file begins with the lowest row
-    for row in bytes[length..].chunks_exact(4 * width as usize).take(height as usize).rev() {
-        let (floats, _) = row.as_chunks::<4>();
-        values.extend(floats.iter().map(|&v| if little_endian { f32::from_le_bytes(v) } else { f32::from_be_bytes(v) }));
+    for row in floats.chunks_exact(4 * width as usize).take(height as usize).rev() {
+        values.extend(row.as_chunks::<4>().0.iter().map(|&v| if little_endian { f32::from_le_bytes(v) } else { f32::from_be_bytes(v) }));
     }
     Ok(Grey { width, height, values })
 }

@@ -2,9 +2,6 @@
 
 use std::sync::Arc;
 
-use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
-
 use super::*;
 use crate::depth::to_png;
 use crate::photo::Limits;
@@ -12,6 +9,7 @@ use tmpi_core::container;
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, Renderer};
+use tmpi_testing::pictures::{noise, waves as photo};
 
 /// All depth is given.
 struct Flat;
@@ -28,25 +26,6 @@ impl Estimator for Flat {
 
 fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
     DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
-}
-
-fn png(width: u32, height: u32, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
-    let mut file = Vec::new();
-    PngEncoder::new(&mut file).write_image(samples, width, height, colour).unwrap();
-    file
-}
-
-/// A smooth photo with some edges, without loss.
-fn photo(width: u32, height: u32) -> Vec<u8> {
-    let wave = |v: u32, by: f64| (127.5 + 100.0 * (f64::from(v) / by).sin()) as u8;
-    let pixel = |x: u32, y: u32| [wave(x, 9.0), wave(y, 7.0), if (x / 30 + y / 20).is_multiple_of(2) { 200 } else { 90 }];
-    let rgb: Vec<u8> = (0..width * height).flat_map(|i| pixel(i % width, i / width)).collect();
-    png(width, height, &rgb, ExtendedColorType::Rgb8)
-}
-
-fn noise(x: u32, y: u32) -> f32 {
-    let i = (y * 4099 + x).wrapping_mul(2_654_435_761);
-    ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 8) as f32 / (1 << 24) as f32
 }
 
 fn made(photo: &[u8], depth: &DisparityMap, options: &Options) -> Made {

@@ -1,0 +1,32 @@
+//! Pictures for tests, lossless, and noise that is the same on every machine.
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+/// A PNG file of these samples.
+///
+/// # Panics
+/// If the samples are not those of such a picture.
+#[must_use]
+#[allow(clippy::unwrap_used, reason = "for tests")]
+pub fn png(width: u32, height: u32, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
+    let mut file = Vec::new();
+    PngEncoder::new(&mut file).write_image(samples, width, height, colour).unwrap();
+    file
+}
+
+/// A PNG file of smooth waves with some edges.
+#[must_use]
+pub fn waves(width: u32, height: u32) -> Vec<u8> {
+    let wave = |v: u32, by: f64| (127.5 + 100.0 * (f64::from(v) / by).sin()) as u8;
+    let pixel = |x: u32, y: u32| [wave(x, 9.0), wave(y, 7.0), if (x / 30 + y / 20).is_multiple_of(2) { 200 } else { 90 }];
+    let rgb: Vec<u8> = (0..width * height).flat_map(|i| pixel(i % width, i / width)).collect();
+    png(width, height, &rgb, ExtendedColorType::Rgb8)
+}
+
+/// A number of 0 to 1 for a pixel, unlike those of its neighbours.
+#[must_use]
+pub fn noise(x: u32, y: u32) -> f32 {
+    let i = (y * 4099 + x).wrapping_mul(2_654_435_761);
+    ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 8) as f32 / (1 << 24) as f32
+}
