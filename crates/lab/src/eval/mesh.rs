@@ -14,6 +14,8 @@ pub struct Warp {
     pub rgb: Vec<[u8; 3]>,
     /// True where the mesh covers a pixel's centre.
     pub covered: Vec<bool>,
+    /// Disparity of what covers it, minus infinity where nothing does.
+    pub depth: Vec<f64>,
 }
 
 /// A vertex in the view: place in pixels, disparity there.
@@ -61,7 +63,7 @@ pub fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &
             }
         }
     }
-    Warp { covered: out.depth.iter().map(|&d| d > f64::NEG_INFINITY).collect(), rgb: out.rgb }
+    Warp { covered: out.depth.iter().map(|&d| d > f64::NEG_INFINITY).collect(), rgb: out.rgb, depth: out.depth }
 }
 
 struct Target {

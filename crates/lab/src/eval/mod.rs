@@ -79,6 +79,9 @@ impl EvalError {
     }
 }
 
+/// The way that leaves all mixed colours on the far side of depth borders.
+const UNMATTED: &str = "ours-unmatted";
+
 /// Ways by name; none: the photo as a mesh.
 fn ways() -> Vec<(&'static str, Option<Options>)> {
     let with = |change: fn(&mut Options)| {
@@ -94,6 +97,7 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
         ("tmpi-lloyd", with(|o| (o.planes, o.plane_method) = (PlaneCount::Fixed(4), PlaneMethod::Lloyd))),
         ("ours-plain", with(|o| (o.denoise, o.refine, o.snap) = (Denoise::Off, Switch::Off, Switch::Off))),
         ("ours-refined", with(|o| o.refine = Switch::On)),
+        (UNMATTED, with(|_| {})),
         ("ours", with(|_| {})),
     ]
 }
@@ -199,8 +203,8 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
             let photo = photo(&case)?;
             let mut own: Vec<Vec<Score>> = vec![Vec::new(); all.len()];
             for truth in &case.views {
-                let covered = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST).covered;
-                let mask = Mask::new(truth.camera.width as usize, &covered);
+                let depth = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST).depth;
+                let mask = Mask::new(truth.camera.width as usize, &depth);
                 let scored = |m| scored(m, &case, truth, &mask, depth, lpips.as_ref());
                 let drawn: Vec<(Score, f64, f64)> = all.iter().map(scored).collect::<Result<_, _>>()?;
                 if drawn.iter().any(|d| d.1 > BLANK) {
@@ -270,7 +274,8 @@ fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Option
         row.planes = 0.0;
         return Ok(Made { model: Model::Mesh(Box::new((photo(case)?, done.disparity.clone()))), row, disparity: done.disparity });
     }
-    let scene = Arc::new(tmpi_core::container::decode(&done.container)?);
+    let scene = if way == UNMATTED { crate::ghosts::unmatted(&done.container) } else { tmpi_core::container::decode(&done.container) };
+    let scene = Arc::new(scene?);
     row.make_ms = done.report.total_ms;
     row.bytes = done.container.len() as f64;
     row.texels_m = scene.texels.class.len() as f64 / 1e6;
@@ -335,17 +340,19 @@ impl Results {
         let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
         let _ = writeln!(
             out,
-            "{:<14}{:>7}{:>8}{:>8}{:>8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
-            "way", "PSNR", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
+            "{:<14}{:>7}{:>9}{:>10}{:>8}{:>8}{:>8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
+            "way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
         );
         for r in &self.rows {
             let s = r.score;
             let lpips = s.lpips.map_or("-".into(), |v| format!("{v:.4}"));
             let _ = writeln!(
                 out,
-                "{:<14}{:>7.2}{:>8.4}{:>8.4}{:>8.4}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
+                "{:<14}{:>7.2}{:>9.2}{:>10.2}{:>8.4}{:>8.4}{:>8.4}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
                 r.way,
                 s.psnr,
+                s.borders,
+                s.uncovered,
                 s.ssim,
                 s.l1,
                 s.flip,
