@@ -14,7 +14,8 @@ pub(super) fn visible_disparity(scene: &Scene) -> DisparityMap {
         for i in 0..l.rect.area() {
             let (x, y) = (l.rect.x + i as u32 % l.rect.w, l.rect.y + i as u32 / l.rect.w);
             let at = l.first_texel + i;
-            if scene.texels.class[at] == Class::Photo as u8 && scene.texels.alpha[at] == u8::MAX {
+            // what is hidden lies behind, but for the background of mixed pixels
+            if scene.texels.alpha[at] == u8::MAX {
                 let d = l.plane.disparity((f64::from(x) + 0.5 - centre.0) / half, (f64::from(y) + 0.5 - centre.1) / half);
                 let best = &mut delta[y as usize * g.width as usize + x as usize];
                 *best = best.max(d as f32);

@@ -203,8 +203,8 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
             let photo = photo(&case)?;
             let mut own: Vec<Vec<Score>> = vec![Vec::new(); all.len()];
             for truth in &case.views {
-                let depth = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST).depth;
-                let mask = Mask::new(truth.camera.width as usize, &depth);
+                let warp = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST);
+                let mask = Mask::new(truth.camera.width as usize, &warp.depth);
                 let scored = |m| scored(m, &case, truth, &mask, depth, lpips.as_ref());
                 let drawn: Vec<(Score, f64, f64)> = all.iter().map(scored).collect::<Result<_, _>>()?;
                 if drawn.iter().any(|d| d.1 > BLANK) {

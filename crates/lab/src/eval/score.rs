@@ -161,8 +161,8 @@ fn mean(map: impl Iterator<Item = f64>, mask: &[bool]) -> Option<f64> {
 
 /// Pixels beside depth borders.
 fn beside(width: usize, depth: &[f64]) -> Vec<bool> {
-    // where nothing is drawn, too
-    let apart = |a: f64, b: f64| a != b && !((a - b).abs() <= BORDER);
+    // what nothing covers has a border, too
+    let apart = |a: f64, b: f64| (a.max(-1.0) - b.max(-1.0)).abs() > BORDER;
     let mut out = vec![false; depth.len()];
     for (i, &d) in depth.iter().enumerate() {
         let (x, y) = (i % width, i / width);

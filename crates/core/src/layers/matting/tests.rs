@@ -7,14 +7,16 @@ use crate::layers::{Tile, TileFrame};
 use crate::{Class, Geometry, Grid, Intrinsics, Photo, Plane, TexturedLayer, ViewBox, texture};
 
 /// `α F + (1 − α) B`, rounded.
-fn over(m: &Matte) -> [u8; 3] {
+fn over(m: Matte) -> [u8; 3] {
     let share = f64::from(m.alpha) / 255.0;
     std::array::from_fn(|c| (f64::from(m.foreground[c]) * share + f64::from(m.background[c]) * (1.0 - share)).round() as u8)
 }
 
 fn side(colours: &[([u8; 3], u32)]) -> Side {
     let mut side = Side::default();
-    colours.iter().for_each(|(c, w)| side.add(*c, *w));
+    for (c, w) in colours {
+        side.add(*c, *w);
+    }
     side
 }
 
@@ -47,7 +49,7 @@ proptest! {
         let got = Matte::of(colour, &side(&near), &side(&far));
         prop_assert_eq!(got.is_some(), apart);
         let Some(got) = got else { return Ok(()) };
-        prop_assert_eq!(over(&got), colour);
+        prop_assert_eq!(over(got), colour);
         // more only where no foreground could be that bright or dark
         let least = |c: usize| {
             let (v, b) = (f64::from(colour[c]), f64::from(got.background[c]));
