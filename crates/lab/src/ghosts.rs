@@ -261,7 +261,13 @@ mod tests {
         let seen = (0..all).map(|i| {
             let (x, y) = at(i);
             let ghost = (76..76 + rim as u32).contains(&x) && (30..90).contains(&y);
-            if near(x + 12, y) { THING } else if ghost { WALL.map(|c| c - 40) } else { WALL }
+            if near(x + 12, y) {
+                THING
+            } else if ghost {
+                WALL.map(|c| c - 40)
+            } else {
+                WALL
+            }
         });
         let seen = seen.collect();
         (Photo { width: SIDE, height: SIDE, rgb }, delta, seen)

@@ -21,6 +21,6 @@ pub use memory::Memory;
 pub(crate) use memory::{MOST, STEADY};
 pub use prune::work_of;
 pub use surface::Surface;
-pub use texture::{TexturedLayer, compose, texture};
 pub(crate) use texture::texture_tiles;
+pub use texture::{TexturedLayer, compose, texture};
 pub use visibility::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown};

@@ -19,7 +19,13 @@ pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> V
 }
 
 /// The same of some tiles, the first of which is number `first`; `surface` and `rgb` have the rows that these follow from, the same ones.
-pub(crate) fn texture_tiles(geometry: &Geometry, surface: Surface, rgb: &[[u8; 3]], first: u32, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
+pub(crate) fn texture_tiles(
+    geometry: &Geometry,
+    surface: Surface,
+    rgb: &[[u8; 3]],
+    first: u32,
+    shapes: Vec<LayerMasks>,
+) -> Vec<Vec<TexturedLayer>> {
     let photo = Rows { top: surface.top(), rgb };
     let colours = Inpainter::on(geometry.grid, surface, rgb).fill_tiles(first, &shapes);
     let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();

@@ -103,7 +103,8 @@ impl Mask {
     pub fn score(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Score {
         let difference = |power: i32, of: &[bool]| {
             let pixels = view.iter().zip(truth);
-            let off = |(a, b): (&[u8; 3], &[u8; 3])| a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(*b)) / 255.0).powi(power)).sum::<f64>();
+            let off =
+                |(a, b): (&[u8; 3], &[u8; 3])| a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(*b)) / 255.0).powi(power)).sum::<f64>();
             mean(pixels.map(|both| off(both) / 3.0), of)
         };
         let decibels = |mse: f64| if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::EQUAL) } else { metrics::EQUAL };

@@ -1,6 +1,6 @@
 //! Pixels beside depth borders, taken apart: against shares and colours that are known, since the photos are mixed of them.
 
-use tmpi_core::container::{decode_picture, encode_jpeg, PhotoFormat};
+use tmpi_core::container::{PhotoFormat, decode_picture, encode_jpeg};
 use tmpi_core::{Class, Geometry, Grid, Intrinsics, Photo, Plane, TexturedLayer, Tile, ViewBox, compose, texture};
 use tmpi_render::draw_reference_view;
 
@@ -65,7 +65,13 @@ fn subjects() -> Vec<Subject> {
         Subject { name: "lines of one pixel", near: line, share: |x, _| f64::from(u8::from(x % 9 == 4)), ..usual },
         // each share is off by as much as its pixel is, along the line between both colours
         Subject { name: "a rough wall", wall: |x, y| [0, 1, 2].map(|k| 180.0 + noise(x, y, k) / 16.0), bound: Some(24.0), ..usual },
-        Subject { name: "noise", thing: |x, y| [0, 1, 2].map(|k| noise(x, y, k)), wall: |x, y| [3, 4, 5].map(|k| noise(x, y, k)), bound: None, ..usual },
+        Subject {
+            name: "noise",
+            thing: |x, y| [0, 1, 2].map(|k| noise(x, y, k)),
+            wall: |x, y| [3, 4, 5].map(|k| noise(x, y, k)),
+            bound: None,
+            ..usual
+        },
         Subject { name: "JPEG blocks", bound: Some(40.0), blocks: true, ..usual },
     ]
 }
@@ -125,7 +131,9 @@ fn cases(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometry) -> Vec<Vec<Te
             view.rgba.iter().zip(&photo.rgb).map(off).max().map_or(f64::INFINITY, f64::from)
         });
         if let Some(bound) = subject.bound {
-            checked.case("matting", &format!("shares, {}", subject.name), "mattes", "255ths", bound, || subject.off(&kernel(&photo, &geometry)));
+            checked.case("matting", &format!("shares, {}", subject.name), "mattes", "255ths", bound, || {
+                subject.off(&kernel(&photo, &geometry))
+            });
         }
     }
     let alike = &subjects()[0];
@@ -154,7 +162,11 @@ mod tests {
         assert_eq!(failed(|c| cases(c, |p, g| spoilt(p, g, |_| ()))), 0);
         let near = |l: &TexturedLayer| l.shape.plane.a > 0.5;
         // a foreground that is a little too bright, a share that is a little too large, a background that is not seen through to
-        assert!(failed(|c| cases(c, |p, g| spoilt(p, g, |l| if near(l) { l.hidden.iter_mut().for_each(|h| h[0] = h[0].saturating_add(9)) }))) > 0);
+        assert!(
+            failed(|c| cases(c, |p, g| spoilt(p, g, |l| if near(l) {
+                l.hidden.iter_mut().for_each(|h| h[0] = h[0].saturating_add(9))
+            }))) > 0
+        );
         let more = |l: &mut TexturedLayer| l.shape.alpha.iter_mut().filter(|a| (1..200).contains(*a)).for_each(|a| *a += 30);
         assert!(failed(|c| cases(c, |p, g| spoilt(p, g, more))) > 0);
         assert!(failed(|c| cases(c, |p, g| texture(p, &Geometry { matted: false, ..g.clone() }, g.masks()))) > 0);

@@ -138,8 +138,13 @@ mod tests {
             labels: (0..4096).map(|i| u8::from(near(i))).collect(),
             background: None,
         };
-        let geometry =
-            Geometry { grid: Grid::new(64, 64, 64), intrinsics: Intrinsics::centred(64, 64, 100.0), view_box, tiles: vec![tile], matted: false };
+        let geometry = Geometry {
+            grid: Grid::new(64, 64, 64),
+            intrinsics: Intrinsics::centred(64, 64, 100.0),
+            view_box,
+            tiles: vec![tile],
+            matted: false,
+        };
         (photo, geometry)
     }
 

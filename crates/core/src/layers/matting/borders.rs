@@ -12,8 +12,10 @@ use crate::simd::dispatch;
 pub(super) const BAND: usize = 2;
 /// How far about a pixel the colours on either side are looked for, in pixels.
 const WINDOW: usize = 4;
-/// A border is matted where the near side moves against the far side by more than this over the view box, in pixels: else nothing is uncovered.
-const STEP: f64 = 1.0;
+/// A border is matted where its sides are apart by more than this in δ, and move against each other by more than so many pixels over the view
+/// box: less is part of one thing, or uncovers nothing.
+const STEP: f64 = 0.05;
+const MOVES: f64 = 1.0;
 
 /// A pixel beside a border.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -80,7 +82,7 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
         return out;
     }
     let (right, down) = geometry.view_box.parallax(&geometry.intrinsics, r);
-    let step = (STEP / right.max(down)) as f32;
+    let step = (MOVES / right.max(down)).max(STEP) as f32;
     let tile = Tile { geometry, r, frame: TileFrame::of(grid, index), labels: &tile.labels, planes: &tile.planes, index };
     tile.look(s);
     let own = owned(grid, index);
@@ -101,6 +103,14 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
         }
     }
     out
+}
+
+/// The nearest pixel in front of another.
+#[derive(Clone, Copy)]
+struct Nearest {
+    label: u8,
+    /// Pixels right and down to it.
+    off: [isize; 2],
 }
 
 impl Tile<'_> {
@@ -126,21 +136,34 @@ impl Tile<'_> {
         let (far, most) = (s.visible[at], s.most[at]);
         let middle = far + 0.5 * (most - far);
         let (px, py) = (self.r.x + x as u32, self.r.y + y as u32);
-        let near = self.nearest(x, y, middle, s)?;
+        let Nearest { label: near, off } = self.nearest(x, y, middle, s)?;
         if !self.others_agree(px, py, middle) {
             return None;
         }
-        let (front, back) = self.sides(x, y, [far, middle], photo, s);
-        let width = self.geometry.grid.width as usize;
-        let colour = photo.rgb[(py - photo.top) as usize * width + px as usize];
-        let matte = Matte::of(colour, &front, &back)?;
+        let matte = self.matte(x, y, middle, photo, s)?;
+        if off != off.map(isize::signum) {
+            // on the way to the border a pixel is mixed even more
+            let beside = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
+            let (u, v) = (beside(x, off[0]), beside(y, off[1]));
+            if s.visible[v * w + u] < middle && self.matte(u, v, middle, photo, s)?.alpha < matte.alpha {
+                return None;
+            }
+        }
         Some(Place { x: px, y: py, near, matte })
     }
 
+    /// What pixel `(x, y)` is mixed of, which lies behind `middle`.
+    fn matte(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Option<Matte> {
+        let far = s.visible[y * self.r.w as usize + x];
+        let (front, back) = self.sides(x, y, [far, middle], photo, s);
+        let (px, py) = (self.r.x as usize + x, self.r.y as usize + y - photo.top as usize);
+        Matte::of(photo.rgb[py * self.geometry.grid.width as usize + px], &front, &back)
+    }
+
     /// Label of the nearest pixel that lies in front of `middle`, and whose plane does so at `(x, y)`, too.
-    fn nearest(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Option<u8> {
+    fn nearest(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Option<Nearest> {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
-        let mut best: Option<(usize, u8)> = None;
+        let mut best: Option<(usize, Nearest)> = None;
         for v in y.saturating_sub(BAND)..(y + BAND + 1).min(h) {
             for u in x.saturating_sub(BAND)..(x + BAND + 1).min(w) {
                 let off = u.abs_diff(x).pow(2) + v.abs_diff(y).pow(2);
@@ -150,11 +173,11 @@ impl Tile<'_> {
                 let label = self.labels[v * w + u];
                 let plane = &self.planes[usize::from(label)];
                 if self.frame.disparity(plane, self.r.x + x as u32, self.r.y + y as u32) > middle {
-                    best = Some((off, label));
+                    best = Some((off, Nearest { label, off: [u as isize - x as isize, v as isize - y as isize] }));
                 }
             }
         }
-        best.map(|(_, label)| label)
+        best.map(|(_, nearest)| nearest)
     }
 
     /// Whether all other tiles that have the pixel show the far side there, too.

@@ -11,8 +11,8 @@ mod tests;
 
 use std::ops::Range;
 
-use self::borders::{Place, Scratch};
 pub(crate) use self::borders::Rows;
+use self::borders::{Place, Scratch};
 use super::{Geometry, LayerMask, TexturedLayer};
 use crate::parallel;
 use crate::scene::{Class, Grid, Rect};
@@ -27,7 +27,8 @@ pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLa
     let rects = [grid.rect(first), grid.rect(first + count - 1)];
     let wanted = rects[0].y..rects[1].y + rects[1].h;
     let around = around(grid, first..first + count);
-    let places = parallel::map_init(around.len(), Scratch::default, |s, i| borders::of_tile(geometry, around.start + i as u32, &wanted, photo, s));
+    let places =
+        parallel::map_init(around.len(), Scratch::default, |s, i| borders::of_tile(geometry, around.start + i as u32, &wanted, photo, s));
     let near = Near { geometry, first: around.start, places: &places };
     let work: Vec<(u32, &mut Vec<TexturedLayer>)> = (first..).zip(tiles).collect();
     let done = parallel::try_each(work, |(index, layers)| {
@@ -89,14 +90,13 @@ impl Near<'_> {
         let labels = &self.geometry.tiles[index as usize].labels;
         for layer in layers {
             let Some(label) = layer.shape.label else { continue };
-            let in_front = |m: &Mixed| m.own && m.place.near == label && m.place.matte.alpha > 0;
+            let in_front = |m: &Mixed| m.own && m.place.near == label;
             widen(&mut layer.shape, r, mixed.iter().filter(|m| in_front(m)).map(|m| m.at));
             let shape = &layer.shape;
             let change = |m: &Mixed| {
                 let at = within(shape.rect, m.place.x, m.place.y)?;
                 let matte = m.place.matte;
                 let (class, alpha, colour) = if labels[m.at] == label {
-                    if matte.alpha == 0 { return None }
                     (Class::Hidden, u8::MAX, matte.background)
                 } else if in_front(m) {
                     // all of the pixel is the photo's
