@@ -72,7 +72,7 @@ fn subjects() -> Vec<Subject> {
             bound: None,
             ..usual
         },
-        Subject { name: "JPEG blocks", bound: Some(40.0), blocks: true, ..usual },
+        Subject { name: "JPEG blocks", bound: Some(70.0), blocks: true, ..usual },
     ]
 }
 
@@ -108,7 +108,9 @@ impl Subject {
         for shape in tiles.iter().flatten().map(|l| &l.shape).filter(|s| s.plane.a > 0.5) {
             for (i, (class, alpha)) in (0..).zip(shape.class.iter().zip(&shape.alpha)) {
                 let (x, y) = (shape.rect.x + i % shape.rect.w, shape.rect.y + i / shape.rect.w);
-                let share = if *class == Class::Empty as u8 { 0.0 } else { f64::from(*alpha) };
+                // a soft rim of the photo's own colours is no matte
+                let counts = *class == Class::Hidden as u8 || *alpha == u8::MAX;
+                let share = if counts { f64::from(*alpha) } else { 0.0 };
                 let at = &mut shares[(y * WIDTH + x) as usize];
                 *at = at.max(share);
             }

@@ -8,6 +8,9 @@ const DEVIATIONS: f64 = 2.0;
 /// A colour lies off the line between both by so much of its length at most: else it is of something else.
 const OFF: f64 = 0.25;
 
+/// From this share on, in 255ths, a pixel is all foreground: renderers take a texel of 0.99 as opaque.
+const WHOLE: i32 = 253;
+
 /// Colours beyond the mixed ones, on one side of a border.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Side {
@@ -82,6 +85,7 @@ impl Matte {
     fn with(colour: [u8; 3], background: [u8; 3], alpha: u8) -> Self {
         let both = colour.map(i32::from).into_iter().zip(background.map(i32::from));
         let alpha = both.clone().fold(i32::from(alpha), |alpha, (c, b)| alpha.max(least(c, b)));
+        let alpha = if alpha >= WHOLE { 255 } else { alpha };
         let mut foreground = colour;
         for (f, (c, b)) in foreground.iter_mut().zip(both) {
             *f = ((255 * c - (255 - alpha) * b + alpha / 2).max(0) / alpha).min(255) as u8;
