@@ -10,7 +10,9 @@ const ROOT = fileURLToPath(new URL('../', import.meta.url));
 const FOLDERS = ['decode', 'draw', 'element', 'i18n', 'input', 'live', 'view'];
 const KINDS = new Set(['.js', '.wasm', '.wgsl']);
 /** Publishing is only on the server's own page. */
-const PUBLISHING = ['encoders.js', 'frames.js', 'microphone.js', 'microphone-worklet.js', 'publisher.js'].map((name) => `live/${name}`);
+const PUBLISHING = ['encoders.js', 'camera-frames.js', 'microphone.js', 'microphone-worklet.js', 'publisher.js'].map(
+  (name) => `live/${name}`,
+);
 const OWN = ['README.md', 'tmpi-viewer.d.ts', 'rest.js', 'rest.d.ts', 'upload.html'];
 const LICENCES = ['LICENSE-MIT', 'LICENSE-APACHE'];
 

@@ -1,4 +1,4 @@
-//! Checks ARCHITECTURE.md: the graph matches `cargo metadata`, arrows run one way, every named path exists.
+//! Checks ARCHITECTURE.md: the graph matches `cargo metadata`, dependencies follow one order, every path exists.
 //!
 //! `TMPI_BLESS=architecture cargo test --release --workspace --test architecture` writes the graph.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
@@ -23,15 +23,15 @@ const ORDER: [&str; 11] = [
     "tmpi-lab",
     "tmpi",
 ];
-const OPENS: &str = "```mermaid\ngraph LR\n";
-const CLOSES: &str = "```\n<!-- /crates -->";
+const GRAPH_START: &str = "```mermaid\ngraph LR\n";
+const GRAPH_END: &str = "```\n<!-- /crates -->";
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Pairs (crate, dependency) within this workspace, in ordinary builds.
-fn arrows() -> BTreeSet<(String, String)> {
+/// Pairs (crate, dependency) of crates in this workspace; ordinary dependencies only.
+fn dependencies() -> BTreeSet<(String, String)> {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let out = Command::new(cargo)
         .current_dir(root())
@@ -41,47 +41,48 @@ fn arrows() -> BTreeSet<(String, String)> {
     let metadata: Value = serde_json::from_slice(&out.stdout).expect("metadata is JSON");
     let text = |v: &Value| v.as_str().unwrap_or_default().to_owned();
     let packages = metadata["packages"].as_array().expect("a list of packages");
-    let dependencies = |p: &Value| {
+    let of_package = |p: &Value| {
         let own = text(&p["name"]);
         let all = p["dependencies"].as_array().cloned().unwrap_or_default();
         all.into_iter().filter(|d| d["path"].is_string() && d["kind"].is_null()).map(move |d| (own.clone(), text(&d["name"])))
     };
-    packages.iter().flat_map(dependencies).collect()
+    packages.iter().flat_map(of_package).collect()
 }
 
 #[test]
-fn the_graph_of_the_crates_matches_cargo() {
-    let drawn = arrows().iter().map(|(who, whom)| format!("  {whom} --> {who}\n")).collect::<Vec<_>>().concat();
+fn the_crate_graph_matches_cargo_metadata() {
+    let graph = dependencies().iter().map(|(name, dependency)| format!("  {dependency} --> {name}\n")).collect::<Vec<_>>().concat();
     let path = root().join("ARCHITECTURE.md");
     let page = std::fs::read_to_string(&path).unwrap();
-    let from = page.find(OPENS).expect("the picture's begin") + OPENS.len();
-    let to = from + page[from..].find(CLOSES).expect("the picture's end");
+    let from = page.find(GRAPH_START).expect("start of the graph") + GRAPH_START.len();
+    let to = from + page[from..].find(GRAPH_END).expect("end of the graph");
     if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "architecture") {
-        std::fs::write(&path, [&page[..from], &drawn, &page[to..]].concat()).unwrap();
+        std::fs::write(&path, [&page[..from], &graph, &page[to..]].concat()).unwrap();
     } else {
-        assert_eq!(page[from..to], drawn);
+        assert_eq!(page[from..to], graph);
     }
 }
 
 #[test]
-fn arrows_run_one_way() {
-    let place = |name: &str| ORDER.iter().position(|o| *o == name);
-    let arrows = arrows();
-    assert!(arrows.len() >= 6, "{arrows:?}");
-    for (who, whom) in arrows.iter().filter(|(who, _)| who != "xtask") {
-        let (Some(a), Some(b)) = (place(who), place(whom)) else { panic!("{who} or {whom} has no place in the order") };
-        assert!(b < a, "{who} knows {whom}");
+fn crates_depend_only_on_earlier_ones() {
+    let position = |name: &str| ORDER.iter().position(|o| *o == name);
+    let all = dependencies();
+    assert!(all.len() >= 6, "{all:?}");
+    for (name, dependency) in all.iter().filter(|(name, _)| name != "xtask") {
+        let (Some(a), Some(b)) = (position(name), position(dependency)) else { panic!("{name} or {dependency} is not in ORDER") };
+        assert!(b < a, "{name} depends on {dependency}");
     }
 }
 
 #[test]
-fn the_program_links_nothing_of_the_lab() {
-    let arrows = arrows();
+fn the_program_does_not_link_the_lab() {
+    let all = dependencies();
     let mut linked = BTreeSet::from(["tmpi"]);
-    let mut reached = 0;
-    while reached < linked.len() {
-        reached = linked.len();
-        let next: Vec<&str> = arrows.iter().filter(|(who, _)| linked.contains(who.as_str())).map(|(_, whom)| whom.as_str()).collect();
+    let mut count = 0;
+    while count < linked.len() {
+        count = linked.len();
+        let next: Vec<&str> =
+            all.iter().filter(|(name, _)| linked.contains(name.as_str())).map(|(_, dependency)| dependency.as_str()).collect();
         linked.extend(next);
     }
     assert!(linked.contains("tmpi-core") && linked.contains("tmpi-pipeline"), "{linked:?}");
@@ -89,7 +90,7 @@ fn the_program_links_nothing_of_the_lab() {
 }
 
 #[test]
-fn every_named_path_exists() {
+fn every_path_in_the_document_exists() {
     let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
     let named: Vec<&str> = page.split('`').skip(1).step_by(2).filter(|n| n.contains('/') && !n.contains(' ')).collect();
     assert!(named.len() > 20, "{named:?}");
@@ -98,7 +99,7 @@ fn every_named_path_exists() {
     }
 }
 
-/// Crates, and the largest number of modules that an import cycle may have.
+/// Source folders, and the largest import cycle allowed in each, in modules.
 const CYCLES: [(&str, usize); 7] = [
     ("src", 3),
     ("crates/core/src", 4),
@@ -109,15 +110,15 @@ const CYCLES: [(&str, usize); 7] = [
     ("crates/render/src", 3),
 ];
 
-/// Path of a module or an item from the crate's root.
+/// Path of a module or item from the crate root.
 type Names = Vec<String>;
 
-/// The modules of a crate by file, and their imports.
+/// The source of each module of a crate.
 #[derive(Default)]
 struct Modules {
     sources: BTreeMap<Names, String>,
-    /// Items that a module re-exports, and the modules that define them.
-    handed_on: BTreeMap<Names, Names>,
+    /// Re-exported items, with the module that defines each.
+    reexports: BTreeMap<Names, Names>,
 }
 
 impl Modules {
@@ -143,10 +144,10 @@ impl Modules {
         }
         let sources = modules.sources.clone();
         for (names, source) in &sources {
-            for (path, _) in used(source).into_iter().filter(|(_, is_public)| *is_public) {
-                let of = modules.resolve(names, &path);
-                if of.len() > names.len() && of.starts_with(names) {
-                    modules.handed_on.insert([&names[..], &path[path.len() - 1..]].concat(), of);
+            for (path, _) in use_declarations(source).into_iter().filter(|(_, is_public)| *is_public) {
+                let module = modules.resolve(names, &path);
+                if module.len() > names.len() && module.starts_with(names) {
+                    modules.reexports.insert([&names[..], &path[path.len() - 1..]].concat(), module);
                 }
             }
         }
@@ -163,7 +164,7 @@ impl Modules {
                 "super" => drop(at.pop()),
                 _ => {
                     let below = [&at[..], std::slice::from_ref(name)].concat();
-                    match self.handed_on.get(&below) {
+                    match self.reexports.get(&below) {
                         _ if self.sources.contains_key(&below) => at = below,
                         Some(module) => at.clone_from(module),
                         None => break,
@@ -175,35 +176,35 @@ impl Modules {
     }
 
     /// The modules that each module imports, without its own submodules.
-    fn arrows<'a>(&'a self) -> BTreeMap<&'a Names, BTreeSet<Names>> {
-        let of = |(names, source): (&'a Names, &String)| {
-            let paths = used(source).into_iter().filter(|(_, is_public)| !is_public).map(|(path, _)| path);
-            let all = paths.chain(inline(source)).map(|path| self.resolve(names, &path));
+    fn imports<'a>(&'a self) -> BTreeMap<&'a Names, BTreeSet<Names>> {
+        let of_module = |(names, source): (&'a Names, &String)| {
+            let paths = use_declarations(source).into_iter().filter(|(_, is_public)| !is_public).map(|(path, _)| path);
+            let all = paths.chain(inline_paths(source)).map(|path| self.resolve(names, &path));
             (names, all.filter(|other| !other.starts_with(names) && self.sources.contains_key(other)).collect())
         };
-        self.sources.iter().map(of).collect()
+        self.sources.iter().map(of_module).collect()
     }
 
     /// The largest set of modules that import each other, directly or not.
     fn largest_cycle(&self) -> Vec<Names> {
-        let arrows = self.arrows();
-        let reached: BTreeMap<&Names, BTreeSet<&Names>> = arrows.keys().map(|from| (*from, reached(&arrows, from))).collect();
+        let imports = self.imports();
+        let reached: BTreeMap<&Names, BTreeSet<&Names>> = imports.keys().map(|from| (*from, reachable(&imports, from))).collect();
         let cycle = |from: &&Names| reached[*from].iter().filter(|to| reached[**to].contains(from)).copied().cloned().collect::<Vec<_>>();
         reached.keys().map(cycle).max_by_key(Vec::len).unwrap_or_default()
     }
 }
 
-/// All modules reachable from a module.
-fn reached<'a>(arrows: &'a BTreeMap<&Names, BTreeSet<Names>>, from: &'a Names) -> BTreeSet<&'a Names> {
+/// All modules that a module imports, directly or not.
+fn reachable<'a>(imports: &'a BTreeMap<&Names, BTreeSet<Names>>, from: &'a Names) -> BTreeSet<&'a Names> {
     let (mut all, mut next) = (BTreeSet::new(), vec![from]);
     while let Some(module) = next.pop() {
-        next.extend(arrows[module].iter().filter(|to| all.insert(*to)));
+        next.extend(imports[module].iter().filter(|to| all.insert(*to)));
     }
     all
 }
 
-/// Paths of the `use` declarations of a source, and whether they are public.
-fn used(source: &str) -> Vec<(Names, bool)> {
+/// Paths of the `use` declarations in a source, and whether each is public.
+fn use_declarations(source: &str) -> Vec<(Names, bool)> {
     let mut all = Vec::new();
     for declaration in source.split(';') {
         let Some((before, tree)) = declaration.rsplit_once("use ") else { continue };
@@ -217,7 +218,7 @@ fn used(source: &str) -> Vec<(Names, bool)> {
     all
 }
 
-/// Paths of a `use` tree.
+/// Collects the paths of a `use` tree.
 fn expand(tree: &str, above: &[String], paths: &mut Vec<Names>) {
     let (head, group) = tree.split_once('{').map_or((tree, None), |(head, rest)| (head, rest.rsplit_once('}').map(|(group, _)| group)));
     let names = head.split(" as ").next().unwrap().split("::").map(str::trim).filter(|name| !name.is_empty());
@@ -232,22 +233,22 @@ fn expand(tree: &str, above: &[String], paths: &mut Vec<Names>) {
 }
 
 /// Paths in expressions, such as `super::share::asker()`.
-fn inline(source: &str) -> Vec<Names> {
+fn inline_paths(source: &str) -> Vec<Names> {
     let words = source.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
-    // paths that end with `::` begin a group
+    // a path that ends with `::` starts a group
     let paths = words.filter(|word| (word.starts_with("crate::") || word.starts_with("super::")) && !word.ends_with("::"));
     paths.map(|path| path.split("::").map(str::to_owned).collect()).collect()
 }
 
 #[test]
-fn no_import_cycle_of_modules_is_large() {
-    for (place, most) in CYCLES {
-        let modules = Modules::read(&root().join(place));
+fn import_cycles_between_modules_are_small() {
+    for (folder, most) in CYCLES {
+        let modules = Modules::read(&root().join(folder));
         let cycle = modules.largest_cycle();
-        let said: Vec<String> = cycle.iter().map(|names| names.join("/")).collect();
-        assert!(cycle.len() <= most, "{place}: {said:?}");
+        let paths: Vec<String> = cycle.iter().map(|names| names.join("/")).collect();
+        assert!(cycle.len() <= most, "{folder}: {paths:?}");
     }
     let library = Modules::read(&root().join("crates/library/src"));
-    assert!(library.arrows().values().map(BTreeSet::len).sum::<usize>() > 50, "imports are seen");
+    assert!(library.imports().values().map(BTreeSet::len).sum::<usize>() > 50, "the test finds imports");
     assert!(!library.largest_cycle().is_empty());
 }

@@ -1,4 +1,4 @@
-//! Checks dependencies against deny.toml without the network: licences, versions, sources. `cargo deny` also checks advisories.
+//! Checks licences, versions and sources of dependencies against deny.toml. `cargo deny` also checks advisories.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,16 +8,15 @@ use std::process::Command;
 use serde_json::Value;
 use spdx::{Expression, LicenseReq, ParseMode};
 
-/// deny.toml.
-fn lists() -> toml::Table {
+fn deny_toml() -> toml::Table {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("deny.toml")).unwrap().parse().unwrap()
 }
 
-/// All packages of the workspace for all platforms and features, as `Cargo.lock` has them.
+/// All packages in `Cargo.lock`, for all platforms and features.
 fn packages() -> Vec<Value> {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let mut command = Command::new(cargo);
-    // not `--offline`: packages of other platforms may not be fetched yet
+    // not `--offline`: packages of other platforms may not be downloaded yet
     command.args(["metadata", "--locked", "--all-features", "--format-version", "1"]).current_dir(env!("CARGO_MANIFEST_DIR"));
     let out = command.output().expect("cargo runs");
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
@@ -26,7 +25,7 @@ fn packages() -> Vec<Value> {
 }
 
 /// Packages from outside the workspace.
-fn foreign() -> Vec<Value> {
+fn external_packages() -> Vec<Value> {
     packages().into_iter().filter(|p| !p["source"].is_null()).collect()
 }
 
@@ -39,14 +38,14 @@ fn words(list: &toml::Value) -> Vec<&str> {
     list.as_array().unwrap().iter().map(|w| w.as_str().unwrap()).collect()
 }
 
-/// True if a licence expression is `allowed`; `A/B` is an old form of `A OR B`.
-fn permitted(licence: &str, allowed: &[Expression]) -> bool {
-    let of = |req: &LicenseReq| allowed.iter().any(|a| a.requirements().any(|r| r.req == *req));
-    Expression::parse_mode(licence, ParseMode::LAX).is_ok_and(|e| e.evaluate(of))
+/// Whether `allowed` satisfies a licence expression; `A/B` is an old form of `A OR B`.
+fn is_permitted(licence: &str, allowed: &[Expression]) -> bool {
+    let is_allowed = |req: &LicenseReq| allowed.iter().any(|a| a.requirements().any(|r| r.req == *req));
+    Expression::parse_mode(licence, ParseMode::LAX).is_ok_and(|e| e.evaluate(is_allowed))
 }
 
-/// True if an expression names exactly this licence, including its exceptions.
-fn names(expression: &Expression, licence: &str) -> bool {
+/// Whether an expression contains this licence, including its exceptions.
+fn contains_licence(expression: &Expression, licence: &str) -> bool {
     Expression::parse(licence).is_ok_and(|l| l.requirements().all(|l| expression.requirements().any(|r| r.req == l.req)))
 }
 
@@ -65,22 +64,22 @@ fn expressions(list: &toml::Value) -> Vec<Expression> {
 }
 
 #[test]
-fn licences_are_allowed_and_every_allowed_one_is_used() {
-    let (lists, packages) = (lists(), foreign());
-    let allowed = expressions(&lists["licenses"]["allow"]);
+fn every_licence_is_allowed_and_every_allowed_one_used() {
+    let (deny, packages) = (deny_toml(), external_packages());
+    let allowed = expressions(&deny["licenses"]["allow"]);
     assert!(packages.len() > 200, "{}", packages.len());
     let bad: Vec<_> =
-        packages.iter().filter(|p| !permitted(text(p, "license"), &allowed)).map(|p| (text(p, "name"), text(p, "license"))).collect();
+        packages.iter().filter(|p| !is_permitted(text(p, "license"), &allowed)).map(|p| (text(p, "name"), text(p, "license"))).collect();
     assert!(bad.is_empty(), "{bad:?}");
     // an unused entry would allow a later dependency unnoticed
-    for word in words(&lists["licenses"]["allow"]) {
-        let named = |p: &&Value| Expression::parse_mode(text(p, "license"), ParseMode::LAX).is_ok_and(|e| names(&e, word));
-        assert!(packages.iter().any(|p| named(&p)), "no dependency has the licence {word}");
+    for word in words(&deny["licenses"]["allow"]) {
+        let has_licence = |p: &&Value| Expression::parse_mode(text(p, "license"), ParseMode::LAX).is_ok_and(|e| contains_licence(&e, word));
+        assert!(packages.iter().any(|p| has_licence(&p)), "no dependency has the licence {word}");
     }
 }
 
 #[test]
-fn licences_are_judged_as_expressions() {
+fn licence_expressions_are_evaluated() {
     let allowed = expressions(&toml::Value::from(vec!["MIT", "ISC"]));
     for (licence, want) in [
         ("MIT", true),
@@ -92,14 +91,14 @@ fn licences_are_judged_as_expressions() {
         ("", false),
         ("mine", false),
     ] {
-        assert_eq!(permitted(licence, &allowed), want, "{licence:?}");
+        assert_eq!(is_permitted(licence, &allowed), want, "{licence:?}");
     }
 }
 
 #[test]
-fn only_listed_crates_have_several_versions() {
-    let (lists, packages) = (lists(), foreign());
-    let listed: BTreeSet<&str> = lists["bans"]["skip"].as_array().unwrap().iter().map(|s| s["crate"].as_str().unwrap()).collect();
+fn only_listed_crates_have_duplicate_versions() {
+    let (deny, packages) = (deny_toml(), external_packages());
+    let listed: BTreeSet<&str> = deny["bans"]["skip"].as_array().unwrap().iter().map(|s| s["crate"].as_str().unwrap()).collect();
     let (mut more, mut used) = (Vec::new(), BTreeSet::new());
     for (name, versions) in duplicates(&packages) {
         let all = versions.iter().map(|v| format!("{name}@{v}"));
@@ -109,19 +108,19 @@ fn only_listed_crates_have_several_versions() {
             more.push(rest);
         }
     }
-    assert!(more.is_empty(), "in several versions: {more:?}");
-    let idle: Vec<_> = listed.iter().filter(|s| !used.contains(**s)).collect();
-    assert!(idle.is_empty(), "listed, but present in one version: {idle:?}");
+    assert!(more.is_empty(), "duplicate versions: {more:?}");
+    let unused: Vec<_> = listed.iter().filter(|s| !used.contains(**s)).collect();
+    assert!(unused.is_empty(), "listed, but not duplicated: {unused:?}");
 }
 
 #[test]
-fn sources_are_crates_io_only_and_versions_are_not_wildcards() {
-    let lists = lists();
-    assert_eq!(lists["sources"]["unknown-registry"].as_str(), Some("deny"));
-    for p in foreign() {
+fn packages_come_from_crates_io_with_fixed_versions() {
+    let deny = deny_toml();
+    assert_eq!(deny["sources"]["unknown-registry"].as_str(), Some("deny"));
+    for p in external_packages() {
         assert_eq!(text(&p, "source"), "registry+https://github.com/rust-lang/crates.io-index", "{}", text(&p, "name"));
     }
-    assert_eq!(lists["bans"]["wildcards"].as_str(), Some("deny"));
+    assert_eq!(deny["bans"]["wildcards"].as_str(), Some("deny"));
     for p in packages().iter().filter(|p| p["source"].is_null()) {
         for d in p["dependencies"].as_array().unwrap().iter().filter(|d| d["path"].is_null()) {
             assert_ne!(text(d, "req"), "*", "{} of {}", text(d, "name"), text(p, "name"));
@@ -131,8 +130,8 @@ fn sources_are_crates_io_only_and_versions_are_not_wildcards() {
 
 #[test]
 fn banned_crates_are_absent() {
-    let (lists, packages) = (lists(), foreign());
-    let all = lists["bans"]["deny"].as_array().unwrap();
+    let (deny, packages) = (deny_toml(), external_packages());
+    let all = deny["bans"]["deny"].as_array().unwrap();
     assert!(!all.is_empty());
     for banned in all {
         let name = banned["crate"].as_str().unwrap();

@@ -1,4 +1,4 @@
-//! Checks the names in `docker/` and the threat model: options and their values, metrics, tests.
+//! Checks that options, metrics and tests named in `docker/` and the threat model exist.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::collections::BTreeSet;
@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Files that start the server, and how often.
+/// Files that start the server, with the number of calls in each.
 const CALLERS: [(&str, usize); 7] = [
     ("Dockerfile", 1),
     ("compose.yaml", 1),
@@ -16,10 +16,10 @@ const CALLERS: [(&str, usize); 7] = [
     ("kubernetes/cluster/serve.yaml", 1),
     ("kubernetes/cluster/work.yaml", 1),
 ];
-/// Texts that mention options.
+/// Files that mention options.
 const TEXTS: [&str; 3] = ["docker/README.md", "docker/prometheus/alerts.yaml", "docs/threat-model.md"];
-/// Options of other programs in these texts: `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py`.
-const OF_OTHERS: [&str; 12] = [
+/// Options of other commands in these files: `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py`.
+const OPTIONS_OF_OTHERS: [&str; 12] = [
     "--scope",
     "--create",
     "--release",
@@ -33,16 +33,16 @@ const OF_OTHERS: [&str; 12] = [
     "--detach",
     "--require",
 ];
-/// Suffixes of counters and histograms.
-const ENDS: [&str; 4] = ["_total", "_bucket", "_sum", "_count"];
+/// Suffixes that Prometheus adds to counters and histograms.
+const SUFFIXES: [&str; 4] = ["_total", "_bucket", "_sum", "_count"];
 
 fn read(file: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(file);
     fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// The text of all files below a folder of the repository.
-fn below(folder: &str) -> String {
+/// The text of all files in a folder of the repository, recursively.
+fn read_folder(folder: &str) -> String {
     let mut folders: Vec<PathBuf> = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)];
     let mut all = String::new();
     while let Some(folder) = folders.pop() {
@@ -59,7 +59,7 @@ fn below(folder: &str) -> String {
     all
 }
 
-/// Words that begin with `start` and a letter, and consist of lower-case letters, digits and `also`.
+/// Words that start with `start` and a letter, and consist of lower-case letters, digits and `also`.
 fn words(text: &str, start: &str, also: char) -> BTreeSet<String> {
     let is_of = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == also;
     let begins = |at: usize| !text[..at].ends_with(|c: char| c.is_ascii_alphanumeric() || "-_.".contains(c));
@@ -68,7 +68,7 @@ fn words(text: &str, start: &str, also: char) -> BTreeSet<String> {
     text.match_indices(start).filter(|(at, _)| begins(*at) && goes_on(*at)).map(|(at, _)| whole(at)).collect()
 }
 
-/// The arguments of each call of the server in a file, from `serve` or `work` on: in YAML, a systemd unit or a Dockerfile.
+/// The arguments of each server call in a YAML file, systemd unit or Dockerfile, starting with `serve` or `work`.
 fn calls(text: &str) -> Vec<Vec<String>> {
     let owned = |words: Vec<&str>| words.into_iter().map(str::to_owned).collect::<Vec<String>>();
     let mut all: Vec<Vec<String>> = Vec::new();
@@ -94,52 +94,52 @@ fn calls(text: &str) -> Vec<Vec<String>> {
     all
 }
 
-/// Parses a call without starting anything: whether the program accepts it, and its output.
-fn asked(call: &[String]) -> (bool, String) {
+/// Whether the program accepts the arguments, and its output; starts no server.
+fn parse_only(call: &[String]) -> (bool, String) {
     // clap parses each argument with its value before `--help`
     let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(call).arg("--help").output().unwrap();
-    let said = if out.status.success() { out.stdout } else { out.stderr };
-    (out.status.success(), String::from_utf8_lossy(&said).into_owned())
+    let output = if out.status.success() { out.stdout } else { out.stderr };
+    (out.status.success(), String::from_utf8_lossy(&output).into_owned())
 }
 
 #[test]
-fn every_call_of_the_server_is_valid() {
+fn deployment_files_start_the_server_with_valid_options() {
     for (file, count) in CALLERS {
         let calls = calls(&read(&format!("docker/{file}")));
         assert_eq!(calls.len(), count, "{file}: {calls:?}");
         for call in calls {
-            // a node that only works has no public address
-            let door = if call[0] == "work" { "--admin" } else { "--addr" };
-            assert!(call.iter().any(|argument| argument.starts_with(door)), "{file}: {call:?}");
-            let (taken, said) = asked(&call);
-            assert!(taken, "{file}: {said}");
+            // a worker node has no public address
+            let listens = if call[0] == "work" { "--admin" } else { "--addr" };
+            assert!(call.iter().any(|argument| argument.starts_with(listens)), "{file}: {call:?}");
+            let (accepted, output) = parse_only(&call);
+            assert!(accepted, "{file}: {output}");
         }
     }
-    let wrong = |argument: &str| !asked(&["serve".to_owned(), argument.to_owned()]).0;
-    assert!(wrong("--nonsense") && wrong("--set=limits.pixels=0"), "wrong options and wrong values are noticed");
+    let wrong = |argument: &str| !parse_only(&["serve".to_owned(), argument.to_owned()]).0;
+    assert!(wrong("--nonsense") && wrong("--set=limits.pixels=0"), "the test detects invalid options and values");
 }
 
 #[test]
-fn every_mentioned_option_exists() {
-    let known = words(&asked(&["serve".to_owned()]).1, "--", '-');
+fn every_option_in_the_documents_exists() {
+    let known = words(&parse_only(&["serve".to_owned()]).1, "--", '-');
     assert!(known.contains("--data"), "{known:?}");
     for file in TEXTS {
         let unknown: Vec<String> =
-            words(&read(file), "--", '-').into_iter().filter(|o| !known.contains(o) && !OF_OTHERS.contains(&o.as_str())).collect();
+            words(&read(file), "--", '-').into_iter().filter(|o| !known.contains(o) && !OPTIONS_OF_OTHERS.contains(&o.as_str())).collect();
         assert!(unknown.is_empty(), "{file}: {unknown:?}");
     }
 }
 
 #[test]
 fn every_metric_of_alerts_and_dashboard_exists() {
-    let sources = below("src");
+    let sources = read_folder("src");
     for folder in ["docker/prometheus", "docker/grafana"] {
-        let named = words(&below(folder), "tmpi_", '_');
-        assert!(named.len() > 10, "{folder}: {named:?}");
+        let names = words(&read_folder(folder), "tmpi_", '_');
+        assert!(names.len() > 10, "{folder}: {names:?}");
         let registered = |name: &str| sources.contains(&format!("\"{name}\""));
-        let unknown: Vec<&String> = named
+        let unknown: Vec<&String> = names
             .iter()
-            .filter(|name| !registered(name) && !ENDS.iter().any(|end| name.strip_suffix(end).is_some_and(registered)))
+            .filter(|name| !registered(name) && !SUFFIXES.iter().any(|suffix| name.strip_suffix(suffix).is_some_and(registered)))
             .collect();
         assert!(unknown.is_empty(), "{folder}: {unknown:?}");
     }
@@ -147,19 +147,19 @@ fn every_metric_of_alerts_and_dashboard_exists() {
 
 #[test]
 fn every_metric_of_the_program_is_on_the_dashboard() {
-    let (sources, dashboard) = (below("src"), words(&below("docker/grafana"), "tmpi_", '_'));
-    // in either form in which the sources register metrics
-    let given = sources.match_indices("(\"tmpi_").filter_map(|(at, _)| sources[at + 2..].split_once("\", \"").map(|(name, _)| name));
-    let names: BTreeSet<&str> = given.filter(|name| name.chars().all(|c| c.is_ascii_lowercase() || c == '_')).collect();
+    let (sources, dashboard) = (read_folder("src"), words(&read_folder("docker/grafana"), "tmpi_", '_'));
+    // the sources register metrics as ("tmpi_NAME", "HELP")
+    let registered = sources.match_indices("(\"tmpi_").filter_map(|(at, _)| sources[at + 2..].split_once("\", \"").map(|(name, _)| name));
+    let names: BTreeSet<&str> = registered.filter(|name| name.chars().all(|c| c.is_ascii_lowercase() || c == '_')).collect();
     assert!(names.len() > 30 && names.contains("tmpi_requests"), "{names:?}");
-    let shown = |name: &str| dashboard.contains(name) || ENDS.iter().any(|end| dashboard.contains(&format!("{name}{end}")));
+    let shown = |name: &str| dashboard.contains(name) || SUFFIXES.iter().any(|suffix| dashboard.contains(&format!("{name}{suffix}")));
     let missing: Vec<&&str> = names.iter().filter(|name| !shown(name)).collect();
     assert!(missing.is_empty(), "{missing:?}");
 }
 
 #[test]
 fn every_test_in_the_threat_model_exists() {
-    let sources = below("tests/http") + &below("src");
+    let sources = read_folder("tests/http") + &read_folder("src");
     let text = read("docs/threat-model.md");
     let quoted = text.split('`').skip(1).step_by(2);
     let is_test = |word: &str| {

@@ -1,4 +1,4 @@
-//! Runs the fuzzing targets on their seeds and on reproducible changes of these. `cargo xtask fuzz` runs them under libFuzzer.
+//! Runs the fuzz targets on their seeds and on reproducible mutations of them. `cargo xtask fuzz` runs them under libFuzzer.
 #![allow(clippy::unwrap_used, reason = "test")]
 #![allow(unsafe_code, reason = "an allocator that counts")]
 
@@ -9,13 +9,13 @@ use tmpi::fuzzing::{Run, TARGETS};
 #[path = "../fuzz/memory.rs"]
 mod memory;
 
-/// Changes of each seed; `TMPI_FUZZ_CHANGES` sets another count, for longer runs without libFuzzer.
+/// Mutations of each seed; `TMPI_FUZZ_CHANGES` overrides it, for longer runs without libFuzzer.
 const CHANGES: usize = 400;
 
-/// Targets that build or read a whole container each time take a tenth of the changes.
+/// Targets that build or read a whole container get a tenth of the mutations.
 const SLOW: [&str; 3] = ["built", "levels", "room"];
 
-/// Multiplicative generator: the same bytes on every machine.
+/// Linear congruential generator: the same bytes on every machine.
 struct Random(u64);
 
 impl Random {
@@ -25,14 +25,14 @@ impl Random {
     }
 }
 
-/// One to four changes: a byte set, a bit flipped, a range removed, a range duplicated, the end cut off.
-fn changed(seed: &[u8], random: &mut Random) -> Vec<u8> {
+/// Mutates one to four times: sets a byte, flips a bit, removes or duplicates a range, or truncates.
+fn mutated(seed: &[u8], random: &mut Random) -> Vec<u8> {
     let mut data = seed.to_vec();
     for _ in 0..=random.below(4) {
         if data.is_empty() {
             break;
         }
-        // the index and a section's head matter most
+        // prefer the index and the first section header
         let n = data.len();
         let at = if random.below(2) == 0 { random.below(n.min(200)) } else { random.below(n) };
         let end = at + random.below((n - at).min(32));
@@ -52,12 +52,12 @@ fn seeds(name: &str) -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds").join(name);
     let mut files: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|e| e.unwrap().path()).collect();
     files.sort();
-    assert!(!files.is_empty(), "{} holds no seed", folder.display());
+    assert!(!files.is_empty(), "{} has no seeds", folder.display());
     files.into_iter().map(|p| (p.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(p).unwrap())).collect()
 }
 
 #[test]
-fn targets_hold_on_seeds_and_on_changes_of_them() {
+fn targets_accept_seeds_and_mutations_within_their_memory_bound() {
     let changes = std::env::var("TMPI_FUZZ_CHANGES").map_or(CHANGES, |n| n.parse().unwrap());
     for (name, run) in TARGETS {
         let changes = if SLOW.contains(&name) { changes.div_ceil(10) } else { changes };
@@ -66,22 +66,22 @@ fn targets_hold_on_seeds_and_on_changes_of_them() {
             memory::hold(run, &seed);
             let mut random = Random(1);
             for _ in 0..changes {
-                memory::hold(run, &changed(&seed, &mut random));
+                memory::hold(run, &mutated(&seed, &mut random));
             }
         }
     }
-    // not in parallel: the count is for the whole process
-    huge_metadata_takes_a_few_times_its_size_in_memory();
+    // not a test of its own: memory is counted for the whole process
+    huge_metadata_takes_bounded_memory();
 }
 
-/// A chunk of PNG with its checksum.
+/// A PNG chunk with its checksum.
 fn png_chunk(name: [u8; 4], body: &[u8]) -> Vec<u8> {
     let mut out = [(body.len() as u32).to_be_bytes().as_slice(), &name, body].concat();
     out.extend_from_slice(&crc32fast::hash(&out[4..]).to_be_bytes());
     out
 }
 
-/// A little-endian TIFF structure of one entry: an orientation of `count` values of type `kind`, which follow it.
+/// Little-endian TIFF data with one entry, an orientation of `count` zero values of type `kind`.
 fn orientation(kind: u16, count: u32) -> Vec<u8> {
     let mut tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01".to_vec();
     tiff.extend_from_slice(&kind.to_le_bytes());
@@ -91,19 +91,19 @@ fn orientation(kind: u16, count: u32) -> Vec<u8> {
     tiff
 }
 
-fn huge_metadata_takes_a_few_times_its_size_in_memory() {
+fn huge_metadata_takes_bounded_memory() {
     let run = TARGETS.iter().find(|(name, _)| *name == "png").unwrap().1;
     let seed = &seeds("png")[0].1;
     let with = |chunk: Vec<u8>| [&seed[..33], &chunk, &seed[33..]].concat();
-    // an orientation of 31 million texts, all of them empty
+    // an orientation of 31 million empty strings
     memory::hold(run, &with(png_chunk(*b"eXIf", &orientation(2, 31 << 20))));
-    // a profile of zeros, a thousand times as large as its chunk
-    let packed = miniz(&vec![0; 64 << 20]);
+    // a profile of zeros, a thousand times larger than its chunk
+    let packed = zlib(&vec![0; 64 << 20]);
     memory::hold(run, &with(png_chunk(*b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
     memory::hold(run, &with(png_chunk(*b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
     let many: Vec<u8> = (0..200_000).flat_map(|_| png_chunk(*b"tEXt", b"a\0b")).collect();
     memory::hold(run, &with(many));
-    // a JPEG segment of directories that name one another
+    // a JPEG segment with TIFF directories that point to each other
     let mut tiff = b"II*\0\x08\0\0\0".to_vec();
     tiff.extend_from_slice(&5000u16.to_le_bytes());
     for _ in 0..5000 {
@@ -116,18 +116,18 @@ fn huge_metadata_takes_a_few_times_its_size_in_memory() {
     memory::hold(run, &jpeg);
 }
 
-/// Bytes as a zlib stream.
-fn miniz(bytes: &[u8]) -> Vec<u8> {
+/// Compresses as a zlib stream.
+fn zlib(bytes: &[u8]) -> Vec<u8> {
     let mut out = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
     std::io::Write::write_all(&mut out, bytes).unwrap();
     out.finish().unwrap()
 }
 
 #[test]
-fn a_target_that_takes_too_much_is_caught() {
+fn a_target_above_its_memory_bound_fails() {
     let greedy: Run = |data| {
-        let taken = std::hint::black_box(vec![1u8; 64 << 20]);
-        data.len() + taken.len() / 64 / 1024
+        let buffer = std::hint::black_box(vec![1u8; 64 << 20]);
+        data.len() + buffer.len() / 64 / 1024
     };
     assert!(std::panic::catch_unwind(|| memory::hold(greedy, b"one")).is_err());
 }

@@ -1,4 +1,4 @@
-//! Fetching depth networks from a server that breaks off or sends wrong bytes, and which network is used afterwards.
+//! Downloads depth networks from a server that interrupts transfers or sends wrong bytes, and checks which network is used.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::io::{BufRead, BufReader, Write};
@@ -18,31 +18,31 @@ mod client;
 
 use client::{get, request};
 
-/// Stands in for a depth network: the mean of a picture's channels.
+/// Replaces a depth network: computes the mean of a picture's channels.
 const NETWORK: &[u8] = include_bytes!("onnx/mean.onnx");
-/// The network that `auto` fetches.
+/// The network that `auto` downloads.
 const NAME: &str = "depth-anything-v2-small-fp16";
 
 #[derive(Clone, Copy, PartialEq)]
-enum Mood {
-    Well,
-    Cuts,
-    Spoils,
+enum Behaviour {
+    Correct,
+    Truncates,
+    Corrupts,
 }
 
-struct Standin {
+struct FileServer {
     url: String,
-    mood: Arc<Mutex<Mood>>,
-    /// Offsets of the requests.
-    asked: Arc<Mutex<Vec<usize>>>,
+    behaviour: Arc<Mutex<Behaviour>>,
+    /// Start offsets of the requests.
+    offsets: Arc<Mutex<Vec<usize>>>,
 }
 
-/// A server on loopback with one file.
-fn standin() -> Standin {
+/// Serves one file on loopback.
+fn file_server() -> FileServer {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/model.onnx", listener.local_addr().unwrap());
-    let (mood, asked) = (Arc::new(Mutex::new(Mood::Well)), Arc::new(Mutex::new(Vec::new())));
-    let (m, a) = (Arc::clone(&mood), Arc::clone(&asked));
+    let (behaviour, offsets) = (Arc::new(Mutex::new(Behaviour::Correct)), Arc::new(Mutex::new(Vec::new())));
+    let server = FileServer { url, behaviour: Arc::clone(&behaviour), offsets: Arc::clone(&offsets) };
     std::thread::spawn(move || {
         for mut stream in listener.incoming().map_while(Result::ok) {
             let lines = BufReader::new(&stream).lines().map_while(Result::ok).take_while(|l| !l.is_empty());
@@ -50,10 +50,10 @@ fn standin() -> Standin {
                 let range = l.to_ascii_lowercase();
                 range.strip_prefix("range: bytes=").and_then(|r| r.trim_end_matches('-').parse().ok()).unwrap_or(from)
             });
-            a.lock().unwrap().push(from);
-            let mood = *m.lock().unwrap();
+            offsets.lock().unwrap().push(from);
+            let behaviour = *behaviour.lock().unwrap();
             let mut body = NETWORK[from..].to_vec();
-            if mood == Mood::Spoils {
+            if behaviour == Behaviour::Corrupts {
                 body[10] ^= 1;
             }
             let status = if from > 0 {
@@ -62,29 +62,30 @@ fn standin() -> Standin {
                 "200 OK".into()
             };
             let head = format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
-            let sent = if mood == Mood::Cuts { body.len() / 2 } else { body.len() };
+            let sent = if behaviour == Behaviour::Truncates { body.len() / 2 } else { body.len() };
             let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body[..sent]));
         }
     });
-    Standin { url, mood, asked }
+    server
 }
 
-struct Place(tempfile::TempDir);
+/// A temporary folder with a photo, in which tests run the program.
+struct Folder(tempfile::TempDir);
 
-impl Place {
+impl Folder {
     fn new() -> Self {
-        let place = Self(tempfile::tempdir().unwrap());
+        let folder = Self(tempfile::tempdir().unwrap());
         let rgba = (0..64 * 48u32).map(|i| [(i % 64 * 4) as u8, (i / 64 * 5) as u8, 99, 255]).collect();
         let photo = encode(&View { width: 64, height: 48, rgba }, PictureFormat::Png, 90).unwrap();
-        std::fs::write(place.0.path().join("photo.png"), photo).unwrap();
-        place
+        std::fs::write(folder.0.path().join("photo.png"), photo).unwrap();
+        folder
     }
 
     fn models(&self) -> PathBuf {
         self.0.path().join("models")
     }
 
-    /// The built program in this folder, with only its networks.
+    /// The program, with only the networks in this folder.
     fn command(&self) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
         let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
@@ -95,7 +96,7 @@ impl Place {
         command
     }
 
-    /// Standard output and standard error of a successful run.
+    /// Returns standard output and standard error of a successful run.
     fn run(&self, args: &[&str]) -> (String, String) {
         let output = self.command().args(args).output().unwrap();
         let text = |b| String::from_utf8(b).unwrap();
@@ -104,12 +105,12 @@ impl Place {
         (out, err)
     }
 
-    fn get(&self, server: &Standin, mood: Mood, sha256: &str) -> (String, String) {
-        *server.mood.lock().unwrap() = mood;
+    fn get(&self, server: &FileServer, behaviour: Behaviour, sha256: &str) -> (String, String) {
+        *server.behaviour.lock().unwrap() = behaviour;
         self.run(&["models", "get", "auto", "--url", &server.url, "--sha256", sha256, "-q"])
     }
 
-    /// The network in the report of a new run.
+    /// The network that `make` reports.
     fn used(&self, more: &[&str]) -> String {
         self.run(&[&["make", "photo.png", "-o", "photo.tmpi", "-qf", "--report", "report.json"], more].concat());
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path().join("report.json")).unwrap()).unwrap();
@@ -117,15 +118,15 @@ impl Place {
     }
 }
 
-/// A server that fetches its network from a stand-in.
-struct Serving {
+/// `tmpi serve`, which downloads its network from a [`FileServer`].
+struct TmpiServer {
     child: Child,
     addr: SocketAddr,
 }
 
-impl Serving {
-    fn start(place: &Place, url: &str, sha256: &str) -> Self {
-        let mut command = place.command();
+impl TmpiServer {
+    fn start(folder: &Folder, url: &str, sha256: &str) -> Self {
+        let mut command = folder.command();
         command.args(["serve", "--addr", "127.0.0.1:0", "--data", "data", "--network-url", url, "--network-sha256", sha256]);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut line = String::new();
@@ -135,37 +136,37 @@ impl Serving {
     }
 
     fn network(&self) -> Value {
-        let answer = get(self.addr, "/v1/network");
-        assert_eq!(answer.status, 200);
-        answer.json()
+        let response = get(self.addr, "/v1/network");
+        assert_eq!(response.status, 200);
+        response.json()
     }
 
-    /// Starts fetching the network and waits for the end.
+    /// Downloads the network and waits until it is done.
     fn fetch(&self) -> Value {
         assert_eq!(request(self.addr, "POST", "/v1/network", &[], &[]).status, 202);
-        let end = Instant::now() + Duration::from_mins(1);
+        let deadline = Instant::now() + Duration::from_mins(1);
         loop {
-            let now = self.network();
-            if now.get("fetched_bytes").is_none() {
-                return now;
+            let state = self.network();
+            if state.get("fetched_bytes").is_none() {
+                return state;
             }
-            assert!(Instant::now() < end, "{now}");
+            assert!(Instant::now() < deadline, "{state}");
             std::thread::sleep(Duration::from_millis(5));
         }
     }
 
-    /// Sends a request and waits for its photo; returns the photo's id, its version, and the network of its report.
-    fn made(&self, path: &str, body: &[u8]) -> [String; 3] {
-        let answer = request(self.addr, "POST", path, &[("prefer", "wait=25")], body);
-        assert!(matches!(answer.status, 200 | 201), "{}", String::from_utf8_lossy(&answer.body));
-        let state = answer.json();
+    /// Posts and waits for the photo; returns its id, version, and network.
+    fn make(&self, path: &str, body: &[u8]) -> [String; 3] {
+        let response = request(self.addr, "POST", path, &[("prefer", "wait=25")], body);
+        assert!(matches!(response.status, 200 | 201), "{}", String::from_utf8_lossy(&response.body));
+        let state = response.json();
         let text = |value: &Value| value.as_str().unwrap().to_owned();
         let report = get(self.addr, &text(&state["links"]["report"])).json();
         [text(&state["id"]), text(&state["version"]), text(&report["depth_model"])]
     }
 }
 
-impl Drop for Serving {
+impl Drop for TmpiServer {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
@@ -173,119 +174,122 @@ impl Drop for Serving {
 }
 
 #[test]
-fn a_server_fetches_a_better_network_while_it_runs() {
-    let (place, standin) = (Place::new(), standin());
+fn a_running_server_downloads_a_better_network() {
+    let (folder, files) = (Folder::new(), file_server());
     let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
-    let photo = std::fs::read(place.0.path().join("photo.png")).unwrap();
-    let there = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
-    let server = Serving::start(&place, &standin.url, &digest);
+    let photo = std::fs::read(folder.0.path().join("photo.png")).unwrap();
+    let has_onnx = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
+    let server = TmpiServer::start(&folder, &files.url, &digest);
     let before = server.network();
     assert_eq!((&before["name"], &before["better"]["name"], before.get("problem")), (&json!("tmpi"), &json!(NAME), None));
-    let old = there.then(|| server.made("/v1/photos", &photo));
+    let old = has_onnx.then(|| server.make("/v1/photos", &photo));
 
-    // strangers behind a proxy, and pages of other sites, are refused
+    // clients behind a proxy and pages of other sites are rejected
     let proxied = ("x-forwarded-for", "203.0.113.1");
     assert_eq!(request(server.addr, "GET", "/v1/network", &[proxied], &[]).status, 403);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[proxied], &[]).status, 403);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[("sec-fetch-site", "cross-site")], &[]).status, 403);
-    assert!(standin.asked.lock().unwrap().is_empty(), "no refused request fetches anything");
+    assert!(files.offsets.lock().unwrap().is_empty(), "rejected requests download nothing");
 
-    // a download that breaks off is reported and continued
-    *standin.mood.lock().unwrap() = Mood::Cuts;
-    let cut = server.fetch();
-    assert!(cut["problem"].as_str().unwrap().contains("broke off") && cut["better"]["name"] == NAME, "{cut}");
-    *standin.mood.lock().unwrap() = Mood::Well;
+    // the server reports an interrupted download and resumes it
+    *files.behaviour.lock().unwrap() = Behaviour::Truncates;
+    let interrupted = server.fetch();
+    assert!(interrupted["problem"].as_str().unwrap().contains("broke off") && interrupted["better"]["name"] == NAME, "{interrupted}");
+    *files.behaviour.lock().unwrap() = Behaviour::Correct;
     let after = server.fetch();
     assert_eq!((&after["name"], after.get("better"), after.get("problem")), (&json!(NAME), None, None));
-    assert_eq!(*standin.asked.lock().unwrap(), [0, NETWORK.len() / 2]);
-    assert_eq!(request(server.addr, "POST", "/v1/network", &[], &[]).status, 200, "there is nothing more to fetch");
+    assert_eq!(*files.offsets.lock().unwrap(), [0, NETWORK.len() / 2]);
+    assert_eq!(request(server.addr, "POST", "/v1/network", &[], &[]).status, 200, "there is nothing more to download");
 
     if let Some([id, version, network]) = old {
         assert_eq!(network, "tmpi");
-        let [same, newer, network] = server.made(&format!("/v1/photos/{id}/again"), &[]);
+        let [same, newer, network] = server.make(&format!("/v1/photos/{id}/again"), &[]);
         assert_eq!((&same, network.as_str()), (&id, NAME));
         assert_ne!(newer, version);
-        let [other, _, network] = server.made("/v1/photos", &photo);
-        assert_eq!((other != id, network.as_str()), (true, NAME), "an upload is another photo with another network");
+        let [other, _, network] = server.make("/v1/photos", &photo);
+        assert_eq!((other != id, network.as_str()), (true, NAME), "with another network the same upload gives another photo");
     }
 
-    // after a restart the fetched network is used, and no better one is offered
+    // after a restart the server uses the downloaded network and offers no better one
     drop(server);
-    let server = Serving::start(&place, &standin.url, &digest);
+    let server = TmpiServer::start(&folder, &files.url, &digest);
     assert_eq!((&server.network()["name"], server.network().get("better")), (&json!(NAME), None));
 }
 
 #[test]
-fn auto_uses_the_best_installed_network_and_works_without() {
-    let (place, server) = (Place::new(), standin());
+fn auto_uses_the_best_installed_network_or_the_embedded_one() {
+    let (folder, files) = (Folder::new(), file_server());
     let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
-    let there = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
+    let has_onnx = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
 
-    // no answer: one line of error, and the embedded network is used
+    // without a response the program prints one line and uses the embedded network
     let unreachable = "http://127.0.0.1:1/model.onnx";
-    let auto = |more: &[&str]| place.run(&[&["models", "get", "auto", "--sha256", digest.as_str()], more].concat());
+    let auto = |more: &[&str]| folder.run(&[&["models", "get", "auto", "--sha256", digest.as_str()], more].concat());
     for more in [&["--url", unreachable][..], &["--url", unreachable, "-q"]] {
         let (out, err) = auto(more);
         assert!(out.is_empty() && err.lines().count() == 1 && err.contains("embedded") && err.contains(unreachable), "{err}");
     }
-    if there {
-        assert_eq!(place.used(&[]), "tmpi");
+    if has_onnx {
+        assert_eq!(folder.used(&[]), "tmpi");
     }
 
-    // a file with a wrong digest leaves nothing
-    let (_, err) = place.get(&server, Mood::Spoils, &digest);
+    // a file with a wrong digest is deleted
+    let (_, err) = folder.get(&files, Behaviour::Corrupts, &digest);
     assert!(err.contains("digest") && err.contains("embedded"), "{err}");
-    assert_eq!(std::fs::read_dir(place.models()).unwrap().count(), 0);
+    assert_eq!(std::fs::read_dir(folder.models()).unwrap().count(), 0);
 
-    // a download that breaks off is kept, and the next one requests the rest
-    let (_, err) = place.get(&server, Mood::Cuts, &digest);
+    // an interrupted download is kept, and the next one requests the rest
+    let (_, err) = folder.get(&files, Behaviour::Truncates, &digest);
     assert!(err.contains("broke off"), "{err}");
-    let file = place.models().join(format!("{NAME}.onnx"));
+    let file = folder.models().join(format!("{NAME}.onnx"));
     assert!(!file.exists());
-    let (out, err) = place.get(&server, Mood::Well, &digest);
+    let (out, err) = folder.get(&files, Behaviour::Correct, &digest);
     assert_eq!((Path::new(out.trim()), err.as_str()), (file.as_path(), ""));
-    assert_eq!(*server.asked.lock().unwrap(), [0, 0, NETWORK.len() / 2]);
+    assert_eq!(*files.offsets.lock().unwrap(), [0, 0, NETWORK.len() / 2]);
     assert_eq!(std::fs::read(&file).unwrap(), NETWORK);
 
-    // without `-q` the address is printed
+    // without `-q` the program prints the URL
     std::fs::remove_file(&file).unwrap();
-    let (_, err) = auto(&["--url", &server.url]);
-    assert_eq!(err.trim(), server.url);
-    server.asked.lock().unwrap().pop();
+    let (_, err) = auto(&["--url", &files.url]);
+    assert_eq!(err.trim(), files.url);
+    files.offsets.lock().unwrap().pop();
 
-    // an installed network is not fetched again
-    let (out, _) = place.get(&server, Mood::Well, &digest);
-    assert_eq!((Path::new(out.trim()), server.asked.lock().unwrap().len()), (file.as_path(), 3));
-    if there {
-        assert_eq!(place.used(&[]), NAME);
-        assert_eq!(place.used(&["--depth-model", "tmpi"]), "tmpi");
+    // an installed network is not downloaded again
+    let (out, _) = folder.get(&files, Behaviour::Correct, &digest);
+    assert_eq!((Path::new(out.trim()), files.offsets.lock().unwrap().len()), (file.as_path(), 3));
+    if has_onnx {
+        assert_eq!(folder.used(&[]), NAME);
+        assert_eq!(folder.used(&["--depth-model", "tmpi"]), "tmpi");
     }
 }
 
 #[test]
-fn a_worse_installed_network_does_not_prevent_fetching_a_better_one() {
-    let (place, standin) = (Place::new(), standin());
+fn a_worse_installed_network_does_not_block_a_better_one() {
+    let (folder, files) = (Folder::new(), file_server());
     let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
-    let worse = place.models().join("dpt-large.onnx");
-    std::fs::create_dir_all(place.models()).unwrap();
+    let worse = folder.models().join("dpt-large.onnx");
+    std::fs::create_dir_all(folder.models()).unwrap();
     std::fs::write(&worse, NETWORK).unwrap();
 
-    // the server offers the better network and lists those that it is better than
-    let server = Serving::start(&place, &standin.url, &digest);
-    let now = server.network();
-    assert_eq!((&now["name"], &now["better"]["name"], &now["better_than"][0]), (&json!("dpt-large"), &json!(NAME), &json!("dpt-hybrid")));
+    // the server offers the better network and lists the networks that it beats
+    let server = TmpiServer::start(&folder, &files.url, &digest);
+    let state = server.network();
+    assert_eq!(
+        (&state["name"], &state["better"]["name"], &state["better_than"][0]),
+        (&json!("dpt-large"), &json!(NAME), &json!("dpt-hybrid"))
+    );
     drop(server);
 
-    // if it cannot be fetched, the installed network is used
-    let (out, err) = place.run(&["models", "get", "auto", "--url", "http://127.0.0.1:1/model.onnx", "--sha256", &digest]);
+    // if the download fails, the program uses the installed network
+    let (out, err) = folder.run(&["models", "get", "auto", "--url", "http://127.0.0.1:1/model.onnx", "--sha256", &digest]);
     assert_eq!((Path::new(out.trim()), err.lines().count()), (worse.as_path(), 1), "{err}");
     assert!(err.contains("using ") && err.contains("dpt-large.onnx"), "{err}");
-    let (out, _) = place.get(&standin, Mood::Well, &digest);
-    assert_eq!(Path::new(out.trim()), place.models().join(format!("{NAME}.onnx")));
+    let (out, _) = folder.get(&files, Behaviour::Correct, &digest);
+    assert_eq!(Path::new(out.trim()), folder.models().join(format!("{NAME}.onnx")));
 
     // an equally good network is enough
-    std::fs::rename(out.trim(), place.models().join("moge-2-small.onnx")).unwrap();
-    let (out, _) = place.get(&standin, Mood::Well, &digest);
-    assert_eq!((Path::new(out.trim()), standin.asked.lock().unwrap().len()), (place.models().join("moge-2-small.onnx").as_path(), 1));
-    assert_eq!(Serving::start(&place, &standin.url, &digest).network().get("better"), None);
+    std::fs::rename(out.trim(), folder.models().join("moge-2-small.onnx")).unwrap();
+    let (out, _) = folder.get(&files, Behaviour::Correct, &digest);
+    assert_eq!((Path::new(out.trim()), files.offsets.lock().unwrap().len()), (folder.models().join("moge-2-small.onnx").as_path(), 1));
+    assert_eq!(TmpiServer::start(&folder, &files.url, &digest).network().get("better"), None);
 }

@@ -1,11 +1,11 @@
-"""Holds the program's work before and after a depth network against that of its publishers, on networks with random weights.
+"""Compares the program's pre- and postprocessing of depth networks with their publishers' code, on networks with random weights.
 
     python adapters.py ../target/release/tmpi [photo …]
 
-Each architecture is built with few layers, exported to ONNX, and run twice: with the image processor of `transformers` (MiDaS: OpenCV,
-as its project does) in PyTorch, and by `tmpi depth --raw`. Of Depth Anything 3, MoGe-2 and ZipDepth, which `transformers` does not have,
-the published interface stands on few convolutions; what their projects' code does before and after it is written down here anew. What is compared is the map at the network's size, without the margins that
-ZoeDepth adds; enlarging it along the photo's edges is the program's own."""
+Builds each architecture with few layers, exports it to ONNX, and runs it twice: in PyTorch with the image processor of `transformers` (MiDaS: OpenCV, as
+in its project), and with `tmpi depth --raw`. For Depth Anything 3, MoGe-2 and ZipDepth, which `transformers` does not have, small convolutional networks
+have the published interface, and this script reimplements their projects' pre- and postprocessing. Compares the map at the network's size, without
+ZoeDepth's margins and without the program's upsampling along the photo's edges."""
 
 import argparse
 import itertools
@@ -43,7 +43,7 @@ def pfm(path):
 
 
 class Pixels(nn.Module):
-    """A `transformers` network as a function of pixels alone, its map with a channel."""
+    """Wraps a `transformers` network: pixels to a map with one channel."""
 
     def __init__(self, net):
         super().__init__()
@@ -55,7 +55,7 @@ class Pixels(nn.Module):
 
 class Midas(nn.Module):
     """A convolutional encoder, and a decoder that fuses its four scales from the coarsest on. With `normalise` it takes
-    pixels in 0..1, as MiDaS is published in ONNX."""
+    pixels in 0..1, like the published ONNX files of MiDaS."""
 
     def __init__(self, encoder, width, normalise):
         super().__init__()
@@ -84,7 +84,7 @@ def residual(width):
 
 
 def opencv(size, mean, std):
-    """MiDaS's own: a cubic of OpenCV on values in 0..1, unrounded."""
+    """MiDaS's preprocessing: OpenCV's cubic filter on values in 0..1, without rounding."""
 
     def prepare(image):
         x = cv2.resize(np.asarray(image) / 255.0, size(*image.size), interpolation=cv2.INTER_CUBIC)
@@ -94,7 +94,7 @@ def opencv(size, mean, std):
 
 
 def within(side):
-    """No side longer than `side`, multiples of 32."""
+    """Sizes in multiples of 32, with no side longer than `side`."""
 
     def size(w, h):
         scale = min(side / w, side / h)
@@ -146,13 +146,12 @@ def zoe():
 
 
 def trunk(channels, given):
-    """Convolutions at the picture's size: every pixel counts, and its neighbours."""
+    """Convolutions at full resolution, so that every pixel and its neighbours matter."""
     return nn.Sequential(nn.Conv2d(channels, 24, 3, 1, 1), nn.ReLU(), nn.Conv2d(24, 24, 3, 1, 1), nn.ReLU(), nn.Conv2d(24, given, 1))
 
 
 class Views(nn.Module):
-    """The interface of Depth Anything 3, on squares of 14 pixels as there: distances and how sure it is, of several pictures at once; or, of
-    one alone, sky."""
+    """The interface of Depth Anything 3 with patches of 14 pixels: distance and confidence of several pictures; or distance and sky of one."""
 
     def __init__(self, several):
         super().__init__()
@@ -165,13 +164,13 @@ class Views(nn.Module):
         first, second = x[:, 0], x[:, 1]
         if self.several:
             return tuple(v.unflatten(0, pixels.shape[:2]) for v in ((first / 2).exp(), second.exp() + 1))
-        # a tenth of the pixels or so
+        # sky is about a tenth of the pixels
         return (first / 2).exp(), torch.sigmoid(second - 4.2)
 
 
 class Points(nn.Module):
-    """The interface of MoGe-2: it brings the picture to its tokens by itself, and gives points that a camera could see from .7 behind them, off
-    by some percent; a mask, and the scale."""
+    """The interface of MoGe-2: resizes the picture to its tokens, and returns points as seen from .7 behind, off by a few percent, a mask, and the
+    scale."""
 
     inputs, outputs = ["image", "num_tokens"], ["points", "normal", "mask", "metric_scale"]
 
@@ -198,7 +197,7 @@ class Points(nn.Module):
 
 
 class Stem(nn.Module):
-    """The interface of ZipDepth, with the name of its first convolution; it normalises by itself."""
+    """The interface of ZipDepth, which normalises its input, with the name of its first convolution."""
 
     inputs, outputs = ["image"], ["depth"]
 
@@ -217,7 +216,7 @@ class Stem(nn.Module):
 
 
 def three(several):
-    """Depth Anything 3's own: bytes of OpenCV, the longer side 504, then each side the nearest multiple of 14, of two the larger one."""
+    """Depth Anything 3's preprocessing: OpenCV on bytes, longer side 504, then each side to the nearest multiple of 14, ties up."""
 
     def to(x, w, h):
         grows = w > x.shape[1] or h > x.shape[0]
@@ -237,7 +236,7 @@ def three(several):
 
 
 def moge(image):
-    """MoGe's own: what its encoder sees of a photo of any size, by PyTorch's antialiased lines, and 1800 tokens."""
+    """MoGe's preprocessing: the input of its encoder, resized by PyTorch's antialiased bilinear filter, for 1800 tokens."""
     aspect = image.size[0] / image.size[1]
     rows, columns = round((1800 / aspect) ** 0.5), round((1800 * aspect) ** 0.5)
     x = torch.from_numpy((np.asarray(image) / 255).transpose(2, 0, 1).astype(np.float32))[None]
@@ -245,20 +244,20 @@ def moge(image):
 
 
 def zipdepth(image):
-    """ZipDepth's own: bytes of OpenCV, the shorter side 384, multiples of 32."""
+    """ZipDepth's preprocessing: OpenCV on bytes, shorter side 384, multiples of 32."""
     scale = 384 / min(image.size)
     size = [max(32, round(v * scale / 32) * 32) for v in image.size]
     x = cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_LINEAR)
     return torch.from_numpy(x.transpose(2, 0, 1).astype(np.float32) / 255)[None]
 
 
-def either(disparity, above):
-    """Not compared where rounding decides on which side of a threshold a pixel is: here below a thousandth."""
+def ignore_threshold(disparity, above):
+    """Excludes pixels within a thousandth of a threshold, where rounding decides the side."""
     return torch.where(above.abs() < 1e-3, torch.nan, disparity)
 
 
-def seen(points, _normal, mask, scale):
-    """What MoGe makes of its points: the shift that brings each on its pixel, sought on 64 × 64 of them; nothing outside of the mask."""
+def moge_disparity(points, _normal, mask, scale):
+    """MoGe's postprocessing: solves for the shift that projects points to their pixels, on 64 × 64 of them; infinitely far outside the mask."""
     points, inside = points[0].numpy(), mask[0].numpy() > 0.5
     h, w = inside.shape
     diagonal = math.hypot(w, h)
@@ -273,20 +272,20 @@ def seen(points, _normal, mask, scale):
 
     shift = least_squares(off, 0, method="lm", ftol=1e-3).x[0]
     depth = np.where(inside & (points[..., 2] + shift > 0), (points[..., 2] + shift) * scale.item(), np.inf)
-    print(f"    shift {shift:.4f}, {1 - inside.mean():.0%} outside of the mask")
-    return either(torch.from_numpy(1 / depth), mask[0] - 0.5)
+    print(f"    shift {shift:.4f}, {1 - inside.mean():.0%} outside the mask")
+    return ignore_threshold(torch.from_numpy(1 / depth), mask[0] - 0.5)
 
 
-def calmed(net):
-    """Attractors, whose force falls off within thousandths, tear the map of random weights to distances of 0: weaker weights there."""
+def weaken_attractors(net):
+    """Scales down ZoeDepth's attractor weights, because random ones pull distances to 0."""
     for m in net.net.metric_head.modules():
         if isinstance(m, nn.Conv2d):
             m.weight.data *= 0.6
 
 
 def architectures():
-    """(row, adapter, what makes the network and names its last linear layer, what comes before it, any size in one file, metric, processor, what
-    makes disparity of its outputs)."""
+    """Yields (row, adapter, function that returns network and last linear layer, preprocessing, whether one file takes any size, metric, processor,
+    function from outputs to disparity)."""
     for name, encoder, width, side in (("midas-v2.1-small", "tf_efficientnet_lite3", 64, 256), ("midas-v2.1", "resnext101_32x8d", 64, 384)):
         for end, size, norm in (("", lambda w, h, side=side: (side, side), False), ("-hub", within(side), True)):
 
@@ -296,7 +295,7 @@ def architectures():
 
             yield name + end, name + end, make, opencv(size, *(IMAGENET if norm else ([0] * 3, [1] * 3))), True, False, None, None
 
-    # as their preprocessor_config.json say: Pillow's linear filter, both sides 384
+    # as in their preprocessor_config.json: Pillow's linear filter, both sides 384
     for name in ("dpt-large", "dpt-hybrid"):
         processor = t.DPTImageProcessorPil(resample=Image.Resampling.BILINEAR, image_mean=HALF[0], image_std=HALF[1])
         yield name, name, lambda name=name: dpt(name == "dpt-hybrid"), by(processor), True, False, None, None
@@ -315,15 +314,15 @@ def architectures():
         return net, (net.decoder if isinstance(net, Stem) else net.net)[-1]
 
     yield "depth-anything-3", "depth-anything-3", lambda: made(Views(True)), three(True), True, False, None, lambda depth, _: 1 / depth[0, 0]
-    sky = lambda depth, sky: either(torch.where(sky[0] < 0.3, 1 / depth[0], 0), sky[0] - 0.3)  # noqa: E731
+    sky = lambda depth, sky: ignore_threshold(torch.where(sky[0] < 0.3, 1 / depth[0], 0), sky[0] - 0.3)  # noqa: E731
     yield "depth-anything-3 sky", "depth-anything-3", lambda: made(Views(False)), three(False), False, False, None, sky
-    yield "moge-2", "moge-2", lambda: made(Points()), moge, True, False, None, seen
+    yield "moge-2", "moge-2", lambda: made(Points()), moge, True, False, None, moge_disparity
     yield "zipdepth", "zipdepth", lambda: made(Stem()), zipdepth, False, False, None, lambda depth: depth[0, 0]
 
 
 def enliven(net, last, *x):
-    """Random weights that carry the picture through to a map with relief: statistics of batches are those of `x`, and the last
-    linear layer gives values about 2 ± 1, which is inside the range of what follows it."""
+    """Initialises random weights so that the map depends on the picture: batch statistics come from `x`, and the last linear layer returns about 2 ± 1,
+    inside the range of the following activation."""
     for m in net.modules():
         if isinstance(m, (nn.Conv2d, nn.ConvTranspose2d, nn.Linear)):
             nn.init.kaiming_normal_(m.weight)
@@ -340,14 +339,14 @@ def enliven(net, last, *x):
         hook = last.register_forward_hook(lambda _m, _i, out: given.append(out))
         net(*x)
         hook.remove()
-        # channel by channel
+        # per channel
         mean, std = given[0].mean((0, 2, 3)), given[0].std((0, 2, 3))
         last.weight /= std[:, None, None, None]
         last.bias.copy_((last.bias - mean) / std + 2)
 
 
 def shapes(photos):
-    """(name, picture): landscape, portrait, panorama, and small ones that are enlarged, from the given photos in turn."""
+    """Yields (name, picture): landscape, portrait, panorama, and small ones to enlarge, from the photos in turn."""
     turn = itertools.cycle(photos)
 
     def photo():
@@ -364,7 +363,7 @@ def shapes(photos):
     yield "panorama", cut(photo(), 3.4)
     yield "small", cut(photo(), 4 / 3).resize((301, 227))
     yield "small, upright", cut(photo(), 0.6).resize((150, 250))
-    yield "middling", cut(photo(), 1.5).resize((600, 400))
+    yield "medium", cut(photo(), 1.5).resize((600, 400))
 
 
 def listed(given):
@@ -372,7 +371,7 @@ def listed(given):
 
 
 def export(net, x, model, any_size):
-    """Writes the network; with the weights in a file of their own, as large ones are published, where it takes several pictures."""
+    """Writes the network; for several pictures with external weights, like large published files."""
     inputs, outputs = getattr(net, "inputs", ["image"]), getattr(net, "outputs", ["depth"])
     axes = {}
     if any_size:
@@ -392,7 +391,7 @@ def main():
     a.add_argument("program")
     a.add_argument("photos", nargs="*")
     a.add_argument("--bound", type=float, default=1e-3, help="largest difference, relative to the map's range")
-    a.add_argument("--only", default="", help="rows whose names start so")
+    a.add_argument("--only", default="", help="only rows whose names start with this")
     a = a.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
@@ -418,31 +417,31 @@ def main():
                 if model is None:
                     enliven(net, last, *x)
                     if name == "zoedepth":
-                        calmed(net)
+                        weaken_attractors(net)
                 h, w = x[0].shape[-2:]
                 if model is None or not (any_size or f"{w}x{h}" in model):
                     if model:
                         Path(model).unlink()
-                    # attention with interpolated positions does not trace for all sizes: one size a file. Those whose graph tells what they are
-                    # have no name; a name that begins with the adapter's would be told instead of that
+                    # attention with interpolated positions traces for one size only, so one file per size. If the graph identifies the adapter, use a
+                    # neutral file name, because a name that starts with the adapter's would identify it too
                     model = f"{folder}/{'network' if after else f'of-{name}'}{'' if any_size else f'-{w}x{h}'}.onnx"
                     export(net, x, model, any_size and "dpt" not in name)
                 with torch.no_grad():
                     want = after(*listed(net(*x))) if after else net(*x)[:, 0]
                 out = f"{folder}/out.pfm"
                 command = [a.program, "depth", "--raw", "--quiet", "--json", "-o", out, png, "--depth-model"]
-                # by the file alone: the program must find the adapter too
+                # pass only the file, so that the program must detect the adapter
                 about = json.loads(subprocess.run([*command, model], check=True, capture_output=True).stdout)
                 got = pfm(out)
                 if processor:
-                    # theirs comes at any size that is asked for; ours should have about the network's scale
+                    # their code returns any size; ours should be about the network's
                     output = t.modeling_outputs.DepthEstimatorOutput(predicted_depth=want)
                     (full,) = processor.post_process_depth_estimation(output, source_sizes=[image.size[::-1]], target_sizes=[got.shape])
                     want = full["predicted_depth"]
                 want = want.squeeze(0).numpy()
                 off = mean = np.inf
                 note = "" if got.shape == want.shape else f" here {got.shape[1]}×{got.shape[0]}"
-                note += "" if about["model"] == name else f" taken for {about['model']}"
+                note += "" if about["model"] == name else f" detected as {about['model']}"
                 if not note:
                     want = 1 / want if metric else want
                     difference = np.abs(got - want) / (np.nanmax(want) - np.nanmin(want))
@@ -453,7 +452,7 @@ def main():
             Path(model).unlink()
             Path(f"{model}_data").unlink(missing_ok=True)
     if not rows:
-        raise SystemExit(f"no row begins with {a.only}")
+        raise SystemExit(f"no row starts with {a.only}")
     print(f"worst {worst:.1e}, bound {a.bound:.0e}, {time.time() - begun:.0f} s")
     if not worst <= a.bound:
         raise SystemExit(1)

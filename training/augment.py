@@ -1,6 +1,6 @@
-"""What light, lenses, sensors and codecs do to the colours of photographs, on batches [N, 3, H, W] in 0..1, on any device.
+"""Augments colours as light, lenses, sensors and codecs change them, for batches [N, 3, H, W] in 0..1 on any device.
 
-What happens is a function of the generator `rng` of Python's `random`, and of the kind of device. Sides are multiples of 8. Nothing waits for the device."""
+The result depends only on `rng`, a generator of Python's `random`, and on the type of device. Sides must be multiples of 8. Nothing waits for the device."""
 
 import functools
 import math
@@ -9,24 +9,24 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from common import constant, generator, sent
+from common import constant, generator, to_device
 
-# quantisation of luma by JPEG at quality 50
+# JPEG quantisation table of luma at quality 50
 LUMA = (
     16, 11, 10, 16, 24, 40, 51, 61, 12, 12, 14, 19, 26, 58, 60, 55, 14, 13, 16, 24, 40, 57, 69, 56, 14, 17, 22, 29, 51, 87, 80, 62,
     18, 22, 37, 56, 68, 109, 103, 77, 24, 35, 55, 64, 81, 104, 113, 92, 49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99,
 )  # fmt: skip
-# chroma is quantised more coarsely by so much
+# factor by which chroma quantisation is coarser
 CHROMA = 1.6
 YCC = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -0.081312))
-# lightness, red against green, yellow against blue
+# lightness, red − green, yellow − blue
 OPPONENT = ((1 / 3, 1 / 3, 1 / 3), (0.5, -0.5, 0.0), (0.25, 0.25, -0.5))
-# the cosines of JPEG's blocks
+# basis of the DCT of JPEG blocks
 COSINES = tuple(tuple(0.5 * math.cos((2 * x + 1) * k * math.pi / 16) * (1 if k else 0.5**0.5) for x in range(8)) for k in range(8))
 
 
 class Draws:
-    """Numbers for each picture of a batch, [N, C, 1, 1]."""
+    """Random numbers for each picture of a batch, [N, C, 1, 1]."""
 
     def __init__(self, count, rng, device):
         self.count, self.device = count, device
@@ -44,30 +44,30 @@ class Draws:
 
 @functools.cache
 def inverse(matrix):
-    """The inverse of a matrix of tuples, as tuples."""
+    """Inverse of a matrix as tuples."""
     return tuple(map(tuple, np.linalg.inv(np.array(matrix)).tolist()))
 
 
 def channels(matrix, x):
-    """Each pixel's colour times a matrix of tuples."""
+    """Multiplies each pixel's colour by a matrix of tuples."""
     return torch.einsum("oc,nchw->nohw", constant(matrix, x.device), x)
 
 
 def changed(x, at, change, *more):
-    """`x` with `change` made to the pictures `at`, their numbers; `more` goes along, picture by picture."""
+    """Applies `change` to the pictures with the numbers `at`; `more` has further arguments per picture."""
     if not at:
         return x
-    index = sent([np.array(at)], x.device)[0]
+    index = to_device([np.array(at)], x.device)[0]
     return x.index_copy(0, index, change(*(v.index_select(0, index) for v in (x, *more))))
 
 
 def some(count, share, rng):
-    """Numbers of about a share of the pictures, which the host knows: what costs much is done to these alone."""
+    """Draws numbers of pictures on the host, so that expensive changes apply to only a fraction."""
     return [i for i in range(count) if rng.random() < share]
 
 
 def blurred(x, sigma, reach):
-    """Gaussian blur of each picture by its own deviation [N, 1, 1, 1]."""
+    """Gaussian blur with a deviation per picture [N, 1, 1, 1]."""
     n, c, h, w = x.shape
     at = torch.arange(-reach, reach + 1, device=x.device)
     kernel = torch.exp(-0.5 * (at / sigma.view(n, 1).clamp_min(0.05)).square())
@@ -77,7 +77,7 @@ def blurred(x, sigma, reach):
 
 
 def toned(x, draw):
-    """Mean and spread of lightness and of both colour differences on the way to those of other photographs."""
+    """Moves mean and spread of lightness and colour differences towards those of other photographs."""
     y = channels(OPPONENT, x)
     three = lambda *v: constant(v, x.device)[:, None, None]
     mean, spread = y.mean((2, 3), keepdim=True), y.std((2, 3), keepdim=True) + 0.004
@@ -88,7 +88,7 @@ def toned(x, draw):
 
 
 def focused(x, value, draw):
-    """Blur that grows with the distance in disparity from what is in focus; `value` [N, h, w] is finite."""
+    """Blurs by the distance in disparity from a focal plane; `value` [N, h, w] must be finite."""
     v = F.interpolate(value[:, None], size=x.shape[2:], mode="bilinear", align_corners=False)
     low, high = v.amin((2, 3), keepdim=True), v.amax((2, 3), keepdim=True)
     at = low + (high - low) * draw.uniform(0, 1).sqrt()
@@ -99,7 +99,7 @@ def focused(x, value, draw):
 
 
 def compressed(x, quality):
-    """What JPEG of a quality [N, 1, 1, 1] does."""
+    """Simulates JPEG compression with a quality per picture [N, 1, 1, 1]."""
     n, _, h, w = x.shape
     basis = constant(COSINES, x.device)
     basis = torch.kron(basis, basis)
@@ -112,7 +112,7 @@ def compressed(x, quality):
 
 
 def photometric(x, value, rng):
-    """Another photograph of the same things. `value` [N, h, w] is the map to learn, NaN where unknown, that focus follows in some pictures."""
+    """Applies all augmentations. `value` [N, h, w] is the map to learn, NaN where unknown, which defines focus in some pictures."""
     n = x.shape[0]
     draw = Draws(n, rng, x.device)
     x = torch.where(draw.some(0.5), toned(x, draw), x)

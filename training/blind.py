@@ -1,10 +1,10 @@
-"""Contact sheets by which two depth networks are judged without knowing which is which: photo, both depths and a view from the left of both.
+"""Contact sheets for a blind comparison of two depth networks: photo, depth maps, and views from the left.
 
-    python blind.py PROGRAM BEFORE.onnx AFTER.onnx [--count 24] [--seed 1] [-o runs/blind]     # sheets, and key.json, which is not looked at
-    python blind.py --count-of runs/blind/judged.csv                                           # once it is judged
+    python blind.py PROGRAM BEFORE.onnx AFTER.onnx [--count 24] [--seed 1] [-o runs/blind]     # writes sheets, and key.json, which stays secret
+    python blind.py --count-of runs/blind/judged.csv                                           # counts the judgements
 
-Photographs are drawn by the seed from those below TMPI_DATA that nothing is trained on. `judged.csv` has a line `number,side,objects,sky,ground` for
-each side (A, B) of each photograph, with y, n, or - where the photograph has none.
+The seed selects photographs in TMPI_DATA that no training uses. `judged.csv` has a line `number,side,objects,sky,ground` for each side (A, B) of each
+photograph, with y, n, or - if the photograph has none.
 """
 
 import argparse
@@ -23,12 +23,12 @@ from paths import DATA, RUNS
 FOLDERS = ("photos/imagenet", "photos/bsds_train", "photos/mlsharp", "photos/tmpi")
 COLUMNS = ("objects", "sky", "ground")
 WIDTH, HEIGHT = 300, 225
-# to the left by so much of the nearest distance
+# to the left, in nearest distances
 POSE = "-0.06,0,0"
 
 
 def made(program, network, photo):
-    """Depth and a view from the left, both BGR."""
+    """Depth map and view from the left, both BGR."""
     run = lambda *command: subprocess.run([program, *map(str, command)], check=True, stdout=subprocess.DEVNULL)
     how = ["--quiet", "--depth-model", f"tmpi={network}"]
     with tempfile.TemporaryDirectory() as folder:
@@ -42,7 +42,7 @@ def made(program, network, photo):
 
 
 def fitted(picture):
-    """Within a cell, on grey."""
+    """Fits a picture into a grey cell."""
     scale = min(WIDTH / picture.shape[1], HEIGHT / picture.shape[0])
     small = cv2.resize(picture, (round(picture.shape[1] * scale), round(picture.shape[0] * scale)), interpolation=cv2.INTER_AREA)
     cell = np.full((HEIGHT, WIDTH, 3), 60, np.uint8)
@@ -71,7 +71,7 @@ def sheets(args):
 
 
 def count(judged):
-    """Prints how often each network was right, of those photographs that have such a thing."""
+    """Prints how often each network was right, among photographs that have objects, sky or ground."""
     key = json.loads((judged.parent / "key.json").read_text())
     found = {network: {c: [0, 0] for c in COLUMNS} for network in ("before", "after")}
     with open(judged, newline="") as f:
@@ -100,7 +100,7 @@ def main():
     elif args.program and len(args.networks) == 2:
         sheets(args)
     else:
-        a.error("a program and two networks, or --count-of")
+        a.error("needs a program and two networks, or --count-of")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What checkpoints are chosen by, on the device that they are trained on: as `eval_depth.py --part wide` has it, without its other figures."""
+"""Scores checkpoints on the training device, like `eval_depth.py --part wide` but without its other figures."""
 
 import cv2
 import numpy as np
@@ -9,19 +9,19 @@ import common
 import eval_depth
 import network
 
-# pixels and mirroring of the two ways that the weights are run in: rooms, and photos
+# pixels and mirroring for the two uses of the weights: rooms, and photos
 USES = {"room": (eval_depth.AREA, False), "photo": (256 * 288, True)}
 
 
 class Choice:
-    """The pictures to choose by, and what a network makes of them.
+    """Scores a network on selection pictures.
 
-    `sets` as `eval_depth.load_sets` gives them. A figure is RMSE over the truth's deviation after the best affine map, which is √(1 − r²) of the
-    correlation r; `score` is the mean over the uses of the means over sets, and the sets are told by the first use."""
+    `sets` comes from `eval_depth.load_sets`. A figure is RMSE / deviation of the truth after the best affine map, which is √(1 − r²) for the
+    correlation r. `score` is the mean over uses of the means over sets; figures of single sets are for the first use."""
 
     def __init__(self, sets, device, ramp=0.05):
         self.device, self.ramp, self.names, self.truths = device, ramp, [], []
-        self.inputs = {use: {} for use in USES}  # by size: numbers of pictures, and the pictures
+        self.inputs = {use: {} for use in USES}  # by size: picture numbers, and pictures
         for name, pictures in sets.items():
             for rgb, d, valid in pictures:
                 valid = valid & (d > 0)
@@ -30,14 +30,14 @@ class Choice:
                 for use, (area, _) in USES.items():
                     size = eval_depth.size_for(*rgb.shape[:2], area)
                     small = cv2.resize(rgb, size[::-1], interpolation=cv2.INTER_AREA if size[1] < rgb.shape[1] else cv2.INTER_LINEAR)
-                    of = self.inputs[use].setdefault(size, ([], []))
-                    of[0].append(len(self.names))
-                    of[1].append(network.normal(common.chw(small).to(device)))
+                    numbers, inputs = self.inputs[use].setdefault(size, ([], []))
+                    numbers.append(len(self.names))
+                    inputs.append(network.normal(common.chw(small).to(device)))
                 self.names.append(name)
 
     @torch.no_grad()
     def __call__(self, net):
-        """Figures of a network, by name; none where there are no pictures."""
+        """Figures of a network by name; empty without pictures."""
         net.eval()
         found = {}
         for use, (_, mirrored) in USES.items():
@@ -51,7 +51,7 @@ class Choice:
         return found | ({"score": float(np.mean([found[use] for use in USES]))} if found else {})
 
     def figure(self, p, t, valid):
-        """Of a map [1, 1, h, w], enlarged to that of the truth."""
+        """Figure of a map [1, 1, h, w], resized to the truth."""
         p = F.interpolate(p, t.shape, mode="bilinear", align_corners=False)[0, 0].double()
         mean = lambda v: (v * valid).sum() / valid.sum()
         p, t = p - mean(p), t - mean(t.double())

@@ -1,4 +1,4 @@
-"""What the three trainings share: reading scenes and photographs, crops, and how numbers come to the device."""
+"""Shared by the three trainings: reading scenes and photographs, crops, and transfers to the device."""
 
 import functools
 import json
@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import torch
 
-from paths import DATA, HERE, MODELS, RUNS  # noqa: F401 - others import them from here
+from paths import DATA, HERE, MODELS, RUNS  # noqa: F401 - other modules import them from here
 
 
-def sent(arrays, device):
-    """Arrays of one dtype on the device, by one transfer that waits for nothing which the device has under way."""
+def to_device(arrays, device):
+    """Copies arrays of one dtype to the device in one transfer that does not wait for the device."""
     flat = torch.from_numpy(np.concatenate([a.ravel() for a in arrays]))
     if device.type == "cuda":
         flat = flat.pin_memory().to(device, non_blocking=True)
@@ -20,18 +20,18 @@ def sent(arrays, device):
 
 
 def generator(seed, device):
-    """A generator of PyTorch of its own, on the device."""
+    """A new PyTorch random generator on the device."""
     return torch.Generator(device).manual_seed(seed)
 
 
 @functools.cache
 def constant(values, device):
-    """Numbers, in tuples, as float32 on the device: sent once, since a transfer from ordinary memory waits for the device."""
+    """Tuples of numbers as float32 on the device; cached, because a transfer from pageable memory waits for the device."""
     return torch.tensor(values, dtype=torch.float32, device=device)
 
 
 def scenes(*folders):
-    """Folders of complete scenes of `tmpi-lab synth`, sorted, so that a seed means the same order everywhere."""
+    """Folders of complete `tmpi-lab synth` scenes, sorted, so that a seed gives the same order on every machine."""
     found = [p.parent for f in folders for p in sorted(Path(f).glob("*/scene.json"))]
     if not found:
         raise SystemExit(f"no scenes in {folders}; see README.md for the `tmpi-lab synth` command")
@@ -50,7 +50,7 @@ CACHE = {}
 
 
 def read_pair(folder):
-    """Photo and disparity of a scene, kept in memory once read."""
+    """Photo and disparity of a scene, cached in memory."""
     if folder not in CACHE:
         CACHE[folder] = read_rgb(folder / "photo.png"), read_disparity(folder / "disparity.png").astype(np.float16)
     rgb, d = CACHE[folder]
@@ -61,8 +61,8 @@ def read_scene(folder):
     return json.loads((Path(folder) / "scene.json").read_text())
 
 
-def framed(rgb, disparity, size, rng):
-    """A random crop of the wanted shape, down to .6 of the picture, flipped half of the time, at `size` = (height, width): colours and map."""
+def random_crop(rgb, disparity, size, rng):
+    """Random crops of picture and map with the shape of `size` = (height, width), at least .6 of the picture, mirrored half of the time."""
     h, w = disparity.shape
     zoom = rng.uniform(0.6, 1.0) if rng.random() < 0.6 else 1.0
     ch, cw = (h, h * size[1] / size[0]) if w * size[0] > h * size[1] else (w * size[0] / size[1], w)
@@ -76,8 +76,8 @@ def framed(rgb, disparity, size, rng):
     return [np.ascontiguousarray(m) for m in maps]
 
 
-def shrunk(disparity, size, least):
-    """Mean of what is known below each pixel of a smaller map; NaN where that is no more than the share `least`."""
+def shrink_map(disparity, size, least):
+    """Shrinks a map by averaging known values; NaN where the known fraction is at most `least`."""
     known = (~np.isnan(disparity)).astype(np.float32)
     if known.all():
         return cv2.resize(disparity, size[::-1], interpolation=cv2.INTER_AREA)

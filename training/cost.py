@@ -1,9 +1,9 @@
-"""What a photo takes with a network of Depth Anything V2 Small's architecture, all twelve layers, beside the embedded one: time and memory.
+"""Compares time and memory per photo of the embedded network and of Depth Anything V2 Small's architecture with all twelve layers.
 
     python cost.py ../target/release/tmpi photo.jpg [--runs 5]
 
-The weights are random (24.8 M, as many as are published), so that nothing has to be fetched: time and memory do not go by what they are. Prints, of
-`tmpi make` with each network in turns: wall time and processor time (median), peak memory, and the size of the file.
+Uses random weights (24.8 M, as many as published), so that nothing must be downloaded; time and memory do not depend on their values. Prints, for
+`tmpi make` with alternating networks: median wall and CPU time, peak memory, and the size of the file.
 """
 
 import argparse
@@ -24,7 +24,7 @@ LAYERS = 12
 
 
 def files(folder):
-    """The network as 32-bit and as 16-bit numbers."""
+    """The network in float32 and in float16."""
     torch.manual_seed(0)
     net, last = anything(384, 6, [48, 96, 192, 384], 64, "relative", LAYERS)
     x = torch.randn(1, 3, 518, 784)
@@ -36,7 +36,7 @@ def files(folder):
     return {"32 bits": whole, "16 bits": half}
 
 
-# in a small process of its own: the peak of a program counts what it was started from
+# runs in a small process, because a program's peak memory includes that of its parent at the start
 MEASURED = """
 import os, sys, time
 begun = time.time()
@@ -46,7 +46,7 @@ print(status, time.time() - begun, used.ru_utime + used.ru_stime, used.ru_maxrss
 
 
 def run(command):
-    """Wall and processor time in seconds, peak memory in MiB."""
+    """Wall and CPU time in seconds, peak memory in MiB."""
     out = subprocess.run([sys.executable, "-c", MEASURED, *command], check=True, capture_output=True, text=True).stdout
     status, *figures = map(float, out.split())
     if status:
@@ -69,7 +69,7 @@ def main():
             for name, file in networks.items():
                 model = "tmpi" if file is None else f"depth-anything-v2={file}"
                 found[name].append(run([a.program, "make", "--quiet", "--force", "--depth-model", model, "-o", f"{folder}/a.tmpi", a.photo]))
-        print(f"{'network':10} {'MB':>6} {'wall s':>7} {'processor s':>12} {'peak MiB':>9}")
+        print(f"{'network':10} {'MB':>6} {'wall s':>7} {'CPU s':>12} {'peak MiB':>9}")
         for name, file in networks.items():
             wall, processor, peak = (statistics.median(v) for v in zip(*found[name]))
             size = f"{Path(file).stat().st_size / 1e6:.1f}" if file else ""

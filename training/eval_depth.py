@@ -1,4 +1,4 @@
-"""Real pictures: affine-aligned disparity RMSE over its standard deviation, the network against the best vertical ramp."""
+"""Evaluates on real pictures: affine-aligned disparity RMSE / standard deviation, for the network and for the best vertical ramp."""
 
 import argparse
 import json
@@ -20,14 +20,14 @@ AREA = 192 * 256
 
 
 def size_for(h, w, area=AREA):
-    """Multiples of 32 of about the picture's shape (1:3 to 3:1) and of `area` pixels."""
+    """Size in multiples of 32 with about the picture's aspect ratio (1:3 to 3:1) and `area` pixels."""
     r = min(max(w / h, 1 / 3), 3)
     return max(2, round((area / r) ** 0.5 / 32)) * 32, max(2, round((area * r) ** 0.5 / 32)) * 32
 
 
 def listed(part):
-    """Every picture to measure on: (set, photo, depth file, how it is stored). `part`: "choose" is what checkpoints are chosen by, "report" is the
-    rest, on which nothing is chosen, "all" is both; "wide" is "choose" with further sets that are never reported: it is less a matter of luck."""
+    """Pictures to measure on: (set, photo, depth file, storage). `part`: "choose" selects checkpoints, "report" is the rest, which selects nothing, "all" is
+    both; "wide" is "choose" plus further sets that are never reported, for less noise."""
     if part == "wide":
         return listed("choose") + further()
     found = []
@@ -47,7 +47,7 @@ def listed(part):
 
 
 def further():
-    """Pictures that may not be trained on and are not reported: matched stereo, tables of objects, MPIs of others, sparse LiDAR."""
+    """Pictures that are neither for training nor for reporting: matched stereo, tables with objects, published MPIs, sparse LiDAR."""
     silver, single = DATA / "stereo_silver", DATA / "rgbd_single"
     found = [("still lifes", f / "left.png", f / "silver_disp_left.png", "stereo") for f in sorted(silver.glob("mb_*"))]
     found += [("eth3d", f / "left.png", f / "silver_disp_left.png", "stereo") for f in sorted(silver.glob("eth_*"))]
@@ -59,7 +59,7 @@ def further():
 
 
 def load_sets(part):
-    """Name → list of (rgb, disparity, valid). Empty where the data is not there. `part` as in [`listed`]."""
+    """Name → list of (rgb, disparity, valid); empty without data. `part` as in [`listed`]."""
     sets = {}
     for name, photo, depth, kind in listed(part):
         rgb, d = common.read_rgb(photo), cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
@@ -102,7 +102,7 @@ def kitchen(n):
 
 
 def scores(p, t, valid):
-    """After the best affine map of p to t: RMSE over the deviation of t, and the share within a factor 1.25; rank correlation."""
+    """RMSE / deviation of t after the best affine map of p to t, rank correlation, and fraction within a factor of 1.25."""
     p, t = p[valid], t[valid]
     a = np.stack([p, np.ones_like(p)], 1)
     fit = a @ np.linalg.lstsq(a, t, rcond=None)[0]
@@ -118,7 +118,7 @@ def scores(p, t, valid):
 
 @torch.no_grad()
 def predict(net, rgb, area=AREA):
-    """The map of a network for a picture of any size, at that size."""
+    """The network's map for a picture, at the picture's size."""
     h, w = rgb.shape[:2]
     th, tw = size_for(h, w, area)
     small = cv2.resize(rgb, (tw, th), interpolation=cv2.INTER_AREA if tw < w else cv2.INTER_LINEAR)
@@ -127,7 +127,7 @@ def predict(net, rgb, area=AREA):
 
 
 class Program:
-    """The whole way of `tmpi depth`: network, smoothing along the photo's edges, upsampling, snapping."""
+    """The full pipeline of `tmpi depth`: network, smoothing along the photo's edges, upsampling, snapping."""
 
     def __init__(self, path, flags):
         self.command = [path, "depth", *flags]
@@ -146,12 +146,12 @@ def predicted(net, rgb, **how):
 
 
 def rows_of(d):
-    """The vertical ramp at a map's size."""
+    """A vertical ramp of a map's size."""
     return np.repeat(np.arange(d.shape[0], dtype=np.float64)[:, None], d.shape[1], 1)
 
 
 def evaluate(net, sets, **how):
-    """Per set: means over its pictures of RMSE/deviation, Spearman and δ < 1.25, of the network and of the best vertical ramp."""
+    """Means per set of RMSE/deviation, Spearman and δ < 1.25, for the network and for the best vertical ramp."""
     result = {}
     for name, pictures in sets.items():
         own, ramp = [], []
@@ -159,14 +159,14 @@ def evaluate(net, sets, **how):
             valid = valid & (d > 0)
             own.append(scores(predicted(net, rgb, **how), d, valid))
             s = scores(rows_of(d), d, valid)
-            ramp.append([s[0], abs(s[1]), s[2]])  # the fit may turn the ramp round
+            ramp.append([s[0], abs(s[1]), s[2]])  # the fit may invert the ramp
         own, ramp = np.mean(own, 0), np.mean(ramp, 0)
         result[name] = {"net": float(own[0]), "ramp": float(ramp[0]), "all": own.tolist(), "all_ramp": ramp.tolist(), "pictures": len(pictures)}
     return result
 
 
 def evaluate_things(net, items, **how):
-    """Means over labelled photographs of [`things.measure`], of the network and of the vertical ramp, turned as fits the label."""
+    """Means of [`things.measure`] over labelled photographs, for the network and for the vertical ramp with the best sign."""
     own, ramp, names = [], [], []
     for item in items:
         sample = sources.read_item(item)
@@ -185,7 +185,7 @@ def evaluate_things(net, items, **how):
 
 
 class Onnx:
-    """The exported network with the interface of the module."""
+    """The exported network with the module's interface."""
 
     def __init__(self, path):
         import onnxruntime as ort
@@ -199,7 +199,7 @@ class Onnx:
 
 
 def opened(model, flags):
-    """The network of a file, or the program."""
+    """Opens a network file, or the program."""
     if model.endswith(".pt"):
         return DepthNet.of(model)
     return Onnx(model) if model.endswith(".onnx") else Program(model, flags)
@@ -207,23 +207,23 @@ def opened(model, flags):
 
 def main():
     a = argparse.ArgumentParser(description=__doc__)
-    a.add_argument("model", help="depth.onnx, a checkpoint .pt, or the program tmpi: the whole way of `tmpi depth`")
-    a.add_argument("--mirrored", action="store_true", help="the mean of a file's or checkpoint's map and that of the mirrored picture; the program has --flip")
-    a.add_argument("--area", type=int, default=AREA, help="pixels at which a file or a checkpoint is run; the program has --depth-pixels")
-    a.add_argument("--part", choices=["all", "choose", "wide", "report"], default="report", help="the pictures that nothing is chosen by, those that checkpoints are chosen by, these with further ones, or both")
-    a.add_argument("--ramp", type=float, default=0.05, help="share of the vertical ramp that the map of a file or a checkpoint gets; the program has --depth-ramp")
+    a.add_argument("model", help="depth.onnx, a checkpoint .pt, or the program tmpi for the full pipeline of `tmpi depth`")
+    a.add_argument("--mirrored", action="store_true", help="average with the map of the mirrored picture, for a file or checkpoint; use --flip for the program")
+    a.add_argument("--area", type=int, default=AREA, help="input pixels for a file or checkpoint; use --depth-pixels for the program")
+    a.add_argument("--part", choices=["all", "choose", "wide", "report"], default="report", help="report: pictures that select nothing; choose: pictures that select checkpoints; wide: choose with further sets; all: choose and report")
+    a.add_argument("--ramp", type=float, default=0.05, help="amount of vertical ramp to add, for a file or checkpoint; use --depth-ramp for the program")
     a.add_argument("--json", action="store_true")
-    a, flags = a.parse_known_args()  # what is left over goes to the program
+    a, flags = a.parse_known_args()  # the program gets the remaining arguments
     torch.set_num_threads(1)
     sets = load_sets(a.part)
     if not sets:
-        print("TMPI_DATA is not there: nothing to measure")
+        print("TMPI_DATA has no pictures: nothing to measure")
         return
     net = opened(a.model, flags)
     if not isinstance(net, Program):
         net = Shipped(net, a.mirrored, a.ramp)
     result = evaluate(net, sets, area=a.area)
-    # held-out labels are never chosen by
+    # held-out labels never select a checkpoint
     objects = evaluate_things(net, sources.labels(held=True), area=a.area) if a.part in ("all", "report") else None
     if a.json:
         print(json.dumps({"sets": result, "things": objects}))

@@ -1,4 +1,4 @@
-"""Error of discrete maps (h = 64, n = 4) against the clean map: damaged input as it is, median and guided filter, Θ."""
+"""Error of discrete maps (h = 64, n = 4) against the clean map, for damaged input, for median and guided filter, and for Θ."""
 
 import argparse
 
@@ -13,7 +13,7 @@ from theta import TILE, discrete, tiles
 
 
 def boxed(x, radius):
-    """Means over windows that are clipped to the map."""
+    """Box mean with windows clipped to the map."""
     total = lambda v: cv2.boxFilter(v, -1, (2 * radius + 1,) * 2, normalize=False, borderType=cv2.BORDER_CONSTANT)
     return total(x.astype(np.float64)) / total(np.ones(x.shape))
 
@@ -25,13 +25,13 @@ def guided(d, guide, radius, eps):
 
 
 def classic(rgb, d, radius=3, eps=1e-4):
-    """What `--denoise classic` does, but for the median within two pixels of the border: 5-pixel median, then a filter guided by luminance."""
+    """Like `--denoise classic`, except for the median within two pixels of the border: 5-pixel median, then a filter guided by luminance."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
     return guided(cv2.medianBlur(d.astype(np.float32), 5), grey, radius, eps).astype(np.float32)
 
 
 def noise_level(d):
-    """Deviation of noise from the median of a map's mixed second differences, and the share of pixels beyond all their neighbours."""
+    """Noise deviation from the median of mixed second differences, and fraction of pixels above or below all neighbours."""
     k = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     sigma = np.median(np.abs(cv2.filter2D(d, -1, k))[1:-1, 1:-1]) / 0.6745 / 6
     around = np.ones((3, 3), np.uint8)
@@ -40,7 +40,7 @@ def noise_level(d):
 
 
 def fitted(d, guide, radius, spread, tolerance, stride):
-    """Value at each pixel of the plane fitted around it; neighbours count by distance and by likeness of the guide."""
+    """Value at each pixel of a plane fitted around it; weights depend on distance and similarity of the guide."""
     h, w = d.shape
     dp, gp = (np.pad(v, radius, mode="edge") for v in (d, guide))
     sums = np.zeros((9, h, w))
@@ -59,7 +59,7 @@ def fitted(d, guide, radius, spread, tolerance, stride):
 
 
 def planar(d):
-    """About what `--denoise auto` does: nothing without noise; else planes fitted three times, each by the likeness of the one before."""
+    """Approximates `--denoise auto`: nothing without noise, else three plane fits, each guided by the previous result."""
     sigma, outliers = noise_level(d)
     if sigma < 1.5e-3 and outliers < 1e-3:
         return d
@@ -73,7 +73,7 @@ def planar(d):
 
 
 def maps(step):
-    """(name, rgb, clean map in 0..1): real maps where the data is there, and held-out scenes."""
+    """(name, rgb, clean map in 0..1): real maps if the data exists, and held-out scenes."""
     found = []
     for f in sorted((DATA / "depth_pred" / "adampi").glob("*.jpg"))[::step]:
         d = cv2.imread(str(f.with_name(f.stem + "_disp16.png")), -1).astype(np.float32)
@@ -100,7 +100,7 @@ def errors(d, c, clean):
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", nargs="?", default=str(common.MODELS / "theta.onnx"))
-    a.add_argument("--step", type=int, default=1, help="take every such picture")
+    a.add_argument("--step", type=int, default=1, help="use every Nth picture")
     a = a.parse_args()
     torch.set_num_threads(1)
     damages = {
@@ -119,9 +119,9 @@ def main():
             x = torch.cat([common.chw(rgb), torch.from_numpy(d)[None]])[None]
             td, tc = (v[0, 0] for v in run(a.model, {"input": x}))
             one = np.ones_like(d)
-            for method, (m, c) in {"as it is": (d, one), "classic": (classic(rgb, d), one), "planar": (planar(d), one), "theta": (td, tc), "theta, no confidence": (td, one)}.items():
+            for method, (m, c) in {"input": (d, one), "classic": (classic(rgb, d), one), "planar": (planar(d), one), "theta": (td, tc), "theta, no confidence": (td, one)}.items():
                 table.setdefault((name, damage, method), []).append(errors(m, c, clean))
-    print("discrete map, ×1e-3                             MAE    MSE    Q25   | map itself MAE")
+    print("discrete map, ×1e-3                             MAE    MSE    Q25   | full map MAE")
     for key, rows in table.items():
         mae, mse, q25, own = np.mean(rows, 0)
         print(f"{key[0]:9} {key[1]:13} {key[2]:21} {mae:6.2f} {mse:6.3f} {q25:6.2f}   | {own:6.2f}   ({len(rows)})")

@@ -1,4 +1,4 @@
-"""Writes models/depth.onnx, theta.onnx or psi.onnx from a checkpoint, what they were made from into their cards, and holds ONNX Runtime against PyTorch."""
+"""Writes models/depth.onnx, theta.onnx or psi.onnx from a checkpoint, and their origin into their cards; compares ONNX Runtime with PyTorch."""
 
 import argparse
 
@@ -27,7 +27,7 @@ def depth(path, checkpoint):
 
 @torch.no_grad()
 def folded(net):
-    """The network with all factors and BatchNorms folded into convolutions, and rounded as its weights stand in the file."""
+    """Folds factors and BatchNorms into convolutions, and rounds weights as in the file."""
     for m in net.modules():
         if isinstance(m, Conv):
             m.weight.copy_(m.folded())
@@ -77,7 +77,7 @@ def theta(path, checkpoint):
     g1 = layer(g.op("Add", g.double(g.layer(g2, net.u1)), f1), net.d1)
     g0 = layer(g.op("Add", g.double(g.layer(g1, net.u0)), f0), net.d0)
     y = g.layer(g0, net.heads)
-    # ONNX Runtime's Softmax over channels is sequential and takes as long as all the rest
+    # ONNX Runtime's Softmax over channels is sequential and takes as long as everything else
     logits, channels = part(y, 0, 7), g.constant([1], np.int64)
     weights = g.op("Exp", g.op("Sub", logits, g.op("ReduceMax", logits, axes=[1], keepdims=1)))
     total = g.op("ReduceSum", weights, channels, keepdims=1)
@@ -119,7 +119,7 @@ def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", choices=["depth", "theta", "psi"])
     a.add_argument("--checkpoint", type=common.Path)
-    a.add_argument("--out", type=common.Path, help="another file than models/NAME.onnx, whose card is then left alone")
+    a.add_argument("--out", type=common.Path, help="output file instead of models/NAME.onnx; leaves the card unchanged")
     a = a.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -127,10 +127,10 @@ def main():
     path.parent.mkdir(parents=True, exist_ok=True)
     source = a.checkpoint or RUNS / {"depth": "depth/best.pt", "theta": "theta/last.pt", "psi": "psi/last.pt"}[a.model]
     worst = {"depth": depth, "theta": theta, "psi": psi}[a.model](path, source)
-    told = manifest.exported(source, path)
+    record = manifest.exported(source, path)
     if not a.out:
-        manifest.into_card(path.with_suffix(".md"), manifest.block(path, told))
-    print(f"{path}: {path.stat().st_size} bytes, ONNX Runtime − PyTorch at most {max(worst):.1e}")
+        manifest.into_card(path.with_suffix(".md"), manifest.block(path, record))
+    print(f"{path}: {path.stat().st_size} bytes, ONNX Runtime and PyTorch differ by at most {max(worst):.1e}")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ class Graph:
         self.name, self.half, self.nodes, self.constants, self.count = name, half, [], [], 0
         self.inputs, self.outputs = [], []
 
-    def fresh(self, hint):
+    def new_name(self, hint):
         self.count += 1
         return f"{hint}{self.count}"
 
@@ -25,8 +25,8 @@ class Graph:
 
     def constant(self, array, dtype=np.float32):
         array = np.asarray(array.detach().cpu().numpy() if torch.is_tensor(array) else array).astype(dtype)
-        name = self.fresh("c")
-        # a float16 weight is cast back when the session loads, so it costs nothing while running
+        name = self.new_name("c")
+        # the session casts float16 weights when it loads, so they cost nothing at run time
         if self.half and dtype == np.float32 and array.size >= 512:
             self.constants.append(numpy_helper.from_array(array.astype(np.float16), name))
             return self.op("Cast", name, to=TensorProto.FLOAT)
@@ -34,7 +34,7 @@ class Graph:
         return name
 
     def op(self, kind, *inputs, **attributes):
-        out = self.fresh(kind.lower())
+        out = self.new_name(kind.lower())
         self.nodes.append(helper.make_node(kind, list(inputs), [out], **attributes))
         return out
 
@@ -44,7 +44,7 @@ class Graph:
         return self.op("Conv", x, self.constant(weight), self.constant(bias), strides=[stride] * 2, pads=pads, group=group, kernel_shape=[k, k])
 
     def layer(self, x, conv, relu=False):
-        """A torch Conv2d."""
+        """Adds a torch Conv2d."""
         p = conv.padding[0]
         y = self.conv(x, conv.weight, conv.bias, conv.stride[0], [p] * 4, conv.groups)
         return self.op("Relu", y) if relu else y
@@ -84,7 +84,7 @@ def check(path, module, inputs, bound=1e-4):
     for w, h in zip(want, run(path, inputs), strict=True):
         w = w.numpy()
         if w.shape != h.shape or not np.isfinite(h).all() or not np.isfinite(w).all():
-            raise SystemExit(f"{path}: shape or values are off: {w.shape}, {h.shape}")
+            raise SystemExit(f"{path}: wrong shape or values: {w.shape}, {h.shape}")
         worst = max(worst, float(np.abs(w - h).max() / max(1.0, np.abs(w).max())))
     if not worst < bound:
         raise SystemExit(f"{path}: ONNX Runtime differs from PyTorch by {worst:.2e}")
@@ -92,7 +92,7 @@ def check(path, module, inputs, bound=1e-4):
 
 
 def halved(module):
-    """Rounds large weights to float16, as they will stand in the file, so that the check compares like with like."""
+    """Rounds large weights to float16 as in the file, so that the check compares equal weights."""
     with torch.no_grad():
         for t in module.state_dict().values():
             if t.dtype == torch.float32 and t.numel() >= 512:
@@ -132,7 +132,7 @@ def unit(g, x):
 
 
 def decoder(g, features, d):
-    """The map of `network.Decoder`, whose BatchNorms are folded in."""
+    """The map of `network.Decoder` with folded BatchNorms."""
     coarse = features[4]
     one = ones_of(g, coarse)
     rows = g.op("CumSum", one, g.constant(np.int64(2), np.int64))

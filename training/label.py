@@ -1,13 +1,13 @@
-"""Labels photographs by eye: see LABELLING.md for how, `label_paint.py` for the format and for how outlines are found.
+"""Labels photographs by hand: LABELLING.md explains how, `label_paint.py` describes the format and how outlines are found.
 
-    python label.py view PHOTO... [--zoom | --at X,Y,WIDTH]      # grid of coordinates over it; --zoom: also its four quarters, twice as large
+    python label.py view PHOTO... [--zoom | --at X,Y,WIDTH]      # shows it with a coordinate grid; --zoom: also its four quarters, twice as large
     python label.py put PHOTO [--horizon Y] [--second] < REGIONS     # writes the label file and paints it; --second: NAME.b.json
-    python label.py paint LABEL... [--at X,Y,WIDTH]                # outlines and names, and disparity, to look at
-    python label.py check [LABEL...]                               # all files without one; fails where one has a fault
-    python label.py sheet [LABEL...]                               # contact sheets of many
-    python label.py agree                                          # how much NAME.b.json differs from NAME.json
+    python label.py paint LABEL... [--at X,Y,WIDTH]                # draws outlines, names and disparity
+    python label.py check [LABEL...]                               # checks these or all files; fails if one has a fault
+    python label.py sheet [LABEL...]                               # contact sheets
+    python label.py agree                                          # compares NAME.b.json with NAME.json
 
-PHOTO is below TMPI_DATA (train2/photos/azure/dog.jpg) or a path; pictures go to `runs/label`, or where `-o` says.
+PHOTO is relative to TMPI_DATA (train2/photos/azure/dog.jpg) or a path. Pictures go to `runs/label`, or to the folder of `-o`.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from label_paint import KINDS, LabelError, is_old, paint, photo, read, shape
 from paths import DATA, HERE, RUNS
 
 LABELS = HERE / "labels"
-# longer side of a picture to look at: the unit of coordinates then is a pixel
+# longer side of displayed pictures, so that one pixel is one unit of coordinates
 LONG = 1000
 FIELDS = set("name kind area box disc line width hole reach metres foot on bulge front note".split())
 
@@ -34,7 +34,7 @@ def text(canvas, words, at, size=0.42):
 
 
 def gridded(picture, window, step):
-    """The picture with a grid each `step` units over it; `window` is its x0, y0, width, height in coordinates."""
+    """Draws a grid every `step` units over the picture; `window` is its x0, y0, width, height in coordinates."""
     h, w = picture.shape[:2]
     x0, y0, across, down = window
     over = picture.copy()
@@ -55,7 +55,7 @@ def gridded(picture, window, step):
 
 
 def window_of(picture, words=None):
-    """What part of a picture to show, in coordinates and as slices of pixels."""
+    """The part of a picture to show, in coordinates and as pixel slices."""
     h, w = picture.shape[:2]
     scale = max(h, w) / 1000
     if not words:
@@ -71,8 +71,8 @@ def enlarged(picture, long=LONG, how=cv2.INTER_CUBIC):
     return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=how)
 
 
-def located(name):
-    """Path of a photo, and its name below TMPI_DATA."""
+def find_photo(name):
+    """Path of a photo, and its name in TMPI_DATA."""
     path = Path(name) if Path(name).exists() else DATA / name
     if not path.exists():
         raise LabelError(f"{name}: no such photo")
@@ -81,7 +81,7 @@ def located(name):
 
 def view(a):
     for name in a.photos:
-        path, below = located(name)
+        path, below = find_photo(name)
         picture, stem = cv2.imread(str(path)), f"{path.parent.name}-{path.stem}"
         window, at = window_of(picture, a.at)
         files = [a.out / f"{stem}.view.png"]
@@ -96,7 +96,7 @@ def view(a):
 
 
 def regions_of(words):
-    """Regions, one JSON object after another; commas between them are as good as none."""
+    """Parses regions, one JSON object after another, optionally separated by commas."""
     decoder, out, at = json.JSONDecoder(), [], 0
     while at < len(words):
         if words[at] in ", \n\t":
@@ -111,12 +111,12 @@ def regions_of(words):
 
 
 def put(a):
-    path, below = located(a.photo)
+    path, below = find_photo(a.photo)
     picture = cv2.imread(str(path))
     file = LABELS / f"{path.parent.name}-{path.stem}{'.b' if a.second else ''}.json"
     label = {"photo": below, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "size": list(picture.shape[1::-1])}
     label |= {"horizon": json.loads(a.horizon) if a.horizon and "," not in a.horizon else a.horizon, "regions": regions_of(sys.stdin.read())}
-    if wrong := list(form(label)):
+    if wrong := list(format_errors(label)):
         raise LabelError("\n".join(wrong))
     head = json.dumps({k: v for k, v in label.items() if k != "regions"}, ensure_ascii=False)[:-1]
     body = ",\n".join("  " + json.dumps(r, ensure_ascii=False) for r in label["regions"])
@@ -132,7 +132,7 @@ def colours(count):
 
 
 def drawn(picture, ids, names, long, at):
-    """The photo with the outlines and names of its regions."""
+    """Draws outlines and names of regions over the photo."""
     small = ids[at].astype(np.uint8)
     out = enlarged(picture[at], long)
     big = cv2.resize(small, out.shape[1::-1], interpolation=cv2.INTER_NEAREST)
@@ -150,10 +150,10 @@ def drawn(picture, ids, names, long, at):
 
 
 def heat(done, at, shape_):
-    """Disparity as colours, equal steps to the eye; green where it is unknown."""
+    """Disparity as perceptually uniform colours; green is unknown."""
     d, known = done["disparity"], done["known"] | ((done["region"] > 0) & (np.array(done["kind"])[done["region"]] != "unknown"))
     top = np.percentile(d[known], 99.5) if known.any() else 1
-    # the root shows what is far too
+    # the square root makes far regions visible
     out = cv2.applyColorMap((255 * np.clip(d / max(top, 1e-9), 0, 1) ** 0.5).astype(np.uint8), cv2.COLORMAP_INFERNO)
     out[~known] = (0, 128, 0)
     return cv2.resize(out[at], shape_, interpolation=cv2.INTER_NEAREST)
@@ -186,12 +186,12 @@ def painted(a):
 def touching(ids, a, b):
     """Pixels of each of two regions within 3 pixels of the other."""
     around = np.ones((7, 7), np.uint8)
-    of = [(ids == k).astype(np.uint8) for k in (a, b)]
-    return (cv2.dilate(of[1], around) & of[0]) > 0, (cv2.dilate(of[0], around) & of[1]) > 0
+    masks = [(ids == k).astype(np.uint8) for k in (a, b)]
+    return (cv2.dilate(masks[1], around) & masks[0]) > 0, (cv2.dilate(masks[0], around) & masks[1]) > 0
 
 
 def islands(label, ids):
-    """Where the region behind everything shows between two others, which may be meant or not."""
+    """Spots where the background region shows between others, possibly by mistake."""
     unit = 1000 / max(label["size"])
     for i, region in enumerate(label["regions"]):
         if region.get("area") != "all":
@@ -205,7 +205,7 @@ def islands(label, ids):
 
 
 def faults(label, done):
-    """What is wrong ("fault") or may be ("look") with a label, as pairs."""
+    """Yields faults ("fault") and suspicious spots ("look") of a label, as pairs."""
     ids, disparity = done["region"], done["disparity"]
     regions = label["regions"]
     if (bare := (ids == 0).mean()) > 0.02:
@@ -227,7 +227,7 @@ def faults(label, done):
         if count > 12 and speck > 0.1:
             yield "fault", f"{name}: speckled, {100 * speck:.0f} % in {int((size < 60).sum())} islands"
         if region["kind"] not in ("sky", "unknown") and np.median(disparity[inside]) < 1e-6:
-            yield "fault", f"{name}: infinitely far, as only sky is (its foot is at the horizon?)"
+            yield "fault", f"{name}: infinitely far, which only sky may be (is its foot at the horizon?)"
         if inside.mean() > 0.01 and region.get("area") not in (None, "all"):
             rough = shape(region, label["size"]) > 0
             hidden = np.isin(ids, np.arange(i + 2, len(regions) + 1))
@@ -259,15 +259,15 @@ def faults(label, done):
                 yield "look", f"{region['name']} is painted over {regions[k]['name']}, and farther there: {far} m, {near} m"
 
 
-def form(label):
-    """What is wrong with a label's text."""
+def format_errors(label):
+    """Yields errors in the text of a label."""
     names = [r.get("name") for r in label["regions"]]
     if len(set(names)) < len(names) or None in names:
-        yield "names must be there and differ"
+        yield "names must exist and differ"
         return
     for r in label["regions"]:
         if r.get("kind") not in KINDS:
-            yield f"{r['name']}: kind {r.get('kind')!r}; there are {', '.join(KINDS)}"
+            yield f"{r['name']}: kind {r.get('kind')!r}; known kinds are {', '.join(KINDS)}"
         if unknown := set(r) - FIELDS:
             yield f"{r['name']}: no field {', '.join(sorted(unknown))}"
         if not {"area", "box", "disc", "line"} & set(r):
@@ -277,11 +277,11 @@ def form(label):
 
 
 def checked(file):
-    """Faults of a label file; its known part and disparity where it has none that stops it."""
+    """Faults of a label file, and the painted label if it can be painted."""
     try:
         label = read(file)
         if not is_old(label):
-            if wrong := list(form(label)):
+            if wrong := list(format_errors(label)):
                 return [("fault", w) for w in wrong], None
             path = DATA / label["photo"]
             if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != label["sha256"]:
@@ -326,7 +326,7 @@ def sheet(a):
 
 
 def agree(a):
-    """Two labels of each photograph that has them: what a second look changes."""
+    """Compares the two labels of photographs that have two."""
     rows = []
     for second in sorted(LABELS.glob("*.b.json")):
         first = second.with_name(second.name.replace(".b.json", ".json"))
@@ -335,7 +335,7 @@ def agree(a):
         p, q = paint(read(first)), paint(read(second))
         both = p["known"] & q["known"]
         d, e = p["disparity"][both].astype(np.float64), q["disparity"][both].astype(np.float64)
-        # up to scale and shift, as the network learns it, in parts of the range of the first
+        # up to scale and shift, as the network learns, relative to the range of the first
         scale, shift = np.polyfit(e, d, 1)
         spread = np.percentile(d, 99.5) - np.percentile(d, 0.5)
         off = np.abs(d - scale * e - shift).mean() / max(spread, 1e-9)
@@ -358,7 +358,7 @@ def jumps(disparity):
 
 
 def near(these, those):
-    """Part of `these` pixels that has one of `those` within 2."""
+    """Fraction of `these` pixels within 2 pixels of `those`."""
     return (cv2.distanceTransform((~those).astype(np.uint8), cv2.DIST_L2, 5)[these] <= 2).mean() if these.any() and those.any() else 0.0
 
 
@@ -375,11 +375,11 @@ def main():
         if name == "view":
             c.add_argument("--zoom", action="store_true")
         if name in ("view", "paint", "put"):
-            c.add_argument("--at", help="only this part: x, y of its corner and its width, in coordinates")
+            c.add_argument("--at", help="show only this part: x, y of its corner and its width, in coordinates")
         if name == "put":
             c.add_argument("photo")
             c.add_argument("--horizon")
-            c.add_argument("--second", action="store_true", help="a second label of a photo, by somebody who has not seen the first")
+            c.add_argument("--second", action="store_true", help="a second label by a person who has not seen the first")
     a = parser.parse_args()
     a.out.mkdir(parents=True, exist_ok=True)
     try:

@@ -1,4 +1,4 @@
-"""From a label file (`labels/NAME.json`, written by eye) to disparity, regions and what of it is known.
+"""Paints a hand-made label file (`labels/NAME.json`): disparity, regions, and known pixels.
 
     {"photo": "train2/photos/azure/dog.jpg", "sha256": "…", "size": [600, 450], "horizon": 240, "regions": [
       {"name": "sky", "kind": "sky", "area": "all"},
@@ -6,24 +6,22 @@
       {"name": "rail", "kind": "object", "line": "0,90 400,140 680,125", "width": 10, "metres": 3},
       {"name": "dog", "kind": "animal", "area": "500,240 540,222 …", "foot": "670,630", "front": "deck"}]}
 
-Points are "x,y" in thousandths of the photo's longer side, from its left top corner. Regions are painted in their order, later ones over earlier ones.
+Points are "x,y" in thousandths of the photo's longer side, from its top left corner. Later regions cover earlier ones.
 
-Shape, one or more of: `area` ("all" or rough outlines, ";" between them), `box` ("x0,y0 x1,y1"), `disc` ("x,y rx,ry"), `line` (strokes of `width`, 10);
-`hole` takes outlines away again. The outline moves by up to `reach` (12; 0: stays as drawn) to where the photo has a border.
+Shape, one or more of: `area` ("all" or rough outlines, separated by ";"), `box` ("x0,y0 x1,y1"), `disc` ("x,y rx,ry"), `line` (strokes of `width`, 10);
+`hole` subtracts outlines. The outline moves by up to `reach` (12; 0: stays as drawn) to an edge in the photo.
 
-Distance, one of: `metres` as a number (the region faces the camera), `metres` as "x,y:z x,y:z" (the inverse of z is linear: along the line of
-two points, over a plane of least squares of three or more), `foot` "x,y" (the distance of the ground there; `on` names another region than the last
-ground before it). With `horizon` (y, or "x,y x,y" where it is tilted) a `ground` with points has its inverse distance zero there, so that one point is enough.
-Sky is infinitely far; `unknown` counts for nothing. `bulge` [m] brings a region's middle nearer. `front` names regions that must lie behind this one
-where they touch.
+Distance, one of: `metres` as a number (the region faces the camera); `metres` as "x,y:z x,y:z" (the inverse of z is linear, along the line of two points or
+over a least-squares plane of three or more); `foot` "x,y" (the distance of the ground there; `on` names another region than the last ground before it).
+With `horizon` (y, or "x,y x,y" if tilted) the inverse distance of a `ground` with points is zero there, so one point is enough. Sky is infinitely far;
+`unknown` regions do not count. `bulge` [m] brings a region's middle nearer. `front` names regions that must be behind this one where they touch.
 
-How outlines are found: four photographs (a dog, a furnished room, a house among trees, a portrait) were labelled in several ways and looked at.
-Strokes alone, grown by watershed or random walker on CIELAB edges, were right for plain things and leaked through table legs, shadows and foliage:
-more strokes cost more than an outline. Superpixels (SLIC, 150 and 400 with their numbers) need 10 to 30 numbers a thing, and lose table legs and a
-dog's back to the floor. In a band around a rough outline, watershed and random walker were ragged wherever ground or thing is textured; GrabCut was
-best, with one colour model over all it went astray where thing and background share a colour elsewhere (a white chimney before a white sky), with
-colour models of 96-pixel windows it held there, and failed where a window has too little of one side. So both vote, with a little weight on the line
-as drawn.
+Outlines: the method was chosen by labelling four photographs (a dog, a furnished room, a house among trees, a portrait) in several ways. Strokes alone,
+grown by watershed or random walker on CIELAB edges, worked for plain things and leaked through table legs, shadows and foliage; more strokes cost more than
+an outline. Superpixels (SLIC, 150 and 400 with their numbers) need 10 to 30 numbers per thing, and lose table legs and a dog's back to the floor. In a band
+around a rough outline, watershed and random walker were ragged on textured ground or things. GrabCut was best: with one global colour model it failed where
+thing and background share a colour elsewhere (a white chimney in front of a white sky); with colour models of 96-pixel windows it worked there, and failed
+where a window has too little of one side. Therefore both vote, with a small weight on the line as drawn.
 """
 
 import hashlib
@@ -37,7 +35,7 @@ from paths import DATA, RUNS
 
 KINDS = ("sky", "ground", "water", "wall", "building", "object", "person", "animal", "plant", "vehicle", "unknown")
 REACH, WIDTH, WINDOW = 12, 10, 96
-# goes into the name of a cached outline: to be raised when the finding of outlines changes
+# part of the name of a cached outline; increase it when the method for outlines changes
 VERSION = 3
 
 
@@ -46,7 +44,7 @@ class LabelError(ValueError):
 
 
 def read(path):
-    """A label file with its path in it."""
+    """Reads a label file, and adds its path."""
     try:
         label = json.loads(Path(path).read_text())
     except json.JSONDecodeError as e:
@@ -56,7 +54,7 @@ def read(path):
 
 
 def is_old(label):
-    """Whether this is a file of outlines in pixels, as `labels.py` paints them."""
+    """Whether this is an older file with outlines in pixels, which `labels.py` paints."""
     return "sha256" not in label
 
 
@@ -64,7 +62,7 @@ def photo(label):
     """The photograph, u8 BGR [H, W, 3] at the label's size."""
     picture = cv2.imread(str(DATA / label["photo"]))
     if picture is None:
-        raise LabelError(f"{label['photo']}: not a picture below TMPI_DATA")
+        raise LabelError(f"{label['photo']}: not a picture in TMPI_DATA")
     if left := label.get("left"):
         picture = picture[:, : int(picture.shape[1] * left)]
     if is_old(label):
@@ -75,18 +73,18 @@ def photo(label):
 
 
 def points(text, what, of=2):
-    """Points "x,y" or "x,y:z" of a text, float64 [N, `of`]."""
+    """Parses points "x,y" or "x,y:z", float64 [N, `of`]."""
     try:
         found = np.array([[float(v) for v in p.replace(":", ",").split(",")] for p in str(text).split()])
     except ValueError as e:
         raise LabelError(f"{what}: {text!r}: {e}") from e
     if found.ndim != 2 or found.shape[1] != of:
-        raise LabelError(f"{what}: {text!r}: wanted points of {of} numbers")
+        raise LabelError(f"{what}: {text!r}: expected points of {of} numbers")
     return found
 
 
 def shape(region, size):
-    """Mask of a region as it was drawn, u8 0 or 1 [H, W]."""
+    """Mask of a region as drawn, u8 0 or 1 [H, W]."""
     w, h = size
     scale, name = max(w, h) / 1000, region["name"]
     mask = np.zeros((h, w), np.uint8)
@@ -96,7 +94,7 @@ def shape(region, size):
             p = points(part, f"{name}: {key}")
             if len(p) < 3:
                 raise LabelError(f"{name}: {key}: an outline of {len(p)} points")
-            # 4 bits of fraction: whole pixels would bend slanted straight lines
+            # 4 fractional bits, because whole pixels would bend slanted lines
             yield [np.round((p * scale - 0.5) * 16).astype(np.int32)]
 
     if region.get("area") == "all":
@@ -123,7 +121,7 @@ def shape(region, size):
 
 
 def core(mask, reach):
-    """What lies surely inside: deeper than `reach`, and the middle of what is thinner than that."""
+    """Pixels certainly inside: deeper than `reach`, and the middle of thinner parts."""
     far = cv2.copyMakeBorder(mask, *[reach + 2] * 4, cv2.BORDER_REPLICATE)
     deep = cv2.distanceTransform(far, cv2.DIST_L2, 5)
     ridge = deep >= 0.6 * cv2.dilate(deep, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
@@ -132,7 +130,7 @@ def core(mask, reach):
 
 
 def cut(picture, trimap):
-    """GrabCut of a trimap, u8 0 or 1; None where either side has too little to learn its colours from."""
+    """GrabCut of a trimap, u8 0 or 1; None if either side has too few pixels for a colour model."""
     sure = trimap == cv2.GC_FGD, trimap == cv2.GC_BGD
     if min(s.sum() for s in sure) < 30:
         return None
@@ -143,7 +141,7 @@ def cut(picture, trimap):
 
 
 def snapped(mask, picture, reach, taken):
-    """The mask with its edge moved by up to `reach` pixels to a border of the photo; `taken` pixels belong to regions in front of it and have no say."""
+    """Moves the edge of a mask by up to `reach` pixels to an edge in the photo; ignores `taken` pixels, which belong to regions in front."""
     grown = cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
     inner = core(mask, reach) & (mask > 0)
     if not inner.any() or grown[~taken].all():
@@ -153,7 +151,7 @@ def snapped(mask, picture, reach, taken):
     crop = slice(y0, y1), slice(x0, x1)
     small, drawn, taken, picture = mask[crop], mask[crop], taken[crop], picture[crop]
     if taken.any() and not taken.all():
-        # what stands in front lends its place the colours around it
+        # fill regions in front with the colours around them
         _, nearest = cv2.distanceTransformWithLabels(taken.astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
         colours = np.zeros((nearest.max() + 1, 3), np.uint8)
         colours[nearest[~taken]] = picture[~taken]
@@ -184,7 +182,7 @@ def snapped(mask, picture, reach, taken):
 
 
 def crumbs(ids):
-    """Small islands of a region that has larger ones go to what surrounds them."""
+    """Assigns small islands of a region to their surroundings if the region has larger parts."""
     drop = np.zeros(ids.shape, np.uint8)
     for i in np.unique(ids[ids > 0]):
         _, marks, stats, _ = cv2.connectedComponentsWithStats((ids == i).astype(np.uint8), connectivity=8)
@@ -195,18 +193,18 @@ def crumbs(ids):
 
 
 def filled(ids, drop):
-    """What `drop` marks gets the region nearest to it."""
+    """Assigns marked pixels to the nearest region."""
     _, nearest = cv2.distanceTransformWithLabels(drop, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
-    of = np.zeros(nearest.max() + 1, ids.dtype)
-    of[nearest[drop == 0]] = ids[drop == 0]
-    return of[nearest]
+    regions = np.zeros(nearest.max() + 1, ids.dtype)
+    regions[nearest[drop == 0]] = ids[drop == 0]
+    return regions[nearest]
 
 
 def slits(ids, base, reach):
-    """Slits and specks of the region behind everything, left between outlines that each found their own border, go to the nearest of these."""
+    """Assigns slits and specks of the background region between snapped outlines to the nearest region."""
     behind = (ids == base).astype(np.uint8)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
-    # outside the photo it goes on
+    # the background continues outside the photo
     wide = cv2.morphologyEx(cv2.copyMakeBorder(behind, *[3 * reach] * 4, cv2.BORDER_REPLICATE), cv2.MORPH_OPEN, kernel)
     wide = cv2.dilate(wide, kernel)[3 * reach : -3 * reach, 3 * reach : -3 * reach]
     drop = behind & (1 - wide)
@@ -218,7 +216,7 @@ def slits(ids, base, reach):
 
 
 def outlined(label, picture):
-    """Number of the region of each pixel, int32 [H, W]: i + 1 for the i-th, 0 for none."""
+    """Region number of each pixel, int32 [H, W]: i + 1 for the i-th, 0 for none."""
     size = tuple(label["size"])
     scale = max(size) / 1000
     ids = np.zeros(size[::-1], np.int32)
@@ -235,7 +233,7 @@ def outlined(label, picture):
 
 
 def cached(label, picture):
-    """`outlined`, kept in `runs/`: a check of all files, and a training, need it again."""
+    """`outlined` with a cache in `runs/`, for checks of all files and for training."""
     shapes = [[r.get(k) for k in ("area", "box", "disc", "line", "width", "hole", "reach")] for r in label["regions"]]
     key = hashlib.sha256(json.dumps([VERSION, label["sha256"], label["size"], shapes]).encode() + picture.tobytes()).hexdigest()[:24]
     kept = RUNS / "label-cache" / f"{key}.png"
@@ -260,7 +258,7 @@ def level(label):
 
 
 def planes(label):
-    """Disparity of each region as a function of x and y in thousandths, 1/m."""
+    """Disparity of each region in 1/m, as a function of x and y in thousandths."""
     out = []
     for i, region in enumerate(label["regions"]):
         name, kind = region["name"], region["kind"]
@@ -294,7 +292,7 @@ def constant(value):
 
 
 def grounded(p, below, name):
-    """A plane through the horizon: least squares of the one slope left."""
+    """A plane through the horizon: least squares for its slope."""
     depth = below(p[:, 0], p[:, 1])
     if (depth <= 0).any():
         raise LabelError(f"{name}: a point above the horizon")
@@ -303,14 +301,14 @@ def grounded(p, below, name):
 
 
 def slanted(p):
-    """One point: facing the camera; two, or more in a line: a slope along it; else a plane. Beyond its points it is not trusted far."""
+    """One point: facing the camera; two, or more in a line: a slope along it; else a plane. Limits extrapolation beyond the points."""
     inverse = 1 / p[:, 2]
     low, high = inverse.min() / 1.5, inverse.max() * 1.5
     if len(p) == 1:
         return constant(inverse[0])
     middle = p[:, :2].mean(0)
     axes = np.linalg.svd(p[:, :2] - middle)
-    # points nearly in a line say nothing about the slope across it
+    # points nearly in a line do not determine the slope across it
     across = axes[2][: 1 if len(p) == 2 or axes[1][1] < 0.1 * axes[1][0] else 2]
     fit = np.linalg.lstsq(np.c_[(p[:, :2] - middle) @ across.T, np.ones(len(p))], inverse, rcond=None)[0]
     (a, b), c = fit[:-1] @ across, fit[-1] - fit[:-1] @ across @ middle
@@ -318,14 +316,14 @@ def slanted(p):
 
 
 def bulged(value, mask, metres):
-    """Disparity with the middle of a region `metres` nearer than its outline."""
+    """Brings the middle of a region `metres` nearer than its outline."""
     deep = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
     round_ = np.sqrt(1 - (1 - np.clip(deep / max(deep.max(), 1), 0, 1)) ** 2)
     return 1 / np.maximum(1 / np.maximum(value, 1e-6) - metres * round_, 0.05)
 
 
 def doubtful(disparity, ids, known):
-    """Pixels at outlines where depth jumps: an outline is a pixel off, which matters there."""
+    """Pixels at outlines where depth jumps, because outlines are off by about a pixel."""
     around = np.ones((3, 3), np.uint8)
     fine = disparity.astype(np.float32)
     top = np.percentile(fine[known], 99.5) if known.any() else 1
@@ -334,10 +332,10 @@ def doubtful(disparity, ids, known):
 
 
 def paint(label, size=None):
-    """What a label says about its photograph, at `size` (width, height; the label's own without one).
+    """Paints a label at `size` (width, height; default: the label's size).
 
-    `label` is a path or what `read` gave. Returns `disparity` float32 [H, W] in 1/m (0: infinitely far), `region` int32 [H, W] (0: none, i + 1: the i-th),
-    `kind` (a name for each number of `region`, "" for 0), `known` bool [H, W]: where `disparity` counts. Raises `LabelError`.
+    `label` is a path or the result of `read`. Returns `disparity` float32 [H, W] in 1/m (0: infinitely far), `region` int32 [H, W] (0: none, i + 1: the i-th),
+    `kind` (a name for each number of `region`, "" for 0), `known` bool [H, W]: where `disparity` is valid. Raises `LabelError`.
     """
     if not isinstance(label, dict):
         label = read(label)
@@ -357,7 +355,7 @@ def paint(label, size=None):
             known = cv2.resize(known.astype(np.uint8), (w, h), interpolation=cv2.INTER_NEAREST) > 0
             disparity, ids = (cv2.resize(m.astype(np.float32), (w, h), interpolation=cv2.INTER_NEAREST) for m in (disparity, ids))
         return {"disparity": disparity.astype(np.float32), "region": ids.astype(np.int32), "kind": kind, "known": known}
-    of = planes(label)
+    disparities = planes(label)
     ids = cached(label, picture).astype(np.float32)
     if (w, h) != full:
         ids = cv2.resize(ids, (w, h), interpolation=cv2.INTER_NEAREST)
@@ -366,7 +364,7 @@ def paint(label, size=None):
     y, x = np.mgrid[:h, :w].astype(np.float64)
     x, y = (x + 0.5) * full[0] / w * unit, (y + 0.5) * full[1] / h * unit
     disparity, known = np.zeros((h, w)), ids > 0
-    for i, (region, plane) in enumerate(zip(label["regions"], of)):
+    for i, (region, plane) in enumerate(zip(label["regions"], disparities)):
         inside = ids == i + 1
         value = plane(x, y)
         if region.get("bulge"):

@@ -1,10 +1,10 @@
-"""Disparity of photographs from outlines and distances put down by eye: `labels/NAME.json` to `NAME.rgb.png` and `NAME.disparity.png`.
+"""Converts hand-made labels to disparity: `labels/NAME.json` to `NAME.rgb.png` and `NAME.disparity.png`.
 
     python labels.py [-o OUT] [--only NAME] [--check]
 
-Files that `label.py` made are painted by `label_paint.py`; the others, drawn by hand with no help but `refine`, are told of here.
-Such a file names its photo below TMPI_DATA and lists regions, painted in their order, later ones over earlier ones; `left` takes that part
-of a picture's width:
+`label_paint.py` paints the files that `label.py` writes; this module paints the older files, drawn by hand.
+Such a file names its photo in TMPI_DATA and lists regions; later regions cover earlier ones. `left` crops the picture to that fraction
+of its width:
 
     {"photo": "photos/kodak/03.png", "size": [768, 512], "regions": [
       {"name": "sky", "outline": "all", "far": true},
@@ -12,9 +12,9 @@ of a picture's width:
       {"name": "man", "outline": [[x, y], ...], "metres": [[x, y, z]], "refine": 8},
       {"name": "water's mirror", "outline": [[x, y], ...], "unknown": true}]}
 
-`x`, `y` are pixels at `size`; `z` metres from the camera. The inverse of z is linear over a plane: one point gives a region that faces the camera, two a slope along
-the line between them, three or more the plane of least squares. `bulge` [metres] brings a region's middle nearer. `refine` moves an outline by up to so
-many pixels to an edge of the photo (GrabCut). `unknown` regions, and pixels at outlines where depth jumps, count for nothing.
+`x`, `y` are pixels at `size`, `z` is metres from the camera. The inverse of z is linear over a plane: one point gives a region that faces the camera, two a
+slope along the line between them, three or more a least-squares plane. `bulge` [metres] brings a region's middle nearer. `refine` moves an outline by up
+to that many pixels to an edge in the photo (GrabCut). `unknown` regions, and pixels at outlines where depth jumps, do not count.
 """
 
 import argparse
@@ -27,7 +27,7 @@ import numpy as np
 import label_paint
 from paths import HERE, RUNS
 
-# metres at which things count as infinitely far
+# metres that count as infinitely far
 FAR = 1e6
 
 
@@ -47,7 +47,7 @@ def outline(region, size):
 
 
 def refined(mask, picture, reach):
-    """The mask with its edge moved by up to `reach` pixels to where the photo has one."""
+    """Moves the edge of a mask by up to `reach` pixels to an edge in the photo."""
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     inner, outer = cv2.erode(mask, kernel), cv2.dilate(mask, kernel)
     if not inner.any() or outer.all():
@@ -77,12 +77,12 @@ def plane(region, size):
         a = np.c_[points[:, :2], np.ones(len(points))]
         fit = np.linalg.lstsq(a, inverse, rcond=None)[0]
         out = fit[0] * x + fit[1] * y + fit[2]
-    # beyond its points a plane is not trusted far
+    # limit extrapolation beyond the points
     return np.clip(out, max(inverse.min() / 1.5, 1 / FAR), inverse.max() * 1.5)
 
 
 def painted(label, picture):
-    """Inverse metres [H, W], where it counts [H, W], and the mask of each region."""
+    """Inverse metres [H, W], known pixels [H, W], and the mask of each region."""
     size = tuple(label["size"])
     inverse, valid, masks = np.zeros(size[::-1]), np.zeros(size[::-1], bool), []
     ids = np.zeros(size[::-1], np.uint8)
@@ -102,7 +102,7 @@ def painted(label, picture):
             round_ = np.sqrt(1 - (1 - np.clip(depth / max(depth.max(), 1), 0, 1)) ** 2)
             value = 1 / np.maximum(1 / value - region["bulge"] * round_, 0.05)
         inverse[inside], valid[inside] = value[inside], True
-    # an outline is a pixel or two off, which matters where depth jumps there
+    # an outline is off by a pixel or two, which matters where depth jumps
     around, fine = np.ones((3, 3), np.uint8), inverse.astype(np.float32)
     jump = cv2.dilate(fine, around) - cv2.erode(fine, around) > 0.02 * np.percentile(inverse[valid], 99.5)
     edge = cv2.morphologyEx(ids, cv2.MORPH_GRADIENT, around) > 0
@@ -113,11 +113,11 @@ def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("-o", "--out", type=Path, default=RUNS / "labels")
     a.add_argument("--only")
-    a.add_argument("--check", action="store_true", help="also a picture to look at: photo with outlines beside the disparity")
+    a.add_argument("--check", action="store_true", help="also write a picture of the outlines beside the disparity")
     a = a.parse_args()
     a.out.mkdir(parents=True, exist_ok=True)
     for file in sorted((HERE / "labels").glob("*.json")):
-        # a second label of a photo only tells how far two differ
+        # second labels are only for comparison
         if (a.only and file.stem != a.only) or file.stem.endswith(".b"):
             continue
         label = json.loads(file.read_text())

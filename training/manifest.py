@@ -1,8 +1,8 @@
-"""What a run was made from, and what came of it: `manifest.json` beside its checkpoints, and the block about it in a model card.
+"""Records the inputs and outputs of a run: `manifest.json` beside its checkpoints, and a block in the model card.
 
-    python manifest.py depth theta psi [--check]     # writes the digests of the shipped files into cards that tell no run, or compares them
+    python manifest.py depth theta psi [--check]     # writes the digests of the shipped files into cards without a run, or compares them
 
-`manifest.json` holds the command line, versions, commit, SHA-256 of every input file (listed in `inputs.sha256`, as `sha256sum -c` reads it), and of
+`manifest.json` contains the command line, versions, commit, SHA-256 of every input file (listed in `inputs.sha256`, as `sha256sum -c` reads it), and of
 the checkpoints and the exported network.
 """
 
@@ -31,7 +31,7 @@ def sha256(path):
 
 
 def short(path):
-    """A path as it is told elsewhere: below TMPI_DATA, below this folder, or its name alone."""
+    """A path without local folders: relative to TMPI_DATA or to this folder, or only its name."""
     path = Path(path).resolve()
     for root, name in ((DATA.resolve(), "$TMPI_DATA/"), (HERE, "")):
         if path.is_relative_to(root):
@@ -40,7 +40,7 @@ def short(path):
 
 
 def plain(word):
-    """A word of a command line without this machine's folders."""
+    """A command-line word without local folders."""
     key, is_, value = word.partition("=") if word.startswith("-") else ("", "", word)
     return key + is_ + (short(value) if Path(value).is_absolute() else value)
 
@@ -56,7 +56,7 @@ def versions():
 
 
 def commit():
-    """The commit of this source, with a plus sign where files of this folder differ from it; None outside a repository."""
+    """The current commit, with a plus sign if files in this folder differ from it; None outside a repository."""
 
     def git(*words):
         return subprocess.run(["git", *words], cwd=HERE, capture_output=True, text=True, check=True).stdout.strip()
@@ -68,14 +68,14 @@ def commit():
 
 
 def processor():
-    """What arithmetic depends on besides the program."""
+    """Hardware that the arithmetic depends on."""
     import torch
 
     return {"machine": platform.machine(), "vectors": torch.backends.cpu.get_cpu_capability(), "cuda": torch.cuda.is_available()}
 
 
 def listed(inputs):
-    """Lines of `sha256sum` for all input files, by name of the group, and the SHA-256 of each group's lines."""
+    """`sha256sum` lines for all input files, and the SHA-256 of each group's lines."""
     lines, groups = [], {}
     for name in sorted(inputs):
         own = [f"{sha256(p)}  {short(p)}" for p in sorted(map(Path, inputs[name]), key=short)]
@@ -96,68 +96,68 @@ def read(out):
 
 
 def begin(out, step, inputs, wanted):
-    """Notes that a run begins, or goes on at `step`; ends the program where its input files are not those that it began with."""
+    """Records the start of a run, or its resumption at `step`; exits if the input files differ from those at the start."""
     from loop import Changed
 
     out, lines, groups = Path(out), *listed(inputs)
-    told = read(out) if step else None
-    if told and told["inputs"] != groups:
-        other = [k for k in groups if told["inputs"].get(k) != groups[k]]
-        raise Changed(f"{out}: other input files than the run began with: {', '.join(other)}; see inputs.sha256")
+    record = read(out) if step else None
+    if record and record["inputs"] != groups:
+        other = [k for k in groups if record["inputs"].get(k) != groups[k]]
+        raise Changed(f"{out}: input files changed since the run began: {', '.join(other)}; see inputs.sha256")
     start = {"step": step, "command": shlex.join(["python", *(plain(a) for a in [Path(sys.argv[0]).name, *sys.argv[1:]])]), "commit": commit()}
     start |= {"versions": versions(), "processor": processor()}
-    told = (told or {"inputs": groups, **wanted, "starts": []}) | {"checkpoints": {}}
-    told["starts"].append(start)
+    record = (record or {"inputs": groups, **wanted, "starts": []}) | {"checkpoints": {}}
+    record["starts"].append(start)
     (out / "inputs.sha256").write_text("\n".join(lines) + "\n")
-    write(out / "manifest.json", told)
+    write(out / "manifest.json", record)
 
 
 def finished(out, step, contents):
-    """Adds the digests of the checkpoints, and that of what last.pt holds: of equal contents PyTorch may write unequal files."""
-    out, told = Path(out), read(out)
-    told |= {"step": step, "contents": contents}
-    told["checkpoints"] = {p.name: sha256(p) for p in sorted(out.glob("*.pt"))}
-    write(out / "manifest.json", told)
+    """Adds the digests of the checkpoints, and of the contents of last.pt, because PyTorch may write equal contents as different files."""
+    out, record = Path(out), read(out)
+    record |= {"step": step, "contents": contents}
+    record["checkpoints"] = {p.name: sha256(p) for p in sorted(out.glob("*.pt"))}
+    write(out / "manifest.json", record)
 
 
 def exported(checkpoint, model):
-    """What a network was made from: its checkpoint, and the manifest of its run, which gains the network's digest, where the run kept one."""
+    """Returns the origin of an exported network, and adds its digest to the run's manifest if there is one."""
     checkpoint = Path(checkpoint)
-    told = read(checkpoint.parent)
+    record = read(checkpoint.parent)
     made = {"file": Path(model).name, "sha256": sha256(model), "checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
-    if told is None:
+    if record is None:
         return {"exported": made}
-    told["exported"] = made
-    write(checkpoint.parent / "manifest.json", told)
-    return told
+    record["exported"] = made
+    write(checkpoint.parent / "manifest.json", record)
+    return record
 
 
-def block(model, told):
-    """Lines of a card about the file `model`, and about what it was made from, where that is known (`told`)."""
-    return [f"- **File**: {Path(model).stat().st_size} bytes, SHA-256 `{sha256(model)}`.", *about_run(told)]
+def block(model, record):
+    """Card lines about the file `model` and its origin, if known."""
+    return [f"- **File**: {Path(model).stat().st_size} bytes, SHA-256 `{sha256(model)}`.", *about_run(record)]
 
 
-def about_run(told):
-    """Lines of a card about a run."""
-    if told is None:
+def about_run(record):
+    """Card lines about a run."""
+    if record is None:
         return ["- **Run**: before manifests were kept; it cannot be repeated to the bit."]
-    of = told["exported"]
-    checkpoint = f"- **Checkpoint**: {of['checkpoint']} (SHA-256 `{of['checkpoint_sha256'][:16]}`…)"
-    if "starts" not in told:
+    exported = record["exported"]
+    checkpoint = f"- **Checkpoint**: {exported['checkpoint']} (SHA-256 `{exported['checkpoint_sha256'][:16]}`…)"
+    if "starts" not in record:
         return [f"{checkpoint}, whose run kept no manifest: it cannot be repeated to the bit."]
-    starts = told["starts"]
-    lines = [f"{checkpoint} of a run of {told['plan']['steps']} steps, seed {told['plan']['seed']}:", ""]
+    starts = record["starts"]
+    lines = [f"{checkpoint} of a run of {record['plan']['steps']} steps, seed {record['plan']['seed']}:", ""]
     lines += [f"      {starts[0]['command']}", ""]
-    lines += ["- **Read**: " + "; ".join(f"{k}: {v['files']} files, `{v['sha256'][:16]}`…" for k, v in told["inputs"].items()) + "."]
+    lines += ["- **Read**: " + "; ".join(f"{k}: {v['files']} files, `{v['sha256'][:16]}`…" for k, v in record["inputs"].items()) + "."]
     for s in starts:
         if s is starts[0] or s["commit"] != starts[0]["commit"] or s["versions"] != starts[0]["versions"]:
             what = ", ".join(f"{k} {v}" for k, v in s["versions"].items())
-            lines += [f"- **From step {s['step']}**: commit {s['commit']}, {what}, {s['processor']['machine']} {s['processor']['vectors']}, {told['plan']['threads']} threads."]
+            lines += [f"- **From step {s['step']}**: commit {s['commit']}, {what}, {s['processor']['machine']} {s['processor']['vectors']}, {record['plan']['threads']} threads."]
     return lines
 
 
 def into_card(card, lines):
-    """Puts the lines between the markers of a card, which get a chapter of their own at its end where there are none."""
+    """Writes lines between the markers of a card; adds a section with markers at the end if there are none."""
     card, body = Path(card), "\n".join([BEGIN, *lines, END])
     text = card.read_text() if card.exists() else f"# {card.stem}.onnx\n"
     if BEGIN in text:
@@ -169,7 +169,7 @@ def into_card(card, lines):
 
 
 def origin_in(card):
-    """Lines of a card about where its network comes from, those of its file left out."""
+    """Card lines about the origin of the network, without those about the file."""
     text = Path(card).read_text() if Path(card).exists() else ""
     if BEGIN not in text:
         return []
@@ -177,8 +177,8 @@ def origin_in(card):
     return [line for line in lines if not line.startswith("- **File**")]
 
 
-def told_in(card):
-    """The digest that a card tells, or None."""
+def digest_in(card):
+    """The digest in a card, or None."""
     text = Path(card).read_text()
     if BEGIN not in text:
         return None
@@ -189,16 +189,16 @@ def told_in(card):
 def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("model", nargs="+", help="name of a network in models/")
-    a.add_argument("--check", action="store_true", help="write nothing; fail where a card tells another digest than its file has")
+    a.add_argument("--check", action="store_true", help="write nothing; fail if a card has another digest than its file")
     a = a.parse_args()
     for name in a.model:
         model, card = MODELS / f"{name}.onnx", MODELS / f"{name}.md"
         if a.check:
-            if told_in(card) != sha256(model):
-                raise SystemExit(f"{card.name} tells {told_in(card)}, {model.name} is {sha256(model)}")
+            if digest_in(card) != sha256(model):
+                raise SystemExit(f"{card.name} says {digest_in(card)}, but {model.name} has {sha256(model)}")
         elif origin_in(card) not in ([], about_run(None)):
-            # what is not known here would stand in the place of what is
-            raise SystemExit(f"{card.name} tells what {model.name} was made from, which only export.py knows: nothing is written")
+            # only export.py knows the origin, so do not overwrite it
+            raise SystemExit(f"{card.name} describes the origin of {model.name}, which only export.py may change: nothing is written")
         else:
             into_card(card, block(model, None))
 

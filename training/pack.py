@@ -1,11 +1,11 @@
-"""Everything that the depth network learns from and is chosen by, but for rendered scenes, in one file of about 20 MB: `depth.py` needs no other data.
+"""Packs all pictures for training and checkpoint selection, except rendered scenes, into one file of about 20 MB. `depth.py` needs no other data.
 
     python pack.py [-o runs/pictures.zip]
 
-Labels are painted and maps read once. Pictures are at most `LONGEST` pixels long, and stand there once though a photograph may be in two groups: WebP,
-which takes two thirds of JPEG's room. Maps have `STEPS` steps (0: unknown), their bytes as the colours of a lossless WebP; what was measured stands at half
-of the size, at which it is learnt. The numbers of regions are a PNG. `index.json` lists all: name, group, space, whether the map is single points, kind of
-each region, number of the picture.
+Paints labels and reads maps once. Pictures have at most `LONGEST` pixels per side and are stored once, even if a photograph is in two groups, as WebP,
+which takes two thirds of the size of JPEG. Maps have `STEPS` levels (0: unknown), stored as the colours of a lossless WebP; measured maps have half of the
+size, at which the network learns them. Region numbers are a PNG. `index.json` lists name, group, space, whether the map has only single points, kind of
+each region, and picture number.
 """
 
 import argparse
@@ -25,19 +25,19 @@ from paths import RUNS
 
 FILE = RUNS / "pictures.zip"
 LONGEST = 432
-# quality of the pictures: of what is learnt from, and of what is measured on
+# WebP quality of pictures for training, and for measurement
 QUALITY, MEASURED = 80, 95
-# steps of a map, of which 0 is where nothing is known
+# levels of a map; 0 is unknown
 STEPS = 4095
-# groups, before a colon, whose maps stand at half of the size
+# groups, before a colon, whose maps have half of the size
 HALVED = ("rgbd", "stereo", "pairs")
-# group of a picture that checkpoints are chosen by, before the name of its set
+# group prefix of selection pictures, before the name of the set
 CHOICE = "choice:"
 
 
 @dataclass
 class Packed:
-    """A picture of the pack: [`sources.Sample`] with the kind of each region instead of each pixel."""
+    """A packed picture: [`sources.Sample`] with the kind of each region instead of each pixel."""
 
     name: str
     group: str
@@ -54,12 +54,12 @@ def png(values):
 
 
 def webp(rgb, quality):
-    """Above a quality of 100 without loss."""
+    """Lossless above a quality of 100."""
     return cv2.imencode(".webp", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
 
 
 def coded(value):
-    """A map in 0..1 with NaN as colours u8 [H, W, 3]: low and high byte of its step."""
+    """Encodes a map in 0..1 with NaN as colours u8 [H, W, 3]: low and high byte of its level."""
     code = np.where(np.isfinite(value), 1 + np.round(np.clip(np.nan_to_num(value), 0, 1) * (STEPS - 1)), 0).astype(np.uint16)
     return np.stack([code & 255, code >> 8, np.zeros_like(code)], 2).astype(np.uint8)
 
@@ -70,7 +70,7 @@ def decoded(rgb):
 
 
 class Writer:
-    """A pack that is being written."""
+    """Writes a pack."""
 
     def __init__(self, path):
         self.file, self.index, self.pictures = zipfile.ZipFile(path, "w"), [], {}
@@ -82,21 +82,21 @@ class Writer:
         number = len(self.index)
         rgb = webp(cv2.resize(sample.rgb, size, interpolation=cv2.INTER_AREA) if scale < 1 else sample.rgb, quality)
         picture = self.pictures.setdefault(hashlib.sha256(rgb).digest(), number)
-        told = {"name": name, "group": group, "space": space, "sparse": sparse, "kinds": [], "picture": picture}
+        entry = {"name": name, "group": group, "space": space, "sparse": sparse, "kinds": [], "picture": picture}
         if picture == number:
             self.file.writestr(f"{number}.webp", rgb)
         if space != "none":
-            # between the regions of a label nothing is mixed
+            # do not interpolate between regions of a label
             if sample.region.any() or group.startswith(CHOICE):
                 value = cv2.resize(sample.value, size, interpolation=cv2.INTER_NEAREST)
             else:
                 size_of = [(v + 1) // 2 for v in size] if group.split(":")[0] in HALVED else size
-                value = common.shrunk(sample.value, size_of[::-1], 0.0 if sparse else 0.5)
+                value = common.shrink_map(sample.value, size_of[::-1], 0.0 if sparse else 0.5)
             self.file.writestr(f"{number}.map.webp", webp(coded(value), 101))
         if sample.region.any():
             self.file.writestr(f"{number}.region.png", png(cv2.resize(sample.region, size, interpolation=cv2.INTER_NEAREST)))
-            told["kinds"] = kinds_of(sample).tolist()
-        self.index.append(told)
+            entry["kinds"] = kinds_of(sample).tolist()
+        self.index.append(entry)
 
     def close(self):
         self.file.writestr("index.json", json.dumps(self.index))
@@ -104,14 +104,14 @@ class Writer:
 
 
 def kinds_of(sample):
-    """Kind of each region, by its number."""
+    """Kind of each region, by number."""
     kinds = np.zeros(int(sample.region.max()) + 1, np.uint8)
     kinds[sample.region.ravel()] = sample.kind.ravel()
     return kinds
 
 
 def opened(path):
-    """All pictures of a pack, in its order."""
+    """Yields all pictures of a pack in order."""
     with zipfile.ZipFile(path) as z:
         names = set(z.namelist())
 
@@ -121,16 +121,16 @@ def opened(path):
         def colours(name):
             return cv2.cvtColor(read(name, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB) if name in names else None
 
-        for n, told in enumerate(json.loads(z.read("index.json"))):
-            rgb, code, region = colours(f"{told.pop('picture')}.webp"), colours(f"{n}.map.webp"), read(f"{n}.region.png")
+        for n, entry in enumerate(json.loads(z.read("index.json"))):
+            rgb, code, region = colours(f"{entry.pop('picture')}.webp"), colours(f"{n}.map.webp"), read(f"{n}.region.png")
             size, none = rgb.shape[:2], np.zeros(rgb.shape[:2], np.uint8)
             value = np.full(size, np.nan, np.float32) if code is None else cv2.resize(decoded(code), size[::-1], interpolation=cv2.INTER_NEAREST)
-            kinds = np.array(told.pop("kinds") or [0], np.uint8)
-            yield Packed(**told, rgb=rgb, value=value, region=none if region is None else region, kinds=kinds)
+            kinds = np.array(entry.pop("kinds") or [0], np.uint8)
+            yield Packed(**entry, rgb=rgb, value=value, region=none if region is None else region, kinds=kinds)
 
 
 def sets_of(pictures):
-    """The pictures to choose by, as `eval_depth.load_sets` gives them."""
+    """Selection pictures in the format of `eval_depth.load_sets`."""
     sets = {}
     for p in pictures:
         if p.group.startswith(CHOICE):
@@ -141,7 +141,7 @@ def sets_of(pictures):
 def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("-o", "--out", type=Path, default=FILE)
-    a.add_argument("--without", nargs="*", default=[], help="leave out pictures whose names begin so, such as train2/pairs")
+    a.add_argument("--without", nargs="*", default=[], help="omit pictures whose names start with this, such as train2/pairs")
     a = a.parse_args()
     cv2.setNumThreads(1)
     a.out.parent.mkdir(parents=True, exist_ok=True)

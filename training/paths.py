@@ -1,4 +1,4 @@
-"""Folders that the scripts here share; apart from `common`, so that a tool without a network to train needs no PyTorch."""
+"""Folders that the scripts share; separate from `common`, so that tools without a network do not need PyTorch."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Trains Ψ: the colour of hidden texels, on layers as the program makes them, whose exact surface behind is known."""
+"""Trains Ψ: the colour of hidden texels, on the program's layers of rendered scenes, where the hidden surface is known."""
 
 import argparse
 
@@ -20,7 +20,7 @@ def conv(i, o, stride=1):
 
 
 class Psi(nn.Module):
-    """U-Net from half to an eighth of the resolution; what it gives is added to the first fill, at hidden texels alone."""
+    """U-Net from half to an eighth of the resolution; adds its output to the first fill at hidden texels."""
 
     def __init__(self):
         super().__init__()
@@ -54,14 +54,14 @@ def load(folders):
 
 
 def floats(batch):
-    """Channels as Ψ gets them."""
+    """Input channels of Ψ as floats."""
     x = batch.float() / 255
     x[:, DISPARITY] = x[:, DISPARITY] * 2 - 1
     return x
 
 
 def augmented(x, rng):
-    """Turned round, with colours permuted and scaled, so that no scene's colours are learnt by heart."""
+    """Flips and transposes, permutes and scales colours, so that Ψ does not memorise scenes."""
     if rng.random() < 0.5:
         x = x.flip(3)
     if rng.random() < 0.5:
@@ -75,7 +75,7 @@ def augmented(x, rng):
 
 
 def losses(background, x):
-    """Over known texels: L1, mean square, and a smoothed L1 that is trained on."""
+    """L1, mean square, and a smoothed L1 as the loss, over known texels."""
     known = x[:, KNOWN:]
     e = (background - x[:, TRUTH:KNOWN]) * known
     count = (3 * known.sum()).clamp_min(1)
@@ -98,10 +98,10 @@ def measure(net, layers):
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "layers")])
-    a.add_argument("--held", nargs="+", default=[str(RUNS / "data" / "held")], help="scenes that are only measured on")
+    a.add_argument("--held", nargs="+", default=[str(RUNS / "data" / "held")], help="scenes for evaluation only")
     a.add_argument("--out", default=str(RUNS / "psi"))
     a.add_argument("--batch", type=int, default=32)
-    a.add_argument("--measure", metavar="MODEL", help="measure psi.onnx against the first fill on the held-out scenes, and end")
+    a.add_argument("--measure", metavar="MODEL", help="compare psi.onnx with the first fill on the held-out scenes, then exit")
     loop.arguments(a, steps=6000, seed=3, every=300)
     a = a.parse_args()
     torch.set_num_threads(a.threads)

@@ -1,4 +1,4 @@
-"""Processes of `tmpi-lab synth` that render scenes without end while a training learns from them."""
+"""Renders scenes with `tmpi-lab synth` processes while the training learns from them."""
 
 import itertools
 import os
@@ -14,20 +14,20 @@ import numpy as np
 import pack
 import sources
 
-# scenes that a process renders before they are learnt from: at first, so that the training begins soon, and after that
-SOON, CHUNK = 8, 40
-# seeds are at least this: those from 9 000 000 on are held out, and those below were rendered by hand
+# scenes per chunk: a small first chunk, so that the training starts soon, then larger ones
+FIRST_CHUNK, CHUNK = 8, 40
+# smallest seed: seeds from 9 000 000 on are held out, smaller ones were rendered by hand
 FIRST = 10**9
 
 
 def read(item):
-    """A scene as a picture of the pack."""
+    """Reads a scene as a packed picture."""
     s = sources.read_item(item)
     return pack.Packed(item.name, item.group, item.space, False, s.rgb, s.value, s.region, np.zeros(1, np.uint8))
 
 
 class Renderers:
-    """`count` processes, each in a thread that waits for it, with seeds from `first` on. Every other chunk has models, where there are any."""
+    """Runs `count` processes, each with a thread that waits for it, with seeds from `first` on. Every second chunk uses models, if given."""
 
     def __init__(self, program, count, folder, first, pictures, models=None):
         self.program, self.folder, self.pictures, self.models = program, Path(folder), pictures, models
@@ -39,33 +39,33 @@ class Renderers:
             thread.start()
 
     def work(self, worker):
-        count = SOON
+        count = FIRST_CHUNK
         try:
             while not self.ended.is_set():
                 with self.lock:
                     seed = next(self.seeds)
                 self.found.put(self.chunk(worker, seed, count))
                 count = CHUNK
-        except Exception as e:  # to be raised where scenes are taken
+        except Exception as e:  # `taken` raises it
             if not self.ended.is_set():
                 self.found.put(e)
 
     def chunk(self, worker, seed, count):
-        """`count` scenes from a seed on."""
+        """Renders `count` scenes, starting with a seed."""
         out = self.folder / str(seed)
         models = ["--models", self.models, "--models-up", "z"] if self.models and (seed // CHUNK) % 2 else []
         command = [self.program, "synth", "-o", out, "--count", count, "--seed", seed, "--supersampling", 2, "--pictures", self.pictures, *models]
         environment = os.environ | {"RAYON_NUM_THREADS": "1"}
         self.running[worker] = subprocess.Popen(["nice", *map(str, command)], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        _, told = self.running[worker].communicate()
+        _, stderr = self.running[worker].communicate()
         if self.running[worker].returncode:
-            raise RuntimeError(f"{self.program} synth: {told.decode()[-500:]}")
+            raise RuntimeError(f"{self.program} synth: {stderr.decode()[-500:]}")
         scenes = [read(i) for i in sources.scenes([out])]
         shutil.rmtree(out)
         return scenes
 
     def taken(self, wait=False):
-        """What was rendered since; with `wait` at least one chunk."""
+        """Returns new scenes; with `wait`, at least one chunk."""
         scenes = []
         while wait or not self.found.empty():
             chunk, wait = self.found.get(), False
@@ -84,7 +84,7 @@ class Renderers:
 
 
 def textures(pictures, folder):
-    """Writes the photographs of a pack, from which `tmpi-lab synth` may cut its textures."""
+    """Writes the photographs of a pack as textures for `tmpi-lab synth`."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for n, p in enumerate(p for p in pictures if p.group in ("label", "photo") and not p.name.endswith(".b")):

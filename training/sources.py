@@ -1,11 +1,11 @@
-"""Everything that the depth network is trained on, by what its maps mean: rendered scenes, labels by eye, sensors, stereo, published maps.
+"""All training data of the depth network: rendered scenes, hand-made labels, sensors, stereo, published maps.
 
-Maps are float32 [H, W] with larger values nearer and NaN where nothing is known. What they mean is their `space`:
+Maps are float32 [H, W]; larger values are nearer, NaN is unknown. `space` says what the values mean:
 
     disparity   inverse distance up to scale and shift (metric depth is inverted)
     depth       one minus distance up to scale and shift
-    order       nothing but what is nearer than what
-    none        no map: the picture only lends the statistics of its features
+    order       only which of two pixels is nearer
+    none        no map: the picture contributes only feature statistics
 """
 
 import csv
@@ -18,39 +18,39 @@ import cv2
 import numpy as np
 
 import common
-from label_paint import paint, read  # label files of both kinds
+from label_paint import paint, read  # label files of both formats
 from paths import DATA, HERE
 
 
-# numbers of what a region is, in the maps `kind`
+# kinds of regions, in the maps `kind`
 NOTHING, SKY, GROUND, SURFACE, THING, PLANT = range(6)
 KINDS = {"sky": SKY, "ground": GROUND, "water": GROUND, "wall": SURFACE, "building": SURFACE, "background": SURFACE, "plant": PLANT}
 KINDS |= {k: THING for k in ("object", "person", "animal", "vehicle")}
-# one label in so many is never trained on
+# one in this many labels is never used for training
 HELD = 5
-# pictures that are not trained on though their rows allow it, by the beginning of their path below TMPI_DATA, and why
+# pictures that are excluded although their rows allow training, by path prefix in TMPI_DATA, with the reason
 LEFT_OUT = {
-    folder: "some are under the terms of Unsplash, Pexels or Pixabay, which speak against collecting for machine learning; which ones its rows do not tell"
+    folder: "some are under the terms of Unsplash, Pexels or Pixabay, which forbid collecting for machine learning; the index does not say which ones"
     for folder in ("train2/photos/elementary/", "train2/photos/imaginary/")
 }
 
 
 @dataclass(frozen=True)
 class Item:
-    """A picture to train on: its name, the group that its share goes to, the space of its map, and the files that it is read from."""
+    """A picture to train on: its name, its group, the space of its map, and its files."""
 
     name: str
     group: str
     space: str
     files: tuple
-    sparse: bool = False  # single points instead of a map
+    sparse: bool = False  # the map has only single points
     unit: str = "scene"
 
 
 @dataclass
 class Sample:
-    """Colours u8 [H, W, 3], the map float32 [H, W] in 0..1 with NaN where unknown, number and kind of the region of each pixel u8 [H, W], 0 for none; and
-    the numbers of the regions that were drawn as lines: thin things."""
+    """Colours u8 [H, W, 3]; map float32 [H, W] in 0..1, NaN where unknown; region number and kind of each pixel u8 [H, W], 0 for none; and the numbers
+    of regions drawn as lines, which are thin things."""
 
     rgb: np.ndarray
     value: np.ndarray
@@ -67,17 +67,17 @@ def scenes(folders):
 
 
 def held_out(photo):
-    """Whether the label of a photograph is only measured on: of its path alone, so that new labels move none."""
+    """Whether a photograph's label is only for evaluation; depends only on its path, so that new labels do not change it."""
     return int(hashlib.sha256(photo.encode()).hexdigest()[:8], 16) % HELD == 0
 
 
 def is_left_out(photo):
-    """Whether a picture, by its path below TMPI_DATA, is not trained on, whatever its row says: see `LEFT_OUT`."""
+    """Whether a picture, by its path in TMPI_DATA, is excluded from training; see `LEFT_OUT`."""
     return photo.startswith(tuple(LEFT_OUT))
 
 
 def labels(held, folder=HERE / "labels"):
-    """Labelled photographs: those to train on, or those held out."""
+    """Labelled photographs: those for training, or the held-out ones."""
     found = []
     for file in sorted(Path(folder).glob("*.json")):
         photo = json.loads(file.read_text())["photo"]
@@ -87,7 +87,7 @@ def labels(held, folder=HERE / "labels"):
 
 
 def gathered(root=DATA / "train2"):
-    """The pictures of `train2`, of those rows alone that may be trained on, without those that are left out."""
+    """The pictures in `train2` whose rows allow training, without the excluded ones."""
     found = []
     if not (root / "INDEX.tsv").exists():
         return found
@@ -113,7 +113,7 @@ def gathered(root=DATA / "train2"):
 
 
 def read_item(item):
-    """The picture and its map."""
+    """Reads a picture and its map."""
     rgb = common.read_rgb(item.files[0])
     none = np.zeros(rgb.shape[:2], np.uint8)
     if item.unit == "label":
@@ -130,7 +130,7 @@ def read_item(item):
     elif item.unit == "px":
         value = np.where(raw > 0, raw, np.nan)
     else:
-        # inverse depth up to an offset, of which 0 is the farthest, not unknown
+        # inverse depth up to an offset: 0 is farthest, not unknown
         value = raw
     if value.shape != rgb.shape[:2]:
         value = cv2.resize(value, rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
@@ -138,13 +138,13 @@ def read_item(item):
 
 
 def ranged(value):
-    """A map up to scale: its few nearest values to 1."""
+    """Scales a map so that its nearest values become 1."""
     top = np.nanpercentile(value, 99.5) if np.isfinite(value).any() else 1
     return np.clip(value / max(top, 1e-12), 0, 1).astype(np.float32)
 
 
 def kinds(label, names):
-    """Number of what each region is; in files that only tell things from sky, the backdrop and what slants in two directions are surfaces."""
+    """Kind of each region. Old files mark only sky; there the backdrop, and regions with three or more points, are surfaces."""
     found = [KINDS.get(k, NOTHING) for k in names]
     for i, region in enumerate(label["regions"]):
         if "sha256" not in label and found[i + 1] == THING and (region["outline"] == "all" or len(region.get("metres", ())) > 2):
@@ -153,15 +153,15 @@ def kinds(label, names):
 
 
 def labelled(label):
-    """A labelled photograph at the label's size."""
-    told = paint(label)
+    """Reads a labelled photograph at the label's size."""
+    painted = paint(label)
     rgb = cv2.imread(str(DATA / label["photo"]))
     if left := label.get("left"):
         rgb = rgb[:, : int(rgb.shape[1] * left)]
-    rgb = cv2.resize(cv2.cvtColor(rgb, cv2.COLOR_BGR2RGB), told["region"].shape[::-1], interpolation=cv2.INTER_AREA)
-    if told["region"].max() > 255:
+    rgb = cv2.resize(cv2.cvtColor(rgb, cv2.COLOR_BGR2RGB), painted["region"].shape[::-1], interpolation=cv2.INTER_AREA)
+    if painted["region"].max() > 255:
         raise SystemExit(f"{label['photo']}: more than 255 regions")
-    value = ranged(np.where(told["known"], told["disparity"], np.nan))
-    region = told["region"].astype(np.uint8)
+    value = ranged(np.where(painted["known"], painted["disparity"], np.nan))
+    region = painted["region"].astype(np.uint8)
     lines = tuple(n for n, r in enumerate(label["regions"], 1) if "line" in r)
-    return Sample(rgb, value, region, kinds(label, told["kind"])[region], lines)
+    return Sample(rgb, value, region, kinds(label, painted["kind"])[region], lines)

@@ -1,4 +1,4 @@
-"""Trains Θ: denoised disparity and confidence, through differentiable weighted k-means in tiles of 64 pixels."""
+"""Trains Θ: denoised disparity and confidence, through differentiable weighted k-means in 64-pixel tiles."""
 
 import argparse
 
@@ -21,10 +21,10 @@ def conv(i, o, stride=1):
 
 
 class Theta(nn.Module):
-    """Two-headed U-Net that mixes seven versions of the disparity map, pixel by pixel, and adds a small change of its own.
+    """Two-headed U-Net that mixes seven versions of the disparity map per pixel, and adds a small correction.
 
-    The mixture stays within the range of its surroundings whatever the network says, and learns in minutes; the change is
-    what averages cannot give (edges under noise), at most STEP."""
+    The mixture always stays within the range of its surroundings, and learns in minutes. The correction, at most STEP, adds what averages cannot: edges
+    under noise."""
 
     STEP = 0.06
 
@@ -60,7 +60,7 @@ def act(x):
 
 
 def versions(d):
-    """The map itself; without 3 × 3 outliers; that one's 5 × 5 mean; 5 × 5 and 9 × 9 means; means over about 20 and 40 pixels."""
+    """The map; the map without 3 × 3 outliers, and its 5 × 5 mean; 5 × 5 and 9 × 9 means of the map; means over about 20 and 40 pixels."""
     opened, closed = dilate(erode(d)), erode(dilate(d))
     clean = 0.5 * (erode(dilate(opened)) + dilate(erode(closed)))
     quarter = F.avg_pool2d(d, 4)
@@ -95,7 +95,7 @@ def tiles(x, size=TILE):
 
 
 def discrete(disparity, confidence, planes=PLANES, rounds=8):
-    """Folded discrete map per tile by weighted k-means; the last centres carry the gradient."""
+    """Discrete map per tile by weighted k-means; the last centres carry the gradient."""
     d, w = tiles(disparity), tiles(confidence)
     low, high = d.min(1, keepdim=True).values, d.max(1, keepdim=True).values
     centre = (low + (high - low) * (torch.arange(planes) + 0.5) / planes).detach()
@@ -115,8 +115,8 @@ def discrete(disparity, confidence, planes=PLANES, rounds=8):
     return update(label, d, w, centre).gather(1, label)
 
 
-def networklike(d, rng):
-    """A clean map that is as smooth as large networks give it: a fine one half of the time."""
+def network_like(d, rng):
+    """Smooths a clean map like the output of large networks, most of the time."""
     if rng.random() < 0.4:
         return d
     s, (h, w) = rng.choice([1, 2, 2, 3, 4]), d.shape
@@ -125,7 +125,7 @@ def networklike(d, rng):
 
 
 def damaged(d, rng):
-    """A disparity map as networks, sensors and codecs spoil it; one in six is left alone."""
+    """Damages a disparity map like networks, sensors and codecs; leaves one in six unchanged."""
     noise = np.random.default_rng(rng.getrandbits(32))
     x, h, w = d.copy(), *d.shape
     if rng.random() < 1 / 6:
@@ -154,9 +154,9 @@ def damaged(d, rng):
 def batch_of(folders, size, n, rng):
     colours, damaged_maps, maps = [], [], []
     for _ in range(n):
-        rgb, d = common.framed(*common.read_pair(rng.choice(folders)), size, rng)
+        rgb, d = common.random_crop(*common.read_pair(rng.choice(folders)), size, rng)
         span = rng.uniform(0.5, 1.0)  # maps that do not fill 0..1
-        d = networklike(d, rng) * span + rng.uniform(0, 1 - span)
+        d = network_like(d, rng) * span + rng.uniform(0, 1 - span)
         colours.append(common.chw(rgb))
         maps.append(torch.from_numpy(d)[None])
         damaged_maps.append(torch.from_numpy(damaged(d, rng))[None])
@@ -168,7 +168,7 @@ def loss_of(net, x, y):
     d, c = net(x)
     folded = (discrete(d, c) - tiles(y)).abs().mean()
     direct = (d - y).abs().mean()
-    # confidence says how far the denoised value can be trusted
+    # confidence is how reliable the denoised value is
     trust = (c - torch.exp(-(d - y).abs().detach() / 0.005)).square().mean()
     return folded + 2 * direct + 0.05 * trust, direct
 

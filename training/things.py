@@ -1,47 +1,47 @@
-"""How a disparity map treats the things of a labelled photograph: which side of their outline is nearer, and whether they are whole."""
+"""Measures how a disparity map treats the things in a labelled photograph: which side of an outline is nearer, and whether things are consistent."""
 
 import cv2
 import numpy as np
 
 from sources import THING
 
-# what the figures of `measure` are called
+# descriptions of the figures of `measure`
 MEASURES = {
-    "order": "share of the borders of things with the right order",
+    "order": "fraction of borders of things with the right order",
     "whole": "variation within things / step at their borders",
-    "border": "share of the borders of things with a right step within 2 pixels",
-    "thin": "the same of thin things, drawn as lines",
+    "border": "fraction of borders of things with a right step within 2 pixels",
+    "thin": "the same for thin things, drawn as lines",
 }
-# disparity differs at a border by this share of the nearer side's, and by this share of the range
+# minimum step at a border: as a fraction of the nearer side's disparity, and of the range
 STEP, LEAST = 0.08, 0.03
-# distance of the two sides of a border that are compared, of the picture's longer side
+# distance between the compared sides of a border, as a fraction of the longer side
 REACH = 0.015
-# pixels on each side of a border within which the middle of the step has to be, and within which the step is looked for
+# pixels on each side of a border: largest distance to the middle of the step, and search range for the step
 NEAR, ABOUT = 2, 10
-# least pixels of a border, and of a thing's inside, that count
+# minimum pixels of a border, and of a thing's inside
 BORDER, INSIDE = 30, 200
 
 
 def shifted(x, dy, dx):
-    """The two views of a map that lie (dy, dx) apart."""
+    """Two views of a map, offset by (dy, dx)."""
     h, w = x.shape
     return x[: h - dy, : w - dx], x[dy:, dx:]
 
 
 def fitted(p, t, known):
-    """`p` in the units of `t`: after the best affine map, or, where that would turn it round, with as large a deviation."""
+    """Scales `p` to the units of `t` by the best affine map, or by the deviation if that map would invert it."""
     a = np.stack([p[known], np.ones(known.sum())], 1)
     scale = np.linalg.lstsq(a, t[known], rcond=None)[0][0]
     return p * (scale if scale > 0 else t[known].std() / max(p[known].std(), 1e-12))
 
 
 def measure(p, sample):
-    """Figures of a disparity map `p` [H, W], up to scale and shift, at a labelled sample's size; None where the label has no border that counts.
+    """Figures of a disparity map `p` [H, W], up to scale and shift, at a labelled sample's size; None if the label has no relevant border.
 
-    `order`: of all pairs of pixels across a thing's outline where the label steps, the share in which the nearer side is nearer (equal: half), mean over things.
-    `whole`: mean absolute difference of neighbours at the same distance within a thing, less what the label says, over the mean step at its
-    outline where it is the nearer side; the median over things, which a thing without any step (infinite) does not throw.
-    `border`, `thin`: see [`borders`]; absent where there is none."""
+    `order`: fraction of pixel pairs across a thing's outline, where the label steps, whose nearer side is nearer (equal: half); mean over things.
+    `whole`: mean absolute difference of neighbours within a thing, less the label's difference, divided by the mean step at its outline where it is the
+    nearer side; median over things, so that a thing without a step (infinite) does not dominate.
+    `border`, `thin`: see [`borders`]; absent without such borders."""
     t, region, kind = sample.value.astype(np.float64), sample.region.astype(int), sample.kind
     known = np.isfinite(t)
     if not known.any() or not np.isfinite(p).all():
@@ -58,12 +58,12 @@ def measure(p, sample):
         jump = both & (ra != rb) & (np.abs(ta - tb) > np.maximum(STEP * np.maximum(ta, tb), LEAST))
         apart = np.sign(ta - tb) * (qa - qb)
         for thing, ids in ((ha, ra), (hb, rb)):
-            of = jump & thing
-            right += np.bincount(ids[of], (np.sign(apart[of]) + 1) / 2, count)
-            seen += np.bincount(ids[of], minlength=count)
-        front, of = np.where(ta > tb, ra, rb), jump & np.where(ta > tb, ha, hb)
-        step += np.bincount(front[of], apart[of], count)
-        outer += np.bincount(front[of], minlength=count)
+            counted = jump & thing
+            right += np.bincount(ids[counted], (np.sign(apart[counted]) + 1) / 2, count)
+            seen += np.bincount(ids[counted], minlength=count)
+        front, counted = np.where(ta > tb, ra, rb), jump & np.where(ta > tb, ha, hb)
+        step += np.bincount(front[counted], apart[counted], count)
+        outer += np.bincount(front[counted], minlength=count)
         same = both & (ra == rb) & sa & sb
         inside += np.bincount(ra[same], np.abs((qa - qb) - (ta - tb))[same], count)
         inner += np.bincount(ra[same], minlength=count)
@@ -77,7 +77,7 @@ def measure(p, sample):
 
 
 def filled(sample):
-    """The label's map with the pixels of each region that do not count, such as at its outline, at the nearest value of their region that does."""
+    """The label's map with unknown pixels of each region, such as at its outline, filled with the region's nearest known value."""
     t = sample.value.astype(np.float64)
     for n in np.unique(sample.region[np.isnan(t)]):
         own = sample.region == n
@@ -93,24 +93,24 @@ def filled(sample):
 
 
 def rise(profiles):
-    """The most that each of N profiles [K, N] rises by, from a place to one further on, and the place after which it is half way up."""
+    """Largest rise of each of N profiles [K, N], and the position after which half of the rise is reached."""
     lowest = np.minimum.accumulate(profiles, 0)
     end = (profiles - lowest).argmax(0)
     n = np.arange(profiles.shape[1])
     low, high = lowest[end, n], profiles[end, n]
     place = np.arange(len(profiles))[:, None]
-    # the last place before the end that is below
+    # last position before the end with a value below half
     below = (profiles < (low + high) / 2) & (place < end)
     return high - low, np.where(below, place, 0).max(0, initial=0)
 
 
 def borders(q, sample):
-    """Of a map in the label's units: the share of the borders of things at which it steps where the label does, pixels of the label's size, which is its
-    photograph's; and that of the borders of regions that were drawn as lines alone.
+    """Fraction of borders of things, in pixels of the photograph, at which a map in the label's units steps where the label does; and the same for regions
+    drawn as lines.
 
-    A border lies between neighbours of two regions, one of them a thing, whose disparity differs by [`STEP`] and [`LEAST`]. It is right where the
-    map, along the row or column across it, rises to the nearer side by as much within `ABOUT` pixels before and behind, and is half way up at most `NEAR`
-    pixels from the border: how steep the step is does not matter."""
+    A border lies between neighbouring pixels of two regions, one of them a thing, whose disparity differs by [`STEP`] and [`LEAST`]. It is right if the
+    map, along the row or column across it, rises to the nearer side by at least that within `ABOUT` pixels on each side, and reaches half of the rise at most
+    `NEAR` pixels from the border, however steep the step is."""
     t, found = filled(sample), []
     lines = np.isin(sample.region, sample.lines)
     for turn in (False, True):

@@ -10,7 +10,9 @@ use super::pairs::pairs;
 use super::{Usage, note};
 
 /// Extensions of the files in a folder that count as photos.
-const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
+const PHOTOS: [&str; 5] = ["jpg", "jpeg", "png", "webp", "mpo"];
+/// Extension of depth maps that are never photos.
+const MAP: &str = "pfm";
 /// Extensions of images that are not supported. The program reports how many it skips.
 const OTHERS: [&str; 9] = ["heic", "heif", "avif", "gif", "tif", "tiff", "bmp", "jxl", "dng"];
 const CONTAINER: &str = "tmpi";
@@ -70,6 +72,10 @@ impl Batch {
                 }
                 anyhow::ensure!(!photos.is_empty(), "{} holds no JPEG, PNG or WebP photo", path.display());
                 for (photo, depth) in pairs(photos) {
+                    if extension(&photo) == MAP {
+                        note(&format!("{}: left out, there is no photo of its name", photo.display()));
+                        continue;
+                    }
                     let place = photo.strip_prefix(path).unwrap_or(&photo).with_extension("");
                     items.push(Item { output: output.join(place).with_added_extension(CONTAINER), photo, depth, found: true });
                 }
@@ -131,7 +137,7 @@ fn below(folder: &Path, others: &mut BTreeMap<String, usize>) -> anyhow::Result<
             continue;
         }
         let ending = extension(&path);
-        if PHOTOS.contains(&ending.as_str()) && path.is_file() {
+        if (PHOTOS.contains(&ending.as_str()) || ending == MAP) && path.is_file() {
             photos.push(path);
         } else if OTHERS.contains(&ending.as_str()) {
             *others.entry(ending).or_default() += 1;
@@ -183,7 +189,20 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let root = place.path().join("photos");
         std::fs::create_dir_all(root.join("2020/.cache")).unwrap();
-        for name in ["b.jpg", "a.JPEG", "same.png", "same.jpg", "notes.txt", ".hidden.jpg", "x.heic", "2020/b.webp", "2020/.cache/t.jpg"] {
+        for name in [
+            "b.jpg",
+            "b_depth.pfm",
+            "alone.pfm",
+            "two.MPO",
+            "a.JPEG",
+            "same.png",
+            "same.jpg",
+            "notes.txt",
+            ".hidden.jpg",
+            "x.heic",
+            "2020/b.webp",
+            "2020/.cache/t.jpg",
+        ] {
             std::fs::write(root.join(name), b"x").unwrap();
         }
         let out = place.path().join("out");
@@ -195,8 +214,11 @@ mod tests {
             ("b.jpg", "b.tmpi"),
             ("same.jpg", "same.jpg.tmpi"),
             ("same.png", "same.png.tmpi"),
+            ("two.MPO", "two.tmpi"),
         ];
         assert_eq!(got, want.map(|(a, b)| (Path::new(a), Path::new(b))));
+        let maps: Vec<_> = items.iter().filter_map(|i| i.depth.as_deref()).collect();
+        assert_eq!(maps, [root.join("b_depth.pfm").as_path()]);
         std::fs::create_dir(place.path().join("empty")).unwrap();
         assert!(Batch::of(&[place.path().join("empty")], &out).unwrap_err().to_string().contains("no JPEG"));
     }

@@ -63,7 +63,7 @@ pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
             "fov_x": k.fov_x(g.width),
             "intrinsics": k,
             "view_box": b,
-            "travel": tmpi_render::Outlook::of(&scene).travel,
+            "travel": tmpi_render::MotionRange::of(&scene).travel,
             "sections": sections,
         });
         return result(&about.to_string());

@@ -11,7 +11,9 @@ use super::flags::{fov_x, numbers, quality, size};
 use super::{Usage, files, note, result};
 use tmpi_core::container;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
-use tmpi_render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, Outlook, PictureFormat, Rig};
+use tmpi_render::{
+    self, Animation, AnimationFormat, Arrangement, Backend, EYES, MAX_PIXELS, MAX_SIDE, MotionRange, PictureFormat, Rig, StereoLayout,
+};
 
 /// Render a view of a container from another position
 #[derive(Clone, Debug, clap::Args)]
@@ -19,9 +21,9 @@ pub(super) struct RenderArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
-    /// Image to write: PNG and WebP with alpha, JPEG over black. With --path: an animated WebP or an MP4 film, both by ffmpeg, or numbered
+    /// Image to write: PNG and WebP with alpha, JPEG over black, MPO with --stereo sbs. With --path: an animated WebP or an MP4 film, both by ffmpeg, or numbered
     /// PNG or JPEG frames
-    #[arg(short, long, value_name = "OUT.{png,jpg,webp,mp4}")]
+    #[arg(short, long, value_name = "OUT.{png,jpg,webp,mpo,mp4}")]
     output: PathBuf,
     /// Position of the camera (right, down, forward, in units of the nearest distance) and its direction (degrees)
     #[arg(long, value_parser = pose, allow_hyphen_values = true, default_value = "0,0,0", value_name = "TX,TY,TZ[,YAW,PITCH,ROLL]")]
@@ -35,19 +37,19 @@ pub(super) struct RenderArgs {
     /// Renderer
     #[arg(long, value_enum, default_value_t, value_name = "HOST")]
     backend: Backend,
-    /// Render two views side by side, this far apart, in units of the nearest distance
-    #[arg(long, value_parser = ipd, allow_hyphen_values = true, value_name = "IPD")]
-    stereo: Option<f64>,
-    /// With --stereo: one image for red and cyan glasses
-    #[arg(long, requires = "stereo")]
-    anaglyph: bool,
-    /// Render a quilt for light-field displays: views from left to right over the width of the view box, at most 0.06; --size is that of
-    /// each view
-    #[arg(long, value_parser = Arrangement::quilt, conflicts_with = "stereo", value_name = "COLUMNSxROWS")]
+    /// Render the views of two eyes into one picture; --size is that of a view
+    #[arg(long, value_enum, group = "arrangement", value_name = "LAYOUT")]
+    stereo: Option<StereoLayout>,
+    /// With --stereo or --quilt: distance of the first camera from the last, in units of the nearest distance. Default: 1/30 for --stereo
+    #[arg(long, value_parser = ipd, requires = "arrangement", allow_hyphen_values = true, value_name = "DISTANCE")]
+    ipd: Option<f64>,
+    /// Render a quilt for light-field displays: views from left to right, by default over the width of the view box, at most 0.06; --size
+    /// is that of a view
+    #[arg(long, value_parser = Arrangement::quilt, group = "arrangement", value_name = "COLUMNSxROWS")]
     quilt: Option<Arrangement>,
     /// With --stereo or --quilt: disparity at the depth of the screen; nearer things stand before it. Default: the median over the photo's
     /// area, as in the viewer
-    #[arg(long, value_parser = focus, value_name = "DISPARITY")]
+    #[arg(long, value_parser = focus, requires = "arrangement", value_name = "DISPARITY")]
     focus: Option<f64>,
     /// Move the camera along a loop, as far as viewers move on their own
     #[arg(long, value_enum, value_name = "PATH")]
@@ -83,13 +85,16 @@ fn ipd(text: &str) -> Result<f64, String> {
 pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let ending = files::extension(&args.output);
     let film = AnimationFormat::from_extension(&ending).filter(|_| args.path.is_some());
-    let endings = if args.path.is_some() { ".png, .jpg, .jpeg, .webp or .mp4" } else { ".png, .jpg, .jpeg or .webp" };
+    let endings = if args.path.is_some() { ".png, .jpg, .jpeg, .webp or .mp4" } else { ".png, .jpg, .jpeg, .webp or .mpo" };
     let format = PictureFormat::from_extension(&ending).or(film.map(|_| PictureFormat::default()));
     // a film needs --path
     let film_alone =
         args.path.is_none() && PictureFormat::from_extension(&ending).is_none() && AnimationFormat::from_extension(&ending).is_some();
     let hint = if film_alone { format!("; for a film give --path {}", tmpi_render::Path::NAMES.join("|")) } else { String::new() };
     let format = format.ok_or_else(|| Usage(format!("--output {} must end in {endings}{hint}", args.output.display())))?;
+    if format == PictureFormat::Mpo && (args.stereo != Some(StereoLayout::SideBySide) || args.path.is_some()) {
+        return Err(Usage(format!("--output {}: .mpo goes with --stereo sbs", args.output.display())).into());
+    }
     let bytes = files::read(&args.input)?;
     let scene = Arc::new(container::decode(&bytes).with_context(|| args.input.display().to_string())?);
     let (width, height) = args.size.unwrap_or((scene.grid.width, scene.grid.height));
@@ -107,10 +112,10 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let camera = Camera { pose: args.pose, intrinsics, width, height };
     let renderer = tmpi_render::select(args.backend)?;
     let frames = args.path.map_or(1, |_| args.frames);
-    let outlook = Outlook::of(&scene);
+    let range = MotionRange::of(&scene);
     let mut film = film.map(|format| Animation::start(format, (whole_width, whole_height), args.quality)).transpose()?;
     let begun = Instant::now();
-    let camera_of = |frame: u32| args.path.map_or(camera, |path| path.camera(&camera, frame, frames, &outlook));
+    let camera_of = |frame: u32| args.path.map_or(camera, |path| path.camera(&camera, frame, frames, &range));
     let is_outside = |frame: u32| is_outside(&scene.view_box, &camera_of(frame).pose, rig.as_ref());
     if (0..frames).any(is_outside) {
         let ViewBox { x, y, z } = scene.view_box;
@@ -122,7 +127,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
         let camera = camera_of(frame);
         let output = args.path.map_or_else(|| args.output.clone(), |_| numbered(&args.output, frame + 1, frames));
         let view = match &rig {
-            Some(rig) => tmpi_render::draw_several(renderer.as_ref(), &scene, &camera, rig)?,
+            Some(rig) => tmpi_render::draw_multiview(renderer.as_ref(), &scene, &camera, rig)?,
             None => renderer.render(&scene, &camera)?,
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;
@@ -171,11 +176,12 @@ fn is_outside(view_box: &ViewBox, pose: &Pose, rig: Option<&Rig>) -> bool {
 
 /// The cameras of `--stereo` or `--quilt`.
 fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
-    let (arrangement, baseline) = match (args.quilt, args.stereo) {
-        (Some(quilt), _) => (quilt, (2.0 * scene.view_box.x).min(Outlook::TRAVEL)),
-        (None, Some(ipd)) => (if args.anaglyph { Arrangement::Anaglyph } else { Arrangement::SideBySide }, ipd),
+    let (arrangement, usual) = match (args.quilt, args.stereo) {
+        (Some(quilt), _) => (quilt, (2.0 * scene.view_box.x).min(MotionRange::TRAVEL)),
+        (None, Some(layout)) => (Arrangement::Stereo(layout), EYES),
         (None, None) => return None,
     };
+    let baseline = args.ipd.unwrap_or(usual);
     Some(Rig { arrangement, baseline, focus: args.focus.unwrap_or_else(|| tmpi_render::pivot(scene)) })
 }
 

@@ -1,40 +1,40 @@
-//! A coarse sheet behind all layers, with the photo's background: models are looked at from farther to the side than any view box, and
-//! there the sheet is seen instead of holes.
+//! A coarse sheet behind all layers that shows the photo's background. Users look at models from outside the view box, where they see the
+//! sheet instead of holes.
 
 use super::glb::disparity;
 use super::mesh::Space;
-use super::surface::{filled, visible_disparity};
+use super::surface::{inpainted, visible_disparity};
 use tmpi_core::{Photo, Scene};
 use tmpi_pipeline::photo::{reduced_size, resize};
 
 /// Squares along the photo's longer side.
 const SQUARES: u32 = 48;
-/// How far around a square the farthest is taken, in squares: the sheet goes on straight behind things up to twice as wide.
-const AROUND: usize = 4;
-/// How far the sheet stays behind what is farthest, in δ.
-const BELOW: f64 = 0.02;
-/// What stands this far before the sheet, in δ, is no background.
-const BEFORE: f32 = 0.12;
-/// Longest side of its picture, in pixels.
+/// Radius of the minimum filter in squares. The sheet stays flat behind objects up to twice as wide.
+const RADIUS: usize = 4;
+/// Gap between the sheet and the farthest layer, in δ.
+const GAP: f64 = 0.02;
+/// Pixels this far in front of the sheet, in δ, are not background.
+const FOREGROUND: f32 = 0.12;
+/// Maximum side of the sheet's texture, in pixels.
 const SIDE: u32 = 1024;
 
-/// The sheet.
+/// Mesh of the sheet.
 pub(super) struct Backdrop {
     pub positions: Vec<[f32; 3]>,
     pub coordinates: Vec<[f32; 2]>,
     pub triangles: Vec<[u32; 3]>,
-    /// Its texture.
+    /// Texture.
     pub photo: Photo,
 }
 
 impl Backdrop {
-    /// Behind the layers of `scene`.
+    /// Builds the sheet behind the layers of `scene`.
     pub fn of(scene: &Scene, space: &Space) -> Self {
         let (width, height) = (scene.grid.width, scene.grid.height);
         let side = width.max(height).div_ceil(SQUARES).max(1);
         let (columns, rows) = (width.div_ceil(side) as usize, height.div_ceil(side) as usize);
         let far = &farthest(scene, side, columns, rows);
-        // δ at the corners of squares: no more than in the squares that touch them
+        // δ at a corner: the minimum of the adjacent squares
         let at = |x: usize, y: usize| {
             let squares = |i: usize, n: usize| i.saturating_sub(1)..(i + 1).min(n);
             let all = squares(y, rows).flat_map(|v| squares(x, columns).map(move |u| far[v * columns + u]));
@@ -47,7 +47,7 @@ impl Backdrop {
                 let pixel = [(x as u32 * side).min(width), (y as u32 * side).min(height)].map(f64::from);
                 let delta = at(x, y);
                 corners.push(delta as f32);
-                positions.push(space.position(pixel, (delta - BELOW) * space.gain + space.offset));
+                positions.push(space.position(pixel, (delta - GAP) * space.gain + space.offset));
                 coordinates.push([(pixel[0] / f64::from(width)) as f32, (pixel[1] / f64::from(height)) as f32]);
                 if x < columns && y < rows {
                     let a = (y * (columns + 1) + x) as u32;
@@ -60,7 +60,7 @@ impl Backdrop {
     }
 }
 
-/// The least δ of all layers in each square and around it, 0 or more.
+/// Minimum δ of all layers in each square and its surroundings, at least 0.
 fn farthest(scene: &Scene, side: u32, columns: usize, rows: usize) -> Vec<f64> {
     let mut least = vec![f64::INFINITY; columns * rows];
     for l in scene.layers.iter().filter(|l| l.rect.area() > 0) {
@@ -75,8 +75,8 @@ fn farthest(scene: &Scene, side: u32, columns: usize, rows: usize) -> Vec<f64> {
             }
         }
     }
-    // along rows, then along columns
-    let around = |i: usize, n: usize| i.saturating_sub(AROUND)..(i + AROUND + 1).min(n);
+    // the minimum filter is separable: rows first, then columns
+    let around = |i: usize, n: usize| i.saturating_sub(RADIUS)..(i + RADIUS + 1).min(n);
     let pick = |from: &[f64], index: &dyn Fn(usize, usize) -> std::ops::Range<usize>, place: &dyn Fn(usize, usize, usize) -> usize| {
         let one = |i: usize| {
             let (x, y) = (i % columns, i / columns);
@@ -89,7 +89,7 @@ fn farthest(scene: &Scene, side: u32, columns: usize, rows: usize) -> Vec<f64> {
     all.into_iter().map(|d| if d.is_finite() { d } else { 0.0 }).collect()
 }
 
-/// The photo without what stands before the sheet, reduced. `corners` are the sheet's δ, `stride` of them in a row, `side` pixels apart.
+/// The reduced photo with everything in front of the sheet inpainted. `corners` are the sheet's δ, `stride` per row, `side` pixels apart.
 fn background(scene: &Scene, corners: &[f32], stride: usize, side: u32) -> Photo {
     let (width, height) = (scene.grid.width, scene.grid.height);
     let map = visible_disparity(scene);
@@ -106,7 +106,7 @@ fn background(scene: &Scene, corners: &[f32], stride: usize, side: u32) -> Photo
         (map.delta[(y * width + x) as usize] - sheet(x, y)).max(0.0)
     };
     let delta: Vec<f32> = (0..w * h).map(before).collect();
-    filled(&small, &delta, BEFORE, |i| delta[i] > BEFORE)
+    inpainted(&small, &delta, FOREGROUND, |i| delta[i] > FOREGROUND)
 }
 
 #[cfg(test)]
@@ -115,12 +115,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_sheet_lies_behind_every_layer_and_shows_none_of_what_is_near() {
-        let scene = &testing::made().1;
+    fn the_sheet_is_behind_all_layers_without_near_objects() {
+        let scene = &testing::sample().1;
         let space = Space::relief(&scene.intrinsics, scene.grid.width, scene.grid.height);
         let sheet = Backdrop::of(scene, &space);
         let k = &space.intrinsics;
-        // seen by the photo's camera the triangles are the photo, and all of them face it
+        // from the photo's camera, the triangles cover the photo and face the camera
         let place = |i: u32| {
             let [x, y, z] = sheet.positions[i as usize].map(f64::from);
             ([k.cx - k.fx * x / z, k.cy + k.fy * y / z], -1.0 / z)

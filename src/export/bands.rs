@@ -1,17 +1,17 @@
-//! Disparity cut into a few bands, so that each holds things at about one distance: exact k-means on a histogram.
+//! Splits disparity into a few bands, each with objects at a similar distance, by exact k-means on a histogram.
 
 /// Bins of the histogram.
 const BINS: usize = 256;
-/// Fewest and most bands, where the photo has as many distances.
+/// Range of the number of bands, unless the photo has fewer distances.
 pub(super) const COUNT: std::ops::RangeInclusive<usize> = 3..=8;
-/// Root of the mean square of δ about the mean of its band, from which on another band is worth having.
+/// RMS deviation of δ from its band's mean above which another band is added.
 const SPREAD: f64 = 0.06;
 
-/// Bounds between bands, ascending: one less than there are bands. As few as hold δ to [`SPREAD`].
+/// Bounds between bands, ascending: one fewer than bands. Uses the fewest bands that keep to [`SPREAD`].
 pub(super) fn bounds(delta: &[f32]) -> Vec<f32> {
     let (least, most) = delta.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), &d| (a.min(d), b.max(d)));
     let width = (most - least) / BINS as f32;
-    // NaN where there is no pixel
+    // NaN without pixels
     if width.is_nan() || width <= 0.0 {
         return Vec::new();
     }
@@ -31,7 +31,7 @@ pub(super) fn bounds(delta: &[f32]) -> Vec<f32> {
         ends.push(end);
     }
     ends.reverse();
-    // in the middle of the gap where nothing is
+    // in the middle of the gap between occupied bins
     let bound = |end: usize| {
         let below = (0..end).rev().find(|&i| histogram[i] > 0).unwrap_or(0) + 1;
         let above = (end..BINS).find(|&i| histogram[i] > 0).unwrap_or(end);
@@ -40,7 +40,7 @@ pub(super) fn bounds(delta: &[f32]) -> Vec<f32> {
     ends.into_iter().map(bound).collect()
 }
 
-/// Sums up to each bin: count, mean times count, squares.
+/// Prefix sums over the bins: count, sum, sum of squares.
 struct Costs([[f64; 3]; BINS + 1]);
 
 impl Costs {
@@ -53,14 +53,14 @@ impl Costs {
         Self(sums)
     }
 
-    /// Sum of squares about the mean, of bins `from..to`, in bins.
+    /// Sum of squared deviations from the mean over the bins `from..to`, in bins².
     fn about_mean(&self, from: usize, to: usize) -> f64 {
         let [n, sum, squares] = std::array::from_fn(|i| self.0[to][i] - self.0[from][i]);
         if n > 0.0 { (squares - sum * sum / n).max(0.0) } else { 0.0 }
     }
 }
 
-/// `table[n - 1][end]`: least cost of `n` bands over the bins before `end`, and where the last of them begins.
+/// `table[n - 1][end]`: minimum cost of `n` bands over the bins before `end`, and the first bin of the last band.
 fn table(costs: &Costs, most: usize) -> Vec<Vec<(f64, usize)>> {
     let mut table = vec![(0..=BINS).map(|end| (costs.about_mean(0, end), 0)).collect::<Vec<_>>()];
     for n in 1..most {
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn things_at_a_distance_of_their_own_have_a_band_of_their_own() {
+    fn separate_distances_get_separate_bands() {
         let of = |at: &[f32]| bounds(&(0..4000).map(|i| at[i % at.len()] + (i % 7) as f32 * 1e-3).collect::<Vec<_>>());
         let got = of(&[0.0, 0.5, 1.0]);
         assert!(got.len() == 2 && (got[0] - 0.25).abs() < 0.02 && (got[1] - 0.75).abs() < 0.02, "{got:?}");
@@ -88,13 +88,13 @@ mod tests {
     }
 
     #[test]
-    fn a_slope_is_cut_into_equal_parts_and_into_no_more_than_eight() {
+    fn a_slope_gets_at_most_eight_equal_bands() {
         let slope: Vec<f32> = (0..10_000).map(|i| i as f32 / 1e4).collect();
         let got = bounds(&slope);
         assert!(COUNT.contains(&(got.len() + 1)), "{got:?}");
         let step = 1.0 / (got.len() + 1) as f32;
         assert!(got.iter().enumerate().all(|(i, b)| (b - (i + 1) as f32 * step).abs() < 0.01), "{got:?}");
-        // the stated spread is held, by the least count that does
+        // the smallest count that keeps to the spread
         let spread = |bands: f64| 1.0 / bands / 12f64.sqrt();
         assert!(spread((got.len() + 1) as f64) <= SPREAD && spread(got.len() as f64) > SPREAD);
         let steep: Vec<f32> = slope.iter().map(|d| d * 50.0).collect();

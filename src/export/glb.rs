@@ -1,8 +1,8 @@
-//! A scene as glTF 2.0, binary form.
+//! Exports a scene as binary glTF 2.0.
 //!
-//! Three kinds of surface, drawn in the order that the renderers draw in: tiles that are the photo and nothing else take the
-//! photo's file as their texture; of all other layers first the opaque texels (alpha mode MASK), then everything once more with
-//! the soft edges (BLEND) back to front, an order that does not depend on the camera.
+//! The surfaces are drawn in the order of the renderers: first layers that show only the opaque photo, with the photo's file as texture;
+//! then the opaque texels of all other layers (alpha mode MASK); then the layers with soft edges (BLEND), back to front. That order does
+//! not depend on the camera.
 
 use std::collections::HashMap;
 
@@ -16,52 +16,52 @@ use tmpi_core::container::encode_jpeg;
 use tmpi_core::{Class, Layer, Photo, Scene};
 use tmpi_render::OPAQUE;
 
-/// Quality of a photo that must be re-encoded because core glTF does not support WebP.
+/// JPEG quality of a photo that must be re-encoded because core glTF does not support WebP.
 const QUALITY: u8 = 95;
-/// Quality of layers as WebP: a quarter smaller than at 90, without a visible difference.
+/// WebP quality of layers: a quarter smaller than at 90, without a visible difference.
 const LAYER_QUALITY: f32 = 82.0;
-/// Quality of what is opaque and not the photo: the background of a relief, and pages of layers without holes.
+/// JPEG quality of opaque textures other than the photo: the background of a relief, and pages of layers without holes.
 const OPAQUE_QUALITY: u8 = 85;
-/// Longest side of a WebP picture.
+/// Maximum side of a WebP picture.
 const WEBP_SIDE: u32 = 16_383;
 
-/// The space of a model.
+/// The coordinate space of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelShape {
-    /// As a relief, a quarter as deep as the photo is long, which fits into the frame that viewers put around a model.
+    /// A relief whose depth is a quarter of the photo's longer side. It fits the frame that viewers put around a model.
     #[default]
     Relief,
-    /// In the photo's own proportions: far things are far away, up to 100 times as far as the nearest.
+    /// The photo's true proportions: far objects are far away, up to 100 times the nearest distance.
     Metric,
 }
 
 /// The texture format of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelTextures {
-    /// JPEG where nothing is transparent, else PNG: every program that reads glTF reads these.
+    /// JPEG for opaque textures, otherwise PNG: every glTF reader supports these.
     #[default]
     Plain,
-    /// Layers as WebP, a fraction of PNG's bytes, for programs that have `EXT_texture_webp`: three.js, model-viewer, Babylon.js, Blender 4.
+    /// Layers as WebP, a fraction of PNG's size, for readers with `EXT_texture_webp`: three.js, model-viewer, Babylon.js, Blender 4.
     WebP,
 }
 
 /// Options of a model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ModelOptions {
-    /// The space that it is put into.
+    /// Coordinate space.
     pub shape: ModelShape,
-    /// Its textures.
+    /// Texture format.
     pub textures: ModelTextures,
 }
 
-/// Writes a glTF model of `scene`, which is what `container` decodes to.
+/// Writes a glTF model of `scene`, the decoded `container`.
 ///
-/// Axes: x right, y up, −z forward; materials are unlit; from the camera `camera` the model looks like the photo. The unit is the
-/// longer side of a relief, whose middle is the origin, else the distance to the photo's nearest thing, and the origin is where the
-/// photo was taken; what is farther than 100 units is put there then.
+/// Axes: x right, y up, −z forward. Materials are unlit. Seen from the node `camera`, the model looks like the photo. In a relief, the unit
+/// is its longer side and the origin its centre. In metric space, the unit is the distance to the photo's nearest surface, the origin is
+/// the camera's position, and points beyond 100 units are moved to 100 units.
 ///
 /// # Errors
-/// [`ExportError::TooLarge`] above 4 GiB.
+/// [`ExportError::TooLarge`] above 4 GiB, and other [`ExportError`]s.
 pub fn glb(container: &[u8], scene: &Scene, options: ModelOptions, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
     let ModelOptions { shape, textures } = options;
@@ -105,7 +105,7 @@ pub fn glb(container: &[u8], scene: &Scene, options: ModelOptions, cancelled: &d
         let (w, h) = (f64::from(page.width), f64::from(page.height));
         let mut mesh = Mesh::default();
         let mut parts = Vec::new();
-        for place in &page.places {
+        for place in &page.placements {
             let rect = scene.layers[place.layer].rect;
             let shift = [f64::from(place.x) - f64::from(rect.x), f64::from(place.y) - f64::from(rect.y)];
             parts.push((place.layer, mesh.add(scene, place.layer, &space, |[x, y]| [(x + shift[0]) / w, (y + shift[1]) / h])));
@@ -131,7 +131,7 @@ fn jpeg(photo: &Photo, quality: u8) -> Result<Vec<u8>, ExportError> {
     Ok(encode_jpeg(photo.width, photo.height, photo.rgb.as_flattened(), quality)?)
 }
 
-/// A page of layers as a picture (media type, bytes).
+/// Encodes a page of layers (media type, bytes).
 fn page_texture(scene: &Scene, page: &pages::Page, textures: ModelTextures) -> Result<(&'static str, Vec<u8>), ExportError> {
     let (w, h, rgba) = (page.width, page.height, pages::paint(scene, page));
     if textures == ModelTextures::Plain || w.max(h) > WEBP_SIDE {
@@ -141,12 +141,12 @@ fn page_texture(scene: &Scene, page: &pages::Page, textures: ModelTextures) -> R
         }
         return Ok(("image/png", pages::png(w, h, &rgba)?));
     }
-    // alpha is coded without loss
+    // alpha is lossless
     let coded = webp::Encoder::from_rgba(rgba.as_flattened(), w, h).encode_simple(false, LAYER_QUALITY);
     Ok(("image/webp", coded.map_err(|e| ExportError::WebP(format!("{e:?}")))?.to_vec()))
 }
 
-/// The photo's file if glTF supports its format, else the re-encoded photo.
+/// The photo's file if glTF supports its format, otherwise the re-encoded photo.
 fn photo_texture(photo: &PhotoFile<'_>, scene: &Scene) -> Result<(&'static str, Vec<u8>), ExportError> {
     if photo.codec != "webp" {
         return Ok((photo.media_type(), photo.bytes.to_vec()));
@@ -154,14 +154,14 @@ fn photo_texture(photo: &PhotoFile<'_>, scene: &Scene) -> Result<(&'static str, 
     Ok(("image/jpeg", jpeg(&scene.photo, QUALITY)?))
 }
 
-/// What a layer's texels are.
+/// Kind of a layer by its texels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    /// Nothing.
+    /// Fully transparent.
     Empty,
-    /// The photo, all of it opaque.
+    /// Only opaque texels of the photo.
     Whole,
-    /// Both may be true: samples between texels are soft where their alphas differ.
+    /// Has `opaque` texels, `soft` ones, or both.
     Layered { opaque: bool, soft: bool },
 }
 
@@ -178,13 +178,13 @@ fn kind(scene: &Scene, index: usize) -> Kind {
     }
 }
 
-/// δ of a layer, in the photo's own space.
+/// δ of a layer in the photo's space.
 pub(super) fn disparity(scene: &Scene, layer: &Layer) -> Disparity {
     let (centre, half, p) = (scene.grid.centre(layer.tile), scene.grid.half(), layer.plane);
     Disparity { origin: [centre.0, centre.1], at: p.a, slope: [p.b / half, p.c / half] }
 }
 
-/// All layers by mean δ, then by index, as the renderers blend them.
+/// All layers by mean δ, then by index: the renderers' blending order.
 fn back_to_front(scene: &Scene) -> Vec<usize> {
     let middle = |from: u32, length: u32| f64::from(from) + f64::from(length) / 2.0;
     let mean: Vec<f64> =
@@ -194,7 +194,7 @@ fn back_to_front(scene: &Scene) -> Vec<usize> {
     order
 }
 
-/// Vertices of many layers.
+/// Vertices and triangles of many layers.
 #[derive(Default)]
 struct Mesh {
     positions: Vec<[f32; 3]>,
@@ -203,12 +203,12 @@ struct Mesh {
 }
 
 impl Mesh {
-    /// Adds a layer; gives its triangles. `texture` takes pixels of the photo to texture coordinates.
+    /// Adds a layer and returns its range of triangles. `texture` maps pixels of the photo to texture coordinates.
     fn add(&mut self, scene: &Scene, index: usize, space: &Space, texture: impl Fn([f64; 2]) -> [f64; 2]) -> std::ops::Range<usize> {
         let layer = &scene.layers[index];
         let start = self.triangles.len();
-        // strips side by side have their corners in common
-        let mut known = HashMap::new();
+        // adjacent strips share corners
+        let mut indices = HashMap::new();
         let [[left, right], [upper, lower]] = scene.grid.drawn(layer.tile, layer.rect);
         if left >= right || upper >= lower {
             return start..start;
@@ -216,7 +216,7 @@ impl Mesh {
         let (x, y) = (f64::from(layer.rect.x), f64::from(layer.rect.y));
         for polygon in polygons([x + left, y + upper], [x + right, y + lower], &disparity(scene, layer), space) {
             let mut vertex = |corner: &Corner| {
-                *known.entry(corner.position.map(f32::to_bits)).or_insert_with(|| {
+                *indices.entry(corner.position.map(f32::to_bits)).or_insert_with(|| {
                     self.positions.push(corner.position);
                     self.coordinates.push(texture(corner.pixel).map(|v| v as f32));
                     self.positions.len() as u32 - 1
@@ -228,7 +228,7 @@ impl Mesh {
         start..self.triangles.len()
     }
 
-    /// The triangles of these parts.
+    /// The triangles in these ranges.
     fn pick(&self, parts: Vec<std::ops::Range<usize>>) -> Vec<[u32; 3]> {
         parts.into_iter().flat_map(|part| &self.triangles[part]).copied().collect()
     }
@@ -241,7 +241,7 @@ mod tests {
     use super::super::testing;
     use super::*;
 
-    /// The JSON of a file, and its binary part.
+    /// The JSON and binary chunks of a file.
     fn read(file: &[u8]) -> (Value, &[u8]) {
         let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
         assert_eq!((&file[..4], word(4), word(8)), (b"glTF".as_slice(), 2, file.len()));
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn every_layer_is_there_and_the_photo_is_its_own_file() {
+    fn models_contain_all_layers_and_the_original_photo() {
         for shape in [ModelShape::Metric, ModelShape::Relief] {
             for textures in [ModelTextures::Plain, ModelTextures::WebP] {
                 every_layer_is_in(ModelOptions { shape, textures });
@@ -259,7 +259,7 @@ mod tests {
     }
 
     fn every_layer_is_in(options: ModelOptions) {
-        let (container, scene) = testing::made();
+        let (container, scene) = testing::sample();
         let file = glb(container, scene, options, &|| false).unwrap();
         let (root, binary) = read(&file);
         let ModelOptions { shape, textures } = options;
@@ -279,7 +279,7 @@ mod tests {
         let photo = root["images"].as_array().unwrap().iter().find(|i| i["name"] == "photo").unwrap();
         assert_eq!(photo["mimeType"], "image/jpeg");
         assert!(view(photo["bufferView"].as_u64().unwrap() as usize) == photo_file(container).unwrap().bytes);
-        // areas of the triangles as the photo's camera sees them add up to those of the layers
+        // the triangles' areas from the photo's camera add up to those of the layers
         let mut seen = 0.0;
         for mesh in root["meshes"].as_array().unwrap().iter().filter(|m| m["name"] != "soft 0" && m["name"] != "background") {
             let primitive = &mesh["primitives"][0];
@@ -307,8 +307,8 @@ mod tests {
     }
 
     #[test]
-    fn the_camera_sees_what_the_photo_shows() {
-        let (container, scene) = testing::made();
+    fn the_camera_has_the_photos_field_of_view() {
+        let (container, scene) = testing::sample();
         let file = glb(container, scene, ModelOptions { shape: ModelShape::Metric, ..ModelOptions::default() }, &|| false).unwrap();
         let camera = &read(&file).0["cameras"][0]["perspective"];
         let (yfov, aspect) = (camera["yfov"].as_f64().unwrap(), camera["aspectRatio"].as_f64().unwrap());
@@ -317,8 +317,8 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_of_which_nothing_is_seen_has_a_camera() {
-        let (container, scene) = testing::made();
+    fn a_scene_without_layers_has_only_a_camera() {
+        let (container, scene) = testing::sample();
         let mut scene = scene.clone();
         scene.layers.clear();
         let file = glb(container, &scene, ModelOptions::default(), &|| false).unwrap();

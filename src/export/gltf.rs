@@ -1,4 +1,4 @@
-//! The parts of a glTF file, binary form, and how they are written.
+//! Writes binary glTF files.
 
 use serde_json::{Value, json};
 
@@ -6,12 +6,12 @@ use super::ExportError;
 use super::mesh::Space;
 use tmpi_core::Scene;
 
-/// Nearest distance that the camera of the file sees.
+/// Near plane of the file's camera.
 const NEAR: f64 = 0.05;
-/// Extension by which textures may be WebP.
+/// Extension for WebP textures.
 const WEBP: &str = "EXT_texture_webp";
 
-// glTF's numbers for what its accessors, buffers and samplers hold
+// constants of glTF for accessors, buffer views and samplers
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const VERTICES: u32 = 34_962;
@@ -63,7 +63,7 @@ impl File {
         Vertices { position, coordinates: push(&mut self.accessors, coordinates) }
     }
 
-    /// A texture of a picture (media type, bytes).
+    /// Adds a texture from a picture (media type, bytes).
     pub fn texture(&mut self, name: &str, picture: &(&'static str, Vec<u8>)) -> usize {
         let view = self.view(&picture.1, None);
         let image = push(&mut self.images, json!({ "name": name, "bufferView": view, "mimeType": picture.0 }));
@@ -118,11 +118,11 @@ impl File {
         }
         let photo = push(&mut self.nodes, photo);
         let unit =
-            if space.middle.is_some() { "longer side of the photo" } else { "distance from the camera to the photo's nearest thing" };
+            if space.middle.is_some() { "longer side of the photo" } else { "distance from the camera to the photo's nearest surface" };
         let extras = json!({
             "unit": unit,
             "farthest": 1.0 / space.least,
-            // disparity in the file is gain times the photo's and offset
+            // disparity in the file is gain · photo's disparity + offset
             "disparity": { "gain": space.gain, "offset": space.offset },
             "view_box": [v.x, v.y, v.z],
             "photo": { "width": g.width, "height": g.height },
@@ -154,7 +154,7 @@ impl File {
         if used.contains(&WEBP) {
             root["extensionsRequired"] = json!([WEBP]);
         }
-        // glTF forbids empty lists: a scene without visible layers has only a camera
+        // glTF forbids empty arrays; a scene without visible layers has only a camera
         if self.images.is_empty() {
             for key in ["meshes", "materials", "textures", "images", "samplers", "accessors", "bufferViews", "buffers", "extensionsUsed"] {
                 root.as_object_mut().map(|all| all.remove(key));

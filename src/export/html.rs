@@ -1,4 +1,4 @@
-//! One page that carries viewer and photo in itself, opens from disk, and fetches nothing.
+//! Exports a self-contained page with viewer and photo. It opens from disk and makes no requests.
 
 use std::fmt::Write as _;
 
@@ -9,20 +9,20 @@ use sha2::{Digest, Sha256};
 use super::{ExportError, photo_file, script};
 use crate::assets;
 
-/// The page; `{{…}}` are replaced.
+/// Template of the page; `{{…}}` are placeholders.
 const PAGE: &str = include_str!("page.html");
-/// Its style.
+/// Style sheet of the page.
 const STYLE: &str = include_str!("page.css");
-/// What starts the modules and gives them each other.
+/// Module loader.
 const START: &str = include_str!("start.js");
-/// The entry module, as if it lay at the top of the viewer's folders.
+/// Entry module, with paths relative to the top of the viewer's folders.
 const ENTRY: &str = include_str!("page.js");
 const ENTRY_NAME: &str = "page.js";
 
-/// Writes a page that shows the scene of `container`; `title` names it.
+/// Writes a page with this title that shows the scene of `container`.
 ///
-/// The container stands in the page once, in three pieces: the middle one is the photo, which is also the picture that is
-/// shown where there is no script.
+/// The page contains the container once, in three pieces. The middle piece is the photo, which browsers without scripts display as a
+/// picture.
 ///
 /// # Errors
 /// [`ExportError::Atlas`] if the container is invalid.
@@ -30,7 +30,7 @@ pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
     let script = script()?;
     let hash = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text)));
-    // the policy forbids everything outside this page; scripts are the page's own and its worker
+    // forbids everything outside this page; allows only the page's own script and its worker
     let policy = format!(
         "default-src 'none'; script-src {} data: blob: 'wasm-unsafe-eval'; worker-src data: blob:; connect-src data: blob:; img-src data: blob:; style-src {}; \
          base-uri 'none'; form-action 'none'",
@@ -62,12 +62,12 @@ pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
     Ok(out.into_bytes())
 }
 
-/// The viewer as one script.
+/// The viewer, linked into one script.
 fn script() -> Result<String, ExportError> {
     let linked = script::link(ENTRY_NAME, &|name| if name == ENTRY_NAME { Some(ENTRY.as_bytes()) } else { assets::file(name) })?;
     let mut text = format!("{}\nstart({{\n", START.trim_end());
     for (name, module) in &linked.modules {
-        // writing to a string does not fail
+        // writing to a string cannot fail
         let _ = writeln!(text, "{name:?}: {module},");
     }
     text.push_str("}, {\n");
@@ -76,11 +76,11 @@ fn script() -> Result<String, ExportError> {
         let _ = writeln!(text, "{name:?}: \"data:{media_type};base64,{}\",", STANDARD.encode(bytes));
     }
     let _ = writeln!(text, "}}, {ENTRY_NAME:?});");
-    // a script ends at these wherever they stand; in a string, a template or a pattern the backslash changes nothing
+    // these sequences would end the script element anywhere; in strings, templates and patterns the backslash has no effect
     Ok(text.replace("</script", "<\\/script").replace("<!--", "<\\!--"))
 }
 
-/// Text as it may stand in an element or an attribute.
+/// Escapes text for elements and attributes.
 fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -107,8 +107,8 @@ mod tests {
     }
 
     #[test]
-    fn the_container_stands_in_the_page_once_and_whole() {
-        let (container, _) = testing::made();
+    fn the_page_contains_the_container_once() {
+        let (container, _) = testing::sample();
         let page = String::from_utf8(html(container, "a").unwrap()).unwrap();
         let photo = between(&page, "src=\"data:image/jpeg;base64,", "\"");
         let pieces = [between(&page, "id=\"before\">", "<"), photo, between(&page, "id=\"after\">", "<")];
@@ -118,8 +118,8 @@ mod tests {
     }
 
     #[test]
-    fn nothing_in_the_page_points_elsewhere() {
-        let page = String::from_utf8(html(&testing::made().0, "a").unwrap()).unwrap();
+    fn the_page_refers_to_no_other_files() {
+        let page = String::from_utf8(html(&testing::sample().0, "a").unwrap()).unwrap();
         for word in ["src=\"", "href=\"", "url(", "@import"] {
             for (_, rest) in page.match_indices(word).map(|(at, w)| page.split_at(at + w.len())) {
                 assert!(rest.starts_with("data:"), "{word}{}", &rest[..40]);
@@ -135,8 +135,8 @@ mod tests {
     }
 
     #[test]
-    fn a_title_is_only_text() {
-        let page = String::from_utf8(html(&testing::made().0, "</title><script>'\"&{{script}}").unwrap()).unwrap();
+    fn titles_are_escaped() {
+        let page = String::from_utf8(html(&testing::sample().0, "</title><script>'\"&{{script}}").unwrap()).unwrap();
         assert!(page.contains("<title>&lt;/title&gt;&lt;script&gt;&#39;&quot;&amp;{{script}}</title>"));
     }
 }

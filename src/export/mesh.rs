@@ -1,49 +1,48 @@
-//! A layer's rectangle as polygons in space, which is the photo's own or a flatter one.
+//! Converts a layer's rectangle to polygons in space: the photo's space, or that of a relief.
 //!
-//! A texture follows a triangle linearly in space, but a layer's texels follow the photo linearly, and on a slanted plane these are
-//! not the same. In a triangle with δ between δ₀ and δ₁ the weights of its corners differ by at most
-//! q = (√δ₁ − √δ₀) / (√δ₁ + √δ₀), so the texture is off by at most q times its size. The rectangle is cut along lines of equal δ into
-//! strips in which that is at most [`OFF`].
+//! Texture coordinates are linear in space, but a layer's texels are linear in the photo, and on a slanted plane the two differ. In a
+//! triangle with δ between δ₀ and δ₁, the corner weights differ by at most q = (√δ₁ − √δ₀) / (√δ₁ + √δ₀), so texels are displaced by at
+//! most q times the triangle's size. The rectangle is cut along lines of equal δ into strips in which that is at most [`MAX_DISPLACEMENT`].
 
 use tmpi_core::Intrinsics;
 
-/// What is farther than this is put here, in units of the photo's nearest distance, where the space is the photo's own.
+/// In metric space, points beyond this distance are moved to it, in units of the photo's nearest distance.
 ///
-/// A thing at infinity then moves by `f·t / FAR` pixels instead of none: 0.2 at a focal length of 600 and the usual view box.
+/// A point at infinity then moves by `f·t / FAR` pixels instead of none: 0.2 at a focal length of 600 and the default view box.
 pub(super) const FAR: f64 = 100.0;
 
-/// Angle that the longer side of a relief takes up where it looks like the photo: viewers that frame a model look from about there.
+/// Angle of view, in degrees, of a relief's longer side from the photo's camera. Viewers that frame a model choose a similar distance.
 const RELIEF_VIEW: f64 = 30.0;
 /// Depth of a relief from δ = 0 to δ = 1, in units of its longer side.
 const RELIEF_DEPTH: f64 = 0.25;
 
-/// How the photo's space is put into that of a file. Disparity becomes `gain · δ + offset`, and the focal length another one: a plane
-/// stays a plane, and the photo's camera still sees the photo. With an offset all depth lies between two distances; what a camera
-/// sees that moves sideways is the same but for a shift of the whole picture.
+/// Mapping from the photo's space to that of a file. Disparity becomes `gain · δ + offset`, and the focal length changes. Planes stay
+/// planes, and the photo's camera still sees the photo. An offset confines depth between two distances; a camera that moves sideways
+/// then sees the same as before, except for a shift of the whole picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Space {
     /// Focal lengths and principal point, in pixels of the photo.
     pub intrinsics: Intrinsics,
     pub gain: f64,
     pub offset: f64,
-    /// Least disparity in the file: what is farther is put there.
+    /// Minimum disparity in the file; farther points are moved to it.
     pub least: f64,
-    /// How far the middle of the depth lies from the camera; none where the space is the photo's own.
+    /// Distance from the camera to the middle of the depth range; `None` in metric space.
     pub middle: Option<f64>,
 }
 
 impl Space {
-    /// The photo's own: the unit is the distance to its nearest thing.
+    /// The photo's space. The unit is the distance to its nearest surface.
     pub fn metric(intrinsics: &Intrinsics) -> Self {
         Self { intrinsics: *intrinsics, gain: 1.0, offset: 0.0, least: 1.0 / FAR, middle: None }
     }
 
-    /// A relief of the photo, whose longer side is the unit.
+    /// A relief of the photo. The unit is its longer side.
     pub fn relief(intrinsics: &Intrinsics, width: u32, height: u32) -> Self {
         let longer = f64::from(width.max(height));
         let middle = 0.5 / (RELIEF_VIEW.to_radians() / 2.0).tan();
         let (near, far) = (1.0 / (middle - RELIEF_DEPTH / 2.0), 1.0 / (middle + RELIEF_DEPTH / 2.0));
-        // pixels stay as square as they were
+        // keeps the pixels' aspect ratio
         let scale = longer * middle / intrinsics.fx;
         let intrinsics = Intrinsics { fx: intrinsics.fx * scale, fy: intrinsics.fy * scale, ..*intrinsics };
         Self { intrinsics, gain: near - far, offset: far, least: far, middle: Some(middle) }
@@ -55,25 +54,25 @@ impl Space {
         Disparity { at: delta.at * self.gain + self.offset, slope, ..*delta }
     }
 
-    /// Place in space of a pixel at a disparity of this space.
+    /// Position of a pixel with a disparity of this space.
     pub fn position(&self, [x, y]: [f64; 2], delta: f64) -> [f32; 3] {
         let k = &self.intrinsics;
         [(x - k.cx) / k.fx / delta, -(y - k.cy) / k.fy / delta, -1.0 / delta].map(|v| v as f32)
     }
 }
 
-/// Largest error of the texture's place in a strip, in pixels of the photo.
-pub(super) const OFF: f64 = 0.2;
+/// Maximum displacement of texels in a strip, in pixels of the photo.
+pub(super) const MAX_DISPLACEMENT: f64 = 0.2;
 
-/// Two points closer than this are one, in pixels.
-const SAME: f64 = 1e-6;
+/// Points closer than this are merged, in pixels.
+const MERGE_DISTANCE: f64 = 1e-6;
 
 /// A corner of a polygon.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Corner {
-    /// Place in space: x right, y up, z backward, as glTF has it.
+    /// Position in space: x right, y up, z backward, as in glTF.
     pub position: [f32; 3],
-    /// Place in the photo in pixels.
+    /// Position in the photo in pixels.
     pub pixel: [f64; 2],
 }
 
@@ -91,11 +90,10 @@ impl Disparity {
     }
 }
 
-/// The convex polygons that stand for the part of the photo from one corner to the other, in space and in the photo, front side towards
-/// the camera. `delta` is the photo's own.
+/// Converts the photo's rectangle between two corners to convex polygons that face the camera. `delta` is in the photo's space.
 pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity, space: &Space) -> Vec<Vec<Corner>> {
     let delta = space.of(delta);
-    // anticlockwise for a camera that has y upwards
+    // anticlockwise for a camera with y up
     let corners = [[x0, y0], [x0, y1], [x1, y1], [x1, y0]];
     let all = corners.map(|c| delta.of(c));
     let (least, most) = all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &d| (a.min(d), b.max(d)));
@@ -106,14 +104,14 @@ pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity
             out.push(polygon.iter().map(|&p| Corner { position: space.position(p, delta_at(p)), pixel: p }).collect());
         }
     };
-    // all of it may lie on the farthest plane
+    // part or all of it may be beyond the farthest plane
     if least < far || most <= far {
         add(&cut(&corners, |p| far - delta.of(p)), &|_| far);
     }
     if most > far {
         let low = least.max(far);
-        // a rectangle smaller than the error needs no cut
-        let q = (OFF / (x1 - x0).hypot(y1 - y0)).min(0.5);
+        // a rectangle smaller than the error needs no cuts
+        let q = (MAX_DISPLACEMENT / (x1 - x0).hypot(y1 - y0)).min(0.5);
         let ratio = ((1.0 + q) / (1.0 - q)).powi(2);
         let strips = ((most / low).ln() / ratio.ln()).ceil().max(1.0) as u32;
         let level = |i: u32| low * (most / low).powf(f64::from(i) / f64::from(strips));
@@ -131,7 +129,7 @@ pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity
 /// The part of a convex polygon on which the linear function `inside` is not negative.
 fn cut(polygon: &[[f64; 2]], inside: impl Fn([f64; 2]) -> f64) -> Vec<[f64; 2]> {
     let mut out: Vec<[f64; 2]> = Vec::with_capacity(polygon.len() + 2);
-    let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() < SAME && (a[1] - b[1]).abs() < SAME;
+    let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs() < MERGE_DISTANCE && (a[1] - b[1]).abs() < MERGE_DISTANCE;
     for (i, &a) in polygon.iter().enumerate() {
         let b = polygon[(i + 1) % polygon.len()];
         let (fa, fb) = (inside(a), inside(b));
@@ -161,7 +159,7 @@ mod tests {
         (0..p.len()).map(|i| cross(p[i].pixel, p[(i + 1) % p.len()].pixel)).sum::<f64>() / 2.0
     }
 
-    /// Where the texture puts the photo's point that is seen at weights `w` (on screen) of a triangle.
+    /// The photo's point that the texture shows at the screen-space weights `w` of a triangle.
     fn textured(t: [&Corner; 3], w: [f64; 3]) -> [f64; 2] {
         // 1/z is linear on the screen, and so is u/z
         let inverse = t.map(|c| -1.0 / f64::from(c.position[2]));
@@ -171,7 +169,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn polygons_tile_the_rectangle_and_the_texture_stays_in_place(
+        fn polygons_cover_the_rectangle_and_keep_texels_in_place(
             x in 0u32..600, y in 0u32..300, w in 1u32..65, h in 1u32..65, a in -0.5f64..2.0, b in -2.0f64..2.0, c in -2.0f64..2.0, flat in 0u8..4,
             relief in any::<bool>(),
         ) {
@@ -182,7 +180,7 @@ mod tests {
             let all = polygons([x, y].map(f64::from), [x + w, y + h].map(f64::from), &delta, &space);
             let k = space.intrinsics;
             let total: f64 = all.iter().map(|p| area(p)).sum();
-            // anticlockwise with y upwards is negative with y downwards
+            // anticlockwise with y up is a negative area with y down
             prop_assert!((total + f64::from(w * h)).abs() < 1e-3 * f64::from(w * h), "{total}");
             for p in &all {
                 for corner in p {
@@ -198,7 +196,7 @@ mod tests {
                         let truth: [f64; 2] = std::array::from_fn(|axis| (0..3).map(|j| weights[j] * t[j].pixel[axis]).sum());
                         let got = textured(t, weights);
                         let off = (got[0] - truth[0]).hypot(got[1] - truth[1]);
-                        prop_assert!(off <= OFF + 1e-3, "{off} {delta:?}");
+                        prop_assert!(off <= MAX_DISPLACEMENT + 1e-3, "{off} {delta:?}");
                     }
                 }
             }
@@ -206,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_that_faces_the_camera_is_one_rectangle() {
+    fn a_fronto_parallel_plane_is_one_rectangle() {
         let k = Intrinsics::centred(100, 80, 60.0);
         let flat = |at| Disparity { origin: [0.0, 0.0], at, slope: [0.0, 0.0] };
         for (at, distance) in [(0.5, 2.0), (0.0, FAR), (-1.0, FAR)] {
@@ -217,17 +215,17 @@ mod tests {
     }
 
     #[test]
-    fn a_relief_is_flat_and_cut_seldom() {
+    fn a_relief_is_flat_and_needs_few_cuts() {
         let k = Intrinsics::centred(1200, 800, 81.5);
         let space = Space::relief(&k, 1200, 800);
         let middle = space.middle.unwrap();
         let at = |pixel, delta: f64| space.position(pixel, space.gain * delta + space.offset).map(f64::from);
         let (near, far) = (at([600.0, 400.0], 1.0)[2] + middle, at([600.0, 400.0], 0.0)[2] + middle);
         assert!((near - RELIEF_DEPTH / 2.0).abs() < 1e-6 && (far + RELIEF_DEPTH / 2.0).abs() < 1e-6, "{near} {far}");
-        // the longer side is the unit, where the middle is
+        // in the middle of the depth range, the longer side is the unit
         let halfway = (1.0 / middle - space.offset) / space.gain;
         assert!((at([1200.0, 400.0], halfway)[0] - at([0.0, 400.0], halfway)[0] - 1.0).abs() < 1e-6);
-        // a camera that moves sideways sees what the photo's would, but for a shift of all
+        // a camera that moves sideways sees the same parallax, except for a shift of the whole picture
         let seen = |delta: f64, step: f64| space.intrinsics.fx * step * (space.gain * delta + space.offset);
         let step = 0.05 * k.fx / (space.intrinsics.fx * space.gain);
         assert!((seen(0.9, step) - seen(0.2, step) - 0.05 * k.fx * 0.7).abs() < 1e-9);

@@ -1,5 +1,4 @@
-//! A scene in forms that need no program of ours: a page that opens from disk, a glTF model, layers for editors of pictures, an archive
-//! of the parts.
+//! Exports scenes for use without tmpi: a page that opens from disk, a glTF model, layers for image editors, an archive of the parts.
 
 mod backdrop;
 mod bands;
@@ -29,28 +28,28 @@ use tmpi_pipeline::depth::DepthError;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ExportFormat {
-    /// One page that carries viewer and photo in itself and opens from disk.
+    /// A self-contained page with viewer and photo that opens from disk.
     #[default]
     Html,
-    /// glTF 2.0, binary: textured polygons for any 3D program.
+    /// Binary glTF 2.0: textured polygons for any 3D program.
     Glb,
-    /// `OpenRaster`: a few layers of the photo's size, for editors of pictures.
+    /// `OpenRaster`: a few layers of the photo's size, for image editors.
     Ora,
-    /// Archive of the photo, all layers as PNG, disparity, planes.
+    /// ZIP archive of the photo, all layers as PNG, disparity and planes.
     Zip,
 }
 
 impl ExportFormat {
-    /// All of them.
+    /// All formats.
     pub const ALL: [Self; 4] = [Self::Html, Self::Glb, Self::Ora, Self::Zip];
 
-    /// The format that a file name ending stands for: `html`, `glb`, `ora` or `zip`, in any case.
+    /// The format of a file name extension: `html`, `glb`, `ora` or `zip`, in any case.
     #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension()))
     }
 
-    /// File name ending.
+    /// File name extension.
     #[must_use]
     pub const fn extension(self) -> &'static str {
         match self {
@@ -79,45 +78,45 @@ pub enum ExportError {
     /// The container cannot be read.
     #[error(transparent)]
     Atlas(#[from] ContainerError),
-    /// The viewer's scripts cannot be put into one page.
-    #[error("the viewer's scripts: {0}")]
+    /// The viewer's scripts cannot be linked into one page.
+    #[error("cannot link the viewer's scripts: {0}")]
     Script(#[from] ScriptError),
     /// A picture cannot be written.
-    #[error("writing a picture: {0}")]
+    #[error("cannot write a picture: {0}")]
     Picture(#[from] image::ImageError),
     /// A texture cannot be written.
-    #[error("writing a texture: {0}")]
+    #[error("cannot write a texture: {0}")]
     WebP(String),
     /// The disparity cannot be written.
     #[error(transparent)]
     Disparity(#[from] DepthError),
     /// The archive cannot be written.
-    #[error("writing an archive: {0}")]
+    #[error("cannot write the archive: {0}")]
     Archive(#[from] ::zip::result::ZipError),
     /// A part cannot be written to the archive.
-    #[error("writing an archive: {0}")]
+    #[error("cannot write the archive: {0}")]
     Write(#[from] std::io::Error),
     /// A description cannot be written as JSON.
-    #[error("writing JSON: {0}")]
+    #[error("cannot write JSON: {0}")]
     Json(#[from] serde_json::Error),
     /// The export was cancelled.
     #[error("the export was cancelled")]
     Cancelled,
-    /// The result would be larger than its format can hold.
+    /// The result would exceed the format's size limit.
     #[error("the scene is too large for a {0} file")]
     TooLarge(&'static str),
 }
 
-/// Options of some formats.
+/// Options for single formats.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ExportOptions<'a> {
-    /// Title of a page.
+    /// Title of the page (`html`).
     pub title: &'a str,
-    /// Options of a model.
+    /// Options of the model (`glb`).
     pub model: ModelOptions,
 }
 
-/// Writes `scene`, which is what `container` decodes to, in `format`. `cancelled` is asked before each layer or page of them.
+/// Exports `scene`, the decoded `container`, in `format`. Calls `cancelled` before each layer or texture page.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -136,9 +135,9 @@ pub fn export(
     }
 }
 
-/// The photo's file as a container carries it.
+/// The photo's file in a container.
 struct PhotoFile<'a> {
-    /// Place in the container.
+    /// Byte range in the container.
     range: std::ops::Range<usize>,
     bytes: &'a [u8],
     /// `jpeg`, `png` or `webp`.
@@ -167,7 +166,7 @@ fn photo_file(container: &[u8]) -> Result<PhotoFile<'_>, ExportError> {
     let sections = container::sections(container)?;
     let photo = sections.iter().find(|s| s.kind == "photo").ok_or_else(|| ContainerError::Broken("there is no photo section".into()))?;
     let range = photo.offset as usize..(photo.offset + photo.length) as usize;
-    let bytes = container.get(range.clone()).ok_or_else(|| ContainerError::Broken("the photo is cut off".into()))?;
+    let bytes = container.get(range.clone()).ok_or_else(|| ContainerError::Broken("the photo is truncated".into()))?;
     Ok(PhotoFile { range, bytes, codec: photo.codec })
 }
 
@@ -176,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn endings_and_formats_are_one_to_one() {
+    fn extensions_and_formats_match() {
         for format in ExportFormat::ALL {
             assert_eq!(ExportFormat::from_extension(&format.extension().to_uppercase()), Some(format));
         }

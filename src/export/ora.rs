@@ -1,5 +1,4 @@
-//! A scene as a few whole pictures one over the other, for programs that edit pictures: `OpenRaster`, which Krita, GIMP, `MyPaint` and
-//! others read.
+//! Exports a scene as a stack of full-size layers for image editors: `OpenRaster`, which Krita, GIMP, `MyPaint` and others read.
 
 use std::io::{Cursor, Write};
 
@@ -8,25 +7,27 @@ use ::zip::{CompressionMethod, ZipWriter};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::surface::{filled, visible_disparity};
+use super::surface::{inpainted, visible_disparity};
 use super::{ExportError, bands, pages};
 use tmpi_core::{DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::to_png;
 use tmpi_pipeline::photo::{reduced_size, resize};
 
-/// Alpha of a nearer layer beyond its edge, a pixel and two away. Its colour there is the photo's own: layers that lie where they lay
-/// show the photo.
-const SOFT: [u8; 2] = [170, 85];
-/// How far a layer goes on behind what stands before it, as a share of the longer side; on the second half it fades.
-const BEHIND: f64 = 0.06;
-/// Memory that writing takes besides the scene, in bytes a pixel: maps and a layer under work 25, the archive up to 3 a layer.
+/// Alpha of a layer one and two pixels beyond its edge over farther layers. Its colour there is the photo's, so unmoved layers show the
+/// photo.
+const EDGE_ALPHA: [u8; 2] = [170, 85];
+/// How far a layer continues behind nearer ones, as a fraction of the longer side; it fades over the second half.
+const OVERLAP: f64 = 0.06;
+/// Memory for writing beside the scene, in bytes per pixel: 25 for maps and the current layer, and up to 3 per layer for the archive.
 pub const ORA_BYTES: u64 = 48;
-/// Longest side of the preview, as the format has it.
+/// Maximum side of the preview, set by the format.
 const THUMBNAIL: u32 = 256;
 
-/// Writes `scene` as an `OpenRaster` archive: 3 to 8 layers of the photo's size, fewer where it has fewer distances, each of what lies in
-/// a band of disparity. The farthest covers everything; all others go on a little behind what stands before them. Seen one over the
-/// other they are the photo, to one level of 255. The depth map is a layer that is not shown, and with 16 bits `depth.png`.
+/// Writes `scene` as an `OpenRaster` archive with 3 to 8 layers of the photo's size, or fewer if it has fewer distances. Each layer shows
+/// one band of disparity.
+///
+/// The farthest layer covers the whole picture; the others continue a little behind nearer ones. Together they show the photo, within one
+/// level of 255. The depth map is a hidden layer, and `depth.png` with 16 bits.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -36,7 +37,7 @@ pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, Expor
     let bounds = bands::bounds(&map.delta);
     let band: Vec<u8> = map.delta.iter().map(|d| bounds.iter().filter(|&b| d >= b).count() as u8).collect();
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
-    // pictures are compressed already, and the type must lie open at the head of the file
+    // pictures are already compressed, and the format requires an uncompressed `mimetype` at the start
     let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
     let mut add = |name: &str, bytes: &[u8]| -> Result<(), ExportError> {
         archive.start_file(name, stored)?;
@@ -63,7 +64,7 @@ pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, Expor
     }
     add("data/depth.png", &grey(&map)?)?;
     layers.push(element("Depth map, near is white", "data/depth.png", false));
-    // the topmost comes first
+    // the top layer comes first
     let stack: String = layers.iter().rev().map(String::as_str).collect();
     let head = format!("<image version=\"0.0.3\" w=\"{width}\" h=\"{height}\" xres=\"72\" yres=\"72\">");
     add("stack.xml", format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{head}\n<stack>\n{stack}</stack>\n</image>\n").as_bytes())?;
@@ -80,14 +81,14 @@ fn element(name: &str, file: &str, shown: bool) -> String {
     format!("<layer name=\"{name}\" src=\"{file}\" visibility=\"{visibility}\" {place}/>\n")
 }
 
-/// The picture of one band, whose δ is below `limit`; straight alpha.
+/// Picture of band `own`, whose δ is below `limit`, with straight alpha.
 fn layer(photo: &Photo, delta: &[f32], band: &[u8], own: u8, limit: f32) -> Vec<[u8; 4]> {
-    let reach = (BEHIND * f64::from(photo.width.max(photo.height))).round().max(4.0) as u16;
+    let reach = (OVERLAP * f64::from(photo.width.max(photo.height))).round().max(4.0) as u16;
     let away = distances(photo.width as usize, band, own, reach);
     let alpha: Vec<u8> = (band.iter().zip(&away))
         .map(|(b, &d)| match (b.cmp(&own), d) {
             (std::cmp::Ordering::Equal, _) => u8::MAX,
-            (std::cmp::Ordering::Less, d) => d.checked_sub(1).and_then(|d| SOFT.get(usize::from(d)).copied()).unwrap_or(0),
+            (std::cmp::Ordering::Less, d) => d.checked_sub(1).and_then(|d| EDGE_ALPHA.get(usize::from(d)).copied()).unwrap_or(0),
             (std::cmp::Ordering::Greater, _) if own == 0 => u8::MAX,
             (std::cmp::Ordering::Greater, d) => {
                 (f64::from(reach - d) / (f64::from(reach) / 2.0) * f64::from(u8::MAX)).min(f64::from(u8::MAX)) as u8
@@ -95,11 +96,11 @@ fn layer(photo: &Photo, delta: &[f32], band: &[u8], own: u8, limit: f32) -> Vec<
         })
         .collect();
     let hidden = |i: usize| band[i] > own && alpha[i] > 0;
-    let filled = if (0..band.len()).any(hidden) { &filled(photo, delta, limit, hidden) } else { photo };
-    filled.rgb.iter().zip(alpha).map(|(&[r, g, b], a)| if a > 0 { [r, g, b, a] } else { [0; 4] }).collect()
+    let inpainted = if (0..band.len()).any(hidden) { &inpainted(photo, delta, limit, hidden) } else { photo };
+    inpainted.rgb.iter().zip(alpha).map(|(&[r, g, b], a)| if a > 0 { [r, g, b, a] } else { [0; 4] }).collect()
 }
 
-/// How far each pixel is from the nearest one of the band `own`, in steps to the side, up or down; `most` at most.
+/// Distance of each pixel from band `own`, in horizontal and vertical steps, at most `most`.
 fn distances(width: usize, band: &[u8], own: u8, most: u16) -> Vec<u16> {
     let mut away: Vec<u16> = band.iter().map(|&b| if b == own { 0 } else { most }).collect();
     let nearer = |away: &mut [u16], i: usize, other: usize| away[i] = away[i].min(away[other] + 1);
@@ -122,7 +123,7 @@ fn distances(width: usize, band: &[u8], own: u8, most: u16) -> Vec<u16> {
     away
 }
 
-/// δ from 0 to 1 as 8 bits, as editors of pictures take it.
+/// δ from 0 to 1 as 8-bit grey, for image editors.
 fn grey(map: &DisparityMap) -> Result<Vec<u8>, ExportError> {
     let values: Vec<u8> = map.delta.iter().map(|d| (d * 255.0).round() as u8).collect();
     let mut out = Vec::new();
@@ -143,7 +144,7 @@ mod tests {
     use super::super::testing;
     use super::*;
 
-    /// Files of an archive by name, in its order.
+    /// Names and contents of an archive's files, in order.
     fn files(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
         let mut archive = ::zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
         let count = archive.len();
@@ -157,12 +158,12 @@ mod tests {
     }
 
     #[test]
-    fn the_layers_one_over_the_other_are_the_photo() {
-        let scene = &testing::made().1;
+    fn the_stacked_layers_show_the_photo() {
+        let scene = &testing::sample().1;
         let bytes = ora(scene, &|| false).unwrap();
         let files = files(&bytes);
         assert_eq!((files[0].0.as_str(), files[0].1.as_slice()), ("mimetype", b"image/openraster".as_slice()));
-        assert_eq!(&bytes[30..54], b"mimetypeimage/openraster", "where the format wants it");
+        assert_eq!(&bytes[30..54], b"mimetypeimage/openraster", "the format fixes this offset");
         let file = |name: &str| &files.iter().find(|f| f.0 == name).unwrap_or_else(|| panic!("{name}")).1;
         let stack = String::from_utf8(file("stack.xml").clone()).unwrap();
         let shown: Vec<&str> = stack.lines().filter(|l| l.contains("visibility=\"visible\"")).collect();
@@ -183,7 +184,7 @@ mod tests {
         for (got, want) in over.iter().zip(&scene.photo.rgb) {
             assert!(got.iter().zip(want).all(|(g, w)| (g - f64::from(*w)).abs() <= 1.0), "{got:?} {want:?}");
         }
-        // the box is the nearest thing, and taken away it leaves ground behind
+        // the box is the nearest object; without it, the ground is visible
         let nearest = image::load_from_memory(file(&format!("data/layer{}.png", shown.len() - 1))).unwrap().to_rgba8();
         assert_eq!(nearest.get_pixel(70, 60).0[3], 255);
         assert_eq!((nearest.get_pixel(20, 60).0[3], nearest.get_pixel(70, 10).0[3]), (0, 0));
@@ -202,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_counted_in_steps_and_end_somewhere() {
+    fn distances_count_steps_up_to_the_limit() {
         assert_eq!(distances(4, &[1, 0, 0, 0, 0, 0, 0, 0], 1, 3), [0, 1, 2, 3, 1, 2, 3, 3]);
         assert_eq!(distances(2, &[0; 4], 1, 5), [5; 4]);
     }

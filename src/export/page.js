@@ -1,4 +1,4 @@
-// Entry of a page that carries its photo in itself.
+// Entry module of a self-contained page.
 import { Viewer } from './view/viewer.js';
 
 const $ = (id) => document.getElementById(id);
@@ -11,7 +11,7 @@ function bytesOf(base64) {
   return bytes;
 }
 
-/** The container as a data address: a worker on a page from disk may fetch nothing else. */
+/** The container as a data URL: a worker of a page from disk can fetch nothing else. */
 function container() {
   const photo = $('photo').getAttribute('src');
   const pieces = [$('before').textContent, photo.slice(photo.indexOf(',') + 1), $('after').textContent];
@@ -29,9 +29,9 @@ function note(text) {
 
 async function show() {
   const viewer = new Viewer(stage, { atlas: await container() });
-  // for tests, and for people at the console
+  // for tests and the developer console
   window.viewer = viewer;
-  // the viewer shows the photo itself, in the frame that the scene will have
+  // from now on the viewer shows the photo, at the scene's size
   viewer.addEventListener('photo', () => ($('photo').hidden = true));
   viewer.addEventListener('ready', ({ detail }) => (stage.dataset.mode = detail.mode));
   viewer.addEventListener('mode', ({ detail }) => {

@@ -1,4 +1,4 @@
-//! Layers on texture pages, for readers that sample with straight alpha and know no border between rectangles.
+//! Packs layers into texture pages, for readers that sample with straight alpha and across the borders of rectangles.
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
@@ -6,31 +6,31 @@ use image::{ExtendedColorType, ImageEncoder};
 use super::ExportError;
 use tmpi_core::Scene;
 
-/// Side of a page, unless a layer is larger.
+/// Maximum side of a page, unless a single layer is larger.
 const SIDE: u32 = 4096;
-/// Texels around each rectangle that repeat its border, so that sampling does not mix in the neighbour.
+/// Texels around each rectangle that repeat its border, so that sampling does not blend in the neighbour.
 const GUTTER: u32 = 1;
 
-/// Place of a layer.
+/// Position of a layer on a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
-    /// The layer.
+pub(super) struct Placement {
+    /// Index of the layer.
     pub layer: usize,
-    /// Its first texel, the gutter not counted.
+    /// Its first texel, inside the gutter.
     pub x: u32,
     pub y: u32,
 }
 
-/// One texture.
+/// One texture page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Page {
     pub width: u32,
     pub height: u32,
     /// In the order given to [`pack`].
-    pub places: Vec<Place>,
+    pub placements: Vec<Placement>,
 }
 
-/// Packs layers; all of a page come before all of the next in the order of `layers`.
+/// Packs layers into pages. Pages split `layers` in order.
 pub(super) fn pack(scene: &Scene, layers: &[usize]) -> Vec<Page> {
     if layers.is_empty() {
         return Vec::new();
@@ -42,7 +42,7 @@ pub(super) fn pack(scene: &Scene, layers: &[usize]) -> Vec<Page> {
     [pack(scene, a), pack(scene, b)].concat()
 }
 
-/// All on one page, tallest first; none where they do not fit.
+/// Packs all layers into one page, tallest first; `None` if they do not fit.
 fn shelves(scene: &Scene, layers: &[usize]) -> Option<Page> {
     let size = |l: usize| (scene.layers[l].rect.w + 2 * GUTTER, scene.layers[l].rect.h + 2 * GUTTER);
     let area: u64 = layers.iter().map(|&l| u64::from(size(l).0) * u64::from(size(l).1)).sum();
@@ -50,27 +50,27 @@ fn shelves(scene: &Scene, layers: &[usize]) -> Option<Page> {
     let width = ((area as f64).sqrt().ceil() as u32).next_multiple_of(64).min(SIDE).max(widest);
     let mut order: Vec<usize> = (0..layers.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(size(layers[i]).1), i));
-    let mut places = vec![Place { layer: 0, x: 0, y: 0 }; layers.len()];
+    let mut placements = vec![Placement { layer: 0, x: 0, y: 0 }; layers.len()];
     let (mut x, mut y, mut lower) = (0, 0, 0);
     for i in order {
         let (w, h) = size(layers[i]);
         if x + w > width {
             (x, y) = (0, lower);
         }
-        places[i] = Place { layer: layers[i], x: x + GUTTER, y: y + GUTTER };
+        placements[i] = Placement { layer: layers[i], x: x + GUTTER, y: y + GUTTER };
         x += w;
         lower = lower.max(y + h);
     }
-    // a layer alone has its page, however large it is
-    (lower <= SIDE || layers.len() == 1).then_some(Page { width, height: lower, places })
+    // a single layer always gets a page, however large it is
+    (lower <= SIDE || layers.len() == 1).then_some(Page { width, height: lower, placements })
 }
 
-/// RGBA of a page with straight alpha. What is transparent beside a layer's texels has their colour.
+/// RGBA of a page with straight alpha. Transparent texels have the colour of their neighbours.
 pub(super) fn paint(scene: &Scene, page: &Page) -> Vec<[u8; 4]> {
     let width = page.width as usize;
     let mut rgba = vec![[0u8; 4]; width * page.height as usize];
     let mut own = Vec::new();
-    for place in &page.places {
+    for place in &page.placements {
         let rect = scene.layers[place.layer].rect;
         let (w, h) = (rect.w as usize, rect.h as usize);
         own.clear();
@@ -87,7 +87,7 @@ pub(super) fn paint(scene: &Scene, page: &Page) -> Vec<[u8; 4]> {
     rgba
 }
 
-/// RGBA as PNG.
+/// Encodes RGBA as PNG.
 pub(super) fn png(width: u32, height: u32, rgba: &[[u8; 4]]) -> Result<Vec<u8>, ExportError> {
     let mut out = Vec::new();
     PngEncoder::new_with_quality(&mut out, CompressionType::Default, FilterType::Adaptive).write_image(
@@ -99,8 +99,7 @@ pub(super) fn png(width: u32, height: u32, rgba: &[[u8; 4]]) -> Result<Vec<u8>, 
     Ok(out)
 }
 
-/// Gives transparent texels that touch others the mean colour of these: with straight alpha, sampling between them would else
-/// darken the edge.
+/// Gives each transparent texel the mean colour of its visible neighbours. Otherwise, sampling with straight alpha would darken edges.
 fn spread(rgba: &mut [[u8; 4]], w: usize, h: usize) {
     let from = rgba.to_vec();
     for y in 0..h {
@@ -131,8 +130,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_layer_has_its_own_place_and_its_texels() {
-        let scene = &testing::made().1;
+    fn layers_keep_their_texels_and_do_not_overlap() {
+        let scene = &testing::sample().1;
         let layers: Vec<usize> = (0..scene.layers.len()).collect();
         let pages = pack(scene, &layers);
         let mut seen = Vec::new();
@@ -140,13 +139,13 @@ mod tests {
             let picture = image::RgbaImage::from_raw(page.width, page.height, paint(scene, page).as_flattened().to_vec()).unwrap();
             assert_eq!(picture.dimensions(), (page.width, page.height));
             let mut taken = vec![false; (page.width * page.height) as usize];
-            for place in &page.places {
+            for place in &page.placements {
                 let rect = scene.layers[place.layer].rect;
                 let mut own = Vec::new();
                 scene.expand_layer(place.layer, &mut own);
                 for (i, want) in own.iter().enumerate() {
                     let (x, y) = (place.x + i as u32 % rect.w, place.y + i as u32 / rect.w);
-                    assert!(!std::mem::replace(&mut taken[(y * page.width + x) as usize], true), "two layers in one place");
+                    assert!(!std::mem::replace(&mut taken[(y * page.width + x) as usize], true), "two layers overlap");
                     let got = picture.get_pixel(x, y).0;
                     assert!(if want[3] == 0 { got[3] == 0 } else { got == *want }, "{got:?} {want:?}");
                 }
@@ -160,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn transparent_neighbours_take_the_colour_and_stay_transparent() {
+    fn transparent_texels_take_their_neighbours_colour() {
         let mut rgba = vec![[0; 4]; 9];
         rgba[0] = [200, 100, 50, 255];
         rgba[2] = [100, 200, 50, 9];

@@ -1,8 +1,8 @@
-//! Links the viewer's ES modules into one script: a page opened from disk may not load modules of its own.
+//! Links the viewer's ES modules into one script, because a page opened from disk cannot load modules.
 //!
-//! No bundler, but a rule that the modules keep: `import` and `export` statements begin a line, files are named by literals
-//! (`import('./x.js')`, `new URL('./x', import.meta.url)`), and there are no default exports. What breaks it is an error. Documenting
-//! comments are left out.
+//! This is not a bundler; it relies on conventions: `import` and `export` statements begin a line, literals name files
+//! (`import('./x.js')`, `new URL('./x', import.meta.url)`), and there are no default exports. Anything else is an error. Documentation
+//! comments are removed.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,38 +10,38 @@ use std::path::Path;
 /// A module that cannot be linked.
 #[derive(Clone, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum ScriptError {
-    /// A file that a module names is not there.
-    #[error("{from} names {name:?}, which is not there")]
+    /// A file that a module refers to does not exist.
+    #[error("{from} refers to {name:?}, which does not exist")]
     Missing {
-        /// Who names it.
+        /// The module that refers to it.
         from: String,
-        /// Its name.
+        /// The file's name.
         name: String,
     },
-    /// A statement of a form that is not known.
+    /// A statement has an unsupported form.
     #[error("{module}: {what}")]
     Unknown {
         /// The module.
         module: String,
-        /// What is not known.
+        /// The statement, or why it is not supported.
         what: String,
     },
 }
 
-/// Modules and other files that an entry module needs, directly or not.
+/// Modules and other files that an entry module needs, directly or indirectly.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Linked {
     /// Source of a function `($use, $load, $asset) => exports` for each module.
     pub modules: BTreeMap<String, String>,
-    /// Contents of all other files that modules name.
+    /// Contents of all other files that modules refer to.
     pub assets: BTreeMap<String, Vec<u8>>,
 }
 
-/// Follows `entry` and everything that it names; `read` gives a file by its name.
+/// Links `entry` and everything that it refers to; `read` returns a file by name.
 pub(super) fn link<'a>(entry: &str, read: &dyn Fn(&str) -> Option<&'a [u8]>) -> Result<Linked, ScriptError> {
     let mut linked = Linked::default();
-    let mut wanted = vec![(String::new(), entry.to_owned())];
-    while let Some((from, name)) = wanted.pop() {
+    let mut pending = vec![(String::new(), entry.to_owned())];
+    while let Some((from, name)) = pending.pop() {
         if linked.modules.contains_key(&name) || linked.assets.contains_key(&name) {
             continue;
         }
@@ -53,7 +53,7 @@ pub(super) fn link<'a>(entry: &str, read: &dyn Fn(&str) -> Option<&'a [u8]>) -> 
         let text = std::str::from_utf8(bytes).map_err(|_| unknown(&name, "it is not UTF-8"))?;
         let mut module = Module { name: &name, files: Vec::new(), exports: Vec::new() };
         let text = module.convert(text)?;
-        wanted.extend(module.files.into_iter().map(|file| (name.clone(), file)));
+        pending.extend(module.files.into_iter().map(|file| (name.clone(), file)));
         linked.modules.insert(name, text);
     }
     Ok(linked)
@@ -65,9 +65,9 @@ fn unknown(module: &str, what: impl Into<String>) -> ScriptError {
 
 struct Module<'a> {
     name: &'a str,
-    /// Files that it names.
+    /// Files that it refers to.
     files: Vec<String>,
-    /// `exported: local` pairs as they stand in an object literal.
+    /// `exported: local` pairs for an object literal.
     exports: Vec<String>,
 }
 
@@ -78,7 +78,7 @@ impl Module<'_> {
         let mut lines = text.lines();
         while let Some(line) = lines.next() {
             if starts_comment(line) {
-                // drop documenting comments
+                // remove documentation comments
                 if !line.trim_end().ends_with("*/") {
                     let _ = lines.by_ref().find(|l| l.trim_end().ends_with("*/"));
                 }
@@ -95,10 +95,10 @@ impl Module<'_> {
                 out.push('\n');
                 continue;
             }
-            // imports and lists of exports may go over several lines
+            // imports and export lists may span several lines
             let mut statement = line.to_owned();
             while !statement.trim_end().ends_with(';') {
-                let next = lines.next().ok_or_else(|| unknown(self.name, format!("no end of {line:?}")))?;
+                let next = lines.next().ok_or_else(|| unknown(self.name, format!("unterminated statement {line:?}")))?;
                 statement.push(' ');
                 statement.push_str(next);
             }
@@ -116,12 +116,12 @@ impl Module<'_> {
         Ok(out)
     }
 
-    /// `export const NAME`, `export function NAME`, …; the declaration itself stays.
+    /// Records `export const NAME`, `export function NAME`, …; the declaration itself stays.
     fn declaration(&mut self, rest: &str) -> Result<(), ScriptError> {
         let mut words = rest.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == '$')).filter(|w| !w.is_empty());
         let kind = words.find(|w| *w != "async");
         match (kind, words.next()) {
-            // what others see of a `var` is its value once the module has run
+            // importers see a `var`'s value after the module has run
             (Some("const" | "var" | "function" | "class"), Some(name)) if !rest.starts_with("const {") && !rest.starts_with("const [") => {
                 self.exports.push(name.to_owned());
                 Ok(())
@@ -130,7 +130,7 @@ impl Module<'_> {
         }
     }
 
-    /// `export { a, b as c }`, perhaps `from './x.js'`.
+    /// Converts `export { a, b as c }`, optionally with `from './x.js'`.
     fn list(&mut self, statement: &str) -> Result<String, ScriptError> {
         let wrong = || unknown(self.name, statement);
         let (names, from) = statement.strip_prefix("export").and_then(|s| braces(s.trim_start())).ok_or_else(wrong)?;
@@ -145,7 +145,7 @@ impl Module<'_> {
         Ok(format!("const {hidden} = $use({module:?});"))
     }
 
-    /// What follows `import`: `'./x.js'`, `{ a, b as c } from './x.js'` or `* as a from './x.js'`.
+    /// Converts an import, without the keyword: `'./x.js'`, `{ a, b as c } from './x.js'` or `* as a from './x.js'`.
     fn import(&mut self, rest: &str) -> Result<String, ScriptError> {
         let wrong = || unknown(self.name, format!("import {rest}"));
         if let Some(file) = literal(rest) {
@@ -169,7 +169,7 @@ impl Module<'_> {
         let mut out = String::with_capacity(text.len());
         let mut rest = text;
         while let Some(at) = rest.find("import.meta") {
-            let wrong = || unknown(self.name, "import.meta is known only as new URL('./name', import.meta.url)");
+            let wrong = || unknown(self.name, "import.meta is supported only in new URL('./name', import.meta.url)");
             let before = rest[..at].trim_end().strip_suffix(',').ok_or_else(wrong)?;
             let start = before.rfind("new URL(").ok_or_else(wrong)?;
             let file = literal(before[start + "new URL(".len()..].trim()).ok_or_else(wrong)?;
@@ -183,7 +183,7 @@ impl Module<'_> {
         while let Some(at) = rest.find("import(") {
             let (head, tail) = (&rest[..at], &rest[at + "import(".len()..]);
             let end = tail.find(')').unwrap_or(0);
-            let file = literal(tail[..end].trim()).ok_or_else(|| unknown(self.name, "import() of something else than a literal"))?;
+            let file = literal(tail[..end].trim()).ok_or_else(|| unknown(self.name, "import() requires a literal"))?;
             out.extend([head, &format!("$load({:?}", self.file(file))]);
             rest = &tail[end..];
         }
@@ -191,7 +191,7 @@ impl Module<'_> {
         Ok(out)
     }
 
-    /// Name of a file below `static/`, given relative to this module; noted as needed.
+    /// Resolves a path relative to this module to a name below `static/`, and records the file as needed.
     fn file(&mut self, relative: &str) -> String {
         let mut parts: Vec<&str> = self.name.split('/').collect();
         parts.pop();
@@ -208,7 +208,7 @@ impl Module<'_> {
     }
 }
 
-/// A documenting comment that has its lines to itself; no line of a string begins like one.
+/// Whether a documentation comment begins at this line and shares no line with code. No multi-line string contains such a line.
 fn starts_comment(line: &str) -> bool {
     line.trim_start().strip_prefix("/**").is_some_and(|rest| rest.split_once("*/").is_none_or(|(_, after)| after.trim().is_empty()))
 }
@@ -217,20 +217,20 @@ fn starts_export(line: &str) -> bool {
     line.starts_with("export ") || line.starts_with("export{") || line.starts_with("export*")
 }
 
-/// The text of a string literal that names a file relative to its module.
+/// The text of a string literal with a relative path.
 fn literal(text: &str) -> Option<&str> {
     let quote = text.chars().next().filter(|c| matches!(c, '\'' | '"'))?;
     let inner = text.strip_prefix(quote)?.strip_suffix(quote)?;
     (inner.starts_with("./") || inner.starts_with("../")).then_some(inner).filter(|i| !i.contains(['\'', '"', '\\', '`', '\n']))
 }
 
-/// What stands in the braces that `text` begins with, and what follows.
+/// Splits `{ … } rest` into the text in the braces and the rest.
 fn braces(text: &str) -> Option<(&str, &str)> {
     let (inner, after) = text.strip_prefix('{')?.split_once('}')?;
     Some((inner, after.trim()))
 }
 
-/// `a, b as c` as pairs (a, a), (b, c).
+/// Parses `a, b as c` into the pairs (a, a), (b, c).
 fn pairs(text: &str) -> Option<Vec<(&str, &str)>> {
     let name = |n: &str| !n.is_empty() && n != "default" && n.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '$');
     let pair = |item| {
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn every_form_that_modules_may_use() {
+    fn supported_statements_are_converted() {
         let a = "import { b, c as d } from './x/b.js';\nimport {\n  e,\n} from \"./x/b.js\";\nimport * as all from './x/b.js';\nimport './x/b.js';\n\
                  export const f = 1;\nexport async function g() {}\nexport class H {}\nexport { d as i, e };\nexport { b as j } from './x/b.js';\n\
                  const k = new URL('./k.wgsl', import.meta.url);\nconst l = await import('./l.js');\n\
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn every_other_form_is_an_error() {
+    fn unsupported_statements_are_errors() {
         for bad in [
             "import b from './b.js';",
             "import { b } from 'b';",

@@ -1,7 +1,7 @@
 function start(modules, assets, entry) {
-  const made = {};
-  const use = (name) => (made[name] ??= modules[name](use, async (later) => use(later), asset));
-  // a module's address is that of a worker, which gets the same modules; one from disk may load nothing but a data address
+  const loaded = {};
+  const use = (name) => (loaded[name] ??= modules[name](use, async (later) => use(later), asset));
+  // a module's URL is that of a worker with the same modules; a page from disk can load a worker only from a data URL
   function asset(name) {
     if (!(name in modules)) return new URL(assets[name]);
     const all = Object.entries(modules).map(([key, make]) => `${JSON.stringify(key)}: ${make}`);

@@ -1,11 +1,11 @@
-//! The visible surface as a map, and the photo without what stands before a part of it.
+//! Disparity of the visible surface, and the photo with foreground pixels inpainted.
 
 use tmpi_core::{Class, DisparityMap, Geometry, Grid, Inpainter, Intrinsics, Photo, Plane, Pyramid, Scene, Tile, ViewBox};
 
-/// Steps of δ in which sources of colour are told apart; a tile has no more planes.
+/// Quantisation steps of δ for inpainting; a tile cannot have more planes.
 const STEPS: f32 = 63.0;
 
-/// δ of what the photo's camera sees: at each pixel, of the nearest opaque texel.
+/// δ of the visible surface: at each pixel, that of the nearest opaque texel of the photo.
 pub(super) fn visible_disparity(scene: &Scene) -> DisparityMap {
     let g = &scene.grid;
     let mut delta = vec![0f32; scene.photo.rgb.len()];
@@ -25,9 +25,9 @@ pub(super) fn visible_disparity(scene: &Scene) -> DisparityMap {
     DisparityMap { width: g.width, height: g.height, delta }
 }
 
-/// The photo with the `hidden` pixels replaced by the colours of nearby pixels whose δ is `limit` or less.
-/// `delta` has the δ of each pixel, 0 or more. Without such a source, pixels get the photo's mean colour.
-pub(super) fn filled(photo: &Photo, delta: &[f32], limit: f32, hidden: impl Fn(usize) -> bool) -> Photo {
+/// Replaces the `hidden` pixels of a photo by colours of nearby pixels whose δ is at most `limit`, or by the photo's mean colour if there
+/// are none. `delta` is the δ of each pixel, at least 0.
+pub(super) fn inpainted(photo: &Photo, delta: &[f32], limit: f32, hidden: impl Fn(usize) -> bool) -> Photo {
     let grid = Grid::full(photo.width, photo.height);
     let most = delta.iter().fold(limit, |m, &d| m.max(d)).max(f32::MIN_POSITIVE);
     let labels = delta.iter().map(|d| (d / most * STEPS).round() as u8).collect();
@@ -51,24 +51,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_hidden_takes_the_colours_behind_it() {
-        let scene = &testing::made().1;
+    fn hidden_pixels_take_the_colours_behind_them() {
+        let scene = &testing::sample().1;
         let map = visible_disparity(scene);
         let at = |x: usize, y: usize| y * map.width as usize + x;
         assert!((map.delta[at(70, 60)] - 0.9).abs() < 0.01 && map.delta[at(20, 5)] < 0.02, "box, sky");
         let near = |i: usize| map.delta[i] > 0.6;
-        let behind = filled(&scene.photo, &map.delta, 0.6, near);
+        let behind = inpainted(&scene.photo, &map.delta, 0.6, near);
         for (i, (a, b)) in behind.rgb.iter().zip(&scene.photo.rgb).enumerate() {
-            assert!(near(i) || a == b, "what is not hidden stays");
+            assert!(near(i) || a == b, "other pixels stay unchanged");
         }
-        // the box is red in its green; ground and sky have (90 to 165) in green and 160 in blue
+        // the box has 220 in red; ground and sky have 90 to 165 in green and 160 in blue
         let [r, g, b] = behind.rgb[at(70, 60)];
         assert!(r < 180 && (80..180).contains(&g) && b > 140, "{r} {g} {b}");
     }
 
     #[test]
-    fn without_a_source_there_is_still_a_colour() {
+    fn without_a_source_pixels_get_the_mean_colour() {
         let photo = Photo { width: 8, height: 8, rgb: vec![[90, 80, 70]; 64] };
-        assert_eq!(filled(&photo, &[0.5; 64], 0.1, |_| true).rgb, photo.rgb);
+        assert_eq!(inpainted(&photo, &[0.5; 64], 0.1, |_| true).rgb, photo.rgb);
     }
 }

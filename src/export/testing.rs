@@ -1,4 +1,4 @@
-//! A small made photo for the unit tests of this module.
+//! A small processed photo for this module's unit tests.
 
 use std::sync::{Arc, OnceLock};
 
@@ -9,23 +9,23 @@ use tmpi_pipeline::depth::{DepthError, Estimator, to_png};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{Models, Options, make};
 
-/// Never asked.
-struct Nothing;
+/// The sample photo comes with a depth map.
+struct NoEstimator;
 
-impl Estimator for Nothing {
+impl Estimator for NoEstimator {
     fn name(&self) -> &'static str {
-        "nothing"
+        "none"
     }
 
     fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
-        Err(DepthError::Write("nothing to estimate".into()))
+        Err(DepthError::Write("there is no estimator".into()))
     }
 }
 
-/// A box before a ground that rises from the camera to the horizon, with sky at infinity: container and scene.
-pub(super) fn made() -> &'static (Vec<u8>, Scene) {
-    static MADE: OnceLock<(Vec<u8>, Scene)> = OnceLock::new();
-    MADE.get_or_init(|| {
+/// Container and scene of a box in front of a ground that reaches from the camera to the horizon, with the sky at infinity.
+pub(super) fn sample() -> &'static (Vec<u8>, Scene) {
+    static SAMPLE: OnceLock<(Vec<u8>, Scene)> = OnceLock::new();
+    SAMPLE.get_or_init(|| {
         let (width, height) = (150u32, 110u32);
         let inside = |x: u32, y: u32| (50..90).contains(&x) && (40..85).contains(&y);
         let pixels = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
@@ -36,7 +36,7 @@ pub(super) fn made() -> &'static (Vec<u8>, Scene) {
         let delta = pixels().map(|(x, y)| if inside(x, y) { 0.9 } else { ground(y) as f32 }).collect();
         let depth = to_png(&DisparityMap { width, height, delta }).unwrap();
         let photo = encode_jpeg(width, height, &rgb, 92).unwrap();
-        let models = Models { depth: Arc::new(Nothing), theta: None, psi: None };
+        let models = Models { depth: Arc::new(NoEstimator), theta: None, psi: None };
         let made = make(&models, &Limits::default(), &photo, Some(&depth), &Options::default(), &Silent).unwrap();
         let scene = decode(&made.container).unwrap();
         (made.container, scene)

@@ -1,4 +1,4 @@
-//! A scene taken apart: photo, layers as pictures, planes, disparity.
+//! Exports the parts of a scene as a ZIP archive: photo, layers as pictures, planes, disparity.
 
 use std::io::{Cursor, Write};
 
@@ -12,10 +12,10 @@ use tmpi_core::Scene;
 use tmpi_pipeline::depth::to_png;
 
 const README: &str = include_str!("README.txt");
-/// Version of the archive's own layout.
+/// Version of the archive's layout.
 const VERSION: u32 = 1;
 
-/// Writes an archive of `scene`, which is what `container` decodes to: `README.txt` says what is in it.
+/// Writes an archive of `scene`, the decoded `container`. Its `README.txt` describes the contents.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -24,7 +24,7 @@ pub fn zip(container: &[u8], scene: &Scene, cancelled: &dyn Fn() -> bool) -> Res
     let photo_name = format!("photo.{}", photo.extension());
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let text = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
-    // pictures are compressed already
+    // pictures are already compressed
     let picture = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
     let mut add = |name: &str, options, bytes: &[u8]| -> Result<(), ExportError> {
         archive.start_file(name, options)?;
@@ -48,7 +48,7 @@ pub fn zip(container: &[u8], scene: &Scene, cancelled: &dyn Fn() -> bool) -> Res
     Ok(archive.finish()?.into_inner())
 }
 
-/// File names of the layers' pictures: number of the tile, number in the tile from the back.
+/// File names of the layers' pictures: index of the tile, index of the layer in the tile from the back.
 fn names(scene: &Scene) -> Vec<String> {
     let digits = scene.grid.tiles().to_string().len().max(4);
     let (mut tile, mut number) = (None, 0);
@@ -88,8 +88,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_archive_holds_the_scene() {
-        let (container, scene) = testing::made();
+    fn the_archive_contains_the_scene() {
+        let (container, scene) = testing::sample();
         let bytes = zip(container, scene, &|| false).unwrap();
         let mut archive = ::zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
         let mut file = |name: &str| {

@@ -16,10 +16,10 @@ use tokio::time::timeout;
 
 use super::access::Role;
 use super::gops::{Group, Part};
-use super::here::{Here, Leave, none_publishes};
 use super::origin::Nodes;
-use super::room::{Newest, Room};
-use crate::server::{Coding, Entity, Held, Pairs, Problem, respond};
+use super::request_access::{RoomAccess, RoomsContext, none_publishes};
+use super::room::{NewestFrame, Room};
+use crate::server::{Coding, ConnectionGuard, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
 /// How long a request waits for the next group.
@@ -33,18 +33,18 @@ const MESSAGES: &str = "application/vnd.tmpi.live";
 /// The node with the frames of a room.
 enum Source {
     /// This node.
-    Here(Arc<Room>),
+    RoomsContext(Arc<Room>),
     /// The room's origin.
     Origin(Arc<Nodes>, Origin),
 }
 
 impl Source {
     /// Finds the node with the frames of a room. Requests of other nodes are not forwarded.
-    async fn of(here: &Here, name: &str, leave: Leave) -> Result<Self, Problem> {
+    async fn of(here: &RoomsContext, name: &str, leave: RoomAccess) -> Result<Self, Problem> {
         if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
-            return Ok(Self::Here(room));
+            return Ok(Self::RoomsContext(room));
         }
-        let elsewhere = if leave == Leave::Node { None } else { here.rooms.elsewhere(name).await? };
+        let elsewhere = if leave == RoomAccess::Node { None } else { here.rooms.elsewhere(name).await? };
         elsewhere.map(|(nodes, origin)| Self::Origin(nodes, origin)).ok_or_else(none_publishes)
     }
 }
@@ -86,16 +86,16 @@ fn handed_on(answer: Response) -> Response {
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
-pub async fn newest(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
     let newest = match Source::of(&here, &name, leave).await? {
-        Source::Here(room) => room.newest().await?,
+        Source::RoomsContext(room) => room.newest().await?,
         Source::Origin(nodes, origin) => {
             let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
             return nodes.fetch(&origin, &name, "/frames/latest/atlas", known.into_iter().collect()).await.map(handed_on);
         }
     };
-    let Newest { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
+    let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
     let etag = format!("\"{epoch}-{number}\"");
     let entity =
         Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: Coding::Plain };
@@ -121,10 +121,15 @@ pub async fn newest(State(here): State<Here>, Path(name): Path<String>, uri: Uri
         (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
-pub async fn latest_group(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn latest_group(
+    State(here): State<RoomsContext>,
+    Path(name): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
     let newest = match Source::of(&here, &name, leave).await? {
-        Source::Here(room) => room.last_group().map(|group| group.to_string()),
+        Source::RoomsContext(room) => room.last_group().map(|group| group.to_string()),
         Source::Origin(nodes, origin) => {
             let answer = nodes.fetch(&origin, &name, "/gops/latest", HeaderMap::new()).await?;
             answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned)
@@ -157,9 +162,9 @@ pub async fn latest_group(State(here): State<Here>, Path(name): Path<String>, ur
     )
 )]
 pub async fn group(
-    State(here): State<Here>,
+    State(here): State<RoomsContext>,
     Path((name, group)): Path<(String, String)>,
-    Extension(held): Extension<Held>,
+    Extension(held): Extension<ConnectionGuard>,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
@@ -170,7 +175,7 @@ pub async fn group(
     let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
     let room = match Source::of(&here, &name, leave).await? {
-        Source::Here(room) => room,
+        Source::RoomsContext(room) => room,
         Source::Origin(nodes, origin) => {
             let answer = nodes.fetch(&origin, &name, &format!("/gops/{group}"), HeaderMap::new()).await?;
             return Ok((cache_control, handed_on(answer)).into_response());

@@ -25,16 +25,16 @@
 mod access;
 mod edge;
 mod fetch;
+mod frames;
 mod gops;
-mod here;
-mod invite;
 mod origin;
 mod publisher;
+mod request_access;
 mod ring;
 mod room;
+mod room_state;
 pub(crate) mod routes;
 mod sound;
-mod still;
 mod tiles;
 mod viewer;
 mod worker;
@@ -51,14 +51,14 @@ pub(crate) use access::check_origin;
 pub use access::{Role, token};
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
-pub(crate) use here::Here;
 pub use origin::NodeAddress;
+pub(crate) use request_access::RoomsContext;
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
 
-use here::{busy, none_publishes};
 use origin::{Lease, Nodes};
+use request_access::{busy, none_publishes};
 use room::Room;
 use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
@@ -121,17 +121,11 @@ pub struct Bounds {
 impl Bounds {
     /// 1 024 viewers.
     pub const VIEWERS: usize = 1024;
-    /// Milliseconds of geometry. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3, 13.1 and 17.5 ms of
-    /// processor a frame, views of 23.4, 23.3, 23.4 and 23.3 dB, flicker .070, .064, .054 and .080 levels, edges 2.1, 2.2, 2.1 and 2.2
-    /// pixels short. At 640×480 12, 20, 30 and 45 (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short. With 20
-    /// instead of 30 pictures come a sixth sooner where all share two cores (`glass-to-glass.mjs`); but at 640×480 there more tiles wait,
-    /// and what moves is seen torn where they meet others more often.
-    const BUDGET_MS: f64 = 20.0;
 }
 
 impl Default for Bounds {
     fn default() -> Self {
-        Self { rooms: 16, viewers: Self::VIEWERS, budget_ms: Self::BUDGET_MS, frame: 1 << 20, sound: 16 << 10 }
+        Self { rooms: 16, viewers: Self::VIEWERS, budget_ms: tmpi_live::BUDGET_MS, frame: 1 << 20, sound: 16 << 10 }
     }
 }
 

@@ -21,7 +21,7 @@ use tokio_util::task::AbortOnDropHandle;
 use tmpi_core::live::MAX_MESSAGE;
 
 use super::edge::EdgeError;
-use super::here::none_publishes;
+use super::request_access::none_publishes;
 use crate::server::Problem;
 
 /// Duration of a lease, and the interval of its renewal.

@@ -17,8 +17,8 @@ use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{Geometry, Settings, units, video};
 
-use super::here::{ENDED, Here, ended};
 use super::origin::{Lease, lost};
+use super::request_access::{ENDED, RoomsContext, ended};
 use super::ring::What;
 use super::room::Room;
 use super::sound::Allowance;
@@ -35,7 +35,7 @@ const RESIZE: Duration = Duration::from_secs(1);
 const RESIZES: u32 = 8;
 
 /// Serves a publisher until it leaves, the server disconnects it, or its token ends at `ends`; then waits for it to come back.
-pub async fn serve(mut socket: WebSocket, entry: Entry, here: &Here, ends: Option<Instant>) {
+pub async fn serve(mut socket: WebSocket, entry: Entry, here: &RoomsContext, ends: Option<Instant>) {
     let mut seat = None;
     let ended = session(&mut socket, &entry, here, ends, &mut seat).await;
     let held = seat.map(Seat::leave);
@@ -89,7 +89,7 @@ const TURNED: &str = "the stream carries a rotation (display orientation); encod
 async fn session<'a>(
     socket: &mut WebSocket,
     entry: &'a Entry,
-    here: &Here,
+    here: &RoomsContext,
     ends: Option<Instant>,
     seat: &mut Option<Seat<'a>>,
 ) -> Result<(), Refused> {
@@ -207,8 +207,8 @@ fn in_order_and_upright(unit: &[u8]) -> Result<(), &'static str> {
 }
 
 /// Handles the messages of a publisher that has the room.
-async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here: &Here, until: Until<'_>) -> Result<Gone, Refused> {
-    let Here { rooms, stop, .. } = here;
+async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here: &RoomsContext, until: Until<'_>) -> Result<Gone, Refused> {
+    let RoomsContext { rooms, stop, .. } = here;
     let (done, mut decoded) = mpsc::channel(16);
     // without a lease the clock, so that URLs of groups are not reused after a restart
     let least = until.lease.map_or(micros() / 1000, Lease::epoch);

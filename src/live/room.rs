@@ -11,9 +11,9 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Bye, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 
+pub use super::frames::{FrameWithTiles, NewestFrame, Tiles};
 use super::gops::{Group, Groups, Part};
 use super::ring::{Place, Ring, Step, What};
-pub use super::still::{Newest, Still, Tiles};
 use super::tiles::Chunks;
 use super::{Bounds, KEYS};
 use crate::server::Problem;
@@ -57,7 +57,7 @@ struct State {
     /// At the origin: the tiles as they were sent.
     made: Option<Chunks>,
     groups: Groups,
-    still: Option<Arc<Still>>,
+    still: Option<Arc<FrameWithTiles>>,
     asked: Option<Instant>,
     statistics: Statistics,
 }
@@ -227,7 +227,7 @@ impl Room {
     }
 
     /// Stores the tiles of a frame if `epoch` is the current one; `count` updates the statistics.
-    pub fn keep(&self, epoch: u64, still: Still, count: impl FnOnce(&mut Statistics)) {
+    pub fn keep(&self, epoch: u64, still: FrameWithTiles, count: impl FnOnce(&mut Statistics)) {
         let mut state = self.lock();
         if state.epoch != epoch {
             return;
@@ -246,13 +246,13 @@ impl Room {
     ///
     /// # Errors
     /// 500 if it cannot be written.
-    pub async fn newest(&self) -> Result<Option<Newest>, Problem> {
+    pub async fn newest(&self) -> Result<Option<NewestFrame>, Problem> {
         let Some((epoch, still)) = self.still() else { return Ok(None) };
-        Ok(Some(Newest { epoch, number: still.tiles.frame, container: still.container().await? }))
+        Ok(Some(NewestFrame { epoch, number: still.tiles.frame, container: still.container().await? }))
     }
 
     /// The newest frame with its geometry, and its epoch.
-    pub fn still(&self) -> Option<(u64, Arc<Still>)> {
+    pub fn still(&self) -> Option<(u64, Arc<FrameWithTiles>)> {
         let state = self.lock();
         state.still.as_ref().map(|still| (state.epoch, Arc::clone(still)))
     }

@@ -10,10 +10,10 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::access::{PROTOCOL, Role};
-use super::here::{Here, Leave, busy, none_publishes};
+use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
 use super::room::Watches;
-use super::{fetch, invite, publisher, viewer};
-use crate::server::{Held, Problem};
+use super::{fetch, publisher, room_state, viewer};
+use crate::server::{ConnectionGuard, Problem};
 
 /// Write buffer of a viewer: the largest message and nothing else.
 const WRITE_BUFFER: usize = 2 << 20;
@@ -21,9 +21,9 @@ const WRITE_BUFFER: usize = 2 << 20;
 const FULL_AGAIN: u64 = 10;
 
 /// Routes for viewers. Pages of other sites may use them with a token.
-pub fn watching_api() -> OpenApiRouter<Here> {
+pub fn watching_api() -> OpenApiRouter<RoomsContext> {
     OpenApiRouter::new()
-        .routes(routes!(invite::state))
+        .routes(routes!(room_state::state))
         .routes(routes!(subscribe))
         .routes(routes!(fetch::newest))
         .routes(routes!(fetch::latest_group))
@@ -31,8 +31,8 @@ pub fn watching_api() -> OpenApiRouter<Here> {
 }
 
 /// Routes for publishers.
-pub fn publishing_api() -> OpenApiRouter<Here> {
-    OpenApiRouter::new().routes(routes!(invite::link)).routes(routes!(publish))
+pub fn publishing_api() -> OpenApiRouter<RoomsContext> {
+    OpenApiRouter::new().routes(routes!(room_state::link)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
@@ -63,20 +63,20 @@ fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
     )
 )]
 async fn publish(
-    State(here): State<Here>,
+    State(here): State<RoomsContext>,
     Path(name): Path<String>,
-    Extension(held): Extension<Held>,
+    Extension(held): Extension<ConnectionGuard>,
     uri: Uri,
     headers: HeaderMap,
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
-    let Leave::Until(ends) = here.check(&name, Role::Publish, &uri, &headers).await? else { return Err(none_publishes()) };
+    let RoomAccess::Until(ends) = here.check(&name, Role::Publish, &uri, &headers).await? else { return Err(none_publishes()) };
     // room for the other fields; a frame of up to twice the limit is read and refused with its size
     let bounds = here.rooms.bounds;
     let upgrade = bounded(upgrade, 2 * bounds.frame.max(bounds.sound) + 1024)?;
     let entry = here.rooms.enter(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {
-        held.keep_little();
+        held.limit_send_buffer();
         publisher::serve(socket, entry, &here, ends).await;
         drop(held);
     }))
@@ -102,9 +102,9 @@ async fn publish(
     )
 )]
 async fn subscribe(
-    State(here): State<Here>,
+    State(here): State<RoomsContext>,
     Path(name): Path<String>,
-    Extension(held): Extension<Held>,
+    Extension(held): Extension<ConnectionGuard>,
     uri: Uri,
     headers: HeaderMap,
     upgrade: Upgrade,
@@ -112,15 +112,15 @@ async fn subscribe(
     let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
     let upgrade = bounded(upgrade, 1024)?;
     let (room, ends, kind) = match leave {
-        Leave::Until(ends) => (here.rooms.visit(&name).await?, ends, Watches::Itself),
+        RoomAccess::Until(ends) => (here.rooms.visit(&name).await?, ends, Watches::Itself),
         // only the origin serves edges
-        Leave::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0)),
+        RoomAccess::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0)),
     };
     if kind == Watches::Itself && room.is_full() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", viewer::FULL).retry_after(FULL_AGAIN));
     }
     Ok(upgrade.on_upgrade(async move |socket| {
-        held.keep_little();
+        held.limit_send_buffer();
         viewer::serve(socket, (room, kind), here.stop, ends).await;
         drop(held);
     }))

@@ -17,7 +17,7 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
-use super::here::{ENDED, ended};
+use super::request_access::{ENDED, ended};
 use super::room::{Next, Room, Viewer, Watches};
 use super::{HEARTBEAT, send_away};
 

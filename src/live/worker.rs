@@ -17,7 +17,7 @@ use tmpi_live::video::{Decoder, FAILED, VideoError};
 use tmpi_live::{Frame, Geometry, depth};
 
 use super::PANICS;
-use super::room::{Room, Still};
+use super::room::{FrameWithTiles, Room};
 
 /// Most frames that wait to be decoded: more than the publisher's credit, so a full queue is a fault.
 const WAITING: usize = 4;
@@ -204,7 +204,7 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
     // store all tiles before sending the changed ones: a viewer that joins now gets all
     if let Some(geometry) = driver.geometry() {
         let tiles = geometry.tiles.len() as u64;
-        room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
+        room.keep(epoch, FrameWithTiles::new(frame.number, frame.photo, geometry.clone()), |s| {
             s.tiles += tiles;
             s.tiles_left_out += tiles - update.sent.len() as u64;
             s.geometry_ms = ms;

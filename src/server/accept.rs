@@ -23,12 +23,12 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
+use super::client_limits::{ClientLimits, ClientPermit};
+use super::http2_streams::{PIECE, StreamHealth, Streams, TrackedBody};
 use super::limits::Limits;
+use super::metrics::{Present, Telemetry};
+use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
 use super::proxies::{self, Proxies};
-use super::share::{Share, Shares};
-use super::streams::{Look, PIECE, Streams, Watched};
-use super::telemetry::{Present, Telemetry};
-use super::timed::{Little, Timed, keep_little};
 use super::tls::{self, Tls};
 
 /// Pause after the system refuses to accept a connection, for example without free file descriptors.
@@ -42,7 +42,7 @@ const PING: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Where connections arrive.
-pub struct Door {
+pub struct Endpoint {
     /// The listening socket.
     pub listener: TcpListener,
     /// TLS, if enabled.
@@ -70,11 +70,11 @@ impl Http {
 }
 
 /// Serves connections until `stop`, then gives open ones `limits.drain` to end.
-pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
-    let Door { listener, tls, proxies } = door;
+pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
+    let Endpoint { listener, tls, proxies } = endpoint;
     let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
-    let shares = Shares::new(limits.connections_per_address);
+    let shares = ClientLimits::new(limits.connections_per_address);
     let open = TaskTracker::new();
     loop {
         let accepted = tokio::select! {
@@ -98,7 +98,7 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
             continue;
         };
         let says = proxies.announces(peer).then(|| shares.clone());
-        let taken = Taken { stream, from: Peer(peer), announced: false, permit, share };
+        let taken = Accepted { stream, from: Peer(peer), announced: false, permit, share };
         let present = (telemetry.connection(), open.token());
         let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
@@ -107,10 +107,10 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
                 Some(shares) => taken.announced(&shares, limits.header_read).await,
                 None => Some(taken),
             };
-            let Some(Taken { stream, from, announced, permit, share }) = taken else { return };
+            let Some(Accepted { stream, from, announced, permit, share }) = taken else { return };
             let little = Arc::new(AtomicBool::new(false));
-            let held = Held { little: Arc::clone(&little), all: Arc::new((permit, share, present)) };
-            let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep: keep_little });
+            let held = ConnectionGuard { little: Arc::clone(&little), all: Arc::new((permit, share, present)) };
+            let stream = MinimumRate::new(stream, limits.write, limits.write_rate, SmallBuffer { wanted: little, keep: limit_send_buffer });
             let connection = Connection { http, router, limits, from, announced, held, stop };
             let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
@@ -129,18 +129,18 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
 }
 
 /// An accepted connection.
-struct Taken {
+struct Accepted {
     stream: TcpStream,
     from: Peer,
     /// Whether a proxy announced it by the PROXY protocol.
     announced: bool,
     permit: OwnedSemaphorePermit,
-    share: Share,
+    share: ClientPermit,
 }
 
-impl Taken {
+impl Accepted {
     /// Reads the client's address from the PROXY protocol; `None` without one within `limit`, or if the client has too many connections.
-    async fn announced(mut self, shares: &Shares, limit: Duration) -> Option<Self> {
+    async fn announced(mut self, shares: &ClientLimits, limit: Duration) -> Option<Self> {
         let said = tokio::time::timeout(limit, proxies::announced(&mut self.stream)).await;
         let said = said.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
         let client = said.inspect_err(|error| tracing::debug!(%error, proxy = %self.from.0, "no PROXY protocol")).ok()?;
@@ -161,7 +161,7 @@ struct Connection {
     limits: Arc<Limits>,
     from: Peer,
     announced: bool,
-    held: Held,
+    held: ConnectionGuard,
     stop: CancellationToken,
 }
 
@@ -204,7 +204,7 @@ impl Connection {
             request.extensions_mut().insert(Secure);
             name_host(&mut request);
             let answer = inner.call(request);
-            async move { answer.await.map(|response| response.map(|body| Watched::new(body, open))) }
+            async move { answer.await.map(|response| response.map(|body| TrackedBody::new(body, open))) }
         });
         let mut connection = pin!(self.http.two.serve_connection(TokioIo::new(stream), service));
         let mut look = tokio::time::interval(LOOK);
@@ -220,16 +220,16 @@ impl Connection {
                     connection.as_mut().graceful_shutdown();
                 }
                 _ = look.tick() => match (streams.look(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
-                    (Look::Idle, None) => {
+                    (StreamHealth::Idle, None) => {
                         leaving = Some(Instant::now());
                         connection.as_mut().graceful_shutdown();
                     }
-                    (Look::Idle, Some(since)) if since.elapsed() <= self.limits.write + rest => {}
-                    (Look::Stalled | Look::Idle, _) => {
+                    (StreamHealth::Idle, Some(since)) if since.elapsed() <= self.limits.write + rest => {}
+                    (StreamHealth::Stalled | StreamHealth::Idle, _) => {
                         tracing::debug!(peer = %from.0, "the client does not read its answers");
                         break Ok(());
                     }
-                    (Look::Fine, _) => {}
+                    (StreamHealth::Fine, _) => {}
                 }
             }
         };
@@ -270,15 +270,15 @@ impl Peer {
 
 /// Resources of a connection that are limited in number; a WebSocket keeps them after the upgrade.
 #[derive(Clone)]
-pub struct Held {
+pub struct ConnectionGuard {
     little: Arc<AtomicBool>,
     #[expect(dead_code, reason = "held until it is dropped")]
-    all: Arc<(OwnedSemaphorePermit, Share, (Present, TaskTrackerToken))>,
+    all: Arc<(OwnedSemaphorePermit, ClientPermit, (Present, TaskTrackerToken))>,
 }
 
-impl Held {
+impl ConnectionGuard {
     /// Makes the system buffer little from the next write on, since live data is soon stale.
-    pub fn keep_little(&self) {
+    pub fn limit_send_buffer(&self) {
         self.little.store(true, Ordering::Relaxed);
     }
 }

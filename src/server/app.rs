@@ -12,23 +12,23 @@ use tokio_util::sync::CancellationToken;
 
 use super::Config;
 use super::access::Guard;
+use super::build_identity;
 use super::cache::Cache;
-use super::coming::Coming;
+pub use super::cache_values::{Derived, Export, Stored, TempFolder, Version, WhenFull};
+use super::client_limits::{ClientSlots, client_address};
+use super::depth_network::Download;
+use super::finished_photo::FinishedPhoto;
 use super::hosts::Hosts;
-use super::identity;
-pub use super::kept::{Derived, Disk, Export, Full, Stored, Version};
 use super::limits::Limits;
-use super::made::Done;
 use super::maker::Maker;
 use super::memory::Memory;
-use super::network::Download;
+use super::metrics::Telemetry;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
 use super::proxies::Proxies;
 use super::rates::Rates;
-use super::share::{Places, asker};
-use super::telemetry::Telemetry;
 use super::traces;
+use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
@@ -75,13 +75,13 @@ pub struct Shared {
     /// Where views are drawn.
     pub pool: Pool,
     /// Uploads in progress.
-    pub uploads: Coming,
+    pub uploads: UploadSlots,
     /// Rate limits.
     pub rates: Rates,
     /// Permits to read an upload whole.
     pub changes: Arc<Semaphore>,
     /// Slots for event streams.
-    pub streams: Places,
+    pub streams: ClientSlots,
     /// Result of the last check: why the library cannot be written, or what is missing to make photos.
     storage: Mutex<Option<&'static str>>,
     /// The fault of this server that kept the last job from being done.
@@ -128,22 +128,22 @@ impl Shared {
             memory: Memory::new(limits.job_memory),
             maker,
             download: Download::default(),
-            scenes: Cache::resting(limits.cache.scenes, limits.rest),
-            files: Cache::resting(limits.cache.files, limits.rest),
-            levels: Cache::resting(limits.cache.files / 4, limits.rest),
-            views: Cache::resting(limits.cache.views, limits.rest),
+            scenes: Cache::resting(limits.cache.scenes, limits.idle),
+            files: Cache::resting(limits.cache.files, limits.idle),
+            levels: Cache::resting(limits.cache.files / 4, limits.idle),
+            views: Cache::resting(limits.cache.views, limits.idle),
             exports: Cache::new(limits.cache.exports),
             pool: Pool::new(&limits),
-            uploads: Coming::new(&limits),
+            uploads: UploadSlots::new(&limits),
             rates: Rates::new(&limits.rates),
             changes: Arc::new(Semaphore::new(limits.changes)),
-            streams: Places::new(limits.streams),
+            streams: ClientSlots::new(limits.streams),
             storage: Mutex::default(),
             trouble: Mutex::default(),
             scratch: data,
             limits: Arc::new(limits),
             telemetry,
-            build: identity::of_server(renderer.name()),
+            build: build_identity::of_server(renderer.name()),
             renderer,
             hosts: Hosts::new(addr, &hosts),
             proxies,
@@ -199,7 +199,7 @@ impl Shared {
     /// The queue's view of this request's caller.
     #[must_use]
     pub fn asker(owner: Option<Owner>) -> Asker {
-        Asker { owner, address: asker(), trace: traces::parent().map(traces::Parent::into_text) }
+        Asker { owner, address: client_address(), trace: traces::parent().map(traces::Parent::into_text) }
     }
 
     /// The photo of a path, if the caller may access it.
@@ -221,10 +221,10 @@ impl Shared {
     ///
     /// # Errors
     /// 409 with a `Retry-After` if it is not finished, the photo's own problem if it failed, 404 if it is deleted.
-    pub fn done(photo: &Photo) -> Result<(Version, Done), Problem> {
+    pub fn done(photo: &Photo) -> Result<(Version, FinishedPhoto), Problem> {
         match photo.state {
             PhotoState::Done => {
-                let done = Done::of(photo).ok_or_else(|| Problem::internal("a photo", &"its details are not understood"))?;
+                let done = FinishedPhoto::of(photo).ok_or_else(|| Problem::internal("a photo", &"its details are not understood"))?;
                 Ok(((photo.id, done.at_ms), done))
             }
             PhotoState::Failed | PhotoState::Damaged => Err(Problem::of_photo(photo)),
@@ -236,8 +236,8 @@ impl Shared {
 
     /// Version of everything made of a photo: differs between photos, remakes and programs.
     #[must_use]
-    pub fn version(&self, done: &Done) -> String {
-        identity::of_results(&self.build, done)
+    pub fn version(&self, done: &FinishedPhoto) -> String {
+        build_identity::of_results(&self.build, done)
     }
 
     /// A result file of a photo.
@@ -324,7 +324,7 @@ impl Shared {
                 if let Some(names) = names {
                     bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
                 }
-                Stored::derived(None, bytes, &disk, Full::Memory)
+                Stored::derived(None, bytes, &disk, WhenFull::Memory)
             };
             slot.run(make).await?
         };
@@ -352,11 +352,11 @@ impl Shared {
 
     /// The disk for unnamed temporary files.
     #[must_use]
-    pub fn disk(&self) -> Disk {
-        Disk { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
+    pub fn disk(&self) -> TempFolder {
+        TempFolder { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }
 
-    /// The decoded scene of a photo, and the time of decoding if it was not cached. Enter `slot` with [`Done::scene_bytes`].
+    /// The decoded scene of a photo, and the time of decoding if it was not cached. Enter `slot` with [`FinishedPhoto::scene_bytes`].
     ///
     /// # Errors
     /// As [`Shared::file`].
@@ -374,7 +374,7 @@ impl Shared {
         Ok((scene, took))
     }
 
-    /// Drops cache entries that were unused for [`Limits::rest`].
+    /// Drops cache entries that were unused for [`Limits::idle`].
     pub async fn settle(&self) {
         self.scenes.settle().await;
         self.files.settle().await;

@@ -14,9 +14,9 @@ use http_body_util::BodyExt;
 use hyper::body::{Frame, SizeHint};
 use tokio::time::{Instant, Sleep};
 
-use super::clock::Clock;
 use super::limits::Limits;
 use super::problem::Problem;
+use super::time_limit::TimeLimit;
 
 /// Longest time to read the rest of a refused body, so that the client sees the answer.
 const LINGER: Duration = Duration::from_secs(2);
@@ -114,13 +114,13 @@ pub struct Guarded {
     rate: u64,
     started: Instant,
     timer: Pin<Box<Sleep>>,
-    clock: Clock,
+    clock: TimeLimit,
 }
 
 impl Guarded {
     /// Bounds `inner` by `limits`; starts `clock` when the body ends or is dropped.
     #[must_use]
-    pub fn new(inner: Body, limits: &Limits, clock: Clock) -> (Self, Rest) {
+    pub fn new(inner: Body, limits: &Limits, clock: TimeLimit) -> (Self, Rest) {
         let rest = Rest::default();
         if inner.is_end_stream() {
             rest.ended.store(true, Ordering::Release);
@@ -210,7 +210,7 @@ mod tests {
 
     async fn read(body: Body, limit: usize, pause: Duration) -> Result<Bytes, Problem> {
         let limits = Limits { body: limit, body_read: pause, body_rate: 200, ..Limits::default() };
-        let (guarded, _) = Guarded::new(body, &limits, Clock::new(pause));
+        let (guarded, _) = Guarded::new(body, &limits, TimeLimit::new(pause));
         match Body::new(guarded).collect().await {
             Ok(all) => Ok(all.to_bytes()),
             Err(e) => Err(problem(&e)),
@@ -249,7 +249,7 @@ mod tests {
 
     #[tokio::test]
     async fn the_rest_can_be_drained() {
-        let clock = Clock::new(Duration::from_secs(1));
+        let clock = TimeLimit::new(Duration::from_secs(1));
         let (guarded, rest) = Guarded::new(pieces(&[40, 60, 50]), &Limits { body: 30, ..Limits::default() }, clock.clone());
         assert!(clock.deadline().is_none());
         assert!(Body::new(guarded).collect().await.is_err());

@@ -4,10 +4,10 @@
 //! with [`VARIABLE`] set, and keeps the process for the next photo. It gets only the arguments for making photos and the variables of
 //! [`is_passed`], so that an exploited decoder finds no credentials.
 
-mod ask;
+mod child_main;
+mod exchange;
 mod files;
 mod frames;
-mod inside;
 mod photos;
 mod scratch;
 
@@ -19,12 +19,12 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::depth_network::{Better, Offer, Renewed};
 use super::exports::Work;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
-use super::network::{Better, Offer, Renewed};
 use super::problem::Problem;
+pub use child_main::serve;
 use frames::read;
-pub use inside::serve;
 use scratch::Scratch;
 pub use scratch::empty as empty_scratch;
 use tmpi_pipeline::{MakeError, Options, Sink, networks};
@@ -61,7 +61,7 @@ struct Worker {
     /// Whether it started with the better network.
     renewed: bool,
     /// Whether it has low priority.
-    gives_way: bool,
+    is_low_priority: bool,
     child: Child,
     input: ChildStdin,
     output: Frames,
@@ -179,11 +179,11 @@ impl ProcessMaker {
         Self { better, ..self }
     }
 
-    fn start(&self, gives_way: bool) -> io::Result<Worker> {
+    fn start(&self, is_low_priority: bool) -> io::Result<Worker> {
         // before the process looks for its network
         let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
-        if gives_way {
+        if is_low_priority {
             command.env(VARIABLE, GIVES_WAY);
         }
         let scratch = Scratch::below(&self.scratch);
@@ -205,7 +205,7 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { made: None, renewed, gives_way, child, input, output: told, scratch })
+        Ok(Worker { made: None, renewed, is_low_priority, child, input, output: told, scratch })
     }
 
     fn keep(&self, worker: Worker) {
@@ -213,8 +213,8 @@ impl ProcessMaker {
     }
 
     /// An idle or new process of this priority, with a folder for temporary files.
-    fn take(&self, gives_way: bool) -> Result<Worker, Fault> {
-        let worker = self.waiting(gives_way).map_or_else(|| self.start(gives_way), Ok);
+    fn take(&self, is_low_priority: bool) -> Result<Worker, Fault> {
+        let worker = self.waiting(is_low_priority).map_or_else(|| self.start(is_low_priority), Ok);
         let worker = worker.map_err(|e| Fault::Server(format!("cannot start a process to make photos: {e}")))?;
         if let Err(error) = worker.scratch.make() {
             // only films need it, and report it: on a full disk all else works
@@ -224,9 +224,9 @@ impl ProcessMaker {
     }
 
     /// An idle process of this priority.
-    fn waiting(&self, gives_way: bool) -> Option<Worker> {
+    fn waiting(&self, is_low_priority: bool) -> Option<Worker> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        while let Some(at) = idle.iter().rposition(|worker| worker.gives_way == gives_way) {
+        while let Some(at) = idle.iter().rposition(|worker| worker.is_low_priority == is_low_priority) {
             let mut worker = idle.swap_remove(at);
             if worker.renewed == self.renewed.get().is_some() && matches!(worker.child.try_wait(), Ok(None)) {
                 return Some(worker);
@@ -278,7 +278,7 @@ impl Maker for ProcessMaker {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let before = idle.len();
         idle.retain(|worker| worker.made.is_none_or(|at| at.elapsed() < rest));
-        let (ended, none) = (before - idle.len(), idle.iter().all(|worker| worker.gives_way));
+        let (ended, none) = (before - idle.len(), idle.iter().all(|worker| worker.is_low_priority));
         drop(idle);
         if ended > 0 && none {
             // so the next photo need not wait for a process to start; a process that has made none is small

@@ -8,7 +8,7 @@ use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{Wanted, wanted};
 use super::file_name::file_name;
-use super::form::Bounded;
+use super::form_headers::Bounded;
 use super::hosts::origin;
 use super::options;
 use super::proxies::{Announcement, ClientAddress, Network, Proxies, X_FORWARDED_FOR};

@@ -75,7 +75,7 @@ pub struct Limits {
     /// Time after which unused memory goes back to the system: caches, and processes that made photos.
     #[serde(with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
-    pub rest: Duration,
+    pub idle: Duration,
     /// Time after SIGTERM in which everything is still served but `/readyz` answers 503, so that load balancers stop routing here. 0 on
     /// loopback.
     #[serde(with = "In::<SECOND>")]
@@ -345,7 +345,7 @@ impl Default for Limits {
             view_side: 16_384,
             // one scene of 50 megapixels, and small ones beside it
             work_memory: 1 << 30,
-            rest: Duration::from_secs(20),
+            idle: Duration::from_secs(20),
             lame_duck: Duration::ZERO,
             drain: Duration::from_secs(20),
             least_free: 0,

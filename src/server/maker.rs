@@ -11,10 +11,10 @@ use tmpi_pipeline::strokes;
 use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
+use super::build_identity;
+use super::depth_network::Offer;
 use super::exports::Work;
-use super::identity;
 use super::limits::Limits;
-use super::network::Offer;
 use super::problem::Problem;
 
 /// The stored results of a photo.
@@ -60,7 +60,7 @@ pub enum HeadOf<'a> {
 pub trait Maker: Send + Sync + 'static {
     /// What its results depend on besides the upload. It is part of a photo's id, so that a better maker makes photos anew.
     fn identity(&self) -> &str {
-        identity::PIPELINE
+        build_identity::PIPELINE
     }
 
     /// Name of the depth network, as in reports; the identity by default.
@@ -137,7 +137,7 @@ impl PipelineMaker {
     /// A maker with these networks and limits.
     #[must_use]
     pub fn new(models: Models, limits: photo::Limits) -> Self {
-        Self { models, limits, identity: identity::PIPELINE.into() }
+        Self { models, limits, identity: build_identity::PIPELINE.into() }
     }
 
     /// Memory for making photos, in bytes.
@@ -149,7 +149,7 @@ impl PipelineMaker {
     /// With networks that `text` identifies.
     #[must_use]
     pub fn identified(self, text: &str) -> Self {
-        Self { identity: format!("{} {text}", identity::PIPELINE), ..self }
+        Self { identity: format!("{} {text}", build_identity::PIPELINE), ..self }
     }
 }
 

@@ -7,50 +7,50 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Interval at which a waiting job checks whether it is still wanted.
-const LOOK: Duration = Duration::from_millis(50);
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The total and what is given out.
 pub struct Memory {
     all: u64,
-    given: Mutex<Given>,
+    allocated: Mutex<Allocated>,
     freed: Condvar,
 }
 
 #[derive(Default)]
-struct Given {
+struct Allocated {
     taken: u64,
     /// Waiting jobs in order of arrival: low priority, and the others.
     waiting: [VecDeque<u64>; 2],
     next: u64,
 }
 
-impl Given {
+impl Allocated {
     /// Whether it is this one's turn.
-    fn is_next(&self, turn: u64, way: Way) -> bool {
-        let [giving_way, others] = &self.waiting;
-        match way {
-            Way::First => others.front() == Some(&turn),
-            Way::Gives => others.is_empty() && giving_way.front() == Some(&turn),
+    fn is_next(&self, turn: u64, priority: Priority) -> bool {
+        let [low, others] = &self.waiting;
+        match priority {
+            Priority::Normal => others.front() == Some(&turn),
+            Priority::Low => others.is_empty() && low.front() == Some(&turn),
         }
     }
 }
 
 /// Whether a job has low priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
+pub enum Priority {
     /// Low priority.
-    Gives,
+    Low,
     /// Normal priority.
-    First,
+    Normal,
 }
 
 /// Memory of a job, until it is dropped.
-pub struct Share<'a> {
+pub struct MemoryPermit<'a> {
     of: &'a Memory,
     bytes: u64,
 }
 
-impl Drop for Share<'_> {
+impl Drop for MemoryPermit<'_> {
     fn drop(&mut self) {
         self.of.lock().taken -= self.bytes;
         self.of.freed.notify_all();
@@ -61,35 +61,35 @@ impl Memory {
     /// A pool of so many bytes.
     #[must_use]
     pub fn new(all: u64) -> Self {
-        Self { all, given: Mutex::default(), freed: Condvar::new() }
+        Self { all, allocated: Mutex::default(), freed: Condvar::new() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Given> {
-        self.given.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Allocated> {
+        self.allocated.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Waits for `bytes` of memory; a job that needs more than all gets all. `None` once it is `unwanted`.
-    pub fn wait_for(&self, bytes: u64, way: Way, unwanted: impl Fn() -> bool) -> Option<Share<'_>> {
-        let mut given = self.lock();
-        let turn = given.next;
-        given.next += 1;
-        given.waiting[way as usize].push_back(turn);
+    pub fn wait_for(&self, bytes: u64, priority: Priority, unwanted: impl Fn() -> bool) -> Option<MemoryPermit<'_>> {
+        let mut allocated = self.lock();
+        let turn = allocated.next;
+        allocated.next += 1;
+        allocated.waiting[priority as usize].push_back(turn);
         let there = loop {
-            let fits = given.taken == 0 || given.taken.saturating_add(bytes) <= self.all;
-            if fits && given.is_next(turn, way) {
+            let fits = allocated.taken == 0 || allocated.taken.saturating_add(bytes) <= self.all;
+            if fits && allocated.is_next(turn, priority) {
                 break true;
             }
             if unwanted() {
                 break false;
             }
-            given = self.freed.wait_timeout(given, LOOK).unwrap_or_else(PoisonError::into_inner).0;
+            allocated = self.freed.wait_timeout(allocated, CHECK_INTERVAL).unwrap_or_else(PoisonError::into_inner).0;
         };
-        given.waiting[way as usize].retain(|other| *other != turn);
-        given.taken += if there { bytes } else { 0 };
-        drop(given);
+        allocated.waiting[priority as usize].retain(|other| *other != turn);
+        allocated.taken += if there { bytes } else { 0 };
+        drop(allocated);
         // wake the next one
         self.freed.notify_all();
-        there.then(|| Share { of: self, bytes })
+        there.then(|| MemoryPermit { of: self, bytes })
     }
 
     /// Bytes given out.
@@ -108,29 +108,29 @@ mod tests {
     #[test]
     fn what_fits_is_had_at_once_and_the_rest_waits_or_gives_up() {
         let memory = Memory::new(10);
-        let (first, second) = (memory.wait_for(6, Way::First, || true).unwrap(), memory.wait_for(4, Way::Gives, || true).unwrap());
-        assert!(memory.wait_for(1, Way::First, || true).is_none() && memory.taken() == 10);
+        let (first, second) = (memory.wait_for(6, Priority::Normal, || true).unwrap(), memory.wait_for(4, Priority::Low, || true).unwrap());
+        assert!(memory.wait_for(1, Priority::Normal, || true).is_none() && memory.taken() == 10);
         std::thread::scope(|scope| {
-            let waits = scope.spawn(|| memory.wait_for(5, Way::Gives, || false).map(|share| share.bytes));
+            let waits = scope.spawn(|| memory.wait_for(5, Priority::Low, || false).map(|share| share.bytes));
             drop(first);
             assert_eq!(waits.join().unwrap(), Some(5));
         });
         drop(second);
         assert_eq!(memory.taken(), 0);
-        let _huge = memory.wait_for(99, Way::First, || true).unwrap();
-        assert!(memory.wait_for(1, Way::First, || true).is_none(), "alone");
+        let _huge = memory.wait_for(99, Priority::Normal, || true).unwrap();
+        assert!(memory.wait_for(1, Priority::Normal, || true).is_none(), "alone");
     }
 
     #[test]
     fn who_came_first_has_it_first_and_what_gives_way_last() {
         let memory = Memory::new(10);
-        let held = memory.wait_for(10, Way::First, || true).unwrap();
+        let held = memory.wait_for(10, Priority::Normal, || true).unwrap();
         let order = Mutex::new(Vec::new());
         std::thread::scope(|scope| {
-            for (n, bytes, way) in [(0, 2, Way::Gives), (1, 10, Way::First), (2, 3, Way::First)] {
+            for (n, bytes, priority) in [(0, 2, Priority::Low), (1, 10, Priority::Normal), (2, 3, Priority::Normal)] {
                 let (memory, order) = (&memory, &order);
                 scope.spawn(move || {
-                    let share = memory.wait_for(bytes, way, || false);
+                    let share = memory.wait_for(bytes, priority, || false);
                     order.lock().unwrap().push(n);
                     drop(share);
                 });

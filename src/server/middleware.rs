@@ -18,15 +18,15 @@ use super::accept::{Peer, Secure};
 use super::access::{self, Guard};
 use super::app::App;
 use super::body::Guarded;
-use super::clock::Clock;
+use super::client_limits::{CLIENT, client_address};
 use super::conditional::insert;
 use super::hosts::{Hosts, SECURE};
 use super::limits::Limits;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::proxies::Proxies;
-use super::rates::{Asker, Rates, Told};
-use super::share::{ASKER, asker};
+use super::rates::{RateHeaders, RateKey, Rates};
+use super::time_limit::TimeLimit;
 use super::traces::TRACE;
 
 /// Header of the id of a request.
@@ -38,18 +38,18 @@ const MAX_ID: usize = 64;
 
 /// Wraps a request.
 pub async fn around(State(app): State<App>, request: Request, next: Next) -> Response {
-    wrap(&app, Door { hosts: &app.hosts, proxies: Some(&app.proxies), guard: app.guard.as_ref(), rates: Some(&app.rates) }, request, next)
+    wrap(&app, Checks { hosts: &app.hosts, proxies: Some(&app.proxies), guard: app.guard.as_ref(), rates: Some(&app.rates) }, request, next)
         .await
 }
 
 /// Wraps a request at the admin listener, which has no authentication.
 pub async fn around_admin(State((app, hosts)): State<(App, Arc<Hosts>)>, request: Request, next: Next) -> Response {
-    wrap(&app, Door { hosts: &hosts, proxies: None, guard: None, rates: None }, request, next).await
+    wrap(&app, Checks { hosts: &hosts, proxies: None, guard: None, rates: None }, request, next).await
 }
 
 /// The listener of a request.
 #[derive(Clone, Copy)]
-struct Door<'a> {
+struct Checks<'a> {
     /// Accepted `Host` names.
     hosts: &'a Hosts,
     /// Trusted proxies.
@@ -61,7 +61,7 @@ struct Door<'a> {
 }
 
 /// Wraps a request.
-async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Response {
+async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Response {
     let start = Instant::now();
     let _in_flight = app.telemetry.in_flight();
     let id = request_id(request.headers());
@@ -69,7 +69,7 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     let matched = request.extensions().get::<MatchedPath>().cloned();
     let route = matched.as_ref().map_or("none", MatchedPath::as_str);
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
-    let peer = peer.map(|peer| door.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
+    let peer = peer.map(|peer| checks.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
     let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
     let trace = app.telemetry.traces().and_then(|to| to.request(known_method(&method), route, request.headers(), peer));
     let span = span(&id, peer, &method, request.uri().path());
@@ -77,8 +77,8 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
         span.record("trace", trace.trace());
     }
     let secure = request.extensions().get::<Secure>().is_some();
-    let answered = answer(app, door, request, next).instrument(span.clone());
-    let mut response = TRACE.scope(trace.clone(), ASKER.scope(asker, SECURE.scope(secure, answered))).await;
+    let answered = answer(app, checks, request, next).instrument(span.clone());
+    let mut response = TRACE.scope(trace.clone(), CLIENT.scope(asker, SECURE.scope(secure, answered))).await;
     response = finish(response, &id).await;
     if secure {
         put_secure(&mut response, &app.limits);
@@ -125,9 +125,9 @@ fn put_own(response: &mut Response, id: &str, took: Duration) {
 }
 
 /// The handler's answer, or a problem if it takes too long or panics.
-async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Response {
+async fn answer(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Response {
     let limits = Arc::clone(&app.limits);
-    let clock = Clock::new(limits.request);
+    let clock = TimeLimit::new(limits.request);
     let awaited = request.headers().contains_key(header::EXPECT);
     let mut rest = None;
     let mut request = if request.body().is_end_stream() {
@@ -149,8 +149,8 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
     // HTTP/2 streams end individually
     let closes = request.version() < Version::HTTP_2;
     let handled = async {
-        match door.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => asked(door, request, next).await,
+        match checks.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
+            Ok(()) => asked(checks, request, next).await,
             Err(refused) => refused.into_response(),
         }
     };
@@ -177,19 +177,19 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
 }
 
 /// Checks host, access and rate limits, then calls the handler.
-async fn asked(door: Door<'_>, mut request: Request, next: Next) -> Response {
-    let (told, come) = match (door.guard, door.rates) {
+async fn asked(checks: Checks<'_>, mut request: Request, next: Next) -> Response {
+    let (told, come) = match (checks.guard, checks.rates) {
         (Some(guard), Some(rates)) => {
-            let (told, pass) = guard.admit(door.hosts, rates, &mut request).await;
+            let (told, pass) = guard.admit(checks.hosts, rates, &mut request).await;
             (told, pass.map(|pass| Some((guard, pass))))
         }
         (None, Some(rates)) => {
             // signed links must still work after a change to open access
             access::drop_link(&mut request);
-            let (told, taken) = rates.count(Asker::of(None, asker()), &request);
+            let (told, taken) = rates.count(RateKey::of(None, client_address()), &request);
             (told, taken.map(|()| None))
         }
-        (_, None) => (Told::default(), Ok(None)),
+        (_, None) => (RateHeaders::default(), Ok(None)),
     };
     let mut response = match come {
         Ok(Some((guard, pass))) => guard.answer(pass, request, next).await,
@@ -254,7 +254,7 @@ fn request_id(headers: &HeaderMap) -> String {
         .get(REQUEST_ID)
         .and_then(|v| v.to_str().ok())
         .filter(harmless)
-        .map_or_else(|| format!("{:x}-{:x}", super::time::now_ms(), NEXT.fetch_add(1, Ordering::Relaxed)), str::to_owned)
+        .map_or_else(|| format!("{:x}-{:x}", super::timestamps::now_ms(), NEXT.fetch_add(1, Ordering::Relaxed)), str::to_owned)
 }
 
 /// Method label from a closed set, so that clients cannot create new counters.

@@ -9,49 +9,49 @@ mod access;
 mod admission;
 mod app;
 mod attachment;
+mod background_tasks;
 mod body;
+mod build_identity;
 mod cache;
-mod card;
+mod cache_values;
 mod child;
-mod clock;
-mod coming;
+mod client_limits;
 mod compress;
 mod conditional;
+mod depth_network;
 mod exports;
 mod file_name;
-mod form;
+mod finished_photo;
+mod form_headers;
 pub(crate) mod fuzzing;
 mod hosts;
-mod identity;
-mod kept;
+mod http2_streams;
+mod idle_trim;
 mod limits;
-mod made;
 mod maker;
 mod memory;
+mod metrics;
 mod middleware;
-mod network;
+mod minimum_rate;
 mod options;
 mod pages;
 mod pool;
+mod preview_card;
 mod problem;
-mod process;
+mod process_metrics;
 mod proxies;
 mod rates;
-mod rest;
 mod routes;
 mod settings;
-mod share;
 mod source;
-mod streams;
-mod telemetry;
-mod time;
-mod timed;
+mod time_limit;
+mod timestamps;
 mod tls;
 mod traces;
 mod units;
-mod upkeep;
 mod upload;
-mod work;
+mod upload_slots;
+mod workers;
 
 use std::fs::File;
 use std::net::SocketAddr;
@@ -63,27 +63,27 @@ use std::time::Instant;
 use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
-pub use accept::Held;
+pub use accept::ConnectionGuard;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
 pub(crate) use conditional::{Coding, Entity, respond};
+pub use depth_network::{Better, Offer, Renewed};
+pub use idle_trim::allocate_in_one_place;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
-pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
-pub use rest::allocate_in_one_place;
 pub use routes::{Access, Route, openapi, openapi_of, routes};
 pub(crate) use routes::{NoBody, Pairs};
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 
 use app::{App, Parts, Shared};
-use telemetry::Telemetry;
-pub(crate) use telemetry::{Figure, gauge};
-pub(crate) use time::rfc3339;
+use metrics::Telemetry;
+pub(crate) use metrics::{Figure, gauge};
+pub(crate) use timestamps::rfc3339;
 use traces::Traces;
-use work::Workers;
+use workers::Workers;
 
 use tmpi_library::Library;
 pub use tmpi_library::{PhotoId, Reserve, hex};
@@ -299,13 +299,13 @@ impl Server {
             }
         });
         let mut upkeep = tokio::task::JoinSet::new();
-        upkeep.spawn(upkeep::probe(Arc::clone(&app), has_objects));
-        upkeep.spawn(upkeep::sweep(Arc::clone(&app)));
-        upkeep.spawn(upkeep::forget(Arc::clone(&app)));
-        upkeep.spawn(rest::rest(Arc::clone(&app)));
+        upkeep.spawn(background_tasks::probe(Arc::clone(&app), has_objects));
+        upkeep.spawn(background_tasks::sweep(Arc::clone(&app)));
+        upkeep.spawn(background_tasks::forget(Arc::clone(&app)));
+        upkeep.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
         if !has_objects {
             // an object store checks its own contents
-            upkeep.spawn(upkeep::look_over(Arc::clone(&app)));
+            upkeep.spawn(background_tasks::look_over(Arc::clone(&app)));
         }
         // nodes that only make photos have no rooms
         let rooms = rooms.filter(|_| role != Role::Work);
@@ -317,7 +317,7 @@ impl Server {
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
-            live::Here { rooms, stop: token.clone(), own }
+            live::RoomsContext { rooms, stop: token.clone(), own }
         });
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),
@@ -328,11 +328,11 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            let door = accept::Door { listener, tls: None, proxies: Proxies::default() };
-            tokio::spawn(async move { accept::serve(door, router, &app.limits, &app.telemetry, &token).await })
+            let endpoint = accept::Endpoint { listener, tls: None, proxies: Proxies::default() };
+            tokio::spawn(async move { accept::serve(endpoint, router, &app.limits, &app.telemetry, &token).await })
         });
-        let door = accept::Door { listener, tls, proxies: app.proxies.clone() };
-        accept::serve(door, router, &app.limits, &app.telemetry, &token).await;
+        let endpoint = accept::Endpoint { listener, tls, proxies: app.proxies.clone() };
+        accept::serve(endpoint, router, &app.limits, &app.telemetry, &token).await;
         if let Some(admin) = admin
             && let Err(error) = admin.await
         {

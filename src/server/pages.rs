@@ -10,10 +10,10 @@ use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
 use super::app::App;
-use super::card::Card;
 use super::compress;
 use super::conditional::{Coding, Entity, REVALIDATE, respond};
 use super::hosts::origin;
+use super::preview_card::Card;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 use tmpi_library::hex;

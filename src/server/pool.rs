@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use axum::http::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
+use super::client_limits::{ClientLimits, ClientPermit, client_address};
 use super::limits::Limits;
 use super::problem::Problem;
-use super::share::{Share, Shares, asker};
 use super::traces::{self, Work};
 
 /// Unit of memory in bytes.
@@ -55,7 +55,7 @@ struct Lane {
     waiting: AtomicUsize,
     most_waiting: usize,
     /// Shares of the waiting requests.
-    shares: Shares,
+    shares: ClientLimits,
     count: usize,
     /// Estimated seconds per request, for `Retry-After`.
     seconds: u64,
@@ -64,7 +64,7 @@ struct Lane {
 /// A place in the queue.
 struct Waits<'a> {
     lane: &'a Lane,
-    _share: Share,
+    _share: ClientPermit,
 }
 
 impl Drop for Waits<'_> {
@@ -76,7 +76,7 @@ impl Drop for Waits<'_> {
 impl Lane {
     /// A place in the queue; `None` if all are taken, or this client has half of them.
     fn wait(&self) -> Option<Waits<'_>> {
-        let share = self.shares.take(asker())?;
+        let share = self.shares.take(client_address())?;
         let before = self.waiting.fetch_add(1, Ordering::AcqRel);
         // dropped if it is refused
         let waits = Waits { lane: self, _share: share };
@@ -98,7 +98,7 @@ impl Pool {
             slots: Arc::new(Semaphore::new(slots.max(1))),
             waiting: AtomicUsize::new(0),
             most_waiting,
-            shares: Shares::half_of(most_waiting),
+            shares: ClientLimits::half_of(most_waiting),
             count: slots.max(1),
             seconds,
         };
@@ -194,8 +194,8 @@ impl Slot {
 mod tests {
     use std::time::Duration;
 
+    use super::super::client_limits::CLIENT;
     use super::super::limits::Exports;
-    use super::super::share::ASKER;
     use super::*;
 
     fn pool(slots: usize, waiting: usize, memory: u64) -> Arc<Pool> {
@@ -262,7 +262,7 @@ mod tests {
         let ask = |asker: Option<&str>| {
             let pool = Arc::clone(&pool);
             let asker = asker.map(|a| a.parse().unwrap());
-            tokio::spawn(ASKER.scope(asker, async move { pool.enter(Class::Interactive, 1).await.is_ok() }))
+            tokio::spawn(CLIENT.scope(asker, async move { pool.enter(Class::Interactive, 1).await.is_ok() }))
         };
         let greedy: Vec<_> = (0..2).map(|_| ask(Some("192.0.2.1"))).collect();
         while pool.waiting(Class::Interactive) < 2 {

@@ -10,10 +10,10 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, Method, StatusCode};
 use axum::response::Response;
 
+use super::client_limits::client_network;
 use super::conditional::insert;
 use super::limits;
 use super::problem::Problem;
-use super::share::customer;
 
 /// Current state of a bucket.
 const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
@@ -26,18 +26,18 @@ const MOST: usize = 100_000;
 
 /// Owner of a bucket.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum Asker {
+pub enum RateKey {
     /// Holder of the key with this name.
     Key(String),
     /// Client at this address.
     Address(IpAddr),
 }
 
-impl Asker {
+impl RateKey {
     /// By the name of a key, else by address; `None` if neither is known.
     #[must_use]
     pub fn of(key: Option<String>, address: Option<IpAddr>) -> Option<Self> {
-        key.map(Self::Key).or_else(|| address.map(customer).map(Self::Address))
+        key.map(Self::Key).or_else(|| address.map(client_network).map(Self::Address))
     }
 }
 
@@ -48,12 +48,12 @@ struct Buckets {
     /// Tokens in a full bucket; as many refill in [`WINDOW`].
     most: u32,
     /// When each bucket is full again.
-    full: Mutex<HashMap<Asker, Instant>>,
+    full: Mutex<HashMap<RateKey, Instant>>,
 }
 
 /// State of a bucket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Standing {
+struct BucketState {
     name: &'static str,
     most: u32,
     left: u32,
@@ -73,7 +73,7 @@ impl Buckets {
     }
 
     /// Takes a token of `asker`'s bucket, if it has one.
-    fn take(&self, asker: &Asker, now: Instant) -> Standing {
+    fn take(&self, asker: &RateKey, now: Instant) -> BucketState {
         let each = WINDOW / self.most;
         let mut all = self.full.lock().unwrap_or_else(PoisonError::into_inner);
         let missing = all.get(asker).map_or(Duration::ZERO, |full| full.saturating_duration_since(now));
@@ -94,7 +94,7 @@ impl Buckets {
         }
         let left = (WINDOW.saturating_sub(after).as_nanos() / each.as_nanos().max(1)) as u32;
         let wait = (!fits).then(|| seconds_up((missing + each).saturating_sub(WINDOW)));
-        Standing { name: self.name, most: self.most, left: left.min(self.most), reset: seconds_up(after), wait }
+        BucketState { name: self.name, most: self.most, left: left.min(self.most), reset: seconds_up(after), wait }
     }
 }
 
@@ -108,7 +108,7 @@ pub struct Rates {
 
 /// Rate-limit headers for the answer.
 #[derive(Debug, Default)]
-pub struct Told(Vec<Standing>);
+pub struct RateHeaders(Vec<BucketState>);
 
 impl Rates {
     /// The rates of `limits`.
@@ -136,20 +136,20 @@ impl Rates {
     ///
     /// # Errors
     /// 429 that names the exceeded limit and says when to retry.
-    pub fn count(&self, asker: Option<Asker>, request: &Request) -> (Told, Result<(), Problem>) {
+    pub fn count(&self, asker: Option<RateKey>, request: &Request) -> (RateHeaders, Result<(), Problem>) {
         let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
         self.take(asker, request.method(), path)
     }
 
-    fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
-        let mut told = Told::default();
+    fn take(&self, asker: Option<RateKey>, method: &Method, path: &str) -> (RateHeaders, Result<(), Problem>) {
+        let mut told = RateHeaders::default();
         let Some(asker) = asker else { return (told, Ok(())) };
         let now = Instant::now();
         for buckets in self.requests.iter().chain(self.class(method, path)) {
             let standing = buckets.take(&asker, now);
             told.0.push(standing);
             if let Some(seconds) = standing.wait {
-                let of = if matches!(asker, Asker::Key(_)) { "key" } else { "address" };
+                let of = if matches!(asker, RateKey::Key(_)) { "key" } else { "address" };
                 let detail = format!("{} are {} a minute at most for a {of}", standing.name, standing.most);
                 let problem = Problem::registered(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", detail).retry_after(seconds.max(1));
                 return (told, Err(problem));
@@ -159,14 +159,14 @@ impl Rates {
     }
 }
 
-impl Told {
+impl RateHeaders {
     /// Sets the headers of draft-ietf-httpapi-ratelimit-headers.
     pub fn put(&self, response: &mut Response) {
         if self.0.is_empty() {
             return;
         }
         let (mut policy, mut limit) = (String::new(), String::new());
-        for Standing { name, most, left, reset, wait } in &self.0 {
+        for BucketState { name, most, left, reset, wait } in &self.0 {
             let comma = if policy.is_empty() { "" } else { ", " };
             let _ = write!(policy, "{comma}\"{name}\";q={most};w={}", WINDOW.as_secs());
             let _ = write!(limit, "{comma}\"{name}\";r={left};t={}", wait.unwrap_or(*reset));
@@ -182,14 +182,14 @@ mod tests {
 
     use super::*;
 
-    fn address(text: &str) -> Asker {
-        Asker::of(None, Some(text.parse().unwrap())).unwrap()
+    fn address(text: &str) -> RateKey {
+        RateKey::of(None, Some(text.parse().unwrap())).unwrap()
     }
 
     #[test]
     fn a_bucket_empties_and_fills_for_each_by_itself() {
         let (buckets, start) = (Buckets::new("uploads", 3).unwrap(), Instant::now());
-        let (ann, bob) = (address("192.0.2.1"), Asker::of(Some("site".into()), Some("192.0.2.1".parse().unwrap())).unwrap());
+        let (ann, bob) = (address("192.0.2.1"), RateKey::of(Some("site".into()), Some("192.0.2.1".parse().unwrap())).unwrap());
         let left: Vec<_> = (0..3).map(|_| buckets.take(&ann, start).left).collect();
         assert_eq!(left, [2, 1, 0]);
         let refused = buckets.take(&ann, start);
@@ -208,7 +208,7 @@ mod tests {
         assert_ne!(address("2001:db8::1"), address("2001:db8:0:1::1"));
         let rates = Rates::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
         let take = |asker| rates.take(asker, &Method::GET, "/").1;
-        assert!((0..9).all(|_| take(Asker::of(None, None)).is_ok()));
+        assert!((0..9).all(|_| take(RateKey::of(None, None)).is_ok()));
         let one = || Some(address("192.0.2.1"));
         assert!(take(one()).is_ok());
         let refused = take(one()).unwrap_err();
@@ -219,13 +219,13 @@ mod tests {
     fn a_head_request_for_a_view_counts_as_a_view() {
         let rates = Rates::new(&limits::Rates { views: 1, ..limits::Rates::default() });
         for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
-            let take = |method| rates.take(Some(Asker::Key(n.to_string())), &method, path).1;
+            let take = |method| rates.take(Some(RateKey::Key(n.to_string())), &method, path).1;
             assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");
             for method in [Method::HEAD, Method::GET] {
                 assert_eq!(take(method).unwrap_err().status, 429, "{path}");
             }
         }
-        let atlas = || rates.take(Some(Asker::Key(String::new())), &Method::HEAD, "/v1/photos/{id}/atlas").1;
+        let atlas = || rates.take(Some(RateKey::Key(String::new())), &Method::HEAD, "/v1/photos/{id}/atlas").1;
         assert!((0..9).all(|_| atlas().is_ok()));
     }
 
@@ -233,21 +233,21 @@ mod tests {
     fn buckets_that_are_full_are_forgotten_where_there_are_too_many() {
         let (buckets, start) = (Buckets::new("requests", 1).unwrap(), Instant::now());
         for n in 0..MOST {
-            buckets.take(&Asker::Key(n.to_string()), start);
+            buckets.take(&RateKey::Key(n.to_string()), start);
         }
-        buckets.take(&Asker::Key("late".into()), start + Duration::from_mins(2));
+        buckets.take(&RateKey::Key("late".into()), start + Duration::from_mins(2));
         assert_eq!(buckets.full.lock().unwrap().len(), 1);
     }
 
     #[test]
     fn a_flood_of_addresses_does_not_reset_the_busiest_bucket() {
         let (buckets, start) = (Buckets::new("requests", 2).unwrap(), Instant::now());
-        let greedy = Asker::Key("greedy".into());
+        let greedy = RateKey::Key("greedy".into());
         for is_left in [true, true, false] {
             assert_eq!(buckets.take(&greedy, start).wait.is_none(), is_left);
         }
         for n in 0..2 * MOST {
-            buckets.take(&Asker::Key(n.to_string()), start);
+            buckets.take(&RateKey::Key(n.to_string()), start);
         }
         assert!(buckets.full.lock().unwrap().len() <= MOST);
         assert!(buckets.take(&greedy, start).wait.is_some());
@@ -260,7 +260,7 @@ mod tests {
             let (mut now, mut let_in) = (start, Vec::new());
             for pause in pauses {
                 now += Duration::from_millis(pause);
-                let standing = buckets.take(&Asker::Key(String::new()), now);
+                let standing = buckets.take(&RateKey::Key(String::new()), now);
                 if standing.wait.is_none() {
                     let_in.push(now);
                 }
@@ -269,7 +269,7 @@ mod tests {
                 if let Some(seconds) = standing.wait {
                     let probe = Buckets::new("requests", most).unwrap();
                     *probe.full.lock().unwrap() = buckets.full.lock().unwrap().clone();
-                    let later = probe.take(&Asker::Key(String::new()), now + Duration::from_secs(seconds));
+                    let later = probe.take(&RateKey::Key(String::new()), now + Duration::from_secs(seconds));
                     prop_assert!(later.wait.is_none());
                 }
             }

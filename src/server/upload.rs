@@ -17,13 +17,13 @@ use tokio::io::AsyncWriteExt;
 use super::admission::Admission;
 use super::app::{App, Shared};
 use super::body;
-use super::coming::Ticket;
 use super::file_name::file_name;
-use super::form::Bounded;
+use super::form_headers::Bounded;
 use super::maker::HeadOf;
 use super::options;
 use super::problem::Problem;
 use super::settings::{Settings, title_of_file};
+use super::upload_slots::UploadSlot;
 use tmpi_library::{Class, Content, Digest, LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::{Options, Stereo};
 
@@ -74,13 +74,13 @@ impl Drop for Fresh {
 ///
 /// # Errors
 /// 429 where as many come in already as may, 503 while the server stops.
-async fn leave(app: &App) -> Result<Ticket<'_>, Problem> {
+async fn leave(app: &App) -> Result<UploadSlot<'_>, Problem> {
     if app.stop.is_cancelled() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
     }
     let free = app.library.free_places().await? as usize;
     app.uploads.take(free).ok_or_else(|| {
-        let detail = "as many photos are waiting and coming in as may";
+        let detail = "the queue is full, and so many uploads are in progress";
         Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(5)
     })
 }

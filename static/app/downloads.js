@@ -7,6 +7,7 @@ import { $ } from './dom.js';
 const PICTURES = /** @type {Record<string, {query: string, ending: string}>} */ ({
   anaglyph: { query: 'stereo=anaglyph&format=jpeg', ending: '-anaglyph.jpg' },
   sbs: { query: 'stereo=sbs&format=jpeg', ending: '-sbs.jpg' },
+  mpo: { query: 'stereo=sbs&format=mpo', ending: '.mpo' },
   // columns, rows and aspect are in the file name, where the displays' programs read them
   quilt: { query: 'quilt=8x6&w=420&h=560&format=png', ending: '_qs8x6a0.75.png' },
 });

@@ -1,15 +1,15 @@
 // Makes a film or a GIF of a photo, shows it, and downloads it or hands it to another program.
 
+import { STYLES } from '../film/camera-path.js';
 import { makeFilm } from '../film/film.js';
 import { encoding } from '../film/video.js';
-import { STYLES } from '../film/way.js';
 import { t } from '../i18n/messages.js';
 import { formatBytes, sentence } from '../i18n/text.js';
 import { element } from './dom.js';
 import { button, showDialog } from './share-dialog.js';
 
 /** @import { Shared } from './share-dialog.js' */
-/** @import { Wish } from '../film/plan.js' */
+/** @import { FilmOptions } from '../film/plan.js' */
 
 const SECONDS = [2, 4, 8];
 /** Longer sides in pixels: those below the photo's own are offered, and the photo's own up to the largest. */
@@ -60,7 +60,7 @@ export async function open({ viewer, file }) {
     sides.map((s) => [String(s), t('{0} pixels', s)]),
   );
   const usual = () => {
-    const wanted = USUAL_SIDE[/** @type {Wish['kind']} */ (kind.select.value)];
+    const wanted = USUAL_SIDE[/** @type {FilmOptions['kind']} */ (kind.select.value)];
     side.select.value = String(sides.filter((s) => s <= wanted).pop() ?? sides[0]);
   };
   kind.select.addEventListener('change', usual);
@@ -94,9 +94,9 @@ export async function open({ viewer, file }) {
   async function run() {
     forget();
     stop = new AbortController();
-    /** @type {Wish} */
+    /** @type {FilmOptions} */
     const wish = {
-      kind: /** @type {Wish['kind']} */ (kind.select.value),
+      kind: /** @type {FilmOptions['kind']} */ (kind.select.value),
       style: style.select.value,
       seconds: Number(seconds.select.value),
       side: Number(side.select.value),

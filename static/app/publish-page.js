@@ -2,7 +2,7 @@
 
 import { t, translatePage } from '../i18n/messages.js';
 import { moment, sentence } from '../i18n/text.js';
-import { headersOf, look } from '../live/connection.js';
+import { fetchStatus, headersOf } from '../live/connection.js';
 import { hasOpus } from '../live/microphone.js';
 import { Publisher } from '../live/publisher.js';
 import { $, element, isLoopback } from './dom.js';
@@ -148,7 +148,7 @@ async function share() {
 }
 
 async function countViewers() {
-  const { viewers, publishing } = await look(room.address, room.token);
+  const { viewers, publishing } = await fetchStatus(room.address, room.token);
   if (document.body.dataset.state !== 'live' || !publishing || lacksSound()) return;
   say(t('You are live. {0} watching.', String(viewers)));
 }
@@ -156,7 +156,7 @@ async function countViewers() {
 /** Shows problems before publishing starts. */
 async function check() {
   const asked = room;
-  const { state, mayPublish, publishing } = await look(room.address, room.token);
+  const { state, mayPublish, publishing } = await fetchStatus(room.address, room.token);
   if (asked !== room) return;
   if (state === 'none') return stay(t('There is no such room on this server.'));
   if (state === 'refused' || (state !== 'away' && !mayPublish))

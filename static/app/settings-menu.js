@@ -39,7 +39,7 @@ export function settingsMenu({ id, viewer, named, say }) {
     // do not overwrite the title while the user types
     if (document.activeElement !== title) title.value = all.title ?? '';
     // 1 is the photo's own range of motion
-    motion.value = String(all.motion ? all.motion.x / viewer().usual.x : 1);
+    motion.value = String(all.motion ? all.motion.x / viewer().defaultShares.x : 1);
     idle.value = all.idle ?? STYLES[0];
     speed.value = String(all.speed ?? 1);
     focus.value = String(all.focus ?? viewer().pivot ?? 0.35);
@@ -99,7 +99,7 @@ export function settingsMenu({ id, viewer, named, say }) {
   title.addEventListener('input', () => change({ title: title.value.trim() || null }));
   motion.addEventListener('input', () => {
     const by = Number(motion.value);
-    const { x, y, z } = viewer().usual;
+    const { x, y, z } = viewer().defaultShares;
     const share = (/** @type {number} */ v) => Math.min(1, Math.round(v * by * 1e4) / 1e4);
     change({ motion: by === 1 ? null : { x: share(x), y: share(y), z: share(z) } });
   });

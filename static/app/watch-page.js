@@ -3,9 +3,9 @@
 import { t, translatePage } from '../i18n/messages.js';
 import { sentence } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
+import { pictureDelay, statusText } from '../live/room-status.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
-import { behind, saying } from '../live/states.js';
 import { Viewer } from '../view/viewer.js';
 import { $ } from './dom.js';
 import { roomOf } from './room-name.js';
@@ -48,7 +48,7 @@ function showState({ state, reason }) {
   document.body.dataset.state = state;
   // there are no statistics while the picture stands still
   if (state !== 'live') $('readout').textContent = '';
-  const { over, text } = saying({ state, reason });
+  const { over, text } = statusText({ state, reason });
   if (over) return fail(text);
   if (!shown) {
     $('loading').hidden = false;
@@ -62,7 +62,7 @@ function showState({ state, reason }) {
 function showStatistics(told) {
   Object.assign(window, { measured: told });
   if (!shown || document.body.dataset.state !== 'live') return;
-  const late = behind(told);
+  const late = pictureDelay(told);
   sound.late = late / 1000;
   const parts = [`${Math.round(late)} ms`, t('{0} frames/s', String(Math.round(told.frames)))];
   // a narrow screen needs that space for the room's name
@@ -85,7 +85,7 @@ async function toggleSound() {
   const on = $('sound').getAttribute('aria-pressed') !== 'true';
   if (on) await sound.start();
   else await sound.stop();
-  viewer.tell({ sound: on });
+  viewer.postToWorker({ sound: on });
   $('sound').setAttribute('aria-pressed', String(on));
 }
 
@@ -134,7 +134,7 @@ $('fullscreen').addEventListener('click', toggleFullscreen);
 document.addEventListener('fullscreenchange', () =>
   $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))),
 );
-document.addEventListener('visibilitychange', () => viewer.tell({ hidden: document.hidden }));
+document.addEventListener('visibilitychange', () => viewer.postToWorker({ hidden: document.hidden }));
 document.addEventListener('keydown', (event) => {
   if (event.key === 'f' && !event.ctrlKey && !event.metaKey && !event.altKey && document.fullscreenEnabled) toggleFullscreen();
 });

@@ -1,4 +1,4 @@
-// Decodes a container in bands, and puts their layers together to what the page uploads and draws.
+// Decodes a container in bands and joins their layers into the scene that the page uploads and draws.
 import { pieces as piecesOf } from '../draw/border.js';
 import { instances } from '../draw/instances.js';
 import { floatsFit } from '../draw/soft-stacks.js';
@@ -11,21 +11,21 @@ import { tileCounts } from './grid.js';
 /** @import { Head } from './head.js' */
 /** @import { Layers, Picture, Scene, SceneHead } from './scene.js' */
 
-/** @typedef {Pick<Band, 'decode' | 'deep' | 'strips'>} Helper a band here or in another worker */
+/** @typedef {Pick<Band, 'decode' | 'deep' | 'strips'>} Helper a band in this worker or another one */
 
-/** Rows of pixels above and below a tile that its layers follow from: crates/core's `MAX_REACH`. */
+/** Rows of pixels above and below a tile that its layers depend on: crates/core's `MAX_REACH`. */
 const REACH = 96;
 
 /**
  * @param {Head} head
  * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
  * @param {Helper[]} bands
- * @param {number} [side] of the largest texture that the graphics device can hold
- * @returns {Promise<{scene: Omit<Scene, 'decodeMs'>, transfer: ArrayBuffer[]}>} `transfer`: buffers that can be handed over with it
+ * @param {number} [side] of the graphics device's largest texture
+ * @returns {Promise<{scene: Omit<Scene, 'decodeMs'>, transfer: ArrayBuffer[]}>} `transfer`: the scene's buffers, to be transferred with it
  */
 export async function assembled({ scene }, input, bands, side) {
   const jobs = cut(scene, input, bands.length);
-  // those of other workers first: the first band is decoded here
+  // `together` starts the other workers first, because the first band is decoded here
   const tables = await together(bands.slice(0, jobs.length), (band, i) => band.decode(jobs[i]));
   const layers = joined(tables);
   const whole = { ...scene, layers };
@@ -57,7 +57,7 @@ export async function assembled({ scene }, input, bands, side) {
 }
 
 /**
- * Whether many soft texels lie over each other in any band; layers of a band are numbered from its first.
+ * Whether any band has deep stacks of soft texels. Bands number their layers from their first one.
  * @param {SceneHead} scene
  * @param {Piece[]} pieces
  * @param {number[]} starts first layer of each band
@@ -74,7 +74,7 @@ async function anyDeep({ width, height }, pieces, starts, bands) {
 }
 
 /**
- * Results of all bands; the last is begun first.
+ * Calls all bands, the last one first, and returns their results in order.
  * @template T
  * @param {Helper[]} bands
  * @param {(band: Helper, i: number) => Promise<T>} call
@@ -87,10 +87,10 @@ async function together(bands, call) {
 }
 
 /**
- * Whole rows of tiles, about as many for each band.
+ * Splits the rows of tiles evenly into bands.
  * @param {SceneHead} scene
  * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
- * @param {number} count of bands at most
+ * @param {number} count most bands
  * @returns {BandJob[]}
  */
 function cut(scene, { bytes, photo, hidden }, count) {
@@ -102,14 +102,14 @@ function cut(scene, { bytes, photo, hidden }, count) {
     const top = Math.max(first * scene.tileStride - REACH, 0);
     const bottom = Math.min((end - 1) * scene.tileStride + scene.tileSize + REACH, photo.height);
     const stride = photo.width * 4;
-    // the band decoded here looks at the picture itself
+    // the band in this worker shares the picture; the others get copies to transfer
     const data = i === 0 ? photo.data.subarray(0, bottom * stride) : photo.data.slice(top * stride, bottom * stride);
     return { scene, bytes, first, end, top, photo: { ...photo, data }, hidden };
   });
 }
 
 /**
- * One table of the layers of all bands.
+ * Joins the tables of all bands.
  * @param {Layers[]} tables
  * @returns {Layers}
  */
@@ -150,7 +150,7 @@ function joined(tables) {
 }
 
 /**
- * A strip as `Decoder.strip` takes it; layers count from the band's first.
+ * Arguments of `Decoder.strip` for a strip; layers count from the band's first.
  * @param {Pick<Strip, 'pieces' | 'x' | 'h'>} strip
  * @param {Piece[]} pieces
  * @param {number} start the band's first layer

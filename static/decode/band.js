@@ -7,11 +7,11 @@ import { Decoder } from './decoder.js';
 /** @import { Layers, Picture, SceneHead } from './scene.js' */
 
 /**
- * What a band is decoded from: the container, rows of tiles from `first` to before `end`, the photo's rows from `top` on that these
- * follow from, and the picture of hidden colours where there is one.
+ * Input of a band: the container, the range of rows of tiles (`end` is exclusive), the photo's rows from `top` on that these depend on, and
+ * the picture of hidden colours if there is one.
  * @typedef {{scene: SceneHead, bytes: Uint8Array, first: number, end: number, top: number, photo: Picture, hidden: Picture | null}} BandJob
  */
-/** @typedef {{pieces: Uint32Array, width: number, height: number}} StripJob what `Decoder.strip` takes */
+/** @typedef {{pieces: Uint32Array, width: number, height: number}} StripJob arguments of `Decoder.strip` */
 
 export class Band {
   /** @type {Decoder | null} */
@@ -39,8 +39,8 @@ export class Band {
   }
 
   /**
-   * Whether many soft texels lie over each other in this band, after `decode`.
-   * @param {{width: number, height: number, pieces: Piece[]}} job size of the photo, pieces of this band's layers
+   * Whether this band has deep stacks of soft texels. Call it after `decode`.
+   * @param {{width: number, height: number, pieces: Piece[]}} job size of the photo, and pieces of this band's layers
    */
   async deep({ pieces, ...photo }) {
     if (!this.#decoder || !this.#layers) throw new Error('nothing was decoded');
@@ -48,7 +48,7 @@ export class Band {
   }
 
   /**
-   * Strips of texture pages, after `decode`: of bytes, or of 16-bit floats.
+   * Strips of texture pages, as bytes or 16-bit floats. Call it after `decode`.
    * @param {{jobs: StripJob[], wide: boolean}} asked
    * @returns {Promise<{data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer>}[]>}
    */

@@ -1,15 +1,15 @@
-// One container, or a band of its tiles, in an instance of decoder.wasm (crates/decoder). Pure: no page, no network; pictures are
-// decoded by the caller.
+// Decodes a container, or a band of its tiles, in an instance of decoder.wasm (crates/decoder). Pure: no page, no network. The caller
+// decodes the pictures.
 
 import { Instance } from './instance.js';
 
 /** @import { Layers, SceneHead } from './scene.js' */
 
-/** Outputs, by the numbers of crates/decoder's `Output`. */
+/** Numbers of crates/decoder's `Output`. */
 const [NUMBERS, CLASSES, ALPHA, HIDDEN, STRIP] = [2, 3, 4, 5, 6];
-/** Columns of the table of layers. */
+/** Count of columns in the table of layers. */
 const COLUMNS = 10;
-/** Rows of a picture that are handed over at once, in bytes. */
+/** Bytes of picture rows that are passed per call. */
 const PICTURE_BYTES = 4 << 20;
 
 export class Decoder {
@@ -25,13 +25,13 @@ export class Decoder {
     this.#instance = instance;
   }
 
-  /** Bytes of the instance's memory. */
+  /** Size of the instance's memory, bytes. */
   get memory() {
     return this.#instance.memory;
   }
 
   /**
-   * Takes over a whole container, no section of which is packed (unpack.js); the bytes of its photo are not looked at.
+   * Passes a whole container without zstd sections (unpack.js). The decoder ignores the bytes of its photo.
    * @param {Uint8Array} bytes
    */
   open(bytes) {
@@ -40,9 +40,9 @@ export class Decoder {
   }
 
   /**
-   * Takes over the photo, or its rows from `top` on, or the picture of hidden colours.
+   * Passes the photo, its rows from `top` on, or the picture of hidden colours.
    * @param {'photo' | 'hidden'} kind
-   * @param {{width: number, height: number, data: Uint8Array | Uint8ClampedArray}} picture size of the whole, straight RGBA
+   * @param {{width: number, height: number, data: Uint8Array | Uint8ClampedArray}} picture size of the whole picture, straight RGBA
    */
   picture(kind, { width, height, data }, top = 0) {
     const step = Math.max(1, Math.floor(PICTURE_BYTES / (width * 4))) * width * 4;
@@ -53,7 +53,7 @@ export class Decoder {
   }
 
   /**
-   * Decodes rows of tiles from `first` to before `end`.
+   * Decodes rows of tiles from `first` to `end`, exclusive.
    * @param {Pick<SceneHead, 'tileSize' | 'tileStride' | 'width'>} scene
    * @param {number} first
    * @param {number} end
@@ -83,12 +83,12 @@ export class Decoder {
     };
   }
 
-  /** Alphas of all texels; seen until the next call. */
+  /** Alphas of all texels, valid until the next call. */
   get alpha() {
     return this.#instance.output(ALPHA);
   }
 
-  /** Classes, alphas and hidden colours of all texels, copied: what tests look at. */
+  /** Copies of the classes, alphas and hidden colours of all texels, for tests. */
   texels() {
     return {
       classes: this.#instance.output(CLASSES).slice(),
@@ -99,12 +99,12 @@ export class Decoder {
 
   /**
    * Fills a strip of a texture page.
-   * @param {Uint32Array} pieces seven numbers each: layer, first column, first row, columns, rows, mirrored (1 columns, 2 rows), column in
-   *   the strip
+   * @param {Uint32Array} pieces seven numbers each: layer, first column, first row, columns, rows, mirror flags (1 columns, 2 rows), column
+   *   in the strip
    * @param {number} width
    * @param {number} height
    * @param {boolean} straight
-   * @returns {Uint8Array<ArrayBuffer>} RGBA, premultiplied unless it is to be straight, a buffer of its own
+   * @returns {Uint8Array<ArrayBuffer>} RGBA, premultiplied unless `straight`, in a new buffer
    */
   strip(pieces, width, height, straight = false) {
     this.#instance.hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
@@ -113,7 +113,7 @@ export class Decoder {
   }
 
   #numbers() {
-    // copied, as it need not lie at a multiple of eight
+    // copied, because it may not be aligned to eight bytes
     return new Float64Array(this.#instance.output(NUMBERS).slice().buffer);
   }
 }

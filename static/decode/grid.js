@@ -1,6 +1,6 @@
 // The grid of tiles over a photo: `Grid` of crates/core.
 
-/** @typedef {{width: number, height: number, tileSize: number, tileStride: number}} Grid a photo's size, the side of its tiles and the way between them */
+/** @typedef {{width: number, height: number, tileSize: number, tileStride: number}} Grid size of the photo, side of the tiles, and distance from one to the next */
 
 /**
  * @param {number} length
@@ -12,7 +12,7 @@ function count(length, size, stride) {
 }
 
 /**
- * `{columns, tiles}` of a grid.
+ * Counts of columns and tiles in a grid.
  * @param {Grid} grid
  */
 export function tileCounts({ width, height, tileSize, tileStride }) {

@@ -1,34 +1,34 @@
-// What the first bytes of a container tell (proto/tmpi.proto): enough to show the photo before the decoder is there, and where it may
-// not run. The decoder itself trusts none of it.
+// Reads the head of a container (proto/tmpi.proto), so that the photo can be shown before the decoder is loaded, or without it. The decoder
+// parses and checks the head itself.
 
 /** @import { SceneHead } from './scene.js' */
 
-/** A container that is damaged, of a newer version, or none. */
+/** The data is damaged, of a newer version, or not a container. */
 export class ContainerError extends Error {}
 
-/** Major version that this reader knows, and the bounds of crates/core's `container`. */
+/** Newest supported major version, and the limits of crates/core's `container`. */
 const MAJOR = 1;
 const MAX_INDEX_BYTES = 1 << 20;
 const MAX_SIDE = 16_384;
 const MAX_PIXELS = 50_000_000;
 const HEADER_BYTES = 12;
 const MAGIC = [0x54, 0x4d, 0x50, 0x49];
-/** Kinds of sections. */
+/** Kinds of sections (`Kind` in proto/tmpi.proto). */
 const [PHOTO, PLANES, ALPHA, HIDDEN] = [1, 2, 4, 5];
-/** The codec that the decoder has not. */
+/** The codec that the decoder does not support. */
 const ZSTD = 1;
 /**
  * Media types of the picture codecs.
  * @type {Record<number, string | undefined>}
  */
 const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
-/** Fields of the index. */
+/** Field number of the sections in the index. */
 const SECTIONS = 16;
 
-/** @typedef {{start: number, end: number, type: string}} PictureFile first byte, end, media type of a picture file in a container */
+/** @typedef {{start: number, end: number, type: string}} PictureFile first byte, end and media type of a picture file in a container */
 /**
- * The scene's head, count of all bytes, picture files, whether a section is packed (unpack.js), and whether tiles may be decoded in
- * bands: not where a section runs through all texels.
+ * The scene's head, total count of bytes, picture files, whether a section must be decompressed (unpack.js), and whether tiles can be
+ * decoded in bands, which is not possible if a section covers all texels in one stream.
  * @typedef {{scene: SceneHead, bytes: number, photo: PictureFile, hidden: PictureFile | null, packed: boolean, bands: boolean}} Head
  */
 
@@ -43,7 +43,7 @@ function broken(what) {
 /**
  * Reads header and index.
  * @param {Uint8Array} bytes the first bytes of a container
- * @returns {Head | null} null where more bytes are needed
+ * @returns {Head | null} null if more bytes are needed
  */
 export function readHead(bytes) {
   if (MAGIC.some((byte, i) => i < bytes.length && bytes[i] !== byte)) broken('it does not begin with "TMPI"');
@@ -83,7 +83,7 @@ export function readHead(bytes) {
 }
 
 /**
- * A section as a picture file; null where it is none.
+ * The picture file of a section; null if it is not a picture.
  * @param {{start: number, end: number, type: string | undefined} | undefined} section
  * @returns {PictureFile | null}
  */
@@ -92,7 +92,7 @@ function picture(section) {
 }
 
 /**
- * The fields of a protobuf message, in order: numbers, and from and to of what has a length.
+ * The fields of a protobuf message, in order: `[field, value]` of numbers, `[field, start, end]` of length-delimited fields.
  * @param {DataView} view
  * @param {number} from
  * @param {number} to

@@ -1,4 +1,4 @@
-// An instance of a module of crates/decoder or crates/unpacker, and how it is talked to.
+// Calls the functions of a WebAssembly module (crates/decoder, crates/live-decoder, crates/unpacker).
 
 import { ContainerError } from './head.js';
 
@@ -15,18 +15,18 @@ export class Instance {
     return new Instance(await WebAssembly.instantiate(module, {}));
   }
 
-  /** @param {WebAssembly.Instance} instance not used before */
+  /** @param {WebAssembly.Instance} instance a new one */
   constructor(instance) {
     this.#exports = /** @type {Exports} */ (/** @type {unknown} */ (instance.exports));
   }
 
-  /** Bytes of its memory. */
+  /** Size of the instance's memory, bytes. */
   get memory() {
     return this.#exports.memory.buffer.byteLength;
   }
 
   /**
-   * Hands bytes to the next call.
+   * Passes bytes to the next call.
    * @param {Uint8Array | Uint8ClampedArray} bytes
    */
   hand(bytes) {
@@ -37,8 +37,8 @@ export class Instance {
   /**
    * @param {string} name
    * @param {number[]} args
-   * @returns {number} what it gives
-   * @throws {ContainerError} where the call says why it failed
+   * @returns {number} result of the call
+   * @throws {ContainerError} with the message of a failed call
    */
   call(name, ...args) {
     const given = this.#guarded(name, args);
@@ -47,7 +47,7 @@ export class Instance {
   }
 
   /**
-   * A result, seen until the next call.
+   * An output, valid until the next call.
    * @param {number} what
    */
   output(what) {
@@ -56,7 +56,7 @@ export class Instance {
   }
 
   /**
-   * A panic ends the instance, and memory that is not to be had too: it says why.
+   * Calls a function; after a panic or a failed allocation, throws its message. The instance is then unusable.
    * @param {string} name
    * @param {number[]} args
    */

@@ -1,8 +1,10 @@
-// Fetches and decodes a container, in a worker (worker.js) or where there can be none on the page's own thread.
-// In: {url, photoOnly, side, bare}: with photoOnly it stops once the photo is there; side of the largest texture; bare: the scene is a
-// part of another and not continued beyond its borders. Out: {type: 'progress', received, total}, {type: 'head', …},
+// Fetches and decodes a container, in a worker (worker.js) or on the page's thread if workers are not available.
+//
+// Request: {url, photoOnly, side, bare}. `photoOnly`: stop after the photo; `side`: of the largest texture; `bare`: the scene is a part of
+// another one, so it is not continued beyond its borders. Responses: {type: 'progress', received, total}, {type: 'head', …},
 // {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
-// In: {band}, then {deep} and {strips}, from another of these in a worker. Out: {type: 'done', value}.
+//
+// Requests from another worker that runs this module: {band}, then {deep} and {strips}. Response: {type: 'done', value}.
 
 import { assembled } from './assemble.js';
 import { Band } from './band.js';
@@ -15,23 +17,23 @@ import { startWorker } from './start.js';
 /** @import { Head, PictureFile } from './head.js' */
 /** @import { Layers, Picture } from './scene.js' */
 
-/** @typedef {{url: string, photoOnly?: boolean, side?: number, bare?: boolean}} Wanted a container to load */
+/** @typedef {{url: string, photoOnly?: boolean, side?: number, bare?: boolean}} Wanted request to load a container */
 /** @typedef {Parameters<Band['deep']>[0]} DeepJob */
 /** @typedef {Parameters<Band['strips']>[0]} StripsJob */
-/** @typedef {{band: BandJob & {module: WebAssembly.Module}} | {deep: DeepJob} | {strips: StripsJob}} Asked what one of these asks of another */
-/** @typedef {{onmessage: ((event: MessageEvent) => void) | null, postMessage: (message: unknown, options?: StructuredSerializeOptions) => void}} Port what is asked and answered through */
+/** @typedef {{band: BandJob & {module: WebAssembly.Module}} | {deep: DeepJob} | {strips: StripsJob}} Asked request from another worker */
+/** @typedef {{onmessage: ((event: MessageEvent) => void) | null, postMessage: (message: unknown, options?: StructuredSerializeOptions) => void}} Port a worker's global scope or a message port */
 
-/** Most bytes of a container. */
+/** Largest container, bytes. */
 const MAX_BYTES = 512 * 1024 * 1024;
 const POST_EVERY_MS = 100;
-/** Pixels that are worth a worker, and most workers. */
+/** Pixels per band that justify another worker, and most bands. */
 const BAND_PIXELS = 1_000_000;
 const MAX_BANDS = 4;
 
-/** A worker that could not be started, though another was. */
+/** A further worker could not be started from this one. */
 class NoWorker extends Error {}
 
-/** A band that another worker decodes: the calls of `Band`. */
+/** A band that another worker decodes; has the methods of `Band`. */
 class RemoteBand {
   /** @param {WebAssembly.Module} module */
   constructor(module) {
@@ -44,7 +46,7 @@ class RemoteBand {
    * @returns {Promise<Layers>}
    */
   decode(job) {
-    // `cut` gives this band rows of its own
+    // `cut` copies the rows of this band, so the buffer can be transferred
     return this.#ask({ band: { ...job, module: this.module } }, /** @type {ArrayBuffer} */ (job.photo.data.buffer));
   }
 
@@ -87,7 +89,7 @@ class RemoteBand {
 }
 
 /**
- * As many bands as the scene's size and the machine are good for; the first is decoded here.
+ * Creates bands for the scene's size and the machine's cores; this worker decodes the first one.
  * @param {Head} head
  * @param {WebAssembly.Module} module
  */
@@ -99,7 +101,7 @@ function bandsFor({ scene, bands }, module) {
   try {
     while (all.length < wanted) all.push(new RemoteBand(module));
   } catch {
-    // where a worker may start no other, one is enough
+    // workers may not be able to start other workers
   }
   return all;
 }
@@ -119,9 +121,9 @@ async function decodePicture(blob) {
   return { width, height, data };
 }
 
-/** A byte buffer that grows as the download goes on. */
+/** A byte buffer that grows with the download. */
 class Download {
-  /** @param {number} expected bytes, 0 where they are not known */
+  /** @param {number} expected bytes, 0 if unknown */
   constructor(expected) {
     this.buffer = new Uint8Array(expected || 1 << 20);
     this.length = 0;
@@ -150,7 +152,7 @@ class Download {
   }
 }
 
-/** What unpacks a container, fetched. */
+/** Loads the decompressor for zstd sections. */
 async function unpackerFor() {
   const { unpacked, unpacker } = await import('./unpack.js');
   const module = await unpacker();
@@ -164,11 +166,11 @@ async function unpackerFor() {
  */
 async function load({ url, photoOnly, side, bare }, port, alone) {
   const module = photoOnly ? null : compiled();
-  // reported when it is awaited
+  // the await below reports the error
   module?.catch(() => {});
   const response = await fetch(url);
   if (!response.ok) throw new Error(await problemOf(response));
-  // with a content coding the header counts packed bytes
+  // with a content encoding, the header counts compressed bytes
   const total = response.headers.get('content-encoding') ? 0 : Number(response.headers.get('content-length')) || 0;
   const download = new Download(Math.min(total, MAX_BYTES));
   const reader = /** @type {ReadableStream<Uint8Array>} */ (response.body).getReader();
@@ -188,7 +190,7 @@ async function load({ url, photoOnly, side, bare }, port, alone) {
       if (head && bare) head.scene.viewBox = { x: 0, y: 0, z: 0 };
       if (head) port.postMessage({ type: 'head', head: { ...head.scene, total: head.bytes } });
       if (head?.packed && !photoOnly) unpack = unpackerFor();
-      // reported when it is awaited
+      // the await below reports the error
       unpack?.catch(() => {});
     }
     if (head && !photo && download.length >= head.photo.end) {
@@ -196,7 +198,7 @@ async function load({ url, photoOnly, side, bare }, port, alone) {
       port.postMessage({ type: 'photo', blob });
       if (photoOnly) return reader.cancel();
       photo = decodePicture(blob);
-      // reported when it is awaited
+      // the await below reports the error
       photo.catch(() => {});
     }
     const now = performance.now();
@@ -216,7 +218,7 @@ async function load({ url, photoOnly, side, bare }, port, alone) {
 }
 
 /**
- * The scene of a container, by several workers where they can be had.
+ * Decodes the scene, with several workers if possible.
  * @param {Head} head
  * @param {Parameters<typeof assembled>[1]} input
  * @param {WebAssembly.Module} module
@@ -252,7 +254,7 @@ async function help(asked, port) {
 }
 
 /**
- * Answers what comes through a port.
+ * Answers the requests of a port.
  * @param {Port} port
  * @param {{alone?: boolean}} [options] `alone`: without further workers
  */

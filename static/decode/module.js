@@ -1,9 +1,9 @@
-// Modules of WebAssembly, compiled while they come.
+// Fetches WebAssembly modules and compiles them while they arrive.
 
-/** Why WebAssembly is not to be had, for a person who can change it. */
+/** Error message for site owners whose content security policy forbids WebAssembly. */
 export const REFUSED = "The page's content security policy forbids WebAssembly: add 'wasm-unsafe-eval' to its script-src.";
 
-/** The compiled decoder. */
+/** Compiles the decoder. */
 export function compiled() {
   return compiledFrom(new URL('./decoder.wasm', import.meta.url));
 }
@@ -16,7 +16,7 @@ export async function compiledFrom(address) {
   const response = await fetch(address);
   if (!response.ok) throw new Error('the decoder cannot be loaded');
   try {
-    // while it comes; a server that names another media type, and a data address, have it whole
+    // streaming requires the media type; other servers and data: URLs load the whole module first
     if (response.headers.get('content-type') === 'application/wasm') return await WebAssembly.compileStreaming(response);
     return await WebAssembly.compile(await response.arrayBuffer());
   } catch (error) {

@@ -1,7 +1,7 @@
-// What the server says where it refuses.
+// Error messages from the server's responses.
 
 /**
- * What a failed response says for a person: the problem's detail (RFC 9457), or the status.
+ * The message of a failed response: the problem's detail (RFC 9457), or the status.
  * @param {Response} response
  */
 export async function problemOf(response) {
@@ -9,7 +9,7 @@ export async function problemOf(response) {
 }
 
 /**
- * The same from what is known of the response; a status of 0 is none.
+ * The same for a response in parts; a status of 0 means that there was no response.
  * @param {number} status
  * @param {string} statusText
  * @param {string} body
@@ -20,7 +20,7 @@ export function problemText(status, statusText, body) {
     const text = problem.detail || problem.title;
     if (typeof text === 'string' && text) return text;
   } catch {
-    // not JSON: the status has to do
+    // not JSON: fall back to the status
   }
   return status ? `The server answered ${status} ${statusText}`.trim() : 'The server cannot be reached.';
 }

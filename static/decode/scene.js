@@ -1,24 +1,24 @@
-// A decoded scene: what the decoder gives, and what is drawn. Lengths are in pixels of the photo unless they say otherwise.
+// Types of a decoded scene. Lengths are in photo pixels unless stated otherwise.
 
 export {};
 
 /** @typedef {{fx: number, fy: number, cx: number, cy: number}} Intrinsics */
-/** @typedef {{x: number, y: number, z: number}} Offset three numbers along the camera's axes: right, down, forward */
+/** @typedef {{x: number, y: number, z: number}} Offset along the camera's axes: right, down, forward */
 
 /**
- * What is known of a scene before its layers are there.
+ * The part of a scene that is known before its layers are decoded.
  * @typedef {object} SceneHead
  * @property {number} width
  * @property {number} height
  * @property {number} tileSize side of a tile
- * @property {number} tileStride from one tile to the next
- * @property {Intrinsics} intrinsics of the photo's camera
+ * @property {number} tileStride distance from one tile to the next
+ * @property {Intrinsics} intrinsics of the reference camera
  * @property {Offset} viewBox half extents, in units of the nearest distance
  */
 
 /**
- * Layers, one number each in every array: plane δ = a + b·u + c·v over the tile, rectangle, corner of its tile, count of visible
- * texels, and whether any texel is soft.
+ * Layers, with one element per layer in every array: plane δ = a + b·u + c·v over the tile, rectangle, corner of its tile, count of
+ * visible texels, and whether any texel is soft.
  * @typedef {object} Layers
  * @property {number} count
  * @property {Float64Array} a
@@ -40,6 +40,6 @@ export {};
 /** @import { Atlas } from '../draw/texture-atlas.js' */
 
 /**
- * All of a scene as it is drawn, and the time that decoding took.
+ * A scene ready to draw, and the decoding time.
  * @typedef {SceneHead & {layers: Layers, instances: Instances, atlas: Atlas, decodeMs: number}} Scene
  */

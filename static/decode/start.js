@@ -1,12 +1,12 @@
-// Starts what decodes a container: off the page's thread, or where no worker can be had on it.
+// Starts the decoder in a worker, or on the page's thread if workers are not available.
 
-/** Name of the policy by which a page with Trusted Types takes the workers' addresses. */
+/** Name of the Trusted Types policy for the workers' addresses. */
 const POLICY = 'tmpi';
 /** @type {{createScriptURL: (address: string) => string} | null | undefined} */
 let policy;
 
 /**
- * An address as a worker's is taken where the page has Trusted Types.
+ * A worker's address in the form that Trusted Types require.
  * @param {string} address
  */
 function trusted(address) {
@@ -15,7 +15,7 @@ function trusted(address) {
       const createScriptURL = (/** @type {string} */ own) => own;
       policy = /** @type {any} */ (self).trustedTypes?.createPolicy(POLICY, { createScriptURL }) ?? null;
     } catch {
-      // the page allows no such policy: it has no worker then
+      // the page does not allow the policy, so it gets no workers
       policy = null;
     }
   }
@@ -23,29 +23,29 @@ function trusted(address) {
 }
 
 /**
- * A worker that runs a module, of another origin, too. Throws where the page may have none.
+ * Starts a worker that runs a module, even from another origin. Throws if the page does not allow workers.
  * @param {URL} url
  */
 export function startWorker(url) {
-  // a sandboxed frame has no origin, whatever its address
+  // compare self.origin, because a sandboxed frame has none, whatever its address
   if (url.protocol === 'data:' || url.origin === self.origin) return new Worker(trusted(url.href), { type: 'module' });
   const module = JSON.stringify(url.href);
-  // a worker's script must be of the page's own origin; what it imports need not. Without an origin it can be no module
+  // a worker's script must have the page's origin, but its imports need not; a page without an origin cannot start module workers
   const isModule = self.origin !== 'null';
   const early = 'const early = []; self.onmessage = (event) => early.push(event);';
   const begin = '() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; })';
-  // with a space: what links modules into one script (src/export/script.rs) takes it for text then
+  // "import (" with a space, so that src/export/script.rs, which links modules into one script, leaves it alone
   const text = isModule ? `import ${module};` : `${early} import (${module}).then(${begin});`;
   const address = URL.createObjectURL(new Blob([text], { type: 'text/javascript' }));
   const worker = new Worker(trusted(address), isModule ? { type: 'module' } : {});
-  // by its first message it has long been read
+  // its first message or error proves that the script is loaded
   const forget = () => URL.revokeObjectURL(address);
   worker.addEventListener('message', forget, { once: true });
   worker.addEventListener('error', forget, { once: true });
   return worker;
 }
 
-/** What runs load.js, used as a worker is: in a worker, or on the page's thread where none can be started. */
+/** Runs load.js in a worker, or on the page's thread if no worker can start; has the interface of a worker. */
 export class Decoder {
   /** @type {((event: MessageEvent) => void) | null} */
   onmessage = null;
@@ -55,7 +55,7 @@ export class Decoder {
   #worker = null;
   /** @type {MessagePort | null} */
   #port = null;
-  /** What was asked and not answered yet. @type {object[]} */
+  /** Requests without an answer yet. @type {object[]} */
   #asked = [];
   #over = false;
 
@@ -65,7 +65,7 @@ export class Decoder {
       this.#worker.onmessage = (event) => this.#hear(event);
       this.#worker.onerror = (event) => {
         if (!this.#asked.length) return this.onerror?.(event);
-        // it never began
+        // the worker failed to start
         event.preventDefault();
         this.#stay();
       };
@@ -75,7 +75,7 @@ export class Decoder {
   }
 
   /**
-   * Asks for a container (load.js).
+   * Requests a container (load.js).
    * @param {object} message
    * @param {Transferable[]} transfer
    */
@@ -90,7 +90,7 @@ export class Decoder {
     if (!this.#over) this.onmessage?.(event);
   }
 
-  /** Decodes on the page's own thread: it stands still for as long, but shows the photo in three dimensions. */
+  /** Decodes on the page's thread, which blocks the page meanwhile. */
   async #stay() {
     this.#worker?.terminate();
     this.#worker = null;

@@ -1,18 +1,18 @@
-// Unpacks zstd sections: the decoder has no zstd, and few containers have such a section.
+// Decompresses zstd sections. It is a separate module because few containers have such sections.
 
 import { Instance } from './instance.js';
 import { compiledFrom } from './module.js';
 
-/** The container, by the number of crates/unpacker's `Output`. */
+/** Number of the container in crates/unpacker's `Output`. */
 const CONTAINER = 2;
 
-/** The compiled unpacker. */
+/** Compiles the unpacker. */
 export function unpacker() {
   return compiledFrom(new URL('./unpacker.wasm', import.meta.url));
 }
 
 /**
- * The container with its zstd sections unpacked.
+ * Decompresses the zstd sections of a container.
  * @param {WebAssembly.Module} module of `unpacker`
  * @param {Uint8Array} bytes
  * @returns {Promise<Uint8Array<ArrayBuffer>>}

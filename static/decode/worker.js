@@ -1,7 +1,7 @@
-// Fetches and decodes a container off the page's thread: what load.js does.
+// Worker that fetches and decodes a container (load.js).
 
 import { serve } from './load.js';
-// what that imports, named here so that all of it is fetched at once
+// indirect imports, listed so that the browser fetches all modules at once
 import './assemble.js';
 import './band.js';
 import './decoder.js';
@@ -17,6 +17,6 @@ import '../draw/instances.js';
 import '../draw/soft-stacks.js';
 import '../draw/texture-atlas.js';
 import '../view/camera.js';
-import '../view/limits.js';
+import '../view/camera-limits.js';
 
 serve(self);

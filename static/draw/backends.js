@@ -1,4 +1,4 @@
-// What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
+// Selects the drawing backend: WebGPU, then WebGL2. Each gets a second attempt after its device was lost.
 import { findAdapter } from './device.js';
 import { contextOf, WebGlRenderer, webGlSide } from './webgl.js';
 import { leaveContext, takeContext } from './webgl-contexts.js';
@@ -13,7 +13,7 @@ import { WebGpuRenderer } from './webgpu.js';
 const ATTEMPTS = 2;
 
 export class Backends {
-  /** Looks what there is. */
+  /** Detects the available backends. */
   static async find() {
     /** @type {Mode[]} */
     const modes = [];
@@ -46,10 +46,10 @@ export class Backends {
   }
 
   /**
-   * The best backend that still can be had, with a new canvas, which keeps its device for life; `wait` where others have all contexts.
+   * Creates the best backend left, with a new canvas, because a canvas cannot change its context; `wait` if other viewers use all contexts.
    * @param {Scene} scene
-   * @param {(reason: string) => void} onLost called where it goes away by itself
-   * @param {Holder} holder of a context, where it needs one
+   * @param {(reason: string) => void} onLost called if the device is lost
+   * @param {Holder} holder of the WebGL2 context, if the backend needs one
    * @returns {Promise<Backend | 'wait' | null>}
    */
   async next(scene, onLost, holder) {
@@ -78,7 +78,7 @@ export class Backends {
 }
 
 /**
- * Another scene on a canvas of its own, to lie over one that is drawn by `mode`: it is see-through where nothing is drawn.
+ * Draws another scene on a transparent canvas, to be placed over one that `mode` draws.
  * @param {Mode} mode
  * @param {Scene} scene
  * @param {() => void} onLost

@@ -1,18 +1,18 @@
-// Continues a scene beyond the photo's borders by its mirror image, so that no camera of the view box sees past them. The rule is
-// that of crates/render/src/border.rs: the scene is mirrored, not the picture, so the continuation moves as the photo does.
-import { margins } from '../view/limits.js';
+// Continues a scene beyond the photo's borders by its mirror image, so that no camera in the view box sees past them. As in
+// crates/render/src/border.rs, the scene is mirrored and not the picture, so that the continuation moves with the photo.
+import { margins } from '../view/camera-limits.js';
 
 /** @import { Layers, SceneHead } from '../decode/scene.js' */
 
 /**
- * A part of a layer that is drawn: place in reference pixels (`x` to `h`), from and to where it is drawn in texels from its upper left
- * corner, first column and row taken of the layer, whether these run backward, its plane and the origin of the plane's coordinates.
+ * A drawn part of a layer: its rectangle in reference pixels (`x` to `h`), the drawn range in texels from its upper left corner (`left` to
+ * `lower`), its first column and row in the layer (`u`, `v`), whether these run backward, its plane, and the origin of the plane's coordinates.
  * @typedef {{layer: number, x: number, y: number, w: number, h: number, left: number, right: number, upper: number, lower: number,
  *   u: number, v: number, flipX: boolean, flipY: boolean, a: number, b: number, c: number, cx: number, cy: number}} Piece
  */
 
 /**
- * The parts of layers that are drawn: each layer at its own place first, then what is mirrored beyond the borders.
+ * Splits layers into drawn parts: for each layer, first itself, then its mirror images beyond the borders.
  * @param {SceneHead & {layers: Layers}} scene
  * @returns {Piece[]}
  */
@@ -67,7 +67,7 @@ export function pieces(scene) {
 }
 
 /**
- * From and to where `from..from + size` of a tile that starts at `tile` is drawn, on an axis of `length` pixels: `Grid::drawn`.
+ * The drawn range of `from..from + size` in a tile that starts at `tile`, on an axis of `length` pixels, as `Grid::drawn` in crates/core.
  * @param {Pick<SceneHead, 'tileSize' | 'tileStride'>} scene
  * @param {number} tile
  * @param {number} from
@@ -83,8 +83,8 @@ function drawn({ tileSize, tileStride }, tile, from, size, length) {
 }
 
 /**
- * A range of an axis, drawn from `start` to `stop`: itself, and its parts within `margin` of either end mirrored there; `mirror` is
- * twice the mirror's place. Those of which anything is drawn.
+ * A range of an axis, drawn from `start` to `stop`, and the mirror images of its parts within `margin` of either end, without empty ones.
+ * `mirror` is twice the position of the mirror.
  * @param {number} from
  * @param {number} size
  * @param {number[]} drawn
@@ -95,7 +95,7 @@ function sides(from, size, [start, stop], length, margin) {
   const end = from + size;
   /** @type {{at: number, size: number, first: number, drawn: number[], mirror: number | null}[]} */
   const out = [{ at: from, size, first: 0, drawn: [start, stop], mirror: null }];
-  // what is drawn of `n` texels from `first` on, seen from the other end
+  // the drawn range of `n` texels from `first` on, counted from the other end
   const back = (/** @type {number} */ first, /** @type {number} */ n) => [stop, start].map((v) => n - Math.min(Math.max(v - first, 0), n));
   const low = Math.min(end, margin) - from;
   if (low > 0) out.push({ at: -(from + low), size: low, first: 0, drawn: back(0, low), mirror: 0 });

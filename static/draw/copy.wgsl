@@ -1,4 +1,4 @@
-// Copies a picture texel by texel to a target of another format, or blends it in.
+// Copies a picture texel by texel to a target of another format, or blends it into the target.
 
 @group(0) @binding(0) var picture: texture_2d<f32>;
 

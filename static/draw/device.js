@@ -1,7 +1,7 @@
-// One WebGPU device for all viewers of a page: it opens with the first and goes with the last.
+// The WebGPU device that all viewers of a page share, from the first viewer to the last.
 
 /**
- * Features that are used where they are there.
+ * Features that are used if available.
  * @type {GPUFeatureName[]}
  */
 const OPTIONAL = ['float32-blendable'];
@@ -9,7 +9,7 @@ const OPTIONAL = ['float32-blendable'];
 /** @type {{opening: Promise<Device>, device?: Device} | null} */
 let shared = null;
 
-/** The graphics adapter, or null where the browser has none. */
+/** The graphics adapter, or null if the browser has none. */
 export async function findAdapter() {
   try {
     return (await navigator.gpu?.requestAdapter({ powerPreference: 'high-performance' })) ?? null;
@@ -21,11 +21,11 @@ export async function findAdapter() {
 export class Device {
   users = 0;
   /**
-   * What was made once for all, by name.
+   * Shared resources, by name.
    * @type {Map<string, Promise<any>>}
    */
   #made = new Map();
-  /** Builds come one after the other, so that each sees its own errors. */
+  /** Runs builds one at a time, so that each sees only its own errors. */
   #last = Promise.resolve();
 
   /** @param {GPUDevice} handle */
@@ -37,7 +37,7 @@ export class Device {
   }
 
   /**
-   * What `make` gives, made once; again where it failed.
+   * The result of `make`, which is called once, or again after a failure.
    * @template T
    * @param {string} name
    * @param {() => Promise<T>} make
@@ -51,7 +51,7 @@ export class Device {
   }
 
   /**
-   * Runs `build` after those before it; throws what it or the device reports.
+   * Runs `build` after the earlier ones; throws its error or the device's.
    * @param {() => Promise<void>} build
    */
   build(build) {
@@ -75,7 +75,7 @@ export class Device {
     return done;
   }
 
-  /** To be called once by everybody who got it. */
+  /** Call it once for each `acquireDevice`. */
   release() {
     if (--this.users > 0) return;
     if (shared?.device === this) shared = null;
@@ -83,7 +83,7 @@ export class Device {
   }
 }
 
-/** The page's device; whoever gets it has to release it. */
+/** The page's device; the caller must release it. */
 export async function acquireDevice() {
   shared ??= { opening: open() };
   const own = shared;

@@ -1,18 +1,18 @@
-// 16-bit floats.
+// Conversion to 16-bit floats.
 
 /**
- * Bits of the nearest 16-bit float of a number from 0 to 1.
+ * Bits of the 16-bit float that is nearest to a number from 0 to 1.
  * @param {number} value
  */
 export function halfBits(value) {
   if (value <= 0) return 0;
-  // below 2⁻¹⁴ there is no smaller exponent
+  // 2⁻¹⁴ is the smallest exponent; smaller numbers are subnormal
   const exponent = Math.max(-14, Math.floor(Math.log2(value)));
   return ((exponent + 14) << 10) + Math.round(value * 2 ** (10 - exponent));
 }
 
 /**
- * Bits of `value · alpha` for all pairs of bytes that stand for 0 to 1: at `value · 256 + alpha`.
+ * Table of the bits of `value · alpha` for all pairs of bytes (0 to 255 stand for 0 to 1), at index `value · 256 + alpha`.
  * @returns {Uint16Array<ArrayBuffer>}
  */
 export function premultipliedHalves() {
@@ -24,7 +24,7 @@ export function premultipliedHalves() {
 }
 
 /**
- * Straight RGBA as premultiplied 16-bit floats.
+ * Converts straight RGBA to premultiplied 16-bit floats.
  * @param {Uint8Array} bytes
  * @param {Uint16Array} table of `premultipliedHalves`
  */

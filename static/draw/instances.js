@@ -1,24 +1,26 @@
-// The instances that the shaders draw, in their order.
+// Builds the instances that the shaders draw, in drawing order.
 import { tileCounts } from '../decode/grid.js';
 
 /** @import { Scene } from '../decode/scene.js' */
 /** @import { Piece } from './border.js' */
 
-/** Floats of an instance; their order is that of tmpi.wgsl. */
+/** Floats per instance, in the order of tmpi.wgsl. */
 export const INSTANCE_FLOATS = 12;
 
 /**
- * Instances, `opaque` of them for pass 1 and `soft` for pass 2 either way, and the number of each one's tile, row by row.
+ * Instances: `opaque` of them for pass 1, then `soft` for pass 2 and as many in the order for a backward-looking camera. `tiles`: the tile
+ * of each instance, numbered row by row.
  * @typedef {{data: Float32Array<ArrayBuffer>, tiles: Uint32Array<ArrayBuffer>, opaque: number, soft: number}} Instances
  */
 
 /**
- * Instances as the shaders take them: first all pieces in layer order for pass 1, then those with a soft edge for pass 2, back to
- * front by disparity at the piece's centre, and these again as a camera sees them that looks backward.
+ * Builds the instances: first all pieces in layer order for pass 1, then those with a soft edge for pass 2, back to front by disparity at
+ * the piece's centre, then these again in the order for a camera that looks backward.
  * @param {Pick<Scene, 'layers' | 'width' | 'height' | 'tileSize' | 'tileStride'>} scene
  * @param {Piece[]} pieces
- * @param {{page: ArrayLike<number>, atlasX: ArrayLike<number>, atlasY: ArrayLike<number>}} places on the pages, of the upper left corner; of a
- *   piece whose texels lie there as the layer has them, but run backward, less the place of the right side, or of the lower one
+ * @param {{page: ArrayLike<number>, atlasX: ArrayLike<number>, atlasY: ArrayLike<number>}} places of the pieces' upper left corners on the
+ *   pages. For a mirrored piece that shares the layer's unmirrored texels: minus the right side (x) or the lower side (y), from which the
+ *   texels run backward
  * @returns {Instances}
  */
 export function instances(scene, pieces, { page, atlasX, atlasY }) {
@@ -39,7 +41,7 @@ export function instances(scene, pieces, { page, atlasX, atlasY }) {
 }
 
 /**
- * The same with the parallax error in pixels of each tile, row by row, for the overlay that shows it.
+ * The same instances with the parallax error of each tile in pixels, row by row, for the overlay `error`.
  * @param {Instances} instances
  * @param {number[]} errors
  */
@@ -51,13 +53,13 @@ export function withErrors({ data, tiles, ...counts }, errors) {
   return { data: out, tiles, ...counts };
 }
 
-/** Place of the page among the floats of an instance. */
+/** Index of the page among the floats of an instance. */
 const PAGE = 3;
-/** Parallax error in pixels that is shown as the largest. */
+/** Parallax error in pixels at the end of the colour scale. */
 const MOST_PX = 1;
 
 /**
- * An error as the fraction that an instance carries beside its page.
+ * Encodes an error as the fraction that is added to an instance's page.
  * @param {number} px
  */
 function shareOf(px) {

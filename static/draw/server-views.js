@@ -1,18 +1,18 @@
-// Shows views that the server draws, where the browser cannot draw them itself.
+// Shows views that the server draws, for browsers that cannot draw them.
 import { problemOf } from '../decode/problem.js';
 import { POSE_KEYS } from '../view/camera.js';
 
 const KEPT = 64;
 /** @import { Frame, Pose } from '../view/camera.js' */
 
-/** Longest side asked for, pixels. */
+/** Longest side of a requested view, pixels. */
 const MAX_SIDE = 1280;
 const SIZE_STEP = 64;
 
 export class ServerViews {
   /**
-   * @param {HTMLImageElement} image where the views are shown
-   * @param {string} url the view resource of a photo
+   * @param {HTMLImageElement} image that shows the views
+   * @param {string} url of the photo's view resource
    * @param {{width: number, height: number}} size of the photo
    * @param {(error: Error) => void} onError
    */
@@ -32,7 +32,7 @@ export class ServerViews {
   }
 
   /**
-   * Asks for a view; the latest wins and at most one request is under way.
+   * Requests a view; the latest call wins, and at most one request is in flight.
    * @param {Pose} pose
    * @param {number} fov horizontal, of the whole photo, degrees
    * @param {{width: number, height: number}} size wanted, device pixels
@@ -67,7 +67,7 @@ export class ServerViews {
   }
 
   /**
-   * Keeps the pictures used last.
+   * Caches the most recently used views.
    * @param {string} address
    * @param {string} source
    */
@@ -89,7 +89,7 @@ export class ServerViews {
 
 /**
  * Address of a view.
- * @param {string} url the view resource
+ * @param {string} url of the view resource
  * @param {{width: number, height: number}} size of the photo
  * @param {Pose} pose
  * @param {number} fov horizontal, of the whole photo, degrees
@@ -113,9 +113,9 @@ function viewAddress(url, size, pose, fov, wanted, frame) {
 }
 
 /**
- * The part of the photo that a frame shows, as the server takes it, or '' for all of it.
+ * The server's `crop` parameter for a frame, or '' for the whole photo.
  * @param {Frame} frame
- * @param {number} wider aspect of the picture over that of the photo
+ * @param {number} wider aspect ratio of the picture divided by that of the photo
  */
 function cropOf({ scale, x, y }, wider) {
   const [w, h] = [Math.min(1, 1 / scale), Math.min(1, 1 / scale / wider)];

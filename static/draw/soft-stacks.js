@@ -1,18 +1,18 @@
-// Where many soft texels lie over each other, 8 bits a layer are not enough.
+// Detects deep stacks of soft texels, for which 8 bits per layer are not enough.
 
 /** @import { Layers } from '../decode/scene.js' */
 /** @import { Piece } from './border.js' */
 /** @import { Places } from './texture-atlas.js' */
 
-/** So many soft texels over each other are blended in 8 bits: each may round by half a level. */
+/** Most stacked soft texels that are blended in 8 bits: each may round by half a level. */
 const STACK = 4;
-/** Most bytes of an atlas of 16-bit floats: where these are not enough, a device that has no memory left would show nothing at all. */
+/** Most bytes of an atlas of 16-bit floats; a larger one may exhaust the device's memory, and nothing would be drawn. */
 const MOST_BYTES = 128 * 1024 * 1024;
 /** Alpha from which a texel counts as opaque, as in tmpi.wgsl. */
 const OPAQUE = 0.99 * 255;
 
 /**
- * True where an atlas of 16-bit floats has a place.
+ * Whether an atlas of 16-bit floats stays within the memory limit.
  * @param {Pick<Places, 'width' | 'height' | 'pages'>} places
  */
 export function floatsFit({ width, height, pages }) {
@@ -20,10 +20,10 @@ export function floatsFit({ width, height, pages }) {
 }
 
 /**
- * True where more than `STACK` soft texels are drawn over a pixel of the photo: of one tile, or of several where their borders overlap.
+ * Whether any pixel of the photo has more than `STACK` soft texels, of one tile or of several that overlap.
  * @param {{width: number, height: number}} photo
  * @param {Pick<Layers, 'w' | 'h' | 'soft' | 'count'>} layers of these tiles
- * @param {Uint8Array} alpha of all their texels
+ * @param {Uint8Array} alpha alphas of all their texels
  * @param {Piece[]} pieces of these layers
  */
 export function hasDeepStacks({ width, height }, layers, alpha, pieces) {
@@ -31,7 +31,7 @@ export function hasDeepStacks({ width, height }, layers, alpha, pieces) {
   for (let i = 1; i < layers.count; i++) firstTexel[i] = firstTexel[i - 1] + layers.w[i - 1] * layers.h[i - 1];
   const over = new Uint8Array(width * height);
   for (const p of pieces) {
-    // what is mirrored beyond the border is as it is within
+    // mirror images beyond the border have the same stacks
     if (p.flipX || p.flipY || !layers.soft[p.layer]) continue;
     const [left, right] = [Math.floor(p.left), Math.ceil(p.right)];
     for (let v = Math.floor(p.upper); v < Math.ceil(p.lower); v++) {

@@ -1,37 +1,37 @@
-// Places the pieces of a scene on the pages of a texture array; the decoder fills these with premultiplied RGBA, strip by strip.
+// Packs the pieces of a scene into the pages of a texture array. The decoder fills the pages with premultiplied RGBA, strip by strip.
 
 /** @import { Piece } from './border.js' */
 
 /**
- * A full-width strip of a page, with the numbers of its pieces and their columns.
+ * A full-width strip of a page, with the indices of its pieces and their columns.
  * @typedef {{page: number, y: number, h: number, pieces: number[], x: number[]}} Band
  */
 /**
- * Place of each piece, size and count of pages, and the bands that they are filled by.
+ * Place of each piece, size and count of the pages, and the bands that fill them.
  * @typedef {{page: Uint32Array, atlasX: Uint32Array, atlasY: Uint32Array, width: number, height: number, pages: number, bands: Band[]}} Places
  */
 /**
- * Pages of a texture array, and what they are filled with: strips of their full width, of bytes or, where it is wide, 16-bit floats.
+ * Pages of a texture array, and the full-width strips that fill them: bytes, or 16-bit floats if `wide`.
  * @typedef {{page: number, y: number, h: number, data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer>}} Strip
  * @typedef {{width: number, height: number, pages: number, wide: boolean, strips: Strip[]}} Atlas
  */
 
-/** Width of a page where the scene fits one. */
+/** Page widths are multiples of this, pixels. */
 const PAGE_STEP = 256;
-/** Side of a page at most while the pieces themselves are smaller: nearly any graphics device has that. */
+/** Largest side of a page, unless a piece is larger: nearly every graphics device supports it. */
 const PAGE_SIDE = 4096;
-/** Time that uploading may hold the page before it lets others run. */
+/** Time that uploading may block the page before it yields, ms. */
 const SLICE_MS = 8;
-/** Bytes that are written at once. */
+/** Bytes per write. */
 const PART_BYTES = 2 << 20;
-/** Bytes that may wait to be taken over. */
+/** Most bytes queued in the graphics device. */
 const QUEUE_BYTES = 8 << 20;
 
 /**
- * Shelf packing, tallest rectangles first, as crates/render has it. Pieces of different groups, numbered from 0, share no strip.
+ * Shelf packing, tallest rectangles first, as in crates/render. Pieces of different groups, numbered from 0, share no strip.
  * @param {Pick<Piece, 'w' | 'h'>[]} pieces
  * @param {number[]} [groups] the group of each
- * @param {number} [most] side of a page that the graphics device can hold
+ * @param {number} [most] largest side of a page that the graphics device supports
  * @returns {Places}
  */
 export function pack(pieces, groups = pieces.map(() => 0), most = PAGE_SIDE) {
@@ -85,22 +85,22 @@ export function pack(pieces, groups = pieces.map(() => 0), most = PAGE_SIDE) {
 
 /**
  * @param {Atlas} atlas
- * @param {{side: number, pages: number}} most what the graphics device can hold
- * @throws where the atlas does not fit
+ * @param {{side: number, pages: number}} most limits of the graphics device
+ * @throws if the atlas does not fit
  */
 export function checkFit({ width, height, pages }, most) {
   if (Math.max(width, height) > most.side || pages > most.pages) throw new Error('the layers do not fit the graphics device');
 }
 
 /**
- * Hands all strips to `write`, tall ones in parts, with pauses that let the page live; `settle` resolves once what was written is taken
- * over, as a full queue holds the page.
+ * Passes all strips to `write`, tall ones in parts, with pauses that keep the page responsive. `settle` resolves once the device has
+ * processed all writes; a full queue would block the page.
  * @param {Atlas} atlas
  * @param {(strip: Strip) => void} write
  * @param {() => Promise<void>} settle
  */
 export async function upload({ strips }, write, settle) {
-  // what came before has held the page for a while
+  // the page may already have been blocked for a while
   await new Promise((resume) => setTimeout(resume));
   let slice = performance.now();
   let queued = 0;
@@ -120,7 +120,7 @@ export async function upload({ strips }, write, settle) {
 }
 
 /**
- * A strip in parts of whole rows that are written in a moment.
+ * Splits a strip into parts of whole rows that are quick to write.
  * @param {Strip} strip
  * @returns {Strip[]}
  */

@@ -1,16 +1,16 @@
-// The parallax error of each tile, as the photo's report has it, for the overlay that shows it.
+// Loads the parallax error of each tile from the photo's report, for the overlay `error`.
 
 export class TileErrors {
   /** @type {Promise<number[]> | null} */
   #wanted = null;
 
-  /** @param {string | undefined} address of the report, where there is one */
+  /** @param {string | undefined} address of the report, if there is one */
   constructor(address) {
     this.address = address;
   }
 
   /**
-   * Fetches the errors, once, and hands them to `renderer`; does nothing before `want`.
+   * Passes the errors to `renderer` once they are loaded; does nothing before `want`.
    * @param {{setTileErrors: (errors: number[]) => void} | null} renderer
    */
   async show(renderer) {
@@ -18,11 +18,11 @@ export class TileErrors {
     if (errors) renderer?.setTileErrors(errors);
   }
 
-  /** Asks for them; a failure is told by `show` and forgotten. */
+  /** Starts loading; `show` throws on a failure, and the next call tries again. */
   want() {
     if (this.#wanted || !this.address) return;
     const wanted = fetch(this.address).then(async (response) => {
-      if (!response.ok) throw new Error('The report of the photo cannot be had.');
+      if (!response.ok) throw new Error('The report of the photo cannot be loaded.');
       return (await response.json()).error?.tile_px ?? [];
     });
     this.#wanted = wanted;

@@ -1,15 +1,15 @@
-// Draws a tiled multiplane image for a camera. One file for the server (wgpu) and the browser (WebGPU), default features only; for
-// WebGL2 `crates/render/tests/shaders.rs` translates it.
+// Draws a tiled multiplane image for a camera. The server (wgpu) and the browser (WebGPU) share this file; it uses default features only.
+// `crates/render/tests/shaders.rs` translates it for WebGL2.
 //
-// Geometry is linear in homogeneous coordinates; nothing is divided by depth. For a corner (x, y) of a layer's rectangle, in
-// reference pixels (texel i covers [i, i+1]):
+// The geometry is linear in homogeneous coordinates, without division by depth. For a corner (x, y) of a layer's rectangle, in reference
+// pixels (texel i covers [i, i+1]):
 //     x̂ = ((x − cx)/fx, (y − cy)/fy, 1)      (u, v) = ((x, y) − tile centre) / half       δ = a + b·u + c·v
 //     p = R x̂ + t δ                          pixel = K_t p / p_z                          target disparity δ_t = δ / p_z
-// Clip position: (K_t p in NDC, times p_z; near·δ; p_z). Depth = near·δ_t lies in [0, 1], 0 at infinity, larger is nearer:
+// Clip position: (K_t p in NDC, times p_z; near·δ; p_z). Depth = near·δ_t is in [0, 1], 0 at infinity, larger is nearer:
 // depth format depth32float, cleared to 0, compare `greater-equal` in both passes (so δ = 0 still draws on a cleared pixel).
-// What has p_z ≤ 0 is behind the camera and clipped by w; what is nearer than `near` is clipped by z ≤ w.
+// Points with p_z ≤ 0 are behind the camera and clipped by w; points nearer than `near` are clipped by z ≤ w.
 // A plane may pass beyond infinity (δ < 0) inside its rectangle. The vertex stage splits the rectangle along δ = 0 and gives the
-// part beyond it depth 0, so it is drawn behind everything, at the place that the linear formula says; nothing is dropped.
+// part beyond it depth 0, so it is drawn behind everything, at the position of the linear formula; nothing is dropped.
 //
 // BUFFERS (little-endian f32, tightly packed)
 //
@@ -17,18 +17,18 @@
 //     0  R column 0: x y z, unused        48  t: x y z, near                                 96  target width, target height (pixels)
 //    16  R column 1: x y z, unused        64  reference camera: fx fy cx cy (pixels)        104  half: half a tile, pixels
 //    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes, 4 error
-//     near: depth 1, in units of the nearest distance of the photo; the server takes 1/1024.
+//     near: the distance at depth 1, in units of the photo's nearest distance; the server uses 1/1024.
 //
 // Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
-//     0  location 0: plane a b c, page (whole part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)
+//     0  location 0: plane a b c, page (integer part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)
 //    16  location 1: tile centre x y, rectangle x y       (reference pixels; the tile centre is the origin of u, v)
 //    32  location 2: rectangle w h, atlas x y             (texels; upper left corner of the rectangle on its page; −x: its right side,
 //                                                         from which columns run backward, and −y: its lower side)
-//     The rectangle is the part that is drawn: it starts and ends at the border of a texel, or at the centre of one where the layer
-//     goes on (the outermost texels of a tile are sampled, but not drawn where the next tile has the same pixels).
+//     The rectangle is the part that is drawn: it starts and ends at the border of a texel, or at the centre of one if the layer
+//     continues there (the outermost texels of a tile are sampled, but not drawn where the next tile has the same pixels).
 //
 // Group 0 binding 1: the atlas, texture_2d_array<f32>, rgba8unorm, PREMULTIPLIED, one mip level; view dimension `2d-array` even with
-// one page. No gutter is needed between rectangles: coordinates are clamped to the texels' centres.
+// one page. Rectangles need no gutter between them, because coordinates are clamped to the texels' centres.
 // Group 0 binding 2: sampler, magFilter and minFilter `linear`, clamp-to-edge.
 //
 // DRAWING: draw(VERTICES = 18, instances), primitive `triangle-list`, cullMode none. Colour is premultiplied, in the photo's own
@@ -36,8 +36,8 @@
 //   pass 1  vs + fs_opaque, no blending, depth write on;  instances in layer order (a tie in depth goes to the later layer).
 //   pass 2  vs + fs_soft, blend (one, one-minus-src-alpha, add) for colour and alpha, depth write OFF;  instances back to front by
 //           (mean δ over the rectangle, layer order): mean δ = δ at the rectangle's centre. The order does not depend on the pose,
-//           but where R column 2 has z < 0 (the camera looks backward) it is by (−mean δ, layer order).
-// Both passes may be one render pass with two pipelines. Layers without a soft edge may be left out of pass 2.
+//           except that if R column 2 has z < 0 (the camera looks backward) it is by (−mean δ, layer order).
+// Both passes may be one render pass with two pipelines. Pass 2 may omit layers without a soft edge.
 
 struct View {
     r0: vec4f,
@@ -64,22 +64,22 @@ struct Instance {
 
 struct Varyings {
     @builtin(position) clip: vec4f,
-    // Place on the page in texels.
+    // Position on the page in texels.
     @location(0) texel: vec2f,
     // First and last texel centre of the rectangle on its page.
     @location(1) @interpolate(flat) bounds: vec4f,
     @location(2) @interpolate(flat) page: i32,
-    // Nothing where w = 0; rgb mixed in by w where w > 0; grey of depth · −w where w < 0.
+    // w = 0: no overlay; w > 0: mix in rgb by w; w < 0: grey level of depth · −w.
     @location(3) @interpolate(flat) overlay: vec4f,
 }
 
-// A colour of its own for each v.
+// A distinct colour for each v.
 fn tint(v: vec3f) -> vec3f {
     let hue = fract(sin(dot(v, vec3f(12.9898, 78.233, 37.719))) * 43758.547);
     return 0.5 + 0.5 * cos(6.2831853 * (hue + vec3f(0.0, 0.33, 0.67)));
 }
 
-// Green, yellow, red.
+// From green over yellow to red.
 fn heat(v: f32) -> vec3f {
     let low = mix(vec3f(0.1, 0.55, 0.35), vec3f(0.95, 0.8, 0.2), min(1.0, 2.0 * v));
     return mix(low, vec3f(0.85, 0.1, 0.1), max(0.0, 2.0 * v - 1.0));
@@ -107,8 +107,8 @@ fn delta_at(s: vec2f, i: Instance) -> f32 {
     return i.plane_page.x + i.plane_page.y * uv.x + i.plane_page.z * uv.y;
 }
 
-// Vertices 0 to 8: the fan of the part with δ ≥ 0; 9 to 17: of the part beyond infinity. A rectangle cut by a line has at most five
-// corners a side, so three triangles; those not needed are degenerate.
+// Vertices 0 to 8: the triangle fan of the part with δ ≥ 0; 9 to 17: that of the part beyond infinity. A line splits a rectangle into parts
+// of at most five corners, so three triangles each; unused triangles are degenerate.
 fn corner_of(vertex: u32, i: Instance) -> Varyings {
     let beyond = vertex >= 9u;
     var corner = array<vec2f, 4>(vec2f(0.0, 0.0), vec2f(1.0, 0.0), vec2f(1.0, 1.0), vec2f(0.0, 1.0));
@@ -162,7 +162,7 @@ fn vs(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
     return corner_of(vertex, i);
 }
 
-// For WebGL, whose clip space begins at z = −w: depth 0 is infinity there too.
+// For WebGL, whose clip space starts at z = −w, so that depth 0 is at infinity there, too.
 @vertex
 fn vs_webgl(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
     var out = corner_of(vertex, i);
@@ -183,7 +183,7 @@ fn overlaid(c: vec4f, v: Varyings) -> vec4f {
     return vec4f(mix(c.rgb, v.overlay.rgb * c.a, v.overlay.w), c.a);
 }
 
-// Opaque texels, as fully covered.
+// Opaque texels, with alpha 1.
 @fragment
 fn fs_opaque(v: Varyings) -> @location(0) vec4f {
     let c = colour(v);

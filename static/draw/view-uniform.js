@@ -1,4 +1,4 @@
-// The uniform at the head of tmpi.wgsl, which both backends fill in.
+// The uniform `View` of tmpi.wgsl, for both backends.
 import { extrinsics } from '../view/camera.js';
 
 /** @import { Scene } from '../decode/scene.js' */
@@ -6,12 +6,12 @@ import { extrinsics } from '../view/camera.js';
 
 /** Vertices of an instance, as in tmpi.wgsl. */
 export const VERTICES = 18;
-/** Size of the uniform. */
+/** Size of the uniform, bytes. */
 export const UNIFORM_BYTES = 112;
 
 /**
- * The uniform of a view. `near` gives the reciprocal of the greatest target disparity that is drawn, for the camera's translation;
- * `overlay` is the place of one in `OVERLAYS` (view/display.js).
+ * The uniform of a view. `near` returns the reciprocal of the largest target disparity that is drawn, for the camera's translation;
+ * `overlay` is an index into `OVERLAYS` (view/display.js).
  * @param {Scene} scene
  * @param {View} view
  * @param {(t: number[]) => number} near
@@ -26,7 +26,7 @@ export function viewUniform({ intrinsics, tileSize }, { pose, k, width, height }
 }
 
 /**
- * True where a camera looks against the photo's own: rays meet the planes in the opposite order.
+ * Whether a camera looks in the opposite direction to the reference camera, so that rays meet the planes in reverse order.
  * @param {View} view
  */
 export function looksBackward({ pose }) {

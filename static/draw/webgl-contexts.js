@@ -1,25 +1,25 @@
-// The WebGL2 contexts of a page's viewers. A browser has so many for a page, and takes the oldest away where more are asked for: viewers out of
-// sight give theirs back to those in sight, and these wait where there is none left.
+// Shares the WebGL2 contexts of a page among its viewers. Browsers limit the contexts of a page and drop the oldest one beyond that. So
+// viewers out of sight give up theirs to visible ones, and visible ones wait if none is left.
 
-/** Fewer than browsers have: others on the page may have some. Chromium has 16, and 8 on phones. */
+/** Fewer than browsers allow (Chromium: 16, on phones 8), because the rest of the page may use some. */
 const most = () => (matchMedia('(pointer: coarse)').matches ? 6 : 12);
 
 /**
- * Who has a context, or waits for one.
+ * A viewer that has a context or waits for one.
  * @typedef {object} Holder
- * @property {() => boolean} asleep whether nobody sees it
- * @property {() => boolean} busy whether its context is being made ready, and cannot be given back before that is done
- * @property {() => void} giveBack drops the context
- * @property {() => void} retry asks for one again
+ * @property {() => boolean} asleep whether the viewer is out of sight
+ * @property {() => boolean} busy whether its context is being set up, and cannot be given back before that is done
+ * @property {() => void} giveBack releases the context
+ * @property {() => void} retry requests a context again
  */
 
-/** Those with a context, the one that has had it the longest first. @type {Set<Holder>} */
+/** Viewers with a context, the longest-held first. @type {Set<Holder>} */
 const holders = new Set();
 /** @type {Set<Holder>} */
 const waiting = new Set();
 
 /**
- * Leave to have a context; false where there is none left, and `retry` is called once there is.
+ * Reserves a context; returns false if none is left, and then calls `retry` once there is one.
  * @param {Holder} holder
  */
 export function takeContext(holder) {
@@ -37,7 +37,7 @@ export function takeContext(holder) {
 }
 
 /**
- * Somebody uses what waits: it gets the context of whoever has had one the longest.
+ * Gives a waiting viewer that the user interacts with the longest-held context.
  * @param {Holder} holder
  */
 export function insistOnContext(holder) {
@@ -51,7 +51,7 @@ export function insistOnContext(holder) {
 }
 
 /**
- * It has no context any more, and wants none.
+ * Removes a viewer that needs no context any more.
  * @param {Holder} holder
  */
 export function leaveContext(holder) {
@@ -60,7 +60,7 @@ export function leaveContext(holder) {
 }
 
 /**
- * Nobody sees it, or it is ready: whoever waits may have its context where it needs none.
+ * Offers the context of a viewer that is out of sight to a waiting one. Call it when the viewer goes out of sight or is set up.
  * @param {Holder} holder
  */
 export function lendContext(holder) {

@@ -1,9 +1,9 @@
-// Copies textures with WebGL2 by copy.wgsl: between formats, or blended into what is there.
+// Copies textures with WebGL2 and copy.wgsl, between formats or with blending.
 
 const VERTICES = 3;
 
 /**
- * Gives what copies a texture to a framebuffer of the same size; what is there stays where `weight`, the blend constant, is given.
+ * Returns a function that copies a texture to a framebuffer of the same size; with `weight`, the blend constant, it blends.
  * @param {WebGL2RenderingContext} gl
  * @param {WebGLProgram} program of copy.wgsl
  */

@@ -1,12 +1,12 @@
-// Builds programs of WebGL2, without waiting for the graphics process where the browser builds them beside the page.
+// Builds WebGL2 programs without blocking on the graphics process, if the browser compiles in parallel.
 
-/** Time between two looks at whether a program is built, ms. */
+/** Interval of polling whether a program is built, ms. */
 const POLL_MS = 4;
 
 /** @typedef {{program: WebGLProgram, shaders: WebGLShader[]}} Begun */
 
 /**
- * Begins to build a program of a vertex and a fragment shader; nothing is asked, as each answer would wait for the graphics process.
+ * Starts to build a program. It queries nothing, because every query would block on the graphics process.
  * @param {WebGL2RenderingContext} gl
  * @param {string} vertex
  * @param {string} fragment
@@ -18,7 +18,7 @@ export function begin(gl, vertex, fragment) {
   const shaders = [];
   const add = (/** @type {GLenum} */ type, /** @type {string} */ source) => {
     const shader = gl.createShader(type);
-    // only a lost context has none
+    // null only if the context is lost
     if (!shader) return;
     gl.shaderSource(shader, source);
     gl.compileShader(shader);
@@ -32,7 +32,7 @@ export function begin(gl, vertex, fragment) {
 }
 
 /**
- * The program once it is built; throws what the compiler says.
+ * Resolves with the program once it is built; throws the compiler's message.
  * @param {WebGL2RenderingContext} gl
  * @param {Begun} begun
  */

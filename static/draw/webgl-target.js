@@ -1,4 +1,4 @@
-// What WebGL2 draws into where that is not the canvas: a texture, with depth where it is asked for.
+// Off-screen render target of WebGL2: a texture, with an optional depth buffer.
 
 export class WebGlTarget {
   #gl;
@@ -20,7 +20,7 @@ export class WebGlTarget {
   }
 
   /**
-   * Texture and framebuffer of a size, made anew where it was another.
+   * Texture and framebuffer of that size, recreated when the size changes.
    * @param {number} width
    * @param {number} height
    */
@@ -32,7 +32,7 @@ export class WebGlTarget {
     const texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texStorage2D(gl.TEXTURE_2D, 1, this.#format, width, height);
-    // textures of floats cannot be filtered everywhere
+    // some devices cannot filter float textures
     for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
     gl.bindTexture(gl.TEXTURE_2D, null);
     const frame = gl.createFramebuffer();
@@ -59,7 +59,7 @@ export class WebGlTarget {
 }
 
 /**
- * Whether 16-bit floats can be drawn into.
+ * Whether 16-bit float textures can be render targets.
  * @param {WebGL2RenderingContext} gl
  */
 export function hasHalfFloatTargets(gl) {

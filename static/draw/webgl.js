@@ -1,4 +1,4 @@
-// Draws a decoded scene with WebGL2 where there is no WebGPU: the same shader, translated, on the same atlas and instances.
+// Draws a decoded scene with WebGL2 if WebGPU is not available: the same shader, translated, with the same atlas and instances.
 import { WebGlMean } from './depth-of-field/mean-webgl.js';
 import { COPY_FRAGMENT, COPY_VERTEX, OPAQUE_FRAGMENT, SCENE_VERTEX, SOFT_FRAGMENT } from './glsl.js';
 import { INSTANCE_FLOATS, withErrors } from './instances.js';
@@ -20,22 +20,22 @@ import { hasHalfFloatTargets, WebGlTarget } from './webgl-target.js';
  */
 /** @typedef {Awaited<ReturnType<typeof load>>} Loaded */
 
-/** Time between two looks at whether the device is done, ms. */
+/** Interval of polling whether the device is done, ms. */
 const POLL_MS = 4;
 const CONTEXT = { alpha: false, antialias: false, depth: true, powerPreference: 'high-performance' };
 
 /**
- * A canvas keeps what it was first asked for.
+ * The WebGL2 context of a canvas. The first call for a canvas determines its attributes.
  * @param {HTMLCanvasElement} canvas
- * @param {boolean} [over] whether what lies below is seen where nothing is drawn
+ * @param {boolean} [over] whether undrawn pixels are transparent
  */
 export const contextOf = (canvas, over = false) =>
   /** @type {WebGL2RenderingContext | null} */ (canvas.getContext('webgl2', { ...CONTEXT, alpha: over }));
 
-/** Side of the largest texture, once it is known: each context that is made to ask takes one from the page. */
+/** Side of the largest texture, cached because querying it uses up one of the page's contexts; 0 if unknown. */
 let knownSide = 0;
 
-/** Side of the largest texture of the browser's WebGL2, 0 where it has none. */
+/** Side of the largest texture of the browser's WebGL2, 0 without WebGL2. */
 export function webGlSide() {
   if (knownSide) return knownSide;
   const gl = contextOf(document.createElement('canvas'));
@@ -45,13 +45,13 @@ export function webGlSide() {
   return knownSide;
 }
 
-/** A scene in a WebGL2 context. Build with `WebGlRenderer.create`. */
+/** A scene in a WebGL2 context. Create it with `WebGlRenderer.create`. */
 export class WebGlRenderer {
   /**
    * @param {HTMLCanvasElement} canvas without a context yet
    * @param {Scene} scene
-   * @param {(info: {message: string}) => void} onLost called where the context goes away by itself
-   * @throws where there is no WebGL2 or the scene does not fit it
+   * @param {(info: {message: string}) => void} onLost called if the context is lost
+   * @throws if there is no WebGL2 or the scene does not fit it
    */
   static async create(canvas, scene, onLost) {
     const gl = contextOf(canvas);
@@ -132,11 +132,11 @@ export class WebGlRenderer {
     }
   }
 
-  /** The canvas was given when the context was made. */
+  /** Does nothing: the context belongs to its canvas. */
   attach() {}
 
   /**
-   * As `WebGpuRenderer.draw`; `surface` where it is not the canvas.
+   * As `WebGpuRenderer.draw`, by default on the canvas.
    * @param {View[]} views
    * @param {Surface} [surface]
    */
@@ -189,7 +189,7 @@ export class WebGlRenderer {
     return out;
   }
 
-  /** Resolves once everything submitted so far is drawn. */
+  /** Resolves once all submitted work is done. */
   idle() {
     return done(this.gl);
   }
@@ -200,7 +200,7 @@ export class WebGlRenderer {
   }
 
   /**
-   * Draws to a framebuffer of the format that the scene is drawn in.
+   * Draws to a framebuffer in the scene's format.
    * @param {View[]} views
    * @param {WebGLFramebuffer | null} framebuffer
    */
@@ -249,7 +249,7 @@ export class WebGlRenderer {
 }
 
 /**
- * Resolves once everything given to the device so far is done.
+ * Resolves once the device has finished all submitted work.
  * @param {WebGL2RenderingContext} gl
  */
 async function done(gl) {
@@ -260,7 +260,7 @@ async function done(gl) {
 }
 
 /**
- * Puts a scene into a context's memory. What is bound here stays bound.
+ * Uploads a scene to graphics memory. The objects that it binds stay bound.
  * @param {WebGL2RenderingContext} gl
  * @param {Scene} scene
  */
@@ -272,7 +272,7 @@ async function load(gl, scene) {
   ].map(([vertex, fragment]) => begin(gl, vertex, fragment));
   const { width, height, pages, wide: halves } = scene.atlas;
   checkFit(scene.atlas, { side: gl.getParameter(gl.MAX_TEXTURE_SIZE), pages: gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS) });
-  // texels of 16-bit floats are always to be had, targets are not: then the sum is rounded layer by layer
+  // textures of 16-bit floats always exist, render targets may not; blending then rounds after every layer
   const wide = halves && hasHalfFloatTargets(gl);
   gl.bindTexture(gl.TEXTURE_2D_ARRAY, gl.createTexture());
   gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, halves ? gl.RGBA16F : gl.RGBA8, width, height, pages);
@@ -283,9 +283,9 @@ async function load(gl, scene) {
     gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, y, page, width, h, 1, gl.RGBA, type, data);
   await upload(scene.atlas, write, () => done(gl));
   const [opaque, soft, copy] = await Promise.all(begun.map((program) => built(gl, program)));
-  // until then asking for errors holds the page
+  // before that, a query for errors would block the page
   await done(gl);
-  // the one block of the programs is at binding 0
+  // the programs' only uniform block is at binding 0
   gl.bindBufferBase(gl.UNIFORM_BUFFER, 0, gl.createBuffer());
   gl.bufferData(gl.UNIFORM_BUFFER, UNIFORM_BYTES, gl.DYNAMIC_DRAW);
   gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
@@ -293,7 +293,7 @@ async function load(gl, scene) {
 }
 
 /**
- * The context's memory goes at once, not when the canvas is collected.
+ * Frees the context's memory at once, not when the canvas is garbage collected.
  * @param {WebGL2RenderingContext} gl
  */
 function forget(gl) {
@@ -301,8 +301,8 @@ function forget(gl) {
 }
 
 /**
- * Reciprocal of the greatest target disparity that is drawn. WebGL's depth is not at its finest at infinity, so it is as large as
- * the camera's way from the photo's own place allows.
+ * Reciprocal of the largest target disparity that is drawn. WebGL's depth buffer is not most precise at infinity, so the result is as large
+ * as the camera's distance from the home position allows.
  * @param {number[]} t
  */
 function nearOf(t) {

@@ -1,4 +1,4 @@
-// Copies textures with WebGPU by copy.wgsl: between formats, or blended into what is there.
+// Copies textures with WebGPU and copy.wgsl, between formats or with blending.
 
 /** Vertices of the triangle that covers the target. */
 const VERTICES = 3;
@@ -22,7 +22,7 @@ export function copyPipeline(device, module, format, blend) {
  * @param {GPUDevice} device
  * @param {GPURenderPipeline} pipeline of `copyPipeline`
  * @param {GPUTexture} from
- * @param {GPUTexture} to of the same size; what is there stays where `weight`, the blend constant, is given
+ * @param {GPUTexture} to of the same size; with `weight`, the blend constant, its content is kept and blended
  * @param {number} [weight]
  */
 export function copyTexture(device, pipeline, from, to, weight) {

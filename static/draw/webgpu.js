@@ -1,4 +1,4 @@
-// Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu backend uses too; its header is the contract.
+// Draws a decoded scene with WebGPU and tmpi.wgsl, the shader of the server's gpu backend; its header specifies buffers and passes.
 import { WebGpuMean } from './depth-of-field/mean-webgpu.js';
 import { acquireDevice } from './device.js';
 import { INSTANCE_FLOATS, withErrors } from './instances.js';
@@ -14,22 +14,22 @@ import { copyPipeline, copyTexture } from './webgpu-copy.js';
 /** @import { Strip } from './texture-atlas.js' */
 
 const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
-/** Disparity 1/NEAR is the nearest that is drawn. */
+/** The largest disparity that is drawn is 1/NEAR. */
 const NEAR = 1 / 1024;
 const DEPTH_FORMAT = 'depth32float';
-/** Texels and views of stacks of soft layers: 8 bits would round after every layer. */
+/** Format of texels and views if soft layers are stacked: 8 bits would round after every layer. */
 const WIDE_FORMAT = 'rgba16float';
 
 /** @typedef {{scene: GPUShaderModule, copy: GPUShaderModule, layout: GPUBindGroupLayout}} Shaders */
 /** @typedef {{opaque: GPURenderPipeline, soft: GPURenderPipeline}} Passes */
 /** @typedef {Awaited<ReturnType<typeof load>>} Loaded */
 
-/** A scene on a graphics device. Build with `WebGpuRenderer.create`. */
+/** A scene on a graphics device. Create it with `WebGpuRenderer.create`. */
 export class WebGpuRenderer {
   /**
    * @param {Scene} scene
-   * @param {(info: GPUDeviceLostInfo) => void} onLost called once where the device goes away by itself
-   * @throws where there is no device or the scene does not fit it
+   * @param {(info: GPUDeviceLostInfo) => void} onLost called once if the device is lost
+   * @throws if there is no device or the scene does not fit it
    */
   static async create(scene, onLost) {
     const device = await acquireDevice();
@@ -70,7 +70,7 @@ export class WebGpuRenderer {
     this.#scene = scene;
     this.#loaded = loaded;
     this.maxSide = this.device.limits.maxTextureDimension2D;
-    /** What is drawn over the scene: the place of one in `OVERLAYS`. */
+    /** Overlay over the scene: an index into `OVERLAYS`. */
     this.overlay = 0;
     this.disposed = false;
     /** @type {GPUCanvasContext | null} */
@@ -81,13 +81,13 @@ export class WebGpuRenderer {
     });
   }
 
-  /** True where the scene is drawn in 16-bit floats and rounded in the end. */
+  /** True if the scene is drawn in 16-bit floats and rounded at the end. */
   get wide() {
     return this.#loaded.wide;
   }
 
   /**
-   * Parallax error in pixels of each tile, for the overlay that shows it.
+   * Sets the parallax error of each tile in pixels, for the overlay `error`.
    * @param {number[]} errors
    */
   setTileErrors(errors) {
@@ -103,7 +103,7 @@ export class WebGpuRenderer {
   }
 
   /**
-   * Takes over texels that changed, and other instances where there are.
+   * Applies changed texels, and new instances if there are any.
    * @param {{instances: Instances | null, cells: Cells}} change
    */
   update({ instances, cells: { data, places } }) {
@@ -121,9 +121,9 @@ export class WebGpuRenderer {
   }
 
   /**
-   * Makes `canvas` show what `draw` draws.
+   * Makes `draw` draw on `canvas`.
    * @param {HTMLCanvasElement} canvas
-   * @param {boolean} [over] whether what lies below is seen where nothing is drawn
+   * @param {boolean} [over] whether undrawn pixels are transparent
    */
   attach(canvas, over = false) {
     const context = canvas.getContext('webgpu');
@@ -141,8 +141,8 @@ export class WebGpuRenderer {
   }
 
   /**
-   * Draws the mean of pictures to the attached canvas, going on from a mean of `before` pictures drawn the same way just now.
-   * @param {View[][]} frames views of each picture, as `draw` has them
+   * Draws the mean of pictures on the attached canvas, continuing the mean of `before` pictures from the preceding calls.
+   * @param {View[][]} frames views of each picture, as in `draw`
    * @param {number} before
    */
   drawMean(frames, before) {
@@ -159,7 +159,7 @@ export class WebGpuRenderer {
   }
 
   /**
-   * Draws apart from the canvas and reads the picture back.
+   * Draws off screen and reads the picture back.
    * @param {Pose} pose
    * @param {Intrinsics} k
    * @param {number} width
@@ -187,7 +187,7 @@ export class WebGpuRenderer {
     }
   }
 
-  /** Resolves once everything submitted so far is drawn. */
+  /** Resolves once all submitted work is done. */
   idle() {
     return this.device.queue.onSubmittedWorkDone();
   }
@@ -203,7 +203,7 @@ export class WebGpuRenderer {
   }
 
   /**
-   * Draws to a texture of the canvas's format.
+   * Draws to a texture in the canvas's format.
    * @param {View[]} views
    * @param {GPUTexture} texture
    */
@@ -221,7 +221,7 @@ export class WebGpuRenderer {
   }
 
   /**
-   * Draws to a texture of the format that the scene is drawn in.
+   * Draws to a texture in the scene's format.
    * @param {View[]} views
    * @param {GPUTexture} texture
    */
@@ -274,7 +274,7 @@ export class WebGpuRenderer {
 }
 
 /**
- * Puts a scene into graphics memory.
+ * Uploads a scene to graphics memory.
  * @param {Device} shared
  * @param {Scene} scene
  */
@@ -345,7 +345,7 @@ async function shadersOf(device) {
 }
 
 /**
- * The pipelines of pass 1 and pass 2 for a target of that format.
+ * The pipelines of pass 1 and pass 2 for a target in that format.
  * @param {GPUDevice} device
  * @param {GPUShaderModule} module
  * @param {GPUBindGroupLayout} bindings
@@ -379,7 +379,7 @@ async function passesOf(device, module, bindings, format) {
  * @param {number} width
  * @param {number} height
  * @param {number} bytesPerRow
- * @param {boolean} swap red and blue
+ * @param {boolean} swap whether to swap red and blue
  */
 function tightRows(padded, width, height, bytesPerRow, swap) {
   const out = new Uint8ClampedArray(width * height * 4);

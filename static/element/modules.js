@@ -30,17 +30,17 @@ export const MODULES = [
   'input/gyroscope.js',
   'input/motion.js',
   'input/zoom.js',
+  'view/camera-limits.js',
   'view/camera.js',
   'view/canvas-size.js',
   'view/detail.js',
   'view/display.js',
   'view/frame-pacing.js',
-  'view/limits.js',
   'view/live-view.js',
-  'view/outlook.js',
+  'view/motion-range.js',
   'view/settings.js',
   'view/stage.js',
-  'view/steering.js',
+  'view/viewer-state.js',
   'view/viewer.js',
 ];
 /** Additional modules for rooms. */
@@ -50,9 +50,9 @@ export const ROOM_MODULES = [
   'i18n/element.js',
   'i18n/messages.js',
   'live/room-address.js',
+  'live/room-status.js',
   'live/sound-player.js',
   'live/start.js',
-  'live/states.js',
 ];
 
 /** @type {Set<string>} */

@@ -1,9 +1,9 @@
 // A room in the element: its picture, a note while there is no picture, and its sound.
 import { t } from '../i18n/messages.js';
 import { roomAt } from '../live/room-address.js';
+import { pictureDelay, statusText } from '../live/room-status.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
-import { behind, saying } from '../live/states.js';
 import { Viewer } from '../view/viewer.js';
 import { Sheet } from './sheet.js';
 
@@ -116,7 +116,7 @@ export class Room {
     else await this.#player.stop();
     if (this.#gone.signal.aborted) return;
     this.#listens = on;
-    this.viewer.tell({ sound: on });
+    this.viewer.postToWorker({ sound: on });
     this.#button.setAttribute('aria-pressed', String(on));
     this.#element.fire('sound', { on });
   }
@@ -128,25 +128,25 @@ export class Room {
   }
 
   #tellHidden() {
-    this.viewer.tell({ hidden: document.hidden || !this.#visible });
+    this.viewer.postToWorker({ hidden: document.hidden || !this.#visible });
   }
 
   /** @param {any} told by the room's worker */
   #onLive({ type, ...told }) {
     if (type === 'state') this.#onState(told);
     else if (type === 'statistics') {
-      this.#player.late = behind(told) / 1000;
-      if (this.state === 'live') this.#element.fire('statistics', { ...told, behind: behind(told) });
+      this.#player.late = pictureDelay(told) / 1000;
+      if (this.state === 'live') this.#element.fire('statistics', { ...told, behind: pictureDelay(told) });
     } else if (type === 'sound') this.#player.play(told);
     else if (type === 'has-sound') this.#button.hidden = !told.on;
   }
 
-  /** @param {import('../live/states.js').Told} told */
+  /** @param {import('../live/room-status.js').RoomState} told */
   #onState(told) {
     [this.state, this.#reason] = [told.state, told.reason];
     this.#say();
     this.#element.fire('state', told);
-    const { over, text } = saying(told);
+    const { over, text } = statusText(told);
     if (!over) return;
     this.#note.textContent = '';
     this.#element.fail(text);
@@ -155,7 +155,7 @@ export class Room {
 
   /** Shows why there is no picture, or that the picture has no depth yet. */
   #say() {
-    const { over, text } = saying({ state: this.state, reason: this.#reason });
+    const { over, text } = statusText({ state: this.state, reason: this.#reason });
     const seen = this.#shown && this.state === 'live';
     this.#note.textContent = over ? '' : !seen ? text : this.#early ? t('The picture has no depth yet.') : '';
   }

@@ -1,15 +1,15 @@
-// Makes a film of a 3D photo in the browser: nothing is sent anywhere.
+// Makes a film of a 3D photo in the browser; nothing is uploaded.
 //
 //   const blob = await makeFilm(viewer, { kind: 'mp4', style: 'swing', seconds: 4, side: 1280 }, { signal, progress: (share) => … });
 
+import { cameraAt, pathAt } from './camera-path.js';
 import { planOf } from './plan.js';
-import { cameraAt, wayAt } from './way.js';
 
 /** @import { Viewer } from '../view/viewer.js' */
-/** @import { Plan, Wish } from './plan.js' */
+/** @import { FilmOptions, Plan } from './plan.js' */
 
 /**
- * What takes the frames of a film, one after another, and gives the file.
+ * Encodes the frames of a film, in order, into a file.
  * @typedef {{add: (pixels: ImageData, atMs: number) => Promise<void>, finish: () => Promise<Blob>, close: () => void}} Writer
  */
 
@@ -21,24 +21,24 @@ const WRITERS = {
 };
 
 /**
- * Makes a film. Throws an AbortError where it is cancelled, and where the browser does not draw or has no encoder.
+ * Makes a film. Throws an AbortError if cancelled, and an error if the browser does not draw or has no encoder.
  * @param {Viewer} viewer
- * @param {Wish} wish
+ * @param {FilmOptions} options
  * @param {{signal?: AbortSignal, progress?: (share: number) => void}} [on] `progress`: 0 to 1
  * @returns {Promise<Blob>}
  */
-export async function makeFilm(viewer, wish, { signal, progress } = {}) {
+export async function makeFilm(viewer, options, { signal, progress } = {}) {
   const { head, limits, pivot } = viewer;
-  if (!viewer.renderer || !head || !limits) throw new Error('a film can be made only where the browser draws');
-  const plan = planOf(wish, head);
-  const frame = (/** @type {number} */ share) => draw(viewer, cameraAt({ head, limits, pivot }, wayAt(wish.style, share), plan), plan);
-  // nothing else is drawn meanwhile
+  if (!viewer.renderer || !head || !limits) throw new Error('a film can be made only if the browser draws the scene');
+  const plan = planOf(options, head);
+  const frame = (/** @type {number} */ share) => draw(viewer, cameraAt({ head, limits, pivot }, pathAt(options.style, share), plan), plan);
+  // pause the viewer meanwhile
   const { asleep } = viewer;
   viewer.asleep = true;
   /** @type {Writer | null} */
   let writer = null;
   try {
-    writer = await WRITERS[wish.kind](plan, frame);
+    writer = await WRITERS[options.kind](plan, frame);
     for (const [i, time] of plan.times.entries()) {
       signal?.throwIfAborted();
       await writer.add(await frame((time * plan.turns) % 1), i * plan.frameMs);
@@ -58,14 +58,14 @@ export async function makeFilm(viewer, wish, { signal, progress } = {}) {
  * @param {Plan} plan
  */
 async function draw({ renderer }, { pose, k }, { width, height }) {
-  if (!renderer || renderer.disposed) throw new Error('the graphics device is gone');
+  if (!renderer || renderer.disposed) throw new Error('the graphics device is lost');
   const { overlay } = renderer;
   renderer.overlay = 0;
-  const drawn = renderer.readPixels(pose, k, width, height);
-  // it is drawn by now, and only not read yet
+  const reading = renderer.readPixels(pose, k, width, height);
+  // the draw calls are already submitted; only reading back is asynchronous
   renderer.overlay = overlay;
-  const pixels = await drawn;
-  // colours are multiplied by what covers them: what nothing covers is black
+  const pixels = await reading;
+  // colours are premultiplied, so uncovered pixels become black
   for (let i = 3; i < pixels.length; i += 4) pixels[i] = 255;
   return new ImageData(pixels, width, height);
 }

@@ -257,6 +257,7 @@ const GERMAN = {
     'Filme brauchen einen neueren Browser und eine Adresse mit https; ein GIF geht auch hier.',
   'For a light-field display (.png)': 'Für Lichtfeld-Bildschirme (.png)',
   'For red and cyan glasses (.jpg)': 'Für Rot-Cyan-Brillen (.jpg)',
+  'A stereo photo for 3D displays (.mpo)': 'Ein Stereofoto für 3D-Bildschirme (.mpo)',
   'In a frame': 'In einem Rahmen',
   Kind: 'Art',
   Length: 'Länge',

@@ -1,81 +1,81 @@
-// Where the camera is: how far it was moved, within what the photo allows and its owner wants.
+// Position of the camera, within the photo's limits and its owner's settings.
 import { HOME, lookingAt, magnified, POSE_KEYS, WHOLE } from '../view/camera.js';
-import { limitsOf } from '../view/limits.js';
-import { outlookOf, overscan } from '../view/outlook.js';
+import { limitsOf } from '../view/camera-limits.js';
+import { motionRangeOf, overscan } from '../view/motion-range.js';
 import { offsetOf, placeOf, sharesOf } from '../view/settings.js';
 import { STYLES } from './motion.js';
 
 /** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
 /** @import { Motion } from './motion.js' */
 /** @import { Frame, Pose } from '../view/camera.js' */
-/** @import { Outlook } from '../view/outlook.js' */
+/** @import { MotionRange } from '../view/motion-range.js' */
 /** @import { Settings } from '../view/settings.js' */
 
-/** Offsets for the server are rounded to this many steps over half the view box, so that its pictures can be kept. */
+/** Steps per half view box to which offsets for the server are rounded, so that its views can be cached. */
 const STEPS = 12;
 
 export class CameraControl {
   /**
-   * Half extents of where the camera goes, in units of the nearest distance; known with the head of the scene.
+   * Half extents of the camera's range, in units of the nearest distance; null until the head of the scene is known.
    * @type {Offset | null}
    */
   limits = null;
   /**
-   * Disparity that views turn about.
+   * Pivot of the camera's rotation, a disparity.
    * @type {number}
    */
   pivot = 0.35;
-  /** What the photo itself goes of the view box where its owner does not say: shares. */
-  usual = { x: 1, y: 1, z: 1 };
-  /** Of its way, what the camera goes: less where one looks closer, since everything moves as much farther. */
+  /** Default range of motion if the owner sets none, as shares of the view box. */
+  defaultShares = { x: 1, y: 1, z: 1 };
+  /** Factor on the camera's offset: smaller when zoomed in, because zooming magnifies all motion. */
   damping = 1;
   /**
-   * What the photo's owner wants (view/settings.js).
+   * The owner's settings (view/settings.js).
    * @type {Settings}
    */
   settings = {};
-  /** True once somebody moved the camera: it does not go to its start any more. */
+  /** True once the camera was moved: settings no longer move it to their start position. */
   touched = false;
   /** @type {SceneHead | null} */
   #head = null;
   /** @type {Scene | null} */
   #scene = null;
-  /** @type {Outlook} */
-  #outlook = { travel: { x: 0, y: 0, z: 0 }, pivot: 0.35, nearest: { x: 0.5, y: 0.5 } };
+  /** @type {MotionRange} */
+  #range = { travel: { x: 0, y: 0, z: 0 }, pivot: 0.35, nearest: { x: 0.5, y: 0.5 } };
   /** @type {Scene | SceneHead | null} */
-  #looked = null;
+  #rangeSource = null;
   /** @type {Pose | null} */
   #exact = null;
 
-  /** @param {Motion} motion where it is moved, in units of the limits */
+  /** @param {Motion} motion its offsets are in units of the limits */
   constructor(motion) {
     this.motion = motion;
   }
 
   /**
-   * Takes over what is known of the scene: its head, and all of it once it is there.
+   * Sets the scene: first its head, then all of it once decoded.
    * @param {SceneHead} head
    * @param {Scene | null} scene
    */
-  know(head, scene) {
+  setScene(head, scene) {
     this.#head = head;
     this.#scene = scene;
     this.#update();
   }
 
   /** @param {Settings} settings */
-  obey(settings) {
+  applySettings(settings) {
     this.settings = settings;
-    this.motion.wander(settings.idle ?? STYLES[0], settings.speed ?? 1);
+    this.motion.setIdleStyle(settings.idle ?? STYLES[0], settings.speed ?? 1);
     this.#update(true);
   }
 
-  /** What the camera goes of the view box now. */
+  /** Range of motion, as shares of the view box. */
   get shares() {
-    return sharesOf(this.settings, this.usual);
+    return sharesOf(this.settings, this.defaultShares);
   }
 
-  /** Where it is in the view box. */
+  /** Position in the view box. */
   get place() {
     return placeOf(this.motion.now, this.shares);
   }
@@ -84,61 +84,61 @@ export class CameraControl {
     if (!this.#head) return;
     const most = limitsOf(this.#head);
     const known = this.#scene ?? this.#head;
-    // it does not change once the scene is there
-    if (this.#looked !== known) this.#outlook = outlookOf(known);
-    const fresh = start || this.#looked !== known;
-    this.#looked = known;
-    const { travel, pivot } = this.#outlook;
+    // computed once per head and once per scene
+    if (this.#rangeSource !== known) this.#range = motionRangeOf(known);
+    const fresh = start || this.#rangeSource !== known;
+    this.#rangeSource = known;
+    const { travel, pivot } = this.#range;
     const share = (/** @type {'x' | 'y' | 'z'} */ axis) => (most[axis] > 0 ? Math.min(1, travel[axis] / most[axis]) : 1);
-    this.usual = { x: share('x'), y: share('y'), z: share('z') };
+    this.defaultShares = { x: share('x'), y: share('y'), z: share('z') };
     this.limits = placeOf(most, this.shares);
     this.pivot = this.settings.focus ?? pivot;
     if (fresh && !this.touched && this.settings.start) this.motion.jump(offsetOf(this.settings.start, this.shares));
   }
 
   /**
-   * The part of the photo that `frame` shows, as the camera moves: a little less where it is away from its place, and what the ways of
-   * moving by itself do with the lens.
+   * `frame` adjusted to the camera's motion: slightly enlarged away from the home position, and magnified as the style of idle motion
+   * requires.
    * @param {Frame} frame
    */
   framed(frame) {
-    if (this.held || !this.#head || !this.limits) return frame;
+    if (this.holdsPose || !this.#head || !this.limits) return frame;
     const { motion, pivot } = this;
     const most = overscan(this.#head, this.limits, pivot);
     const over = 1 + (most - 1) * motion.away;
     const back = 1 - motion.compensated * this.pose.tz * pivot;
     const about = magnified(frame, over * back, WHOLE);
-    return magnified(about, motion.magnified, this.#outlook.nearest);
+    return magnified(about, motion.magnified, this.#range.nearest);
   }
 
-  /** Somebody moved it. */
+  /** Records that the user moved the camera. */
   moved() {
     this.#exact = null;
     this.touched = true;
   }
 
   /**
-   * Holds a pose, within the limits or not, until it is moved; what is no number is as at home.
+   * Holds an exact pose, even beyond the limits, until the camera is moved; values that are not finite become 0.
    * @param {Partial<Pose>} pose
    */
-  hold(pose) {
+  holdPose(pose) {
     const exact = { ...HOME };
     for (const key of POSE_KEYS) if (Number.isFinite(pose[key])) exact[key] = Number(pose[key]);
     this.#exact = exact;
   }
 
-  /** True while it holds a pose. */
-  get held() {
+  /** True while it holds an exact pose. */
+  get holdsPose() {
     return this.#exact !== null;
   }
 
-  /** The pose now. */
+  /** The current pose. */
   get pose() {
     return this.#exact ?? this.#at(this.motion.now);
   }
 
-  /** The pose now, among few: for views that somebody else draws. */
-  get coarsePose() {
+  /** The current pose, quantised: for views that the server draws. */
+  get quantisedPose() {
     return this.#exact ?? this.#at(quantised(this.motion.now));
   }
 
@@ -151,7 +151,7 @@ export class CameraControl {
 }
 
 /**
- * An offset in units of the view box, on a grid.
+ * Rounds an offset in units of the view box to a grid.
  * @param {Offset} offset
  */
 export function quantised(offset) {

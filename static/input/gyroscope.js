@@ -1,24 +1,24 @@
-// Moves the camera by tilting the device. The first posture is the middle; it follows slowly, so that people may sit back.
+// Moves the camera by tilting the device. The initial orientation is the centre; it drifts slowly, so that people can change posture.
 
 /** @import { Motion } from './motion.js' */
 
-/** Tilt that takes the camera to the end of the view box, degrees. */
+/** Tilt that moves the camera to the edge of the view box, degrees. */
 const RANGE = 14;
-/** Share of the way that the middle follows with each event. */
+/** Share of the offset by which the centre follows with each event. */
 const DRIFT = 0.004;
 
-/** Whether the device may have a gyroscope; only asking it tells for sure. */
+/** Whether the device may have a gyroscope; only its events tell for sure. */
 export function hasGyroscope() {
   return isSecureContext && 'DeviceOrientationEvent' in window && navigator.maxTouchPoints > 0;
 }
 
 export class Tilt {
   /**
-   * What stops it, or null; and the last wish, since the browser may take its time to allow it.
+   * Stops the tracking, or null. `#request` counts calls of `set`, because the permission prompt may take long.
    * @type {(() => void) | null}
    */
   #stop = null;
-  #wish = 0;
+  #request = 0;
 
   /**
    * @param {Motion} motion
@@ -29,39 +29,39 @@ export class Tilt {
     this.wake = wake;
   }
 
-  /** True while it moves the camera. */
+  /** True while tilting moves the camera. */
   get on() {
     return this.#stop !== null;
   }
 
   /**
-   * Starts or stops. To be called from a tap, which is when iOS asks for permission; throws where that is not given.
+   * Starts or stops. Call it from a user gesture, because iOS asks for permission; throws if permission is denied.
    * @param {boolean} on
    */
   async set(on) {
-    const wish = ++this.#wish;
+    const request = ++this.#request;
     this.#stop?.();
     this.#stop = null;
     if (!on) return;
-    // only Safari has it
-    const kind = /** @type {{requestPermission?: () => Promise<string>}} */ (DeviceOrientationEvent);
-    const answer = await kind.requestPermission?.();
-    if (answer && answer !== 'granted') throw new Error('the gyroscope is not allowed');
-    if (wish === this.#wish) this.#stop = this.#follow();
+    // only Safari has requestPermission
+    const permission = /** @type {{requestPermission?: () => Promise<string>}} */ (DeviceOrientationEvent);
+    const answer = await permission.requestPermission?.();
+    if (answer && answer !== 'granted') throw new Error('permission for the gyroscope was denied');
+    if (request === this.#request) this.#stop = this.#follow();
   }
 
   #follow() {
     const { motion } = this;
     /** @type {number[] | null} */
-    let middle = null;
+    let centre = null;
     const onTilt = (/** @type {DeviceOrientationEvent} */ { beta, gamma }) => {
       if (beta === null || gamma === null) return;
-      const now = turned(beta, gamma, screen.orientation?.angle ?? 0);
-      middle ??= now;
-      // near the poles the angles jump, which must not throw the camera
-      const off = [wrapped(now[0] - middle[0]), wrapped(now[1] - middle[1])];
-      middle = [middle[0] + off[0] * DRIFT, middle[1] + off[1] * DRIFT];
-      motion.aim(off[0] / RANGE, off[1] / RANGE);
+      const now = screenTilt(beta, gamma, screen.orientation?.angle ?? 0);
+      centre ??= now;
+      // near the poles the angles jump by 360°, which must not move the camera
+      const offset = [wrapped(now[0] - centre[0]), wrapped(now[1] - centre[1])];
+      centre = [centre[0] + offset[0] * DRIFT, centre[1] + offset[1] * DRIFT];
+      motion.aim(offset[0] / RANGE, offset[1] / RANGE);
       this.wake();
     };
     addEventListener('deviceorientation', onTilt);
@@ -74,12 +74,12 @@ export class Tilt {
 }
 
 /**
- * Tilt to the right and downwards as the screen is held.
+ * Tilt to the right and down, relative to the orientation of the screen.
  * @param {number} beta
  * @param {number} gamma
  * @param {number} angle
  */
-function turned(beta, gamma, angle) {
+function screenTilt(beta, gamma, angle) {
   if (angle === 90) return [beta, -gamma];
   if (angle === 270) return [-beta, gamma];
   return angle === 180 ? [-gamma, -beta] : [gamma, beta];

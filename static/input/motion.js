@@ -1,4 +1,4 @@
-// Where the camera should be: takes what moves it, or moves it by itself, keeps to the limits, and eases there.
+// Camera motion: takes input or moves by itself when idle, stays within the limits, and eases towards the target.
 // All offsets are in units of the limits' half extents: -1 to 1 on each axis.
 
 /** @import { Offset } from '../decode/scene.js' */
@@ -6,24 +6,24 @@
 const AXES = /** @type {('x' | 'y' | 'z')[]} */ (['x', 'y', 'z']);
 /** Time constant of the critically damped spring, seconds. */
 const EASE_S = 0.11;
-/** Longest step that the spring takes at once, so that a pause does not make it jump. */
+/** Longest integration step of the spring, so that it does not jump after a pause. */
 const MAX_STEP_S = 0.05;
-const REST = 1e-4;
-/** Idle motion: period, how far it goes, and how long after the last input it starts and how long it takes to swell. */
+const AT_REST = 1e-4;
+/** Idle motion: period in seconds, extent, delay after the last input and fade-in time in seconds. */
 const IDLE = { period: 8, far: 0.75, delay: 1.6, swell: 2.5 };
-/** Ways of moving by itself; films have the same (crates/render/src/animation.rs). */
+/** Styles of idle motion; films use the same ones (crates/render/src/animation.rs). */
 export const STYLES = Object.freeze(['swing', 'orbit', 'dolly', 'dolly-zoom', 'zoom']);
-/** How much narrower the lens looks at the end of `zoom`. */
+/** Magnification of the lens at the end of `zoom`. */
 const ZOOM = 1.3;
-/** Time constant with which the frame gets a little closer where the camera leaves its place, seconds, and from which offset it does. */
+/** Time constant, seconds, and offset threshold of the slight enlargement of the photo while the camera is away from its home position. */
 const FRAME_S = 0.5;
 const AWAY = 0.02;
-/** Beyond the limits a drag goes on with less and less effect; this is how sharp the knee is. */
+/** Beyond the limits, a drag has less and less effect; this exponent sets how sharp the knee is. */
 const KNEE = 3;
 const MAX_RAW = 2.5;
 
 /**
- * Smooth clamp of any number to (-1, 1); close to the identity around 0.
+ * Smoothly clamps any number to (-1, 1); close to the identity around 0.
  * @param {number} v
  */
 export function softLimit(v) {
@@ -31,10 +31,10 @@ export function softLimit(v) {
 }
 
 /**
- * The number that `softLimit` takes to `v`; short of the limits, where there is none.
+ * Inverse of `softLimit`, with `v` clamped to ±0.98.
  * @param {number} v
  */
-function hardened(v) {
+function inverseSoftLimit(v) {
   const inside = Math.max(-0.98, Math.min(0.98, v || 0));
   return inside / (1 - Math.abs(inside) ** KNEE) ** (1 / KNEE);
 }
@@ -45,43 +45,43 @@ export class Motion {
     this.now = { x: 0, y: 0, z: 0 };
     this.speed = { x: 0, y: 0, z: 0 };
     this.idle = false;
-    /** True while something else than the pointer aims: a mouse that only hovers must not fight it. */
+    /** True while something other than the pointer sets the target, so that a hovering mouse does not interfere. */
     this.steered = false;
     this.quiet = IDLE.delay;
     this.phase = 0;
     this.level = 0;
-    /** How it moves by itself, one of `STYLES`, and how fast: times the usual. */
+    /** Style of idle motion, one of `STYLES`, and its speed as a factor. */
     this.style = STYLES[0];
     this.rate = 1;
-    /** From 0, at the photo's own place, to 1, away from it. */
+    /** 0 at the home position, 1 away from it; eased in between. */
     this.away = 0;
-    /** True while it waits at a turn of idle motion. */
+    /** True at the turning points of idle motion. */
     this.paused = false;
   }
 
-  /** Where idle motion has the camera now. */
-  get #wander() {
+  /** Offset of idle motion. */
+  get #idleOffset() {
     const [sin, cos] = [Math.sin(this.phase) * IDLE.far, Math.cos(this.phase) * IDLE.far];
-    const way = (1 - Math.cos(this.phase)) / 2;
+    const out = (1 - Math.cos(this.phase)) / 2;
     if (this.style === 'orbit') return { x: sin, y: cos, z: 0 };
     if (this.style === 'dolly') return { x: 0, y: 0, z: sin };
-    if (this.style === 'dolly-zoom') return { x: 0, y: 0, z: -way };
-    if (this.style === 'zoom') return { x: 0, y: 0, z: way };
+    if (this.style === 'dolly-zoom') return { x: 0, y: 0, z: -out };
+    if (this.style === 'zoom') return { x: 0, y: 0, z: out };
     return { x: sin, y: 0.4 * IDLE.far * Math.sin(this.phase * 2), z: 0 };
   }
 
-  /** How often it has turned back. */
+  /** Count of turning points passed. */
   get #turns() {
     const sideways = this.style === 'swing' || this.style === 'dolly';
     return Math.floor(this.phase / Math.PI + (sideways ? 0.5 : 0));
   }
 
-  /** How much larger the lens shows the photo now than where the camera stands does, about the nearest things. */
+  /** Magnification of the lens about the nearest things, on top of the camera's position. */
   get magnified() {
     return this.style === 'zoom' ? 1 + ((ZOOM - 1) * this.level * (1 - Math.cos(this.phase))) / 2 : 1;
   }
 
-  /** How much of a step forward or back the lens makes up for: 0 to 1. */
+  /** Share of a move forward or back that the lens compensates for, 0 to 1. */
   get compensated() {
     return this.style === 'dolly-zoom' ? this.level : 0;
   }
@@ -93,7 +93,7 @@ export class Motion {
    * @param {number} dz
    */
   nudge(dx, dy, dz) {
-    // not far beyond the knee, or the way back would feel dead
+    // bounded, because the camera would not react until a drag returns from far beyond the knee
     const bounded = (/** @type {number} */ v) => Math.max(-MAX_RAW, Math.min(MAX_RAW, v));
     this.raw = { x: bounded(this.raw.x + dx), y: bounded(this.raw.y + dy), z: bounded(this.raw.z + dz) };
     this.touched();
@@ -110,24 +110,24 @@ export class Motion {
     this.touched();
   }
 
-  /** Back to where the photo was taken. */
+  /** Returns to where the photo was taken. */
   home() {
     this.raw = { x: 0, y: 0, z: 0 };
     this.touched();
   }
 
   /**
-   * Puts the camera there at once, within the view box.
+   * Moves the camera to an offset at once, within the view box.
    * @param {Offset} offset
    */
   jump({ x, y, z }) {
-    this.raw = { x: hardened(x), y: hardened(y), z: hardened(z) };
+    this.raw = { x: inverseSoftLimit(x), y: inverseSoftLimit(y), z: inverseSoftLimit(z) };
     this.now = { x: softLimit(this.raw.x), y: softLimit(this.raw.y), z: softLimit(this.raw.z) };
     this.speed = { x: 0, y: 0, z: 0 };
     this.touched();
   }
 
-  /** Input came: idle motion waits. */
+  /** Records input, which interrupts idle motion. */
   touched() {
     this.quiet = 0;
   }
@@ -139,17 +139,17 @@ export class Motion {
   }
 
   /**
-   * Changes how it moves by itself; a style that is not known is left as it is.
+   * Sets style and speed of idle motion; ignores an unknown style.
    * @param {string | undefined} style
-   * @param {number | undefined} rate times the usual speed
+   * @param {number | undefined} rate speed factor, clamped to 0.25 to 4
    */
-  wander(style, rate) {
+  setIdleStyle(style, rate) {
     if (style && STYLES.includes(style)) this.style = style;
     if (rate && rate > 0) this.rate = Math.min(4, Math.max(0.25, rate));
   }
 
   /**
-   * Advances by `dt` seconds; true while anything moves or will move by itself.
+   * Advances by `dt` seconds; returns true while anything moves, or idle motion is due.
    * @param {number} dt
    */
   step(dt) {
@@ -160,26 +160,26 @@ export class Motion {
     if (this.level > 0) this.phase += (dt * 2 * Math.PI * this.rate) / IDLE.period;
     else this.phase = 0;
     this.paused = swinging && this.#turns !== turns;
-    // where the pointer left the camera fades out as idle motion fades in
-    const rest = 1 - this.level;
-    const wander = this.#wander;
+    // the pointer's offset fades out as idle motion fades in
+    const fade = 1 - this.level;
+    const idle = this.#idleOffset;
     const target = {
-      x: softLimit(this.raw.x) * rest + wander.x * this.level,
-      y: softLimit(this.raw.y) * rest + wander.y * this.level,
-      z: softLimit(this.raw.z) * rest + wander.z * this.level,
+      x: softLimit(this.raw.x) * fade + idle.x * this.level,
+      y: softLimit(this.raw.y) * fade + idle.y * this.level,
+      z: softLimit(this.raw.z) * fade + idle.z * this.level,
     };
     let moving = this.idle || this.level > 0;
     for (let left = Math.min(dt, 4 * MAX_STEP_S); left > 0; left -= MAX_STEP_S) {
       for (const axis of AXES) moving = this.#spring(axis, target[axis], Math.min(left, MAX_STEP_S)) || moving;
     }
-    return this.#leave(dt) || moving;
+    return this.#stepAway(dt) || moving;
   }
 
   /**
-   * Follows with `away`; true while it changes.
+   * Eases `away`; returns true while it changes.
    * @param {number} dt
    */
-  #leave(dt) {
+  #stepAway(dt) {
     const gone = this.level > 0 || AXES.some((axis) => Math.abs(this.now[axis]) > AWAY || Math.abs(this.raw[axis]) > AWAY);
     const target = gone ? 1 : 0;
     this.away = target + (this.away - target) * Math.exp(-dt / FRAME_S);
@@ -200,7 +200,7 @@ export class Motion {
     const pull = (this.speed[axis] + omega * distance) * dt;
     this.now[axis] = target + (distance + pull) * decay;
     this.speed[axis] = (this.speed[axis] - omega * pull) * decay;
-    if (Math.abs(this.now[axis] - target) > REST || Math.abs(this.speed[axis]) > REST) return true;
+    if (Math.abs(this.now[axis] - target) > AT_REST || Math.abs(this.speed[axis]) > AT_REST) return true;
     this.now[axis] = target;
     this.speed[axis] = 0;
     return false;

@@ -1,4 +1,4 @@
-// The photo in a headset, by WebXR: it stands around the place where it was taken, and the head moves within the view box.
+// Shows the photo in a headset, by WebXR: the viewer stands where the photo was taken, and the head moves within the view box.
 
 import { WebGlRenderer } from '../draw/webgl.js';
 import { anglesOf, EYES, HOME } from '../view/camera.js';
@@ -7,12 +7,12 @@ import { softLimit } from './motion.js';
 /** @import { Offset, Scene } from '../decode/scene.js' */
 /** @import { View } from '../view/camera.js' */
 
-/** Distance of a person's eyes in metres: it is that of the other stereo views, which gives the unit of length its metres. */
+/** Distance between a person's eyes, metres. It equals EYES of the other stereo views, which defines the scale of the scene. */
 const EYES_M = 0.063;
 const UNITS_PER_METRE = EYES / EYES_M;
 const FAR_M = 1000;
 
-/** Whether there is a headset to look into. */
+/** Whether a headset is available. */
 export async function hasHeadset() {
   try {
     return Boolean(await navigator.xr?.isSessionSupported('immersive-vr'));
@@ -23,14 +23,14 @@ export async function hasHeadset() {
 
 export class Headset {
   /**
-   * Shows a scene in the headset; to be called from a tap.
+   * Shows a scene in the headset. Call it from a user gesture.
    * @param {Scene} scene
    * @param {{x: number, y: number, z: number}} limits half extents of the view box
-   * @param {() => void} onEnd called once when it is over, whoever ended it
-   * @throws where the browser or the person does not allow it
+   * @param {() => void} onEnd called once when the session ends
+   * @throws if the browser or the user does not allow it
    */
   static async enter(scene, limits, onEnd) {
-    if (!navigator.xr) throw new Error('the browser knows no headsets');
+    if (!navigator.xr) throw new Error('the browser does not support WebXR');
     const session = await navigator.xr.requestSession('immersive-vr');
     const headset = new Headset(session, limits, onEnd);
     try {
@@ -52,7 +52,7 @@ export class Headset {
     this.session = session;
     this.limits = limits;
     this.frames = 0;
-    /** What the eyes saw last. */
+    /** The views of the last frame. */
     /** @type {View[]} */
     this.views = [];
     session.addEventListener('end', () => {
@@ -65,7 +65,7 @@ export class Headset {
   /** @param {Scene} scene */
   async #build(scene) {
     const { session } = this;
-    if (!session) throw new Error('the headset was put down');
+    if (!session) throw new Error('the headset session has ended');
     this.renderer = await WebGlRenderer.create(document.createElement('canvas'), scene, () => this.end());
     const { gl } = this.renderer;
     await gl.makeXRCompatible();
@@ -80,10 +80,10 @@ export class Headset {
     const { renderer, layer, space } = this;
     if (!this.session || !renderer || !layer || !space || renderer.disposed) return;
     this.session.requestAnimationFrame(this.#frame);
-    const seen = frame.getViewerPose(space);
-    if (!seen) return;
-    const none = { x: 0, y: 0, width: 0, height: 0 };
-    this.views = seen.views.map((view) => eyeView(view, seen.transform, this.limits, layer.getViewport(view) ?? none));
+    const viewerPose = frame.getViewerPose(space);
+    if (!viewerPose) return;
+    const noViewport = { x: 0, y: 0, width: 0, height: 0 };
+    this.views = viewerPose.views.map((view) => eyeView(view, viewerPose.transform, this.limits, layer.getViewport(view) ?? noViewport));
     const { framebuffer, framebufferWidth: width, framebufferHeight: height } = layer;
     renderer.draw(this.views, { framebuffer, width, height });
     this.frames++;
@@ -95,7 +95,7 @@ export class Headset {
 }
 
 /**
- * One eye's view as renderers take it. WebXR has y up and z backward; here y is down and z forward.
+ * One eye's view for the renderers. In WebXR, y points up and z backward; here y points down and z forward.
  * @param {XRView} view
  * @param {XRRigidTransform} head
  * @param {Offset} limits
@@ -103,15 +103,15 @@ export class Headset {
  * @returns {View}
  */
 export function eyeView(view, head, limits, { x, y, width, height }) {
-  const turned = [1, -1, -1];
+  const signs = [1, -1, -1];
   const at = view.transform.matrix;
   const axes = [0, 1, 2];
-  const c = axes.flatMap((i) => axes.map((j) => at[j * 4 + i] * turned[i] * turned[j]));
+  const c = axes.flatMap((i) => axes.map((j) => at[j * 4 + i] * signs[i] * signs[j]));
   const names = /** @type {('x' | 'y' | 'z')[]} */ (['x', 'y', 'z']);
   const place = names.map((axis, i) => {
-    const middle = head.position[axis] * turned[i] * UNITS_PER_METRE;
-    const apart = (view.transform.position[axis] - head.position[axis]) * turned[i] * UNITS_PER_METRE;
-    return limits[axis] * softLimit(middle / limits[axis] || 0) + apart;
+    const centre = head.position[axis] * signs[i] * UNITS_PER_METRE;
+    const eyeOffset = (view.transform.position[axis] - head.position[axis]) * signs[i] * UNITS_PER_METRE;
+    return limits[axis] * softLimit(centre / limits[axis] || 0) + eyeOffset;
   });
   const p = view.projectionMatrix;
   const k = { fx: (width / 2) * p[0], fy: (height / 2) * p[5], cx: (width / 2) * (1 - p[8]), cy: (height / 2) * (1 + p[9]) };

@@ -1,56 +1,56 @@
-// How close one looks: which part of the photo is shown, how large, and how it eases there. The lens changes, not the camera's place,
-// so near and far things keep their sizes to each other.
+// Zoom: which part of the photo is shown, at which scale, with easing. It changes the lens and not the camera's position, so near and far
+// things keep their relative sizes.
 
 /** @import { Frame } from '../view/camera.js' */
 
 /** Time constant of the easing, seconds. */
 const EASE_S = 0.08;
-const REST = 1e-3;
-/** From here on one has zoomed in. */
+const AT_REST = 1e-3;
+/** Scale from which the photo counts as zoomed in. */
 const CLOSE = 1.01;
-/** One can come so much closer whatever the photo. */
-const LEAST = 3;
+/** Lower bound of the largest scale, whatever the photo's size. */
+const MIN_LARGEST = 3;
 
 export class Zoom {
-  /** Where it goes: scale, 1 where all of the photo is seen, and the photo's place in the middle, in shares of its width and height. */
+  /** Target of the easing: the scale (1 shows the whole photo) and the centre of the view, in shares of the photo's width and height. */
   target = { scale: 1, x: 0.5, y: 0.5 };
   now = { scale: 1, x: 0.5, y: 0.5 };
-  /** Scale at which a pixel of the photo is one of the screen. */
+  /** Scale at which photo pixels and device pixels have the same size. */
   own = 1;
-  /** Width and height of the element and of the whole photo at scale 1, CSS pixels. */
-  #room = { width: 1, height: 1 };
+  /** Sizes of the element and of the whole photo at scale 1, CSS pixels. */
+  #element = { width: 1, height: 1 };
   #fit = { width: 1, height: 1 };
 
-  /** The largest scale: twice the photo's own pixels. */
+  /** The largest scale: two device pixels per photo pixel. */
   get most() {
-    return Math.max(LEAST, 2 * this.own);
+    return Math.max(MIN_LARGEST, 2 * this.own);
   }
 
-  /** True while less than the whole photo is shown, or will be. */
+  /** True while the photo is zoomed in, or about to be. */
   get close() {
     return this.target.scale > CLOSE || this.now.scale > CLOSE;
   }
 
   /**
-   * Takes over sizes: of the element, of the photo shown whole in it (both CSS pixels), and the photo's width in pixels of the screen
-   * over that.
-   * @param {{width: number, height: number}} room
+   * Sets the sizes of the element and of the whole photo in it (both CSS pixels), and the scale at which photo pixels and device pixels
+   * have the same size.
+   * @param {{width: number, height: number}} element
    * @param {{width: number, height: number}} fit
    * @param {number} own
    */
-  measure(room, fit, own) {
-    [this.#room, this.#fit, this.own] = [room, fit, own];
-    this.target = this.#inside(this.target);
-    this.now = this.#inside(this.now);
+  measure(element, fit, own) {
+    [this.#element, this.#fit, this.own] = [element, fit, own];
+    this.target = this.#clamped(this.target);
+    this.now = this.#clamped(this.now);
   }
 
-  /** Size of the picture, CSS pixels: the photo's, as far as there is room for it. */
+  /** Size of the picture, CSS pixels: that of the scaled photo, limited to the element. */
   get size() {
     return this.#sizeAt(this.now.scale);
   }
 
   /**
-   * What of the photo the picture shows.
+   * The part of the photo that the picture shows.
    * @returns {Frame}
    */
   get frame() {
@@ -59,20 +59,20 @@ export class Zoom {
   }
 
   /**
-   * Comes closer by a factor, or goes away, while a place stays where it is.
+   * Zooms by a factor about a fixed point.
    * @param {number} by
-   * @param {{x: number, y: number}} at from the middle of the element, CSS pixels
+   * @param {{x: number, y: number}} at from the centre of the element, CSS pixels
    */
   by(by, at) {
     const { scale, x, y } = this.target;
     const next = Math.min(this.most, Math.max(1, scale * by));
     const shift = 1 / scale - 1 / next;
-    this.target = this.#inside({ scale: next, x: x + (at.x * shift) / this.#fit.width, y: y + (at.y * shift) / this.#fit.height });
+    this.target = this.#clamped({ scale: next, x: x + (at.x * shift) / this.#fit.width, y: y + (at.y * shift) / this.#fit.height });
   }
 
   /**
-   * To the photo's own pixels, or at least twice as close; from anywhere closer than all of it, back.
-   * @param {{x: number, y: number}} at from the middle of the element, CSS pixels
+   * Zooms to the photo's pixels, or to a scale of 2 if that is larger; zooms out if the photo is zoomed in.
+   * @param {{x: number, y: number}} at from the centre of the element, CSS pixels
    */
   toggle(at) {
     if (this.target.scale > CLOSE) this.home();
@@ -80,7 +80,7 @@ export class Zoom {
   }
 
   /**
-   * Moves the photo by so many CSS pixels, at once.
+   * Moves the photo by CSS pixels, without easing.
    * @param {number} dx
    * @param {number} dy
    */
@@ -89,35 +89,35 @@ export class Zoom {
       at.x -= dx / this.#fit.width / at.scale;
       at.y -= dy / this.#fit.height / at.scale;
     }
-    this.target = this.#inside(this.target);
-    this.now = this.#inside(this.now);
+    this.target = this.#clamped(this.target);
+    this.now = this.#clamped(this.now);
   }
 
-  /** Puts it there at once. */
+  /** Jumps to the target. */
   settle() {
     this.now = { ...this.target };
   }
 
-  /** Back to all of the photo. */
+  /** Zooms out to the whole photo. */
   home() {
     this.target = { scale: 1, x: 0.5, y: 0.5 };
   }
 
   /**
-   * Advances by `dt` seconds; true while anything moves.
+   * Advances by `dt` seconds; returns true while anything moves.
    * @param {number} dt
    */
   step(dt) {
     const { now, target } = this;
     const left = Math.exp(-Math.min(dt, 0.1) / EASE_S);
-    // by the reciprocal, so that what lies under the pointer stays there all the way
+    // easing the reciprocal of the scale keeps the point under the pointer fixed
     const was = 1 / now.scale;
     const is = 1 / target.scale + (was - 1 / target.scale) * left;
-    const gone = Math.abs(was - 1 / target.scale) > 1e-9 ? (was - is) / (was - 1 / target.scale) : 1 - left;
-    this.now = { scale: 1 / is, x: now.x + (target.x - now.x) * gone, y: now.y + (target.y - now.y) * gone };
-    const off =
+    const share = Math.abs(was - 1 / target.scale) > 1e-9 ? (was - is) / (was - 1 / target.scale) : 1 - left;
+    this.now = { scale: 1 / is, x: now.x + (target.x - now.x) * share, y: now.y + (target.y - now.y) * share };
+    const distance =
       Math.abs(this.now.scale / target.scale - 1) + (Math.abs(this.now.x - target.x) + Math.abs(this.now.y - target.y)) * target.scale;
-    if (off > REST) return true;
+    if (distance > AT_REST) return true;
     this.settle();
     return false;
   }
@@ -126,18 +126,18 @@ export class Zoom {
   #sizeAt(scale) {
     const { width, height } = this.#fit;
     return {
-      width: Math.min(width * scale, Math.max(width, this.#room.width)),
-      height: Math.min(height * scale, Math.max(height, this.#room.height)),
+      width: Math.min(width * scale, Math.max(width, this.#element.width)),
+      height: Math.min(height * scale, Math.max(height, this.#element.height)),
     };
   }
 
   /** @param {{scale: number, x: number, y: number}} at */
-  #inside({ scale, x, y }) {
+  #clamped({ scale, x, y }) {
     const size = this.#sizeAt(scale);
-    const within = (/** @type {number} */ v, /** @type {number} */ shown, /** @type {number} */ all) => {
+    const clamp = (/** @type {number} */ v, /** @type {number} */ shown, /** @type {number} */ all) => {
       const half = Math.min(0.5, shown / (2 * all * scale));
       return Math.min(1 - half, Math.max(half, v));
     };
-    return { scale, x: within(x, size.width, this.#fit.width), y: within(y, size.height, this.#fit.height) };
+    return { scale, x: clamp(x, size.width, this.#fit.width), y: clamp(y, size.height, this.#fit.height) };
   }
 }

@@ -1,26 +1,30 @@
-// A page's way into a room: looks whether there is anybody, connects, and comes back where the connection breaks.
+// Connects a page to a room: polls until somebody publishes, connects, and reconnects after a failure.
 
-/** Protocol of the web sockets, and what a token is put behind among protocols: they have no headers for it. */
+/** WebSocket subprotocol, and the prefix of a second one that carries the token: browsers cannot set headers on a WebSocket. */
 const PROTOCOL = 'tmpi.live.v1';
 const TOKEN = 'token.';
-/** Silence after which a connection is taken for dead: the server says something each second, ms. */
+/** Silence after which a connection counts as lost, ms: the server sends something every second. */
 const SILENCE_MS = 4000;
-/** Pauses before it is tried again, from the first on, ms. */
+/** Pauses before successive reconnects, ms. */
 const PAUSES_MS = [100, 300, 700, 1500];
-/** Pause between two looks whether somebody publishes, ms. */
-const LOOK_MS = 1000;
-/** Pauses before a room that is full is tried again, from the first on, ms. */
-const FULL_MS = [5000, 10_000, 20_000, 30_000];
-/** Time that an answer may take, ms. */
-const ANSWER_MS = 10_000;
-/** CREDIT (`credit`, 8) as who watches says it: of no frames, as nobody looks, and of one from a key frame on, as somebody does again. */
+/** Interval between polls for a publisher, ms. */
+const POLL_MS = 1000;
+/** Pauses before successive retries of a full room, ms. */
+const FULL_PAUSES_MS = [5000, 10_000, 20_000, 30_000];
+/** Timeout of a status request, ms. */
+const STATUS_TIMEOUT_MS = 10_000;
+/** CREDIT messages (field 8) of a viewer: no frames while nobody looks; frames again, from a key frame on. */
 export const SOUND_ALONE = Uint8Array.of((8 << 3) | 2, 0);
 export const EVERYTHING = Uint8Array.of((8 << 3) | 2, 4, 1 << 3, 1, 2 << 3, 1);
 
-/** @typedef {'connecting' | 'waiting' | 'refused' | 'away' | 'none' | 'open' | 'full'} State `waiting` for a publisher, `refused` for want of a token, `none`: there are no rooms, `away`: the server cannot be reached, `full`: as many watch as may */
+/**
+ * `waiting`: no publisher yet; `refused`: the token is missing or invalid; `none`: no such room; `away`: the server is unreachable; `full`:
+ * no place for another viewer.
+ * @typedef {'connecting' | 'waiting' | 'refused' | 'away' | 'none' | 'open' | 'full'} State
+ */
 
 /**
- * Headers of requests about a room.
+ * Headers for requests about a room.
  * @param {string} token
  * @returns {Record<string, string>}
  */
@@ -29,7 +33,7 @@ export function headersOf(token) {
 }
 
 /**
- * Opens a web socket of a room.
+ * Opens a WebSocket to a room.
  * @param {string} address of the room, `http:` or `https:`
  * @param {'publish' | 'subscribe'} what
  * @param {string} token
@@ -43,22 +47,22 @@ export function openSocket(address, what, token) {
 }
 
 /**
- * What the server says of a room.
+ * Fetches the status of a room.
  * @param {string} address
  * @param {string} token
- * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number, full: boolean, ended: string}>} `ended`: why the last publisher has gone
+ * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number, full: boolean, ended: string}>} `ended`: why the last publisher left
  */
-export async function look(address, token) {
-  const found = { mayPublish: false, publishing: false, viewers: 0, full: false, ended: '' };
+export async function fetchStatus(address, token) {
+  const unknown = { mayPublish: false, publishing: false, viewers: 0, full: false, ended: '' };
   try {
-    const response = await fetch(address, { headers: headersOf(token), signal: AbortSignal.timeout(ANSWER_MS) });
-    if (response.status === 403 || response.status === 401) return { ...found, state: 'refused' };
-    if (response.status === 404) return { ...found, state: 'none' };
-    if (!response.ok) return { ...found, state: 'away' };
+    const response = await fetch(address, { headers: headersOf(token), signal: AbortSignal.timeout(STATUS_TIMEOUT_MS) });
+    if (response.status === 403 || response.status === 401) return { ...unknown, state: 'refused' };
+    if (response.status === 404) return { ...unknown, state: 'none' };
+    if (!response.ok) return { ...unknown, state: 'away' };
     const { publishing, viewers, full = false, may_publish: mayPublish, ended = '' } = await response.json();
     return { state: publishing ? 'open' : 'waiting', publishing, viewers, full, mayPublish, ended };
   } catch {
-    return { ...found, state: 'away' };
+    return { ...unknown, state: 'away' };
   }
 }
 
@@ -72,8 +76,8 @@ export class Connection {
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #silence;
   #tries = 0;
-  /** How often there was no place. */
-  #crowded = 0;
+  /** Retries since the room was first found full. */
+  #fullTries = 0;
   #run = 0;
 
   /**
@@ -85,34 +89,34 @@ export class Connection {
     this.#on = on;
   }
 
-  /** Connects, now. */
+  /** Connects now. */
   async start() {
     this.stop();
     const run = this.#run;
-    const { state, full, ended } = await look(this.#room.address, this.#room.token);
+    const { state, full, ended } = await fetchStatus(this.#room.address, this.#room.token);
     if (run !== this.#run) return;
     if (state === 'open' && full) return this.full();
     if (state !== 'open') {
       this.#on.state(state, ended);
-      if (state === 'waiting') this.#again(LOOK_MS);
-      else if (state === 'away') this.#later();
+      if (state === 'waiting') this.#startAfter(POLL_MS);
+      else if (state === 'away') this.#retry();
       return;
     }
     const socket = openSocket(this.#room.address, 'subscribe', this.#room.token);
     this.#socket = socket;
-    this.#listen();
+    this.#watchSilence();
     socket.onmessage = ({ data }) => {
-      this.#listen();
+      this.#watchSilence();
       this.#on.message(new Uint8Array(data));
     };
     socket.onclose = () => {
       this.stop();
-      this.#later();
+      this.#retry();
     };
   }
 
   /**
-   * Says something to the server; false where nothing is open.
+   * Sends a message; returns false if the socket is not open.
    * @param {Uint8Array<ArrayBuffer>} message
    */
   send(message) {
@@ -121,16 +125,16 @@ export class Connection {
     return true;
   }
 
-  /** A message was as it should: the next try comes soon. */
-  well() {
-    this.#tries = this.#crowded = 0;
+  /** Resets the pauses after the stream has started. */
+  succeeded() {
+    this.#tries = this.#fullTries = 0;
   }
 
-  /** Tries for a place in the full room, less and less often. */
+  /** Retries a full room, at growing intervals. */
   full() {
     this.stop();
     this.#on.state('full', '');
-    this.#again(FULL_MS[Math.min(this.#crowded++, FULL_MS.length - 1)]);
+    this.#startAfter(FULL_PAUSES_MS[Math.min(this.#fullTries++, FULL_PAUSES_MS.length - 1)]);
   }
 
   stop() {
@@ -143,22 +147,22 @@ export class Connection {
     this.#socket = null;
   }
 
-  /** Tries again after a pause that grows. */
-  #later() {
-    this.#again(PAUSES_MS[Math.min(this.#tries++, PAUSES_MS.length - 1)]);
+  /** Reconnects after a growing pause. */
+  #retry() {
+    this.#startAfter(PAUSES_MS[Math.min(this.#tries++, PAUSES_MS.length - 1)]);
   }
 
   /** @param {number} ms */
-  #again(ms) {
+  #startAfter(ms) {
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.start(), ms);
   }
 
-  #listen() {
+  #watchSilence() {
     clearTimeout(this.#silence);
     this.#silence = setTimeout(() => {
       this.stop();
-      this.#later();
+      this.#retry();
     }, SILENCE_MS);
   }
 }

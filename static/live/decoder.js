@@ -1,29 +1,33 @@
-// The messages of a room, and its layers, in an instance of decoder.wasm (crates/live-decoder). Pure: no page, no network; video and
-// sound are decoded by the browser.
+// Reads and writes the messages of a room and computes its layers, in an instance of decoder.wasm (crates/live-decoder). Pure: no page, no
+// network. The browser decodes video and sound.
 
 import { Instance } from '../decode/instance.js';
 import { compiledFrom } from '../decode/module.js';
 
 /** @import { SceneHead } from '../decode/scene.js' */
 
-/** Outputs, by the numbers of crates/live-decoder's `Output`. */
+/** Numbers of crates/live-decoder's `Output`. */
 const [NUMBERS, DATA, TILES, LAYERS, CELLS, MESSAGE] = [2, 3, 4, 5, 6, 7];
-/** Numbers of a layer, and count of layers of a tile that has those of before. */
+/** Numbers per layer, and the layer count that marks a tile with unchanged layers. */
 const COLUMNS = 9;
-const AS_BEFORE = 2 ** 32 - 1;
-/** Matrices of ITU-T H.273 by their numbers, as browsers name them. @type {Record<number, string>} */
+const UNCHANGED = 2 ** 32 - 1;
+/** Browsers' names of the matrices of ITU-T H.273. @type {Record<number, string>} */
 const MATRICES = Object.freeze({ 1: 'bt709', 6: 'smpte170m', 9: 'bt2020-ncl' });
-/** How frames are handed over, by the numbers of `Pixels`. */
+/** Pixel formats, by the numbers of `Pixels`. */
 export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
 
 /**
- * What a publisher or the server says first: codec strings of WebCodecs, empty where there is no sound.
+ * The first message of a publisher or the server. `codec` and `sound` are WebCodecs codec strings; `sound` is empty without sound.
  * @typedef {{kind: 'hello', head: SceneHead, codec: string, sound: string, rate: number, channels: number, epoch: number}} Hello
  */
-/** @typedef {{matrix: string, fullRange: boolean}} Colour how the samples of a video are to be read */
-/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, colour: Colour, shown: DOMRectInit, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock; its temporal layer; the part of the coded picture that is shown */
+/** @typedef {{matrix: string, fullRange: boolean}} Colour how to interpret the samples of a video */
+/**
+ * `time` in µs by the publisher's clock; `layer`: temporal layer; `shown`: visible part of the coded picture.
+ * @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, colour: Colour, shown: DOMRectInit,
+ *   data: Uint8Array<ArrayBuffer>}} Video
+ */
 /** @typedef {{kind: 'sound', time: number, data: Uint8Array<ArrayBuffer>}} Sound */
-/** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles were taken over already */
+/** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles have already been applied */
 /**
  * @typedef {{kind: 'statistics', frame: number, viewers: number, frames: number, videoBytes: number, geometryBytes: number, tiles: number,
  *   leftOut: number, skipped: number, forwardMs: number, geometryMs: number}} Statistics
@@ -31,15 +35,15 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
 /** @typedef {{kind: 'bye', reason: string, again: boolean, cause: Cause}} Bye */
 /** @typedef {'other' | 'left' | 'lost' | 'rejected' | 'full' | 'taken' | 'codec'} Cause why the server closes the connection (live.proto) */
 /** @typedef {{kind: 'credit', frames: number, key: boolean}} Credit */
-/** @typedef {{kind: 'other'}} Other is for nobody here */
+/** @typedef {{kind: 'other'}} Other not for this program */
 /** @typedef {Hello | Video | Sound | Tiles | Statistics | Bye | Credit | Other} Message */
 
-/** @typedef {{tile: number, layers: Float64Array[] | null}} ChangedTile its layers, nine numbers each (crates/live-decoder), or null where it has those of before */
+/** @typedef {{tile: number, layers: Float64Array[] | null}} ChangedTile `layers`: nine numbers each (crates/live-decoder), or null if unchanged */
 
-/** Of the numbers in live.proto. @type {Cause[]} */
+/** In the order of their numbers in live.proto. @type {Cause[]} */
 const CAUSES = ['other', 'left', 'lost', 'rejected', 'full', 'taken', 'codec'];
 
-/** The compiled module. */
+/** Compiles the module. */
 export function compiled() {
   return compiledFrom(new URL('./decoder.wasm', import.meta.url));
 }
@@ -57,16 +61,16 @@ export class RoomDecoder {
     this.#instance = instance;
   }
 
-  /** Bytes of the instance's memory. */
+  /** Size of the instance's memory, bytes. */
   get memory() {
     return this.#instance.memory;
   }
 
   /**
-   * Reads a message, and takes over what it says of the room.
+   * Reads a message and applies its tiles.
    * @param {Uint8Array} bytes
    * @returns {Message}
-   * @throws {ContainerError} where it cannot be read
+   * @throws {ContainerError} if the message is malformed
    */
   read(bytes) {
     this.#instance.hand(bytes);
@@ -95,10 +99,10 @@ export class RoomDecoder {
   }
 
   /**
-   * Takes a picture of the room's size as the next frame.
+   * Sets the next frame, a picture of the room's size.
    * @param {number} format one of `PIXELS`
    * @param {Uint8Array | Uint8ClampedArray} bytes planes without gaps
-   * @param {{frame: number, time: number}} [of] its number, and when it was taken, µs by the publisher's clock
+   * @param {{frame: number, time: number}} [of] its number, and its capture time, µs by the publisher's clock
    */
   frame(format, bytes, { frame, time } = { frame: 0, time: 0 }) {
     this.#instance.hand(bytes);
@@ -106,7 +110,7 @@ export class RoomDecoder {
   }
 
   /**
-   * Brings the layers up to the last frame and tiles; gives the tiles that changed, in order, none as long as not all tiles came.
+   * Updates the layers to the latest frame and tiles. Returns the changed tiles in order, or none until every tile has arrived.
    * @returns {ChangedTile[]}
    */
   layers() {
@@ -117,7 +121,7 @@ export class RoomDecoder {
     let at = 0;
     for (let i = 0; i < tiles.length; i += 2) {
       const count = tiles[i + 1];
-      if (count === AS_BEFORE) out.push({ tile: tiles[i], layers: null });
+      if (count === UNCHANGED) out.push({ tile: tiles[i], layers: null });
       else {
         out.push({
           tile: tiles[i],
@@ -130,10 +134,10 @@ export class RoomDecoder {
   }
 
   /**
-   * Texels of layers.
-   * @param {Uint32Array} layers two numbers each: the tile, and the layer among the tile's
-   * @param {ArrayBuffer} [spare] that nobody reads any more: they are written there where it is large enough, else to one of their own
-   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one layer after the other
+   * Computes the texels of layers.
+   * @param {Uint32Array} layers two numbers each: the tile, and the layer's index in the tile
+   * @param {ArrayBuffer} [spare] a buffer to reuse if it is large enough
+   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one layer after another
    */
   cells(layers, spare) {
     this.#instance.hand(new Uint8Array(layers.buffer, layers.byteOffset, layers.byteLength));
@@ -191,7 +195,7 @@ export class RoomDecoder {
 
   /** @param {number} what */
   #floats(what) {
-    // copied, as it need not lie at a multiple of eight
+    // copied, because it may not be aligned to eight bytes
     return new Float64Array(this.#copy(what).buffer);
   }
 }

@@ -1,29 +1,35 @@
-// What makes video of frames: the browser's encoders, or JPEG files where it has none.
+// Encodes frames as video with the browser's encoders, or as JPEG files if it has none.
 
-import { pictureOf } from './frames.js';
-import { JPEG } from './pictures.js';
+import { pictureOf } from './camera-frames.js';
+import { JPEG } from './frame-decoder.js';
 
-/** @import { Frame } from './frames.js' */
+/** @import { Frame } from './camera-frames.js' */
 
-/** @typedef {{time: number, key: boolean, layer: number, data: Uint8Array<ArrayBuffer>}} Coded a frame as it is sent; time in µs, its temporal layer */
-/** @typedef {{codec: string, busy: number, encode: (frame: Frame, time: number, key: boolean) => void, close: () => void}} Encoder `busy`: frames under way; `encode` closes the frame */
+/**
+ * An encoded frame; `time` in µs, `layer` its temporal layer.
+ * @typedef {{time: number, key: boolean, layer: number, data: Uint8Array<ArrayBuffer>}} Coded
+ */
+/**
+ * `busy`: count of frames being encoded; `encode` closes the frame.
+ * @typedef {{codec: string, busy: number, encode: (frame: Frame, time: number, key: boolean) => void, close: () => void}} Encoder
+ */
 
-/** Codecs in the order in which they are tried; the server refuses those that it cannot decode. */
+/** Codecs in order of preference; the server refuses those that it cannot decode. */
 const CODECS = [
-  // baseline, level 3.1: every machine decodes it, and unchanged parts of the picture stay the same bits
+  // baseline, level 3.1: every machine decodes it, and unchanged parts of the picture stay bit-identical
   { codec: 'avc1.42E01F', avc: /** @type {AvcEncoderConfig} */ ({ format: 'annexb' }) },
   { codec: 'vp09.00.10.08' },
 ];
-/** Every other frame is one that no other refers to: who is behind is not sent those. */
-const LAYERS = 'L1T2';
-/** Bits a pixel and second: 384 kbit/s at 320×240, as `tmpi-lab live-bench` has it, where that is 39 dB. */
-const BITS = 5;
-const QUALITY = 0.8;
-/** Frames a second that are aimed at. */
+/** Two temporal layers: no frame refers to the upper one, so the server can drop it for viewers that fall behind. */
+const SCALABILITY_MODE = 'L1T2';
+/** Bits per pixel and second: 384 kbit/s at 320×240, as in `tmpi-lab live-bench`, where that gives 39 dB. */
+const BITS_PER_PX = 5;
+const JPEG_QUALITY = 0.8;
+/** Target frames per second. */
 export const RATE = 30;
 
 /**
- * Codecs that this browser encodes at a size, best first, each in temporal layers before it comes without; JPEG at last.
+ * Codecs that this browser can encode at a size, best first, each with temporal layers before without; JPEG last.
  * @param {{width: number, height: number}} size
  * @returns {Promise<(VideoEncoderConfig | {codec: string})[]>}
  */
@@ -31,8 +37,8 @@ export async function codecsFor({ width, height }) {
   const found = [];
   for (const codec of globalThis.VideoEncoder ? CODECS : []) {
     /** @type {VideoEncoderConfig} */
-    const plain = { ...codec, width, height, framerate: RATE, bitrate: Math.round(BITS * width * height), latencyMode: 'realtime' };
-    for (const config of [{ ...plain, scalabilityMode: LAYERS }, plain]) {
+    const plain = { ...codec, width, height, framerate: RATE, bitrate: Math.round(BITS_PER_PX * width * height), latencyMode: 'realtime' };
+    for (const config of [{ ...plain, scalabilityMode: SCALABILITY_MODE }, plain]) {
       const { supported } = await VideoEncoder.isConfigSupported(config).catch(() => ({ supported: false }));
       if (supported) found.push(config);
     }
@@ -47,22 +53,22 @@ export async function codecsFor({ width, height }) {
  * @returns {Encoder}
  */
 export function encoderOf(config, done, failed) {
-  return 'width' in config ? new Browser(config, done, failed) : new Jpeg(done, failed);
+  return 'width' in config ? new BrowserEncoder(config, done, failed) : new JpegEncoder(done, failed);
 }
 
 /**
- * What an encoder says of layers; nothing where it has none.
+ * The encoder's metadata on layers, empty if it reports none.
  * @param {EncodedVideoChunkMetadata | undefined} metadata
  * @returns {{temporalLayerId?: number}}
  */
-function svcOf(metadata) {
+function svcMetadata(metadata) {
   return /** @type {any} */ (metadata)?.svc ?? {};
 }
 
-class Browser {
+class BrowserEncoder {
   #encoder;
   /** @type {number[]} */
-  #under = [];
+  #pending = [];
   /** @type {OffscreenCanvas | null} */
   #canvas = null;
 
@@ -75,11 +81,11 @@ class Browser {
     this.codec = config.codec;
     this.#encoder = new VideoEncoder({
       output: (chunk, metadata) => {
-        // an encoder may leave frames out
-        this.#under = this.#under.filter((time) => time > chunk.timestamp);
+        // an encoder may drop frames
+        this.#pending = this.#pending.filter((time) => time > chunk.timestamp);
         const data = new Uint8Array(chunk.byteLength);
         chunk.copyTo(data);
-        const { temporalLayerId: layer = 0 } = svcOf(metadata);
+        const { temporalLayerId: layer = 0 } = svcMetadata(metadata);
         done({ time: chunk.timestamp, key: chunk.type === 'key', layer, data });
       },
       error: failed,
@@ -88,7 +94,7 @@ class Browser {
   }
 
   get busy() {
-    return this.#under.length;
+    return this.#pending.length;
   }
 
   /**
@@ -99,13 +105,13 @@ class Browser {
   encode(frame, time, key) {
     const timed = new VideoFrame(this.#upright(frame), { timestamp: time });
     frame.close();
-    this.#under.push(time);
+    this.#pending.push(time);
     this.#encoder.encode(timed, { keyFrame: key });
     timed.close();
   }
 
   /**
-   * What is drawn of a frame, upright: encoders pass over that a camera says how its picture is to be turned.
+   * The picture of a frame, upright: encoders ignore the rotation that a camera reports.
    * @param {Frame} frame
    * @returns {CanvasImageSource}
    */
@@ -124,7 +130,7 @@ class Browser {
   }
 }
 
-class Jpeg {
+class JpegEncoder {
   codec = JPEG;
   busy = 0;
   #done;
@@ -152,7 +158,7 @@ class Jpeg {
       this.#canvas ??= new OffscreenCanvas(frame.displayWidth, frame.displayHeight);
       this.#canvas.getContext('2d')?.drawImage(pictureOf(frame), 0, 0, this.#canvas.width, this.#canvas.height);
       frame.close();
-      const file = await this.#canvas.convertToBlob({ type: 'image/jpeg', quality: QUALITY });
+      const file = await this.#canvas.convertToBlob({ type: 'image/jpeg', quality: JPEG_QUALITY });
       if (!this.#closed) this.#done({ time, key: true, layer: 0, data: new Uint8Array(await file.arrayBuffer()) });
     } catch (error) {
       this.#failed(error);

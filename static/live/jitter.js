@@ -1,75 +1,75 @@
-// How long frames are held so that they are shown as evenly as they were taken: as unevenly as most of them come, and not at all on a calm line.
-// Pure: times are handed in.
+// Estimates the playout delay that hides jitter: as long as most frames are late, and zero on a steady connection.
+// Pure: callers pass the times.
 
-/** Longest time that a frame is held for, ms; what comes later than that is no jitter but an outage. */
-const MOST_MS = 200;
-/** Jitter that is left as it is, ms: one refresh of a screen. */
-const FREE_MS = 17;
-/** Share of the frames that are to be there in time. */
+/** Longest playout delay, ms; a frame that is later than that is an outage, not jitter. */
+const MAX_DELAY_MS = 200;
+/** Jitter that is not corrected, ms: one screen refresh. */
+const IGNORED_MS = 17;
+/** Share of frames that must arrive in time. */
 const SHARE = 0.95;
-/** Frames whose jitter is kept, and how many there must be. */
-const KEPT = 120;
-const LEAST = 15;
-/** By how much the delay falls with each frame, ms: the picture then runs a little faster, which is not seen. */
+/** Largest and smallest number of frames that the estimate is based on. */
+const MAX_FRAMES = 120;
+const MIN_FRAMES = 15;
+/** Largest decrease of the delay per frame, ms: the picture then runs slightly faster, which nobody notices. */
 const STEP_MS = 1;
-/** The fastest way is of the last so many spans, ms each: clocks drift apart. */
+/** The shortest transit time is taken over the last SPANS spans of SPAN_MS, because clocks drift apart. */
 const SPANS = 5;
 const SPAN_MS = 2000;
-/** Two clocks are others, ms, where the way is so much shorter, or so much longer for so many frames. */
+/** A clock has jumped if the transit time is shorter by JUMP_MS, or longer by it for STRAYS frames in a row. */
 const JUMP_MS = 500;
 const STRAYS = 45;
 
 export class Jitter {
-  /** Shortest ways, by when the span began. @type {{from: number, way: number}[]} */
+  /** Shortest transit time of each span, and when the span began. @type {{from: number, transit: number}[]} */
   #fastest = [];
-  /** By how much ways were longer than the fastest, ms, oldest first. @type {number[]} */
-  #spreads = [];
+  /** Transit times minus the shortest one, ms, oldest first. @type {number[]} */
+  #lateness = [];
   #strays = 0;
-  /** How unevenly frames come, ms: the share of them that is to be there in time is no later than that. */
+  /** The quantile SHARE of the lateness of frames, ms. */
   jitter = 0;
-  /** How long after the fastest way a frame is due, ms. */
+  /** Playout delay on top of the shortest transit time, ms. */
   delay = 0;
 
   /**
-   * A frame came: when it is to be shown, ms by the clock of `now`; in the past where it is late.
-   * @param {number} time when it was taken, ms by the publisher's clock
+   * Records the arrival of a frame; returns when it is due, ms by the clock of `now`, in the past if it is late.
+   * @param {number} time capture time, ms by the publisher's clock
    * @param {number} now ms
    */
   arrived(time, now) {
-    const way = now - time;
-    const before = this.#least();
-    this.#strays = way > before + JUMP_MS ? this.#strays + 1 : 0;
-    if (way < before - JUMP_MS || this.#strays >= STRAYS) this.#begin();
-    this.#remember(way, now);
-    const least = this.#least();
-    if (way - least <= MOST_MS) this.#count(way - least);
-    return time + least + this.delay;
+    const transit = now - time;
+    const before = this.#shortest();
+    this.#strays = transit > before + JUMP_MS ? this.#strays + 1 : 0;
+    if (transit < before - JUMP_MS || this.#strays >= STRAYS) this.#reset();
+    this.#remember(transit, now);
+    const shortest = this.#shortest();
+    if (transit - shortest <= MAX_DELAY_MS) this.#count(transit - shortest);
+    return time + shortest + this.delay;
   }
 
-  #begin() {
-    [this.#fastest, this.#spreads, this.#strays, this.jitter] = [[], [], 0, 0];
+  #reset() {
+    [this.#fastest, this.#lateness, this.#strays, this.jitter] = [[], [], 0, 0];
   }
 
-  #least() {
-    return Math.min(...this.#fastest.map(({ way }) => way));
+  #shortest() {
+    return Math.min(...this.#fastest.map(({ transit }) => transit));
   }
 
   /**
-   * @param {number} way
+   * @param {number} transit
    * @param {number} now
    */
-  #remember(way, now) {
+  #remember(transit, now) {
     const last = this.#fastest.at(-1);
-    if (last && now - last.from < SPAN_MS) last.way = Math.min(last.way, way);
-    else this.#fastest = [...this.#fastest.slice(1 - SPANS), { from: now, way }];
+    if (last && now - last.from < SPAN_MS) last.transit = Math.min(last.transit, transit);
+    else this.#fastest = [...this.#fastest.slice(1 - SPANS), { from: now, transit }];
   }
 
-  /** @param {number} spread */
-  #count(spread) {
-    this.#spreads = [...this.#spreads.slice(1 - KEPT), spread];
-    const sorted = this.#spreads.toSorted((a, b) => a - b);
+  /** @param {number} late */
+  #count(late) {
+    this.#lateness = [...this.#lateness.slice(1 - MAX_FRAMES), late];
+    const sorted = this.#lateness.toSorted((a, b) => a - b);
     this.jitter = sorted[Math.ceil(SHARE * sorted.length) - 1];
-    const wanted = sorted.length < LEAST ? 0 : Math.max(0, this.jitter - FREE_MS);
+    const wanted = sorted.length < MIN_FRAMES ? 0 : Math.max(0, this.jitter - IGNORED_MS);
     this.delay = Math.max(wanted, this.delay - STEP_MS);
   }
 }

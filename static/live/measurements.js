@@ -1,25 +1,25 @@
-// What a page that watches measures of itself.
+// Playback statistics of a page that watches a room.
 
-/** Weight of the newest in what is smoothed. */
+/** Weight of the newest sample in smoothed values. */
 const WEIGHT = 0.1;
 
-/** Smoothed times in ms, and counts since they were told last. */
+/** Smoothed times in ms, and counts since the last report. */
 export class Measurements {
   #ms = { made: 0, copy: 0, video: 0 };
   #latency = 0;
   #lag = 0;
-  /** Fastest way of a frame so far, ms between two clocks. */
+  /** Shortest transit time of a frame so far, ms; it includes the offset between the two clocks. */
   #fastest = Infinity;
   frames = 0;
   bytes = 0;
 
-  /** Another publisher, with another clock. */
+  /** Resets what depends on the publisher's clock. */
   begin() {
     this.#fastest = Infinity;
   }
 
   /**
-   * @param {'made' | 'copy' | 'video'} what layers were composed, samples were copied, a frame was decoded
+   * @param {'made' | 'copy' | 'video'} what composing layers, copying samples, or decoding a frame
    * @param {number} ms
    */
   took(what, ms) {
@@ -28,26 +28,26 @@ export class Measurements {
   }
 
   /**
-   * A frame came.
-   * @param {number} time of the publisher, µs
-   * @param {number} arrived ms of `performance.now()`
+   * Records the arrival of a frame.
+   * @param {number} time capture time by the publisher's clock, µs
+   * @param {number} arrived `performance.now()`, ms
    */
   arrived(time, arrived) {
-    const way = performance.timeOrigin + arrived - time / 1000;
-    this.#fastest = Math.min(this.#fastest, way);
-    this.#lag += (way - this.#fastest - this.#lag) * WEIGHT;
+    const transit = performance.timeOrigin + arrived - time / 1000;
+    this.#fastest = Math.min(this.#fastest, transit);
+    this.#lag += (transit - this.#fastest - this.#lag) * WEIGHT;
   }
 
   /**
-   * A frame is on the screen.
-   * @param {number} time of the publisher, µs
+   * Records that a frame is on the screen.
+   * @param {number} time capture time by the publisher's clock, µs
    */
   shown(time) {
     this.#latency = performance.timeOrigin + performance.now() - time / 1000;
   }
 
   /**
-   * What is told of the last `ms`; counts begin anew.
+   * Reports the last `ms` milliseconds and resets the counts.
    * @param {number} ms
    */
   since(ms) {

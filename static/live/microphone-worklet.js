@@ -1,12 +1,12 @@
-// Runs beside the page: hands on what the microphone hears.
+// Audio worklet: forwards the samples of the microphone.
 
-// names of its own world
+// globals of AudioWorkletGlobalScope
 const { AudioWorkletProcessor, registerProcessor } = /** @type {any} */ (globalThis);
 
 class Microphone extends AudioWorkletProcessor {
   /** @param {Float32Array[][]} inputs */
   process([[samples]]) {
-    // the buffer is used again
+    // the browser reuses the buffer
     if (samples) this.port.postMessage(samples.slice());
     return true;
   }

@@ -1,37 +1,37 @@
-// The samples of a decoded picture, without the browser's own conversion of colours where there is a choice.
+// Reads the samples of a decoded picture, without the browser's colour conversion if possible.
 
 import { PIXELS } from './decoder.js';
 
 /**
- * The part of a frame's samples that is shown. Some decoders cut off what VP9's size for drawing leaves out, which others pass over.
+ * The visible part of a frame's samples. Some decoders crop frames to VP9's render size, others ignore it.
  * @param {VideoFrame} picture
  * @param {number} width
  * @param {number} height
  */
-function shownOf({ visibleRect, codedWidth, codedHeight }, width, height) {
+function visiblePart({ visibleRect, codedWidth, codedHeight }, width, height) {
   if (visibleRect?.width === width && visibleRect.height === height) return visibleRect;
-  if (codedWidth < width || codedHeight < height) throw new Error('A frame has another size than the room.');
+  if (codedWidth < width || codedHeight < height) throw new Error('A frame differs in size from the room.');
   return { x: 0, y: 0, width, height };
 }
 
 /**
- * @param {VideoFrame | ImageBitmap} picture of that size; closed by the caller
+ * @param {VideoFrame | ImageBitmap} picture of that size; the caller closes it
  * @param {{width: number, height: number}} size
- * @param {boolean} copies whether samples may be copied as they are
+ * @param {boolean} copies whether to copy the samples unconverted
  * @returns {Promise<{format: number, bytes: Uint8Array | Uint8ClampedArray}>} planes without gaps
  */
 export async function pixelsOf(picture, { width, height }, copies) {
   const format = 'format' in picture ? picture.format : null;
   if (copies && 'copyTo' in picture && (format === 'I420' || format === 'NV12')) {
-    const rect = shownOf(picture, width, height);
-    const across = Math.ceil(width / 2);
-    const down = Math.ceil(height / 2);
+    const rect = visiblePart(picture, width, height);
+    const halfW = Math.ceil(width / 2);
+    const halfH = Math.ceil(height / 2);
     const luma = { offset: 0, stride: width };
     const layout =
       format === 'NV12'
-        ? [luma, { offset: width * height, stride: 2 * across }]
-        : [luma, { offset: width * height, stride: across }, { offset: width * height + across * down, stride: across }];
-    const bytes = new Uint8Array(width * height + 2 * across * down);
+        ? [luma, { offset: width * height, stride: 2 * halfW }]
+        : [luma, { offset: width * height, stride: halfW }, { offset: width * height + halfW * halfH, stride: halfW }];
+    const bytes = new Uint8Array(width * height + 2 * halfW * halfH);
     await picture.copyTo(bytes, { rect, layout });
     return { format: format === 'NV12' ? PIXELS.NV12 : PIXELS.I420, bytes };
   }

@@ -1,41 +1,45 @@
-// Publishes a camera in a room: frames as fast as the server gives credit for them, the newest first.
+// Publishes a camera to a room, as fast as the server grants credit; if frames must be dropped, the newest is kept.
 
-import { look, openSocket } from './connection.js';
+import { eachFrame } from './camera-frames.js';
+import { fetchStatus, openSocket } from './connection.js';
 import { compiled, RoomDecoder } from './decoder.js';
 import { codecsFor, encoderOf } from './encoders.js';
-import { eachFrame } from './frames.js';
 import { eachPacket, SOUND } from './microphone.js';
 
 /** @import { Coded, Encoder } from './encoders.js' */
-/** @import { Frame } from './frames.js' */
+/** @import { Frame } from './camera-frames.js' */
 
-/** @typedef {'connecting' | 'live' | 'again' | 'paused' | 'ended'} State `again`: the connection broke and is tried again; `paused`: the camera gives no frames, as in a hidden tab, and it goes on with the next one; `ended` with a reason, or without one where it was stopped */
+/**
+ * `again`: the connection broke and is being reopened; `paused`: the camera delivers no frames, as in a hidden tab, and the next frame
+ * resumes; `ended`: with a reason, or without one after `stop`.
+ * @typedef {'connecting' | 'live' | 'again' | 'paused' | 'ended'} State
+ */
 
-/** A key frame comes at least so often, frames: who joins gets all since the last one. */
-const GROUP = 60;
-/** Pauses before it is tried again, ms. */
+/** Longest key frame interval, frames: a viewer who joins gets all frames since the last key frame. */
+const KEY_INTERVAL = 60;
+/** Pauses before successive reconnects, ms. */
 const PAUSES_MS = [300, 700, 1500, 3000];
-/** Bytes that may wait in the socket: beyond, the network is the bottleneck and frames are left out. */
-const MOST_WAITING = 256 << 10;
-/** Silence after which a connection is taken for dead: the server says something each second, ms. */
+/** Most bytes queued in the socket; beyond that the network is the bottleneck, and frames are dropped. */
+const MAX_BUFFERED = 256 << 10;
+/** Silence after which a connection counts as lost, ms: the server sends something every second. */
 const SILENCE_MS = 4000;
-/** Time without a frame or sound after which the room is left until the next frame comes, ms: sooner than the server sends who says nothing away. */
-const QUIET_MS = 7000;
-/** Time that a microphone has to begin, ms. */
+/** Time without frames or sound after which publishing pauses, ms: shorter than the time after which the server disconnects a publisher. */
+const IDLE_MS = 7000;
+/** Time limit for the microphone to start, ms. */
 const MICROPHONE_MS = 3000;
-/** Frames in a row that may fail before it ends. */
-const FAILURES = 5;
+/** Most consecutive frames that may fail before publishing ends. */
+const MAX_FAILURES = 5;
 
-/** Now in µs, by a clock that others on the machine have, too. */
+/** Current time in µs since 1970, comparable with other programs on the machine. */
 const clock = () => Math.round((performance.timeOrigin + performance.now()) * 1000);
 
 export class Publisher {
   #room;
   #stream;
   #preview;
-  #tell;
+  #onState;
   /** @type {RoomDecoder | null} */
-  #wire = null;
+  #messages = null;
   /** @type {WebSocket | null} */
   #socket = null;
   /** @type {Encoder | null} */
@@ -43,11 +47,11 @@ export class Publisher {
   /** @type {(() => void)[]} */
   #stops = [];
   #size = { width: 0, height: 0 };
-  /** Counts connections, also those that are given up while they wait for something. */
-  #run = 0;
-  #codec = 0;
+  /** Counts connections, so that an abandoned one notices it after an await. */
+  #attempt = 0;
+  #codecIndex = 0;
   #credit = 0;
-  #number = 0;
+  #frameNumber = 0;
   #sinceKey = 0;
   #wantsKey = true;
   #tries = 0;
@@ -55,31 +59,31 @@ export class Publisher {
   #stopped = false;
   #paused = false;
   #wasLive = false;
-  /** Stops the sound; null: there is none. @type {(() => void) | null} */
+  /** Stops the sound; null without sound. @type {(() => void) | null} */
   #stopSound = null;
-  /** When something was there to be sent last, ms. */
-  #last = 0;
+  /** Time of the last frame or sound packet, ms. */
+  #lastInput = 0;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #silence;
-  /** Frames and bytes sent, and frames left out, since the start. */
+  /** Totals since the start: frames and bytes sent, frames dropped, sound packets sent. */
   counts = { frames: 0, bytes: 0, leftOut: 0, sound: 0 };
 
   /**
    * @param {{address: string, token: string}} room
    * @param {MediaStream} stream
    * @param {HTMLVideoElement} preview that shows it
-   * @param {(state: State, reason: string) => void} tell
+   * @param {(state: State, reason: string) => void} onState
    */
-  constructor(room, stream, preview, tell) {
+  constructor(room, stream, preview, onState) {
     this.#room = room;
     this.#stream = stream;
     this.#preview = preview;
-    this.#tell = tell;
+    this.#onState = onState;
   }
 
-  /** What the frames are coded by. */
+  /** Codec string of the current encoder. */
   get codec() {
     return this.#encoder?.codec ?? '';
   }
@@ -90,42 +94,42 @@ export class Publisher {
   }
 
   async start() {
-    this.#tell('connecting', '');
-    this.#wire = await RoomDecoder.of(await compiled());
-    // what is said of sound is said first, so it has to be known
+    this.#onState('connecting', '');
+    this.#messages = await RoomDecoder.of(await compiled());
+    // HELLO announces the sound, so the microphone starts before the connection
     await this.#startSound();
     if (this.#stopped) return this.#release();
     const [video] = this.#stream.getVideoTracks();
     video.addEventListener('ended', () => this.#end('the camera was taken away'));
     const failed = (/** @type {Error} */ error) => this.#fail(error);
     this.#stops.push(eachFrame(video, this.#preview, (frame) => this.#take(frame), failed));
-    const watch = setInterval(() => this.#rest(), 1000);
+    const watch = setInterval(() => this.#pauseIfIdle(), 1000);
     this.#stops.push(() => clearInterval(watch));
   }
 
-  /** Without sound there is still a picture. */
+  /** Starts the sound; a failure leaves a room without sound. */
   async #startSound() {
     const [sound] = this.#stream.getAudioTracks();
     if (!sound) return;
     const begun = eachPacket(
       sound,
       clock,
-      (packet) => this.#sound(packet),
+      (packet) => this.#sendSound(packet),
       (error) => this.#mute(error.message),
     );
-    const late = new Promise((_, refuse) => setTimeout(() => refuse(new Error('the microphone does not begin')), MICROPHONE_MS));
+    const late = new Promise((_, refuse) => setTimeout(() => refuse(new Error('the microphone did not start')), MICROPHONE_MS));
     try {
       this.#stopSound = await Promise.race([begun, late]);
       sound.addEventListener('ended', () => this.#mute('the microphone was taken away'));
     } catch (error) {
       console.warn(error.message);
-      // one that begins after all is not announced
+      // HELLO has not announced it, so stop it if it starts later
       begun.then((stop) => stop()).catch(() => {});
     }
   }
 
   /**
-   * The sound has failed: those who watch are told that there is none.
+   * Stops the failed sound and reconnects, so that HELLO tells viewers that there is none.
    * @param {string} reason
    */
   #mute(reason) {
@@ -137,32 +141,32 @@ export class Publisher {
   }
 
   /**
-   * A frame could not be sent.
+   * Handles a frame that could not be sent.
    * @param {Error} error
    */
   #fail(error) {
     console.warn(error.message);
-    if (++this.#failures > FAILURES) this.#end(error.message);
-    else this.#again();
+    if (++this.#failures > MAX_FAILURES) this.#end(error.message);
+    else this.#reconnect();
   }
 
-  /** Leaves the room where nothing comes of the camera: the server would send away who says nothing. */
-  #rest() {
-    if (!this.#socket || this.#paused || performance.now() - this.#last < QUIET_MS) return;
+  /** Pauses if the camera delivers nothing: the server would disconnect a silent publisher. */
+  #pauseIfIdle() {
+    if (!this.#socket || this.#paused || performance.now() - this.#lastInput < IDLE_MS) return;
     this.#pause();
   }
 
   #pause() {
-    if (this.#socket?.readyState === WebSocket.OPEN && this.#wire) this.#socket.send(this.#wire.writeBye('paused'));
+    if (this.#socket?.readyState === WebSocket.OPEN && this.#messages) this.#socket.send(this.#messages.writeBye('paused'));
     clearTimeout(this.#timer);
     this.#disconnect();
     this.#paused = true;
-    this.#tell('paused', '');
+    this.#onState('paused', '');
   }
 
   stop() {
     const { readyState, OPEN } = this.#socket ?? { readyState: 0, OPEN: 1 };
-    if (readyState === OPEN && this.#wire) this.#socket?.send(this.#wire.writeBye('stopped'));
+    if (readyState === OPEN && this.#messages) this.#socket?.send(this.#messages.writeBye('stopped'));
     this.#end('');
   }
 
@@ -171,7 +175,7 @@ export class Publisher {
     if (this.#stopped) return;
     this.#stopped = true;
     this.#release();
-    this.#tell('ended', reason);
+    this.#onState('ended', reason);
   }
 
   #release() {
@@ -183,7 +187,7 @@ export class Publisher {
   }
 
   #disconnect() {
-    this.#run++;
+    this.#attempt++;
     clearTimeout(this.#silence);
     this.#encoder?.close();
     this.#encoder = null;
@@ -196,19 +200,19 @@ export class Publisher {
   /** @param {Frame} frame */
   #take(frame) {
     const { displayWidth: width, displayHeight: height } = frame;
-    this.#last = performance.now();
+    this.#lastInput = performance.now();
     if (this.#paused || width !== this.#size.width || height !== this.#size.height) {
-      // the first one, or one after a pause, or the device was turned: the room begins anew
+      // the first frame, the first one after a pause, or the device was rotated: a new HELLO is due
       this.#paused = false;
       this.#size = { width, height };
       this.#connect();
     }
     const waiting = this.#socket?.bufferedAmount ?? 0;
-    if (!this.#encoder || this.#credit <= this.#encoder.busy || waiting > MOST_WAITING) {
+    if (!this.#encoder || this.#credit <= this.#encoder.busy || waiting > MAX_BUFFERED) {
       if (this.#encoder) this.counts.leftOut++;
       return frame.close();
     }
-    const key = this.#wantsKey || this.#sinceKey >= GROUP;
+    const key = this.#wantsKey || this.#sinceKey >= KEY_INTERVAL;
     this.#wantsKey = false;
     this.#sinceKey = key ? 1 : this.#sinceKey + 1;
     this.#encoder.encode(frame, clock(), key);
@@ -218,77 +222,77 @@ export class Publisher {
     this.#disconnect();
     clearTimeout(this.#timer);
     const size = this.#size;
-    const run = this.#run;
-    const [codecs, refused] = await Promise.all([codecsFor(size), this.#refusal()]);
-    if (this.#stopped || this.#paused || run !== this.#run) return;
+    const attempt = this.#attempt;
+    const [codecs, refused] = await Promise.all([codecsFor(size), this.#refusedReason()]);
+    if (this.#stopped || this.#paused || attempt !== this.#attempt) return;
     if (refused) return this.#end(refused);
-    const config = codecs[Math.min(this.#codec, codecs.length - 1)];
+    const config = codecs[Math.min(this.#codecIndex, codecs.length - 1)];
     const socket = openSocket(this.#room.address, 'publish', this.#room.token);
     this.#socket = socket;
-    [this.#credit, this.#number, this.#wantsKey] = [0, 0, true];
+    [this.#credit, this.#frameNumber, this.#wantsKey] = [0, 0, true];
     socket.onopen = () => {
       const sound = this.#stopSound ? SOUND : null;
       const named = sound ? { sound: sound.codec, rate: sound.rate, channels: sound.channels } : {};
-      const hello = this.#wire?.writeHello({ ...size, codec: config.codec.replace('avc1.42E01F', 'avc1.42e01f'), ...named });
+      const hello = this.#messages?.writeHello({ ...size, codec: config.codec.replace('avc1.42E01F', 'avc1.42e01f'), ...named });
       if (hello) socket.send(hello);
       this.#encoder = encoderOf(
         config,
         (coded) => this.#send(coded),
         () => {
-          // it cannot after all
-          this.#codec++;
+          // the encoder failed although the browser claims support
+          this.#codecIndex++;
           this.#connect();
         },
       );
     };
-    this.#listen();
+    this.#watchSilence();
     socket.onmessage = ({ data }) => {
-      this.#listen();
-      this.#hear(new Uint8Array(data));
+      this.#watchSilence();
+      this.#onMessage(new Uint8Array(data));
     };
-    socket.onclose = () => this.#again();
+    socket.onclose = () => this.#reconnect();
   }
 
-  /** Why it is of no use to try again, empty where it may be: a socket that is refused does not say why. */
-  async #refusal() {
+  /** Why reconnecting is pointless, or empty: a rejected WebSocket reports no reason. */
+  async #refusedReason() {
     if (!this.#tries) return '';
-    const { state, mayPublish } = await look(this.#room.address, this.#room.token);
+    const { state, mayPublish } = await fetchStatus(this.#room.address, this.#room.token);
     if (state === 'none') return 'There is no such room on this server.';
     return state === 'refused' || (state !== 'away' && !mayPublish) ? 'the link is no longer valid' : '';
   }
 
-  /** A link that is dead says nothing of it. */
-  #listen() {
+  /** Restarts the silence timer: a dead connection raises no event. */
+  #watchSilence() {
     clearTimeout(this.#silence);
-    this.#silence = setTimeout(() => this.#again(), SILENCE_MS);
+    this.#silence = setTimeout(() => this.#reconnect(), SILENCE_MS);
   }
 
   /** @param {Uint8Array} bytes */
-  #hear(bytes) {
-    const message = this.#wire?.read(bytes);
+  #onMessage(bytes) {
+    const message = this.#messages?.read(bytes);
     if (message?.kind === 'credit') {
       this.#credit += message.frames;
       this.#wantsKey ||= message.key;
       if (message.frames) {
         this.#tries = 0;
         this.#wasLive = true;
-        this.#tell('live', '');
+        this.#onState('live', '');
       }
     } else if (message?.kind === 'bye') {
       if (message.cause === 'codec') {
-        this.#codec++;
+        this.#codecIndex++;
         this.#connect();
-      } else if (message.again || (message.cause === 'taken' && this.#wasLive)) this.#again();
+      } else if (message.again || (message.cause === 'taken' && this.#wasLive)) this.#reconnect();
       else this.#end(message.reason);
     }
   }
 
-  #again() {
+  #reconnect() {
     this.#disconnect();
     if (this.#stopped || this.#paused) return;
-    // it would be sent away again
-    if (this.#wasLive && performance.now() - this.#last > QUIET_MS) return this.#pause();
-    this.#tell('again', '');
+    // the server would disconnect it again
+    if (this.#wasLive && performance.now() - this.#lastInput > IDLE_MS) return this.#pause();
+    this.#onState('again', '');
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.#connect(), PAUSES_MS[Math.min(this.#tries++, PAUSES_MS.length - 1)]);
   }
@@ -296,19 +300,19 @@ export class Publisher {
   /** @param {Coded} coded */
   #send({ time, key, layer, data }) {
     const { OPEN } = WebSocket;
-    if (this.#socket?.readyState !== OPEN || !this.#wire) return;
+    if (this.#socket?.readyState !== OPEN || !this.#messages) return;
     this.#credit--;
-    this.#socket.send(this.#wire.writeVideo({ frame: this.#number++, time, key, layer, data }));
+    this.#socket.send(this.#messages.writeVideo({ frame: this.#frameNumber++, time, key, layer, data }));
     this.#failures = 0;
     this.counts.frames++;
     this.counts.bytes += data.length;
   }
 
   /** @param {{time: number, data: Uint8Array}} packet */
-  #sound(packet) {
-    if (this.#socket?.readyState !== WebSocket.OPEN || !this.#wire || !this.#number) return;
-    this.#socket.send(this.#wire.writeSound(packet));
-    this.#last = performance.now();
+  #sendSound(packet) {
+    if (this.#socket?.readyState !== WebSocket.OPEN || !this.#messages || !this.#frameNumber) return;
+    this.#socket.send(this.#messages.writeSound(packet));
+    this.#lastInput = performance.now();
     this.counts.sound++;
   }
 }

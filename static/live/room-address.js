@@ -1,13 +1,13 @@
-// Which room an address is of, and the token that it brings along: best behind the #, which browsers send to nobody.
+// Parses the address of a room. The token is best put behind the #, which browsers never send.
 
 /** Key of the token in an address. */
 const KEY = 'token';
 
 /**
- * Of a room's page (`…/live/NAME`), or of the room itself (`…/v1/live/NAME`).
+ * Parses the address of a room's page (`…/live/NAME`) or of the room itself (`…/v1/live/NAME`).
  * @param {string} text
- * @param {string | null} [given] a token that stands beside it
- * @returns {{name: string, address: string, token: string}} the room's name, where the server has it, and the token, empty without one
+ * @param {string | null} [given] token that is given separately
+ * @returns {{name: string, address: string, token: string}} `address`: the room's resource on the server; `token`: empty if there is none
  */
 export function roomAt(text, given) {
   const url = new URL(text);

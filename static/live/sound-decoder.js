@@ -1,4 +1,4 @@
-// Decodes the sound of a room to samples that the page plays.
+// Decodes the sound of a room; the page plays the samples.
 
 /** @import { Hello, Sound } from './decoder.js' */
 
@@ -7,7 +7,7 @@ export class SoundDecoder {
   #decoder = null;
   /** @type {Hello | null} */
   #hello = null;
-  /** Whether anybody listens. */
+  /** Whether the sound is on. */
   wanted = false;
 
   /** @param {Hello} hello */

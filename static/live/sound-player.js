@@ -1,35 +1,35 @@
-// Plays the sound of a room in step with its pictures.
+// Plays the sound of a room in sync with its picture.
 
-/** Sound is kept this far ahead at least, s: what comes late by less is not heard. */
-const AHEAD_S = 0.06;
-/** Out of step by more than this, s, it is put in step again. */
-const OFF_S = 0.12;
+/** Smallest amount of sound buffered ahead, s: it hides packets that are late by less. */
+const MIN_AHEAD_S = 0.06;
+/** Drift beyond which the sound is resynchronised, s. */
+const MAX_DRIFT_S = 0.12;
 
 export class SoundPlayer {
   /** @type {AudioContext | null} */
   #context = null;
-  /** What is to be added to a packet's time for the context's, s. */
+  /** Offset from a packet's time to the context's, s. */
   #offset = 0;
-  #set = false;
-  /** How late pictures are shown after they were taken, s; none is known: 0. */
+  #synced = false;
+  /** Delay from capture to display of the picture, s; 0 if unknown. */
   late = 0;
-  /** Seconds of sound that were played. */
+  /** Seconds of sound played. */
   played = 0;
-  /** The loudest sample of the last packet. */
+  /** Peak of the last packet. */
   level = 0;
 
-  /** To be called from a tap. */
+  /** Call it from a user gesture. */
   async start() {
     this.#context ??= new AudioContext({ latencyHint: 'interactive' });
     await this.#context.resume();
-    this.#set = false;
+    this.#synced = false;
   }
 
   async stop() {
     await this.#context?.suspend();
   }
 
-  /** For good. */
+  /** Closes the audio context; the player cannot be started again. */
   async close() {
     const context = this.#context;
     this.#context = null;
@@ -37,18 +37,18 @@ export class SoundPlayer {
   }
 
   /**
-   * @param {{time: number, rate: number, planes: Float32Array<ArrayBuffer>[]}} packet time in µs by the publisher's clock
+   * @param {{time: number, rate: number, planes: Float32Array<ArrayBuffer>[]}} packet `time` in µs by the publisher's clock
    */
   play({ time, rate, planes }) {
     const context = this.#context;
     if (context?.state !== 'running' || !planes[0]?.length) return;
     const taken = time / 1e6;
     const clock = (performance.timeOrigin + performance.now()) / 1e3;
-    // with the picture of the same moment, but not before it is here
-    const wanted = context.currentTime + Math.max(AHEAD_S, Math.min(1, this.late - (clock - taken)));
-    if (!this.#set || Math.abs(taken + this.#offset - wanted) > OFF_S) {
+    // in sync with the picture, but not before the packet is there
+    const wanted = context.currentTime + Math.max(MIN_AHEAD_S, Math.min(1, this.late - (clock - taken)));
+    if (!this.#synced || Math.abs(taken + this.#offset - wanted) > MAX_DRIFT_S) {
       this.#offset = wanted - taken;
-      this.#set = true;
+      this.#synced = true;
     }
     const buffer = context.createBuffer(planes.length, planes[0].length, rate);
     planes.forEach((samples, i) => {

@@ -1,7 +1,7 @@
-// Starts watching a room off the page's thread.
+// Starts the worker that watches a room.
 import { startWorker } from '../decode/start.js';
 
-/** A worker that runs worker.js. */
+/** Starts a worker that runs worker.js. */
 export function startRoom() {
   return startWorker(new URL('./worker.js', import.meta.url));
 }

@@ -1,5 +1,5 @@
-// Where the layers of a room's tiles lie on the texture pages: each layer in a square of its own, so that a tile that changes moves no
-// other. What continues a layer beyond the picture's border is drawn of the same texels, backward.
+// Places the layers of a room's tiles on texture pages. Each layer has its own cell, so that a changed tile moves no other tile. The
+// mirrored continuation of a layer beyond the picture's border uses the same texels, backward.
 
 import { tileCounts } from '../decode/grid.js';
 import { pieces as piecesOf } from '../draw/border.js';
@@ -11,16 +11,19 @@ import { instances } from '../draw/instances.js';
 /** @import { ChangedTile } from './decoder.js' */
 
 /**
- * Texels of pieces, one after the other, and where they go on the pages: page, x, y, width and height of each, five numbers.
+ * Texels of pieces, one piece after another, and five numbers for each: page, x, y, width and height.
  * @typedef {{data: Uint8Array<ArrayBuffer>, places: Uint32Array<ArrayBuffer>}} Cells
  */
-/** @typedef {{layers: Float64Array[], pieces: Piece[], cells: number[]}} Tile pieces count layers from the tile's first; a cell for each layer */
+/**
+ * In `pieces`, layers count from the tile's first; `cells` has one per layer.
+ * @typedef {{layers: Float64Array[], pieces: Piece[], cells: number[]}} Tile
+ */
 
-/** Side of a page at most. */
+/** Largest side of a page. */
 const PAGE_SIDE = 2048;
-/** Squares that there are for each tile at first, and beside these. */
-const PER_TILE = 6;
-const MORE = 32;
+/** Initial count of cells: so many per tile, plus a reserve. */
+const CELLS_PER_TILE = 6;
+const RESERVE = 32;
 
 export class TileAtlas {
   #head;
@@ -29,8 +32,8 @@ export class TileAtlas {
   #tiles;
   /** @type {number[]} */
   #free = [];
-  #across = 0;
-  #down = 0;
+  #columnsPerPage = 0;
+  #rowsPerPage = 0;
 
   /**
    * @param {SceneHead} head
@@ -41,30 +44,30 @@ export class TileAtlas {
     const { columns, tiles } = tileCounts(head);
     this.#columns = columns;
     this.#tiles = Array.from({ length: tiles }, () => ({ layers: [], pieces: [], cells: [] }));
-    this.#most = Math.max(1, Math.floor(Math.min(PAGE_SIDE, side) / head.tileSize));
-    this.#reserve(tiles * PER_TILE + MORE);
+    this.#maxPerSide = Math.max(1, Math.floor(Math.min(PAGE_SIDE, side) / head.tileSize));
+    this.#reserve(tiles * CELLS_PER_TILE + RESERVE);
   }
 
-  #most;
+  #maxPerSide;
 
-  /** @param {number} count of squares */
+  /** @param {number} count of cells */
   #reserve(count) {
-    this.#across = Math.min(this.#most, Math.ceil(Math.sqrt(count)));
-    this.#down = Math.min(this.#most, Math.ceil(count / this.#across));
-    this.pages = Math.ceil(count / (this.#across * this.#down));
-    const all = this.#across * this.#down * this.pages;
+    this.#columnsPerPage = Math.min(this.#maxPerSide, Math.ceil(Math.sqrt(count)));
+    this.#rowsPerPage = Math.min(this.#maxPerSide, Math.ceil(count / this.#columnsPerPage));
+    this.pages = Math.ceil(count / (this.#columnsPerPage * this.#rowsPerPage));
+    const all = this.#columnsPerPage * this.#rowsPerPage * this.pages;
     this.#free = Array.from({ length: all }, (_, i) => all - 1 - i);
   }
 
   /** Size of a page. */
   get size() {
     const { tileSize } = this.#head;
-    return { width: this.#across * tileSize, height: this.#down * tileSize };
+    return { width: this.#columnsPerPage * tileSize, height: this.#rowsPerPage * tileSize };
   }
 
   /**
-   * Takes over tiles that changed; gives which layers are to be filled anew, and where they go. `grown`: there was no place left, and
-   * all tiles have new places on larger pages.
+   * Applies changed tiles; returns the layers whose texels must be written, and their places. `grown`: the cells ran out, and all tiles
+   * have new places on larger pages.
    * @param {ChangedTile[]} changed
    */
   change(changed) {
@@ -87,7 +90,7 @@ export class TileAtlas {
     return { ...this.#fill(wanted), reshaped: reshaped.length > 0, grown };
   }
 
-  /** All layers, as `change` gives them. */
+  /** All layers, in the form of `change`. */
   all() {
     return this.#fill(this.#tiles.map((_, tile) => tile));
   }
@@ -112,13 +115,13 @@ export class TileAtlas {
   /** @param {number} cell */
   #place(cell) {
     const { tileSize } = this.#head;
-    const page = Math.floor(cell / (this.#across * this.#down));
-    const rest = cell - page * this.#across * this.#down;
-    return { page, x: (rest % this.#across) * tileSize, y: Math.floor(rest / this.#across) * tileSize };
+    const page = Math.floor(cell / (this.#columnsPerPage * this.#rowsPerPage));
+    const rest = cell - page * this.#columnsPerPage * this.#rowsPerPage;
+    return { page, x: (rest % this.#columnsPerPage) * tileSize, y: Math.floor(rest / this.#columnsPerPage) * tileSize };
   }
 
   /**
-   * Cuts the layers of tiles into the pieces that are drawn.
+   * Splits the layers of tiles into drawn pieces.
    * @param {ChangedTile[]} reshaped
    */
   #shape(reshaped) {
@@ -157,7 +160,7 @@ export class TileAtlas {
   }
 
   /**
-   * Layers of all tiles, and the instances that draw them.
+   * The layers of all tiles, and the instances that draw them.
    * @returns {{layers: Layers, instances: Instances}}
    */
   drawn() {

@@ -1,20 +1,23 @@
-// A room as it is watched, off the page's thread.
-// In: {watch: {address, token, side, flat}} · {drawn, spare} the last picture is shown, and a buffer that nobody reads any more · {again} the whole scene once more · {hidden} ·
-// {sound} whether sound is wanted · {flat} nothing can draw the scene. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
-// {type: 'picture', picture, early} where it is to be flat, `early` as its tiles are not there yet · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
+// Watches a room in a worker: receives its messages, decodes the video, and composes the layers of its tiles.
+//
+// Messages from the page: {watch: {address, token, side, flat}} starts · {drawn, spare}: a picture is shown, and `spare` is a buffer to reuse ·
+// {again}: send the whole scene again · {hidden} · {sound}: whether the sound is on · {flat}: nothing can draw the scene.
+// Messages to the page: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
+// {type: 'picture', picture, early}: plain video, `early` if it is only shown until the tiles arrive · {type: 'state', state, reason} ·
+// {type: 'statistics', …} · {type: 'sound', …} · {type: 'has-sound', on} · {type: 'error', message}.
 
 import { Connection, EVERYTHING, SOUND_ALONE } from './connection.js';
 import { compiled, RoomDecoder } from './decoder.js';
-import { Hold } from './hold.js';
+import { FrameDecoder, NoDecoder } from './frame-decoder.js';
+import { InFlight } from './in-flight.js';
 import { Jitter } from './jitter.js';
 import { Measurements } from './measurements.js';
-import { NoDecoder, Pictures } from './pictures.js';
 import { pixelsOf } from './pixels.js';
-import { PlayOut } from './play-out.js';
+import { PlayoutBuffer } from './playout-buffer.js';
 import { SoundDecoder } from './sound-decoder.js';
 import { TileAtlas } from './tile-atlas.js';
-import { UnderWay } from './under-way.js';
-// what those import, named here so that all of it is fetched at once
+import { TileSync } from './tile-sync.js';
+// indirect imports, listed so that the browser fetches all modules at once
 import '../decode/grid.js';
 import '../decode/head.js';
 import '../decode/instance.js';
@@ -22,99 +25,102 @@ import '../decode/module.js';
 import '../draw/border.js';
 import '../draw/instances.js';
 import '../view/camera.js';
-import '../view/limits.js';
+import '../view/camera-limits.js';
 
 /** @import { SceneHead } from '../decode/scene.js' */
 /** @import { Hello, Message, Statistics, Video } from './decoder.js' */
-/** @import { Decoded } from './pictures.js' */
+/** @import { Decoded } from './frame-decoder.js' */
 
-/** @typedef {{address: string, token: string, side: number, flat: boolean}} Watched the room, side of the largest texture, and whether only video can be shown */
+/**
+ * `side`: of the largest texture; `flat`: nothing can draw the scene.
+ * @typedef {{address: string, token: string, side: number, flat: boolean}} WatchRequest
+ */
 
-/** Time without a frame after which the picture stands still, ms. */
+/** Time without a frame after which the state is `stalled`, ms. */
 const STALLED_MS = 3000;
-/** Time after which a page that does not say that it shows what it was sent is sent all of it anew, ms. */
-const UNSEEN_MS = 4000;
-/** Pause between two messages of what is measured, ms. */
-const TELL_MS = 500;
-/** Time after the first frame from which on it is shown flat as long as not all tiles came, ms. */
-const DEPTH_MS = 1500;
-/** Longest that copying the samples of a frame may take, ms: a browser was seen that never ended it. */
-const COPY_MS = 500;
-/** What GEOMETRY and SNAPSHOT begin with (protobuf's fields 3 and 4). */
-const TILES = [(3 << 3) | 2, (4 << 3) | 2];
-/** Frames in a row of which no picture can be had, each on a connection of its own, and time that it has to go on, ms, before it is over. */
-const FAILURES = 4;
-const FAILING_MS = 5000;
-/** Time in which frames come and the browser’s decoder gives no picture, ms: it gives none. */
-const SILENT_MS = 10_000;
+/** Time without an answer after which the page gets the whole scene again, ms. */
+const UNANSWERED_MS = 4000;
+/** Interval of statistics messages, ms. */
+const STATISTICS_MS = 500;
+/** Time after the first frame after which plain video is shown until every tile has arrived, ms. */
+const FLAT_AFTER_MS = 1500;
+/** Timeout of copying a frame's samples, ms: in one browser the copy never finished. */
+const COPY_TIMEOUT_MS = 500;
+/** First byte of GEOMETRY and SNAPSHOT (protobuf fields 3 and 4). */
+const TILE_MESSAGES = [(3 << 3) | 2, (4 << 3) | 2];
+/** Watching ends after this many consecutive failed frames, each on a new connection, over at least this time, ms. */
+const MAX_FAILURES = 4;
+const MIN_FAILING_MS = 5000;
+/** Time without a decoded picture, although frames arrive, after which watching ends, ms. */
+const NO_PICTURE_MS = 10_000;
 
 class Room {
   #decoder;
-  #watched;
+  #request;
   #connection;
   /** @type {Hello | null} */
   #hello = null;
-  /** @type {Pictures | null} */
-  #pictures = null;
+  /** @type {FrameDecoder | null} */
+  #frameDecoder = null;
   /** @type {TileAtlas | null} */
   #atlas = null;
-  /** The page has the scene that the atlas belongs to. */
-  #told = false;
+  /** True if the page has the atlas's scene. */
+  #sceneSent = false;
   /** @type {Decoded | null} */
   #next = null;
-  #hold = new Hold();
+  #tileSync = new TileSync();
   #jitter = new Jitter();
-  /** Frames that came before their time, and the tiles behind them. @type {PlayOut<() => void>} */
-  #playOut = new PlayOut((done) => done());
-  /** When a frame is shown at the latest: one that takes the place of another that waited does not begin to wait anew. */
-  #due = Infinity;
+  /** Frames that are not due yet, and the tiles behind them. @type {PlayoutBuffer<() => void>} */
+  #playout = new PlayoutBuffer((done) => done());
+  /** Deadline of the next frame: a frame that replaces a waiting one keeps its deadline. */
+  #deadline = Infinity;
   #busy = false;
-  #underWay = new UnderWay();
-  /** For the next texels, that it need not be made anew. @type {ArrayBuffer | undefined} */
+  #inFlight = new InFlight();
+  /** Buffer to reuse for the next texels. @type {ArrayBuffer | undefined} */
   #spare;
-  /** Samples are copied as they are; else by way of a canvas. */
-  #copies = true;
+  /** True to copy samples unconverted, false to read them from a canvas. */
+  #copySamples = true;
   #hidden = false;
-  /** Tiles came after the frame that is shown. */
-  #late = false;
-  /** Frames are left out up to the next one that needs no other. */
-  #waits = true;
+  /** True if tiles arrived after their frame was shown. */
+  #lateTiles = false;
+  /** True to drop frames until the next key frame. */
+  #needsKey = true;
   #lastFrame = 0;
-  /** When the first frame came for which not all tiles are there; 0: they are, or there was none. */
-  #depthless = 0;
+  /** Time of the first frame with missing tiles, ms; 0 if none are missing. */
+  #tilesMissingSince = 0;
   /** @type {Decoded | null} */
   #shown = null;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
-  /** The frame that was counted last. */
+  /** The last frame counted in the statistics. */
   #counted = -1;
   #measurements = new Measurements();
   /** @type {Statistics | null} */
   #statistics = null;
   #state = '';
   #reason = '';
-  /** Frames in a row of which no picture could be had. */
+  /** Consecutive frames that could not be decoded. */
   #failures = 0;
-  /** When the first of them was. */
-  #failing = 0;
-  /** When a frame was decoded last, or nobody waited for one. */
+  /** Time of the first of them, ms. */
+  #failingSince = 0;
+  /** Last time that a frame was decoded or none was expected, ms. */
   #lastPicture = 0;
   #sound = new SoundDecoder();
 
   /**
    * @param {RoomDecoder} decoder
-   * @param {Watched} watched
+   * @param {WatchRequest} request
    */
-  constructor(decoder, watched) {
+  constructor(decoder, request) {
     this.#decoder = decoder;
-    this.#watched = watched;
-    this.#connection = new Connection(watched, {
-      message: (bytes) => this.#take(bytes),
-      state: (state, reason) => this.#say(state === 'waiting' && (this.#hello || reason) ? 'ended' : state, reason),
+    this.#request = request;
+    this.#connection = new Connection(request, {
+      message: (bytes) => this.#receive(bytes),
+      state: (state, reason) => this.#setState(state === 'waiting' && (this.#hello || reason) ? 'ended' : state, reason),
     });
-    this.#say('connecting');
+    this.#setState('connecting');
     this.#connection.start();
-    setInterval(() => this.#tell(), TELL_MS);
+    setInterval(() => this.#reportStatistics(), STATISTICS_MS);
   }
 
   /** @param {boolean} wanted */
@@ -126,42 +132,42 @@ class Room {
   set hidden(hidden) {
     if (this.#hidden === hidden) return;
     this.#hidden = hidden;
-    this.#waits = true;
+    this.#needsKey = true;
     this.#drop();
-    this.#due = Infinity;
+    this.#deadline = Infinity;
     this.#lastFrame = this.#lastPicture = performance.now();
-    // tiles that came are not sent again
-    this.#playOut.hurry();
+    // the server does not send these tiles again
+    this.#playout.flush();
     this.#jitter = new Jitter();
-    // the last group of frames comes anew, so nothing need be kept up meanwhile but the sound
+    // the server repeats the last group of frames, so only the sound must continue meanwhile
     if (this.#sound.wanted && this.#connection.send(hidden ? SOUND_ALONE : EVERYTHING)) return;
     if (!hidden) this.#connection.start();
     else if (!this.#sound.wanted) this.#connection.stop();
   }
 
   /**
-   * The page shows the first of what it was sent.
-   * @param {ArrayBuffer} [spare] that it has read
+   * Handles the page's notice that it shows the oldest picture in flight.
+   * @param {ArrayBuffer} [spare] buffer that it no longer needs
    */
   drawn(spare) {
     this.#spare = spare;
-    const shown = this.#underWay.shown(performance.now());
+    const shown = this.#inFlight.shown(performance.now());
     if (shown) this.#measurements.shown(shown.time);
     this.#pump();
   }
 
-  /** Plain video from now on. */
+  /** Switches to plain video. */
   flat() {
-    this.#watched.flat = true;
-    this.#underWay.clear();
+    this.#request.flat = true;
+    this.#inFlight.clear();
     this.#pump();
   }
 
-  /** The whole scene once more. */
+  /** Sends the whole scene again. */
   again() {
-    this.#told = false;
-    this.#underWay.clear();
-    this.#late = true;
+    this.#sceneSent = false;
+    this.#inFlight.clear();
+    this.#lateTiles = true;
     this.#pump();
   }
 
@@ -169,18 +175,18 @@ class Room {
    * @param {string} state
    * @param {string} [reason]
    */
-  #say(state, reason = '') {
-    // why it has ended is said once, and stays until something else is
+  #setState(state, reason = '') {
+    // keep the reason of a state until the state or the reason changes
     if (state === this.#state && (!reason || reason === this.#reason)) return;
     [this.#state, this.#reason] = [state, reason];
     postMessage({ type: 'state', state, reason });
   }
 
   /** @param {Uint8Array<ArrayBuffer>} bytes */
-  #take(bytes) {
+  #receive(bytes) {
     this.#measurements.bytes += bytes.length;
-    // tiles are taken over when they are read: they stay behind the frames that they came behind
-    if (!this.#playOut.empty && TILES.includes(bytes[0])) return this.#playOut.push(() => this.#read(bytes), 0, true);
+    // reading tiles applies them, so they must not overtake the frames before them
+    if (!this.#playout.empty && TILE_MESSAGES.includes(bytes[0])) return this.#playout.push(() => this.#read(bytes), 0, true);
     this.#read(bytes);
   }
 
@@ -192,85 +198,85 @@ class Room {
       message = this.#decoder.read(bytes);
     } catch (error) {
       console.error(error.message);
-      // what was missed comes with the next connection
+      // the next connection sends what was missed
       return this.#connection.start();
     }
-    if (message.kind === 'hello') this.#begin(message);
-    else if (message.kind === 'video') this.#video(message);
-    else if (message.kind === 'tiles') this.#tiles(message.frame);
+    if (message.kind === 'hello') this.#onHello(message);
+    else if (message.kind === 'video') this.#onVideo(message);
+    else if (message.kind === 'tiles') this.#onTiles(message.frame);
     else if (message.kind === 'sound') this.#sound.decode(message);
     else if (message.kind === 'statistics') this.#statistics = message;
     else if (message.kind === 'bye') {
       if (message.cause === 'full') return this.#connection.full();
-      if (message.again) return this.#say('ended', message.cause === 'rejected' ? message.reason : '');
+      if (message.again) return this.#setState('ended', message.cause === 'rejected' ? message.reason : '');
       this.#connection.stop();
-      this.#say('away', message.reason);
+      this.#setState('away', message.reason);
     }
   }
 
   /** @param {Hello} hello */
-  async #begin(hello) {
+  async #onHello(hello) {
     if (this.#hidden) this.#connection.send(SOUND_ALONE);
     const before = this.#hello;
     this.#hello = hello;
     if (before?.epoch !== hello.epoch) this.#failures = 0;
     this.#lastPicture = performance.now();
-    this.#waits = true;
-    [this.#hold, this.#jitter] = [new Hold(), new Jitter()];
-    this.#playOut.clear();
-    this.#due = Infinity;
+    this.#needsKey = true;
+    [this.#tileSync, this.#jitter] = [new TileSync(), new Jitter()];
+    this.#playout.clear();
+    this.#deadline = Infinity;
     this.#measurements.begin();
-    this.#pictures?.close();
-    this.#pictures = null;
+    this.#frameDecoder?.close();
+    this.#frameDecoder = null;
     this.#drop();
     this.#sound.begin(hello);
     if (!before || JSON.stringify(before.head) !== JSON.stringify(hello.head)) {
-      [this.#atlas, this.#told, this.#shown, this.#depthless] = [null, false, null, 0];
+      [this.#atlas, this.#sceneSent, this.#shown, this.#tilesMissingSince] = [null, false, null, 0];
       postMessage({ type: 'head', head: hello.head });
     }
     const early = this.#early;
     early.length = 0;
     try {
-      const pictures = await Pictures.of(
+      const frameDecoder = await FrameDecoder.of(
         hello.codec,
-        (decoded) => this.#decoded(decoded),
+        (decoded) => this.#onDecoded(decoded),
         (error) => this.#fail(error),
       );
-      if (this.#hello !== hello) return pictures.close();
-      this.#pictures = pictures;
-      this.#connection.well();
+      if (this.#hello !== hello) return frameDecoder.close();
+      this.#frameDecoder = frameDecoder;
+      this.#connection.succeeded();
       for (const { video, arrived } of early.splice(0)) this.#decode(video, arrived);
     } catch (error) {
       if (!(error instanceof NoDecoder)) throw error;
       this.#connection.stop();
-      this.#say('unsupported');
+      this.#setState('unsupported');
     }
   }
 
   /**
-   * Frames that came while the browser looked for a decoder.
+   * Frames that arrive before the browser's decoder is ready.
    * @type {{video: Video, arrived: number}[]}
    */
   #early = [];
 
   /** @param {Video} video */
-  #video(video) {
+  #onVideo(video) {
     const arrived = performance.now();
     this.#lastFrame = arrived;
     this.#measurements.arrived(video.time, arrived);
-    this.#say('live');
+    this.#setState('live');
     if (this.#hidden) return;
     const due = this.#jitter.arrived(video.time / 1000, performance.timeOrigin + arrived) - performance.timeOrigin;
-    this.#playOut.push(() => this.#play(video, Math.max(arrived, due)), due);
+    this.#playout.push(() => this.#play(video, Math.max(arrived, due)), due);
   }
 
   /**
    * @param {Video} video
-   * @param {number} arrived when it came or was due, whichever was later
+   * @param {number} arrived arrival or due time, whichever is later
    */
   #play(video, arrived) {
-    this.#hold.arrived(video.frame, arrived);
-    if (this.#pictures) this.#decode(video, arrived);
+    this.#tileSync.frameArrived(video.frame, arrived);
+    if (this.#frameDecoder) this.#decode(video, arrived);
     else this.#early.push({ video, arrived });
   }
 
@@ -279,44 +285,44 @@ class Room {
    * @param {number} arrived
    */
   #decode(video, arrived) {
-    if (this.#waits && !video.key) return;
-    this.#waits = false;
-    this.#pictures?.decode(video, arrived);
+    if (this.#needsKey && !video.key) return;
+    this.#needsKey = false;
+    this.#frameDecoder?.decode(video, arrived);
   }
 
   /**
-   * A frame gave no picture. The next connection begins with a key frame, but where that does not help either it is over.
+   * Handles a frame that could not be decoded. The next connection starts with a key frame; watching ends if that fails repeatedly.
    * @param {Error} error
    */
   #fail(error) {
     console.warn(error.message);
     const now = performance.now();
-    if (!this.#failures++) this.#failing = now;
+    if (!this.#failures++) this.#failingSince = now;
     this.#lastPicture = now;
-    if (this.#failures < FAILURES || now - this.#failing < FAILING_MS) this.#connection.start();
-    else this.#over(error.message);
+    if (this.#failures < MAX_FAILURES || now - this.#failingSince < MIN_FAILING_MS) this.#connection.start();
+    else this.#endUnsupported(error.message);
   }
 
-  /** @param {string} reason why this browser shows nothing */
-  #over(reason) {
+  /** @param {string} reason why the browser cannot show the room */
+  #endUnsupported(reason) {
     this.#connection.stop();
-    this.#say('unsupported', reason);
+    this.#setState('unsupported', reason);
   }
 
-  /** @param {number} frame that came last with its tiles */
-  #tiles(frame) {
-    this.#hold.tiles(frame, performance.now());
-    this.#late = true;
+  /** @param {number} frame the newest frame whose tiles have arrived */
+  #onTiles(frame) {
+    this.#tileSync.tilesArrived(frame, performance.now());
+    this.#lateTiles = true;
     this.#pump();
   }
 
   /** @param {Decoded} decoded */
-  #decoded(decoded) {
+  #onDecoded(decoded) {
     this.#lastPicture = performance.now();
     this.#measurements.took('video', decoded.ms);
-    // one that is held for its tiles has had its time
-    if (this.#next && !this.#busy && this.#free && !this.#hidden) {
-      this.#due = 0;
+    // a newer frame is ready, so show the one that waits for its tiles
+    if (this.#next && !this.#busy && this.#canSend && !this.#hidden) {
+      this.#deadline = 0;
       this.#pump();
     }
     this.#drop();
@@ -324,34 +330,34 @@ class Room {
     this.#pump();
   }
 
-  /** Whether the page can be sent another picture. */
-  get #free() {
-    return this.#watched.flat ? this.#underWay.empty : this.#underWay.free(this.#hold.interval);
+  /** Whether another picture may be sent to the page. */
+  get #canSend() {
+    return this.#request.flat ? this.#inFlight.empty : this.#inFlight.canSend(this.#tileSync.interval);
   }
 
-  /** The newest frame wins. */
+  /** Drops the waiting frame: the newest one wins. */
   #drop() {
     this.#next?.picture.close();
     this.#next = null;
   }
 
-  /** Shows the next frame once its tiles are there or have had their time, and tiles that came late. */
+  /** Shows the next frame once its tiles have arrived or its wait is over, and late tiles. */
   async #pump() {
-    if (this.#busy || !this.#free || this.#hidden || !this.#hello) return;
+    if (this.#busy || !this.#canSend || this.#hidden || !this.#hello) return;
     const next = this.#next;
-    if (next && this.#watched.flat) return this.#flat(next);
-    if (this.#watched.flat || (!next && !(this.#late && this.#shown))) return;
+    if (next && this.#request.flat) return this.#showFlat(next);
+    if (this.#request.flat || (!next && !(this.#lateTiles && this.#shown))) return;
     const now = performance.now();
-    if (next) this.#due = Math.min(this.#due, now + this.#hold.left(next, now));
-    const wait = next ? this.#due - now : this.#told ? this.#hold.next(now) : 0;
+    if (next) this.#deadline = Math.min(this.#deadline, now + this.#tileSync.waitFor(next, now));
+    const wait = next ? this.#deadline - now : this.#sceneSent ? this.#tileSync.lateTilesWait(now) : 0;
     clearTimeout(this.#timer);
     if (wait > 0) {
       this.#timer = setTimeout(() => this.#pump(), wait);
       return;
     }
     this.#busy = true;
-    this.#late = false;
-    this.#due = Infinity;
+    this.#lateTiles = false;
+    this.#deadline = Infinity;
     const { head } = this.#hello;
     let started = performance.now();
     /** @type {VideoFrame | ImageBitmap | null} */
@@ -359,7 +365,7 @@ class Room {
     try {
       if (next) {
         this.#next = null;
-        plain = await this.#plain(next);
+        plain = await this.#plainPicture(next);
         const pixels = await this.#pixels(next, head);
         if (!pixels || this.#hello.head !== head) return;
         const { format, bytes } = pixels;
@@ -369,9 +375,9 @@ class Room {
         this.#failures = 0;
         this.#shown = next;
       }
-      if (this.#compose(head, started)) this.#depthless = 0;
+      if (this.#compose(head, started)) this.#tilesMissingSince = 0;
       else if (plain) {
-        this.#picture(plain, true);
+        this.#sendPicture(plain, true);
         plain = null;
       }
     } catch (error) {
@@ -384,57 +390,57 @@ class Room {
   }
 
   /**
-   * The picture of a frame once more, to be shown as it is where there are no layers.
+   * A copy of a frame's picture, to be shown as plain video if there are no layers yet.
    * @param {Decoded} of
    * @returns {Promise<VideoFrame | ImageBitmap | null>}
    */
-  async #plain({ picture }) {
+  async #plainPicture({ picture }) {
     if (this.#atlas) return null;
-    this.#depthless ||= performance.now();
-    if (performance.now() - this.#depthless < DEPTH_MS) return null;
+    this.#tilesMissingSince ||= performance.now();
+    if (performance.now() - this.#tilesMissingSince < FLAT_AFTER_MS) return null;
     return 'clone' in picture ? picture.clone() : createImageBitmap(picture);
   }
 
   /**
-   * Samples of a frame, or null where they cannot be had in time: the next one is taken in another way then.
+   * Samples of a frame, or null on a timeout; later frames are then read from a canvas.
    * @param {Decoded} of
    * @param {SceneHead} head
    */
   async #pixels({ picture }, head) {
-    const late = new Promise((resume) => setTimeout(() => resume(null), COPY_MS));
-    const pixels = await Promise.race([pixelsOf(picture, head, this.#copies), late]).finally(() => picture.close());
-    if (!pixels) this.#copies = false;
+    const late = new Promise((resume) => setTimeout(() => resume(null), COPY_TIMEOUT_MS));
+    const pixels = await Promise.race([pixelsOf(picture, head, this.#copySamples), late]).finally(() => picture.close());
+    if (!pixels) this.#copySamples = false;
     return pixels;
   }
 
   /**
-   * Hands on what changed; false where there is nothing to show, as not all tiles came.
+   * Sends the changes to the page; returns false if nothing can be shown because tiles are missing.
    * @param {SceneHead} head
    * @param {number} started
    */
   #compose(head, started) {
     const changed = this.#decoder.layers();
-    if (!changed.length && this.#told) {
-      // nothing moves: the picture that is shown is this one
+    if (!changed.length && this.#sceneSent) {
+      // nothing changed: the picture on the screen is also this frame's
       this.#count();
       if (this.#shown) this.#measurements.shown(this.#shown.time);
       return true;
     }
     if (!changed.length && !this.#atlas) return false;
-    this.#atlas ??= new TileAtlas(head, this.#watched.side);
+    this.#atlas ??= new TileAtlas(head, this.#request.side);
     let { numbers, places, reshaped, grown } = this.#atlas.change(changed);
-    if (!this.#told) ({ numbers, places } = this.#atlas.all());
+    if (!this.#sceneSent) ({ numbers, places } = this.#atlas.all());
     const cells = { places, data: this.#decoder.cells(numbers, this.#spare) };
     this.#spare = undefined;
-    const drawn = reshaped || !this.#told ? this.#atlas.drawn() : null;
+    const drawn = reshaped || !this.#sceneSent ? this.#atlas.drawn() : null;
     const made = performance.now() - started;
     this.#measurements.took('made', made);
     this.#count();
-    const whole = drawn !== null && (grown || !this.#told);
-    this.#underWay.sent(this.#shown, performance.now(), whole);
+    const whole = drawn !== null && (grown || !this.#sceneSent);
+    this.#inFlight.sent(this.#shown, performance.now(), whole);
     const transfer = [cells.data.buffer, cells.places.buffer];
     if (whole) {
-      this.#told = true;
+      this.#sceneSent = true;
       const atlas = { ...this.#atlas.size, pages: this.#atlas.pages, wide: false, strips: [] };
       self.postMessage({ type: 'scene', scene: { ...head, ...drawn, atlas, decodeMs: made }, cells }, { transfer });
     } else self.postMessage({ type: 'update', instances: drawn?.instances ?? null, cells }, { transfer });
@@ -442,41 +448,41 @@ class Room {
   }
 
   /** @param {Decoded} next */
-  #flat(next) {
+  #showFlat(next) {
     this.#failures = 0;
     this.#next = null;
     this.#shown = next;
-    this.#picture(next.picture, false);
+    this.#sendPicture(next.picture, false);
   }
 
   /**
-   * Has a picture shown as it is.
+   * Shows a picture as plain video.
    * @param {VideoFrame | ImageBitmap} picture
-   * @param {boolean} early its tiles are not there yet
+   * @param {boolean} early whether its tiles are still missing
    */
-  #picture(picture, early) {
-    this.#underWay.sent(this.#shown, performance.now(), true);
+  #sendPicture(picture, early) {
+    this.#inFlight.sent(this.#shown, performance.now(), true);
     this.#count();
     self.postMessage({ type: 'picture', picture, early }, { transfer: [picture] });
   }
 
-  /** A frame counts once, though it is drawn once more for tiles that came late. */
+  /** Counts a frame once, even if late tiles draw it again. */
   #count() {
     const frame = this.#shown?.frame ?? -1;
     if (frame !== this.#counted) this.#measurements.frames++;
     this.#counted = frame;
   }
 
-  #tell() {
+  #reportStatistics() {
     const now = performance.now();
-    if (this.#state === 'live' && !this.#hidden && now - this.#lastFrame > STALLED_MS) this.#say('stalled');
-    if (this.#waits || this.#hidden || this.#state !== 'live') this.#lastPicture = now;
-    else if (now - this.#lastPicture > SILENT_MS) this.#over('its decoder gives no picture');
-    if (!this.#hidden && !this.#watched.flat && this.#underWay.age(now) > UNSEEN_MS) this.again();
+    if (this.#state === 'live' && !this.#hidden && now - this.#lastFrame > STALLED_MS) this.#setState('stalled');
+    if (this.#needsKey || this.#hidden || this.#state !== 'live') this.#lastPicture = now;
+    else if (now - this.#lastPicture > NO_PICTURE_MS) this.#endUnsupported('its decoder outputs no pictures');
+    if (!this.#hidden && !this.#request.flat && this.#inFlight.age(now) > UNANSWERED_MS) this.again();
     const { viewers = 0, skipped = 0, geometryMs = 0 } = this.#statistics ?? {};
     const { jitter, delay: buffer } = this.#jitter;
     const frame = this.#shown?.frame ?? -1;
-    postMessage({ type: 'statistics', frame, ...this.#measurements.since(TELL_MS), jitter, buffer, viewers, skipped, geometryMs });
+    postMessage({ type: 'statistics', frame, ...this.#measurements.since(STATISTICS_MS), jitter, buffer, viewers, skipped, geometryMs });
   }
 }
 

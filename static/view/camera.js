@@ -1,11 +1,11 @@
-// Cameras and poses: the arithmetic of crates/core's `Pose` and `Camera`, plus what framing a photo on a page needs.
+// Cameras and poses: the arithmetic of crates/core's `Pose` and `Camera`, and framing a photo on a page.
 // x right, y down, z forward; lengths in units of the nearest distance; angles in degrees.
 
 /** @import { Intrinsics, Offset, Scene, SceneHead } from '../decode/scene.js' */
 
 /** @typedef {{tx: number, ty: number, tz: number, yaw: number, pitch: number, roll: number}} Pose */
 /**
- * A camera and the place of its picture on a canvas.
+ * A camera and the viewport of its picture on a canvas.
  * @typedef {{pose: Pose, k: Intrinsics, x: number, y?: number, width: number, height: number}} View
  */
 
@@ -45,7 +45,7 @@ export function extrinsics(pose) {
 }
 
 /**
- * The same camera at another picture size: the horizontal field of view stays.
+ * The same camera at another picture size, with the same horizontal field of view.
  * @param {Intrinsics} k
  * @param {{width: number, height: number}} from
  * @param {{width: number, height: number}} to
@@ -61,8 +61,8 @@ export function resized(k, from, to) {
 }
 
 /**
- * Which part of a photo a picture shows: the photo's width in units of the picture's, and the place in the picture's middle, in shares
- * of the photo's width and height.
+ * The part of a photo that a picture shows: the photo's width in units of the picture's width, and the point at the picture's centre, in
+ * shares of the photo's width and height.
  * @typedef {{scale: number, x: number, y: number}} Frame
  */
 
@@ -70,7 +70,7 @@ export function resized(k, from, to) {
 export const WHOLE = Object.freeze({ scale: 1, x: 0.5, y: 0.5 });
 
 /**
- * The camera of a picture of size `to` that shows a part of the photo.
+ * The camera for a picture of size `to` that shows a part of the photo.
  * @param {SceneHead} head
  * @param {{width: number, height: number}} to
  * @param {Frame} frame
@@ -82,7 +82,7 @@ export function framed({ intrinsics: k, width, height }, to, { scale, x, y }) {
 }
 
 /**
- * A frame over a picture that is itself `by` times as large, while `place` stays where it is.
+ * Magnifies a frame by a factor about a fixed point.
  * @param {Frame} frame
  * @param {number} by
  * @param {{x: number, y: number}} place
@@ -102,7 +102,7 @@ export function fovX(k, width) {
 }
 
 /**
- * `m` with `δ = mᵀ(x, y, 1)` in normalised image coordinates, of layer `i`.
+ * `m` of layer `i`, with `δ = mᵀ(x, y, 1)` in normalised image coordinates.
  * @param {Scene} scene
  * @param {number} i
  */
@@ -117,8 +117,8 @@ export function normalOf(scene, i) {
 }
 
 /**
- * A camera at an offset that keeps looking at the middle of the scene: it turns against its own shift so that what lies at
- * disparity `pivot` stays in place.
+ * A camera at an offset that keeps looking at the centre of the scene: it rotates against its own translation, so that points at disparity
+ * `pivot` stay in place.
  * @param {number} pivot
  * @param {number} tx
  * @param {number} ty
@@ -143,11 +143,11 @@ export function deltaAt({ layers, tileSize }, i, x, y) {
   return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
 }
 
-/** Distance of the eyes in units of the nearest distance, as the server has it for stereo. */
+/** Distance between the eyes in units of the nearest distance, as in the server's stereo views. */
 export const EYES = 1 / 30;
 
 /**
- * The views of both eyes, side by side on a canvas of `size`; what lies at disparity `focus` stands in the screen.
+ * The views of both eyes, side by side on a canvas of `size`. Points at disparity `focus` appear at the depth of the screen.
  * @param {Pose} pose
  * @param {SceneHead} head
  * @param {{width: number, height: number}} size
@@ -161,7 +161,7 @@ export function eyes(pose, head, size, focus, frame = WHOLE) {
 }
 
 /**
- * The view from a place to the camera's own right and below, of which what lies at disparity `focus` stays in its place.
+ * The view of a camera shifted to its right and down; points at disparity `focus` stay in place.
  * @template {{pose: Pose, k: Intrinsics}} V
  * @param {V} view
  * @param {number[]} place
@@ -171,10 +171,10 @@ export function eyes(pose, head, size, focus, frame = WHOLE) {
 export function shifted(view, [right, down], focus) {
   const { pose, k } = view;
   const { r } = extrinsics(pose);
-  const along = (/** @type {number} */ i) => r[i] * right + r[3 + i] * down;
+  const worldShift = (/** @type {number} */ i) => r[i] * right + r[3 + i] * down;
   return {
     ...view,
-    pose: { ...pose, tx: pose.tx + along(0), ty: pose.ty + along(1), tz: pose.tz + along(2) },
+    pose: { ...pose, tx: pose.tx + worldShift(0), ty: pose.ty + worldShift(1), tz: pose.tz + worldShift(2) },
     k: { ...k, cx: k.cx + k.fx * right * focus, cy: k.cy + k.fy * down * focus },
   };
 }
@@ -186,15 +186,15 @@ export function shifted(view, [right, down], focus) {
 export function anglesOf(c) {
   const sine = Math.max(-1, Math.min(1, -c[5]));
   const [pitch, yaw] = [Math.asin(sine), Math.atan2(c[2], c[8])];
-  // straight up or down, yaw and roll are one
-  const upright = Math.abs(sine) > 1 - 1e-9;
-  const angles = upright ? [Math.atan2(-c[6], c[0]), pitch, 0] : [yaw, pitch, Math.atan2(c[3], c[4])];
+  // looking straight up or down, yaw and roll are the same axis
+  const atPole = Math.abs(sine) > 1 - 1e-9;
+  const angles = atPole ? [Math.atan2(-c[6], c[0]), pitch, 0] : [yaw, pitch, Math.atan2(c[3], c[4])];
   const [y, p, r] = angles.map((v) => v / RADIANS);
   return { yaw: y, pitch: p, roll: r };
 }
 
 /**
- * A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none.
+ * Parses `tx,ty,tz[,yaw,pitch,roll]`; null if the text is not a pose.
  * @param {string} text
  */
 export function parsePose(text) {
@@ -210,11 +210,11 @@ export function parsePose(text) {
 }
 
 /**
- * The text form of a pose, four decimals.
+ * Formats a pose with up to four decimals.
  * @param {Partial<Pose>} pose
  */
 export function formatPose(pose) {
-  const short = (/** @type {number} */ v) => String(Math.round(v * 1e4) / 1e4 || 0);
+  const rounded = (/** @type {number} */ v) => String(Math.round(v * 1e4) / 1e4 || 0);
   const keys = pose.yaw || pose.pitch || pose.roll ? POSE_KEYS : POSE_KEYS.slice(0, 3);
-  return keys.map((key) => short(pose[key] ?? 0)).join(',');
+  return keys.map((key) => rounded(pose[key] ?? 0)).join(',');
 }

@@ -1,6 +1,6 @@
-// Sizes of the pictures in the viewer: whole, in the photo's own shape.
+// Sizes of the pictures in the viewer: whole, in the photo's aspect ratio.
 
-/** Device pixels per CSS pixel that are drawn at most. */
+/** Most device pixels per CSS pixel. */
 const MAX_PIXEL_RATIO = 2;
 /** Largest area of the canvas, pixels. */
 const MAX_PIXELS = 6_000_000;
@@ -10,7 +10,7 @@ export function pixelRatio() {
 }
 
 /**
- * CSS pixels of a picture of that aspect that fits into an element, or null where the element has no area.
+ * Size of a picture of that aspect ratio that fits into an element, CSS pixels; null if the element has no area.
  * @param {{clientWidth: number, clientHeight: number}} element
  * @param {number} aspect
  */
@@ -21,7 +21,7 @@ export function fitted({ clientWidth, clientHeight }, aspect) {
 }
 
 /**
- * Gives a canvas its pixels: `detail` of what the screen shows a side, no side longer than `side`.
+ * Sets the resolution of a canvas: the screen's times `detail`, with no side longer than `side`.
  * @param {{width: number, height: number}} canvas
  * @param {{width: number, height: number}} size
  * @param {number} detail
@@ -30,6 +30,6 @@ export function fitted({ clientWidth, clientHeight }, aspect) {
 export function setPixels(canvas, { width, height }, detail, side) {
   const ratio = detail * Math.min(pixelRatio(), Math.sqrt(MAX_PIXELS / (width * height)), side / Math.max(width, height));
   const size = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
-  // setting a size clears the canvas even where it stays the same
+  // setting the size clears the canvas even if it does not change
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
 }

@@ -1,5 +1,5 @@
-// Finer parts of a large photo: where one looks closer than the loaded level has pixels, the tiles in sight are fetched from a finer
-// one, and drawn over it with the same camera.
+// Finer parts of a large photo: if the user zooms in beyond the resolution of the loaded level, the visible tiles are fetched from a finer
+// level and drawn over it with the same camera.
 
 import { Decoder } from '../decode/start.js';
 import { drawnOver } from '../draw/backends.js';
@@ -10,31 +10,31 @@ import { drawnOver } from '../draw/backends.js';
 /** @import { WebGpuRenderer } from '../draw/webgpu.js' */
 /** @import { Frame } from './camera.js' */
 
-/** @typedef {{x: number, y: number, w: number, h: number}} Rect in pixels of the photo at its own size */
+/** @typedef {{x: number, y: number, w: number, h: number}} Rect in pixels of the full-size photo */
 
-/** Pixels of the screen for one of the level, from which on a finer one is fetched. */
-const COARSE = 1.2;
-/** Margin around what is in sight, as a share of it, since nobody stands still. */
+/** Screen pixels per pixel of the level from which a finer level is fetched. */
+const MIN_ENLARGEMENT = 1.2;
+/** Margin around the visible part, as a share of it, because the camera moves. */
 const MARGIN = 0.2;
-/** Corners are whole multiples of so many pixels of the level, so that parts can be kept. */
-const STEP = 256;
-/** Most pixels of a part; beyond that a coarser level. */
-const MOST_PIXELS = 12_000_000;
-/** How long nothing must have changed before a part is asked for, ms. */
+/** Corners are multiples of this many pixels of the level, so that parts can be cached. */
+const GRID_PX = 256;
+/** Most pixels of a part; beyond that, a coarser level is used. */
+const MAX_PIXELS = 12_000_000;
+/** Time without changes before a part is requested, ms. */
 const WAIT_MS = 180;
-const LEVELS = 3;
+const MAX_LEVEL = 3;
 
 /**
- * The part that is wanted for what is in sight, or null where the loaded level is as fine as the screen.
- * @param {{width: number, height: number}} photo at its own size
- * @param {{width: number}} loaded of the level at hand
+ * The part to load for the visible area, or null if the loaded level is as fine as the screen.
+ * @param {{width: number, height: number}} photo full size
+ * @param {{width: number}} loaded size of the loaded level
  * @param {Frame} frame
- * @param {{width: number, height: number}} canvas pixels of the screen
- * @returns {{level: number, rect: Rect, sight: Rect} | null} `sight` is what the part must cover
+ * @param {{width: number, height: number}} canvas size in screen pixels
+ * @returns {{level: number, rect: Rect, sight: Rect} | null} `sight`: the visible area, which the part must cover
  */
-export function wantedPart(photo, loaded, frame, canvas) {
+export function visiblePart(photo, loaded, frame, canvas) {
   const shown = canvas.width * frame.scale;
-  if (shown < COARSE * loaded.width || loaded.width >= photo.width) return null;
+  if (shown < MIN_ENLARGEMENT * loaded.width || loaded.width >= photo.width) return null;
   const each = photo.width / shown;
   const half = { x: (canvas.width * each) / 2, y: (canvas.height * each) / 2 };
   const around = (/** @type {number} */ by, /** @type {number} */ step) => {
@@ -48,16 +48,16 @@ export function wantedPart(photo, loaded, frame, canvas) {
     return { x, y, w, h };
   };
   const finer = Math.ceil(Math.log2(photo.width / loaded.width) - 0.1);
-  let level = Math.max(0, Math.min(LEVELS, Math.floor(Math.log2(each) + 0.2)));
+  let level = Math.max(0, Math.min(MAX_LEVEL, Math.floor(Math.log2(each) + 0.2)));
   for (; level < finer; level++) {
-    const rect = around(1 + MARGIN, STEP << level);
-    if (rect.w * rect.h <= MOST_PIXELS * 4 ** level) return { level, rect, sight: around(1, 1) };
+    const rect = around(1 + MARGIN, GRID_PX << level);
+    if (rect.w * rect.h <= MAX_PIXELS * 4 ** level) return { level, rect, sight: around(1, 1) };
   }
   return null;
 }
 
 /**
- * Address of a part beside that of a container, or null where no server has any.
+ * Address of a part, derived from the container's address; null if no server provides parts for it.
  * @param {string} atlas
  * @param {{level: number, rect: Rect}} part
  */
@@ -77,91 +77,91 @@ export function partAddress(atlas, { level, rect: { x, y, w, h } }) {
  */
 const covers = (a, b) => a.x <= b.x && a.y <= b.y && a.x + a.w >= b.x + b.w && a.y + a.h >= b.y + b.h;
 
-/** @typedef {{level: number, rect: Rect, canvas: HTMLCanvasElement, renderer: WebGpuRenderer | WebGlRenderer}} Part one that is drawn */
+/** @typedef {{level: number, rect: Rect, canvas: HTMLCanvasElement, renderer: WebGpuRenderer | WebGlRenderer}} Part a drawn part */
 /**
- * What parts are of: address of the container at hand, what draws it and the largest texture of that, the photo's own size, the head of
- * the level at hand, and what to call when there is another part to draw.
- * @typedef {{atlas: string, mode: Mode, side: number, photo: {width: number, height: number}, loaded: SceneHead, changed: () => void}} Whole
+ * The loaded level: its container's address, the backend and its largest texture, the photo's full size, the head of the level, and a
+ * callback for when the drawn part changes.
+ * @typedef {{atlas: string, mode: Mode, side: number, photo: {width: number, height: number}, loaded: SceneHead, changed: () => void}} DetailOptions
  */
 
 export class Detail {
-  #whole;
+  #options;
   /** @type {Part | null} */
   #shown = null;
   /** @type {{level: number, rect: Rect, worker: Decoder | null, timer: ReturnType<typeof setTimeout>} | null} */
-  #coming = null;
-  #refused = false;
+  #loading = null;
+  #failed = false;
   #disposed = false;
 
-  /** @param {Whole} whole */
-  constructor(whole) {
-    this.#whole = whole;
+  /** @param {DetailOptions} options */
+  constructor(options) {
+    this.#options = options;
   }
 
-  /** What is drawn over the level at hand, or null. */
+  /** The part drawn over the loaded level, or null. */
   get shown() {
     return this.#shown;
   }
 
   /**
-   * Sees to what is in sight now.
+   * Loads the part for the visible area if it is missing.
    * @param {Frame} frame
-   * @param {{width: number, height: number}} canvas pixels of the screen
+   * @param {{width: number, height: number}} canvas size in screen pixels
    */
-  look(frame, canvas) {
-    const wanted = this.#refused ? null : wantedPart(this.#whole.photo, this.#whole.loaded, frame, canvas);
-    if (!wanted) return this.#forget();
-    const enough = (/** @type {{level: number, rect: Rect} | null} */ part) =>
+  update(frame, canvas) {
+    const wanted = this.#failed ? null : visiblePart(this.#options.photo, this.#options.loaded, frame, canvas);
+    if (!wanted) return this.#clear();
+    const suffices = (/** @type {{level: number, rect: Rect} | null} */ part) =>
       part !== null && part.level <= wanted.level && covers(part.rect, wanted.sight);
-    if (enough(this.#shown) || enough(this.#coming)) return;
+    if (suffices(this.#shown) || suffices(this.#loading)) return;
     this.#cancel();
     const { level, rect } = wanted;
-    this.#coming = { level, rect, worker: null, timer: setTimeout(() => this.#load(), WAIT_MS) };
+    this.#loading = { level, rect, worker: null, timer: setTimeout(() => this.#load(), WAIT_MS) };
   }
 
   dispose() {
     this.#disposed = true;
-    this.#forget();
+    this.#clear();
   }
 
   #cancel() {
-    clearTimeout(this.#coming?.timer);
-    this.#coming?.worker?.terminate();
-    this.#coming = null;
+    clearTimeout(this.#loading?.timer);
+    this.#loading?.worker?.terminate();
+    this.#loading = null;
   }
 
-  #forget() {
+  #clear() {
     this.#cancel();
     this.#show(null);
   }
 
   #load() {
-    const part = this.#coming;
-    const url = part && partAddress(this.#whole.atlas, part);
+    const part = this.#loading;
+    const url = part && partAddress(this.#options.atlas, part);
     if (!part || !url) return;
     part.worker = new Decoder();
     part.worker.onmessage = async ({ data }) => {
-      if (data.type === 'error') return this.#refuse();
-      if (data.type !== 'scene' || this.#coming !== part) return;
+      if (data.type === 'error') return this.#fail();
+      if (data.type !== 'scene' || this.#loading !== part) return;
       part.worker?.terminate();
       try {
         const { level, rect } = part;
-        const made = await drawnOver(this.#whole.mode, data.scene, () => this.#refuse());
-        if (this.#disposed || this.#coming !== part) return made.renderer.dispose();
-        this.#coming = null;
-        this.#show({ level, rect, ...made });
+        const drawn = await drawnOver(this.#options.mode, data.scene, () => this.#fail());
+        if (this.#disposed || this.#loading !== part) return drawn.renderer.dispose();
+        this.#loading = null;
+        this.#show({ level, rect, ...drawn });
       } catch {
-        this.#refuse();
+        this.#fail();
       }
     };
-    part.worker.onerror = () => this.#refuse();
-    part.worker.postMessage({ url: new URL(url, document.baseURI).href, side: this.#whole.side, bare: true });
+    part.worker.onerror = () => this.#fail();
+    part.worker.postMessage({ url: new URL(url, document.baseURI).href, side: this.#options.side, bare: true });
   }
 
-  /** What cannot be had is not asked for again: the level at hand is shown as large. */
-  #refuse() {
-    this.#refused = true;
-    this.#forget();
+  /** Stops loading parts after a failure; the loaded level stays visible. */
+  #fail() {
+    this.#failed = true;
+    this.#clear();
   }
 
   /** @param {Part | null} next */
@@ -169,7 +169,7 @@ export class Detail {
     if (this.#shown === next) return;
     const old = this.#shown;
     this.#shown = next;
-    this.#whole.changed();
+    this.#options.changed();
     old?.renderer.dispose();
   }
 }

@@ -1,4 +1,4 @@
-// How a scene is drawn: what lies over it, for one eye or two, through a pinhole or a lens.
+// How a scene is drawn: overlay, mono or stereo, with or without depth of field.
 
 import { DepthOfField } from '../draw/depth-of-field/aperture.js';
 import { TileErrors } from '../draw/tile-errors.js';
@@ -10,12 +10,12 @@ import { eyes, framed } from './camera.js';
 /** @import { Frame, Pose } from './camera.js' */
 
 /**
- * What is seen: a pose, the head of the scene, the disparity that views turn about, and which part of the photo the picture shows.
+ * A view to draw: the pose, the head of the scene, the disparity that views rotate about, and the part of the photo that the picture shows.
  * @typedef {{pose: Pose, head: SceneHead, pivot: number, frame: Frame}} Seen
  */
 /** @typedef {WebGpuRenderer | WebGlRenderer} Renderer */
 
-/** Pictures that can be drawn over the scene. */
+/** Overlays that can be drawn over the scene. */
 export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes', 'error']);
 
 export class Display {
@@ -24,13 +24,13 @@ export class Display {
   depthOfField = new DepthOfField();
   #errors;
 
-  /** @param {string | undefined} report address of the photo's report, where there is one */
+  /** @param {string | undefined} report address of the photo's report, if there is one */
   constructor(report) {
     this.#errors = new TileErrors(report);
   }
 
   /**
-   * Brings a renderer up to what is to be drawn over the scene; throws where the report cannot be had.
+   * Sets a renderer's overlay; throws if the report cannot be loaded.
    * @param {Renderer | null} renderer
    */
   async prepare(renderer) {
@@ -42,7 +42,7 @@ export class Display {
   }
 
   /**
-   * Draws on the canvas of a renderer; what lies at disparity `pivot` stands in the screen. Gives back how often the scene was drawn.
+   * Draws on the canvas of a renderer; points at disparity `pivot` appear at the depth of the screen. Returns the count of passes.
    * @param {Renderer} renderer
    * @param {Seen & {canvas: {width: number, height: number}, moving: boolean}} seen
    */
@@ -54,20 +54,20 @@ export class Display {
     return 1;
   }
 
-  /** True where nothing but the photo as it is is drawn, through a pinhole and for one eye: then finer parts may lie over it. */
+  /** True if the scene is drawn without overlay, stereo or depth of field, so that finer parts may be drawn over it. */
   get plain() {
     return !this.stereo && !this.depthOfField.on && this.overlay === OVERLAYS[0];
   }
 
   /**
-   * The view as a PNG file, as it is drawn for one eye: in the photo's size where all of it is seen, else in that of the screen.
+   * The mono view as a PNG file, in the photo's size if the whole photo is visible, otherwise in the screen's.
    * @param {Renderer} renderer
    * @param {Seen} seen
-   * @param {{width: number, height: number} | null} closer size of the picture where only a part is seen
-   * @param {Renderer} [detail] what draws finer parts over it
+   * @param {{width: number, height: number} | null} size size of the picture if only a part is visible
+   * @param {Renderer} [detail] renderer of the finer part over it
    */
-  async picture(renderer, { pose, head, pivot, frame }, closer, detail) {
-    const { width, height } = closer ?? head;
+  async picture(renderer, { pose, head, pivot, frame }, size, detail) {
+    const { width, height } = size ?? head;
     const k = framed(head, { width, height }, frame);
     const pixels = this.depthOfField.on
       ? await this.depthOfField.pixels(renderer, { pose, k, x: 0, width, height }, pivot)
@@ -81,20 +81,20 @@ export class Display {
   }
 
   /**
-   * Disparity of what is seen at a place of the view, shares of its width and height from the upper left.
+   * Disparity at a point of the view, in shares of its width and height from the upper left.
    * @param {Renderer} renderer
    * @param {Seen & {canvas: {width: number, height: number}}} seen
    * @param {number} x
    * @param {number} y
    */
   async disparityAt(renderer, { pose, head, frame, canvas }, x, y) {
-    // as coarse as a finger
+    // a finger is no more precise than this
     const width = Math.min(head.width, 256);
     const height = Math.max(1, Math.round((canvas.height * width) / canvas.width));
     const { overlay } = renderer;
     renderer.overlay = OVERLAYS.indexOf('depth');
     const depth = renderer.readPixels(pose, framed(head, { width, height }, frame), width, height);
-    // it is drawn by now, and only not read yet
+    // the draw calls are already submitted; only reading back is asynchronous
     renderer.overlay = overlay;
     const at = (/** @type {number} */ v, /** @type {number} */ side) => Math.max(0, Math.min(side - 1, Math.floor(v * side)));
     return (await depth)[(at(y, height) * width + at(x, width)) * 4] / 255;

@@ -1,20 +1,20 @@
-// How long frames take, and how many pixels can be drawn while something moves or a room plays.
+// Measures frame times, and adapts the resolution while the camera moves or a room plays.
 
-/** Weight of the newest frame in the time told. */
+/** Weight of the newest frame in the smoothed time. */
 const WEIGHT = 0.15;
-/** A frame slower than this, while moving, is drawn with fewer pixels the next time; at rest the picture is always whole. */
+/** If a frame takes longer than this while moving, the next one has fewer pixels; at rest, the resolution is always full. */
 export const SLOW_MS = 40;
-const COARSER = 0.8;
-const COARSEST = 0.5;
-/** The same of a room, whose frames may have far fewer pixels than the screen. */
-const COARSEST_ROOM = 0.2;
+const STEP = 0.8;
+const MIN_DETAIL = 0.5;
+/** The same for a room, whose frames may have far fewer pixels than the screen. */
+const MIN_DETAIL_ROOM = 0.2;
 
 export class FramePacing {
-  #coarsest;
+  #minDetail;
 
   /** @param {boolean} [room] */
   constructor(room = false) {
-    this.#coarsest = room ? COARSEST_ROOM : COARSEST;
+    this.#minDetail = room ? MIN_DETAIL_ROOM : MIN_DETAIL;
   }
 
   /**
@@ -22,15 +22,15 @@ export class FramePacing {
    * @type {number | null}
    */
   ms = null;
-  /** Share of the pixels a side that is drawn while something moves. */
+  /** Resolution per side while something moves, as a share of the full one. */
   detail = 1;
   #measuring = false;
 
   /**
    * Measures from submission to completion, one frame at a time.
-   * @param {{idle: () => Promise<void>}} renderer that a frame was just handed to
+   * @param {{idle: () => Promise<void>}} renderer that a frame was just submitted to
    * @param {() => boolean} moving
-   * @returns {Promise<number | null>} the frame's time in ms, or null where it was not measured
+   * @returns {Promise<number | null>} the frame's time in ms, or null if it was not measured
    */
   async measure(renderer, moving) {
     if (this.#measuring) return null;
@@ -39,15 +39,15 @@ export class FramePacing {
     try {
       await renderer.idle();
     } catch {
-      // the device is gone, which is dealt with where it is noticed
+      // the device is lost, which its `lost` handler deals with
       return null;
     } finally {
       this.#measuring = false;
     }
     const ms = performance.now() - started;
     this.ms = this.ms === null ? ms : this.ms + (ms - this.ms) * WEIGHT;
-    if (moving() && ms > SLOW_MS) this.detail = Math.max(this.#coarsest, this.detail * COARSER);
-    else if (ms < SLOW_MS / 2) this.detail = Math.min(1, this.detail / COARSER);
+    if (moving() && ms > SLOW_MS) this.detail = Math.max(this.#minDetail, this.detail * STEP);
+    else if (ms < SLOW_MS / 2) this.detail = Math.min(1, this.detail / STEP);
     return ms;
   }
 }

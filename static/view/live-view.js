@@ -1,4 +1,4 @@
-// A room in the viewer: its frames as they come from its worker (live/worker.js), drawn here or as plain video.
+// Shows a room in the viewer: the frames from its worker (live/worker.js), in three dimensions or as plain video.
 
 /** @import { SceneHead } from '../decode/scene.js' */
 /** @import { Instances } from '../draw/instances.js' */
@@ -7,121 +7,121 @@
 /** @import { Viewer } from './viewer.js' */
 
 /**
- * A room to watch: what starts its worker, its address and its token.
+ * A room to watch: a function that starts its worker, its address and its token.
  * @typedef {{start: () => Worker, address: string, token: string}} Live
  */
 /**
- * What of a viewer is no business of others: where its pictures lie, and to draw its scene on the best backend that can be had, `anew`
- * where another was drawn before.
- * @typedef {{stage: Stage, draw: (anew: boolean) => Promise<void>}} Inside
+ * Private parts of the viewer: its DOM, and a function that draws the scene on the best available backend. `replaces`: whether another
+ * scene was drawn before.
+ * @typedef {{stage: Stage, draw: (replaces: boolean) => Promise<void>}} Internals
  */
 
-/** A room of which no frame came for so long is at rest. */
+/** Time without frames after which the room counts as paused. */
 const PAUSE_MS = 500;
 
 export class LiveView {
   /** @type {Viewer} */
   #viewer;
-  /** @type {Inside} */
-  #inside;
+  /** @type {Internals} */
+  #internals;
   /**
-   * Frames that are not shown yet.
+   * Updates that are not drawn yet.
    * @type {{instances: Instances | null, cells: Cells}[]}
    */
-  #fresh = [];
-  /** The next one is shown when the screen is refreshed. */
-  #asked = false;
-  /** The video is shown as it is until there is a scene. */
+  #updates = [];
+  /** True if an animation frame is requested. */
+  #requested = false;
+  /** True while plain video is shown until there is a scene. */
   #early = false;
-  /** What drew the room before has gone since. */
-  #anew = false;
-  /** Scenes are drawn one after the other. */
-  #redrawn = Promise.resolve();
-  /** When the last frame came, by the page's clock. */
-  #came = Number.NEGATIVE_INFINITY;
+  /** True if the renderer of an earlier scene was disposed. */
+  #rendererGone = false;
+  /** Serialises the drawing of scenes. */
+  #drawing = Promise.resolve();
+  /** Arrival of the last frame, `performance.now()`. */
+  #lastFrame = Number.NEGATIVE_INFINITY;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #pause;
 
   /**
    * @param {Viewer} viewer
-   * @param {Inside} inside
+   * @param {Internals} internals
    */
-  constructor(viewer, inside) {
-    [this.#viewer, this.#inside] = [viewer, inside];
+  constructor(viewer, internals) {
+    [this.#viewer, this.#internals] = [viewer, internals];
   }
 
   dispose() {
     clearTimeout(this.#pause);
   }
 
-  /** Whether frames come. */
-  get plays() {
-    return performance.now() - this.#came < PAUSE_MS;
+  /** Whether frames are arriving. */
+  get playing() {
+    return performance.now() - this.#lastFrame < PAUSE_MS;
   }
 
   /**
-   * Draws a room's scene from its beginning.
+   * Draws a room's new scene.
    * @param {Cells} cells
    */
   draw(cells) {
     const viewer = this.#viewer;
     const { scene } = viewer;
     this.#early = false;
-    // one after the other, and only the newest
-    this.#redrawn = this.#redrawn.then(async () => {
+    // in order, and only the newest scene
+    this.#drawing = this.#drawing.then(async () => {
       if (viewer.disposed || scene !== viewer.scene) return;
       const before = viewer.renderer;
-      // what was drawn before was another scene
-      const anew = before !== null || this.#anew;
-      this.#anew = false;
-      await this.#inside.draw(anew);
+      // the backend must start over if it drew another scene
+      const replaces = before !== null || this.#rendererGone;
+      this.#rendererGone = false;
+      await this.#internals.draw(replaces);
       before?.dispose();
       if (viewer.renderer) this.follow({ instances: null, cells });
     });
   }
 
   /**
-   * Shows the next frame of a room when the screen is refreshed; a page that nobody sees asks for no more.
+   * Draws an update at the next screen refresh. In a hidden page there are no refreshes, so it gets no further frames.
    * @param {{instances: Instances | null, cells: Cells}} change
    */
   follow(change) {
     if (this.#viewer.disposed) return;
-    this.#fresh.push(change);
-    this.#came = performance.now();
+    this.#updates.push(change);
+    this.#lastFrame = performance.now();
     clearTimeout(this.#pause);
-    // the last picture is drawn whole
+    // the last picture is drawn at full resolution
     this.#pause = setTimeout(() => this.#viewer.layout(), PAUSE_MS);
-    this.#ask();
+    this.#request();
   }
 
-  #ask() {
-    if (this.#asked) return;
-    this.#asked = true;
+  #request() {
+    if (this.#requested) return;
+    this.#requested = true;
     requestAnimationFrame(() => {
-      this.#asked = false;
-      // while the camera moves, it is drawn with the camera's next step: once for each refresh
-      if (!this.#viewer.moving && this.takeFresh()) this.#viewer.render();
-      if (this.#fresh.length) this.#ask();
+      this.#requested = false;
+      // while the camera moves, its next step draws the update, so that each refresh draws once
+      if (!this.#viewer.moving && this.applyUpdate()) this.#viewer.render();
+      if (this.#updates.length) this.#request();
     });
   }
 
-  /** Hands the next frame of a room to what draws it; false where there is none. */
-  takeFresh() {
+  /** Applies the next update to the renderer; returns false if there is none. */
+  applyUpdate() {
     const { renderer, disposed } = this.#viewer;
-    if (disposed || !renderer) this.#fresh = [];
-    const change = this.#fresh.shift();
+    if (disposed || !renderer) this.#updates = [];
+    const change = this.#updates.shift();
     if (!change || !renderer) return false;
     renderer.update(change);
-    // what draws it has copied it
+    // the renderer has copied the texels
     const spare = change.cells.data.buffer;
-    this.#viewer.tell({ drawn: true, spare }, [spare]);
+    this.#viewer.postToWorker({ drawn: true, spare }, [spare]);
     return true;
   }
 
   /**
-   * Shows a frame of a room as it is, where nothing can draw its scene, or there is none yet.
+   * Shows a frame as plain video, if no backend can draw the scene or there is no scene yet.
    * @param {VideoFrame | ImageBitmap} picture
-   * @param {boolean} early there is none yet
+   * @param {boolean} early whether there is no scene yet
    */
   showFlat(picture, early) {
     const viewer = this.#viewer;
@@ -131,7 +131,7 @@ export class LiveView {
     if (!viewer.canvas) {
       const canvas = document.createElement('canvas');
       [canvas.width, canvas.height] = [head.width, head.height];
-      this.#inside.stage.canvas = canvas;
+      this.#internals.stage.canvas = canvas;
       viewer.mode = 'flat';
       viewer.setIdle(false);
       viewer.layout();
@@ -140,12 +140,12 @@ export class LiveView {
     requestAnimationFrame(() => {
       viewer.canvas?.getContext('2d')?.drawImage(picture, 0, 0, head.width, head.height);
       picture.close();
-      viewer.tell({ drawn: true });
+      viewer.postToWorker({ drawn: true });
     });
   }
 
   /**
-   * Shows a frame of a room of which nothing is known but that.
+   * Shows a frame before there is a scene.
    * @param {VideoFrame | ImageBitmap} picture
    * @param {SceneHead} head
    */
@@ -153,13 +153,13 @@ export class LiveView {
     const viewer = this.#viewer;
     if (!this.#early || !viewer.canvas) {
       this.#early = true;
-      // of the room as it was before
-      if (viewer.renderer) this.#anew = true;
+      // the renderer belongs to the room's previous scene
+      if (viewer.renderer) this.#rendererGone = true;
       viewer.renderer?.dispose();
       viewer.renderer = null;
       const canvas = document.createElement('canvas');
       [canvas.width, canvas.height] = [head.width, head.height];
-      this.#inside.stage.canvas = canvas;
+      this.#internals.stage.canvas = canvas;
       viewer.mode = 'flat';
       viewer.layout();
       viewer.emit('ready', { mode: 'flat', early: true });
@@ -168,7 +168,7 @@ export class LiveView {
     requestAnimationFrame(() => {
       if (this.#early) canvas?.getContext('2d')?.drawImage(picture, 0, 0, head.width, head.height);
       picture.close();
-      viewer.tell({ drawn: true });
+      viewer.postToWorker({ drawn: true });
     });
   }
 }

@@ -1,4 +1,4 @@
-// What the owner of a photo wants of viewers, as the server keeps it: how far the camera goes, what stays in place, where it starts.
+// The owner's settings of a photo, stored by the server: range of motion, pivot, start position and more.
 
 /** @import { Offset } from '../decode/scene.js' */
 
@@ -6,20 +6,20 @@
  * @typedef {object} Settings
  * @property {number} [version]
  * @property {string} [title]
- * @property {Offset} [motion] shares of the view box that the camera goes
- * @property {number} [focus] disparity that views turn about
- * @property {Offset} [start] where the camera starts, in the view box
- * @property {string} [idle] how it moves by itself, one of `STYLES` (input/motion.js), or `none`
- * @property {number} [speed] times the usual
- * @property {'private' | 'link'} [visibility] who may see it, where the server asks who comes
- * @property {Offset} [poster] where the picture of the list is taken from
+ * @property {Offset} [motion] range of motion, as shares of the view box
+ * @property {number} [focus] disparity that views rotate about
+ * @property {Offset} [start] start position of the camera in the view box
+ * @property {string} [idle] style of idle motion, one of `STYLES` (input/motion.js), or `none`
+ * @property {number} [speed] speed factor
+ * @property {'private' | 'link'} [visibility] who may see it, on servers with authentication
+ * @property {Offset} [poster] camera position of the preview image in lists
  */
 
 /** @type {Settings} */
 const NONE = Object.freeze({});
 
 /**
- * Settings of a photo's state; of a version that is not known, none.
+ * The settings in a photo's state; none if their version is unknown.
  * @param {{settings?: Settings} | null | undefined} state
  */
 export function settingsOf(state) {
@@ -27,27 +27,27 @@ export function settingsOf(state) {
 }
 
 /**
- * What the camera goes of a view box: what the settings say, else what the photo itself does.
+ * Range of motion: that of the settings, otherwise the photo's default.
  * @param {Settings} settings
- * @param {Offset} usual shares of the view box
+ * @param {Offset} defaults default, as shares of the view box
  * @returns {Offset}
  */
-export function sharesOf({ motion }, usual) {
-  return motion ? { ...motion } : usual;
+export function sharesOf({ motion }, defaults) {
+  return motion ? { ...motion } : defaults;
 }
 
 /**
- * A place in the view box as an offset within the limits that `shares` leave of it.
+ * Converts a position in the view box to an offset in units of the limits, clamped to them.
  * @param {Offset} place
  * @param {Offset} shares
  */
 export function offsetOf(place, shares) {
-  const within = (/** @type {number} */ v, /** @type {number} */ most) => (most > 0 ? Math.max(-1, Math.min(1, v / most)) : 0);
-  return { x: within(place.x, shares.x), y: within(place.y, shares.y), z: within(place.z, shares.z) };
+  const clamp = (/** @type {number} */ v, /** @type {number} */ most) => (most > 0 ? Math.max(-1, Math.min(1, v / most)) : 0);
+  return { x: clamp(place.x, shares.x), y: clamp(place.y, shares.y), z: clamp(place.z, shares.z) };
 }
 
 /**
- * The reverse: where in the view box an offset is.
+ * Converts an offset in units of the limits to a position in the view box.
  * @param {Offset} offset
  * @param {Offset} shares
  */

@@ -1,4 +1,4 @@
-// What lies in the viewer's element: the photo, and over it the canvas that the scene is drawn on.
+// The DOM inside the viewer's element: the photo, and the scene's canvas over it.
 import { fitted } from './canvas-size.js';
 
 /** @import { Frame } from './camera.js' */
@@ -11,15 +11,15 @@ export class Stage {
   #detail = null;
   #address = '';
 
-  /** @param {HTMLElement} root that the pictures are put into */
+  /** @param {HTMLElement} root parent of the pictures */
   constructor(root) {
     this.#root = root;
     this.poster = document.createElement('img');
     this.poster.alt = '';
-    this.#adopt(this.poster, 'tmpi-poster');
+    this.#append(this.poster, 'tmpi-poster');
   }
 
-  /** What the scene is drawn on, or null. */
+  /** The scene's canvas, or null. */
   get canvas() {
     return this.#canvas;
   }
@@ -29,10 +29,10 @@ export class Stage {
     this.#canvas = canvas;
     if (!canvas) return;
     canvas.setAttribute('aria-hidden', 'true');
-    this.#adopt(canvas, 'tmpi-canvas');
+    this.#append(canvas, 'tmpi-canvas');
   }
 
-  /** What finer parts of the scene are drawn on, over it, or null. */
+  /** The canvas for finer parts, over the scene's canvas, or null. */
   get detail() {
     return this.#detail;
   }
@@ -42,9 +42,9 @@ export class Stage {
     this.#detail = canvas;
     if (!canvas || canvas.parentElement) return;
     canvas.setAttribute('aria-hidden', 'true');
-    // the next layout has it too
+    // until the next layout sets the size
     if (this.#canvas) [canvas.style.width, canvas.style.height] = [this.#canvas.style.width, this.#canvas.style.height];
-    this.#adopt(canvas, 'tmpi-canvas');
+    this.#append(canvas, 'tmpi-canvas');
   }
 
   /** @param {Blob} file of the photo */
@@ -53,13 +53,13 @@ export class Stage {
     this.poster.src = this.#address;
   }
 
-  /** Size of the root, CSS pixels. */
-  get room() {
+  /** Size of the root element, CSS pixels. */
+  get size() {
     return { width: this.#root.clientWidth, height: this.#root.clientHeight };
   }
 
   /**
-   * CSS pixels of a picture of that aspect that is shown whole, or null where the root has no area.
+   * Size of a whole picture of that aspect ratio, CSS pixels; null if the root has no area.
    * @param {number} aspect
    */
   fit(aspect) {
@@ -67,22 +67,22 @@ export class Stage {
   }
 
   /**
-   * Lays the pictures out: what is drawn in its size, the photo as large as the frame asks for; all CSS pixels.
+   * Lays out the canvases at `size` and the photo as `frame` requires; all in CSS pixels.
    * @param {{width: number, height: number}} size of the pictures
    * @param {{width: number, height: number}} fit of the whole photo
    * @param {Frame} frame of the photo in the pictures
-   * @param {boolean} drawn whether the photo's element shows views that are drawn already
+   * @param {boolean} drawn whether the photo's element shows a view from the server, which is already framed
    */
-  lay(size, fit, frame, drawn) {
+  layout(size, fit, frame, drawn) {
     for (const element of [this.poster, this.#canvas, this.#detail]) {
       if (!element) continue;
-      const own = element === this.poster && !drawn ? fit : size;
-      element.style.width = `${own.width}px`;
-      element.style.height = `${own.height}px`;
+      const box = element === this.poster && !drawn ? fit : size;
+      element.style.width = `${box.width}px`;
+      element.style.height = `${box.height}px`;
     }
     const scale = (frame.scale * size.width) / fit.width;
-    const still = drawn || scale === 1;
-    this.poster.style.transform = still ? '' : `scale(${scale}) translate(${(0.5 - frame.x) * 100}%, ${(0.5 - frame.y) * 100}%)`;
+    const unscaled = drawn || scale === 1;
+    this.poster.style.transform = unscaled ? '' : `scale(${scale}) translate(${(0.5 - frame.x) * 100}%, ${(0.5 - frame.y) * 100}%)`;
   }
 
   dispose() {
@@ -95,7 +95,7 @@ export class Stage {
    * @param {HTMLElement} element
    * @param {string} className
    */
-  #adopt(element, className) {
+  #append(element, className) {
     element.className = className;
     element.draggable = false;
     this.#root.append(element);

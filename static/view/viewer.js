@@ -1,12 +1,13 @@
-// The viewer: shows a photo at once, then the scene in three dimensions, and moves the camera.
+// The viewer: shows the photo first, then the scene in three dimensions, and moves the camera.
 //
 //   const viewer = new Viewer(element, { atlas: '/v1/photos/ID/atlas', view: '/v1/photos/ID/view' });
 //   viewer.addEventListener('ready', …)
 //
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
-// `frame` {ms} · `error` {message} · `live` what a room's worker says (live/worker.js). `mode` is `gpu` where the browser draws with
-// WebGPU, `webgl` where it does with WebGL2, `served` where the server draws, `still` where nobody can and the photo is all there is,
-// and `flat` where a room is shown as plain video, because nothing here draws.
+// `frame` {ms} · `error` {message} · `live` messages of a room's worker (live/worker.js).
+//
+// `mode` is `gpu` if the browser draws with WebGPU, `webgl` with WebGL2, `served` if the server draws, `still` if nothing can draw and
+// only the photo is shown, and `flat` if a room is shown as plain video because the browser cannot draw it.
 
 import { Decoder } from '../decode/start.js';
 import { Backends } from '../draw/backends.js';
@@ -19,7 +20,7 @@ import { Detail } from './detail.js';
 import { FramePacing } from './frame-pacing.js';
 import { LiveView } from './live-view.js';
 import { Stage } from './stage.js';
-import { Steering } from './steering.js';
+import { ViewerState } from './viewer-state.js';
 
 /** @import { Scene, SceneHead } from '../decode/scene.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
@@ -29,10 +30,10 @@ import { Steering } from './steering.js';
 /** @import { Display } from './display.js' */
 /** @import { Live } from './live-view.js' */
 
-/** How long idle motion rests at a turn where the machine is too slow to draw all pixels while it moves, ms. */
-const REST_MS = 1500;
+/** Pause of idle motion at its turning points if the machine is too slow to draw all pixels in motion, ms. */
+const TURN_PAUSE_MS = 1500;
 
-export class Viewer extends Steering {
+export class Viewer extends ViewerState {
   /** @type {Worker | Decoder | null} */
   #worker = null;
   #frameRequest = 0;
@@ -45,32 +46,33 @@ export class Viewer extends Steering {
   /** @type {Detail | null} */
   #detail = null;
   /** @type {{width: number, height: number} | null} */
-  #full = null;
+  #fullSize = null;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
-  #rest;
+  #turnTimer;
   /** @type {LiveView | null} */
   #live;
   #stopListening;
   #resizes;
-  /** It has nothing to draw with now, and may have again. */
-  #lent = false;
-  /** A backend is being made ready. */
-  #busy = false;
-  /** What it is among those that share a page's WebGL2 contexts. @type {Holder} */
+  /** True while another viewer uses its graphics context. */
+  #waitsForContext = false;
+  /** True while a backend is being created. */
+  #creatingBackend = false;
+  /** Its entry among the viewers that share the page's WebGL2 contexts. @type {Holder} */
   #holder = {
     asleep: () => this.#asleep,
-    busy: () => this.#busy,
+    busy: () => this.#creatingBackend,
     giveBack: () => this.#giveBack(),
     retry: () => this.#drawAgain(),
   };
 
   /**
-   * @param {HTMLElement} root focusable element that takes the input and holds the pictures
+   * @param {HTMLElement} root focusable element that receives the input and contains the pictures
    * @param {{atlas?: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: () => boolean,
-   *   live?: Live, settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses
-   *   of the container, of the views that the server draws and of the photo's report; where the camera starts, in units of the view box;
-   *   whether the viewer is a part of a page that scrolls now; what the photo's owner wants (settings.js), which the camera's start given
-   *   here overrules; the photo's own size, where the container is a smaller level of it; a room to watch in place of a container
+   *   live?: Live, settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options `atlas`,
+   *   `view`, `report`: addresses of the container, the server's views and the photo's report; `offset`: start position of the camera, in
+   *   units of the view box, which overrides that of the settings; `embedded`: whether the viewer is part of a page that scrolls;
+   *   `settings`: the owner's settings (settings.js); `full`: the photo's full size, if the container is a smaller level; `live`: a room to
+   *   watch instead of a container
    */
   constructor(root, options) {
     super(options);
@@ -78,15 +80,15 @@ export class Viewer extends Steering {
     this.options = options;
     this.#pacing = new FramePacing(Boolean(options.live));
     this.#stage = new Stage(root);
-    this.#live = options.live ? new LiveView(this, { stage: this.#stage, draw: (anew) => this.#draw(anew) }) : null;
+    this.#live = options.live ? new LiveView(this, { stage: this.#stage, draw: (replaces) => this.#draw(replaces) }) : null;
     this.mode = 'loading';
-    /** What shows the scene in a headset (input/xr.js) while one does, else null. */
+    /** The headset that shows the scene (input/xr.js), or null. */
     this.headset = /** @type {Headset | null} */ (null);
     this.scene = /** @type {Scene | null} */ (null);
     this.head = /** @type {SceneHead & {total: number} | null} */ (null);
     this.renderer = /** @type {WebGpuRenderer | WebGlRenderer | null} */ (null);
     this.serverViews = /** @type {ServerViews | null} */ (null);
-    options.full?.then((size) => this.#knowFull(size));
+    options.full?.then((size) => this.#setFullSize(size));
     this.#stopListening = listen(root, this.motion, this.lens, {
       wake: () => this.moved(),
       toggleIdle: () => this.setIdle(!this.idle),
@@ -98,17 +100,17 @@ export class Viewer extends Steering {
     this.#start();
   }
 
-  /** The picture of the photo, which lies below the scene. */
+  /** The photo's element, below the scene's canvas. */
   get poster() {
     return this.#stage.poster;
   }
 
-  /** What the scene is drawn on, or null. */
+  /** The scene's canvas, or null. */
   get canvas() {
     return this.#stage.canvas;
   }
 
-  /** True while another frame is to come. */
+  /** True while an animation frame is requested. */
   get moving() {
     return this.#frameRequest !== 0;
   }
@@ -128,19 +130,19 @@ export class Viewer extends Steering {
   }
 
   /**
-   * Makes sharp what is seen at a place of the canvas, shares of its width and height from the upper left.
+   * Focuses on a point of the canvas, in shares of its width and height from the upper left.
    * @param {number} x
    * @param {number} y
    */
   async focusAt(x, y) {
     const { canvas } = this;
-    const seen = this.#seen;
-    if (!this.renderer || !seen || !canvas || this.stereo) return;
-    this.display.depthOfField.focus = await this.display.disparityAt(this.renderer, { ...seen, canvas }, x, y);
+    const view = this.#currentView;
+    if (!this.renderer || !view || !canvas || this.stereo) return;
+    this.display.depthOfField.focus = await this.display.disparityAt(this.renderer, { ...view, canvas }, x, y);
     this.render();
   }
 
-  /** Shows the scene in a headset; to be called from a tap. Throws where that is not allowed. */
+  /** Shows the scene in a headset. Call it from a user gesture; throws if that is not allowed. */
   async enterHeadset() {
     if (this.headset || !this.scene || !this.limits) return;
     const { Headset } = await import('../input/xr.js');
@@ -148,27 +150,27 @@ export class Viewer extends Steering {
       this.headset = null;
       this.asleep = false;
     });
-    // nobody sees the page
+    // the page is out of sight meanwhile
     this.asleep = true;
   }
 
-  /** The view at the present pose as a PNG file, in the photo's size; where only a part is seen, in that of the screen. */
+  /** The view at the current pose as a PNG file, in the photo's size, or in the screen's if only a part is visible. */
   async picture() {
-    const seen = this.#seen;
-    if (!this.renderer || !seen) throw new Error('a picture can be taken only where the browser draws');
+    const view = this.#currentView;
+    if (!this.renderer || !view) throw new Error('a picture can be taken only if the browser draws the scene');
     const { width, height } = this.lens.size;
     const ratio = pixelRatio();
-    const closer = this.lens.close ? { width: Math.round(width * ratio), height: Math.round(height * ratio) } : null;
-    return this.display.picture(this.renderer, seen, closer, closer ? this.#detailed : undefined);
+    const size = this.lens.close ? { width: Math.round(width * ratio), height: Math.round(height * ratio) } : null;
+    return this.display.picture(this.renderer, view, size, size ? this.#detailRenderer : undefined);
   }
 
-  /** What is seen now, or null before the head of the scene is known. */
-  get #seen() {
+  /** The view to draw, or null until the head of the scene is known. */
+  get #currentView() {
     const { pose, head, pivot, moving } = this;
     return head && { pose, head, pivot, moving, frame: this.camera.framed(this.lens.frame) };
   }
 
-  /** True while nobody sees it: it draws nothing then. */
+  /** True while the viewer is out of sight; it then draws nothing. */
   get asleep() {
     return this.#asleep;
   }
@@ -179,27 +181,27 @@ export class Viewer extends Steering {
       cancelAnimationFrame(this.#frameRequest);
       this.#frameRequest = 0;
       lendContext(this.#holder);
-    } else if (this.#lent) this.#drawAgain();
+    } else if (this.#waitsForContext) this.#drawAgain();
     else this.wake();
   }
 
-  /** Gives its graphics context to another viewer: the photo is seen meanwhile. */
+  /** Gives its graphics context to another viewer and shows the photo meanwhile. */
   #giveBack() {
-    this.#lent = true;
+    this.#waitsForContext = true;
     this.#detail?.dispose();
     this.#detail = null;
     this.renderer?.dispose();
     this.renderer = null;
     this.#stage.canvas = null;
     this.mode = 'loading';
-    this.emit('mode', { mode: 'loading', reason: 'Another picture of the page is drawn.' });
+    this.emit('mode', { mode: 'loading', reason: 'Another viewer on the page uses the graphics context.' });
   }
 
-  /** Draws where that could not be had for a while. */
+  /** Draws again after a time without a graphics context. */
   #drawAgain() {
-    this.#lent = false;
-    // what a room showed is gone with the context
-    if (this.options.live) this.tell({ again: true });
+    this.#waitsForContext = false;
+    // the room's texels are lost with the context
+    if (this.options.live) this.postToWorker({ again: true });
     else this.#draw();
   }
 
@@ -210,51 +212,51 @@ export class Viewer extends Steering {
 
   /** Draws now. */
   render() {
-    const seen = this.#seen;
-    if (!this.head || !seen || this.disposed) return;
+    const view = this.#currentView;
+    if (!this.head || !view || this.disposed) return;
     if (this.renderer?.context && this.canvas) {
       const { depthOfField } = this.display;
-      const times = this.display.draw(this.renderer, { ...seen, canvas: this.canvas });
-      this.#drawDetail({ ...seen, canvas: this.canvas });
+      const times = this.display.draw(this.renderer, { ...view, canvas: this.canvas });
+      this.#drawDetail({ ...view, canvas: this.canvas });
       if (depthOfField.unfinished) this.wake();
       if (!times) return;
       const { detail } = this.#pacing;
       this.#pacing
-        .measure(this.renderer, () => this.moving || this.#plays)
+        .measure(this.renderer, () => this.moving || this.#playing)
         .then((ms) => {
           if (ms === null) return;
-          // drawn with the next frame
-          if (this.#plays && this.#pacing.detail !== detail) this.wake();
+          // apply the new resolution in the next frame
+          if (this.#playing && this.#pacing.detail !== detail) this.wake();
           depthOfField.cost = ms / times;
           this.emit('frame', { ms: this.#pacing.ms });
         });
-    } else if (this.mode === 'served') this.#ask(this.head);
+    } else if (this.mode === 'served') this.#requestView(this.head);
   }
 
   /**
-   * Asks the server for what is seen now.
+   * Requests the current view from the server.
    * @param {SceneHead} head
    */
-  #ask(head) {
+  #requestView(head) {
     const ratio = pixelRatio();
     const { width, height } = this.lens.size;
     const size = { width: width * ratio, height: height * ratio };
-    this.serverViews?.show(this.camera.coarsePose, fovX(head.intrinsics, head.width), size, this.lens.frame);
+    this.serverViews?.show(this.camera.quantisedPose, fovX(head.intrinsics, head.width), size, this.lens.frame);
   }
 
   /**
-   * The view at the present pose as the server would draw it.
+   * The view at the current pose, as the server would draw it.
    * @returns {Promise<Uint8ClampedArray>} premultiplied RGBA
    */
   async readPixels(width = this.head?.width ?? 0, height = this.head?.height ?? 0) {
-    if (!this.renderer || !this.head) throw new Error('pixels can be read only where the browser draws');
+    if (!this.renderer || !this.head) throw new Error('pixels can be read only if the browser draws the scene');
     return this.renderer.readPixels(this.pose, resized(this.head.intrinsics, this.head, { width, height }), width, height);
   }
 
   dispose() {
     super.dispose();
     cancelAnimationFrame(this.#frameRequest);
-    clearTimeout(this.#rest);
+    clearTimeout(this.#turnTimer);
     this.#detail?.dispose();
     this.#worker?.terminate();
     this.#stopListening();
@@ -276,7 +278,7 @@ export class Viewer extends Steering {
     try {
       this.#worker = live ? live.start() : new Decoder();
     } catch (error) {
-      return this.#fail(`The page allows no worker, without which no room can be watched: ${error.message}`);
+      return this.#fail(`The page does not allow workers, which rooms require: ${error.message}`);
     }
     this.#worker.onerror = (/** @type {{message: string}} */ { message }) => this.#fail(message || 'The decoder could not be started.');
     this.#worker.onmessage = (/** @type {MessageEvent} */ { data }) => this.#onWorker(data);
@@ -289,7 +291,7 @@ export class Viewer extends Steering {
     if (data.type === 'progress') this.emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
       this.head = data.head;
-      this.camera.know(data.head, null);
+      this.camera.setScene(data.head, null);
       this.layout();
     } else if (data.type === 'photo') {
       this.#stage.showPhoto(data.blob);
@@ -297,7 +299,7 @@ export class Viewer extends Steering {
       if (this.#backends && !this.#backends.any) this.#serve(this.#backends.reason);
     } else if (data.type === 'scene') {
       this.scene = data.scene;
-      if (this.head) this.camera.know(this.head, this.scene);
+      if (this.head) this.camera.setScene(this.head, this.scene);
       if (this.#live) return this.#live.draw(data.cells);
       this.#worker?.terminate();
       this.#draw();
@@ -308,16 +310,16 @@ export class Viewer extends Steering {
   }
 
   /**
-   * Says something to a room's worker.
+   * Sends a message to a room's worker.
    * @param {object} message
-   * @param {ArrayBuffer[]} transfer what it has from then on
+   * @param {ArrayBuffer[]} transfer buffers to transfer
    */
-  tell(message, transfer = []) {
+  postToWorker(message, transfer = []) {
     this.#worker?.postMessage(message, transfer);
   }
 
   /**
-   * The container cannot be had or read: views from the server are the last resort, where at least its head came.
+   * Handles a container that cannot be loaded or decoded: falls back to the server's views if at least its head has arrived.
    * @param {string} message
    */
   #fail(message) {
@@ -330,17 +332,17 @@ export class Viewer extends Steering {
   }
 
   /**
-   * Draws on the best backend that can be had.
-   * @param {boolean} [anew] another scene than before
+   * Draws on the best available backend.
+   * @param {boolean} [replaces] whether another scene was drawn before
    */
-  async #draw(anew = false) {
-    if (anew) this.#backends = await Backends.find();
+  async #draw(replaces = false) {
+    if (replaces) this.#backends = await Backends.find();
     if (!this.#backends || !this.scene) return;
-    this.#busy = true;
+    this.#creatingBackend = true;
     const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason), this.#holder);
-    this.#busy = false;
+    this.#creatingBackend = false;
     if (backend === 'wait') {
-      this.#lent = true;
+      this.#waitsForContext = true;
       return;
     }
     if (this.disposed) leaveContext(this.#holder);
@@ -373,9 +375,9 @@ export class Viewer extends Steering {
   #serve(reason) {
     if (this.disposed) return;
     this.#stage.canvas = null;
-    // a swing would ask the server without end
+    // idle motion would request views without end
     this.setIdle(false);
-    if (this.options.live) return this.tell({ flat: true });
+    if (this.options.live) return this.postToWorker({ flat: true });
     if (!this.options.view || !this.head) {
       this.mode = 'still';
       this.emit('mode', { mode: 'still', reason });
@@ -392,74 +394,75 @@ export class Viewer extends Steering {
     this.emit('ready', { mode: 'served' });
   }
 
-  /** Whether frames of a room come. */
-  get #plays() {
-    return this.#live?.plays ?? false;
+  /** Whether a room is playing. */
+  get #playing() {
+    return this.#live?.playing ?? false;
   }
 
   /**
-   * Share of the pixels a side that is drawn: all at rest. Of a room that plays not fewer than its frames have, or half of them in motion.
+   * Resolution per side, as a share of the full one: 1 at rest. While a room plays, at least the resolution of its frames, or half of it in
+   * motion.
    * @param {number} width in CSS pixels
    */
-  #share(width) {
+  #resolution(width) {
     const { detail } = this.#pacing;
-    if (!this.#plays) return this.moving ? detail : 1;
+    if (!this.#playing) return this.moving ? detail : 1;
     const own = Math.min(1, (this.head?.width ?? 0) / (width * pixelRatio()));
     return Math.max(detail, this.moving ? own / 2 : own);
   }
 
-  /** Fits the pictures into the root, whole, in the photo's own shape. */
+  /** Fits the whole pictures into the root element, in the photo's aspect ratio. */
   layout() {
     if (!this.head || this.disposed) return;
     const fit = this.#stage.fit((this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
     if (!fit) return;
-    this.lens.measure(this.#stage.room, fit, (this.#full ?? this.head).width / (fit.width * (devicePixelRatio || 1)));
+    this.lens.measure(this.#stage.size, fit, (this.#fullSize ?? this.head).width / (fit.width * (devicePixelRatio || 1)));
     const { size, frame } = this.lens;
-    this.#stage.lay(size, fit, frame, this.mode === 'served');
+    this.#stage.layout(size, fit, frame, this.mode === 'served');
     if (this.canvas && this.renderer) {
-      setPixels(this.canvas, size, this.#share(size.width), this.renderer.maxSide);
+      setPixels(this.canvas, size, this.#resolution(size.width), this.renderer.maxSide);
       if (!this.renderer.context) return;
     }
     this.render();
   }
 
   /** @param {{width?: number, height?: number} | undefined} size */
-  #knowFull(size) {
+  #setFullSize(size) {
     if (!size?.width || !size.height) return;
-    this.#full = { width: size.width, height: size.height };
+    this.#fullSize = { width: size.width, height: size.height };
     this.layout();
   }
 
-  /** What draws a finer part of what is in sight, where one does. */
-  get #detailed() {
+  /** Renderer of the finer part, if one is shown. */
+  get #detailRenderer() {
     return this.display.plain ? this.#detail?.shown?.renderer : undefined;
   }
 
   /**
-   * Draws finer parts over the scene, and sees to those that are missing.
-   * @param {Parameters<Display['draw']>[1]} seen
+   * Draws the finer part over the scene, and loads it if it is missing.
+   * @param {Parameters<Display['draw']>[1]} view
    */
-  #drawDetail(seen) {
+  #drawDetail(view) {
     const { canvas, head } = this;
     const { atlas } = this.options;
-    if (!canvas || !head || !atlas || !this.#full || !this.#backends) return;
+    if (!canvas || !head || !atlas || !this.#fullSize || !this.#backends) return;
     if (!this.#detail && this.lens.close && (this.mode === 'gpu' || this.mode === 'webgl')) {
       const { mode } = this;
       const changed = () => this.render();
-      this.#detail = new Detail({ atlas, mode, side: this.#backends.side, photo: this.#full, loaded: head, changed });
+      this.#detail = new Detail({ atlas, mode, side: this.#backends.side, photo: this.#fullSize, loaded: head, changed });
     }
     if (this.display.plain)
-      this.#detail?.look(this.lens.frame, { width: this.lens.size.width * pixelRatio(), height: this.lens.size.height * pixelRatio() });
-    const shown = this.#detailed && this.#detail?.shown;
+      this.#detail?.update(this.lens.frame, { width: this.lens.size.width * pixelRatio(), height: this.lens.size.height * pixelRatio() });
+    const shown = this.#detailRenderer && this.#detail?.shown;
     this.#stage.detail = shown ? shown.canvas : null;
     if (!shown) return;
     const { width, height } = canvas;
     if (shown.canvas.width !== width || shown.canvas.height !== height) [shown.canvas.width, shown.canvas.height] = [width, height];
-    this.display.draw(shown.renderer, { ...seen, canvas: shown.canvas });
+    this.display.draw(shown.renderer, { ...view, canvas: shown.canvas });
   }
 
   wake() {
-    clearTimeout(this.#rest);
+    clearTimeout(this.#turnTimer);
     if (this.#frameRequest || this.#asleep || this.disposed || this.mode === 'failed') return;
     this.#lastFrame = 0;
     this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
@@ -468,14 +471,14 @@ export class Viewer extends Steering {
   /** @param {number} now */
   #frame(now) {
     this.#frameRequest = 0;
-    this.#live?.takeFresh();
+    this.#live?.applyUpdate();
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
     if (this.mode === 'loading') return;
     const closing = this.lens.step(dt);
-    // what is shown larger moves as much farther
+    // zooming magnifies the camera's motion
     this.camera.damping = this.lens.now.scale ** -0.5;
-    const moving = (!this.camera.held && this.motion.step(dt)) || closing;
-    if (moving && !closing && this.motion.paused && this.#pacing.detail < 1) this.#rest = setTimeout(() => this.wake(), REST_MS);
+    const moving = (!this.camera.holdsPose && this.motion.step(dt)) || closing;
+    if (moving && !closing && this.motion.paused && this.#pacing.detail < 1) this.#turnTimer = setTimeout(() => this.wake(), TURN_PAUSE_MS);
     else if (moving) {
       this.#lastFrame = now;
       this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));

@@ -1,8 +1,7 @@
-// All figures of the page's decoder: its size, its time against the decoder in JavaScript and the native one, its memory, how long it
-// holds the page's thread, and the time to the first view over a link. Not a test; run by hand on an idle machine, after
-// `cargo build --release --workspace --examples`:
+// Measures the WebAssembly decoder of the pages: size, time compared with the JavaScript and native decoders, memory, main-thread time, and time to
+// the first view over a network link. Not a test; run it on an idle machine after `cargo build --release --workspace --examples`:
 //   node decode-speed.mjs [--rounds 6] [--runs 4] [--old fe415db] [--only sizes,decode,page,link] [--mbps 50] [--latency 40] PHOTO|FILE.tmpi…
-// Of a photo containers are made in five sizes. `--old`: a commit whose static/ has the decoder in JavaScript, or that folder, or nothing.
+// Makes containers of each PHOTO in five sizes. `--old`: a commit whose static/ has the JavaScript decoder, or that folder, or nothing.
 import { execFileSync } from 'node:child_process';
 import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
@@ -33,10 +32,10 @@ if (!positionals.length) {
 }
 const [rounds, runs] = [values.rounds, values.runs].map(Number);
 const parts = values.only.split(',');
-/** The table of decoding: what is timed, and of what the link is timed. */
+/** Measured times of decoding, and the size of photo for the link. */
 const TIMES = ['cold', 'again', 'warm', 'pages'];
 const LINK_SIZE = '630x350';
-/** A task that holds the page longer is seen. */
+/** Users notice longer tasks. */
 const FRAME_MS = 16;
 const NATIVE_ROUNDS = 10;
 
@@ -47,7 +46,7 @@ const median = (list) => {
 };
 const range = (list) => `${median(list).toFixed(1)} ms (${Math.min(...list).toFixed(1)}–${Math.max(...list).toFixed(1)})`;
 
-/** static/ of another commit, or null where there is none. */
+/** static/ of another commit, or null. */
 function oldStatic(folder) {
   if (!values.old || existsSync(join(values.old, 'container.js'))) return values.old || null;
   const root = join(STATIC, '..');
@@ -61,7 +60,7 @@ function oldStatic(folder) {
     execFileSync('tar', ['-x', '-C', folder], { input: archive });
     return join(folder, 'static');
   } catch {
-    console.log(`no commit ${values.old} here: the decoder in JavaScript is left out`);
+    console.log(`no commit ${values.old}: the JavaScript decoder is skipped`);
     return null;
   }
 }
@@ -73,7 +72,7 @@ function sizes() {
   }
 }
 
-/** Median of the native decoder on one thread, ms, or none where its example was not built. */
+/** Median of the native decoder on one thread in ms, or null if its example is not built. */
 function nativeMs(file) {
   const example = join(dirname(program), 'examples/decode');
   if (!existsSync(example)) return null;
@@ -85,23 +84,23 @@ function nativeMs(file) {
   );
 }
 
-async function decoding(address, files, old) {
+async function decodeTimes(address, files, old) {
   const kinds = old ? ['js', 'wasm'] : ['wasm'];
   for (const [file, name] of files.entries()) {
     const all = await decodeRounds(address, { kinds, file, runs, rounds });
     console.log(basename(name));
-    const of = (kind, key) => all.map((round) => round[kind][key]);
-    for (const kind of kinds) console.log(`  ${kind.padEnd(7)}${TIMES.map((key) => `${key} ${range(of(kind, key))}`).join(', ')}`);
+    const times = (kind, key) => all.map((round) => round[kind][key]);
+    for (const kind of kinds) console.log(`  ${kind.padEnd(7)}${TIMES.map((key) => `${key} ${range(times(kind, key))}`).join(', ')}`);
     if (old) {
       const ratio = (key) => `${key} ${median(all.map((round) => round.js[key] / round.wasm[key])).toFixed(2)}`;
-      console.log(`  js/wasm, paired: ${TIMES.map(ratio).join(', ')}`);
+      console.log(`  js/wasm, paired rounds: ${TIMES.map(ratio).join(', ')}`);
     }
     const native = nativeMs(name);
     if (native)
       console.log(
-        `  native, one thread ${native.toFixed(1)} ms; wasm, warm, ${(median(of('wasm', 'warm')) / native).toFixed(2)} times that`,
+        `  native, one thread ${native.toFixed(1)} ms; warm wasm takes ${(median(times('wasm', 'warm')) / native).toFixed(2)} times that`,
       );
-    console.log(`  memory ${Math.max(...of('wasm', 'memory')).toFixed(1)} MiB a megapixel`);
+    console.log(`  memory ${Math.max(...times('wasm', 'memory')).toFixed(1)} MiB per megapixel`);
   }
 }
 
@@ -110,9 +109,9 @@ async function pageThread(address, files) {
     for (const webgpu of [true, false]) {
       const { mode, tasks } = await pageTasks(`${address}wasm/`, `${address}file/${file}`, webgpu);
       const long = tasks.filter(({ cpuMs }) => cpuMs > FRAME_MS).length;
-      console.log(`${basename(name)}, ${mode}: ${long} of ${tasks.length} tasks over ${FRAME_MS} ms; the longest:`);
+      console.log(`${basename(name)}, ${mode}: ${long} of ${tasks.length} tasks take over ${FRAME_MS} ms; the longest:`);
       for (const { cpuMs, ms, what } of tasks.slice(0, 3)) {
-        console.log(`  ${cpuMs.toFixed(1)} ms, and ${(ms - cpuMs).toFixed(1)} ms not on the processor: ${what.join('; ')}`);
+        console.log(`  ${cpuMs.toFixed(1)} ms CPU, ${(ms - cpuMs).toFixed(1)} ms waiting: ${what.join('; ')}`);
       }
     }
   }
@@ -122,9 +121,9 @@ async function overLink(photo) {
   const link = { mbps: Number(values.mbps), latency: Number(values.latency) };
   for (const webgpu of [true, false]) {
     const times = await firstViews(photo, { ...link, runs: rounds, webgpu });
-    const of = (key) => range(times.map((time) => time[key]));
+    const column = (key) => range(times.map((time) => time[key]));
     console.log(
-      `${times[0].mode}, ${link.mbps} Mb/s: photo ${of('photo')}, scene given to the device ${of('ready')}, drawn ${of('drawn')}`,
+      `${times[0].mode}, ${link.mbps} Mb/s: photo ${column('photo')}, scene uploaded ${column('ready')}, drawn ${column('drawn')}`,
     );
   }
 }
@@ -138,9 +137,9 @@ try {
   const old = parts.includes('decode') ? oldStatic(join(folder, 'old')) : null;
   const server = await startSpeedServer(files, old);
   if (parts.includes('sizes')) sizes();
-  if (parts.includes('decode')) await decoding(server.address, files, old);
+  if (parts.includes('decode')) await decodeTimes(server.address, files, old);
   if (parts.includes('page')) await pageThread(server.address, files);
-  const photo = made.find((one) => one.photo.includes(LINK_SIZE))?.photo;
+  const photo = made.find((entry) => entry.photo.includes(LINK_SIZE))?.photo;
   if (parts.includes('link') && photo) await overLink(photo);
   server.close();
 } finally {

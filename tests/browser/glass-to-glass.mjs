@@ -1,10 +1,10 @@
-// Time from a frame in the camera's page to its pixels on the canvas of who watches, at 320×240 or `--times` that, shown at `--stage`
-// times that, on this machine. Not a test; run by hand on an idle machine with the built program:
+// Measures the time from a frame on the publisher's page to its pixels on a viewer's canvas on this machine, at 320×240 or `--times` that, shown at
+// `--stage` times that. Not a test; run it on an idle machine with the built program:
 //   node glass-to-glass.mjs [--times 1] [--stage 1] [--every 10] [--seconds 20] [--p50 100] [--p95 150] [--frames 30] [--json FILE]
-// TMPI_WEBGPU=native draws on the machine's GPU, if it has one, and not in software beside all else.
-// Ends with 1 where a figure is worse than asked for. Each frame of the film has its number written into it; the clock starts when the camera's
-// page takes the frame and stops right after a page that watches has drawn it. Of `--every` so many pictures one is read back, which takes time
-// itself: frames are counted for as long again without.
+// TMPI_WEBGPU=native draws on the machine's GPU instead of in software.
+// Exits with status 1 if a limit is exceeded. Each frame of the film contains its number; the clock starts when the publisher's page takes the
+// frame and stops right after the viewer's page has drawn it. Reads back one of `--every` pictures, which takes time itself, so a second run counts
+// frames without reading back.
 import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
 import { loadavg, tmpdir } from 'node:os';
 import { join } from 'node:path';
@@ -33,12 +33,12 @@ if (!([1, 2].includes(times) && stage > 0 && every >= 1 && seconds > 0 && p50 > 
   );
   process.exit(2);
 }
-/** Seconds before anything is counted. */
+/** Seconds before the measurement. */
 const WARM = 3;
-/** The film is over and begins anew after so long, ms: no latency beyond can be told. */
-const ROUND = (FRAMES * 1000) / 30;
+/** Length of the film in ms; longer latencies are ambiguous. */
+const FILM_MS = (FRAMES * 1000) / 30;
 
-/** In the camera's page: notes when each number was taken. */
+/** On the publisher's page: records when it takes each frame number. */
 function watchCamera(square) {
   window.taken = [];
   const { encode } = VideoEncoder.prototype;
@@ -50,7 +50,7 @@ function watchCamera(square) {
       let number = 0;
       for (let bit = 0; bit < 6; bit++)
         number = number * 2 + Number(luma[offset + (square / 2) * stride + bit * square + square / 2] > 128);
-      // its time is when it was taken, µs since 1970
+      // the timestamp is the time of capture, µs since 1970
       window.taken.push([number, copy.timestamp / 1000]);
       copy.close();
     });
@@ -58,7 +58,7 @@ function watchCamera(square) {
   };
 }
 
-/** In the page that watches: notes when each number was drawn, after what draws it has run and before the canvas is empty again. */
+/** On the viewer's page: records when each frame number is drawn, before the browser clears the canvas. */
 function watchCanvas(every) {
   window.seen = [];
   const original = window.requestAnimationFrame.bind(window);
@@ -74,10 +74,10 @@ function watchCanvas(every) {
       context.drawImage(canvas, 0, 0, 96 * across, 16 * down, 0, 0, 96, 16);
       const { data } = context.getImageData(0, 0, 96, 16);
       const green = Array.from({ length: 6 }, (_, bit) => data[(8 * 96 + bit * 16 + 8) * 4 + 1]);
-      // nothing was drawn this time, and the canvas is empty since it was shown: the film has no black
+      // an all-black canvas was not drawn this time: the film has no black
       if (Math.max(...green) === 0) return;
       const number = green.reduce((bits, value) => bits * 2 + Number(value > 128), 0);
-      // what is drawn once more, as for a moved camera, is no new picture
+      // the same frame again, for a moved camera, is no new picture
       if (number !== last) window.seen.push([number, now]);
       last = number;
     });
@@ -103,7 +103,7 @@ try {
   await page.addStyleTag({ content: `#stage { position: fixed; inset: 0; width: ${WIDTH * stage}px; height: ${HEIGHT * stage}px; }` });
   await waitForMode(page, 'gpu');
   await page.waitForTimeout(WARM * 1000);
-  for (const { page: of } of [publisher, { page }]) await of.evaluate(() => (window.taken ?? window.seen).splice(0));
+  for (const opened of [publisher, { page }]) await opened.page.evaluate(() => (window.taken ?? window.seen).splice(0));
   const watch = async () => {
     const rates = [];
     for (let i = 0; i < seconds * 2; i++) {
@@ -112,33 +112,33 @@ try {
     }
     return rates;
   };
-  const told = await watch();
+  const withReads = await watch();
   const seen = await page.evaluate(() => window.seen);
   const taken = await publisher.page.evaluate(() => window.taken);
-  for (const { page: of } of [publisher, { page }]) {
-    await of.evaluate(() => {
+  for (const opened of [publisher, { page }]) {
+    await opened.page.evaluate(() => {
       window.counting = true;
     });
   }
   const counted = await watch();
   const latencies = [];
   for (const [number, at] of seen) {
-    // the last one of that number that was taken before
-    const of = taken.findLast(([n, when]) => n === number && when <= at);
-    if (of && at - of[1] < ROUND) latencies.push(at - of[1]);
+    // the film repeats, so take the last frame with this number
+    const frame = taken.findLast(([n, when]) => n === number && when <= at);
+    if (frame && at - frame[1] < FILM_MS) latencies.push(at - frame[1]);
   }
   if (process.env.TMPI_SHOTS) await page.screenshot({ path: join(process.env.TMPI_SHOTS, 'glass.png') });
   const sorted = latencies.toSorted((a, b) => a - b);
-  const share = (of) => sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * of))] ?? Number.NaN;
+  const percentile = (p) => sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * p))] ?? Number.NaN;
   const mean = (list) => list.reduce((sum, { frames }) => sum + frames, 0) / list.length;
-  // those of the room, by their numbers
+  // frames per second that the room sent, by frame numbers
   const sent = (list) => ((list.at(-1).frame - list[0].frame) / (list.length - 1)) * 2;
-  const last = told.at(-1);
+  const last = withReads.at(-1);
   const result = {
-    p50: share(0.5),
-    p95: share(0.95),
+    p50: percentile(0.5),
+    p95: percentile(0.95),
     frames: mean(counted),
-    framesRead: mean(told),
+    framesRead: mean(withReads),
     sent: sent(counted),
     samples: latencies.length,
     unknown: seen.length - latencies.length,
@@ -148,13 +148,13 @@ try {
     load: loadavg()[0],
   };
   console.log(
-    `p50 ${result.p50.toFixed(1)} ms, p95 ${result.p95.toFixed(1)} ms, ${result.frames.toFixed(1)} of ${result.sent.toFixed(1)} frames/s, ${result.framesRead.toFixed(1)} while read back (${result.samples} pictures, ${result.unknown} with a number that was not taken; ` +
-      `the page says ${result.told.toFixed(0)} ms, held for ${(result.buffer ?? 0).toFixed(0)} ms, tiles after ${result.geometryMs.toFixed(0)} ms; load ${result.load.toFixed(1)})`,
+    `p50 ${result.p50.toFixed(1)} ms, p95 ${result.p95.toFixed(1)} ms, ${result.frames.toFixed(1)} of ${result.sent.toFixed(1)} frames/s, ${result.framesRead.toFixed(1)} while read back (${result.samples} pictures, ${result.unknown} with an unknown number; ` +
+      `the page reports ${result.told.toFixed(0)} ms, buffers ${(result.buffer ?? 0).toFixed(0)} ms, tiles after ${result.geometryMs.toFixed(0)} ms; load ${result.load.toFixed(1)})`,
   );
   if (values.json) writeFileSync(values.json, `${JSON.stringify(result, null, 1)}\n`);
-  // a few pictures are no measurement
+  // too few pictures make the percentiles meaningless
   const enough = result.samples >= seconds && result.unknown <= result.samples / 10;
-  if (!enough) console.error('too few pictures could be read');
+  if (!enough) console.error('too few readable pictures');
   if (!enough || !(result.p50 <= p50 && result.p95 <= p95 && result.frames >= frames)) process.exitCode = 1;
 } finally {
   await camera.close();

@@ -1,9 +1,8 @@
-// Time that the page's decoder of rooms takes for a frame of a recorded room, by itself: nothing is drawn. Not a test; run by hand on an idle
-// machine:
+// Measures how long the page's room decoder takes for a frame of a recorded room, without drawing. Not a test; run it on an idle machine:
 //   tmpi-lab live-bench --only still --files out      (or: tmpi live watch ROOM --record FILE)
 //   node room-speed.mjs [--rounds 3] out/still.room…
-// `frame` is a frame's planes to RGB, which the core needs for the layers whoever draws: 1 to 3 % of the whole (0.6 of 61 ms at the median of a
-// busy machine, 320×240), so there is nothing to gain from doing it once more in WGSL.
+// `frame` converts a frame's planes to RGB, which the core needs for layers in any case: 1 to 3 % of the whole (0.6 of 61 ms at the median of a
+// busy machine, 320×240), so a second conversion in WGSL would gain nothing.
 import { basename } from 'node:path';
 import { parseArgs } from 'node:util';
 import { roomTimes } from './speed/room.mjs';
@@ -15,7 +14,7 @@ if (!positionals.length) {
   process.exit(2);
 }
 const PARTS = ['all', 'read', 'frame', 'layers', 'cells'];
-/** Frames that are not counted: what is compiled is not yet what is run from then on. */
+/** Frames to skip while the browser optimises the WebAssembly. */
 const WARM = 30;
 
 const at = (sorted, share) => sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * share))];
@@ -34,7 +33,7 @@ try {
       const sorted = all.map((time) => time[part]).toSorted((a, b) => a - b);
       const [p50, p95, most] = [at(sorted, 0.5), at(sorted, 0.95), sorted.at(-1)];
       console.log(
-        `  ${part.padEnd(7)} p50 ${p50.toFixed(2)} ms, p95 ${p95.toFixed(2)} ms, most ${most.toFixed(2)} ms, ${((total(part) / total('all')) * 100).toFixed(1)} % of all`,
+        `  ${part.padEnd(7)} p50 ${p50.toFixed(2)} ms, p95 ${p95.toFixed(2)} ms, max ${most.toFixed(2)} ms, ${((total(part) / total('all')) * 100).toFixed(1)} % of all`,
       );
     }
   }

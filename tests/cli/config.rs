@@ -1,4 +1,4 @@
-//! Settings of `serve` by file, environment and options.
+//! Settings of `serve` from the file, environment variables and options.
 
 use std::process::Command;
 
@@ -10,7 +10,7 @@ fn config(folder: &Folder, variables: &[(&str, &str)], args: &[&str]) -> Run {
     Run::from(command.output().unwrap())
 }
 
-fn has(run: &Run, line: &str) {
+fn has_line(run: &Run, line: &str) {
     assert!(run.out.lines().any(|l| l == line), "{line:?} is not in:\n{}", run.out);
 }
 
@@ -46,33 +46,33 @@ fn options_override_variables_the_file_and_defaults() {
         "days = 9 # file",
         "budget-ms = 12.5 # file",
     ] {
-        has(&run, line);
+        has_line(&run, line);
     }
-    // the path of the file from the environment; the printed settings are a file with the same values
+    // `tmpi config` prints a valid settings file; TMPI_CONFIG names it
     f.write("again.toml", run.out.as_bytes());
     let again = config(&f, &[("TMPI_CONFIG", "again.toml")], &[]).succeeds();
-    has(&again, "views = 8 # file");
+    has_line(&again, "views = 8 # file");
     let values = |run: &Run| run.out.lines().map(|l| l.split(" #").next().unwrap().to_owned()).collect::<Vec<_>>();
     assert_eq!(values(&again), values(&run));
 }
 
 #[test]
-fn every_option_of_serve_is_a_setting_of_the_file_and_in_the_schema() {
+fn every_option_of_serve_is_in_the_file_and_the_schema() {
     let f = Folder::new();
     let help = f.run(&["serve", "--help"]).succeeds().out;
-    let told = config(&f, &[], &[]).succeeds().out;
+    let printed = config(&f, &[], &[]).succeeds().out;
     let schema: serde_json::Value = serde_json::from_str(&config(&f, &[], &["--schema"]).succeeds().out).unwrap();
     let options: Vec<&str> = help.lines().filter_map(|l| l.trim_start().strip_prefix("--")?.split([' ', '[']).next()).collect();
     assert!((20..40).contains(&options.len()), "{options:?}");
     for option in options.iter().filter(|o| !["config", "set", "help"].contains(*o)) {
-        assert!(told.lines().any(|l| l.trim_start_matches("# ").starts_with(&format!("{option} ="))), "{option}:\n{told}");
+        assert!(printed.lines().any(|l| l.trim_start_matches("# ").starts_with(&format!("{option} ="))), "{option}:\n{printed}");
         assert!(schema["properties"][option]["description"].is_string(), "{option}");
     }
     assert_eq!(schema["properties"]["limits"]["properties"]["body"]["format"], "MiB");
 }
 
 #[test]
-fn wrong_settings_are_refused_by_name() {
+fn invalid_settings_are_rejected_by_name() {
     let f = Folder::new();
     for (text, words) in [
         ("quue = 3", &["tmpi.toml", "quue", "tmpi config"][..]),
@@ -88,7 +88,7 @@ fn wrong_settings_are_refused_by_name() {
         ("[limits]\npixels = 100000", &["tmpi.toml", "limits.pixels", "1 to 50", "100000"]),
         ("[limits]\nqueue = 1\nqueue = 2", &["tmpi.toml", "queue"]),
         ("queue =", &["tmpi.toml"]),
-        // checks of `serve` before it starts
+        // `serve` checks these before it starts
         ("[quotas]\nphotos = 3", &["quotas", "--access private"]),
         ("advertise = \"http://127.0.0.1:8080\"", &["--database"]),
         ("blobs = \"s3://host/folder\"", &["--blobs", "--database"]),
@@ -113,7 +113,7 @@ fn wrong_settings_are_refused_by_name() {
 }
 
 #[test]
-fn files_that_serve_would_fail_on_are_an_error() {
+fn config_rejects_files_that_serve_cannot_use() {
     let f = Folder::new();
     f.write("short", b"too short for a key");
     f.write("no.pem", b"no certificate");
@@ -141,26 +141,26 @@ fn derived_settings_are_shown_with_their_values() {
         "# rooms = 16",
         "# link-days = 366",
     ] {
-        has(&run, line);
+        has_line(&run, line);
     }
     let run = config(&f, &[], &["--addr", "0.0.0.0:80", "--data", "photos"]).succeeds();
     for line in ["# access = \"private\"", "# lame-duck = 5", "# requests = 6000", "data = \"photos\" # command line"] {
-        has(&run, line);
+        has_line(&run, line);
     }
 }
 
 #[test]
-fn secrets_in_addresses_are_hidden() {
+fn secrets_in_urls_are_hidden() {
     let f = Folder::new();
     let args =
         ["--database", "postgres://me:secret@127.0.0.1:5432/tmpi", "--blobs", "s3://bucket", "--otlp", "http://me:secret@127.0.0.1:4318"];
     let run = config(&f, &[], &[&args[..], &["--network-url", "https://me:secret@host/net.onnx?signature=secret"]].concat()).succeeds();
     assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1:5432"), "{}", run.out);
-    has(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
-    // error messages hide them, too
+    has_line(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
+    // error messages hide them too
     for (name, value) in [("--otlp", "ftp://me:secret@127.0.0.1"), ("--database", "postgres://me:secret@host")] {
-        let said = config(&f, &[], &[name, value]).fails(2, &[name]);
-        assert!(!said.contains("secret"), "{said}");
+        let error = config(&f, &[], &[name, value]).fails(2, &[name]);
+        assert!(!error.contains("secret"), "{error}");
     }
 }
 
@@ -177,27 +177,28 @@ fn key_commands_use_the_servers_settings() {
     // a folder without a library
     std::fs::create_dir_all(f.path("other")).unwrap();
     for folder in ["tmpi-data", "other"] {
-        let named = ["--data", folder];
-        key(&f, &[], &[&add[..], &named].concat()).fails(2, &[folder, "--create"]);
-        key(&f, &[], &[&["list"][..], &named].concat()).fails(2, &[folder, "--config"]);
-        key(&f, &[], &[&["remove", "me"][..], &named].concat()).fails(2, &[folder]);
+        let data = ["--data", folder];
+        key(&f, &[], &[&add[..], &data].concat()).fails(2, &[folder, "--create"]);
+        key(&f, &[], &[&["list"][..], &data].concat()).fails(2, &[folder, "--config"]);
+        key(&f, &[], &[&["remove", "me"][..], &data].concat()).fails(2, &[folder]);
     }
     assert!(!f.path("tmpi-data").exists() && !f.path("other/library.db").exists());
     key(&f, &[], &[&add[..], &["--data", "served", "--create"]].concat()).succeeds();
-    let of = |variables: &[(&str, &str)], args: &[&str]| key(&f, variables, &[&["list"][..], args].concat()).succeeds().out.lines().count();
-    assert_eq!(of(&[("TMPI_SERVE_DATA", "served")], &[]), 1);
-    // the data folder from the file and from variables; the command line counts first
+    let count =
+        |variables: &[(&str, &str)], args: &[&str]| key(&f, variables, &[&["list"][..], args].concat()).succeeds().out.lines().count();
+    assert_eq!(count(&[("TMPI_SERVE_DATA", "served")], &[]), 1);
+    // the file and variables name the data folder; the command line overrides both
     f.write("tmpi.toml", b"data = \"served\"\n[limits]\nqueue = 3\n");
     key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &add).succeeds();
-    assert_eq!((of(&[("TMPI_CONFIG", "tmpi.toml")], &[]), of(&[], &["--data", "served"])), (2, 2));
+    assert_eq!((count(&[("TMPI_CONFIG", "tmpi.toml")], &[]), count(&[], &["--data", "served"])), (2, 2));
     key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &["list", "--data", "other"]).fails(2, &["other"]);
-    // `fsck` and `gc` read them, too
+    // `fsck` and `gc` read the file too
     for command in ["fsck", "gc"] {
         let run = f.run(&[command, "--config", "tmpi.toml"]).succeeds();
         assert!(run.out.starts_with("0 "), "{}", run.out);
         f.run(&[command, "--data", "other"]).fails(2, &["other"]);
     }
-    // unknown names are errors, as for `serve`
+    // unknown names are errors, as in `serve`
     f.write("tmpi.toml", b"quue = 3");
     key(&f, &[], &["list", "--config", "tmpi.toml"]).fails(2, &["quue"]);
     key(&f, &[("TMPI_SERVE_QUUE", "3")], &["list", "--data", "served"]).fails(2, &["TMPI_SERVE_QUUE"]);
@@ -206,7 +207,7 @@ fn key_commands_use_the_servers_settings() {
 }
 
 #[test]
-fn work_takes_the_settings_of_serve_and_needs_a_database() {
+fn work_accepts_settings_of_serve_and_needs_a_database() {
     let f = Folder::new();
     f.run(&["work"]).fails(2, &["--database"]);
     f.write("tmpi.toml", b"quue = 3");

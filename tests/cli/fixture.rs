@@ -1,4 +1,4 @@
-//! A folder with a photo, and runs of the built program in it.
+//! A folder with a photo, in which tests run the built program.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb};
 use serde_json::Value;
 
-/// A folder with a photo of a box before a wall, and its depth map.
+/// A temporary folder with a photo of a box in front of a wall, and its depth map.
 pub struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -36,26 +36,26 @@ impl Folder {
 
     pub fn run(&self, args: &[&str]) -> Run {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-        // relative to the repository, not to the folder of the run
+        // relative to the repository, because the program runs in another folder
         let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
         if std::env::var_os("ORT_DYLIB_PATH").is_none() && library.is_file() {
             command.env("ORT_DYLIB_PATH", library);
         }
-        // tests do not use networks that this machine's user has fetched
+        // tests must not use networks that the user has downloaded
         command.env("TMPI_MODELS", self.path("models")).env_remove("TMPI_DEPTH_MODEL");
         Run::from(command.current_dir(self.0.path()).env_remove("RUST_LOG").args(args).output().unwrap())
     }
 
-    /// A container of the photo and its depth map.
+    /// Makes `box.tmpi` from the photo and its depth map.
     pub fn container(&self) -> &Self {
         self.run(&["make", "box.png", "--depth", "depth.png", "-o", "box.tmpi", "-q"]).succeeds();
         self
     }
 
-    /// True if the embedded depth network can run.
+    /// Whether the embedded depth network can run.
     pub fn has_depth(&self) -> bool {
         let run = self.run(&["depth", "box.png", "-q", "--raw", "-o", "probe.pfm"]);
-        // only a missing library is a reason to skip a test
+        // skip only if ONNX Runtime is missing
         assert!(run.code == 0 || run.err.contains("ONNX Runtime"), "{}", run.err);
         tmpi_testing::Need::Onnx.or_skip(if run.code == 0 { Ok(()) } else { Err(run.err) }).is_some()
     }
@@ -92,7 +92,7 @@ impl Run {
         self
     }
 
-    /// Expects a failure with empty standard output and an error that contains every word; returns the error.
+    /// Asserts a failure with empty standard output and an error that contains every word; returns the error.
     pub fn fails(self, code: i32, words: &[&str]) -> String {
         assert_eq!((self.code, self.out.as_str()), (code, ""), "{}", self.err);
         for word in words {

@@ -7,7 +7,7 @@ use tmpi::server::{Access, Route, routes};
 
 use crate::access::{HOST, id, private, secret, upload};
 use crate::client::{Response, request};
-use crate::fixture::{Running, jpeg};
+use crate::fixture::{Running, jpeg, wait_until};
 use crate::keys::{self, Scope};
 use crate::matrix::{MORE, target};
 
@@ -217,8 +217,8 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
         rebound("a rebound name", vec![]),
         rebound("a rebound name, the owner's browser", vec![cookie]),
     ];
-    // until the link of one second has expired
-    std::thread::sleep(std::time::Duration::from_millis(2100));
+    let expiring = format!("/v1/photos/{of_ann}?{over}");
+    wait_until("the link of one second has expired", || request(server.addr, "GET", &expiring, &[HOST], &[]).status == 404);
     for visibility in ["private", "link"] {
         let shown = visibility == "link";
         for (who, photo) in [(&ann, &of_ann), (&site, &of_site)] {

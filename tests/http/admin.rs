@@ -69,7 +69,7 @@ fn admin_routes_are_on_their_own_listener() {
 #[test]
 fn idle_caches_are_emptied() {
     let dir = tempfile::tempdir().unwrap();
-    let limits = Limits { rest: Duration::from_millis(500), ..Limits::default() };
+    let limits = Limits { idle: Duration::from_millis(500), ..Limits::default() };
     let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
     let id = server.upload(&jpeg(1));
     server.wait(&id, "done");

@@ -42,7 +42,7 @@ fn claims(format: PictureFormat, side: u16) -> Vec<u8> {
     let wide = u32::from(side).to_be_bytes();
     match format {
         PictureFormat::Png => [b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".as_slice(), &wide, &wide, &[8, 2, 0, 0, 0, 1, 2, 3, 4]].concat(),
-        PictureFormat::Jpeg => {
+        PictureFormat::Jpeg | PictureFormat::Mpo => {
             let frame = [&[0xFF, 0xC0, 0, 17, 8][..], &side.to_be_bytes(), &side.to_be_bytes(), &[3, 1, 0x11, 0, 2, 0x11, 1, 3, 0x11, 1]];
             [&[0xFF, 0xD8][..], &frame.concat()].concat()
         }

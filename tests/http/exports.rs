@@ -235,7 +235,7 @@ mod processes {
 
     /// A server with a finished photo, whose writer process has already written a page.
     fn with_writer(data: &Path, arguments: &[&str], photo: &[u8]) -> (Process, String) {
-        let server = Process::start_with(data, &[&["--set", "limits.drain=5", "--set", "limits.rest=600"], arguments].concat());
+        let server = Process::start_with(data, &[&["--set", "limits.drain=5", "--set", "limits.idle=600"], arguments].concat());
         let id = upload_with(server.addr, photo, &[]);
         wait_until("it is done", || get(server.addr, &format!("/v1/photos/{id}")).json()["state"] == "done");
         written(server.addr, &id, "format=html");

@@ -201,10 +201,7 @@ fn event_streams_have_their_own_places() {
     assert_eq!(first.head().unwrap().status, 200);
     get(server.addr, &path).problem(503);
     drop(first);
-    wait_until("the place is free", || {
-        std::thread::sleep(Duration::from_millis(20));
-        ask(&server, &path).head().unwrap().status == 200
-    });
+    wait_until("the place is free", || ask(&server, &path).head().unwrap().status == 200);
 }
 
 #[test]

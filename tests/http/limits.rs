@@ -204,8 +204,7 @@ fn a_running_job_ends_within_the_drain_time() {
     let queued = server.upload(&jpeg(2));
     gate.wait_started(1);
     server.signal();
-    std::thread::sleep(Duration::from_millis(100));
-    assert!(std::net::TcpStream::connect(server.addr).is_err(), "no new connections");
+    wait_until("no new connections are accepted", || std::net::TcpStream::connect(server.addr).is_err());
     gate.open(1);
     server.stop();
     assert_eq!((gate.finished.load(Ordering::SeqCst), gate.started.load(Ordering::SeqCst)), (1, 1), "the queued one waits");

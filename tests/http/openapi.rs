@@ -203,7 +203,11 @@ fn words_of_the_document_are_those_that_are_taken() {
         for parameter in parameters.iter().filter(|p| p["in"] == "query" && p["schema"]["type"] == "string" && p["name"] != "v") {
             let name = parameter["name"].as_str().unwrap();
             let ask = |value: &str| {
-                let film = if value == "mp4" { "path=orbit&" } else { "" };
+                let film = match value {
+                    "mp4" => "path=orbit&",
+                    "mpo" => "stereo=sbs&",
+                    _ => "",
+                };
                 let frames = if name == "path" || value == "mp4" { "frames=2&" } else { "" };
                 let rest = if part == "view" { "w=8&" } else { "" };
                 let model = if matches!(name, "shape" | "textures") { "format=glb&" } else { "" };

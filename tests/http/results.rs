@@ -205,6 +205,11 @@ fn views_in_every_format_with_their_timing() {
     };
     assert_eq!((size("w=40"), size("h=30"), size("w=10&h=50")), ((40, 30), (40, 30), (10, 50)));
     assert_eq!((size("stereo=sbs&w=40"), size("stereo=anaglyph&w=40"), size("quilt=3x2&w=40")), ((80, 30), (40, 30), (120, 60)));
+    let pair = view("stereo=sbs&format=mpo&w=40", &[]);
+    assert_eq!(pair.header("content-type"), Some("image/mpo"));
+    let eyes = pair.body.windows(4).filter(|w| w == b"\xff\xd8\xff\xe2").count();
+    assert_eq!((eyes, image::load_from_memory_with_format(&pair.body, image::ImageFormat::Jpeg).unwrap().width()), (2, 40));
+    assert_eq!((size("stereo=half-sbs&w=40"), size("stereo=top-bottom&w=40"), size("stereo=crossed&w=40")), ((40, 30), (40, 60), (80, 30)));
     assert_eq!(view("tx=0.0200001", &[]).body, view("tx=0.02", &[]).body, "poses that look the same");
     assert!(!view("tx=0.02", &[]).all("server-timing").contains("render;dur="), "kept, not drawn again");
     for (query, field) in [("tx=NaN", "tx"), ("yaw=inf", "yaw"), ("w=0", "w"), ("w=16384&h=16384", "w"), ("fov=180", "fov"), ("x=1", "x")] {

@@ -235,5 +235,6 @@ fn pictures_of_all_directions_are_refused_with_what_helps() {
     refused(named(b""));
     let flat = named(b"--x\r\ncontent-disposition: form-data; name=\"stereo\"\r\n\r\nnone\r\n");
     assert_eq!(report(server.addr, &flat)["depth_model"], "ramp");
-    assert_eq!(sent(server.addr, &[("photo", &sphere)]).status, 201);
+    refused(sent(server.addr, &[("photo", &sphere)]));
+    assert_eq!(sent(server.addr, &[("photo", &sphere), ("stereo", b"none")]).status, 201);
 }

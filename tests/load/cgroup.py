@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""The whole server in a cgroup with a memory limit (root only): with 256 MB it serves 2 MP photos and refuses 50 MP with the needed memory, with 1 GB it
-makes 50 MP. Afterwards resident memory returns to near its start, and stays flat over many jobs, views and abandoned requests."""
-import argparse, json, os, socket, time
+"""Runs the whole server in a cgroup with a memory limit (root only). With 256 MB it serves 2 MP photos and rejects 50 MP with the required memory; with
+1 GB it makes 50 MP. Resident memory then returns to about its idle value, and stays flat over many jobs, views and abandoned requests."""
+import argparse, os, socket, time
 from pathlib import Path
-from common import Server, Table, check, children, end, noise, ramp, small, smooth, status_kib
+from common import Server, Table, check, children, depth_map, finish, small, smooth, status_kib
 
 V1, V2 = Path("/sys/fs/cgroup/memory"), Path("/sys/fs/cgroup")
 
 
 class Group:
-    """A cgroup of `mib`, without swap."""
+    """A cgroup with `mib` of memory and no swap."""
 
     def __init__(self, mib):
         self.v1 = V1.is_dir()
@@ -22,12 +22,12 @@ class Group:
     def peak_mib(self):
         return int((self.path / ("memory.max_usage_in_bytes" if self.v1 else "memory.peak")).read_text()) / (1 << 20)
 
-    def killed(self):
+    def oom_kills(self):
         text = (self.path / ("memory.oom_control" if self.v1 else "memory.events")).read_text()
         return next(int(line.split()[1]) for line in text.splitlines() if line.startswith("oom_kill "))
 
     def prefix(self):
-        # the shell is in the group before it becomes the server
+        # the shell joins the group, then becomes the server
         return ["sh", "-c", f'echo $$ > {self.path}/cgroup.procs && exec "$0" "$@"']
 
     def remove(self):
@@ -38,7 +38,7 @@ def resident(server):
     return sum(status_kib(pid, "VmRSS") for pid in [server.process.pid, *children(server.process.pid)]) / 1024
 
 
-def within(table, mib, arguments, megapixels, makes_large):
+def run_within(table, mib, arguments, megapixels, makes_large):
     group = Group(mib)
     server = Server(*arguments, prefix=group.prefix())
     idle = resident(server)
@@ -46,7 +46,7 @@ def within(table, mib, arguments, megapixels, makes_large):
     for seed in range(5):
         began = time.monotonic()
         status, answer = server.upload(smooth(megapixels, seed=seed))
-        if not check(status in (201, 202), f"{mib} MiB: a photo of {megapixels} MP is taken: {status} {answer.get('detail')}"):
+        if not check(status in (201, 202), f"{mib} MiB: the server accepts a photo of {megapixels} MP: {status} {answer.get('detail')}"):
             break
         state = server.wait(answer["id"])
         check(state["state"] == "done", f"{mib} MiB: a photo of {megapixels} MP is made: {state.get('error') or state['state']}")
@@ -58,24 +58,24 @@ def within(table, mib, arguments, megapixels, makes_large):
     if makes_large:
         made = status in (201, 202) and server.wait(answer["id"])["state"]
         check(made == "done", f"{mib} MiB: 50 MP is made: {status} {answer.get('detail')} {made}")
-        told = made
+        outcome = made
     else:
-        told = f"{status}: {answer.get('detail')}"
-        check(status == 413 and any(c.isdigit() for c in told[4:]), f"{mib} MiB: 50 MP is refused with the figure: {told}")
+        outcome = f"{status}: {answer.get('detail')}"
+        check(status == 413 and any(c.isdigit() for c in outcome[4:]), f"{mib} MiB: the server rejects 50 MP with the required memory: {outcome}")
     time.sleep(30)
     after = resident(server)
-    check(after <= 1.1 * idle, f"{mib} MiB: resident {after:.0f} MiB 30 s after, {idle:.0f} before")
-    check(group.killed() == 0, f"{mib} MiB: the system killed {group.killed()}")
-    table.row(f"{mib} MiB", f"{sum(took) / max(1, len(took)):.1f} s", told, f"{group.peak_mib():.0f} MiB", f"{idle:.0f} / {after:.0f} MiB", group.killed())
+    check(after <= 1.1 * idle, f"{mib} MiB: resident {after:.0f} MiB after 30 s, {idle:.0f} MiB before")
+    check(group.oom_kills() == 0, f"{mib} MiB: the kernel killed {group.oom_kills()} processes")
+    table.row(f"{mib} MiB", f"{sum(took) / max(1, len(took)):.1f} s", outcome, f"{group.peak_mib():.0f} MiB", f"{idle:.0f} / {after:.0f} MiB", group.oom_kills())
     server.remove()
     time.sleep(0.5)
     group.remove()
 
 
 def flat(table, jobs, views, abandoned):
-    """Resident memory after each sixth of all this. Photos go again after it: of each that stays the index has some 2.4 kB."""
+    """Measures resident memory after each sixth of the work. Deletes the photos after each sixth: the index keeps about 2.4 kB per photo."""
     server = Server("--set", "limits.queue=100000")
-    sizes, depth = [], ramp()
+    sizes, depth = [], depth_map()
     first, ids = None, []
     for part in range(6):
         for n in range(jobs // 6):
@@ -94,23 +94,23 @@ def flat(table, jobs, views, abandoned):
                 s.sendall(f"GET /v1/photos/{first}/view?w=64&ty={(part * abandoned + n) / (abandoned * 12):.7f} HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n".encode())
         for n, photo in enumerate(ids[1:]):
             status = server.request("DELETE", f"/v1/photos/{photo}")[0]
-            check(status == 204, f"photo {n} goes: {status}")
+            check(status == 204, f"the server deletes photo {n}: {status}")
         ids = ids[:1]
         time.sleep(2)
         sizes.append(server.resident_mib())
-    # the first parts fill the caches, which have a bound
+    # the first parts fill the caches, which are bounded
     check(sizes[-1] <= 1.05 * sizes[2] + 4, f"memory grows: {sizes}")
     table.row(jobs, views, abandoned, " / ".join(f"{s:.0f}" for s in sizes))
     server.remove()
 
 
 def view(connection, path):
-    """Over a connection that is kept."""
+    """Fetches a view over a kept-alive connection."""
     connection.request("GET", path)
     answer = connection.getresponse()
     answer.read()
     if not check(answer.status == 200, f"{path}: {answer.status}"):
-        raise SystemExit("no figure is worth anything")
+        raise SystemExit("a view failed, so the measurement is invalid")
 
 
 def main():
@@ -120,14 +120,14 @@ def main():
     args = args.parse_args()
     if args.only != "flat":
         if os.geteuid():
-            raise SystemExit("only root makes a cgroup here")
-        table = Table("bound", "a photo of 2 MP", "50 MP", "peak", "resident idle / 30 s after", "killed")
-        within(table, 256, ("--memory", "256"), 2, False)
-        within(table, 1024, ("--memory", "1024"), 2, True)
+            raise SystemExit("a cgroup needs root")
+        table = Table("limit", "time for 2 MP", "50 MP", "peak", "resident idle / after 30 s", "OOM kills")
+        run_within(table, 256, ("--memory", "256"), 2, False)
+        run_within(table, 1024, ("--memory", "1024"), 2, True)
     if args.only != "bounds":
         table = Table("jobs", "views", "abandoned", "resident after each sixth, MiB")
         flat(table, *((10_000, 100_000, 10_000) if args.full else (300, 3_000, 300)))
-    end()
+    finish()
 
 
 main()

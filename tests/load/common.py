@@ -1,6 +1,6 @@
-"""A server of its own on a free port with data in a temporary folder, pictures, a client, and tables. Python's standard library alone.
+"""Shared parts of the load scripts: a server on a free port with data in a temporary folder, a client, pictures, and tables.
 
-Programs: `target/release/tmpi`, or what `TMPI` names, and `tmpi-lab` beside it. Scripts connect only to servers that they start.
+Runs `target/release/tmpi`, or the program in `TMPI`, and `tmpi-lab` beside it. Scripts connect only to servers that they start.
 """
 import atexit, contextlib, http.client, json, os, shutil, signal, socket, sqlite3, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
 from pathlib import Path
@@ -21,6 +21,7 @@ def status_kib(pid, field):
 
 
 def children(pid):
+    """Process ids of direct children."""
     found = []
     for name in os.listdir("/proc"):
         if name.isdigit():
@@ -34,26 +35,26 @@ def children(pid):
 
 
 class Server:
-    """`tmpi serve` in a folder of its own."""
+    """A running `tmpi serve` with its own data folder."""
 
     def __init__(self, *args, data=None, env=None, ready=60, prefix=(), host="127.0.0.1", port=0):
-        self.own, self.prefix, self.place = data is None, list(prefix), f"{host}:{port}"
+        owns_data, self.prefix, self.listen = data is None, list(prefix), f"{host}:{port}"
         self.data = Path(data or tempfile.mkdtemp(prefix="tmpi-load-"))
         self.log = open(self.data.parent / (self.data.name + ".log"), "a")
         self.args, self.env = args, {**os.environ, "RUST_LOG": "warn", **(env or {})}
-        if self.own:
+        if owns_data:
             atexit.register(self.remove)
         self.start(ready)
 
     def start(self, ready=60):
-        command = [*self.prefix, PROGRAM, "serve", "--addr", self.place, "--data", str(self.data / "data"), *self.args]
+        command = [*self.prefix, PROGRAM, "serve", "--addr", self.listen, "--data", str(self.data / "data"), *self.args]
         began = time.monotonic()
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.log, env=self.env, text=True)
         line = self.process.stdout.readline().strip()
-        self.scheme, _, place = line.partition("://")
+        self.scheme, _, authority = line.partition("://")
         if self.scheme not in ("http", "https"):
-            raise SystemExit(f"the server does not start: see {self.log.name}")
-        host, port = place.rsplit(":", 1)
+            raise SystemExit(f"the server did not start: see {self.log.name}")
+        host, port = authority.rsplit(":", 1)
         self.address = (host, int(port))
         while self.get("/healthz", timeout=ready)[0] != 200:
             time.sleep(0.01)
@@ -66,16 +67,16 @@ class Server:
         return http.client.HTTPConnection(*self.address, timeout=timeout)
 
     def request(self, method, path, body=None, headers=None, timeout=120):
-        """Status, headers and body; status 0 where there is no answer."""
+        """Returns status, headers and body; status 0 without a response."""
         connection = self.connect(timeout)
         try:
             try:
                 connection.request(method, path, body, headers or {})
             except (BrokenPipeError, ConnectionResetError):
-                # it may be refused before all of it is sent
+                # the server may respond before it has read the whole body
                 pass
-            answer = connection.getresponse()
-            return answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read()
+            response = connection.getresponse()
+            return response.status, {k.lower(): v for k, v in response.getheaders()}, response.read()
         except (OSError, http.client.HTTPException) as error:
             return 0, {}, str(error).encode()
         finally:
@@ -86,26 +87,26 @@ class Server:
 
     def state(self, photo):
         status, _, body = self.get(f"/v1/photos/{photo}")
-        return json.loads(body) if status == 200 else {"state": f"answer {status}"}
+        return json.loads(body) if status == 200 else {"state": f"status {status}"}
 
     def upload(self, photo, depth=None, query="", timeout=120, **options):
-        """Status and JSON of the answer."""
+        """Uploads a photo; returns status and JSON of the response."""
         if depth is None and not options:
             status, _, body = self.request("POST", "/v1/photos" + query, photo, timeout=timeout)
         else:
             parts = {"photo": photo, **({"depth": depth} if depth else {}), **{k: str(v).encode() for k, v in options.items()}}
-            kind, body = form(parts)
-            status, _, body = self.request("POST", "/v1/photos" + query, body, {"content-type": kind}, timeout)
+            content_type, body = multipart(parts)
+            status, _, body = self.request("POST", "/v1/photos" + query, body, {"content-type": content_type}, timeout)
         try:
             return status, json.loads(body)
         except ValueError:
             return status, {"detail": body[:200].decode(errors="replace")}
 
     def wait(self, photo, seconds=600, wanted=("done", "failed", "damaged")):
-        end = time.monotonic() + seconds
+        deadline = time.monotonic() + seconds
         while True:
             state = self.state(photo)
-            if state["state"] in wanted or time.monotonic() > end:
+            if state["state"] in wanted or time.monotonic() > deadline:
                 return state
             time.sleep(0.02)
 
@@ -116,10 +117,10 @@ class Server:
         return 0.0
 
     def peak_mib(self):
-        """Peak resident memory of the server, and of the process that makes photos now."""
-        own = status_kib(self.process.pid, "VmHWM") / 1024
+        """Peak resident memory of the server, and of the largest process that makes photos."""
+        server = status_kib(self.process.pid, "VmHWM") / 1024
         makers = [status_kib(child, "VmHWM") / 1024 for child in children(self.process.pid)]
-        return own, max(makers, default=0.0)
+        return server, max(makers, default=0.0)
 
     def resident_mib(self):
         return status_kib(self.process.pid, "VmRSS") / 1024
@@ -143,19 +144,20 @@ class Server:
         Path(self.log.name).unlink(missing_ok=True)
 
 
-def form(parts):
-    boundary, body = "a-boundary-that-is-in-no-part", b""
+def multipart(parts):
+    """Returns content type and body of a form."""
+    boundary, body = "a-boundary-that-no-part-contains", b""
     for name, value in parts.items():
         body += f'--{boundary}\r\ncontent-disposition: form-data; name="{name}"; filename="f"\r\n\r\n'.encode() + value + b"\r\n"
     return f"multipart/form-data; boundary={boundary}", body + f"--{boundary}--\r\n".encode()
 
 
 class Watch:
-    """Another client that asks for something light all the time, and the peaks of the processes meanwhile."""
+    """Measures latency of another client that sends light requests, and peak memory, while a script loads the server."""
 
     def __init__(self, server, path="/healthz", every=0.05):
         self.server, self.path, self.every = server, path, every
-        self.times, self.failed, self.peak, self.maker = [], 0, 0.0, 0.0
+        self.times, self.failed, self.peak, self.maker_peak = [], 0, 0.0, 0.0
         self.running = True
         self.thread = threading.Thread(target=self.run, daemon=True)
 
@@ -165,8 +167,8 @@ class Watch:
             status = self.server.get(self.path, timeout=20)[0]
             self.times.append(time.monotonic() - began)
             self.failed += status != 200
-            own, maker = self.server.peak_mib()
-            self.peak, self.maker = max(self.peak, own), max(self.maker, maker)
+            server, maker = self.server.peak_mib()
+            self.peak, self.maker_peak = max(self.peak, server), max(self.maker_peak, maker)
             time.sleep(self.every)
 
     def __enter__(self):
@@ -184,12 +186,12 @@ class Watch:
             "worst": f"{times[-1] * 1e3:.0f} ms",
             "not 200": f"{self.failed} of {len(self.times)}",
             "server": f"{self.peak:.0f} MiB",
-            "maker": f"{self.maker:.0f} MiB",
+            "maker": f"{self.maker_peak:.0f} MiB",
         }
 
 
 class Table:
-    """Rows as they come, as markdown."""
+    """Prints rows of a Markdown table as they arrive."""
 
     def __init__(self, *columns):
         self.columns = columns
@@ -203,17 +205,17 @@ class Table:
 failures = []
 
 
-def check(holds, what):
-    """Remembers what does not hold; see `end`."""
-    if not holds:
+def check(ok, what):
+    """Records a failed check; `finish` reports it."""
+    if not ok:
         failures.append(what)
-        print(f"**does not hold: {what}**", flush=True)
-    return holds
+        print(f"**failed: {what}**", flush=True)
+    return ok
 
 
-def end():
-    """Status 1 where something did not hold."""
-    print(f"\n{len(failures)} of the checks do not hold" if failures else "\nall checks hold")
+def finish():
+    """Exits with status 1 if a check failed."""
+    print(f"\n{len(failures)} checks failed" if failures else "\nall checks passed")
     sys.exit(1 if failures else 0)
 
 
@@ -222,65 +224,66 @@ def chunk(kind, data):
 
 
 def png(width, height, channels, rows, extra=b""):
-    """A PNG of 8 bits, grey (1) or RGB (3), of rows of bytes; `extra`: chunks before the pixels."""
-    coder, body = zlib.compressobj(1), []
+    """Encodes rows of bytes as an 8-bit PNG, grey (1) or RGB (3); `extra`: chunks before the pixels."""
+    compressor, body = zlib.compressobj(1), []
     for row in rows:
-        body.append(coder.compress(b"\0" + row))
-    body.append(coder.flush())
+        body.append(compressor.compress(b"\0" + row))
+    body.append(compressor.flush())
     head = struct.pack(">IIBBBBB", width, height, 8, {1: 0, 3: 2}[channels], 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + extra + chunk(b"IDAT", b"".join(body)) + chunk(b"IEND", b"")
 
 
 def size_of(megapixels):
+    """Width and height at 4:3."""
     width = int((megapixels * 1e6 * 4 / 3) ** 0.5)
     return width, int(megapixels * 1e6 / width)
 
 
 def noise(megapixels, channels=3, levels=2):
-    """Every pixel of its own."""
+    """Random pixels."""
     width, height = size_of(megapixels)
     table = bytes((i % levels) * (255 // max(1, levels - 1)) for i in range(256))
     return png(width, height, channels, (os.urandom(width * channels).translate(table) for _ in range(height)))
 
 
 def smooth(megapixels, channels=3, seed=0):
-    """A ramp to the right; another picture for each seed."""
+    """A ramp to the right; each seed gives another picture."""
     width, height = size_of(megapixels)
     row = bytes((x * 255 // width + seed) % 256 for x in range(width) for _ in range(channels))
     return png(width, height, channels, (row for _ in range(height)))
 
 
 def small(seed, width=480, height=360):
-    """A picture with edges; another one for each seed."""
+    """A picture with edges; each seed gives another picture."""
     rows = [
         bytes(v for x in range(width) for v in (40 if (x // 60 + y // 45 + seed) % 2 else 200, x * 255 // width, (y + 7 * seed) % 256))
         for y in range(height)
     ]
-    # the rows repeat after 256 seeds
+    # the other rows repeat after 256 seeds
     rows[0] = seed.to_bytes(3, "big") + rows[0][3:]
     return png(width, height, 3, rows)
 
 
-def ramp(width=80, height=60):
-    """A depth map of two steps: no network is needed."""
+def depth_map(width=80, height=60):
+    """A depth map with two values; the server then needs no network to estimate depth."""
     return png(width, height, 1, (bytes(64 if x < width // 2 else 192 for x in range(width)) for _ in range(height)))
 
 
-def raw(server, request, timeout=20):
-    """Sends bytes and gives the open socket."""
+def send_raw(server, request, timeout=20):
+    """Sends bytes and returns the open socket."""
     connection = socket.create_connection(server.address, timeout)
     connection.sendall(request)
     return connection
 
 
-def contents(server, photo, part):
-    """Files of a part of a photo."""
+def blob_files(server, photo, part):
+    """Files of one part of a photo in the blob store."""
     return list((server.data / "data/blobs" / photo[:2]).glob(f"{photo}-{part}-*"))
 
 
-def multiply(server, photo, ids):
-    """Enters a photo again under other ids, which share its contents, while the server is stopped."""
+def duplicate_photo(server, photo, ids):
+    """Adds rows that share a photo's blobs under other ids; the server must be stopped."""
     with contextlib.closing(sqlite3.connect(server.data / "data/library.db")) as database, database:
         columns = ", ".join(row[1] for row in database.execute("PRAGMA table_info(photos)") if row[1] not in ("id", "accepted_at", "listed_at"))
-        entered = f"INSERT INTO photos (id, accepted_at, listed_at, {columns}) SELECT ?, ?, ?, {columns} FROM photos WHERE id = ?"
-        database.executemany(entered, ((other, n, n, photo) for n, other in enumerate(ids)))
+        insert = f"INSERT INTO photos (id, accepted_at, listed_at, {columns}) SELECT ?, ?, ?, {columns} FROM photos WHERE id = ?"
+        database.executemany(insert, ((other, n, n, photo) for n, other in enumerate(ids)))

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""`kill -9` under uploads loses and fails nothing; damage on disk is noticed, reported and repaired; damaged JPEGs are refused or reported."""
+"""`kill -9` during uploads loses no photo and fails none; the server detects, reports and repairs corrupted blobs; it rejects or reports damaged JPEGs."""
 import argparse, json, os, queue, threading, time
-from common import check, contents, end, ramp, small, Server, Table
+from common import Server, Table, blob_files, check, depth_map, finish, small
 
 
 def crashes(table, kills, uploads):
@@ -9,7 +9,7 @@ def crashes(table, kills, uploads):
     photos, accepted = queue.Queue(), {}
     for seed in range(uploads):
         photos.put((seed, small(seed)))
-    depth, stop = ramp(), threading.Event()
+    depth, stop = depth_map(), threading.Event()
 
     def client():
         while not stop.is_set():
@@ -47,50 +47,57 @@ def crashes(table, kills, uploads):
     lost = len(set(accepted.values()) - listed)
     failed = sum(state != "done" for state in states)
     left = os.listdir(server.data / "data/blobs/incoming")
-    check(len(accepted) == uploads and not lost and not failed and not unreadable and not left, f"{uploads} uploads, {lost} lost, {failed} failed, {unreadable} unreadable, {left}")
-    table.row(f"{done_kills} × kill -9 under {uploads} uploads", f"{lost} lost, {failed} failed, {unreadable} unreadable", f"{took:.0f} s")
+    complete = len(accepted) == uploads and not lost and not failed and not unreadable and not left
+    check(complete, f"no photo is lost or fails: {uploads} uploads, {lost} lost, {failed} failed, {unreadable} unreadable, {left}")
+    table.row(f"{done_kills} × kill -9 during {uploads} uploads", f"{lost} lost, {failed} failed, {unreadable} unreadable", f"{took:.0f} s")
     server.remove()
 
 
-def damage(table):
+def corruption(table):
     server = Server()
-    photo, depth = small(1), ramp()
+    photo, depth = small(1), depth_map()
     status, answer = server.upload(photo, depth)
-    check(server.wait(answer["id"])["state"] == "done", "a photo is made")
-    whole = contents(server, answer["id"], "container")[0].read_bytes()
+    check(server.wait(answer["id"])["state"] == "done", "the photo is made")
+    whole = blob_files(server, answer["id"], "container")[0].read_bytes()
     flipped = bytearray(whole)
     flipped[len(whole) // 2] ^= 1
-    for name, bytes_ in (("flipped", bytes(flipped)), ("cut", whole[: len(whole) // 2]), ("missing", None)):
-        for ask in ("atlas", "view?w=33", None):
+    for name, bytes_ in (("flipped", bytes(flipped)), ("truncated", whole[: len(whole) // 2]), ("missing", None)):
+        for path in ("atlas", "view?w=33", None):
             server.stop()
-            atlas = contents(server, answer["id"], "container")[0]
+            atlas = blob_files(server, answer["id"], "container")[0]
             atlas.unlink() if bytes_ is None else atlas.write_bytes(bytes_)
             server.start()
-            told = server.get(f"/v1/photos/{answer['id']}/{ask}")[0] if ask else "not asked"
+            response = server.get(f"/v1/photos/{answer['id']}/{path}")[0] if path else "no request"
             state = server.wait(answer["id"], 30)["state"]
-            if ask:
-                check((told, state) == (500, "damaged"), f"{name}, {ask}: told {told}, state {state}")
+            if path:
+                check((response, state) == (500, "damaged"), f"{name}, {path}: status {response}, state {state}")
             server.upload(photo, depth)
             after = server.wait(answer["id"])["state"]
-            healed = after == "done" and server.get(f"/v1/photos/{answer['id']}/atlas")[2] == whole
-            check(healed, f"{name}, {ask}: healed by the same upload")
-            table.row(f"atlas {name}, asked for {ask or 'nothing'}", f"told {told}, state {state}", "healed" if healed else "not healed")
+            repaired = after == "done" and server.get(f"/v1/photos/{answer['id']}/atlas")[2] == whole
+            check(repaired, f"{name}, {path}: the same upload repairs the photo")
+            table.row(f"atlas {name}, GET {path or 'nothing'}", f"status {response}, state {state}", "repaired" if repaired else "not repaired")
     jpeg = server.get(f"/v1/photos/{answer['id']}/view?w=480&format=jpeg")[2]
-    spoilt = bytearray(jpeg)
-    spoilt[len(jpeg) // 2 : len(jpeg) // 2 + 400] = b"\x55" * 400
-    for name, bytes_ in (("whole", jpeg), ("end in the middle", jpeg[: len(jpeg) // 2] + b"\xff\xd9"), ("last tenth gone", jpeg[: len(jpeg) * 9 // 10]), ("400 bytes overwritten", bytes(spoilt))):
+    overwritten = bytearray(jpeg)
+    overwritten[len(jpeg) // 2 : len(jpeg) // 2 + 400] = b"\x55" * 400
+    files = {
+        "intact": jpeg,
+        "end marker in the middle": jpeg[: len(jpeg) // 2] + b"\xff\xd9",
+        "last tenth missing": jpeg[: len(jpeg) * 9 // 10],
+        "400 bytes overwritten": bytes(overwritten),
+    }
+    for name, bytes_ in files.items():
         status, got = server.upload(bytes_, depth)
-        told = got.get("detail", "")[:60]
+        outcome = got.get("detail", "")[:60]
         if status in (201, 202):
             state = server.wait(got["id"])
             report = json.loads(server.get(f"/v1/photos/{got['id']}/report")[2]) if state["state"] == "done" else {}
             problem = state.get("problem", {}).get("type", "").rsplit(":", 1)[-1]
-            told = f"{state['state']} {problem}, damaged: {report.get('input', {}).get('damaged')}"
-            said = bool(report.get("input", {}).get("damaged")) or problem == "broken-photo"
-            check((name == "whole") != said, f"JPEG, {name}: {told}")
+            outcome = f"{state['state']} {problem}, damaged: {report.get('input', {}).get('damaged')}"
+            reported = bool(report.get("input", {}).get("damaged")) or problem == "broken-photo"
+            check((name == "intact") != reported, f"JPEG, {name}: {outcome}")
         else:
-            check(status == 422 and name != "whole", f"JPEG, {name}: {status} {told}")
-        table.row(f"JPEG, {name}", status, told)
+            check(status == 422 and name != "intact", f"JPEG, {name}: {status} {outcome}")
+        table.row(f"JPEG, {name}", status, outcome)
     server.remove()
 
 
@@ -98,10 +105,10 @@ def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--full", action="store_true")
     full = args.parse_args().full
-    table = Table("what", "outcome", "then")
+    table = Table("case", "outcome", "then")
     crashes(table, 30 if full else 5, 100 if full else 20)
-    damage(table)
-    end()
+    corruption(table)
+    finish()
 
 
 main()

@@ -1,4 +1,5 @@
-"""Rooms of several nodes on a PostgreSQL and an S3 server of their own: what viewers at an edge cost beside viewers at the origin, and how long the origin's end is felt."""
+"""Rooms on several nodes with PostgreSQL and an S3 server: compares the cost of viewers at an edge and at the origin, and measures how long a killed origin
+interrupts viewers."""
 import os, shutil, subprocess, sys, tempfile, time
 from pathlib import Path
 from common import PROGRAM, Server, Table, check
@@ -7,7 +8,7 @@ from engines import Postgres, free_port, s3_server
 VIEWERS = 200
 
 
-def node(postgres, s3):
+def start_node(postgres, s3):
     port = free_port()
     env = {
         "TMPI_SERVE_DATABASE": postgres.url,
@@ -19,32 +20,32 @@ def node(postgres, s3):
 
 def edges(stream, full):
     if not Postgres.PROGRAMS:
-        print("skipped, no PostgreSQL")
+        print("skipped: PostgreSQL is not installed")
         return
     folder = Path(tempfile.mkdtemp(prefix="tmpi-edges-"))
     postgres, s3 = Postgres(folder), s3_server()
-    nodes = [node(postgres, s3) for _ in range(3)]
-    print(f"\nload of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} processors\n")
-    cost(nodes, stream, 20 if full else 8)
+    nodes = [start_node(postgres, s3) for _ in range(3)]
+    print(f"\nmachine load {os.getloadavg()[0]:.1f}, {os.cpu_count()} processors\n")
+    measure_cost(nodes, stream, 20 if full else 8)
     print()
-    table = Table("round", "publisher back after", "viewers at an edge go on after that, median", "worst", "sent away")
-    worst = [killed(nodes, stream, n, table) for n in range(10 if full else 3)]
-    check(max(worst) <= 2, f"viewers at an edge go on within 2 s of the publisher: {max(worst):.2f} s")
+    table = Table("round", "publisher back after", "viewers at an edge resume after that, median", "worst", "disconnected")
+    worst = [kill_origin(nodes, stream, n, table) for n in range(10 if full else 3)]
+    check(max(worst) <= 2, f"viewers at an edge resume within 2 s of the publisher: {max(worst):.2f} s")
     for server in nodes:
         log = Path(server.log.name).read_text()
-        check("panicked" not in log, f"nothing panicked: {log[-500:]}")
+        check("panicked" not in log, f"no thread panics: {log[-500:]}")
         server.stop()
     s3.kill()
     postgres.kill()
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def cost(nodes, stream, seconds):
-    """Processor time and bytes for viewers at the origin, then for as many at an edge."""
+def measure_cost(nodes, stream, seconds):
+    """Measures CPU time and bytes for viewers at the origin, then for as many at an edge."""
     from live import Readers, Viewer, cpu, publisher
     a, _, c = nodes
-    table = Table("viewers", "at", "CPU of the origin", "CPU of the edge", "of it a viewer and frame", "kB/s a viewer", "frames/s", "lost", "resident: origin, edge")
-    sends = publisher(a, "cost", stream)
+    table = Table("viewers", "at", "CPU of the origin", "CPU of the edge", "CPU per viewer and frame", "kB/s per viewer", "frames/s", "lost", "resident: origin, edge")
+    publishing = publisher(a, "cost", stream)
     for count, at in ((0, "origin"), (VIEWERS, "origin"), (1, "edge"), (VIEWERS, "edge")):
         server, readers = (a if at == "origin" else c), Readers()
         viewers = [Viewer(server, "cost") for _ in range(count)]
@@ -63,40 +64,40 @@ def cost(nodes, stream, seconds):
         table.row(count, at, *(f"{100 * s / took:.0f} %" for s in spent), f"{each:.1f} µs" if count > 1 else "", f"{(now[0] - sent) / share / 1e3:.1f}", f"{rate:.1f}",
                   now[2] - lost, f"{a.resident_mib():.0f}, {c.resident_mib():.0f} MiB")
         readers.stop()
-    wait(lambda: c.metric("tmpi_live_edges") == 0, "an edge without viewers ends")
-    sends.kill(), sends.wait()
+    wait(lambda: c.metric("tmpi_live_edges") == 0, "an edge without viewers unsubscribes")
+    publishing.kill(), publishing.wait()
 
 
-def killed(nodes, stream, n, table):
-    """Kills the origin of a room whose viewers are at an edge; gives the longest time until one goes on after the publisher is back."""
+def kill_origin(nodes, stream, n, table):
+    """Kills the origin of a room with viewers at an edge; returns the longest time from the publisher's return until a viewer resumes."""
     from live import Readers, Viewer
     a, b, c = nodes
     room, readers = f"killed{n}", Readers()
     addresses = ",".join(f"http://{s.address[0]}:{s.address[1]}/live/{room}" for s in (a, b))
     command = [PROGRAM, "live", "publish", stream, "--room", addresses, "--times", "100000"]
-    sends = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    wait(lambda: b'"publishing":true' in a.get(f"/v1/live/{room}")[2], "the room is there")
+    publishing = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait(lambda: b'"publishing":true' in a.get(f"/v1/live/{room}")[2], "the publisher is connected")
     viewers = [Viewer(c, room) for _ in range(VIEWERS)]
     for viewer in viewers:
         readers.add(viewer)
     wait(lambda: all(v.begun for v in viewers), "all viewers see the room")
     a.kill()
-    end = time.monotonic()
+    killed_at = time.monotonic()
     wait(lambda: b'"publishing":true' in b.get(f"/v1/live/{room}")[2], "the publisher is back")
     back = time.monotonic()
-    wait(lambda: all(v.begun and v.begun > end for v in viewers if v not in readers.closed), "all viewers go on")
+    wait(lambda: all(v.begun and v.begun > killed_at for v in viewers if v not in readers.closed), "all viewers resume")
     late = sorted(max(0, v.begun - back) for v in viewers if v.begun)
-    check(not readers.closed, f"viewers at an edge stay: {len(readers.closed)} were sent away")
-    table.row(n, f"{(back - end) * 1e3:.0f} ms", f"{late[len(late) // 2] * 1e3:.0f} ms", f"{late[-1] * 1e3:.0f} ms", len(readers.closed))
+    check(not readers.closed, f"viewers at an edge stay connected: {len(readers.closed)} were disconnected")
+    table.row(n, f"{(back - killed_at) * 1e3:.0f} ms", f"{late[len(late) // 2] * 1e3:.0f} ms", f"{late[-1] * 1e3:.0f} ms", len(readers.closed))
     readers.stop()
-    sends.kill(), sends.wait()
+    publishing.kill(), publishing.wait()
     a.start()
     return late[-1]
 
 
-def wait(true_now, what, seconds=30):
-    until = time.monotonic() + seconds
-    while not true_now():
-        if time.monotonic() > until:
-            sys.exit(f"{seconds} s are over before {what}")
+def wait(condition, what, seconds=30):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > deadline:
+            sys.exit(f"timed out after {seconds} s: {what}")
         time.sleep(0.01)

@@ -1,9 +1,9 @@
-"""Engines that load scripts start and stop: PostgreSQL, an S3 server (moto), what stands between them and the nodes, and clocks that jump."""
+"""Services that load scripts start and stop: PostgreSQL, an S3 server (moto), a proxy, networks that can be disconnected, and clocks that jump."""
 import os, shutil, socket, socketserver, subprocess, sys, threading, time
 from pathlib import Path
 from common import ROOT
 
-# where `cargo xtask test` puts it
+# `cargo xtask test` installs it here
 S3_PACKAGES = ROOT / ".tmpi/s3-server"
 
 
@@ -13,9 +13,9 @@ def free_port():
         return s.getsockname()[1]
 
 
-def listening(port, host="127.0.0.1"):
-    until = time.monotonic() + 30
-    while time.monotonic() < until:
+def wait_for_port(port, host="127.0.0.1"):
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
         try:
             socket.create_connection((host, port), 1).close()
             return
@@ -24,8 +24,8 @@ def listening(port, host="127.0.0.1"):
     raise SystemExit(f"nothing listens on {host}:{port}")
 
 
-class Place:
-    """Where a process runs: this machine, or a part of a network that can be cut off."""
+class Location:
+    """Where a process runs: on this machine, or in a network namespace that can be disconnected."""
 
     def __init__(self, name=None, host="127.0.0.1"):
         self.name, self.host = name, host
@@ -33,10 +33,10 @@ class Place:
 
 
 class Network:
-    """Places behind a bridge, each with an address and a link of its own. Only root makes one."""
+    """Network namespaces behind a bridge, each with its own address and link; needs root."""
 
     def __init__(self):
-        self.key, self.places = f"tmpi{os.getpid() % 10000}", []
+        self.key, self.locations = f"tmpi{os.getpid() % 10000}", []
         subprocess.run(["ip", "link", "add", self.key, "type", "bridge"], check=True, capture_output=True)
         self.ip("addr", "add", "10.213.0.1/24", "dev", self.key)
         self.ip("link", "set", self.key, "up")
@@ -45,40 +45,40 @@ class Network:
     def ip(*words):
         subprocess.run(["ip", *words], check=True)
 
-    def place(self):
-        n = len(self.places)
+    def add_location(self):
+        n = len(self.locations)
         name, link = f"{self.key}-{n}", f"{self.key}l{n}"
         self.ip("netns", "add", name)
         self.ip("link", "add", link, "type", "veth", "peer", "name", "eth0", "netns", name)
         self.ip("link", "set", link, "master", self.key, "up")
-        place = Place(name, f"10.213.0.{n + 2}")
-        for words in (["link", "set", "lo", "up"], ["addr", "add", f"{place.host}/24", "dev", "eth0"], ["link", "set", "eth0", "up"]):
+        location = Location(name, f"10.213.0.{n + 2}")
+        for words in (["link", "set", "lo", "up"], ["addr", "add", f"{location.host}/24", "dev", "eth0"], ["link", "set", "eth0", "up"]):
             self.ip("-n", name, *words)
-        place.link = link
-        self.places.append(place)
-        return place
+        location.link = link
+        self.locations.append(location)
+        return location
 
-    def set(self, places, cut):
-        for place in places:
-            self.ip("link", "set", place.link, "down" if cut else "up")
+    def set_connected(self, locations, connected):
+        for location in locations:
+            self.ip("link", "set", location.link, "up" if connected else "down")
 
     def remove(self):
-        for place in self.places:
-            subprocess.run(["ip", "netns", "del", place.name], capture_output=True)
-            subprocess.run(["ip", "link", "del", place.link], capture_output=True)
+        for location in self.locations:
+            subprocess.run(["ip", "netns", "del", location.name], capture_output=True)
+            subprocess.run(["ip", "link", "del", location.link], capture_output=True)
         subprocess.run(["ip", "link", "del", self.key], capture_output=True)
 
 
 class Engine:
-    """A process on a port of its own."""
+    """A process that listens on its own port."""
 
-    def __init__(self, command, port, place=Place(), env=None):
-        self.command, self.port, self.place, self.env = [*place.prefix, *command], port, place, env
+    def __init__(self, command, port, location=Location(), env=None):
+        self.command, self.port, self.location, self.env = [*location.prefix, *command], port, location, env
         self.start()
 
     def start(self):
         self.process = subprocess.Popen(self.command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=self.env)
-        listening(self.port, self.place.host)
+        wait_for_port(self.port, self.location.host)
 
     def kill(self):
         self.process.kill()
@@ -86,14 +86,14 @@ class Engine:
 
 
 class Postgres:
-    """A PostgreSQL server in a folder, at a socket there; it can be killed and started again."""
+    """A PostgreSQL server with data and socket in a folder; it can be killed and restarted."""
 
     PROGRAMS = next((p.parent for p in sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)), None)
 
     def __init__(self, folder):
         self.folder = folder / "postgres"
         self.folder.mkdir()
-        # PostgreSQL refuses to be root's
+        # PostgreSQL refuses to run as root
         self.user = {"user": "postgres", "group": "postgres"} if os.geteuid() == 0 else {}
         if self.user:
             folder.chmod(0o755)
@@ -119,26 +119,26 @@ class Postgres:
 
 
 class Proxy:
-    """Passes connections on, and answers 503 while `away`."""
+    """Forwards connections, and responds with 503 while `down`."""
 
     def __init__(self, port):
-        proxy, self.away, self.open = self, False, set()
+        proxy, self.down, self.open = self, False, set()
 
         class Handler(socketserver.BaseRequestHandler):
             def handle(self):
-                if proxy.away:
+                if proxy.down:
                     self.request.recv(65536)
                     self.request.sendall(b"HTTP/1.1 503 Slow Down\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")
                     return
-                there = socket.create_connection(("127.0.0.1", port))
-                pair = (self.request, there)
+                upstream = socket.create_connection(("127.0.0.1", port))
+                pair = (self.request, upstream)
                 proxy.open.add(pair)
-                back = threading.Thread(target=copy, args=(there, self.request), daemon=True)
+                back = threading.Thread(target=copy, args=(upstream, self.request), daemon=True)
                 back.start()
-                copy(self.request, there)
+                copy(self.request, upstream)
                 back.join()
                 proxy.open.discard(pair)
-                there.close()
+                upstream.close()
 
         class Listener(socketserver.ThreadingTCPServer):
             daemon_threads, allow_reuse_address, request_queue_size = True, True, 128
@@ -147,14 +147,14 @@ class Proxy:
         self.port = self.server.server_address[1]
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
 
-    def set(self, away):
-        self.away = away
-        for pair in list(self.open) if away else []:
+    def set_down(self, down):
+        self.down = down
+        for pair in list(self.open) if down else []:
             for s in pair:
-                shut(s)
+                shut_down(s)
 
 
-def shut(s):
+def shut_down(s):
     try:
         s.shutdown(socket.SHUT_RDWR)
     except OSError:
@@ -167,22 +167,22 @@ def copy(source, target):
             target.sendall(data)
     except OSError:
         pass
-    shut(target)
+    shut_down(target)
 
 
-def s3_server(place=Place()):
-    """An empty bucket `photos` in memory."""
+def s3_server(location=Location()):
+    """Starts an S3 server in memory with an empty bucket `photos`."""
     port = free_port()
     paths = [str(S3_PACKAGES), os.environ.get("PYTHONPATH", "")]
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in paths if p)}
-    engine = Engine([sys.executable, "-m", "moto.server", "-H", place.host, "-p", str(port)], port, place, env)
+    engine = Engine([sys.executable, "-m", "moto.server", "-H", location.host, "-p", str(port)], port, location, env)
     import urllib.request
-    urllib.request.urlopen(urllib.request.Request(f"http://{place.host}:{port}/photos", method="PUT"), timeout=10)
+    urllib.request.urlopen(urllib.request.Request(f"http://{location.host}:{port}/photos", method="PUT"), timeout=10)
     return engine
 
 
 class Clock:
-    """The time of day as one process sees it (libfaketime); what it measures durations by goes on as it does."""
+    """Shifts the wall clock of a process (libfaketime); its monotonic clock is unchanged."""
 
     LIBRARY = next((p for p in Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1")), None)
 
@@ -192,7 +192,7 @@ class Clock:
         self.env = {"LD_PRELOAD": str(self.LIBRARY), "FAKETIME_TIMESTAMP_FILE": str(self.file), "FAKETIME_NO_CACHE": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
 
     def set(self, seconds):
-        # read at any time: whole or not at all
+        # the process may read the file at any time, so replace it atomically
         part = self.file.with_suffix(".part")
         part.write_text(f"{seconds:+d}s\n")
         part.replace(self.file)

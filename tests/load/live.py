@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Hundreds of viewers of a room, some of which stop reading; rooms of several nodes, of which the origin is killed; peers of every hostile kind. Memory,
-frames lost, time to be live again."""
+"""Hundreds of viewers of a room, some of which pause reading; rooms on several nodes whose origin is killed; hostile publishers. Measures memory, lost
+frames, and the time until viewers are live again."""
 import argparse, base64, os, random, selectors, socket, struct, subprocess, tempfile, threading, time
 from pathlib import Path
-from common import LAB, PROGRAM, Server, Table, check, end, status_kib
+from common import LAB, PROGRAM, Server, Table, check, finish
 
 HELLO, VIDEO, GEOMETRY, SNAPSHOT, SOUND, STATISTICS, BYE, CREDIT = range(1, 9)
 SIZE = (320, 240)
@@ -33,7 +33,7 @@ def video(number, data, key=False):
 
 
 def fields(message):
-    """Numbers and values of a message's fields: bytes, or numbers."""
+    """Field numbers of a message with their values, bytes or integers."""
     at, found = 0, {}
 
     def number():
@@ -64,13 +64,13 @@ def fields(message):
 
 
 class Socket:
-    """A WebSocket of our own: it can stop reading, and say what no library would."""
+    """A minimal WebSocket client that can pause reading and send malformed frames."""
 
     def __init__(self, server, path, buffer=None):
         self.socket = socket.socket()
         if buffer:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
-            # as over a network: segments of this machine's own size do not fit into so small a window, and wait for probes, ever more seldom
+            # loopback segments do not fit into such a small window and would wait for ever rarer probes, so use the size of a network's segments
             self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, 1448)
         self.socket.settimeout(30)
         self.socket.connect(server.address)
@@ -88,16 +88,16 @@ class Socket:
         self.buffer, self.part = bytearray(rest), b""
 
     def raw(self, opcode, payload, length=None):
-        """One frame, masked with zeros, of which the head may lie about the length."""
+        """Sends one frame masked with zeros; `length` may differ from the payload's."""
         length = len(payload) if length is None else length
-        small = bytes([length]) if length < 126 else b"\x7e" + struct.pack(">H", length) if length < 65536 else b"\x7f" + struct.pack(">Q", length)
-        self.socket.sendall(bytes([opcode]) + bytes([small[0] | 128]) + small[1:] + bytes(4) + payload)
+        head = bytes([length]) if length < 126 else b"\x7e" + struct.pack(">H", length) if length < 65536 else b"\x7f" + struct.pack(">Q", length)
+        self.socket.sendall(bytes([opcode]) + bytes([head[0] | 128]) + head[1:] + bytes(4) + payload)
 
     def send(self, message):
         self.raw(0x82, message)
 
     def messages(self):
-        """Whole messages among what has come; the last one is none where the other side has closed."""
+        """Yields complete messages from the buffer, and None when the server has closed."""
         buffer = self.buffer
         while len(buffer) >= 2:
             length, head = buffer[1] & 127, 2
@@ -110,7 +110,7 @@ class Socket:
             if len(buffer) < head + length:
                 break
             opcode, payload = buffer[0] & 15, bytes(buffer[head:head + length])
-            # removed before it is yielded, so that a caller who stops iterating does not get it again
+            # remove it before the yield, so that a caller that stops iterating does not get it again
             del buffer[:head + length]
             if opcode == 8:
                 yield None
@@ -118,7 +118,7 @@ class Socket:
                 yield payload
 
     def receive(self, seconds=30):
-        """Messages as they come, until the other side closes."""
+        """Yields messages as they arrive, until the server closes."""
         deadline = time.monotonic() + seconds
         while True:
             for message in self.messages():
@@ -134,8 +134,8 @@ class Socket:
                 return
             self.buffer += some
 
-    def farewell(self, seconds=30):
-        """The reason that it is sent away with."""
+    def bye_reason(self, seconds=30):
+        """The reason in the server's BYE."""
         for message in self.receive(seconds):
             kinds = fields(message)
             if BYE in kinds:
@@ -147,13 +147,13 @@ class Socket:
 
 
 class Viewer:
-    """What one viewer has got."""
+    """One viewer, with counts of what it has received."""
 
     def __init__(self, server, room, buffer=None):
         self.server, self.room, self.rcvbuf = server, room, buffer
         self.frames, self.lost, self.last, self.messages, self.bytes = 0, 0, None, 0, 0
         self.reconnects = 0
-        # when the first frame came after the last HELLO
+        # time of the first frame after the last HELLO
         self.begun = None
         self.open()
 
@@ -162,21 +162,21 @@ class Viewer:
         self.first, self.tiles, self.shown = None, False, False
         self.socket = Socket(self.server, f"/v1/live/{self.room}/subscribe", self.rcvbuf)
         if self.socket.status != 101:
-            raise SystemExit(f"a viewer does not come in: {self.socket.status}")
+            raise SystemExit(f"a viewer cannot connect: {self.socket.status}")
         self.socket.socket.setblocking(False)
-        self.take(b"")
+        self.process(b"")
 
     def read(self):
-        """False where the other side has closed."""
+        """Returns False when the server has closed."""
         try:
             some = self.socket.socket.recv(1 << 18)
         except BlockingIOError:
             return True
         except OSError:
             return False
-        return bool(some) and self.take(some)
+        return bool(some) and self.process(some)
 
-    def take(self, some):
+    def process(self, some):
         self.bytes += len(some)
         self.socket.buffer += some
         for message in self.socket.messages():
@@ -231,7 +231,7 @@ class Readers:
                     if not key.data.read():
                         self.selector.unregister(key.fileobj)
                         self.closed.append(key.data)
-            # many messages at once take less time than each by itself
+            # reading many messages at once costs less than reading each alone
             time.sleep(0.01)
 
     def stop(self):
@@ -242,13 +242,13 @@ class Readers:
 
 
 def cpu(process):
-    """Seconds of processor time."""
+    """CPU seconds."""
     text = open(f"/proc/{process.pid}/stat").read().rsplit(")", 1)[1].split()
     return (int(text[11]) + int(text[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def unsent(server):
-    """Bytes in the kernel that each of the server's connections has yet to take, the most."""
+    """Most unsent bytes that the kernel holds for one of the server's connections."""
     port, most = f"{server.address[1]:04X}", 0
     for line in open("/proc/net/tcp").readlines()[1:]:
         words = line.split()
@@ -258,35 +258,36 @@ def unsent(server):
 
 
 def publisher(server, room, stream):
+    """Starts a publisher and waits for its first frame."""
     address = f"http://{server.address[0]}:{server.address[1]}/live/{room}"
     command = [PROGRAM, "live", "publish", stream, "--room", address, "--times", "100000"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    until = time.monotonic() + 30
-    while server.get(f"/v1/live/{room}/frames/latest/atlas")[0] != 200 and time.monotonic() < until:
+    deadline = time.monotonic() + 30
+    while server.get(f"/v1/live/{room}/frames/latest/atlas")[0] != 200 and time.monotonic() < deadline:
         time.sleep(0.05)
     return process
 
 
 def audience(server, stream, count, stalled, seconds, table):
     room = f"room{count}"
-    sends = publisher(server, room, stream)
+    publishing = publisher(server, room, stream)
     readers, viewers = Readers(), []
     before = server.resident_mib()
     for n in range(count):
-        # what a stalled one holds should lie on the server's side
+        # small receive buffers, so that the backlog of stalled viewers stays on the server
         viewers.append(Viewer(server, room, 65536 if n < stalled else None))
         readers.add(viewers[-1])
     time.sleep(3)
-    quiet, stops = server.resident_mib(), viewers[:stalled]
+    joined, pausing = server.resident_mib(), viewers[:stalled]
     spent, began, highest, most = cpu(server.process), time.monotonic(), 0.0, 0
     frames = viewers[-1].frames
     samples, back = [], []
-    # half of them come back before the server gives them up, half after
+    # half of them resume before the server disconnects them, half after
     naps = [min(8, seconds / 4), min(20, seconds / 2)]
     asleep = {}
     while time.monotonic() - began < seconds:
         now = time.monotonic() - began
-        for n, viewer in enumerate(stops):
+        for n, viewer in enumerate(pausing):
             nap = naps[n % 2]
             if id(viewer) not in asleep and now > 1 and now + nap + 3 < seconds:
                 readers.pause(viewer)
@@ -294,7 +295,7 @@ def audience(server, stream, count, stalled, seconds, table):
             elif id(viewer) in asleep and asleep[id(viewer)] is not None and now - asleep[id(viewer)] > nap:
                 asleep[id(viewer)] = None
                 threading.Thread(target=wake, args=(viewer, viewers[-1], readers, back), daemon=True).start()
-        if all(v is None for v in asleep.values()) and len(back) == len(stops) and now + naps[1] + 3 < seconds:
+        if all(v is None for v in asleep.values()) and len(back) == len(pausing) and now + naps[1] + 3 < seconds:
             asleep, done = {}, back
         resident = server.resident_mib()
         samples.append(resident)
@@ -307,28 +308,28 @@ def audience(server, stream, count, stalled, seconds, table):
     first = sorted(v.first or 99 for v in viewers)
     third = len(samples) // 3
     flat = max(samples[-third:]) - max(samples[:third])
-    check(not readers.closed or stalled, f"{len(readers.closed)} viewers were sent away")
-    check(max(samples[-third:]) < max(samples[:third]) * 1.05 + 4, f"memory is flat: {max(samples[:third]):.0f}, then {max(samples[-third:]):.0f} MiB")
+    check(not readers.closed or stalled, f"no viewer is disconnected: {len(readers.closed)} were")
+    check(max(samples[-third:]) < max(samples[:third]) * 1.05 + 4, f"memory stays flat: {max(samples[:third]):.0f}, then {max(samples[-third:]):.0f} MiB")
     if stalled:
-        each = (highest - quiet) / stalled
-        check(each <= 1 and most <= 1 << 20, f"a stalled viewer holds 1 MiB at most: {each:.2f} MiB, {most} B in the kernel")
-        check(back and max(back) <= 1, f"live again within a second: {[round(b, 2) for b in back]}")
-        check(lost == 0, f"those that read lose no frame: {lost} lost")
-        check(first[-1] <= 0.3, f"the first picture with depth within 300 ms of coming in: {first[-1]:.3f} s")
+        each = (highest - joined) / stalled
+        check(each <= 1 and most <= 1 << 20, f"a stalled viewer takes at most 1 MiB: {each:.2f} MiB, {most} B in the kernel")
+        check(back and max(back) <= 1, f"viewers are live again within a second: {[round(b, 2) for b in back]}")
+        check(lost == 0, f"viewers that read lose no frame: {lost} lost")
+        check(first[-1] <= 0.3, f"viewers get the first picture with depth within 300 ms: {first[-1]:.3f} s")
     table.row(count, stalled, f"{took:.0f} s", f"{rate:.1f}", lost, f"{first[len(first) // 2] * 1e3:.0f} ms", f"{first[-1] * 1e3:.0f} ms",
-              f"{before:.0f} / {quiet:.0f} / {highest:.0f} MiB", f"{flat:+.1f} MiB", f"{most >> 10} KiB", f"{max(back, default=0) * 1e3:.0f} ms",
+              f"{before:.0f} / {joined:.0f} / {highest:.0f} MiB", f"{flat:+.1f} MiB", f"{most >> 10} KiB", f"{max(back, default=0) * 1e3:.0f} ms",
               f"{100 * spent / took:.0f} %", f"{1e6 * spent / took / max(1, count) / max(rate, 1):.1f} µs", f"{os.getloadavg()[0]:.1f}")
     readers.stop()
-    sends.kill()
-    sends.wait()
+    publishing.kill()
+    publishing.wait()
     return rate, lost
 
 
 def wake(viewer, other, readers, back):
-    """Reads on; notes how long it takes until the viewer is where another one is."""
+    """Resumes reading; records how long the viewer takes to catch up with `other`."""
     began = time.monotonic()
     try:
-        # what lay in the sockets may end in the news that the server gave up
+        # the backlog may end with the server's close frame
         alive, quiet = True, 0
         while alive and quiet < 3:
             before = viewer.bytes
@@ -349,11 +350,11 @@ def wake(viewer, other, readers, back):
         back.append(time.monotonic() - began)
         readers.resume(viewer)
     except OSError as error:
-        check(False, f"a viewer that was asleep comes back: {error}")
+        check(False, f"a paused viewer resumes: {error}")
 
 
 def units(stream):
-    """Access units of a stream that begins each with a delimiter, a parameter set or a slice of one picture."""
+    """Splits an H.264 stream into access units with one picture slice each; returns (data, is_key)."""
     data, starts = Path(stream).read_bytes(), []
     at = data.find(b"\0\0\1")
     while at >= 0:
@@ -371,11 +372,11 @@ def units(stream):
 
 
 def hostile(server, stream, table, full):
-    room = f"/v1/live/cellar/publish"
+    room = "/v1/live/cellar/publish"
     pictures = units(stream)
 
-    def opened(first=None):
-        # the previous publisher may not be gone yet
+    def connect(first=None):
+        # the previous publisher may still be connected
         for _ in range(200):
             client = Socket(server, room)
             if first is None:
@@ -387,19 +388,19 @@ def hostile(server, stream, table, full):
                 break
             client.close()
             time.sleep(0.05)
-        raise SystemExit("the room is not free")
+        raise SystemExit("the room is still taken")
 
-    def says(what):
+    def on_connect(action):
         def play():
-            client = opened()
-            what(client)
+            client = connect()
+            action(client)
             return client
         return play
 
-    def after_hello(what, first=hello()):
+    def after_hello(action, first=hello()):
         def play():
-            client = opened(first)
-            what(client)
+            client = connect(first)
+            action(client)
             return client
         return play
 
@@ -429,8 +430,8 @@ def hostile(server, stream, table, full):
                     if BYE in kinds:
                         mutated.reasons.append(fields(kinds[BYE]).get(1, b"").decode())
                         client.close()
-                        fresh = opened(hello())
-                        client.socket, client.buffer = fresh.socket, fresh.buffer
+                        new = connect(hello())
+                        client.socket, client.buffer = new.socket, new.buffer
                         credit, number = 2, 0
                         break
                 else:
@@ -441,27 +442,27 @@ def hostile(server, stream, table, full):
     mutated.reasons = []
     many = 200_000 if full else 3_000
     cases = [
-        ("a text", says(lambda c: c.raw(0x81, b"hello")), "binary"),
-        ("nonsense", says(lambda c: c.send(b"\xff" * 60)), "not a message"),
-        ("an empty message", says(lambda c: c.send(b"")), "no known kind"),
-        ("video before HELLO", says(lambda c: c.send(video(0, b"x", True))), "HELLO"),
-        ("another version", says(lambda c: c.send(hello(version=9))), "version"),
-        ("frames of 100 000×9", says(lambda c: c.send(hello(size=(100_000, 9)))), "100000"),
-        ("an unknown codec", says(lambda c: c.send(hello("hev1.1"))), "hev1"),
-        ("a million empty chunks", says(lambda c: c.send(field(GEOMETRY, b"\x12\0" * 500_000))), "chunks"),
-        ("a message of 8 EiB", says(lambda c: c.raw(0x82, b"x", 1 << 62)), ""),
-        ("2 MiB of fragments", says(lambda c: [c.raw(0x02, bytes(4096))] + [c.raw(0x00, bytes(4096)) for _ in range(511)]), ""),
-        ("silence", says(lambda c: None), "nothing came"),
-        ("no key frame first", after_hello(lambda c: c.send(video(0, b"x"))), "key"),
-        ("out of order", after_hello(lambda c: [c.send(video(0, pictures[0][0], True)), c.send(video(5, b"x"))]), "was due"),
-        ("a frame of 1 MiB and a byte", after_hello(lambda c: c.send(video(0, bytes((1 << 20) + 1), True))), "over"),
-        ("what viewers are sent", after_hello(lambda c: c.send(field(SNAPSHOT, b""))), "do not send"),
+        ("a text message", on_connect(lambda c: c.raw(0x81, b"hello")), "binary"),
+        ("bytes that are no message", on_connect(lambda c: c.send(b"\xff" * 60)), "not a message"),
+        ("an empty message", on_connect(lambda c: c.send(b"")), "no known kind"),
+        ("video before HELLO", on_connect(lambda c: c.send(video(0, b"x", True))), "HELLO"),
+        ("unknown version", on_connect(lambda c: c.send(hello(version=9))), "version"),
+        ("100 000×9 frames", on_connect(lambda c: c.send(hello(size=(100_000, 9)))), "100000"),
+        ("an unknown codec", on_connect(lambda c: c.send(hello("hev1.1"))), "hev1"),
+        ("half a million empty chunks", on_connect(lambda c: c.send(field(GEOMETRY, b"\x12\0" * 500_000))), "chunks"),
+        ("a frame that claims 4 EiB", on_connect(lambda c: c.raw(0x82, b"x", 1 << 62)), ""),
+        ("2 MiB of fragments", on_connect(lambda c: [c.raw(0x02, bytes(4096))] + [c.raw(0x00, bytes(4096)) for _ in range(511)]), ""),
+        ("no message", on_connect(lambda c: None), "nothing came"),
+        ("first frame is no key frame", after_hello(lambda c: c.send(video(0, b"x"))), "key"),
+        ("frames out of order", after_hello(lambda c: [c.send(video(0, pictures[0][0], True)), c.send(video(5, b"x"))]), "was due"),
+        ("a frame of 1 MiB + 1 byte", after_hello(lambda c: c.send(video(0, bytes((1 << 20) + 1), True))), "over"),
+        ("a message for viewers", after_hello(lambda c: c.send(field(SNAPSHOT, b""))), "do not send"),
         ("10 000 frames at once", after_hello(flood), "credit"),
-        ("no video at all, 40 times", after_hello(lambda c: [c.send(video(0, b"\0\0\1\x65zzz", True)), c.send(video(1, b"", True))]), "nothing came"),
+        ("invalid video", after_hello(lambda c: [c.send(video(0, b"\0\0\1\x65zzz", True)), c.send(video(1, b"", True))]), "nothing came"),
         (f"{many} damaged frames", after_hello(mutated(many)), "do not send"),
-        ("silence after HELLO", after_hello(lambda c: None), "nothing came"),
+        ("no message after HELLO", after_hello(lambda c: None), "nothing came"),
     ]
-    sends = publisher(server, "attic", stream)
+    publishing = publisher(server, "attic", stream)
     watcher, readers = Viewer(server, "attic"), Readers()
     readers.add(watcher)
     for name, play, words in cases:
@@ -469,22 +470,22 @@ def hostile(server, stream, table, full):
         reason = ""
         try:
             client = play()
-            reason = client.farewell(20)
+            reason = client.bye_reason(20)
             client.close()
         except OSError as error:
-            reason = f"cut off ({error})" if not words or "credit" in words else f"no reason: {error}"
+            reason = f"connection lost ({error})" if not words or "credit" in words else f"no reason: {error}"
         took = time.monotonic() - began
-        check(words in reason or reason.startswith("cut off"), f"{name}: sent away with {words!r}: {reason!r}")
+        check(words in reason or reason.startswith("connection lost"), f"{name}: disconnected with {words!r}: {reason!r}")
         rate = (watcher.frames - frames) / max(took, 0.1)
         table.row(name, reason[:70], f"{took:.1f} s", f"{server.resident_mib():.0f} MiB", f"{rate:.0f}" if took > 1 else "", watcher.lost)
-    check(watcher.lost == 0 and not readers.closed, f"another room feels nothing of it: {watcher.lost} frames lost")
-    talker = Socket(server, "/v1/live/attic/subscribe")
-    talker.send(hello())
-    reason = talker.farewell(20)
-    check("viewers" in reason, f"a viewer that talks is sent away: {reason!r}")
+    check(watcher.lost == 0 and not readers.closed, f"another room is not affected: {watcher.lost} frames lost")
+    sender = Socket(server, "/v1/live/attic/subscribe")
+    sender.send(hello())
+    reason = sender.bye_reason(20)
+    check("viewers" in reason, f"a viewer that sends is disconnected: {reason!r}")
     readers.stop()
-    sends.kill()
-    sends.wait()
+    publishing.kill()
+    publishing.wait()
     return mutated.reasons
 
 
@@ -500,8 +501,8 @@ def main():
     if args.only in (None, "viewers"):
         server = Server("--set", "limits.connections=4096", "--set", "limits.connections-per-address=4096")
         seconds = args.seconds or (600 if args.full else 40)
-        table = Table("viewers", "stalled", "for", "frames/s", "lost by the others", "first view, median", "worst", "resident before / joined / most", "last third − first",
-                      "in a socket", "live again", "CPU of the server", "of it a viewer and frame", "load")
+        table = Table("viewers", "stalled", "for", "frames/s", "lost by others", "first view, median", "worst", "resident before / joined / peak", "last third − first",
+                      "in a socket", "live again", "CPU of the server", "CPU per viewer and frame", "load")
         audience(server, stream, 20, 0, min(seconds, 10), table)
         audience(server, stream, 200, 10, seconds, table)
         count = 400
@@ -512,19 +513,19 @@ def main():
             count += 200
         server.stop()
     if args.only in (None, "edges"):
-        # it needs what is above
+        # edges imports this module
         from edges import edges
         edges(stream, args.full)
     if args.only in (None, "hostile"):
         server = Server()
-        table = Table("peer", "sent away with", "after", "resident", "frames/s of another room", "lost there")
+        table = Table("publisher sends", "disconnect reason", "after", "resident", "frames/s of another room", "lost there")
         reasons = hostile(server, stream, table, args.full)
-        print(f"\ndamaged frames: sent away {len(reasons)} times: {sorted(set(reasons))[:5]}")
-        check(server.process.poll() is None, "the server is there")
+        print(f"\ndamaged frames: disconnected {len(reasons)} times: {sorted(set(reasons))[:5]}")
+        check(server.process.poll() is None, "the server is still running")
         log = Path(server.log.name).read_text()
-        check("panicked" not in log, f"nothing panicked: {log[-500:]}")
+        check("panicked" not in log, f"no thread panics: {log[-500:]}")
         server.stop()
-    end()
+    finish()
 
 
 if __name__ == "__main__":

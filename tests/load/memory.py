@@ -1,38 +1,39 @@
 #!/usr/bin/env python3
-"""Peak memory of making a photo, by size, planes and tiles, against the bound in its report: the formula in `crates/pipeline/src/run/memory.rs`."""
-import argparse, json, os, random, subprocess, tempfile
+"""Compares peak memory of making a photo, for several sizes, planes and tiles, with the bound in its report (`crates/pipeline/src/run/memory.rs`)."""
+import argparse, json, random, subprocess, tempfile
 from pathlib import Path
-from common import PROGRAM, Table, check, end, noise, png, size_of, smooth
+from common import PROGRAM, Table, check, finish, noise, png, size_of, smooth
 
 
 def blocks(megapixels, size):
+    """Squares of `size` pixels, each with a random grey."""
     width, height = size_of(megapixels)
-    pick = random.Random(1)
-    lines = [b"".join(bytes([pick.randrange(1, 256)]) * size for _ in range(width // size + 1))[:width] for _ in range(height // size + 1)]
+    rng = random.Random(1)
+    lines = [b"".join(bytes([rng.randrange(1, 256)]) * size for _ in range(width // size + 1))[:width] for _ in range(height // size + 1)]
     return png(width, height, 1, (lines[y // size] for y in range(height)))
 
 
 def eye(megapixels, second):
-    """Noise as an eye sees it, whose upper half lies farther off than the lower."""
-    (width, height), pick = size_of(megapixels), random.Random(1)
+    """One picture of a stereo pair of noise; the upper half is farther away than the lower half."""
+    (width, height), rng = size_of(megapixels), random.Random(1)
     most = max(4, width // 12)
     table = bytes(i % 2 * 255 for i in range(256))
     shifts = (most // 4 * second if y < height // 2 else most * second for y in range(height))
-    return png(width, height, 3, (pick.randbytes(3 * (width + most)).translate(table)[3 * s : 3 * (s + width)] for s in shifts))
+    return png(width, height, 3, (rng.randbytes(3 * (width + most)).translate(table)[3 * s : 3 * (s + width)] for s in shifts))
 
 
 def cases(full):
-    """Megapixels, photo, map or second picture, options."""
+    """Yields megapixels, photo, depth map or second picture, options."""
     raw = ["--denoise", "off", "--snap", "off", "--max-error", "0"]
     sizes = (0.003, 0.1, 0.5, 2, 6, 12, 24, 49.9) if full else (0.003, 0.1, 0.5, 2)
     for mp in sizes:
         yield from ((mp, "noise", None, []), (mp, "smooth", "smooth", []), (mp, "noise", "noise", []), (mp, "eye", "second", []))
         if full or mp <= 0.5:
             yield mp, "noise", "noise", raw
-    # planes of noise take the most time: a minute a megapixel and more
+    # planes of noise take the most time: a minute per megapixel or more
     small = 2 if full else 0.2
-    wide, usual = "10,10,10", "0.03,0.03,0.03"
-    for mp, tile, planes, box in ((small / 4, "8", "4", wide), (small, "16", "16", usual), (small, "64", "64", usual), (small, "256", "16", wide), (small, "full", "16", wide)):
+    wide, normal = "10,10,10", "0.03,0.03,0.03"
+    for mp, tile, planes, box in ((small / 4, "8", "4", wide), (small, "16", "16", normal), (small, "64", "64", normal), (small, "256", "16", wide), (small, "full", "16", wide)):
         yield mp, "noise", "noise", [*raw, "--tile", tile, "--planes", planes, "--view-box", box]
     for size in (6, 24, 100):
         yield small, "noise", size, [*raw, "--view-box", wide]
@@ -40,9 +41,9 @@ def cases(full):
 
 def main():
     args = argparse.ArgumentParser(description=__doc__)
-    args.add_argument("--full", action="store_true", help="photos of up to 50 megapixels: hours")
+    args.add_argument("--full", action="store_true", help="photos of up to 50 megapixels; takes hours")
     full = args.parse_args().full
-    table = Table("photo", "map", "options", "pixels", "planes a tile", "peak", "bytes a pixel", "bound", "share")
+    table = Table("photo", "depth map", "options", "pixels", "planes per tile", "peak", "bytes per pixel", "bound", "peak / bound")
     with tempfile.TemporaryDirectory(prefix="tmpi-load-") as folder:
         folder = Path(folder)
         for mp, kind, depth, options in cases(full):
@@ -60,10 +61,10 @@ def main():
             report = json.loads((folder / "r.json").read_text())
             pixels = report["width"] * report["height"]
             bound, peak = report["memory_bound_bytes"], report["peak_rss_bytes"]
-            check(peak <= bound, f"{mp} MP {kind} {depth} {options}: {peak} bytes, the bound is {bound}")
+            check(peak <= bound, f"{mp} MP {kind} {depth} {options}: peak {peak} bytes, bound {bound}")
             name = f"blocks of {depth}" if isinstance(depth, int) else depth or "estimated"
             table.row(kind, name, " ".join(options), pixels, f"{report['planes_per_tile']:.2f}", f"{peak >> 20} MiB", f"{peak / pixels:.0f}", f"{bound / 2**20:.0f} MiB", f"{peak / bound:.2f}")
-    end()
+    finish()
 
 
 main()

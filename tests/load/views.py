@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""Views of one pixel by the million, and as many abandoned ones, then an ordinary view."""
+"""Requests a million one-pixel views, abandons many more, then requests an ordinary view."""
 import argparse, socket, threading, time
-from common import Server, Table, Watch, check, end, ramp, small
+from common import Server, Table, Watch, check, depth_map, finish, small
 
 
-def many(server, photo, first, count):
-    """Asks for distinct views of one pixel over one connection; counts of answers."""
+def request_pixels(server, photo, first, count):
+    """Requests distinct one-pixel views over one connection; returns counts by status."""
     answers, batch = {}, 64
     connection = socket.create_connection(server.address, 120)
     file = connection.makefile("rb")
     for at in range(first, first + count, batch):
         n = min(batch, first + count - at)
-        ask = "".join(f"GET /v1/photos/{photo}/view?tx={(at + i) * 1e-9:.9f}&w=1&h=1 HTTP/1.1\r\nhost: localhost\r\n\r\n" for i in range(n))
-        connection.sendall(ask.encode())
+        requests = "".join(f"GET /v1/photos/{photo}/view?tx={(at + i) * 1e-9:.9f}&w=1&h=1 HTTP/1.1\r\nhost: localhost\r\n\r\n" for i in range(n))
+        connection.sendall(requests.encode())
         for _ in range(n):
             status = file.readline().split(b" ")[1].decode()
             answers[status] = answers.get(status, 0) + 1
@@ -25,7 +25,7 @@ def many(server, photo, first, count):
     return answers
 
 
-def given_up(server, photo, first, count):
+def abandon(server, photo, first, count):
     for n in range(first, first + count):
         connection = socket.create_connection(server.address, 20)
         connection.sendall(f"GET /v1/photos/{photo}/view?ty={n * 1e-9:.9f}&w=640 HTTP/1.1\r\nhost: localhost\r\n\r\n".encode())
@@ -37,20 +37,20 @@ def main():
     args.add_argument("--full", action="store_true")
     full = args.parse_args().full
     server = Server()
-    status, answer = server.upload(small(1), ramp())
+    status, answer = server.upload(small(1), depth_map())
     check(server.wait(answer["id"])["state"] == "done", "the photo is made")
     photo = answer["id"]
-    table = Table("what", "count", "answers", "took", "a second", "others median", "worst", "not 200", "server", "resident after", "next view")
+    table = Table("requests", "count", "responses", "took", "per second", "others median", "worst", "not 200", "server", "resident after", "next view")
 
     def ordinary(n):
         began = time.monotonic()
         status, _, _ = server.get(f"/v1/photos/{photo}/view?tz={n * 1e-3}&w=1280&format=png", timeout=300)
         took = time.monotonic() - began
-        check(status == 200 and took < 10, f"an ordinary view comes at once: {status} after {took:.1f} s")
+        check(status == 200 and took < 10, f"an ordinary view is fast: {status} after {took:.1f} s")
         return f"{status} in {took * 1e3:.0f} ms"
 
     table.row("before", "", "", "", "", "", "", "", f"{server.peak_mib()[0]:.0f} MiB", f"{server.resident_mib():.0f} MiB", ordinary(1))
-    for n, (what, work, count) in enumerate((("views of one pixel", many, 1_000_000 if full else 20_000), ("views given up", given_up, 240_000 if full else 5_000)), 2):
+    for n, (what, work, count) in enumerate((("one-pixel views", request_pixels, 1_000_000 if full else 20_000), ("abandoned views", abandon, 240_000 if full else 5_000)), 2):
         clients, answers = 8, {}
         with Watch(server) as watch:
             began = time.monotonic()
@@ -66,13 +66,13 @@ def main():
                 thread.join()
             took = time.monotonic() - began
             view = ordinary(n)
-        check(watch.failed == 0, f"health answers during {what}")
+        check(watch.failed == 0, f"/healthz responds during {what}")
         check(set(answers) <= {"200", "503"}, f"{what}: {answers}")
-        check(server.resident_mib() < 600, f"after {what} the server has {server.resident_mib():.0f} MiB")
+        check(server.resident_mib() < 600, f"the server takes {server.resident_mib():.0f} MiB after {what}")
         row = watch.row()
         row.pop("maker")
         table.row(what, count, answers or "", f"{took:.0f} s", f"{count / took:.0f}", *row.values(), f"{server.resident_mib():.0f} MiB", view)
-    end()
+    finish()
 
 
 main()

@@ -1,4 +1,4 @@
-"""Tests of the training, without data: `python -m unittest` in the folder above."""
+"""Tests of the training scripts, without data: run `python -m unittest` in the parent folder."""
 
 import sys
 from pathlib import Path

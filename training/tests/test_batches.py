@@ -1,4 +1,4 @@
-"""What a batch of the depth network's training holds."""
+"""Contents of training batches of the depth network."""
 
 import math
 import random
@@ -31,8 +31,8 @@ def filled(**shares):
     return pictures
 
 
-def held(value, region=None):
-    """One picture, whose colours are its map."""
+def one_picture(value, region=None):
+    """A single picture whose colours equal its map."""
     value = np.float32(value)
     rgb = np.repeat((np.nan_to_num(value) * 255).astype(np.uint8)[..., None], 3, 2)
     pictures = batches.Pictures(CPU)
@@ -42,12 +42,12 @@ def held(value, region=None):
 
 
 class Batches(unittest.TestCase):
-    def test_a_batch_is_a_function_of_the_seed(self):
-        told = [loop.digest(vars(filled().batch(4, random.Random(s)))) for s in (1, 1, 2)]
-        self.assertEqual(told[0], told[1])
-        self.assertNotEqual(told[0], told[2])
+    def test_a_batch_depends_only_on_the_seed(self):
+        digests = [loop.digest(vars(filled().batch(4, random.Random(s)))) for s in (1, 1, 2)]
+        self.assertEqual(digests[0], digests[1])
+        self.assertNotEqual(digests[0], digests[2])
 
-    def test_shares_hold(self):
+    def test_groups_are_drawn_by_their_shares(self):
         pictures = filled(label=1, rgbd=1)
         drawn = [g for seed in range(40) for g, _ in pictures.batch(8, random.Random(seed)).of]
         want = batches.SHARES["label"] / (batches.SHARES["label"] + batches.SHARES["rgbd"])
@@ -62,7 +62,7 @@ class Batches(unittest.TestCase):
         for row, share in zip(group.rows, (0.25, 0.25, 0.5), strict=True):
             self.assertAlmostEqual(drawn.count(row[0]) / len(drawn), share, delta=0.04)
 
-    def test_shapes_have_as_many_pixels_and_are_drawn_as_often_as_is_said(self):
+    def test_shapes_have_equal_pixels_and_their_probabilities(self):
         pictures, drawn = filled(), {}
         for seed in range(40):
             n, _, *shape = pictures.batch(4, random.Random(seed)).rgb.shape
@@ -72,17 +72,17 @@ class Batches(unittest.TestCase):
         small = sum(v for (h, w), v in drawn.items() if h * w < 60_000)
         self.assertAlmostEqual(small / 40, sum(v for (h, w), v in batches.SHAPES.items() if h * w < 60_000), delta=0.2)
 
-    def test_groups_and_spaces_of_a_batch_are_neighbours(self):
+    def test_groups_and_spaces_of_a_batch_are_adjacent(self):
         batch = filled().batch(60, random.Random(1))
         for wanted in ("scene", "label", "rgbd", "pairs:depth", "pairs:order", "photo"):
             at = batch.where(lambda g, s: g == wanted)
             self.assertGreater(at.stop, at.start)
             self.assertEqual({g for g, _ in batch.of[at]}, {wanted})
         self.assertEqual(batch.where(lambda g, s: False), slice(0, 0))
-        with self.assertRaisesRegex(ValueError, "no neighbours"):
+        with self.assertRaisesRegex(ValueError, "not adjacent"):
             batch.where(lambda g, s: g in ("scene", "photo"))
 
-    def test_a_picture_is_shown_in_shapes_like_its_own(self):
+    def test_pictures_are_drawn_in_similar_shapes(self):
         pictures = batches.Pictures(CPU)
         one = next(packed())
         for name, size in (("wide", (64, 128)), ("high", (128, 64))):
@@ -92,31 +92,31 @@ class Batches(unittest.TestCase):
         drawn = pictures.groups[one.group].drawn(shape, 400, np.random.default_rng(1))
         self.assertGreater((drawn[:, 2] > drawn[:, 1]).mean(), 0.9)
 
-    def test_the_store_grows_and_keeps_what_it_has(self):
+    def test_the_store_keeps_its_contents_when_it_grows(self):
         few, many = batches.Store(CPU, room=16), batches.Store(CPU)
         for p in packed():
             self.assertEqual(few.add(p), many.add(p))
         self.assertTrue(torch.equal(few.pixels[: few.end], many.pixels[: many.end]))
         self.assertTrue(torch.equal(few.values[: few.end].view(torch.int16), many.values[: many.end].view(torch.int16)))
 
-    def test_colours_map_and_regions_are_cropped_alike(self):
+    def test_colours_map_and_regions_are_cropped_equally(self):
         ramp = np.tile(np.linspace(0, 1, 320), (240, 1))
         region = np.where(ramp > 0.5, 2, 1).astype(np.uint8)
-        batch = held(ramp, region).batch(8, random.Random(1))
+        batch = one_picture(ramp, region).batch(8, random.Random(1))
         value, region = batch.value, batch.region
         small = torch.nn.functional.avg_pool2d(batch.rgb, 2)
         self.assertLess(float((small - value[:, None]).abs().max()), 0.02)
         sure = (value - 0.5).abs() > 0.03
         self.assertTrue(((value > 0.5) == (region == 2))[sure].all() and (batch.kind == torch.where(region == 2, 1, 4)).all())
         self.assertTrue((batch.good == 1).all())
-        # some are mirrored
+        # some crops are mirrored
         rises = (value[:, :, -1] > value[:, :, 0]).all(1)
         self.assertTrue(rises.any() and not rises.all())
 
-    def test_a_whole_picture_at_its_own_size_is_itself(self):
+    def test_a_full_crop_at_original_size_equals_the_picture(self):
         rng = np.random.default_rng(1)
         value = cv2.GaussianBlur(rng.random((192, 256), np.float32), (0, 0), 4)
-        pictures = held((value - value.min()) / (value.max() - value.min()))
+        pictures = one_picture((value - value.min()) / (value.max() - value.min()))
         rows = pictures.groups["label"]
         rows.prepare()
         whole = (np.zeros(1), np.zeros(1), np.full(1, 192.0), np.full(1, 256.0))
@@ -126,15 +126,15 @@ class Batches(unittest.TestCase):
         want = torch.nn.functional.avg_pool2d(stored.values[: stored.end].float().view(1, 192, 256), 2)
         self.assertLess(float((value - want).abs().max()), 1e-3)
 
-    def test_crops_do_not_spread_the_unknown(self):
+    def test_crops_do_not_spread_unknown_pixels(self):
         value = np.tile(np.linspace(0, 1, 320), (240, 1))
         value[:, 160:] = np.nan
-        batch = held(value).batch(4, random.Random(1))
+        batch = one_picture(value).batch(4, random.Random(1))
         dark = torch.nn.functional.avg_pool2d(batch.rgb, 2)[:, 0] < 0.01
         self.assertTrue((~dark).any() and batch.value[~dark].isfinite().float().mean() > 0.95)
 
     def test_a_crop_without_relief_does_not_count(self):
-        self.assertEqual(float(held(np.full((80, 96), 0.5)).batch(4, random.Random(1)).good.sum()), 0.0)
+        self.assertEqual(float(one_picture(np.full((80, 96), 0.5)).batch(4, random.Random(1)).good.sum()), 0.0)
 
     def test_augmented_colours_stay_in_range(self):
         x, value = torch.rand(6, 3, 64, 96), torch.rand(6, 32, 48)
@@ -142,7 +142,7 @@ class Batches(unittest.TestCase):
         self.assertTrue(torch.equal(one, same) and not torch.equal(one, other))
         self.assertTrue(0 <= float(one.min()) and float(one.max()) <= 1)
 
-    def test_compression_is_that_of_jpeg(self):
+    def test_simulated_compression_matches_jpeg(self):
         grey = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (64, 96), np.uint8), (0, 0), 1)
         x = torch.from_numpy(grey)[None, None].repeat(1, 3, 1, 1) / 255
         for quality in (40, 80):
@@ -152,13 +152,13 @@ class Batches(unittest.TestCase):
 
 
 class Packs(unittest.TestCase):
-    def test_what_is_packed_is_read(self):
+    def test_packed_pictures_are_read_back(self):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "pictures.zip"
             writer, written = pack.Writer(path), list(packed(each=1))
             for p in written:
                 writer.add(p.name, p.group, p.space, sources.Sample(p.rgb, p.value, p.region, p.kinds[p.region]))
-            # the photograph of the last again, with a label
+            # the last photograph again, with a label
             again = pack.Packed(**vars(written[1]) | {"name": "again", "rgb": written[-1].rgb})
             writer.add(again.name, again.group, again.space, sources.Sample(again.rgb, again.value, again.region, again.kinds[again.region]))
             writer.close()
@@ -167,7 +167,7 @@ class Packs(unittest.TestCase):
                 self.assertEqual((a.name, a.group, a.space, a.sparse), (b.name, b.group, b.space, b.sparse))
                 value = a.value
                 if a.group.split(":")[0] in pack.HALVED:
-                    value = cv2.resize(common.shrunk(value, (32, 48), 0.5), (96, 64), interpolation=cv2.INTER_NEAREST)
+                    value = cv2.resize(common.shrink_map(value, (32, 48), 0.5), (96, 64), interpolation=cv2.INTER_NEAREST)
                 np.testing.assert_allclose(value, b.value, atol=0.51 / (pack.STEPS - 1))
                 np.testing.assert_array_equal(a.region, b.region)
                 np.testing.assert_array_equal(a.kinds[a.region], b.kinds[b.region])
@@ -176,7 +176,7 @@ class Packs(unittest.TestCase):
                 self.assertEqual(sum(n.endswith(".webp") and ".map." not in n for n in z.namelist()), len(written))
 
 
-# stands in for the program: writes a scene for each seed
+# fake renderer: writes a scene for each seed
 PROGRAM = """#!/bin/sh
 mkdir -p "$3/$7" && cp "$(dirname "$0")"/scene/* "$3/$7"
 """
@@ -194,7 +194,7 @@ class Rendering(unittest.TestCase):
         (scene / "scene.json").write_text('{"family": "room"}')
         return render.Renderers(str(program), 2, Path(folder) / "out", render.FIRST, folder)
 
-    def test_scenes_come_with_seeds_of_their_own(self):
+    def test_scenes_have_unique_seeds(self):
         with tempfile.TemporaryDirectory() as folder:
             renderers, found = self.started(folder, PROGRAM), []
             while len(found) < 6:
@@ -203,7 +203,7 @@ class Rendering(unittest.TestCase):
             self.assertEqual(len({s.name for s in found}), len(found))
             self.assertEqual((found[0].group, float(found[0].value.min())), ("scene:room", 1.0))
 
-    def test_a_failed_program_ends_the_training(self):
+    def test_a_failing_renderer_ends_the_training(self):
         with tempfile.TemporaryDirectory() as folder:
             renderers = self.started(folder, "#!/bin/sh\necho no such option >&2\nexit 2\n")
             with self.assertRaisesRegex(RuntimeError, "no such option"):

@@ -1,4 +1,4 @@
-"""`label.py` and `label_paint.py` on drawn pictures whose truth is known; and the label files themselves."""
+"""Tests `label.py` and `label_paint.py` on synthetic pictures, and the label files."""
 
 import hashlib
 import json
@@ -17,7 +17,7 @@ import label_paint
 from label_paint import LabelError, paint
 
 W, H = 500, 400
-# thousandths a pixel
+# thousandths per pixel
 UNIT = 1000 / W
 CENTRE, RADIUS = (240.0, 190.0), 90.0
 
@@ -29,7 +29,7 @@ def texture(base, spread, seed, grain=1.5):
 
 
 def disc():
-    """A textured disc on a textured ground, drawn with soft edges; and its mask."""
+    """A textured disc with soft edges on a textured ground, and its mask."""
     y, x = np.mgrid[:H, :W]
     inside = RADIUS - np.hypot(x - CENTRE[0], y - CENTRE[1])
     cover = np.clip(inside + 0.5, 0, 1)[..., None]
@@ -38,7 +38,7 @@ def disc():
 
 
 def rough(count=18, off=4.5):
-    """An outline of the disc as a hand draws it: a few points, up to `off` pixels beside it, which with the chords is within `reach`."""
+    """A rough outline of the disc: a few points, off by up to `off` pixels, within `reach` including the chords."""
     rng = np.random.default_rng(5)
     turn = np.arange(count) / count * 2 * np.pi
     r = RADIUS + rng.uniform(-off, off, count)
@@ -85,8 +85,8 @@ class Drawn(unittest.TestCase):
         self.assertEqual(self.faults(label), [])
         self.assertLess((found ^ truth).sum(), 0.02 * truth.sum())
 
-    def test_a_hidden_disc_is_found_too(self):
-        # the bar in front hides a part of the disc's outline, and has another colour
+    def test_a_partly_hidden_disc_is_found(self):
+        # a bar of another colour hides a part of the disc's outline
         picture, truth = disc()
         picture[:, 200:260] = texture((40, 40, 220), 15, 4)[:, 200:260]
         bar = {"name": "bar", "kind": "object", "box": f"{200 * UNIT},0 {260 * UNIT},{H * UNIT}", "metres": 1}
@@ -98,7 +98,7 @@ class Drawn(unittest.TestCase):
         self.assertLess(wrong.sum(), 0.03 * (truth & seen).sum())
         self.assertTrue((region[:, 203:257] == 3).all())
 
-    def test_reach_zero_stays_as_drawn(self):
+    def test_reach_zero_keeps_the_outline(self):
         picture, _ = disc()
         part = {"name": "disc", "kind": "object", "area": rough(), "metres": 2, "reach": 0}
         region = paint(self.label([{"name": "wall", "kind": "wall", "area": "all", "metres": 5}, part], picture))["region"]
@@ -111,14 +111,14 @@ class Drawn(unittest.TestCase):
         found = paint(self.label([{"name": "wall", "kind": "wall", "area": "all", "metres": three}]))
         np.testing.assert_allclose(found["disparity"], a * x + b * y + c, rtol=1e-5)
         self.assertTrue(found["known"].all())
-        # two points: along their line, level across it
+        # two points: a slope along their line, constant across it
         found = paint(self.label([{"name": "wall", "kind": "wall", "area": "all", "metres": "0,300:2 1000,300:4"}]))
         np.testing.assert_allclose(found["disparity"], 0.5 - 0.25 * x / 1000, rtol=1e-5)
-        # three in a line say no more than two
+        # three points in a line are like two
         found = paint(self.label([{"name": "wall", "kind": "wall", "area": "all", "metres": "0,301:2 500,299:2.6666667 1000,301:4"}]))
         np.testing.assert_allclose(found["disparity"], 0.5 - 0.25 * x / 1000, rtol=5e-3)
 
-    def test_ground_with_a_horizon_and_what_stands_on_it(self):
+    def test_ground_with_a_horizon_and_a_post_on_it(self):
         y = (np.mgrid[:H, :W][0] + 0.5) * UNIT
         regions = [
             {"name": "sky", "kind": "sky", "area": "all"},
@@ -136,7 +136,7 @@ class Drawn(unittest.TestCase):
         with self.assertRaisesRegex(LabelError, "above the horizon"):
             paint(label)
 
-    def test_bulge_brings_the_middle_nearer_and_leaves_the_outline(self):
+    def test_bulge_brings_only_the_middle_nearer(self):
         ball = {"name": "ball", "kind": "object", "disc": "500,400 200,200", "metres": 2, "bulge": 0.2, "reach": 0}
         d = paint(self.label([{"name": "wall", "kind": "wall", "area": "all", "metres": 9}, ball]))["disparity"]
         self.assertAlmostEqual(1 / d[200, 250], 1.8, places=2)
@@ -151,7 +151,7 @@ class Drawn(unittest.TestCase):
         self.assertTrue(found["known"][200, 203] and found["known"][200, 190])
         self.assertEqual(found["kind"], ["", "wall", "object", "unknown"])
 
-    def test_another_size(self):
+    def test_paints_at_another_size(self):
         picture, truth = disc()
         label = self.label([{"name": "sky", "kind": "sky", "area": "all"}, {"name": "disc", "kind": "object", "area": rough(), "metres": 2}], picture)
         found = paint(label, (250, 200))
@@ -159,7 +159,7 @@ class Drawn(unittest.TestCase):
         self.assertEqual([found[k].dtype for k in ("disparity", "region", "known")], [np.float32, np.int32, bool])
         self.assertLess(((found["region"] == 2) ^ truth[::2, ::2]).sum(), 0.04 * truth[::2, ::2].sum())
 
-    def test_faults_are_told(self):
+    def test_faults_are_reported(self):
         wall = {"name": "wall", "kind": "wall", "area": "all", "metres": 5}
         post = {"name": "post", "kind": "object", "box": "400,0 500,800", "metres": 1, "reach": 0, "front": "wall"}
         self.assertEqual(self.faults(self.label([wall, post])), [])
@@ -181,11 +181,11 @@ class Drawn(unittest.TestCase):
         right = {"name": "right", "kind": "wall", "box": "502,0 1000,800", "metres": 4, "reach": 0}
         region = paint(self.label([{"name": "sky", "kind": "sky", "area": "all"}, left, right]))["region"]
         self.assertFalse((region == 1).any())
-        # a gap that is wide enough stays
+        # a wide gap remains
         region = paint(self.label([{"name": "sky", "kind": "sky", "area": "all"}, {**left, "box": "0,0 480,800"}, right]))["region"]
         self.assertTrue((region[:, 242:249] == 1).all())
 
-    def test_files_drawn_in_pixels(self):
+    def test_old_files_in_pixels_are_painted(self):
         regions = [
             {"name": "sky", "outline": "all", "far": True},
             {"name": "wall", "outline": [[0, 200], [W, 200], [W, H], [0, H]], "metres": [[100, 300, 4]]},
@@ -218,7 +218,7 @@ class Files(unittest.TestCase):
         for file in files:
             label = label_paint.read(file)
             if not label_paint.is_old(label):
-                self.assertEqual(list(tool.form(label)), [], file.name)
+                self.assertEqual(list(tool.format_errors(label)), [], file.name)
                 for region, plane in zip(label["regions"], label_paint.planes(label)):
                     self.assertTrue(label_paint.shape(region, label["size"]).any(), f"{file.name}: {region['name']}")
                     self.assertTrue(np.isfinite(plane(np.float64(500), np.float64(900))), f"{file.name}: {region['name']}")

@@ -1,4 +1,4 @@
-"""A run that was stopped and went on ends with the same bits as one that was not."""
+"""A resumed run ends with the same bits as an uninterrupted one."""
 
 import argparse
 import contextlib
@@ -33,7 +33,7 @@ SPACES = ["disparity", "disparity", "disparity", "depth", "order", "none"]
 
 
 def packed(seed=0, each=2):
-    """Made-up pictures of all groups."""
+    """Synthetic pictures of all groups."""
     rng = np.random.default_rng(seed)
     for group, space in zip(GROUPS, SPACES):
         for n in range(each):
@@ -46,21 +46,21 @@ def packed(seed=0, each=2):
 
 
 def depth_run(file, out, steps=6, stop=None, seed=1, every=2):
-    """The depth training on small pictures that `file` stands for."""
+    """Runs the depth training on small pictures; `file` contains their seed."""
     pictures = batches.Pictures(torch.device("cpu"))
     for p in packed(int(file.read_text())):
         pictures.add(p)
     loop.seed_all(seed)
     net = network.DepthNet(0.2, 0.4)
     mean = copy.deepcopy(net)
-    lessons = depth.Steps(net, mean, pictures, argparse.Namespace(seed=seed, batch=4, init=None))
+    depth_steps = depth.Steps(net, mean, pictures, argparse.Namespace(seed=seed, batch=4, init=None))
     plan = loop.Plan(steps=steps, lr=1e-3, weight_decay=1e-2, ema=0.9, every=every, seed=seed)
     score = lambda mean: {"score": float(mean.decoder.head.weight.abs().sum())}
-    return loop.train(out, plan, net, lessons.loss_at, {"pack": [file]}, {"batch": 4}, score, stop, mean=mean, quiet=True, slow=list(net.encoder.parameters()), gain=0.5)
+    return loop.train(out, plan, net, depth_steps.loss_at, {"pack": [file]}, {"batch": 4}, score, stop, mean=mean, quiet=True, slow=list(net.encoder.parameters()), gain=0.5)
 
 
-class Greedy(nn.Module):
-    """A module that draws from every generator."""
+class RandomModule(nn.Module):
+    """A module that uses every random generator."""
 
     def __init__(self):
         super().__init__()
@@ -77,14 +77,14 @@ class Resume(unittest.TestCase):
         self.root = Path(made.name)
         self.pack = self.root / "pack"
         self.pack.write_text("0")
-        for module, name, value in ((batches, "SHAPES", {(32, 64): 0.5, (64, 32): 0.5}), (depth, "GROWN", (0, 4))):
+        for module, name, value in ((batches, "SHAPES", {(32, 64): 0.5, (64, 32): 0.5}), (depth, "TEACHER_RAMP", (0, 4))):
             patched = mock.patch.object(module, name, value)
             patched.start()
             self.addCleanup(patched.stop)
 
-    def test_depth_goes_on_to_the_same_bits(self):
+    def test_depth_resumes_to_the_same_bits(self):
         whole = depth_run(self.pack, self.root / "whole")
-        # a stop between two checkpoints, and one at a checkpoint
+        # stop between checkpoints, and at a checkpoint
         for stop in (1, 3, 4):
             out = self.root / f"stopped{stop}"
             depth_run(self.pack, out, stop=stop)
@@ -112,10 +112,10 @@ class Resume(unittest.TestCase):
             depth_run(self.pack, self.root / "killed")
         self.assertEqual(loop.digest(depth_run(self.pack, self.root / "killed")), loop.digest(whole))
 
-    def test_every_generator_is_stored(self):
+    def test_every_random_generator_is_saved(self):
         def run(out, stop=None):
             loop.seed_all(3)
-            net, x = Greedy(), torch.ones(4, 3)
+            net, x = RandomModule(), torch.ones(4, 3)
             plan = loop.Plan(steps=8, lr=1e-2, weight_decay=0, ema=0.9, every=4, seed=3)
             return loop.train(out, plan, net, lambda step: {"loss": (net(x) - step).square().mean()}, {}, stop=stop, quiet=True)
 
@@ -123,7 +123,7 @@ class Resume(unittest.TestCase):
         run(self.root / "b", 5)
         self.assertEqual(loop.digest(run(self.root / "b")), loop.digest(whole))
 
-    def test_theta_and_psi_go_on_to_the_same_bits(self):
+    def test_theta_and_psi_resume_to_the_same_bits(self):
         rng = np.random.default_rng(0)
         for n in range(3):
             f = self.root / "scenes" / str(n)
@@ -145,7 +145,7 @@ class Resume(unittest.TestCase):
                 found.append(manifest.read(out)["contents"])
             self.assertEqual(found[0], found[1], module.__name__)
 
-    def test_other_plans_and_other_files_are_refused(self):
+    def test_changed_plans_and_files_are_rejected(self):
         depth_run(self.pack, self.root / "run", stop=2)
         with self.assertRaises(loop.Changed):
             depth_run(self.pack, self.root / "run", steps=8)
@@ -153,7 +153,7 @@ class Resume(unittest.TestCase):
         with self.assertRaisesRegex(loop.Changed, "pack"):
             depth_run(self.pack, self.root / "run")
 
-    def test_a_step_without_a_finite_gradient_is_left_out(self):
+    def test_a_step_without_a_finite_gradient_is_skipped(self):
         net = nn.Linear(2, 1)
         before = copy.deepcopy(net.state_dict())
         factor = lambda step: torch.tensor(1.0 if step == 2 else math.nan)
@@ -162,7 +162,7 @@ class Resume(unittest.TestCase):
         self.assertEqual(state["rows"][0]["left out"], 1.0)
         self.assertEqual(loop.digest(state["live"]), loop.digest(before))
 
-    def test_minutes_end_a_run_that_goes_on_later(self):
+    def test_minutes_stop_a_run_that_can_resume(self):
         whole = depth_run(self.pack, self.root / "whole", steps=2, every=1)
         with mock.patch.object(loop.time, "time", iter(range(0, 10**6, 100)).__next__):
             net = nn.Linear(2, 1)
@@ -174,11 +174,11 @@ class Resume(unittest.TestCase):
 
 
 class Cards(unittest.TestCase):
-    def test_cards_tell_the_shipped_files(self):
+    def test_cards_have_the_digests_of_the_shipped_files(self):
         for name in ("depth", "theta", "psi"):
-            self.assertEqual(manifest.told_in(manifest.MODELS / f"{name}.md"), manifest.sha256(manifest.MODELS / f"{name}.onnx"), name)
+            self.assertEqual(manifest.digest_in(manifest.MODELS / f"{name}.md"), manifest.sha256(manifest.MODELS / f"{name}.onnx"), name)
 
-    def test_a_card_keeps_what_is_written_by_hand(self):
+    def test_a_card_keeps_hand_written_text(self):
         with tempfile.TemporaryDirectory() as t:
             card, model = Path(t) / "x.md", Path(t) / "x.onnx"
             model.write_bytes(b"first")
@@ -187,24 +187,24 @@ class Cards(unittest.TestCase):
             model.write_bytes(b"second")
             manifest.into_card(card, manifest.block(model, None))
             text = card.read_text()
-            self.assertEqual(manifest.told_in(card), manifest.sha256(model))
+            self.assertEqual(manifest.digest_in(card), manifest.sha256(model))
             self.assertEqual((text.count(manifest.BEGIN), text.count("by hand")), (1, 1))
 
-    def test_command_lines_tell_no_folders_of_the_machine(self):
+    def test_command_lines_contain_no_local_folders(self):
         words = ["--out=/elsewhere/runs/x", "/elsewhere/y.pt", str(manifest.DATA / "photos"), str(manifest.HERE / "runs"), "runs/z", "--lr=0.1"]
         self.assertEqual([manifest.plain(w) for w in words], ["--out=x", "y.pt", "$TMPI_DATA/photos", "runs", "runs/z", "--lr=0.1"])
 
-    def test_a_manifest_follows_to_the_card(self):
+    def test_a_card_describes_the_run_of_the_manifest(self):
         with tempfile.TemporaryDirectory() as t:
             root = Path(t)
             net, plan = nn.Linear(2, 1), loop.Plan(steps=6, lr=1e-2, weight_decay=0, ema=0.9, every=3, seed=1)
-            lesson = lambda step: {"loss": net(torch.ones(1, 2)).square().sum()}
-            loop.train(root / "run", plan, net, lesson, {}, measure=lambda mean: {"score": 1.0}, quiet=True)
+            loss_at = lambda step: {"loss": net(torch.ones(1, 2)).square().sum()}
+            loop.train(root / "run", plan, net, loss_at, {}, measure=lambda mean: {"score": 1.0}, quiet=True)
             model = root / "y.onnx"
             model.write_bytes(b"network")
-            told = manifest.exported(root / "run" / "best.pt", model)
-            text = "\n".join(manifest.block(model, told))
-            for part in (manifest.sha256(model), manifest.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", told["starts"][0]["commit"] or "commit"):
+            record = manifest.exported(root / "run" / "best.pt", model)
+            text = "\n".join(manifest.block(model, record))
+            for part in (manifest.sha256(model), manifest.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", record["starts"][0]["commit"] or "commit"):
                 self.assertIn(part, text)
             self.assertNotIn(t, text)
             self.assertEqual(json.loads((root / "run" / "manifest.json").read_text())["exported"]["file"], "y.onnx")

@@ -1,4 +1,4 @@
-"""Losses and measures fall for the right reasons."""
+"""Properties of losses and measures."""
 
 import unittest
 
@@ -12,7 +12,7 @@ from sources import SKY, SURFACE, THING, Sample
 
 
 def scene(h=48, w=64):
-    """A map with sky, ground that rises to the front, and two things in front of both: target [1, H, W], region, kind."""
+    """A map with sky, ground that comes nearer to the bottom, and two things in front: target [1, H, W], region, kind."""
     y = np.linspace(0, 1, h)[:, None] * np.ones((1, w))
     t, region = np.where(y > 0.4, 0.5 * (y - 0.4), 0), np.where(y > 0.4, 2, 1)
     for i, (x, near) in enumerate(((8, 0.6), (40, 0.9))):
@@ -40,7 +40,7 @@ class Losses(unittest.TestCase):
             for a, b in zip(of(p), of(7 * p - 3)):
                 torch.testing.assert_close(a, b, rtol=2e-3, atol=2e-4)
 
-    def test_the_truth_is_best_and_its_opposite_worst(self):
+    def test_the_truth_scores_best_and_its_inverse_worst(self):
         t, region, kind = scene()
         for of in (
             lambda p: losses.disparity(p, t, NONE)[0], lambda p: losses.disparity(p, t, NONE)[1], lambda p: losses.order(p, t, torch.Generator().manual_seed(1)),
@@ -70,14 +70,14 @@ class Losses(unittest.TestCase):
         total.backward()
         self.assertTrue(torch.isfinite(total) and torch.isfinite(p.grad).all())
 
-    def test_depth_up_to_affine_is_fitted_as_depth(self):
+    def test_affine_depth_is_fitted_as_depth(self):
         z = torch.linspace(1, 12, 64).repeat(1, 48, 1)
         t = 1 - (z - 1) / 11
         right = 1 / z
         self.assertLess(float(losses.depth(right, t, NONE)[0]), 0.25 * float(losses.disparity(right, t, NONE)[0]))
         self.assertLess(float(losses.depth(right, t, NONE)[0]), 0.25 * float(losses.depth(-right.sqrt(), t, NONE)[0]))
 
-    def test_outliers_hardly_move_the_fit(self):
+    def test_outliers_hardly_change_the_fit(self):
         t = noise((1, 40, 40))
         p = 2 * t + 1
         p[0, :4] += 50
@@ -86,7 +86,7 @@ class Losses(unittest.TestCase):
         self.assertLess(float((scale * p + shift - t)[0, 4:].abs().max()), 0.05)
         self.assertGreaterEqual(float(losses.fit(-t, t, known)[0]), 0.5)
 
-    def test_a_broken_thing_is_worse_than_a_whole_one(self):
+    def test_an_inconsistent_thing_scores_worse(self):
         t, region, kind = scene()
         broken = t.clone()
         broken[0, 12:40, 8:24] += 0.3 * torch.linspace(-1, 1, 28)[:, None].sign()
@@ -127,30 +127,30 @@ class Things(unittest.TestCase):
         t, region, kind = scene(192, 256)
         return t[0].numpy().astype(float), self.sample()
 
-    def test_the_label_itself_is_right_and_whole(self):
+    def test_the_label_itself_scores_perfectly(self):
         t, sample = self.sized()
         found = things.measure(3 * t + 2, sample)
         self.assertEqual(found["order"], 1.0)
         self.assertLess(found["whole"], 1e-6)
 
-    def test_a_border_may_be_two_pixels_off_and_no_more(self):
+    def test_a_border_may_be_off_by_at_most_two_pixels(self):
         t, sample = self.sized()
         found = [things.measure(np.roll(t, n, 1), sample)["border"] for n in range(-4, 5)]
-        # what runs along a row is not moved, and is right
+        # borders along rows are not moved and stay right
         level = found[4] - found[0]
         self.assertEqual(found[4], 1.0)
         self.assertGreater(min(found[2:7]), 1 - 0.1 * level)
         self.assertLess(max(*found[:2], *found[7:]), 1 - 0.8 * level)
         self.assertEqual(things.measure(-t, sample).get("border"), 0.0)
-        # how steep it is does not matter
+        # the steepness does not matter
         self.assertGreater(things.measure(cv2.GaussianBlur(t, (0, 0), 2), sample)["border"], 0.9)
 
-    def test_thin_things_are_told_alone(self):
+    def test_thin_things_have_their_own_figure(self):
         t, sample = self.sized()
         sample.region[60:150, 128:132], sample.kind[60:150, 128:132], sample.lines = 9, THING, (9,)
         missed = t.copy()
         sample.value[60:150, 128:132] = t[60:150, 128:132] = 1.0
-        # unknown at its outline, as labels are
+        # labels are unknown at outlines
         sample.value[60:150, [127, 128, 131, 132]] = np.nan
         self.assertNotIn("thin", things.measure(t, self.sample()))
         for off, least, most in ((0, 0.99, 1), (2, 0.9, 1), (8, 0, 0.2)):
@@ -160,15 +160,15 @@ class Things(unittest.TestCase):
             self.assertTrue(least <= thin <= most, (off, thin))
         self.assertLess(things.measure(missed, sample)["thin"], 0.05)
 
-    def test_the_opposite_is_wrong(self):
+    def test_the_inverse_map_has_the_wrong_order(self):
         t, sample = self.sized()
         self.assertEqual(things.measure(-t, sample)["order"], 0.0)
 
-    def test_nothing_is_half_right(self):
+    def test_a_flat_map_is_half_right(self):
         t, sample = self.sized()
         self.assertEqual(things.measure(0 * t + 1, sample)["order"], 0.5)
 
-    def test_noise_breaks_things(self):
+    def test_noise_makes_things_inconsistent(self):
         t, sample = self.sized()
         random = np.random.default_rng(0).normal(size=t.shape)
         figures = [things.measure(t + s * random, sample)["whole"] for s in (0.01, 0.1)]

@@ -1,4 +1,4 @@
-"""Cards keep what they tell of a network."""
+"""Model cards keep the origin of a network."""
 
 import sys
 import tempfile
@@ -16,12 +16,12 @@ class Cards(unittest.TestCase):
         with mock.patch.object(manifest, "MODELS", folder), mock.patch.object(sys, "argv", ["manifest.py", *words]):
             manifest.main()
 
-    def test_an_origin_that_is_told_is_kept(self):
+    def test_a_known_origin_is_not_overwritten(self):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             model, card = folder / "net.onnx", folder / "net.md"
             model.write_bytes(b"one")
-            # a card without an origin, and one that says that there is none, are written
+            # cards without an origin, and with an unknown one, may change
             for content in (b"one", b"two"):
                 model.write_bytes(content)
                 self.run_main(folder, "net")
@@ -30,9 +30,9 @@ class Cards(unittest.TestCase):
             manifest.into_card(card, manifest.block(model, RUN))
             before = card.read_text()
             model.write_bytes(b"three")
-            with self.assertRaises(SystemExit) as refused:
+            with self.assertRaises(SystemExit) as raised:
                 self.run_main(folder, "net")
-            self.assertIn("net.md tells", str(refused.exception))
+            self.assertIn("net.md describes", str(raised.exception))
             self.assertEqual(card.read_text(), before)
             with self.assertRaises(SystemExit):
                 self.run_main(folder, "net", "--check")

@@ -1,4 +1,4 @@
-"""The depth network, and its graph."""
+"""The depth network and its ONNX graph."""
 
 import tempfile
 import unittest
@@ -13,7 +13,7 @@ import network
 
 
 def trained():
-    """A network whose factors and statistics are not those that it began with."""
+    """A network with factors and statistics other than the initial ones."""
     torch.manual_seed(3)
     net = network.DepthNet()
     for m in net.modules():
@@ -37,13 +37,13 @@ class Network(unittest.TestCase):
             for n, h, w in ((1, 64, 96), (3, 96, 64)):
                 self.assertLess(graph.check(path, network.Shipped(net), {"image": torch.randn(n, 3, h, w)}), 1e-4)
 
-    def test_folding_changes_nothing_but_roundings(self):
+    def test_folding_changes_only_rounding(self):
         net, x = trained(), torch.randn(1, 3, 64, 96)
         with torch.no_grad():
             before = network.Shipped(net)(x)
             self.assertLess(float((network.Shipped(export.folded(net))(x) - before).abs().max()), 2e-2)
 
-    def test_a_mirrored_picture_gives_the_mirrored_map(self):
+    def test_a_mirrored_picture_gives_a_mirrored_map(self):
         net, x = network.Shipped(trained(), mirrored=True), torch.randn(1, 3, 64, 96)
         with torch.no_grad():
             self.assertLess(float((net(x).flip(3) - net(x.flip(3))).abs().max()), 1e-4)
@@ -53,7 +53,7 @@ class Network(unittest.TestCase):
         shapes = [f.shape[1:] for f in encoder(x)]
         self.assertEqual(shapes, [(c, 64 >> i, 96 >> i) for i, c in enumerate(encoder.channels, 1)])
 
-    def test_a_published_layer_is_its_convolution_and_batchnorm(self):
+    def test_a_published_layer_equals_convolution_and_batchnorm(self):
         conv, norm = nn.Conv2d(4, 6, 3, padding=1, bias=False), nn.BatchNorm2d(6, eps=network.EPSILON).eval()
         norm.running_mean.uniform_(-1, 1)
         norm.running_var.uniform_(0.5, 2)
@@ -63,7 +63,7 @@ class Network(unittest.TestCase):
         with torch.no_grad():
             self.assertLess(float((own(x) - norm(conv(x))).abs().max()), 1e-5)
 
-    def test_the_published_encoder_is_taken_whole(self):
+    def test_the_published_encoder_sets_all_weights(self):
         encoder = network.Encoder()
         for p in encoder.parameters():
             p.data.fill_(torch.nan)

@@ -1,4 +1,4 @@
-"""Only what may be trained on is read, as what it is."""
+"""Reads only allowed training data, with the right meaning of maps."""
 
 import json
 import tempfile
@@ -38,10 +38,10 @@ class Sources(unittest.TestCase):
             cv2.imwrite(str(path.with_name(f"{depth}.png")), raw)
         self.items = {i.name.removeprefix("train2/"): i for i in sources.gathered(self.root)}
 
-    def test_only_what_may_be_trained_on(self):
+    def test_only_allowed_pictures_are_read(self):
         self.assertEqual(set(self.items), {"rgbd/a/x.jpg", "rgbd/a/l.jpg", "rgbd/b/z.jpg", "stereo/c/d", "pairs/e/m.jpg", "pairs/e/o.jpg", "pairs/e/d.jpg"})
 
-    def test_what_is_left_out_is_not_trained_on_with_or_without_a_label(self):
+    def test_excluded_pictures_are_never_trained_on(self):
         folder = self.root / "labels"
         folder.mkdir()
         photos = [f"train2/photos/{f}/{n}.jpg" for f in ("elementary", "imaginary", "other") for n in range(40)]
@@ -53,12 +53,12 @@ class Sources(unittest.TestCase):
             return {photos[int(i.name.removeprefix("label/"))] for i in sources.labels(held, folder)}
 
         self.assertEqual(read(False), {p for p in photos if "/other/" in p and not sources.held_out(p)})
-        # measuring on them is no training
+        # evaluation may use them
         self.assertEqual(read(True), {p for p in photos if sources.held_out(p)})
         for reason in sources.LEFT_OUT.values():
             self.assertIn("Unsplash", reason)
 
-    def test_what_maps_mean(self):
+    def test_maps_have_the_right_space(self):
         spaces = {k: (i.group, i.space, i.sparse) for k, i in self.items.items()}
         self.assertEqual(spaces["pairs/e/m.jpg"], ("pairs:depth", "depth", False))
         self.assertEqual(spaces["pairs/e/o.jpg"], ("pairs:order", "order", False))

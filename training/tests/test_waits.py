@@ -1,4 +1,4 @@
-"""No step of the depth training waits for a graphics card: it runs here on tensors that have shapes and a device but no values."""
+"""No step of the depth training waits for the GPU; runs on fake tensors with shape and device but no values."""
 
 import argparse
 import traceback
@@ -22,7 +22,7 @@ CARD = torch.device("cuda:0")
 
 
 class Transfers(TorchDispatchMode):
-    """Notes copies from one device to another that the host waits for, and where they are asked for."""
+    """Records blocking copies between devices, and their stack traces."""
 
     def __init__(self):
         super().__init__()
@@ -42,22 +42,22 @@ class Transfers(TorchDispatchMode):
         return out
 
 
-def sent(arrays, device):
-    """`common.sent` without pinned memory, which tensors without values have not."""
+def to_device(arrays, device):
+    """`common.to_device` without pinned memory, which fake tensors do not support."""
     return [torch.from_numpy(a).to(device, non_blocking=True) for a in arrays]
 
 
 class Waits(unittest.TestCase):
     def setUp(self):
-        # other tests train on the processor, where all is deterministic; a card has no such algorithms for all of it
+        # other tests enable deterministic algorithms, which GPUs do not have for all operations
         was = torch.are_deterministic_algorithms_enabled()
         torch.use_deterministic_algorithms(False)
         self.addCleanup(torch.use_deterministic_algorithms, was)
 
     def found(self, loss_of):
-        """Where two steps wait, the first of which may make what is kept."""
+        """Stack traces of waits in two steps; the first one may fill caches."""
         constant = lambda values, device: torch.zeros(torch.tensor(values).shape, device=device)
-        changes = [mock.patch.object(m, "sent", sent) for m in (common, batches, augment, depth, network)]
+        changes = [mock.patch.object(m, "to_device", to_device) for m in (common, batches, augment, depth, network)]
         changes += [mock.patch.object(m, "constant", constant) for m in (common, augment, losses, network)]
         changes += [mock.patch.object(m, "generator", lambda seed, device: None) for m in (augment, depth)]
         changes += [mock.patch.object(batches, "SHAPES", {(32, 64): 0.5, (64, 32): 0.5})]
@@ -75,21 +75,21 @@ class Waits(unittest.TestCase):
             steps = depth.Steps(net, mean, pictures, argparse.Namespace(seed=1, batch=24, init="given"))
 
             def backward():
-                # the way back needs a card even for tensors without values; PyTorch's own does not wait
+                # backward needs a GPU even for fake tensors; PyTorch's own does not wait
                 for p in learner.params:
                     p.grad = torch.empty_like(p)
 
             for step in range(2):
-                with Transfers() as told:
+                with Transfers() as transfers:
                     parts = steps.loss_at(step)
                     learner.learn(mock.Mock(backward=backward), step)
         self.assertEqual(set(parts), {"loss", *depth.WEIGHTS})
-        return told.found
+        return transfers.found
 
-    def test_a_step_waits_for_nothing(self):
+    def test_a_step_does_not_wait(self):
         self.assertEqual(self.found(depth.loss_of), [])
 
-    def test_a_transfer_would_be_seen(self):
+    def test_a_blocking_transfer_is_detected(self):
         true = depth.loss_of
 
         def waiting(p, *rest):
@@ -99,7 +99,7 @@ class Waits(unittest.TestCase):
         self.assertEqual(len(found), 1)
         self.assertIn("waiting", found[0])
 
-    def test_a_value_would_be_seen(self):
+    def test_reading_a_value_is_detected(self):
         true = depth.loss_of
 
         def waiting(p, *rest):

@@ -1,11 +1,11 @@
-//! Running other programs.
+//! Runs other programs.
 
 use std::cell::RefCell;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What went wrong, and in which step.
+/// An error, with the step that failed.
 pub struct Fault {
     step: Option<&'static str>,
     text: String,
@@ -16,7 +16,7 @@ impl Fault {
         Self { step: None, text: text.into() }
     }
 
-    /// Names the step, where none has been named.
+    /// Names the step, unless one is already named.
     pub fn in_step(mut self, step: &'static str) -> Self {
         self.step.get_or_insert(step);
         self
@@ -32,23 +32,23 @@ impl fmt::Display for Fault {
     }
 }
 
-/// Root of the workspace.
+/// The workspace's root folder.
 pub fn root() -> PathBuf {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     here.parent().unwrap_or(here).to_owned()
 }
 
-/// A profile of `Cargo.toml`: a way to build the program.
+/// A build profile of `Cargo.toml`.
 #[derive(Clone, Copy)]
 pub enum Profile {
-    /// What people run.
+    /// For users.
     Release,
-    /// What lints and tests look at.
+    /// For lints and tests.
     Checks,
 }
 
 impl Profile {
-    /// Its name in cargo, and of its build folder.
+    /// Name of the profile and of its build folder.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Release => "release",
@@ -57,55 +57,55 @@ impl Profile {
     }
 }
 
-/// The folder that cargo builds into.
+/// Cargo's target folder.
 pub fn target() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |t| root().join(t))
 }
 
-/// A program of the workspace as built with that profile.
+/// Path of a program of the workspace, built with a profile.
 pub fn built(profile: Profile, name: &str) -> PathBuf {
     target().join(profile.name()).join(format!("{name}{}", std::env::consts::EXE_SUFFIX))
 }
 
-/// Data for measuring, for programs that run in any folder.
+/// Absolute path of the test data, for programs that run in another folder.
 pub fn data() -> PathBuf {
     let named = std::env::var_os("TMPI_DATA").filter(|v| !v.is_empty());
     root().join(named.unwrap_or_else(|| "../shared/data".into()))
 }
 
-/// The cargo that runs this task.
+/// A command of the cargo that runs this task.
 pub fn cargo(args: &[&str]) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.args(args).current_dir(root());
     command.env("TMPI_DATA", data());
-    crate::runtime::name_to(&mut command);
+    crate::runtime::set_env(&mut command);
     command
 }
 
-/// The command as typed in a shell.
-pub fn shown(command: &Command) -> String {
+/// The command as you would type it in a shell.
+pub fn command_line(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words.map(|w| w.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
 }
 
 thread_local! {
-    /// What steps of this thread have printed; none where they print at once.
-    static HELD_BACK: RefCell<Option<String>> = const { RefCell::new(None) };
+    /// Captured output of this thread's step; `None` if the step prints directly.
+    static CAPTURED: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
-/// Runs something on this thread and gives what it and its programs print.
-pub fn quietly<T>(run: impl FnOnce() -> T) -> (T, String) {
-    HELD_BACK.set(Some(String::new()));
+/// Calls `run` and returns its result with everything that it and its programs print.
+pub fn capture<T>(run: impl FnOnce() -> T) -> (T, String) {
+    CAPTURED.set(Some(String::new()));
     let result = run();
-    (result, HELD_BACK.take().unwrap_or_default())
+    (result, CAPTURED.take().unwrap_or_default())
 }
 
-/// Prints a text and a line's end, or holds both back.
+/// Prints a line, or captures it during [`capture`].
 pub fn say(text: &str) {
-    HELD_BACK.with_borrow_mut(|held| match held {
-        Some(held) => {
-            held.push_str(text);
-            held.push('\n');
+    CAPTURED.with_borrow_mut(|captured| match captured {
+        Some(captured) => {
+            captured.push_str(text);
+            captured.push('\n');
         }
         None => println!("{text}"),
     });
@@ -113,55 +113,55 @@ pub fn say(text: &str) {
 
 /// Runs a program and shows its output.
 pub fn run(mut command: Command) -> Result<(), Fault> {
-    let failed = |e: std::io::Error, command: &Command| Fault::new(format!("`{}` does not start: {e}", shown(command)));
-    let status = if HELD_BACK.with_borrow(Option::is_some) {
+    let failed = |e: std::io::Error, command: &Command| Fault::new(format!("cannot start `{}`: {e}", command_line(command)));
+    let status = if CAPTURED.with_borrow(Option::is_some) {
         let output = command.output().map_err(|e| failed(e, &command))?;
         say(&[output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned()).concat());
         output.status
     } else {
         command.status().map_err(|e| failed(e, &command))?
     };
-    if status.success() { Ok(()) } else { Err(Fault::new(format!("`{}`: {status}", shown(&command)))) }
+    if status.success() { Ok(()) } else { Err(Fault::new(format!("`{}`: {status}", command_line(&command)))) }
 }
 
-/// Runs a program and gives what it prints, on both streams.
+/// Runs a program and returns its output, standard output before standard error.
 pub fn run_quietly(mut command: Command) -> Result<String, Fault> {
-    let output = command.output().map_err(|e| Fault::new(format!("`{}` does not start: {e}", shown(&command))))?;
+    let output = command.output().map_err(|e| Fault::new(format!("cannot start `{}`: {e}", command_line(&command))))?;
     let text = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).trim().to_owned()).join("\n");
     if output.status.success() {
         return Ok(text);
     }
-    Err(Fault::new(format!("`{}`: {}\n{}", shown(&command), output.status, text.trim())))
+    Err(Fault::new(format!("`{}`: {}\n{}", command_line(&command), output.status, text.trim())))
 }
 
-/// A program with a timeout, after which its status is 124.
+/// A program with a timeout; if it runs out, the exit status is 124.
 pub fn within_minutes(minutes: u64, program: &str) -> Command {
     let mut command = Command::new("timeout");
     command.args(["--kill-after=10s", &format!("{minutes}m"), program]).current_dir(root());
     command
 }
 
-/// Standard output of a program that succeeds.
+/// Standard output of a program; `None` if it fails.
 pub fn output(program: &str, args: &[&str]) -> Option<String> {
     let output = Command::new(program).args(args).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-/// Runs a program in place of this one, so that signals reach it alone.
+/// Replaces this process by a program, so that signals reach only that program.
 #[cfg(unix)]
-pub fn become_it(mut command: Command) -> Result<(), Fault> {
+pub fn exec(mut command: Command) -> Result<(), Fault> {
     use std::os::unix::process::CommandExt;
     let error = command.exec();
-    Err(Fault::new(format!("`{}` does not start: {error}", shown(&command))))
+    Err(Fault::new(format!("cannot start `{}`: {error}", command_line(&command))))
 }
 
-/// Runs a program in place of this one.
+/// Runs a program as the last action of this one.
 #[cfg(not(unix))]
-pub fn become_it(command: Command) -> Result<(), Fault> {
+pub fn exec(command: Command) -> Result<(), Fault> {
     run(command)
 }
 
-/// Processors of this machine.
+/// Number of CPU cores.
 pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }

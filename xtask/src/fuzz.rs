@@ -1,4 +1,4 @@
-//! The fuzzer: the targets of `src/fuzzing.rs` on what libFuzzer finds, from the seeds on.
+//! Runs the targets of `src/fuzzing.rs` under libFuzzer, starting from the seeds in `fuzz/seeds`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::sync::Mutex;
 
 use crate::command::{self, Fault, cargo, cores, output, root, run_quietly};
 
-/// The targets of `src/fuzzing.rs`; a test there compares the lists.
+/// The targets of `src/fuzzing.rs`. A test there compares both lists.
 const TARGETS: [&str; 28] = [
     "container",
     "built",
@@ -39,15 +39,15 @@ const TARGETS: [&str; 28] = [
     "config",
 ];
 const SECONDS: u32 = 60;
-/// An input that takes longer is a finding.
+/// An input that takes longer than this counts as a finding.
 const TIMEOUT: &str = "-timeout=20";
-/// Largest resident memory. A target needs a tenth of it; the sanitizer's shadow and quarantine need the rest.
+/// Limit of resident memory. A target needs a tenth of it; the sanitizer's shadow and quarantine need the rest.
 const MEMORY: &str = "-rss_limit_mb=3072";
-/// Threads of libraries are not joined, so their memory would count as leaked.
+/// Off: libraries do not join their threads, so their memory would count as leaked.
 const LEAKS: &str = "-detect_leaks=0";
-/// Environment variable: the folder of inputs that earlier runs have found; `target/fuzz/corpus` without it.
+/// Environment variable that names the folder of inputs from earlier runs; default `target/fuzz/corpus`.
 const CORPUS: &str = "TMPI_FUZZ_CORPUS";
-/// What cargo-fuzz passes. The sanitizer needs a nightly compiler, or [`BOOTSTRAP`].
+/// Flags that cargo-fuzz passes too. The sanitizer needs a nightly compiler, or [`BOOTSTRAP`].
 const COVERAGE: [&str; 8] = [
     "-Zsanitizer=address",
     "-Coverflow-checks=on",
@@ -58,12 +58,12 @@ const COVERAGE: [&str; 8] = [
     "-Cllvm-args=-sanitizer-coverage-trace-compares",
     "--cfg=fuzzing",
 ];
-/// Environment variable that lets a stable compiler take flags of a nightly one.
+/// Environment variable that makes a stable compiler accept nightly flags.
 const BOOTSTRAP: &str = "RUSTC_BOOTSTRAP";
-/// The same for what is C: zstd and libwebp.
+/// The same sanitizer for the C libraries zstd and libwebp.
 const C_FLAGS: &str = "-fsanitize=address -fno-omit-frame-pointer -O1";
 
-/// `[--seconds N] [TARGET…]`: runs every target, or those named, for N seconds each.
+/// `[--seconds N] [TARGET…]`: fuzzes the named targets, or all, for N seconds each.
 pub fn fuzz(args: &[String]) -> Result<(), Fault> {
     let (mut seconds, mut targets) = (SECONDS, Vec::new());
     let mut args = args.iter();
@@ -74,7 +74,7 @@ pub fn fuzz(args: &[String]) -> Result<(), Fault> {
                 seconds = args.next().and_then(|n| n.parse().ok()).ok_or_else(wrong)?;
             }
             other if TARGETS.contains(&other) => targets.extend(TARGETS.into_iter().filter(|t| *t == other)),
-            other => return Err(Fault::new(format!("there is no target {other:?}; there are {}", TARGETS.join(", ")))),
+            other => return Err(Fault::new(format!("unknown target {other:?}; expected one of {}", TARGETS.join(", ")))),
         }
     }
     run(&targets, seconds)
@@ -84,7 +84,7 @@ pub fn fuzz(args: &[String]) -> Result<(), Fault> {
 pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
     let targets = if targets.is_empty() { TARGETS.to_vec() } else { targets.to_vec() };
     let program = build()?;
-    // as many side by side as there are cores
+    // one worker per core
     let all = Mutex::new(targets.into_iter());
     let worker = || {
         let mut faults = Vec::new();
@@ -100,7 +100,7 @@ pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
     if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
 }
 
-/// Seconds for each target if all together may take `minutes`.
+/// Seconds per target if all targets together may take `minutes`.
 pub fn seconds_each(minutes: u64) -> u32 {
     u32::try_from(minutes * 60 * cores() as u64 / TARGETS.len() as u64).unwrap_or(u32::MAX).max(1)
 }
@@ -108,7 +108,7 @@ pub fn seconds_each(minutes: u64) -> u32 {
 fn build() -> Result<PathBuf, Fault> {
     let triple = output("rustc", &["-vV"]).and_then(|v| v.lines().find_map(|l| l.strip_prefix("host: ").map(str::to_owned)));
     let triple = triple.ok_or_else(|| Fault::new("`rustc -vV` names no host"))?;
-    // with a target named, build scripts are not instrumented
+    // with an explicit target, cargo does not instrument build scripts
     let mut build =
         cargo(&["build", "--release", "--manifest-path", "fuzz/Cargo.toml", "--target-dir", "target/fuzz", "--target", &triple]);
     build.env("RUSTFLAGS", COVERAGE.join(" ")).env(BOOTSTRAP, "1");
@@ -118,7 +118,7 @@ fn build() -> Result<PathBuf, Fault> {
     Ok(root().join("target/fuzz").join(&triple).join("release/fuzz"))
 }
 
-/// Runs one target: prints a line of figures, or its whole output if it finds something.
+/// Runs one target. Prints a line of statistics, or fails with its whole output if it finds something.
 fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
     let corpus = std::env::var_os(CORPUS).filter(|v| !v.is_empty()).map_or_else(|| root().join("target/fuzz/corpus"), PathBuf::from);
     let (found, crashes) = (corpus.join(name), root().join("target/fuzz/crashes").join(name));
@@ -126,16 +126,16 @@ fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
         fs::create_dir_all(folder).map_err(|e| Fault::new(format!("{}: {e}", folder.display())))?;
     }
     let mut command = Command::new(program);
-    // one thread each: as many targets as cores run side by side
+    // one thread each, because one target runs on each core
     command.env("TMPI_FUZZ", name).env("RAYON_NUM_THREADS", "1").current_dir(root()).args([TIMEOUT, MEMORY, LEAKS, "-print_final_stats=1"]);
     command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
     command.arg(&found).arg(root().join("fuzz/seeds").join(name));
-    let said = run_quietly(command)?;
-    println!("{}", Figures::read(&said).line(name, seconds));
+    let log = run_quietly(command)?;
+    println!("{}", Figures::read(&log).line(name, seconds));
     Ok(())
 }
 
-/// What libFuzzer says of a run at its end.
+/// libFuzzer's final statistics of a run.
 #[derive(Debug, Default, PartialEq)]
 struct Figures {
     runs: u64,
@@ -143,9 +143,9 @@ struct Figures {
 }
 
 impl Figures {
-    fn read(said: &str) -> Self {
+    fn read(log: &str) -> Self {
         let number = |text: &str| text.split_whitespace().next().and_then(|n| n.parse().ok());
-        let after = |name: &str| said.rmatch_indices(name).find_map(|(at, _)| number(&said[at + name.len()..])).unwrap_or(0);
+        let after = |name: &str| log.rmatch_indices(name).find_map(|(at, _)| number(&log[at + name.len()..])).unwrap_or(0);
         Self { runs: after("stat::number_of_executed_units:"), edges: after(" cov: ") }
     }
 
@@ -161,8 +161,8 @@ mod tests {
 
     #[test]
     fn figures_are_read_from_the_end_of_a_run() {
-        let said = "#2\tINITED cov: 12 ft: 13 corp: 1/1b\n#9\tDONE   cov: 345 ft: 900 corp: 7/9b\nstat::number_of_executed_units: 9000\n";
-        let figures = Figures::read(said);
+        let log = "#2\tINITED cov: 12 ft: 13 corp: 1/1b\n#9\tDONE   cov: 345 ft: 900 corp: 7/9b\nstat::number_of_executed_units: 9000\n";
+        let figures = Figures::read(log);
         assert_eq!(figures, Figures { runs: 9000, edges: 345 });
         assert!(figures.line("jpeg", 60).contains(" 150 a second"));
     }

@@ -1,4 +1,4 @@
-//! Tasks around the program: `cargo xtask help` lists them.
+//! Development tasks; `cargo xtask help` lists them.
 
 mod browser;
 mod command;
@@ -24,18 +24,19 @@ const HELP: &str = "\
 usage: cargo xtask <task>
 
   serve [--offline] [ARGS]
-                fetch ONNX Runtime, build, fetch a better depth network than the embedded one (50 MB, once), and run `tmpi serve ARGS`;
-                --offline, or a depth network named in ARGS: fetch no depth network
+                fetch ONNX Runtime, build, fetch a depth network that is better than the embedded one (50 MB, once), and run
+                `tmpi serve ARGS`; with --offline, or if ARGS name a depth network, fetch no depth network
   test [--skip-missing] [STEP…]
-                everything that protects users: format, spelling, lint, Rust tests, browser tests, deployment files, OpenAPI, training; installs
-                what is missing; --skip-missing: installs nothing, and lists the tests that were skipped
+                run all checks: format, spelling, lint, Rust tests, browser tests, deployment files, OpenAPI, training; install missing
+                tools; with --skip-missing install nothing and list the skipped tests
   nightly [--minutes N] [STEP…]
-                what needs hours: load and fault scripts, requests against OpenAPI, mutants, fuzzers; no step takes longer than N minutes (90)
+                run the checks that take hours: load and fault scripts, requests against OpenAPI, mutants, fuzzers; no step takes longer
+                than N minutes (90)
   fuzz [--seconds N] [TARGET…]
-                fuzz the readers of foreign bytes (containers, photos, depth maps, forms, headers, settings), N seconds each
+                fuzz the readers of untrusted bytes (containers, photos, depth maps, forms, headers, settings), N seconds each
   wasm          build the pages' decoders, static/*/*.wasm
   release [--offline]
-                pack the program, ONNX Runtime, a depth network and licences into target/archive, and try the archive by itself
+                pack the program, ONNX Runtime, a depth network and licences into target/archive, and test the archive
   npm           pack the element <tmpi-viewer> for npm into target/npm
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime";
 
@@ -76,9 +77,9 @@ fn main() -> ExitCode {
     }
 }
 
-/// Flag of `test`: nothing is installed.
+/// Flag of `test`: install nothing.
 const SKIP_MISSING: &str = "--skip-missing";
-/// Flag of `serve` and `release`: fetch only what is required.
+/// Flag of `serve` and `release`: fetch no depth network.
 const OFFLINE: &str = "--offline";
 
 fn serve(args: &[String]) -> Result<(), Fault> {
@@ -87,13 +88,13 @@ fn serve(args: &[String]) -> Result<(), Fault> {
     let chosen = |a: &String| a.starts_with("--depth-model") || a == OFFLINE;
     if !args.iter().any(chosen) && std::env::var_os("TMPI_DEPTH_MODEL").is_none() {
         let mut models = std::process::Command::new(built(Profile::Release, "tmpi"));
-        // without a network it prints a line, and the installed network is used
+        // if the download fails, `tmpi models get` prints why, and the server uses an installed network
         models.args(["models", "get", "auto"]).stdout(std::process::Stdio::null());
         run(models).map_err(|e| e.in_step("depth network"))?;
     }
     // the server prints its URL once it listens
     let mut server = std::process::Command::new(built(Profile::Release, "tmpi"));
     server.arg("serve").args(args.iter().filter(|a| *a != OFFLINE));
-    runtime::name_to(&mut server);
-    command::become_it(server).map_err(|e| e.in_step("serve"))
+    runtime::set_env(&mut server);
+    command::exec(server).map_err(|e| e.in_step("serve"))
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask nightly`: what needs hours.
+//! `cargo xtask nightly`: checks that take hours.
 
 use std::fs;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,21 +29,21 @@ const STEPS: [Step; 18] = [
     Step { name: "fuzz", run: || fuzz::run(&[], fuzz::seconds_each(minutes())) },
 ];
 
-/// Flag: the longest that a step may take, in minutes.
+/// Flag: time limit of each step in minutes.
 const MINUTES_FLAG: &str = "--minutes";
-/// Without the flag: the longest script, `memory.py`, takes about an hour.
+/// Default limit; the longest script, `memory.py`, takes about an hour.
 const MINUTES: u64 = 90;
-static MOST_MINUTES: AtomicU64 = AtomicU64::new(MINUTES);
+static MAX_MINUTES: AtomicU64 = AtomicU64::new(MINUTES);
 
-/// `[--minutes N] [STEP…]`: all steps, or those named; a failure does not keep the others from running.
+/// `[--minutes N] [STEP…]`: runs all steps, or the named ones. A failure does not stop the others.
 ///
-/// The fuzzers share N minutes and the mutants are tried for as long. Any other step that takes longer is ended and has failed.
+/// The fuzzers share N minutes, and mutants are tested for N minutes. Any other step that takes longer is stopped and fails.
 pub fn nightly(args: &[String]) -> Result<(), Fault> {
     let mut names = args.to_vec();
     if let Some(at) = names.iter().position(|a| a == MINUTES_FLAG) {
         let wrong = || Fault::new(format!("{MINUTES_FLAG} takes a whole number"));
         let minutes = names.get(at + 1).and_then(|n| n.parse().ok()).filter(|n| *n > 0).ok_or_else(wrong)?;
-        MOST_MINUTES.store(minutes, Ordering::Relaxed);
+        MAX_MINUTES.store(minutes, Ordering::Relaxed);
         names.drain(at..at + 2);
     }
     skipped::clear()?;
@@ -53,19 +53,19 @@ pub fn nightly(args: &[String]) -> Result<(), Fault> {
 }
 
 fn minutes() -> u64 {
-    MOST_MINUTES.load(Ordering::Relaxed)
+    MAX_MINUTES.load(Ordering::Relaxed)
 }
 
-/// Runs a script of `tests/load` with its moderate defaults; `--full` on the script itself takes longer.
+/// Runs a script of `tests/load` with its moderate defaults. For a longer run, start the script yourself with `--full`.
 fn load(script: &str) -> Result<(), Fault> {
     let mut command = within_minutes(minutes(), "python3");
     command.arg(root().join("tests/load").join(script)).env("TMPI", built(Profile::Checks, "tmpi")).env("TMPI_DATA", data());
-    tools::name_to(&mut command);
-    runtime::name_to(&mut command);
+    tools::set_env(&mut command);
+    runtime::set_env(&mut command);
     run(command)
 }
 
-/// Changes the core and checks that a test notices, for as long as there is time: other changes each day.
+/// Mutates the core and checks that a test catches each mutant, until the time is up. Each day tests other mutants.
 fn mutants() -> Result<(), Fault> {
     if output("cargo", &["mutants", "--version"]).is_none() {
         run(cargo(&["install", "cargo-mutants", "--locked", "--quiet"]))?;
@@ -74,19 +74,19 @@ fn mutants() -> Result<(), Fault> {
         output("cargo", &["mutants", "--package", "tmpi-core", "--list"]).ok_or_else(|| Fault::new("`cargo mutants --list` failed"))?;
     let all = list.lines().count().max(1);
     let day = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |t| t.as_secs() / (24 * 60 * 60));
-    // so many parts that a part is tried in time, about two changes a minute
+    // about two mutants a minute: choose the number of shards so that one fits the time
     let parts = (all as u64).div_ceil(2 * minutes()).max(1);
     let mut command = within_minutes(minutes(), "cargo");
     command.args(["mutants", "--package", "tmpi-core", "--sharding", "round-robin", "--output", "target"]);
     command.arg("--shard").arg(format!("{}/{parts}", day % parts));
-    // what was not noticed counts, though the time was over before the end
+    // missed mutants count even if the time ran out
     let result = run(command);
     let lines = |name: &str| fs::read_to_string(target().join("mutants.out").join(name)).unwrap_or_default();
     let (caught, missed) = (lines("caught.txt"), lines("missed.txt"));
-    say(&format!("{} of {all} changes: {} noticed", caught.lines().count() + missed.lines().count(), caught.lines().count()));
+    say(&format!("{} of {all} mutants tested, {} caught", caught.lines().count() + missed.lines().count(), caught.lines().count()));
     if missed.is_empty() && !caught.is_empty() {
         Ok(())
     } else {
-        result.and_then(|()| Err(Fault::new(format!("nothing notices\n{missed}"))))
+        result.and_then(|()| Err(Fault::new(format!("no test catches\n{missed}"))))
     }
 }

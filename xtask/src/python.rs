@@ -1,4 +1,4 @@
-//! Checks that are written in Python.
+//! Checks written in Python.
 
 use std::fs;
 use std::path::PathBuf;
@@ -7,31 +7,31 @@ use std::process::Command;
 use crate::command::{Fault, Profile, built, data, output, root, run, run_quietly, say};
 use crate::{runtime, skipped, tools};
 
-/// What the training tests import beyond Python's standard library.
+/// Imports of the training tests beyond the standard library.
 const TRAINING: &str = "import cv2, numpy, onnx, onnxruntime, torch";
 
 /// Unit tests of `training/`.
 ///
-/// They need PyTorch, a download of 3 GB: continuous integration (`CI` is set) installs it outside the clone, others are told.
+/// They need PyTorch, a download of 3 GB. If `CI` is set, this installs it outside the clone; otherwise the tests are skipped, with a hint.
 pub fn training() -> Result<(), Fault> {
     let python = if output("python3", &["-c", TRAINING]).is_some() {
         "python3".into()
     } else if std::env::var_os("CI").is_some() {
         environment("training", "training/tests/requirements.txt")?
     } else {
-        let reason = "python3 has no torch; `pip install -r training/requirements.txt` brings it, 3 GB";
+        let reason = "python3 has no torch; install it with `pip install -r training/requirements.txt` (3 GB)";
         return skipped::add("torch", "training/tests", reason);
     };
     let mut tests = Command::new(python);
     tests
         .args(["-m", "unittest", "discover", "--start-directory", "tests", "--top-level-directory", "."])
         .current_dir(root().join("training"));
-    // absolute: the tests run in another folder than the caller
+    // absolute, because the tests run in another folder
     tests.env("TMPI_DATA", data());
     run(tests)
 }
 
-/// The Python of an environment that has these packages, installed now where it has not, and no others.
+/// The Python of a virtual environment with exactly these packages; creates it if it is missing or out of date.
 fn environment(name: &str, requirements: &str) -> Result<PathBuf, Fault> {
     let folder = cache(name);
     let python = folder.join("bin/python3");
@@ -46,19 +46,19 @@ fn environment(name: &str, requirements: &str) -> Result<PathBuf, Fault> {
     let mut pip = Command::new(&python);
     pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"]).arg(&wanted);
     run_quietly(pip)?;
-    // copied last: an environment without it is not whole
+    // copied last: marks the environment as complete
     fs::copy(&wanted, &installed).map_err(|e| Fault::new(format!("{}: {e}", installed.display())))?;
     Ok(python)
 }
 
-/// A folder of this user's cache, which outlives a clone.
+/// A folder in this user's cache, which outlives a clone.
 fn cache(name: &str) -> PathBuf {
     let named = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).filter(|p| p.is_absolute());
     let folder = named.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cache")));
     folder.unwrap_or_else(|| root().join(".tmpi")).join("tmpi").join(name)
 }
 
-/// Lints the description of the HTTP interface as a server answers it.
+/// Lints the `OpenAPI` document that a server returns.
 pub fn openapi() -> Result<(), Fault> {
     tools::openapi_packages()?;
     let mut check = Command::new("python3");
@@ -66,19 +66,19 @@ pub fn openapi() -> Result<(), Fault> {
     run(check)
 }
 
-/// Sends requests that follow the description of the HTTP interface, and requests that break it.
+/// Sends a server requests that conform to its `OpenAPI` document, and requests that violate it.
 pub fn openapi_requests() -> Result<(), Fault> {
     let mut check = Command::new(environment("schemathesis", "tests/openapi/requirements.txt")?);
     check.args(["tests/openapi/check.py", "--only", "play"]).current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
-    runtime::name_to(&mut check);
+    runtime::set_env(&mut check);
     run(check)
 }
 
-/// Checks `docker/` with the tools that read it.
+/// Checks the files in `docker/` with the tools that read them.
 pub fn deployment() -> Result<(), Fault> {
     let python = if tools::may_install() { environment("deployment", "docker/requirements.txt")? } else { "python3".into() };
     let mut check = Command::new(python);
     check.arg("docker/check.py").current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
-    tools::name_to(&mut check);
+    tools::set_env(&mut check);
     run(check)
 }

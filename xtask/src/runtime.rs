@@ -1,4 +1,4 @@
-//! Fetches the ONNX Runtime library: it is taken out of the Python package, whose contents are the same for every Python.
+//! Fetches the ONNX Runtime library. It comes from the Python package, which contains the same library for every Python version.
 
 use std::process::Command;
 
@@ -7,7 +7,7 @@ use crate::wheel::{Package, Wheel};
 
 const LICENCES: [(&str, &str); 2] = [("onnxruntime/LICENSE", "LICENSE"), ("onnxruntime/ThirdPartyNotices.txt", "ThirdPartyNotices.txt")];
 
-/// The last version before Linux and macOS builds began to send usage data to their maker, where the program looks for it.
+/// The last version whose Linux and macOS builds send no usage data to the vendor. The program looks for the library in this folder.
 const RUNTIME: Package = Package {
     name: "onnxruntime",
     version: "1.28.0",
@@ -45,8 +45,8 @@ const RUNTIME: Package = Package {
     advice: "set ORT_DYLIB_PATH to a library file of version 1.22 or newer",
 };
 
-/// Names the library to a program that is built elsewhere than in the workspace and would not find it.
-pub fn name_to(command: &mut Command) {
+/// Passes the library's path to a program that is built outside the workspace and would not find it.
+pub fn set_env(command: &mut Command) {
     if std::env::var_os("CARGO_TARGET_DIR").is_none() || std::env::var_os("ORT_DYLIB_PATH").is_some_and(|v| !v.is_empty()) {
         return;
     }
@@ -55,18 +55,18 @@ pub fn name_to(command: &mut Command) {
     }
 }
 
-/// Makes sure that the library is there; says nothing where it is.
+/// Fetches the library unless it is already installed.
 pub fn fetch() -> Result<(), Fault> {
-    // The program takes this file and looks nowhere else
+    // the program loads this file and looks nowhere else
     if std::env::var_os("ORT_DYLIB_PATH").is_some_and(|v| !v.is_empty()) {
         return Ok(());
     }
     RUNTIME.fetch()
 }
 
-/// The library for this platform, where it is there.
+/// Path of the fetched library for this platform.
 pub fn library() -> Option<std::path::PathBuf> {
     let named = std::env::var_os("ORT_DYLIB_PATH").filter(|v| !v.is_empty()).map(std::path::PathBuf::from);
-    // one that the user names has no licences beside it
+    // a library that the user provides has no licence files beside it
     named.is_none().then(|| RUNTIME.last()).flatten().filter(|f| f.is_file())
 }

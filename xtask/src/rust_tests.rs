@@ -1,4 +1,4 @@
-//! Lints and tests of the Rust code, out of one build.
+//! Lints and tests the Rust code with a single build.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -7,15 +7,15 @@ use std::time::Instant;
 
 use serde_json::Value;
 
-use crate::command::{Fault, Profile, cargo, cores, data, run, say, shown};
+use crate::command::{Fault, Profile, cargo, command_line, cores, data, run, say};
 use crate::{runtime, tools};
 
 /// A test program that cargo has built.
 struct TestProgram {
-    /// Package and target, like `tmpi-core` or `tmpi http`.
+    /// Folder of the package, and target if it has another name: `core codec`.
     name: String,
     executable: PathBuf,
-    /// The package's folder, in which cargo would run it.
+    /// The package's folder; cargo would run it there.
     folder: PathBuf,
 }
 
@@ -26,7 +26,7 @@ struct Outcome {
     counts: Counts,
 }
 
-/// What a test program printed at its end.
+/// Counts that a test program prints at its end.
 #[derive(Clone, Default)]
 struct Counts {
     passed: usize,
@@ -34,27 +34,28 @@ struct Counts {
     ignored: usize,
 }
 
-/// Lints everything and builds the program and all tests, in one pass: Clippy is the compiler here.
+/// Lints everything and builds the program and all tests in one pass, with Clippy as the compiler.
 ///
 /// `cargo clippy` would compile all dependencies a second time, because it only checks them.
 pub fn build() -> Result<(), Fault> {
     programs()?;
-    // none of the targets that `cargo test` takes by itself; another command than `cargo test` would build dependencies with other features
+    // benches are not among the default targets of `cargo test`; any other command would build dependencies with different features
     let mut command = cargo(&["test", "--workspace", "--benches", "--no-run", "--quiet", "--profile", Profile::Checks.name()]);
     lint(&mut command);
     run(command)
 }
 
 fn programs() -> Result<Vec<TestProgram>, Fault> {
-    // libraries, programs, tests, and examples as programs of their own, which browser tests start
+    // libraries, programs, tests and examples; browser tests start the examples
     let mut command = cargo(&["test", "--workspace", "--no-run", "--message-format=json-render-diagnostics"]);
     command.args(["--profile", Profile::Checks.name()]);
     lint(&mut command);
     command.stdout(Stdio::piped());
     let child = command.spawn();
-    let output = child.and_then(Child::wait_with_output).map_err(|e| Fault::new(format!("`{}` does not start: {e}", shown(&command))))?;
+    let output =
+        child.and_then(Child::wait_with_output).map_err(|e| Fault::new(format!("cannot start `{}`: {e}", command_line(&command))))?;
     if !output.status.success() {
-        return Err(Fault::new(format!("`{}`: {}", shown(&command), output.status)));
+        return Err(Fault::new(format!("`{}`: {}", command_line(&command), output.status)));
     }
     let messages = String::from_utf8_lossy(&output.stdout);
     let mut programs: Vec<_> = messages.lines().filter_map(|line| test_program(&serde_json::from_str(line).ok()?)).collect();
@@ -62,12 +63,12 @@ fn programs() -> Result<Vec<TestProgram>, Fault> {
     if programs.is_empty() { Err(Fault::new("cargo built no test program")) } else { Ok(programs) }
 }
 
-/// Makes Clippy the compiler of the workspace's own crates; what it warns of is an error.
+/// Makes Clippy the compiler of the workspace's own crates, and its warnings errors.
 pub fn lint(command: &mut Command) {
     command.env("RUSTC_WORKSPACE_WRAPPER", "clippy-driver").env("CLIPPY_ARGS", "-Dwarnings");
 }
 
-/// The test program that a message of cargo announces.
+/// The test program in a JSON message of cargo.
 fn test_program(message: &Value) -> Option<TestProgram> {
     let is_test = message["profile"]["test"].as_bool()? && message["reason"] == "compiler-artifact";
     let executable = PathBuf::from(message["executable"].as_str()?);
@@ -80,18 +81,18 @@ fn test_program(message: &Value) -> Option<TestProgram> {
 }
 
 impl TestProgram {
-    /// Runs its tests and prints their counts, and their output where one failed.
+    /// Runs its tests and prints their counts, preceded by the output if a test failed.
     fn run(&self) -> Result<Outcome, Fault> {
         let start = Instant::now();
         let mut command = Command::new(&self.executable);
         command.current_dir(&self.folder).env("CARGO_MANIFEST_DIR", &self.folder).env("TMPI_DATA", data());
-        // most tests of the server wait more than they compute
+        // most server tests wait more than they compute
         command.env("RUST_TEST_THREADS", (2 * cores()).to_string());
-        runtime::name_to(&mut command);
-        tools::name_to(&mut command);
-        let output = command.output().map_err(|e| Fault::new(format!("{} does not start: {e}", self.executable.display())))?;
+        runtime::set_env(&mut command);
+        tools::set_env(&mut command);
+        let output = command.output().map_err(|e| Fault::new(format!("cannot start {}: {e}", self.executable.display())))?;
         let text = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned()).concat();
-        // a program that ends before it counts has failed
+        // a program that prints no counts has crashed
         let aborted = Counts { failed: 1, ..Counts::default() };
         let counts = text.lines().find_map(Counts::parse).filter(|c| output.status.success() || c.failed > 0).unwrap_or(aborted);
         let Counts { passed, failed, ignored } = counts;
@@ -103,7 +104,7 @@ impl TestProgram {
 }
 
 impl Counts {
-    /// Reads the closing line of a test program: `test result: ok. 12 passed; 0 failed; 1 ignored; …`.
+    /// Parses the last line of a test program: `test result: ok. 12 passed; 0 failed; 1 ignored; …`.
     fn parse(line: &str) -> Option<Self> {
         let counts = line.strip_prefix("test result: ")?.split_once(". ")?.1;
         let of = |word: &str| counts.split("; ").find_map(|part| part.strip_suffix(word)?.trim().parse().ok());
@@ -111,13 +112,13 @@ impl Counts {
     }
 }
 
-/// Test programs that run side by side: some tests wait more than they compute.
+/// Test programs that run at the same time, because some tests wait more than they compute.
 const PROGRAMS: usize = 2;
 
-/// Runs all test programs, the largest first; their tests run on twice as many threads as the machine has cores.
+/// Runs all test programs, the largest first. Each uses twice as many threads as the machine has cores.
 ///
 /// # Errors
-/// The programs of which a test failed.
+/// Lists the programs with failed tests.
 pub fn run_all() -> Result<(), Fault> {
     let mut programs = programs()?;
     programs.sort_by_key(|p| std::cmp::Reverse(p.executable.metadata().map_or(0, |m| m.len())));
@@ -143,7 +144,7 @@ pub fn run_all() -> Result<(), Fault> {
 
 /// Compiles and runs the examples in doc comments.
 fn documentation() -> Result<(), Fault> {
-    // of the whole workspace, as other features would compile dependencies anew; only the client has such examples
+    // only the client has examples, but a build of one package would recompile dependencies with other features
     let mut command = cargo(&["test", "--quiet", "--workspace", "--doc", "--profile", Profile::Checks.name()]);
     lint(&mut command);
     run(command)
@@ -154,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_are_read_from_the_closing_line() {
+    fn counts_are_parsed_from_the_last_line() {
         let line = "test result: FAILED. 12 passed; 3 failed; 1 ignored; 0 measured; 7 filtered out; finished in 0.52s";
         let counts = Counts::parse(line).unwrap();
         assert_eq!((counts.passed, counts.failed, counts.ignored), (12, 3, 1));

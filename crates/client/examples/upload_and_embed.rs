@@ -1,7 +1,8 @@
-//! Uploads a photo, waits until it is made, makes it visible to everyone with its URL, and prints the HTML that embeds it.
+//! Uploads a photo, waits until the server has processed it, makes it visible to everyone who has its URL, and prints the HTML that
+//! embeds it.
 //!
 //!     cargo run --release -p tmpi-client --example upload_and_embed -- http://127.0.0.1:8080 beach.jpg [KEY]
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "that is what it is for")]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a command-line program prints")]
 
 use std::process::ExitCode;
 
@@ -15,12 +16,12 @@ async fn embedded(server: &str, photo: Vec<u8>, key: Option<&str>) -> Result<Str
     };
     let accepted = client.upload(Upload::of(photo)).await?;
     let made = client.finished(&accepted.id, |stage| eprintln!("{}/{} {}", stage.step, stage.steps, stage.stage)).await?;
-    // only servers with authentication have a visibility
+    // visibility is set only on servers with authentication
     if made.visibility.is_some() {
         client.change(&made.id, &Settings { visibility: Some(Visibility::Link), ..Settings::default() }).await?;
     }
     if let Some(secret) = client.secret().filter(|_| made.visibility.is_some()) {
-        eprintln!("to change it later, keep this secret: {secret}");
+        eprintln!("keep this secret to change the photo later: {secret}");
     }
     client.embedding(&made)
 }
@@ -28,7 +29,7 @@ async fn embedded(server: &str, photo: Vec<u8>, key: Option<&str>) -> Result<Str
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [server, file, key @ ..] = &arguments[..] else {
-        eprintln!("upload_and_embed SERVER PHOTO [KEY]");
+        eprintln!("usage: upload_and_embed SERVER PHOTO [KEY]");
         return ExitCode::from(2);
     };
     let done = std::fs::read(file).map_err(|e| format!("{file}: {e}")).and_then(|photo| {

@@ -1,4 +1,4 @@
-//! Sending a request, with retries if that is safe, and reading its answer.
+//! Sends requests, retries them when that is safe, and reads the answers.
 
 use std::time::Duration;
 
@@ -8,11 +8,11 @@ use reqwest::{Method, Response, StatusCode};
 use serde::de::DeserializeOwned;
 use tokio::time::{Instant, sleep};
 
-use crate::{Client, Error, MOST, Problem};
+use crate::{Client, Error, MAX_ANSWER_BYTES, Problem};
 
-/// First pause after a failure of the network, doubled each time up to the most.
+/// Pause after the first network failure. It doubles after each failure, up to [`MAX_PAUSE`].
 const PAUSE: Duration = Duration::from_millis(200);
-const MOST_PAUSE: Duration = Duration::from_secs(10);
+const MAX_PAUSE: Duration = Duration::from_secs(10);
 
 /// A request.
 pub(crate) struct Call {
@@ -20,14 +20,13 @@ pub(crate) struct Call {
     pub path: String,
     pub headers: Vec<(HeaderName, HeaderValue)>,
     pub body: Bytes,
-    /// Whether it is idempotent.
-    pub again: bool,
+    pub idempotent: bool,
 }
 
 impl Call {
     /// An idempotent call without a body.
     pub fn new(method: Method, path: impl Into<String>) -> Self {
-        Self { method, path: path.into(), headers: Vec::new(), body: Bytes::new(), again: true }
+        Self { method, path: path.into(), headers: Vec::new(), body: Bytes::new(), idempotent: true }
     }
 
     pub fn header(mut self, name: HeaderName, value: &str) -> Result<Self, Error> {
@@ -70,26 +69,26 @@ impl Answer {
 
 impl Client {
     /// Sends a call, with retries, and reads the whole answer.
-    pub(crate) async fn ask(&self, call: Call) -> Result<Answer, Error> {
+    pub(crate) async fn request(&self, call: Call) -> Result<Answer, Error> {
         let until = Instant::now() + self.patience;
         let mut pause = PAUSE;
         loop {
             let tried = match self.send(&call).await {
-                Ok(response) => take(response).await,
+                Ok(response) => read_answer(response).await,
                 Err(error) => Err(error),
             };
             let wait = match &tried {
-                Ok(answer) if refused_for_now(answer.status, call.again) => retry_after(&answer.headers).unwrap_or(pause),
+                Ok(answer) if refused_for_now(answer.status, call.idempotent) => retry_after(&answer.headers).unwrap_or(pause),
                 Ok(answer) if answer.status.is_client_error() || answer.status.is_server_error() => return Err(answer.problem()),
-                // without a connection the server has not seen the call
-                Err(Error::Network(error)) if call.again || error.is_connect() => pause,
+                // the connection failed, so the server has not seen the call
+                Err(Error::Network(error)) if call.idempotent || error.is_connect() => pause,
                 _ => return tried,
             };
             if Instant::now() + wait > until {
                 return tried.and_then(|answer| Err(answer.problem()));
             }
             sleep(wait).await;
-            pause = (pause * 2).min(MOST_PAUSE);
+            pause = (pause * 2).min(MAX_PAUSE);
         }
     }
 
@@ -106,9 +105,9 @@ impl Client {
     }
 }
 
-/// Whether a retry is useful and safe: the server sends 429 before it does anything, but 503 also after waiting in vain.
-fn refused_for_now(status: StatusCode, again: bool) -> bool {
-    status == StatusCode::TOO_MANY_REQUESTS || again && status == StatusCode::SERVICE_UNAVAILABLE
+/// Whether a retry is useful and safe. The server sends 429 before it does any work, but may send 503 after it has started.
+fn refused_for_now(status: StatusCode, idempotent: bool) -> bool {
+    status == StatusCode::TOO_MANY_REQUESTS || idempotent && status == StatusCode::SERVICE_UNAVAILABLE
 }
 
 fn retry_after(headers: &HeaderMap) -> Option<Duration> {
@@ -116,15 +115,15 @@ fn retry_after(headers: &HeaderMap) -> Option<Duration> {
 }
 
 /// Reads a whole answer.
-pub(crate) async fn take(mut response: Response) -> Result<Answer, Error> {
-    let too_large = || Error::Answer(format!("it has more than {MOST} bytes"));
-    let told = response.content_length().unwrap_or(0);
-    if told > MOST as u64 {
+pub(crate) async fn read_answer(mut response: Response) -> Result<Answer, Error> {
+    let too_large = || Error::Answer(format!("more than {MAX_ANSWER_BYTES} bytes"));
+    let length = response.content_length().unwrap_or(0);
+    if length > MAX_ANSWER_BYTES as u64 {
         return Err(too_large());
     }
-    let mut body = BytesMut::with_capacity(told as usize);
+    let mut body = BytesMut::with_capacity(length as usize);
     while let Some(piece) = response.chunk().await.map_err(Error::Network)? {
-        if body.len() + piece.len() > MOST {
+        if body.len() + piece.len() > MAX_ANSWER_BYTES {
             return Err(too_large());
         }
         body.extend_from_slice(&piece);

@@ -1,4 +1,4 @@
-//! What can go wrong.
+//! Errors of the client.
 
 use serde::Deserialize;
 
@@ -6,20 +6,20 @@ use serde::Deserialize;
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[non_exhaustive]
 pub struct Problem {
-    /// Kind of the problem, a URI that stays the same: `urn:tmpi:problem:…`.
+    /// Stable URI of this kind of problem: `urn:tmpi:problem:…`.
     #[serde(rename = "type")]
     pub kind: String,
-    /// What this kind of problem is.
+    /// Short description of this kind of problem.
     pub title: String,
     /// HTTP status.
     pub status: u16,
     /// What is wrong with this request.
     #[serde(default)]
     pub detail: String,
-    /// Field, parameter or option that is at fault.
+    /// Field, parameter or option that caused the problem.
     #[serde(default)]
     pub field: Option<String>,
-    /// Id of the request, as in the server's log.
+    /// Id of the request in the server's log.
     #[serde(default)]
     pub request_id: Option<String>,
     /// Seconds after which another try may succeed.
@@ -32,40 +32,40 @@ pub struct Problem {
 #[non_exhaustive]
 pub enum Error {
     /// A URL is invalid.
-    #[error("the address {address:?}: {why}")]
+    #[error("invalid address {address:?}: {why}")]
     Address {
         /// The address.
         address: String,
         /// What is wrong with it.
         why: String,
     },
-    /// A key cannot be sent, or made.
-    #[error("the key cannot be sent")]
+    /// The key is not a valid header value, or no random key could be generated.
+    #[error("the key is not valid or could not be generated")]
     Key,
-    /// The server refuses.
+    /// The server refused the request.
     #[error("{} {}: {}{}", .0.status, .0.title, .0.detail, .0.field.as_ref().map(|f| format!(" ({f})")).unwrap_or_default())]
     Problem(Box<Problem>),
-    /// The photo could not be made, or is damaged.
-    #[error("the photo {id}: {}", .problem.detail)]
+    /// The server could not process the photo, or the stored result is damaged.
+    #[error("photo {id}: {}", .problem.detail)]
     Photo {
         /// Id of the photo.
         id: String,
-        /// Why.
+        /// What went wrong.
         problem: Box<Problem>,
     },
-    /// The server cannot be reached, or broke off.
+    /// The server cannot be reached, or it closed the connection.
     #[error("the server cannot be reached")]
     Network(#[source] reqwest::Error),
-    /// The answer is not what it should be.
-    #[error("the server's answer is not understood: {0}")]
+    /// The answer is malformed or too large.
+    #[error("invalid answer from the server: {0}")]
     Answer(String),
     /// The container cannot be decoded.
-    #[error("the container")]
+    #[error("the container cannot be decoded")]
     Container(#[from] tmpi_core::container::ContainerError),
 }
 
 impl Error {
-    /// HTTP status of what the server refused; none where it was not the server.
+    /// HTTP status of the server's refusal, or `None` for all other errors.
     #[must_use]
     pub fn status(&self) -> Option<u16> {
         if let Self::Problem(problem) | Self::Photo { problem, .. } = self { Some(problem.status) } else { None }

@@ -1,4 +1,4 @@
-//! Progress of a photo, as server-sent events.
+//! Follows a photo's progress by server-sent events.
 
 use std::time::Duration;
 
@@ -6,70 +6,70 @@ use reqwest::header::ACCEPT;
 use reqwest::{Method, Response};
 use tokio::time::{Instant, sleep};
 
-use crate::answer::{Call, take};
-use crate::photos::part;
+use crate::answer::{Call, read_answer};
+use crate::photos::photo_path;
 use crate::{Client, Error, PhotoState, Progress, State};
 
-/// Pause before reading the state after events broke off.
+/// Pause before the client reads the state again after the event stream ends.
 const PAUSE: Duration = Duration::from_millis(500);
-/// Bytes of an event; the server's are far smaller.
-const MOST: usize = 1 << 20;
+/// Largest accepted event in bytes; the server's events are far smaller.
+const MAX_EVENT_BYTES: usize = 1 << 20;
 
-/// An event: its name and its data.
+/// An event's name and data.
 type Event = (String, String);
 
 /// Splits a stream into events.
 #[derive(Default)]
 struct Reader {
-    kept: Vec<u8>,
+    buffer: Vec<u8>,
 }
 
 impl Reader {
-    /// The events that `bytes` complete.
+    /// Appends `bytes` and returns the events that are now complete.
     fn take(&mut self, bytes: &[u8]) -> Result<Vec<Event>, Error> {
-        self.kept.extend_from_slice(bytes);
+        self.buffer.extend_from_slice(bytes);
         let mut events = Vec::new();
-        while let Some(end) = self.kept.windows(2).position(|w| w == b"\n\n") {
-            let text = String::from_utf8_lossy(&self.kept[..end]).into_owned();
-            self.kept.drain(..end + 2);
+        while let Some(end) = self.buffer.windows(2).position(|w| w == b"\n\n") {
+            let text = String::from_utf8_lossy(&self.buffer[..end]).into_owned();
+            self.buffer.drain(..end + 2);
             let field = |name: &str| {
                 let lines = text.lines().filter_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
                 lines.map(|value| value.strip_prefix(' ').unwrap_or(value)).collect::<Vec<_>>().join("\n")
             };
             let (name, data) = (field("event"), field("data"));
-            // a comment keeps the connection alive
+            // comments have no event name; the server sends them to keep the connection alive
             if !name.is_empty() {
                 events.push((name, data));
             }
         }
-        if self.kept.len() > MOST { Err(Error::Answer("an event has no end".into())) } else { Ok(events) }
+        if self.buffer.len() > MAX_EVENT_BYTES { Err(Error::Answer("an event is too long".into())) } else { Ok(events) }
     }
 }
 
 impl Client {
-    /// Waits until a photo is made; calls `progress` at each stage. Waits as long as the server works on it; if the server cannot be
-    /// reached, for [`Client::patience`].
+    /// Waits until the server has processed a photo, and calls `progress` at each stage. Waits as long as the server works on it; if the
+    /// server cannot be reached, gives up after [`Client::patience`].
     ///
     /// # Errors
-    /// [`Error::Photo`] if it could not be made; else [`Error`].
+    /// [`Error::Photo`] if the photo failed or is damaged; otherwise [`Error`].
     pub async fn finished(&self, id: &str, mut progress: impl FnMut(&Progress)) -> Result<PhotoState, Error> {
-        let mut heard = Instant::now();
+        let mut last_contact = Instant::now();
         loop {
-            let followed = match self.send(&Call::new(Method::GET, part(id, "/events")).header(ACCEPT, "text/event-stream")?).await {
+            let followed = match self.send(&Call::new(Method::GET, photo_path(id, "/events")).header(ACCEPT, "text/event-stream")?).await {
                 Ok(response) if response.status().is_success() => self.follow(response, &mut progress).await,
-                // the server has too many listeners, or the photo was deleted: the state tells
-                Ok(response) => take(response).await.map(drop),
+                // too many listeners, or the photo was deleted: the state below tells which
+                Ok(response) => read_answer(response).await.map(drop),
                 Err(error) => Err(error),
             };
             if followed.is_ok() {
-                heard = Instant::now();
+                last_contact = Instant::now();
             }
             let state = self.photo(id).await?.sound()?;
             if state.state == State::Done {
                 return Ok(state);
             }
             if let Err(error) = followed
-                && heard.elapsed() > self.patience
+                && last_contact.elapsed() > self.patience
             {
                 return Err(error);
             }
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn events_are_the_same_however_they_are_cut() {
+    fn events_do_not_depend_on_chunk_sizes() {
         let text = ": hello\n\nevent: queued\ndata: {\"position\": 3}\n\nevent:stage\ndata:a\ndata: b\n\n:\n\nevent: done\ndata: {}\n\n";
         let whole = Reader::default().take(text.as_bytes()).unwrap();
         let named = |n: &str, d: &str| (n.to_owned(), d.to_owned());
@@ -106,8 +106,8 @@ mod tests {
         for size in 1..text.len() {
             let mut reader = Reader::default();
             let cut: Vec<Event> = text.as_bytes().chunks(size).flat_map(|piece| reader.take(piece).unwrap()).collect();
-            assert_eq!(cut, whole, "in pieces of {size}");
+            assert_eq!(cut, whole, "in chunks of {size}");
         }
-        assert!(Reader::default().take(&vec![b'x'; MOST + 1]).is_err());
+        assert!(Reader::default().take(&vec![b'x'; MAX_EVENT_BYTES + 1]).is_err());
     }
 }

@@ -1,14 +1,14 @@
-//! Forms of several parts (RFC 7578), as uploads with a depth map are.
+//! Multipart forms (RFC 7578), used to upload a photo with a depth map.
 
 use bytes::{BufMut as _, Bytes, BytesMut};
 
 use crate::{Error, hex};
 
-/// A form, and its media type.
+/// Encodes a form; returns its media type and body.
 pub(crate) fn form(parts: &[(&str, &[u8])]) -> Result<(String, Bytes), Error> {
     let mut random = [0; 16];
     getrandom::fill(&mut random).map_err(|_| Error::Key)?;
-    // 128 random bits are in no part
+    // 128 random bits do not occur in any part
     let boundary = hex(&random);
     let mut body = BytesMut::with_capacity(parts.iter().map(|(name, bytes)| name.len() + bytes.len() + 128).sum::<usize>() + 64);
     for (name, bytes) in parts {

@@ -1,4 +1,4 @@
-//! A client of the REST interface of tmpi: a photo goes up, a tiled multiplane image and views of it come down.
+//! Client of tmpi's REST API: upload a photo, download the tiled multiplane image and views of it.
 //!
 //! ```no_run
 //! use tmpi_client::{Client, Upload, View};
@@ -14,9 +14,9 @@
 //! # }
 //! ```
 //!
-//! Every failed call returns an [`Error`]; the server's refusals are [`Error::Problem`]. The client retries idempotent calls after network
-//! failures, and calls that the server refuses for lack of space or for their rate, after the time that the server names
-//! ([`Client::patience`]). Programs without an async executor block on a runtime of tokio:
+//! Every failed call returns an [`Error`]; if the server refused the call, it is [`Error::Problem`]. The client retries idempotent calls
+//! after network failures. If the server is overloaded or limits the rate, the client retries after the time in `Retry-After`
+//! ([`Client::patience`]). Without an async executor, block on a tokio runtime:
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -51,16 +51,16 @@ pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visi
 
 /// Prefix of an owner's secret.
 const OWNER: &str = "tmpi_o_";
-/// Prefix of a photo's token.
+/// Prefix of the token in a photo's manage link.
 const MANAGE: &str = "tmpi_m_";
 /// Longest time without a byte from the server.
 const SILENCE: Duration = Duration::from_mins(1);
 /// Time to connect.
 const CONNECT: Duration = Duration::from_secs(10);
-/// Time that a call waits in all before it gives up, besides what answers take themselves.
+/// Default total time that a call waits between retries.
 const PATIENCE: Duration = Duration::from_mins(1);
-/// Longest answer in bytes: the largest container and a little more.
-const MOST: usize = 1 << 30;
+/// Largest accepted answer in bytes: slightly more than the largest container.
+const MAX_ANSWER_BYTES: usize = 1 << 30;
 
 /// A client of a server. Clones share their connections.
 #[derive(Clone)]
@@ -74,17 +74,17 @@ pub struct Client {
 
 impl std::fmt::Debug for Client {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        // no secrets
+        // the other fields contain secrets
         f.debug_struct("Client").field("base", &self.base.as_str()).finish_non_exhaustive()
     }
 }
 
 impl Client {
-    /// A client of the server at `base`, as `https://photos.example.org` or `http://127.0.0.1:8080`; a path is where a proxy has the
-    /// server.
+    /// Creates a client of the server at `base`, for example `https://photos.example.org` or `http://127.0.0.1:8080`. Include the path
+    /// if a proxy serves tmpi below one.
     ///
     /// # Errors
-    /// [`Error::Address`].
+    /// [`Error::Address`] if `base` is not an HTTP or HTTPS URL.
     pub fn new(base: &str) -> Result<Self, Error> {
         let wrong = |why: String| Error::Address { address: base.to_owned(), why };
         let mut url = Url::parse(base).map_err(|e| wrong(e.to_string()))?;
@@ -95,7 +95,7 @@ impl Client {
             let path = format!("{}/", url.path());
             url.set_path(&path);
         }
-        // fails if the program has installed one already
+        // fails if the program has already installed a provider, which is fine
         let _ = rustls::crypto::ring::default_provider().install_default();
         let http = reqwest::Client::builder()
             .connect_timeout(CONNECT)
@@ -119,17 +119,16 @@ impl Client {
         Ok(self)
     }
 
-    /// Authenticates with a link for changing one photo: [`Link::manage`], or `manage` of the [`Links`] of an upload. It gives access to
-    /// nothing else.
+    /// Authenticates with a manage link, which allows changes to one photo only: [`Link::manage`], or [`Links::manage`] of an upload.
     ///
     /// # Errors
-    /// [`Error::Key`] if it is not such a link.
+    /// [`Error::Key`] if it is not a manage link.
     pub fn with_manage_link(self, link: &str) -> Result<Self, Error> {
         let token = link.split_once("#manage=").map(|(_, token)| token).filter(|token| token.starts_with(MANAGE));
         self.with_key(token.ok_or(Error::Key)?)
     }
 
-    /// Authenticates as a new owner: the holder of [`Client::secret`] owns the uploads.
+    /// Authenticates as a new owner. Anyone who has [`Client::secret`] owns the uploads.
     ///
     /// # Errors
     /// [`Error::Key`] if the system has no random bytes.
@@ -152,18 +151,18 @@ impl Client {
         self
     }
 
-    /// A URL of the server, from a `path` in the server's answers, which begins with `/`.
+    /// Resolves a `path` from one of the server's answers, which begins with `/`, to a URL.
     ///
     /// # Errors
-    /// [`Error::Address`].
+    /// [`Error::Address`] if the URL is invalid or belongs to another server.
     pub fn address(&self, path: &str) -> Result<Url, Error> {
         let wrong = |why: String| Error::Address { address: path.to_owned(), why };
         let url = self.base.join(path.trim_start_matches('/')).map_err(|e| wrong(e.to_string()))?;
         // never send the key to another server
-        if url.origin() == self.base.origin() { Ok(url) } else { Err(wrong("it is another server's".into())) }
+        if url.origin() == self.base.origin() { Ok(url) } else { Err(wrong("it belongs to another server".into())) }
     }
 
-    /// HTML that embeds a photo in another site's page. The photo's visibility must be [`Visibility::Link`].
+    /// HTML that embeds a photo in a page of another site. The photo's visibility must be [`Visibility::Link`].
     ///
     /// # Errors
     /// [`Error::Address`].
@@ -171,7 +170,7 @@ impl Client {
         self.address(&photo.links.embed).map(|address| frame(photo, &address))
     }
 
-    /// The same for a private photo, by a link: it shows until the link expires.
+    /// HTML that embeds a private photo through a link, until the link expires.
     ///
     /// # Errors
     /// [`Error::Address`].
@@ -188,7 +187,6 @@ fn frame(photo: &PhotoState, address: &Url) -> String {
     format!("<iframe src=\"{address}\" style=\"{style}\" loading=\"lazy\" allow=\"accelerometer; gyroscope; fullscreen\"></iframe>")
 }
 
-/// Hexadecimal digits.
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().flat_map(|b| [b >> 4, b & 15]).filter_map(|digit| char::from_digit(digit.into(), 16)).collect()
 }
@@ -198,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_the_servers_own() {
+    fn addresses_of_other_servers_are_refused() {
         let client = Client::new("https://photos.example/sub").unwrap();
         assert_eq!(client.address("/v1/photos").unwrap().as_str(), "https://photos.example/sub/v1/photos");
         for other in ["https://evil.example/v1/photos", "http://photos.example/"] {
@@ -210,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_sent_but_never_shown() {
+    fn debug_output_shows_no_keys() {
         let client = || Client::new("http://localhost").unwrap();
         assert!(client().with_key("a\nb").is_err());
         let (one, other) = (client().with_fresh_owner().unwrap(), client().with_fresh_owner().unwrap());

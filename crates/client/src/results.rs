@@ -1,4 +1,4 @@
-//! Results of a photo: container, scene, views, exports.
+//! Downloads a photo's results: container, scene, views, exports.
 
 use std::time::Duration;
 
@@ -10,11 +10,11 @@ use tmpi_core::Scene;
 use tmpi_core::container;
 
 use crate::answer::Call;
-use crate::photos::{part, query};
+use crate::photos::{photo_path, query};
 use crate::{Client, Error, Problem};
 
-/// Polling interval for a file that is being written.
-const LOOK: Duration = Duration::from_millis(500);
+/// Interval between state requests while the server writes an export.
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// The answer to a conditional request.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,33 +25,33 @@ pub enum Fresh {
     Same,
 }
 
-/// A view that the server draws.
+/// A view that the server renders.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     pairs: Vec<(String, String)>,
 }
 
 impl View {
-    /// From the photo's own place, in pixels.
+    /// A view of this size in pixels, from the photo's reference camera.
     #[must_use]
     pub fn new(width: u32, height: u32) -> Self {
         Self { pairs: Vec::new() }.with("w", &width).with("h", &height)
     }
 
-    /// From another place: metres to the right, down and forward in a scene whose nearest thing is a metre away; within the photo's view
-    /// box.
+    /// Moves the camera right, down and forward, within the photo's view box. Units are metres in a scene whose nearest surface is 1 m
+    /// away.
     #[must_use]
     pub fn at(self, x: f64, y: f64, z: f64) -> Self {
         self.with("tx", &x).with("ty", &y).with("tz", &z)
     }
 
-    /// `jpeg`, `png` or `webp`.
+    /// Sets the picture format: `jpeg`, `png` or `webp`.
     #[must_use]
     pub fn format(self, name: &str) -> Self {
         self.with("format", &name)
     }
 
-    /// Another parameter of the view by its name; the server's `OpenAPI` document has all of them.
+    /// Sets a view parameter by name. The server's `OpenAPI` document lists all of them.
     #[must_use]
     pub fn with(mut self, name: &str, value: &impl ToString) -> Self {
         self.pairs.push((name.to_owned(), value.to_string()));
@@ -59,26 +59,26 @@ impl View {
     }
 }
 
-/// A file to download, which the server writes as a job.
+/// An export that the server writes as a job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Export {
     pairs: Vec<(String, String)>,
 }
 
 impl Export {
-    /// In this format: `html`, `glb`, `ora` or `zip`, or `webp` or `mp4` with [`Export::along`].
+    /// An export in this format: `html`, `glb`, `ora` or `zip`; with [`Export::along`] also `webp` or `mp4`.
     #[must_use]
     pub fn new(format: &str) -> Self {
         Self { pairs: vec![("format".to_owned(), format.to_owned())] }
     }
 
-    /// A film of so many frames, 30 a second, along a way of the camera: `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`.
+    /// Exports a film of this many frames, at 30 per second, along a camera path: `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`.
     #[must_use]
     pub fn along(self, path: &str, frames: u32) -> Self {
         self.with("path", &path).with("frames", &frames)
     }
 
-    /// Another parameter by its name; the server's `OpenAPI` document has all of them.
+    /// Sets an export parameter by name. The server's `OpenAPI` document lists all of them.
     #[must_use]
     pub fn with(mut self, name: &str, value: &impl ToString) -> Self {
         self.pairs.push((name.to_owned(), value.to_string()));
@@ -92,7 +92,7 @@ impl From<&str> for Export {
     }
 }
 
-/// State of an export.
+/// The server's state of an export.
 #[derive(serde::Deserialize)]
 struct ExportState {
     state: String,
@@ -111,22 +111,22 @@ impl Client {
     /// The container of a photo.
     ///
     /// # Errors
-    /// [`Error`]; status 409 while the photo is not made yet.
+    /// [`Error`]; status 409 while the server is still processing the photo.
     pub async fn container(&self, id: &str) -> Result<Bytes, Error> {
         self.result(id, "/atlas").await
     }
 
-    /// The container, unless it is still that of `tag`.
+    /// The container, unless it still has the entity tag `tag`.
     ///
     /// # Errors
     /// As [`Client::container`].
     pub async fn container_unless(&self, id: &str, tag: &str) -> Result<Fresh, Error> {
-        let answer = self.ask(Call::new(Method::GET, part(id, "/atlas")).header(IF_NONE_MATCH, tag)?).await?;
+        let answer = self.request(Call::new(Method::GET, photo_path(id, "/atlas")).header(IF_NONE_MATCH, tag)?).await?;
         let now = answer.headers.get(ETAG).and_then(|v| v.to_str().ok()).map(str::to_owned);
         Ok(if answer.status == StatusCode::NOT_MODIFIED { Fresh::Same } else { Fresh::New(answer.body, now) })
     }
 
-    /// A smaller container of the same planes, at `1 / 2^level` of the size.
+    /// A smaller container with the same planes, at `1 / 2^level` of the size.
     ///
     /// # Errors
     /// As [`Client::container`].
@@ -134,7 +134,7 @@ impl Client {
         self.result(id, &format!("/atlas?level={level}")).await
     }
 
-    /// The decoded scene of a photo. Decoding keeps a core busy for some 50 ms a megapixel.
+    /// The decoded scene of a photo. Decoding takes about 50 ms of CPU time per megapixel.
     ///
     /// # Errors
     /// As [`Client::container`], and [`Error::Container`].
@@ -142,7 +142,7 @@ impl Client {
         Ok(container::decode(&self.container(id).await?)?)
     }
 
-    /// A view as a picture file.
+    /// Renders a view and returns it as a picture file.
     ///
     /// # Errors
     /// [`Error`]; [`Error::Problem`] names the parameter.
@@ -150,15 +150,15 @@ impl Client {
         self.result(id, &query("/view", &view.pairs)?).await
     }
 
-    /// The report: what was done, with errors and costs.
+    /// The processing report, with errors and costs.
     ///
     /// # Errors
     /// As [`Client::container`].
     pub async fn report(&self, id: &str) -> Result<serde_json::Value, Error> {
-        self.ask(Call::new(Method::GET, part(id, "/report"))).await?.json()
+        self.request(Call::new(Method::GET, photo_path(id, "/report"))).await?.json()
     }
 
-    /// Disparity as used, a grey PNG of 16 bits.
+    /// The disparity that the planes are fitted to, as a 16-bit grey PNG.
     ///
     /// # Errors
     /// As [`Client::container`].
@@ -166,7 +166,7 @@ impl Client {
         self.result(id, "/depth").await
     }
 
-    /// A small JPEG.
+    /// A thumbnail, as JPEG.
     ///
     /// # Errors
     /// As [`Client::container`].
@@ -174,29 +174,29 @@ impl Client {
         self.result(id, "/thumbnail").await
     }
 
-    /// Orders an export, waits for it and downloads it; a format alone will do. If this future is dropped, the server still writes the
-    /// file, and the same call finds it.
+    /// Requests an export, waits for it and downloads it. You can pass just a format. If you drop this future, the server still writes the
+    /// file, and the same call finds it later.
     ///
     /// # Errors
-    /// As [`Client::container`], and [`Error::Problem`] with why it could not be written.
+    /// As [`Client::container`], and [`Error::Problem`] if the server could not write the file.
     pub async fn export(&self, id: &str, what: impl Into<Export>) -> Result<Bytes, Error> {
         let what = what.into();
-        // idempotent: the same order is the same file
-        let order = Call::new(Method::POST, part(id, &query("/exports", &what.pairs)?));
-        let mut state: ExportState = self.ask(order).await?.json()?;
+        // idempotent: the same request yields the same file
+        let order = Call::new(Method::POST, photo_path(id, &query("/exports", &what.pairs)?));
+        let mut state: ExportState = self.request(order).await?.json()?;
         loop {
             match (state.state.as_str(), state.problem) {
-                ("done", _) => return Ok(self.ask(Call::new(Method::GET, state.links.file)).await?.body),
+                ("done", _) => return Ok(self.request(Call::new(Method::GET, state.links.file)).await?.body),
                 ("failed", Some(problem)) => return Err(Error::Problem(Box::new(problem))),
                 ("queued" | "working", _) => {}
-                (other, _) => return Err(Error::Answer(format!("a file that is {other:?}"))),
+                (other, _) => return Err(Error::Answer(format!("unknown export state {other:?}"))),
             }
-            tokio::time::sleep(LOOK).await;
-            state = self.ask(Call::new(Method::GET, state.links.this)).await?.json()?;
+            tokio::time::sleep(POLL_INTERVAL).await;
+            state = self.request(Call::new(Method::GET, state.links.this)).await?.json()?;
         }
     }
 
     async fn result(&self, id: &str, rest: &str) -> Result<Bytes, Error> {
-        Ok(self.ask(Call::new(Method::GET, part(id, rest))).await?.body)
+        Ok(self.request(Call::new(Method::GET, photo_path(id, rest))).await?.body)
     }
 }

@@ -6,27 +6,27 @@ use serde::{Deserialize, Serialize};
 
 use crate::Problem;
 
-/// How a photo fares.
+/// State of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum State {
-    /// Waits for a worker.
+    /// Waiting for a worker.
     Queued,
-    /// Is being made.
+    /// Being processed.
     Working,
     /// Finished.
     Done,
-    /// Could not be made; another upload tries again.
+    /// Processing failed; upload the photo again to retry.
     Failed,
-    /// Is no longer on the server's disk as it was made; another upload makes it again.
+    /// The stored result is corrupt; upload the photo again to repair it.
     Damaged,
-    /// What a later server may say.
+    /// A state that this version does not know.
     #[serde(other)]
     Unknown,
 }
 
-/// Stage that a photo is at.
+/// Progress of a photo's processing.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[non_exhaustive]
 pub struct Progress {
@@ -34,13 +34,13 @@ pub struct Progress {
     pub stage: String,
     /// Number of the stage, from 1.
     pub step: u32,
-    /// Count of the stages that this photo goes through.
+    /// Number of stages for this photo.
     pub steps: u32,
     /// Milliseconds since the job's start.
     pub elapsed_ms: f64,
 }
 
-/// Addresses of what belongs to a photo, without the server's own; [`crate::Client::address`] adds it.
+/// Paths of a photo's resources. [`crate::Client::address`] resolves them to URLs.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[non_exhaustive]
 pub struct Links {
@@ -51,21 +51,21 @@ pub struct Links {
     pub atlas: String,
     /// Rendered views.
     pub view: String,
-    /// Small picture.
+    /// The thumbnail.
     pub thumbnail: String,
-    /// The view that stands for the photo.
+    /// The poster: a view that represents the photo.
     pub poster: String,
     /// Page with the viewer.
     pub page: String,
-    /// The photo alone, for frames of other sites.
+    /// Page with only the photo, to embed in other sites.
     pub embed: String,
-    /// Page for viewing and changing it, for [`crate::Client::with_manage_link`]: a secret. Only in the answer to an upload without a key,
-    /// on a server with authentication.
+    /// Page to view and change the photo, for [`crate::Client::with_manage_link`]. It is a secret, and present only in the answer to an
+    /// upload without a key to a server with authentication.
     #[serde(default)]
     pub manage: Option<String>,
 }
 
-/// A place in the view box, in units of its half extents.
+/// A camera position in the view box, in units of its half extents.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
     /// Right.
@@ -82,35 +82,35 @@ pub struct Offset {
 pub enum Visibility {
     /// Only its owner.
     Private,
-    /// Everyone with its URL.
+    /// Everyone who has its URL.
     Link,
 }
 
-/// The owner's settings for viewers. Missing fields are up to the viewer; in a change they stay as they are.
+/// The owner's settings for viewers. The viewer chooses missing fields; in a change, missing fields keep their value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// What to call the photo, 1 to 200 characters.
+    /// Title of the photo, 1 to 200 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub title: Option<String>,
-    /// How far the camera goes, each 0 to 1 of the view box.
+    /// How far the camera moves, each 0 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<Offset>,
-    /// Disparity that stays in place while the camera moves, 0 (infinity) to 1 (the nearest thing).
+    /// Disparity that stays in place while the camera moves, 0 (infinity) to 1 (the nearest surface).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<f64>,
     /// Where the camera starts, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Offset>,
-    /// How it moves on its own; `none` for not at all.
+    /// Idle animation of the camera; `none` disables it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub idle: Option<String>,
-    /// How fast that is, 0.25 to 4 times the usual.
+    /// Speed of the idle animation, 0.25 to 4 times the default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
     /// Who may see it, on a server with authentication.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub visibility: Option<Visibility>,
-    /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
+    /// Camera position of the poster, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
 }
@@ -121,26 +121,26 @@ pub struct Settings {
 pub struct PhotoState {
     /// Id, 32 hexadecimal digits.
     pub id: String,
-    /// How it fares.
+    /// Its state.
     pub state: State,
-    /// When it was accepted (RFC 3339, UTC).
+    /// When the server accepted it (RFC 3339, UTC).
     pub created: String,
-    /// When it was done or failed.
+    /// When processing finished or failed.
     #[serde(default)]
     pub finished: Option<String>,
     /// When retention deletes it.
     #[serde(default)]
     pub expires: Option<String>,
-    /// Photos that are made before this one; only while it waits.
+    /// Number of photos ahead of this one in the queue; only while it waits.
     #[serde(default)]
     pub position: Option<usize>,
-    /// What keeps it from being made, a fault of the server's; only while it waits.
+    /// Server fault that blocks processing; only while it waits.
     #[serde(default)]
     pub waits_for: Option<String>,
-    /// Stage that it is at; only while it is being made.
+    /// Current stage; only while it is being processed.
     #[serde(default)]
     pub progress: Option<Progress>,
-    /// Why it could not be made, or what of it is damaged.
+    /// Why processing failed, or what is damaged.
     #[serde(default)]
     pub problem: Option<Problem>,
     /// Size of the uploaded photo in bytes.
@@ -154,10 +154,10 @@ pub struct PhotoState {
     /// Height of the scene in pixels; once done.
     #[serde(default)]
     pub height: Option<u32>,
-    /// Version of what is made of it; once done.
+    /// Version of the result; once done.
     #[serde(default)]
     pub version: Option<String>,
-    /// A better depth network that is available. Only in the state of a single photo, and only if the caller may have it made again.
+    /// A better depth network that is available. Only in the state of a single photo, and only if the caller may reprocess it.
     #[serde(default)]
     pub better_depth: Option<String>,
     /// Who may see it; only on a server with authentication.
@@ -166,14 +166,14 @@ pub struct PhotoState {
     /// The owner's settings for viewers.
     #[serde(default)]
     pub settings: Settings,
-    /// Options that it is made with.
+    /// Options that the photo is processed with.
     #[serde(default)]
     pub options: BTreeMap<String, String>,
-    /// Addresses.
+    /// Paths of its resources.
     pub links: Links,
 }
 
-/// A link to a photo for others.
+/// A link that gives others access to a photo.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[non_exhaustive]
 pub struct Link {
@@ -184,14 +184,14 @@ pub struct Link {
     /// Query that gives access to any URL of the photo; `None` on a server without authentication.
     #[serde(default)]
     pub query: Option<String>,
-    /// When it ends, in seconds since 1970.
+    /// When it expires, in seconds since 1970.
     #[serde(default)]
     pub expires: Option<u64>,
-    /// Page on which others see and change this photo only, for [`crate::Client::with_manage_link`]: a secret, valid until
+    /// Page where others can view and change only this photo, for [`crate::Client::with_manage_link`]. It is a secret, valid until
     /// [`crate::Client::take_links_back`].
     #[serde(default)]
     pub manage: Option<String>,
-    /// Page that makes another browser the same owner; `None` if the caller has no secret of its own.
+    /// Page that signs another browser in as the same owner; `None` if the caller has no secret of its own.
     #[serde(default)]
     pub ticket: Option<String>,
 }

@@ -1,7 +1,7 @@
-//! Measures and tests what tmpi does, by the program `tmpi-lab` and by tests. The program `tmpi` links nothing of it.
+//! Measures and tests tmpi. The program `tmpi-lab` and tests use it; the program `tmpi` does not link it.
 //!
-//! [`metrics`] compare pictures; [`scenes`] are rendered with known depth; [`eval`] draws second views and holds them against the truth;
-//! [`bench`] reports error against run time, [`live`] that of sequences; [`stress`] runs stiff and extreme cases against plain references.
+//! [`metrics`] compares pictures, and [`scenes`] renders scenes with known depth. [`eval`] compares second views with the truth. [`bench`]
+//! reports error against run time, and [`live`] does so for sequences. [`stress`] checks stiff and extreme cases against plain references.
 
 pub mod bench;
 pub mod eval;

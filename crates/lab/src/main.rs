@@ -1,4 +1,4 @@
-//! The `tmpi-lab` program: measures and tests what `tmpi` does.
+//! The `tmpi-lab` program, which measures and tests `tmpi`.
 
 mod cli;
 

@@ -1,9 +1,9 @@
-//! Oracle depth: a disparity map that is known, in the place of a network's.
+//! Oracle depth: a known disparity map in place of a network's estimate.
 
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 
-/// Hands out a map as if a network had estimated it, so that the pipeline treats it as estimated.
+/// Returns a known map as an estimator, so that the pipeline treats it as estimated.
 pub struct OracleDepth(pub DisparityMap);
 
 impl Estimator for OracleDepth {

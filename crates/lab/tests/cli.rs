@@ -1,4 +1,4 @@
-//! The contract of the command line, on the built program: exit codes, what goes to which stream, shapes of JSON, files.
+//! Tests the command line of the built program: exit codes, output streams, JSON and files.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use serde_json::Value;
 use tempfile::TempDir;
 use tmpi_testing::Need;
 
-/// A folder that the program runs in.
+/// The program's working folder.
 struct Folder(TempDir);
 
-/// What a run of the program came to.
+/// Result of a run.
 struct Run {
     code: Option<i32>,
     out: String,
@@ -24,7 +24,7 @@ impl Folder {
         Self(tempfile::tempdir().unwrap())
     }
 
-    /// One with `box.png` and `box.jpg`, pictures of a box before a wall.
+    /// A folder with `box.png` and `box.jpg`, pictures of a box in front of a wall.
     fn with_pictures() -> Self {
         let folder = Self::new();
         let picture = box_before_a_wall();
@@ -39,7 +39,7 @@ impl Folder {
 
     fn run(&self, args: &[&str]) -> Run {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi-lab"));
-        // networks that the user of this machine has fetched are none of the tests'
+        // ignore networks that the user of this machine has fetched
         command.env("TMPI_MODELS", self.path("models")).env_remove("TMPI_DEPTH_MODEL").env_remove("RUST_LOG");
         let out = command.current_dir(self.0.path()).args(args).output().unwrap();
         let text = |bytes| String::from_utf8(bytes).unwrap();
@@ -53,7 +53,7 @@ impl Run {
         self
     }
 
-    /// A failure with nothing on standard output, and a text that holds every word.
+    /// Asserts that the run failed, with no standard output and with every word in the message.
     fn fails(&self, code: i32, words: &[&str]) {
         assert_eq!((self.code, self.out.as_str()), (Some(code), ""), "{}", self.err);
         for word in words {
@@ -75,13 +75,13 @@ fn box_before_a_wall() -> RgbImage {
     })
 }
 
-/// True where networks can run.
+/// Whether networks can run.
 fn has_networks() -> bool {
     Need::Onnx.or_skip(tmpi_pipeline::networks::available().map_err(|e| e.to_string())).is_some()
 }
 
 #[test]
-fn help_is_a_result_and_unknown_commands_are_usage_errors() {
+fn help_succeeds_and_wrong_arguments_are_usage_errors() {
     let f = Folder::new();
     let help = f.run(&["--help"]).succeeds();
     assert!(help.err.is_empty(), "{}", help.err);
@@ -96,7 +96,7 @@ fn help_is_a_result_and_unknown_commands_are_usage_errors() {
 }
 
 #[test]
-fn pictures_are_compared() {
+fn compare_reports_picture_metrics() {
     let f = Folder::with_pictures();
     let same = f.run(&["compare", "box.png", "box.png", "--json"]).succeeds().json();
     assert_eq!((same["flip"].as_f64(), same["share_off"].as_f64(), same["max_abs"].as_u64()), (Some(0.0), Some(0.0), Some(0)));
@@ -105,22 +105,22 @@ fn pictures_are_compared() {
     between("psnr", 25.0, 60.0);
     between("flip", 1e-4, 0.3);
     between("ssim", 0.5, 1.0);
-    // pictures without colour are compared as well
+    // grey pictures work too
     image::GrayImage::from_fn(150, 100, |x, _| Luma([x as u8])).save(f.path("grey.png")).unwrap();
     f.run(&["compare", "box.png", "grey.png"]).succeeds();
     RgbImage::from_pixel(3, 2, Rgb([1, 2, 3])).save(f.path("small.png")).unwrap();
-    f.run(&["compare", "box.png", "small.png"]).fails(1, &["one size", "150×100", "3×2"]);
+    f.run(&["compare", "box.png", "small.png"]).fails(1, &["differ in size", "150×100", "3×2"]);
     f.run(&["compare", "box.png", "nosuch.png"]).fails(1, &["nosuch.png"]);
 }
 
 #[test]
-fn the_corners_of_the_view_box_are_checked_on_photos() {
+fn check_measures_view_box_corners_on_photos() {
     let f = Folder::new();
     if !has_networks() {
         return;
     }
     std::fs::create_dir(f.path("photos")).unwrap();
-    // what a pixel is of all is bounded for photos of a usual size
+    // the bounds, in percent of pixels, apply to photos of typical size
     let large = image::imageops::resize(&box_before_a_wall(), 600, 400, image::imageops::FilterType::Nearest);
     large.save(f.path("photos/box.png")).unwrap();
     std::fs::write(f.path("photos/notes.txt"), b"no photo").unwrap();
@@ -130,7 +130,7 @@ fn the_corners_of_the_view_box_are_checked_on_photos() {
 }
 
 #[test]
-fn ways_are_measured_on_scenes_whose_views_are_known() {
+fn eval_scores_methods_on_rendered_scenes() {
     let f = Folder::new();
     f.run(&["synth", "-o", "scenes", "--count", "1", "--size", "160x96", "--views", "2", "--baseline", "0.03"]).succeeds();
     let results = f.run(&["eval", "scenes", "--only", "mesh,ours", "--json"]).succeeds().json();
@@ -147,7 +147,7 @@ fn ways_are_measured_on_scenes_whose_views_are_known() {
 }
 
 #[test]
-fn lpips_is_what_a_network_of_two_pictures_says() {
+fn lpips_uses_a_network_with_two_inputs() {
     let f = Folder::new();
     if !has_networks() {
         return;
@@ -159,7 +159,7 @@ fn lpips_is_what_a_network_of_two_pictures_says() {
     };
     let results = f.run(&["eval", "scenes", "--only", "ours", "--lpips", &network("distance"), "--json"]).succeeds().json();
     let score = &results["rows"][0]["score"];
-    // its pictures lie in −1 to 1, those of L1 in 0 to 1; pixels that are not scored count as equal
+    // LPIPS pictures have values from −1 to 1, those of L1 from 0 to 1; pixels that are not scored count as equal
     let (lpips, l1) = (score["lpips"].as_f64().unwrap(), score["l1"].as_f64().unwrap());
     assert!(lpips > l1 && lpips <= 2.0 * l1 + 1e-6, "{lpips} {l1}");
     f.run(&["eval", "scenes", "--lpips", &network("mean")]).fails(1, &["two"]);

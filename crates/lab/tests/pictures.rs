@@ -1,6 +1,6 @@
-//! Twelve kinds of scene from eight places: the reference against its goldens, and the `cpu` and `gpu` backends against the reference.
+//! Twelve kinds of scenes from eight cameras: the reference against its goldens, and the `cpu` and `gpu` backends against the reference.
 //!
-//! `TMPI_BLESS=1 cargo test --release -p tmpi-lab --test pictures` draws the goldens anew; `TMPI_BLESS=scenes` makes the scenes anew too.
+//! `TMPI_BLESS=1 cargo test --release -p tmpi-lab --test pictures` updates the goldens; `TMPI_BLESS=scenes` updates the scenes too.
 #![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "test")]
 
 use std::io::Cursor;
@@ -17,27 +17,27 @@ use tmpi_pipeline::networks::models;
 use tmpi_render::{Cpu, Gpu, PictureFormat, Reference, Renderer, View, corners, encode};
 use tmpi_testing::Need;
 
-/// Seeds of scenes of twelve families; nothing that a network was trained on.
+/// Seeds of scenes of twelve families; no network was trained on them.
 const SEEDS: std::ops::Range<u64> = 910_000..910_400;
 const FAMILIES: [&str; 12] =
     ["room", "corridor", "kitchen", "street", "field", "terrain", "crowd", "thin", "foliage", "shelf", "heap", "floating"];
 const SIZE: (u32, u32) = (192, 128);
-/// How goldens are kept.
+/// JPEG quality of goldens.
 const QUALITY: u8 = 92;
-/// Mean FLIP between a golden and what is drawn, as the same JPEG.
+/// Allowed mean FLIP between a golden and the rendered view, both as JPEG of the same quality.
 const MOST_GOLDEN: f64 = 0.0005;
-/// Views in a row of a golden.
+/// Views per row of a golden.
 const COLUMNS: usize = 4;
-/// Levels of a difference that counts.
+/// Pixels that differ by more levels than this count as different.
 const LEVELS: u8 = 8;
-/// By how much a camera is off, in pixels, where that must be noticed.
+/// A camera that is off by this many pixels must be detected.
 const MOVED: f64 = 0.5;
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/scenes")
 }
 
-/// Cameras of a scene: half are corners of the view box, half turn as well.
+/// Camera poses of a scene: corners of the view box, half of them rotated.
 fn poses(v: &ViewBox) -> Vec<Pose> {
     let mut all: Vec<Pose> = corners(v, 0.0).step_by(2).collect();
     all.extend(corners(v, 0.5).skip(1).step_by(2).enumerate().map(|(i, p)| Pose { roll: i as f64 - 1.5, yaw: p.yaw + 1.0, ..p }));
@@ -56,7 +56,7 @@ fn png(width: u32, height: u32, rgb: &[[u8; 3]]) -> Vec<u8> {
     out
 }
 
-/// The first scene of a family, made with its exact disparity.
+/// Processes the first scene of a family with its exact disparity.
 fn make(family: &str) -> Vec<u8> {
     let scene = SEEDS.map(|seed| scenes::Scene::framed(seed, SIZE.0, SIZE.1)).find(|s| s.family() == family);
     let scene = scene.unwrap_or_else(|| panic!("no {family} among the seeds"));
@@ -65,7 +65,7 @@ fn make(family: &str) -> Vec<u8> {
     let disparity = tmpi_pipeline::depth::to_png(&picture.disparity).unwrap();
     let options = tmpi_pipeline::Options {
         fov_x: Some(camera.intrinsics.fov_x(SIZE.0)),
-        // twice as far as usual, so that more of what is hidden is seen
+        // twice the default, so that more hidden texels become visible
         view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
         ..tmpi_pipeline::Options::default()
     };
@@ -88,7 +88,7 @@ fn rgb(view: &View) -> Vec<[u8; 3]> {
     view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect()
 }
 
-/// All views in one picture.
+/// Arranges all views in one picture.
 fn sheet(views: &[View]) -> View {
     let (w, h) = (views[0].width as usize, views[0].height as usize);
     let rows = views.len().div_ceil(COLUMNS);
@@ -103,7 +103,7 @@ fn sheet(views: &[View]) -> View {
 }
 
 #[test]
-fn the_reference_draws_its_goldens() {
+fn the_reference_matches_its_goldens() {
     let bless = std::env::var_os("TMPI_BLESS").is_some();
     for family in FAMILIES {
         let scene = scene(family);
@@ -119,7 +119,7 @@ fn the_reference_draws_its_goldens() {
         let seen = |views: &View| flip(&golden, &of_jpeg(&encode(views, PictureFormat::Jpeg, QUALITY).unwrap()), width);
         assert!(seen(&sheet) <= MOST_GOLDEN, "{family}: FLIP {:.5}", seen(&sheet));
         for (i, fault) in faults(&views).iter().map(&seen).enumerate() {
-            assert!(fault > MOST_GOLDEN, "{family}: fault {i} of one view is not noticed: FLIP {fault:.5}");
+            assert!(fault > MOST_GOLDEN, "{family}: fault {i} in one view is not detected: FLIP {fault:.5}");
         }
     }
 }
@@ -129,7 +129,7 @@ fn of_jpeg(file: &[u8]) -> Vec<[u8; 3]> {
     image::load(Cursor::new(file), image::ImageFormat::Jpeg).unwrap().into_rgb8().pixels().map(|p| p.0).collect()
 }
 
-/// Sheets one view of which is wrong a little: moved by half a pixel, a pixel short at its left rim, one tile two levels darker.
+/// Sheets with one slightly wrong view: moved by half a pixel, black in the leftmost column, or with one tile two levels darker.
 fn faults(views: &[View]) -> [View; 3] {
     let with = |fault: &dyn Fn(&View, usize, usize) -> [u8; 4]| {
         let mut views = views.to_vec();
@@ -146,14 +146,14 @@ fn faults(views: &[View]) -> [View; 3] {
     ]
 }
 
-/// Pixels that are off by more than [`LEVELS`] as a share, and mean FLIP.
+/// Fraction of pixels that differ by more than [`LEVELS`], and mean FLIP.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-struct Off {
+struct Difference {
     share: f64,
     flip: f64,
 }
 
-impl Off {
+impl Difference {
     fn between(got: &View, want: &View) -> Self {
         Self { share: share_off(&got.rgba, &want.rgba, LEVELS), flip: flip(&rgb(want), &rgb(got), want.width as usize) }
     }
@@ -163,38 +163,38 @@ impl Off {
     }
 }
 
-fn compare(backend: &dyn Renderer, most: Off) {
-    let (mut seen, mut failed) = (Off { share: 0.0, flip: 0.0 }, Vec::new());
+fn compare(backend: &dyn Renderer, most: Difference) {
+    let (mut largest, mut failed) = (Difference { share: 0.0, flip: 0.0 }, Vec::new());
     for family in FAMILIES {
         let scene = scene(family);
         for (i, camera) in cameras(&scene).iter().enumerate() {
             let want = Reference.render(&scene, camera).unwrap();
-            let off = Off::between(&backend.render(&scene, camera).unwrap(), &want);
-            seen = Off { share: seen.share.max(off.share), flip: seen.flip.max(off.flip) };
+            let off = Difference::between(&backend.render(&scene, camera).unwrap(), &want);
+            largest = Difference { share: largest.share.max(off.share), flip: largest.flip.max(off.flip) };
             if !off.within(most) {
                 failed.push(format!("{family} from {i}: {off:?}"));
             }
             let mut moved = *camera;
             moved.intrinsics.cx += MOVED;
-            let off = Off::between(&backend.render(&scene, &moved).unwrap(), &want);
+            let off = Difference::between(&backend.render(&scene, &moved).unwrap(), &want);
             if off.within(most) {
-                failed.push(format!("{family} from {i}: a camera that is {MOVED} pixels off is not noticed: {off:?}"));
+                failed.push(format!("{family} from {i}: a camera that is {MOVED} pixels off is not detected: {off:?}"));
             }
         }
     }
-    println!("{}: {seen:?}", backend.name());
+    println!("{}: {largest:?}", backend.name());
     assert!(failed.is_empty(), "{}:\n{}", backend.name(), failed.join("\n"));
 }
 
 #[test]
-fn cpu_draws_what_the_reference_draws() {
-    compare(&Cpu::default(), Off { share: 0.0005, flip: 0.005 });
+fn cpu_views_match_the_reference() {
+    compare(&Cpu::default(), Difference { share: 0.0005, flip: 0.005 });
 }
 
 #[test]
-fn gpu_draws_what_the_reference_draws() {
+fn gpu_views_match_the_reference() {
     if let Some(gpu) = Need::Gpu.or_skip(Gpu::new(true)) {
-        // devices filter textures with 8 bits of a place between texels
-        compare(&gpu, Off { share: 0.006, flip: 0.012 });
+        // GPUs interpolate textures with 8 bits of subtexel precision
+        compare(&gpu, Difference { share: 0.006, flip: 0.012 });
     }
 }

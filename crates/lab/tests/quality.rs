@@ -1,6 +1,6 @@
-//! What a photo comes to, held against stated values: a loss of quality anywhere from the map to the view fails here.
+//! Compares results with recorded values, so that a loss of quality anywhere between map and view fails.
 //!
-//! `TMPI_BLESS=quality cargo test --release -p tmpi-lab --test quality` states the values of this version anew.
+//! `TMPI_BLESS=quality cargo test --release -p tmpi-lab --test quality` records the values of this version.
 #![allow(clippy::unwrap_used, reason = "test")]
 
 use std::collections::BTreeMap;
@@ -20,25 +20,25 @@ use tmpi_pipeline::{Made, Models, Options, Silent, make};
 use tmpi_render::{Cpu, Renderer};
 
 const SIZE: (u32, u32) = (320, 208);
-/// Seeds that nothing was trained or chosen on, and what their maps are like.
+/// Seeds that were not used for training or tuning, and the kind of their maps.
 const SCENES: [(u64, Map); 4] = [(920_001, Map::Exact), (920_002, Map::Blurred), (920_003, Map::Noisy), (920_004, Map::Exact)];
-/// Half extents of the view box, and how much of it the views use.
+/// Half extents of the view box, and the views' distance from its centre.
 const BOX: f64 = 0.06;
-/// Change of bytes, as a share, and of PSNR, in dB, that is none.
+/// Tolerated change of bytes, as a fraction, and of PSNR, in dB.
 const BYTES: f64 = 0.01;
 const DECIBELS: f64 = 0.2;
 
 #[derive(Clone, Copy, Debug)]
 enum Map {
-    /// As it is known, given as a file.
+    /// Exact, provided as a file.
     Exact,
-    /// As a network blurs it.
+    /// Blurred, as by a network.
     Blurred,
-    /// With noise of variance 1e-3, given as a file.
+    /// With noise of variance 1e-3, provided as a file.
     Noisy,
 }
 
-/// What is stated of a scene.
+/// Recorded values of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Figures {
     family: String,
@@ -49,7 +49,7 @@ struct Figures {
     identity_psnr: f64,
 }
 
-/// Sum of twelve even numbers: normal enough, and the same everywhere.
+/// Adds noise: sums of twelve uniform numbers are nearly normal, and the same on every machine.
 fn noisy(map: &DisparityMap) -> DisparityMap {
     let mut state = 1u64;
     let mut even = || {
@@ -114,7 +114,7 @@ impl Subject {
 }
 
 #[test]
-fn photos_come_to_what_is_stated() {
+fn results_match_the_recorded_values() {
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/quality.json");
     let got: BTreeMap<String, Figures> = SCENES
         .map(|(seed, map)| {
@@ -138,7 +138,7 @@ fn photos_come_to_what_is_stated() {
 }
 
 #[test]
-fn one_thread_and_eight_come_to_the_same() {
+fn results_do_not_depend_on_threads() {
     for (seed, map) in SCENES {
         let s = subject(seed, map);
         let [one, eight] = [1, 8].map(|n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(|| s.make()));

@@ -1,5 +1,4 @@
-//! The backends against what is known of a view. Scene by scene and camera by camera they are held against rays cast in `f64` in
-//! `crates/lab/src/stress`.
+//! Properties of rendered views. `crates/lab/src/stress` compares the backends with `f64` ray casting, for many scenes and cameras.
 #![allow(clippy::unwrap_used, clippy::cast_precision_loss, clippy::cast_lossless, clippy::cast_possible_truncation, reason = "test")]
 
 use std::sync::Arc;
@@ -13,7 +12,7 @@ fn db(view: &View, photo: &[[u8; 3]]) -> f64 {
     psnr(rgb(view).as_flattened(), photo.as_flattened())
 }
 
-/// The `gpu` backend on whatever adapter there is.
+/// The `gpu` backend on any adapter.
 fn gpu() -> Option<Gpu> {
     tmpi_testing::Need::Gpu.or_skip(Gpu::new(true))
 }
@@ -26,11 +25,11 @@ fn rgb(view: &View) -> Vec<[u8; 3]> {
     view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect()
 }
 
-/// Scenes whose visible texels are the photo's.
+/// Scenes whose identity view shows the photo.
 fn faithful() -> Vec<(&'static str, Arc<Scene>)> {
     let names = ["flat", "ground", "disc", "disc before infinity", "typical", "remnants"];
     let found: Vec<_> = all().into_iter().filter(|(name, _)| names.contains(name)).map(|(n, s)| (n, Arc::new(s))).collect();
-    assert_eq!(found.len(), names.len(), "a scene has another name now");
+    assert_eq!(found.len(), names.len(), "a scene was renamed");
     found
 }
 
@@ -46,7 +45,7 @@ fn the_identity_view_is_the_photo() {
 }
 
 #[test]
-fn the_identity_view_on_the_gpu_is_within_50_db() {
+fn the_gpus_identity_view_reaches_50_db() {
     let Some(gpu) = gpu() else { return };
     for (name, scene) in faithful() {
         let view = gpu.render(&scene, &identity(&scene)).unwrap();
@@ -58,7 +57,7 @@ fn the_identity_view_on_the_gpu_is_within_50_db() {
 }
 
 #[test]
-fn no_corner_of_the_view_box_sees_past_the_border() {
+fn view_box_corners_do_not_see_past_the_border() {
     let (cpu, gpu) = (Cpu::default(), gpu());
     let backends = [&Reference as &dyn Renderer, &cpu].into_iter().chain(gpu.iter().map(|gpu| gpu as &dyn Renderer));
     for backend in backends {
@@ -67,7 +66,7 @@ fn no_corner_of_the_view_box_sees_past_the_border() {
                 for pose in corners(&scene.view_box, pivot) {
                     let view = backend.render(&scene, &camera(&scene, pose, scene.photo.width, scene.photo.height)).unwrap();
                     let (w, h) = (view.width as usize, view.height as usize);
-                    // a band as wide as the parallax; further in, what is uncovered is no matter of the border
+                    // a band as wide as the parallax; holes further in are not caused by the border
                     let band = (0..w * h).filter(|i| (i % w).min(w - 1 - i % w) < 8 || (i / w).min(h - 1 - i / w) < 8);
                     let open = band.filter(|&i| view.rgba[i][3] < 250).count();
                     assert_eq!(open, 0, "{name} on {} from {pose:?}", backend.name());
@@ -78,7 +77,7 @@ fn no_corner_of_the_view_box_sees_past_the_border() {
 }
 
 #[test]
-fn beyond_the_border_the_scene_is_its_own_mirror_image_and_blurs() {
+fn beyond_the_border_is_a_blurred_mirror_image() {
     let mut scene = flat(160, 100, 1.0);
     // stripes of eight pixels
     for (x, p) in (0..160).cycle().zip(&mut scene.photo.rgb) {
@@ -96,11 +95,11 @@ fn beyond_the_border_the_scene_is_its_own_mirror_image_and_blurs() {
         let contrast = |pixels: &[u8]| pixels.iter().max().unwrap() - pixels.iter().min().unwrap();
         assert!(beyond[0] < 10 && beyond[5] > 120, "mirrored: {beyond:?}");
         assert!((40..200).contains(&contrast(&beyond[4..])), "blurred: {beyond:?}");
-        assert!((10..160).all(|x| [0, 240].contains(&row[x][0])), "within the photo it is sharp");
+        assert!((10..160).all(|x| [0, 240].contains(&row[x][0])), "sharp within the photo");
     }
 }
 
-/// Mean column of the pixels that are red.
+/// Mean column of the red pixels.
 fn column_of_red(view: &View) -> f64 {
     let red: Vec<f64> =
         (0..).zip(&view.rgba).filter(|(_, p)| p[0] > 200 && p[1] < 60).map(|(i, _): (u32, _)| f64::from(i % view.width)).collect();
@@ -131,7 +130,7 @@ fn signs(backend: &dyn Renderer) {
 }
 
 #[test]
-fn signs_are_those_of_the_design() {
+fn camera_motion_has_the_right_sign() {
     signs(&Reference);
     signs(&Cpu::default());
     if let Some(gpu) = gpu() {
@@ -140,7 +139,7 @@ fn signs_are_those_of_the_design() {
 }
 
 #[test]
-fn a_camera_out_of_range_is_refused_with_the_fields_name() {
+fn invalid_cameras_are_refused_by_field() {
     let scene = Arc::new(flat(8, 8, 0.5));
     let good = identity(&scene);
     let bad = [
@@ -160,7 +159,7 @@ fn a_camera_out_of_range_is_refused_with_the_fields_name() {
 }
 
 #[test]
-fn a_scene_that_does_not_fit_together_is_refused() {
+fn inconsistent_scenes_are_refused() {
     let mut scene = flat(8, 8, 0.5);
     scene.texels.alpha.pop();
     let scene = Arc::new(scene);
@@ -169,7 +168,7 @@ fn a_scene_that_does_not_fit_together_is_refused() {
     }
 }
 
-/// Many callers at once, of two scenes: each gets its own view.
+/// Renders two scenes from many threads: each gets the right view.
 fn shared(backend: &dyn Renderer) {
     let scenes = [0.2, 0.9].map(|delta| Arc::new(flat(48, 32, delta)));
     let pose = Pose::at(0.05, 0.0, 0.0);
@@ -190,7 +189,7 @@ fn shared(backend: &dyn Renderer) {
 }
 
 #[test]
-fn a_host_serves_many_callers_at_once() {
+fn backends_can_be_shared_between_threads() {
     shared(&Cpu::default());
     if let Some(gpu) = gpu() {
         shared(&gpu);
@@ -198,7 +197,7 @@ fn a_host_serves_many_callers_at_once() {
 }
 
 #[test]
-fn auto_always_finds_a_host() {
+fn auto_always_finds_a_backend() {
     let scene = Arc::new(flat(8, 8, 0.5));
     let backend = select(Backend::Auto).unwrap();
     assert_eq!(rgb(&backend.render(&scene, &identity(&scene)).unwrap()), scene.photo.rgb);

@@ -13,6 +13,7 @@ mod database;
 mod error;
 mod events;
 mod exports;
+mod integrity;
 mod jobs;
 mod leases;
 mod links;
@@ -25,7 +26,6 @@ mod rooms;
 mod statistics;
 #[cfg(test)]
 mod tests;
-mod upkeep;
 
 use std::collections::HashSet;
 use std::fmt;
@@ -42,6 +42,7 @@ pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
 pub use error::{LibraryError, Quota, Result, Service, Share};
 pub use events::{Event, Subscription};
 pub use exports::{Order, Ordered};
+pub use integrity::{Collected, Damage};
 pub use jobs::{Asker, Job, JobState, Kind, Position};
 pub use leases::{Lease, Made, Retry};
 pub use links::{Grant, Link, Secret, Subject};
@@ -51,7 +52,6 @@ pub use photos::{Cursor, Filter, Page};
 pub use retention::Swept;
 pub use rooms::{Claim, Origin};
 pub use statistics::{OutcomeCounts, Statistics};
-pub use upkeep::{Collected, Damage};
 
 use database::Database;
 use leases::{Held, Reached};

@@ -1,22 +1,22 @@
-//! Scale and shift between the disparity of two frames.
+//! Aligns the disparity of a new frame with that of the last one: fits scale and shift, and removes steps at borders.
 
 use tmpi_core::DisparityMap;
 
 use crate::change::BLOCK;
 
-/// Pixels that a fit looks at, at most.
-const SAMPLES: usize = 8_000;
-/// Rounds of reweighting, at most.
-const ROUNDS: usize = 20;
-/// Residual in units of the median one beyond which a pixel counts less.
+/// Maximum number of pixels that a fit samples.
+const MAX_SAMPLES: usize = 8_000;
+/// Maximum number of reweighting rounds.
+const MAX_ROUNDS: usize = 20;
+/// Residual, in units of the median residual, above which a pixel gets less weight.
 const HUBER: f64 = 2.0;
-/// Power of Huber's weight (1964): the first, which would do for a mean, leaves the ratio of two spreads to what is wild in either.
+/// Exponent of Huber's weight (1964). An exponent of 1 suffices for a mean, but lets outliers dominate a ratio of two spreads.
 const POWER: i32 = 4;
-/// Pixels that must be known for a fit to them alone, as a share of all.
-const ENOUGH: f64 = 0.05;
-/// How far a frame that has nothing to hold on to goes back to its own scale: without it, each frame's error would stay for ever.
+/// Fraction of pixels that must be steady for a fit to use only those.
+const MIN_STEADY: f64 = 0.05;
+/// How far a frame without enough steady pixels returns to its own scale; otherwise each frame's error would persist.
 const RETURN: f64 = 0.02;
-/// Scales beyond these are no camera's.
+/// Range of plausible scales.
 const SCALES: (f64, f64) = (0.25, 4.0);
 
 /// `δ = scale · δ' + shift`.
@@ -24,15 +24,15 @@ const SCALES: (f64, f64) = (0.25, 4.0);
 pub struct Affine {
     /// Factor, positive.
     pub scale: f64,
-    /// What is added.
+    /// Offset.
     pub shift: f64,
 }
 
 impl Affine {
-    /// Changes nothing.
+    /// Scale 1, shift 0.
     pub const IDENTITY: Self = Self { scale: 1.0, shift: 0.0 };
 
-    /// Applies to each value; the result is within 0 to 1.
+    /// Transforms each value and clamps it to 0 to 1.
     pub fn apply(&self, delta: &mut [f32]) {
         for d in delta {
             *d = (self.scale * f64::from(*d) + self.shift).clamp(0.0, 1.0) as f32;
@@ -40,33 +40,33 @@ impl Affine {
     }
 }
 
-/// Fits `new` to `last` over the pixels for which `steady` is true, or over all of them, going a little back to [`Affine::IDENTITY`],
-/// where these are too few. Both maps are of one size, as is `steady`.
+/// Fits `new` to `last` over the pixels for which `steady` is true. If these are too few, it fits all pixels and moves the result slightly
+/// towards [`Affine::IDENTITY`]. Both maps and `steady` have the same size.
 ///
-/// Robust reduced-major-axis regression: the scale is the ratio of the spreads, since least squares would make every frame a little
-/// flatter than the last, by the noise of `new`.
+/// This is a robust reduced-major-axis regression: the scale is the ratio of the spreads. Least squares would flatten each frame a little
+/// more than the last, because of the noise in `new`.
 #[must_use]
 pub fn fit(new: &DisparityMap, last: &DisparityMap, steady: &[bool]) -> Affine {
     let known = steady.iter().filter(|s| **s).count();
-    let held = known as f64 >= ENOUGH * steady.len().max(1) as f64;
-    let step = if held { known } else { steady.len() }.div_ceil(SAMPLES).max(1);
-    let all = new.delta.iter().zip(&last.delta).zip(steady).filter(|(_, s)| !held || **s);
+    let enough = known as f64 >= MIN_STEADY * steady.len().max(1) as f64;
+    let step = if enough { known } else { steady.len() }.div_ceil(MAX_SAMPLES).max(1);
+    let all = new.delta.iter().zip(&last.delta).zip(steady).filter(|(_, s)| !enough || **s);
     let pairs: Vec<(f64, f64)> = all.step_by(step).map(|((a, b), _)| (f64::from(*a), f64::from(*b))).collect();
     let fitted = regress(&pairs);
-    if held {
+    if enough {
         return fitted;
     }
     let back = |from: f64, to: f64| from + RETURN * (to - from);
     Affine { scale: back(fitted.scale, 1.0), shift: back(fitted.shift, 0.0) }
 }
 
-/// Rounds in which offsets spread over blocks without one: farther than that from all others a block keeps what the fit gave it.
-const SPREADS: usize = 64;
+/// Rounds in which offsets diffuse into stale blocks. A block farther than that from all steady ones keeps its fitted disparity.
+const DIFFUSION_ROUNDS: usize = 64;
 
-/// Brings `new`, which was fitted to `last`, to it where parts of both meet: what the blocks about those that are `stale` are off by is taken over into
-/// these, the less the farther off. Of one scale and shift for all of a map each part would stand apart from what was known beside it, by a step that no
-/// surface has. Both maps are of one size, of which `stale` has the blocks, `across` in a row.
-pub fn meet(new: &mut DisparityMap, last: &DisparityMap, stale: &[bool], across: usize) {
+/// Makes the `stale` blocks of `new`, already fitted to `last`, join the steady blocks around them: the offset between both maps at the
+/// border diffuses into the stale blocks and fades with distance. A single scale and shift per map would leave a step at the border that no
+/// surface has. Both maps have the same size; `stale` has one entry per block, `across` per row.
+pub fn join_borders(new: &mut DisparityMap, last: &DisparityMap, stale: &[bool], across: usize) {
     let (width, side, down) = (new.width as usize, BLOCK as usize, stale.len() / across.max(1));
     let beside = |at: usize| {
         let (x, y) = (at % across, at / across);
@@ -80,7 +80,7 @@ pub fn meet(new: &mut DisparityMap, last: &DisparityMap, stale: &[bool], across:
         let pixels = rows.flat_map(|y| columns.clone().map(move |x| y * width + x));
         off[at] = median(pixels.map(|i| f64::from(last.delta[i]) - f64::from(new.delta[i])).collect());
     }
-    for _ in 0..SPREADS {
+    for _ in 0..DIFFUSION_ROUNDS {
         for at in (0..stale.len()).filter(|at| stale[*at]) {
             let (sum, count) = beside(at).fold((0.0, 0.0), |(sum, count), b| (sum + off[b], count + 1.0));
             off[at] = sum / count;
@@ -89,7 +89,7 @@ pub fn meet(new: &mut DisparityMap, last: &DisparityMap, stale: &[bool], across:
     for (i, delta) in new.delta.iter_mut().enumerate() {
         let (x, y) = (i % width, i / width);
         if stale[y / side * across + x / side] {
-            // between the middles of blocks
+            // interpolate between block centres
             let place = |v: usize, most: usize| ((v as f64 + 0.5) / f64::from(BLOCK) - 0.5).clamp(0.0, most as f64 - 1.0);
             let (u, v) = (place(x, across), place(y, down));
             let at = |x: usize, y: usize| off[y.min(down - 1) * across + x.min(across - 1)];
@@ -101,12 +101,12 @@ pub fn meet(new: &mut DisparityMap, last: &DisparityMap, stale: &[bool], across:
 }
 
 fn regress(pairs: &[(f64, f64)]) -> Affine {
-    let mut found = Affine::IDENTITY;
+    let mut result = Affine::IDENTITY;
     let mut weights = vec![1.0; pairs.len()];
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         let total: f64 = weights.iter().sum();
         if total <= 0.0 {
-            return found;
+            return result;
         }
         let mean = |f: fn(&(f64, f64)) -> f64| pairs.iter().zip(&weights).map(|(p, w)| w * f(p)).sum::<f64>() / total;
         let (x, y) = (mean(|p| p.0), mean(|p| p.1));
@@ -116,20 +116,20 @@ fn regress(pairs: &[(f64, f64)]) -> Affine {
             yy += w * (b - y) * (b - y);
             xy += w * (a - x) * (b - y);
         }
-        // without relief, or where near and far have changed places, only the shift can be told
-        let told = xx > 1e-9 * total && yy > 1e-9 * total && xy > 0.0;
-        let scale = if told { (yy / xx).sqrt().clamp(SCALES.0, SCALES.1) } else { 1.0 };
+        // without relief, or with near and far swapped, only the shift is determined
+        let has_relief = xx > 1e-9 * total && yy > 1e-9 * total && xy > 0.0;
+        let scale = if has_relief { (yy / xx).sqrt().clamp(SCALES.0, SCALES.1) } else { 1.0 };
         let next = Affine { scale, shift: y - scale * x };
         let residuals: Vec<f64> = pairs.iter().map(|(a, b)| (next.scale * a + next.shift - b).abs()).collect();
         let most = HUBER * median(residuals.clone()).max(1e-4);
         weights = residuals.iter().map(|r| if *r <= most { 1.0 } else { (most / r).powi(POWER) }).collect();
-        let same = (next.scale - found.scale).abs() < 1e-5 && (next.shift - found.shift).abs() < 1e-5;
-        found = next;
+        let same = (next.scale - result.scale).abs() < 1e-5 && (next.shift - result.shift).abs() < 1e-5;
+        result = next;
         if same {
             break;
         }
     }
-    found
+    result
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -147,7 +147,7 @@ mod tests {
         DisparityMap { width: n as u32, height: n as u32, delta }
     }
 
-    /// Noise of about `by`, the same each time.
+    /// Adds reproducible noise of amplitude `by`.
     fn noisy(map: &DisparityMap, by: f32, seed: u32) -> DisparityMap {
         let noise = |i: u32| ((i.wrapping_mul(0x9E37_79B1) ^ seed).wrapping_mul(0x85EB_CA77) >> 8) as f32 / (1u32 << 24) as f32 - 0.5;
         DisparityMap { delta: (0..).zip(&map.delta).map(|(i, d)| d + 2.0 * by * noise(i)).collect(), ..*map }
@@ -156,9 +156,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
-        /// A third of the steady pixels may be anything.
+        /// Up to a third of the steady pixels may be outliers.
         #[test]
-        fn scale_and_shift_come_back(scale in 0.5f64..2.0, shift in -0.2f64..0.2, wild in 0usize..8) {
+        fn scale_and_shift_are_recovered(scale in 0.5f64..2.0, shift in -0.2f64..0.2, wild in 0usize..8) {
             let last = relief(60);
             let mut new = noisy(&last, 0.005, 1);
             new.delta.iter_mut().for_each(|d| *d = ((f64::from(*d) - shift) / scale) as f32);
@@ -166,8 +166,8 @@ mod tests {
             for i in (0..3600).filter(|i| i % 24 < wild || !steady[*i]) {
                 new.delta[i] = (i % 10) as f32 / 10.0;
             }
-            let found = fit(&new, &last, &steady);
-            prop_assert!((found.scale / scale - 1.0).abs() < 0.1 && (found.shift - shift).abs() < 0.05, "{found:?}");
+            let result = fit(&new, &last, &steady);
+            prop_assert!((result.scale / scale - 1.0).abs() < 0.1 && (result.shift - shift).abs() < 0.05, "{result:?}");
         }
     }
 
@@ -189,31 +189,31 @@ mod tests {
     }
 
     #[test]
-    fn parts_meet_what_is_known_beside_them_and_keep_their_own_relief() {
+    fn stale_blocks_join_their_surroundings_without_a_step() {
         let (n, across) = (80u32, 10);
         let last = DisparityMap { width: n, height: n, delta: (0..n * n).map(|i| 0.3 + 0.002 * (i % n) as f32).collect() };
-        // blocks 3 to 6 are stale, and what is new of them is off by more to the right; a thing stands in their middle
+        // blocks 3 to 6 are stale, and their new disparity is off by more to the right; an object is in their centre
         let stale: Vec<bool> = (0..100).map(|b| (3..7).contains(&(b % across)) && (3..7).contains(&(b / across))).collect();
         let thing = |i: u32| (36..44).contains(&(i % n)) && (36..44).contains(&(i / n));
         let off = |i: u32| 0.04 + 0.0005 * (i % n) as f32;
         let at = |i: u32| last.delta[i as usize] + off(i) + if thing(i) { 0.2 } else { 0.0 };
         let mut new = DisparityMap { delta: (0..n * n).map(at).collect(), ..last };
         let before = new.clone();
-        meet(&mut new, &last, &stale, across);
+        join_borders(&mut new, &last, &stale, across);
         for i in 0..n * n {
             let (is, was) = (new.delta[i as usize], before.delta[i as usize]);
             if !stale[(i / n / 8 * 10 + i % n / 8) as usize] {
-                assert!((is - was).abs() < 1e-6, "pixel {i} is none of theirs");
+                assert!((is - was).abs() < 1e-6, "pixel {i} is not stale");
                 continue;
             }
             let should = last.delta[i as usize] + if thing(i) { 0.2 } else { 0.0 };
-            assert!((is - should).abs() < 0.01, "pixel {i}: {is}, not {should}");
+            assert!((is - should).abs() < 0.01, "pixel {i}: {is}, expected {should}");
         }
-        // all of it, none of it, and a picture that ends within a block
+        // all blocks stale, none stale, and a picture that ends within a block
         for (side, stale) in [(80, vec![true; 100]), (80, vec![false; 100]), (77, vec![true; 100])] {
             let of = |m: &DisparityMap| DisparityMap { width: side, height: side, delta: m.delta[..(side * side) as usize].to_vec() };
             let mut same = of(&before);
-            meet(&mut same, &of(&last), &stale, across);
+            join_borders(&mut same, &of(&last), &stale, across);
             assert_eq!(same.delta, of(&before).delta);
         }
     }
@@ -221,9 +221,9 @@ mod tests {
     #[test]
     fn flat_maps_are_only_shifted() {
         let flat = |d: f32| DisparityMap { width: 10, height: 10, delta: vec![d; 100] };
-        let found = fit(&flat(0.3), &flat(0.5), &[true; 100]);
-        assert!((found.scale - 1.0).abs() < 1e-12);
-        assert!((found.shift - 0.2).abs() < 1e-6);
+        let result = fit(&flat(0.3), &flat(0.5), &[true; 100]);
+        assert!((result.scale - 1.0).abs() < 1e-12);
+        assert!((result.shift - 0.2).abs() < 1e-6);
         assert_eq!(fit(&flat(0.3), &flat(0.5), &[]), Affine::IDENTITY);
     }
 }

@@ -1,62 +1,62 @@
-//! Which parts of a frame differ from the one before.
+//! Detects which blocks of a frame differ from the previous one.
 
 use tmpi_core::{Grid, Photo};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::run::{Context, Stage};
 
-/// Side of a block in pixels: the stride of tiles is a multiple of it.
+/// Side of a block in pixels. The stride of tiles is a multiple of it.
 pub const BLOCK: u32 = 8;
-/// Bins of the histogram of luma.
+/// Bins of the luma histogram.
 const BINS: usize = 32;
-/// Share of the pixels that lie in other bins than before, from which on a frame begins a new scene.
+/// A frame is a cut if at least this fraction of pixels moved to another histogram bin …
 const CUT: f64 = 0.35;
-/// Share of the blocks that have to change for that: a light that is switched on changes all of them, a person passing by does not.
+/// … and this fraction of blocks changed. A light that is switched on changes all blocks; a person who passes by does not.
 const CUT_BLOCKS: f64 = 0.8;
 
-/// How far a block may be from the frame that its geometry was made of and still count as unchanged.
+/// How much a block may differ from the frame that its geometry comes from and still count as unchanged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
-    /// Largest difference of a channel, in levels; 0: bit for bit.
+    /// Largest difference of a channel, in levels; 0: exact match.
     pub most: u8,
     /// Mean difference over a block, in levels.
     pub mean: f32,
 }
 
 impl Tolerance {
-    /// Bit for bit.
+    /// Exact match.
     pub const NONE: Self = Self { most: 0, mean: 0.0 };
 }
 
-/// What noise of a deviation of 2 levels leaves between two frames, as it is or as an encoder codes it anew, with something to spare. An
-/// encoder that repeats what stands still needs none of it.
+/// Tolerates noise with a standard deviation of 2 levels, raw or re-encoded, with some margin. Encoders that repeat still areas exactly
+/// need no tolerance.
 impl Default for Tolerance {
     fn default() -> Self {
         Self { most: 24, mean: 4.0 }
     }
 }
 
-/// What changed, as a stage that carries the frame that it compares with.
+/// Stage that compares each frame with a reference frame.
 #[derive(Clone, Debug)]
 pub struct Compare {
     tolerance: Tolerance,
-    /// Of each block the pixels when it changed last: what creeps is noticed in the end.
+    /// Each block's pixels when it last changed, so that slow changes accumulate and are detected.
     reference: Option<Photo>,
     histogram: [u32; BINS],
 }
 
-/// What changed in a frame.
+/// The changed blocks of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
-    /// Sum of the differences of each block, row by row; 0 where it is unchanged, which none is at a cut.
+    /// Sum of the differences in each block, row by row; 0 if it is unchanged. At a cut, no block is unchanged.
     pub blocks: Vec<u32>,
-    /// Blocks in a row.
+    /// Blocks per row.
     pub across: usize,
-    /// Nothing of the frame before goes on.
+    /// The frame starts a new scene.
     pub cut: bool,
 }
 
 impl Change {
-    /// True where nothing changed.
+    /// Whether no block changed.
     #[must_use]
     pub fn is_nothing(&self) -> bool {
         self.blocks.iter().all(|b| *b == 0)
@@ -77,19 +77,19 @@ impl Change {
 }
 
 impl Compare {
-    /// Knows no frame yet.
+    /// Starts without a reference frame.
     #[must_use]
     pub const fn new(tolerance: Tolerance) -> Self {
         Self { tolerance, reference: None, histogram: [0; BINS] }
     }
 
-    /// Of each block the pixels when it changed last; none before the first frame.
+    /// Each block's pixels when it last changed; `None` before the first frame.
     #[must_use]
     pub const fn reference(&self) -> Option<&Photo> {
         self.reference.as_ref()
     }
 
-    /// Compares with what is known, and knows the frame from then on. The first one, or one of another size, is a cut.
+    /// Compares a frame with the reference and updates the reference. The first frame, and one with a new size, is a cut.
     pub fn next(&mut self, photo: &Photo) -> Change {
         let across = photo.width.div_ceil(BLOCK) as usize;
         let count = across * photo.height.div_ceil(BLOCK) as usize;
@@ -103,7 +103,7 @@ impl Compare {
         let width = photo.width as usize;
         let band = width * BLOCK as usize;
         for ((new, old), out) in photo.rgb.chunks(band).zip(reference.rgb.chunks_mut(band)).zip(blocks.chunks_mut(across)) {
-            // most rows of blocks stay as they are, and are told in one comparison
+            // fast path: most rows of blocks are unchanged
             if new == &*old {
                 continue;
             }
@@ -113,10 +113,10 @@ impl Compare {
         }
         let changed = blocks.iter().filter(|b| **b > 0).count();
         let moved: u64 = before.iter().zip(&histogram).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
-        // each pixel that goes from one bin to another counts twice
+        // each pixel that moves to another bin counts twice
         let cut = changed as f64 > CUT_BLOCKS * count as f64 && moved as f64 > 2.0 * CUT * photo.rgb.len() as f64;
         if cut {
-            // nothing is known of blocks that happen to look as they did: their depth and planes were of another scene
+            // blocks that happen to look the same change too: their depth and planes belong to the old scene
             for block in &mut *blocks {
                 *block = (*block).max(1);
             }
@@ -126,7 +126,7 @@ impl Compare {
     }
 }
 
-/// Sum of differences of the block from column `x` on; where it is beyond the tolerance, the reference takes the new pixels, else 0.
+/// Sum of the differences in the block at column `x`, or 0 within the tolerance. If the block changed, copies it to the reference (`old`).
 fn compare(new: &[[u8; 3]], old: &mut [[u8; 3]], width: usize, x: usize, tolerance: Tolerance) -> u32 {
     let end = (x + BLOCK as usize).min(width);
     let (mut sum, mut most) = (0u32, 0u8);
@@ -179,9 +179,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
-        /// Of a change anywhere, the blocks and tiles that hold it are told, and no other.
+        /// A change of one pixel marks exactly the tiles that contain its block.
         #[test]
-        fn every_change_is_found_where_it_is(w in 1u32..150, h in 1u32..150, at in any::<u32>(), by in 1u8..) {
+        fn a_change_marks_exactly_its_tiles(w in 1u32..150, h in 1u32..150, at in any::<u32>(), by in 1u8..) {
             let first = photo(w, h, 1);
             let mut compare = Compare::new(Tolerance::NONE);
             prop_assert!(compare.next(&first).cut);
@@ -193,7 +193,7 @@ mod tests {
             let (x, y) = (at % w, at / w);
             let grid = Grid::new(w, h, 64);
             for (t, changed) in (0..).zip(change.tiles(&grid)) {
-                // tiles end within a block where the picture does not end with one
+                // at the picture's border, a tile may end within a block
                 let r = grid.rect(t);
                 let near = |from: u32, size: u32, p: u32| from / BLOCK <= p / BLOCK && p / BLOCK < (from + size).div_ceil(BLOCK);
                 prop_assert_eq!(changed > 0, near(r.x, r.w, x) && near(r.y, r.h, y));
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn what_creeps_is_noticed_once_it_is_beyond_the_tolerance() {
+    fn slow_changes_accumulate_beyond_the_tolerance() {
         let mut compare = Compare::new(Tolerance { most: 8, mean: 0.5 });
         let mut now = photo(64, 64, 1);
         now.rgb.iter_mut().for_each(|p| p[0] = 0);
@@ -216,15 +216,15 @@ mod tests {
                 break;
             }
         }
-        // a third of the channels: 1.5 levels of one are .5 of all
+        // one of three channels changes: 1.5 levels of it are a mean of 0.5
         assert_eq!(steps, 2);
     }
 
     #[test]
-    fn noise_of_two_levels_changes_nothing_and_what_shows_through_it_does() {
+    fn noise_of_two_levels_does_not_hide_changes() {
         let clean = photo(96, 64, 5);
         let mut seed = 1u64;
-        // the sum of twelve uniform values has the deviation 1
+        // the sum of twelve uniform values has a standard deviation of 1
         let mut noise = || {
             let mut unit = || {
                 seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn another_picture_is_a_cut_and_noise_is_none() {
+    fn another_picture_is_a_cut_but_noise_is_not() {
         let mut compare = Compare::new(Tolerance::NONE);
         let dark = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| [20 + (i % 40) as u8; 3]).collect() };
         compare.next(&dark);
@@ -261,9 +261,9 @@ mod tests {
     }
 
     #[test]
-    fn at_a_cut_every_block_counts_as_changed() {
+    fn every_block_changes_at_a_cut() {
         let mut compare = Compare::new(Tolerance::NONE);
-        // a black bar over what is another scene then, as films have it
+        // a letterboxed film: the black bar stays when the scene changes
         let barred = |v: u8| Photo { width: 64, height: 64, rgb: (0..4096).map(|i| if i < 512 { [0; 3] } else { [v; 3] }).collect() };
         compare.next(&barred(40));
         let change = compare.next(&barred(200));

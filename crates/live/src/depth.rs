@@ -1,37 +1,37 @@
-//! Depth that a camera measures, as a message beside its frame: 16 bits a pixel, differences along the rows, packed by zstd.
+//! Codec for measured depth, sent as a message with each frame: 16 bits per pixel, differences along rows, compressed with zstd.
 
 use tmpi_core::DisparityMap;
 
-/// Effort of the packer: a frame's depth has to be packed within milliseconds.
+/// Compression level: packing a frame must take only milliseconds.
 const LEVEL: i32 = 1;
-/// δ = 1.
+/// Coded value of δ = 1.
 const NEAREST: f32 = 65_535.0;
 
-/// The bytes are none of a depth map of that size.
+/// The bytes are not a valid depth map of the expected size.
 #[derive(Debug, thiserror::Error)]
 #[error("measured depth: {0}")]
-pub struct DepthBytes(String);
+pub struct InvalidDepth(String);
 
-/// Packs a map; values beyond 0 to 1 become the nearest of these.
+/// Packs a map; clamps values to 0 to 1.
 ///
 /// # Errors
-/// [`DepthBytes`] where the packer fails.
-pub fn pack(map: &DisparityMap) -> Result<Vec<u8>, DepthBytes> {
+/// [`InvalidDepth`] if the compressor fails.
+pub fn pack(map: &DisparityMap) -> Result<Vec<u8>, InvalidDepth> {
     let value = |i: usize| (map.delta[i] * NEAREST).round() as u16;
     let width = map.width as usize;
     let raw: Vec<u8> = (0..map.delta.len()).flat_map(|i| value(i).wrapping_sub(before(i, width).map_or(0, value)).to_le_bytes()).collect();
-    zstd::bulk::compress(&raw, LEVEL).map_err(|e| DepthBytes(e.to_string()))
+    zstd::bulk::compress(&raw, LEVEL).map_err(|e| InvalidDepth(e.to_string()))
 }
 
-/// The map of a frame of `width × height` pixels.
+/// Unpacks a map of `width × height` pixels. Allocates no more memory than a map of that size needs.
 ///
 /// # Errors
-/// [`DepthBytes`] where the bytes are damaged, or of another size; no more memory is taken than that size needs.
-pub fn unpack(packed: &[u8], width: u32, height: u32) -> Result<DisparityMap, DepthBytes> {
+/// [`InvalidDepth`] if the bytes are damaged or the map has another size.
+pub fn unpack(packed: &[u8], width: u32, height: u32) -> Result<DisparityMap, InvalidDepth> {
     let count = width as usize * height as usize;
-    let raw = zstd::bulk::decompress(packed, 2 * count).map_err(|e| DepthBytes(e.to_string()))?;
+    let raw = zstd::bulk::decompress(packed, 2 * count).map_err(|e| InvalidDepth(e.to_string()))?;
     if raw.len() != 2 * count {
-        return Err(DepthBytes(format!("{} bytes for {width}×{height} pixels", raw.len())));
+        return Err(InvalidDepth(format!("{} bytes for {width}×{height} pixels", raw.len())));
     }
     let mut values: Vec<u16> = raw.as_chunks().0.iter().map(|b| u16::from_le_bytes(*b)).collect();
     for i in 1..count {
@@ -40,7 +40,7 @@ pub fn unpack(packed: &[u8], width: u32, height: u32) -> Result<DisparityMap, De
     Ok(DisparityMap { width, height, delta: values.into_iter().map(|v| f32::from(v) / NEAREST).collect() })
 }
 
-/// The pixel that one differs from: the one to the left, in the first column the one above.
+/// The pixel that predicts pixel `i`: its left neighbour, or the one above in the first column.
 fn before(i: usize, width: usize) -> Option<usize> {
     if i.is_multiple_of(width) { i.checked_sub(width) } else { Some(i - 1) }
 }
@@ -54,7 +54,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn maps_come_back_to_a_step(w in 1u32..40, h in 1u32..40, seed in any::<u32>()) {
+        fn maps_survive_a_round_trip(w in 1u32..40, h in 1u32..40, seed in any::<u32>()) {
             let delta = (0..w * h).map(|i| (i.wrapping_mul(seed | 1) >> 8) as f32 / (1u32 << 24) as f32).collect();
             let map = DisparityMap { width: w, height: h, delta };
             let packed = pack(&map).unwrap();
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_takes_next_to_nothing_and_a_bomb_is_refused() {
+    fn ramps_compress_well_and_bombs_are_refused() {
         let delta = (0..320 * 240).map(|i| (i / 320) as f32 / 240.0).collect();
         let map = DisparityMap { width: 320, height: 240, delta };
         assert!(pack(&map).unwrap().len() < 2_000);

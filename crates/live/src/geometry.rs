@@ -1,4 +1,4 @@
-//! The driver of a room's frames.
+//! Drives the pipeline for a room's frames.
 
 use std::time::{Duration, Instant};
 
@@ -15,58 +15,67 @@ use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, l
 
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
-use crate::moved::moved;
 use crate::queue::Queue;
-use crate::settle::{SETTLES, Settle, Settling};
-use crate::{Budget, Share};
+use crate::recheck::{RECHECK, RecheckSettings, Rechecks};
+use crate::reprojection::reprojection_error;
+use crate::{Budget, TileBudget};
 
 mod estimate;
 
 use estimate::estimate;
 
-/// Pixels of parallax by which what readers hold of a tile may be off, where nothing else is said.
+/// Default reprojection error, in pixels, below which a tile is not sent again.
 pub const PARALLAX: f64 = 0.25;
 
-/// Time for which a room rests after a frame of which tiles were sent, where nothing else is said: at 30 frames a second two frames, between which readers
-/// move labels along with what moves. `tmpi-lab live-bench --only still --rest-ms N` compares 0, 50, 80 and 100: 520, 311, 220 and 175 bytes of geometry a frame,
-/// 65, 34, 23 and 18 ms of processor; flicker .041, .057, .065 and .071 levels; edges 1.9, 2.0, 2.2 and 2.1 pixels short, and views as good. More than
-/// 80 leaves little of the frames in which labels follow, where tiles are late besides. Where frames come more seldom none rests: what moves goes far between two.
-pub const REST: Duration = Duration::from_millis(80);
+/// Default cooldown after a frame whose tiles were sent: two frames at 30 frames a second. Meanwhile, readers move labels along with the
+/// motion. At lower frame rates, where objects move far between frames, no frame falls into it.
+///
+/// `tmpi-lab live-bench --only still --rest-ms N` compares 0, 50, 80 and 100 ms: 520, 311, 220 and 175 bytes of geometry a frame; 65, 34,
+/// 23 and 18 ms of CPU time; flicker 0.041, 0.057, 0.065 and 0.071 levels; edges 1.9, 2.0, 2.2 and 2.1 pixels short; views equally good.
+/// With more than 80 ms and late tiles, few frames remain in which labels follow.
+pub const COOLDOWN: Duration = Duration::from_millis(80);
 
-/// Default parallax error that planes of a room may leave, in pixels at the corners of the view box. `tmpi-lab live-bench` compares it with half of it:
-/// less than half the bytes and less flicker, and views of estimated depth are as good.
+/// Default parallax error of a room's planes, in pixels at the corners of the view box. `tmpi-lab live-bench` compares it with half of it:
+/// this value needs less than half the bytes and flickers less, and views of estimated depth are equally good.
 pub const MAX_ERROR: f64 = 3.5;
 
-/// Share of that error where depth is measured: planes are then what views lose the most by, and few.
+/// Default budget of a frame's geometry, in milliseconds. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3, 13.1
+/// and 17.5 ms of CPU time a frame; views of 23.4, 23.3, 23.4 and 23.3 dB; flicker 0.070, 0.064, 0.054 and 0.080 levels; edges 2.1, 2.2, 2.1
+/// and 2.2 pixels short. At 640×480, 12, 20, 30 and 45 ms (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short.
+/// With 20 ms instead of 30, frames arrive a sixth sooner if everything shares two cores (`glass-to-glass.mjs`); but at 640×480 more tiles
+/// wait, and moving objects are torn more often where they meet others.
+pub const BUDGET_MS: f64 = 20.0;
+
+/// Factor on that error for measured depth: planes are then few, and the largest source of error in views.
 const MEASURED: f64 = 0.5;
 
-/// Pixels of parallax up to which a change of a pixel's estimated depth is mostly the network's own trembling, and the share of it that is taken.
-const TREMBLES: (f64, f32) = (1.5, 0.4);
+/// Changes of estimated depth up to this many pixels of parallax are mostly noise of the network; only this fraction of them is applied.
+const DEPTH_NOISE: (f64, f32) = (1.5, 0.4);
 
-/// Share of that error by which measured depth of a pixel must leave the known one to count as changed.
+/// A pixel's measured depth counts as changed if it differs from the known one by this fraction of the error.
 const CHANGED: f64 = 0.3;
 
-/// Share of a tile's pixels whose measured depth must leave the known one for the tile to count as changed though its colours did not.
+/// A tile with unchanged colours counts as changed if the measured depth of this fraction of its pixels changed.
 const DEPTH_CHANGED: f64 = 0.02;
 
-/// What a room is made with.
+/// Settings of a room's geometry.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// As for a photo, but for the error ([`MAX_ERROR`]), of which measured depth has half; sizes, quality and budget do not count here.
+    /// Options as for a photo, with [`MAX_ERROR`] as the error (half of it for measured depth). Sizes, quality and budget have no effect.
     pub options: Options,
-    /// How far an unchanged block may be from what its geometry was made of.
+    /// How much a block may differ from the frame that its geometry comes from and still count as unchanged.
     pub tolerance: Tolerance,
-    /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
-    /// ([`moved`]); 0: what differs at all is sent.
+    /// A tile is sent only if its new planes move some point by more than this many pixels, for some camera in the view box
+    /// ([`reprojection_error`]). 0: every difference is sent.
     pub parallax: f64,
-    /// For how long frames rest after one of which tiles were sent: what changed in them waits for a later one. None does where depth is measured:
-    /// tiles are then few, and right enough for their being late to show.
-    pub rest: Duration,
-    /// When estimated depth beside what moved is looked at once more.
-    pub settles: Settling,
-    /// Milliseconds that the geometry of a frame may take ([`Budget`]); 0: as long as it takes.
+    /// After a frame whose tiles were sent, no tiles are placed or sent for this long; changes wait for a later frame. Does not apply to
+    /// measured depth: its tiles are few, and accurate enough that lateness would be visible.
+    pub cooldown: Duration,
+    /// When to estimate depth again near past motion.
+    pub recheck: RecheckSettings,
+    /// Milliseconds that the geometry of a frame may take ([`Budget`]); 0: no limit.
     pub frame_ms: f64,
-    /// Nothing is carried from frame to frame: what a photo's driver would do, to compare with.
+    /// Processes each frame like an unrelated photo, for comparison.
     pub separate: bool,
 }
 
@@ -76,8 +85,8 @@ impl Default for Settings {
             options: Options { max_error: MAX_ERROR, ..Options::default() },
             tolerance: Tolerance::default(),
             parallax: PARALLAX,
-            rest: REST,
-            settles: SETTLES,
+            cooldown: COOLDOWN,
+            recheck: RECHECK,
             frame_ms: 0.0,
             separate: false,
         }
@@ -85,7 +94,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// The tiles of frames of that size, and the camera, before anything is known of them.
+    /// Geometry for frames of this size, with a camera and empty tiles.
     #[must_use]
     pub fn empty(&self, width: u32, height: u32) -> core::Geometry {
         let grid = self.options.grid(width, height);
@@ -101,44 +110,44 @@ impl Settings {
 /// A decoded frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Its number.
+    /// Frame number.
     pub number: u64,
-    /// When it was taken, or came, counted from any time.
+    /// When it was captured or received, since an arbitrary time.
     pub at: Duration,
     /// Its pixels.
     pub photo: Photo,
-    /// Measured disparity at the frame's size, 0 to 1, where the camera gives it.
+    /// Measured disparity at the frame's size, 0 to 1, if the camera provides it.
     pub depth: Option<DisparityMap>,
 }
 
-/// What a frame changed.
+/// Effects of a frame on the room's geometry.
 #[derive(Clone, Debug, Default)]
 pub struct Update {
-    /// A new scene begins with it.
+    /// The frame starts a new scene.
     pub cut: bool,
-    /// Tiles whose pixels changed, by number.
+    /// Indices of tiles whose pixels changed.
     pub changed: Vec<u32>,
-    /// Tiles whose planes or labels moved by more than the tolerance: readers get them.
+    /// Tiles whose planes or labels moved by more than the tolerance, and which are sent to readers.
     pub sent: Vec<u32>,
-    /// Tiles that were placed anew and are not sent: readers and this room go on with what was sent of them last.
+    /// Tiles that got new planes within the tolerance. They are not sent; readers and this room keep the last sent version.
     pub kept: Vec<u32>,
-    /// Pixels by which these are off at the most: a bound, from any camera of the view box.
-    pub kept_off: f64,
-    /// These, coded.
+    /// Largest reprojection error of the kept tiles in pixels: an upper bound over all cameras in the view box.
+    pub kept_error: f64,
+    /// The sent tiles, encoded.
     pub chunks: Vec<Chunk>,
-    /// Changed tiles that wait for a later frame.
+    /// Number of changed tiles that wait for a later frame.
     pub waiting: usize,
-    /// Tiles that were given fewer planes than they may need, as there was no time for more; they are looked at again when there is.
+    /// Number of tiles that may need more planes than there was time for; they get them when there is time.
     pub coarse: usize,
-    /// Size that the depth network ran at, where it did and has a choice.
+    /// Input size of the depth network, if it ran and has a choice of sizes.
     pub depth_size: Option<(u32, u32)>,
-    /// What the stages took.
+    /// Time of each stage.
     pub stages: Vec<StageTime>,
-    /// What coding the chunks took, in milliseconds.
+    /// Milliseconds to encode the chunks.
     pub coding_ms: f64,
 }
 
-/// Geometry that goes on from frame to frame.
+/// The geometry of a room, updated frame by frame.
 pub struct Geometry {
     models: Models,
     settings: Settings,
@@ -147,25 +156,25 @@ pub struct Geometry {
     compare: Compare,
     planes: Planes,
     state: Option<State>,
-    /// All tiles as readers have them: after a cut those of the scene before, where there was no time yet for a tile of this one.
-    told: Option<core::Geometry>,
+    /// All tiles as readers have them. After a cut, tiles of the old scene remain until there is time to replace them.
+    reader_tiles: Option<core::Geometry>,
 }
 
-/// What is known of the last frame, and of others since the last cut.
+/// State since the last cut.
 struct State {
-    /// As it was sent last, tile by tile: what is not sent is not taken here either, so that errors never add up. Without planes where nothing was.
+    /// Each tile as last sent, or without planes. Tiles that are not sent do not change here either, so that errors do not accumulate.
     geometry: core::Geometry,
-    /// Depth has been looked at.
-    known: bool,
-    /// When the last frame was taken of which tiles were sent and after which others rest.
-    sent: Option<Duration>,
+    /// Depth of all pixels is known.
+    has_depth: bool,
+    /// Time of the last frame whose tiles were sent, which starts the cooldown.
+    last_sent: Option<Duration>,
     /// Disparity of each pixel as of the frame that last changed it.
     delta: DisparityMap,
-    /// Changed blocks whose depth has not been looked at yet.
+    /// Changed blocks with outdated depth.
     stale: Vec<bool>,
-    /// Blocks whose estimated depth is to be looked at once more.
-    settle: Settle,
-    /// Tiles whose planes have not been placed yet, or not as many as they need.
+    /// Blocks whose estimated depth needs a recheck.
+    rechecks: Rechecks,
+    /// Tiles that wait for planes, or for more planes.
     queue: Queue,
 }
 
@@ -175,54 +184,54 @@ pub enum GeometryError {
     /// A stage failed.
     #[error(transparent)]
     Make(#[from] MakeError),
-    /// The tiles cannot be sent.
+    /// The tiles cannot be encoded.
     #[error(transparent)]
     Live(#[from] LiveError),
-    /// The depth is not of the frame's size.
-    #[error("depth of {0}×{1} with a frame of {2}×{3}")]
+    /// The depth map and the frame differ in size.
+    #[error("the depth map has {0}×{1} pixels, the frame {2}×{3}")]
     Depth(u32, u32, u32, u32),
 }
 
 impl Geometry {
-    /// Knows no frame yet.
+    /// Starts without any frame.
     #[must_use]
     pub fn new(models: Models, settings: Settings) -> Self {
         let (budget, compare) = (Budget::new(settings.frame_ms), Compare::new(settings.tolerance));
-        Self { models, settings, limits: Limits::default(), budget, compare, planes: Planes::carrying(), state: None, told: None }
+        Self { models, settings, limits: Limits::default(), budget, compare, planes: Planes::carrying(), state: None, reader_tiles: None }
     }
 
-    /// All tiles as readers have them now, who took every chunk: those of the scene before a cut as long as they wait for a later frame. None before
-    /// each was placed once.
+    /// All tiles as a reader of every chunk has them. After a cut, tiles of the old scene remain until they are replaced. `None` until
+    /// every tile has planes.
     #[must_use]
     pub fn geometry(&self) -> Option<&core::Geometry> {
-        self.told.as_ref().filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
+        self.reader_tiles.as_ref().filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
     }
 
-    /// Of each pixel what it was when its block changed last, which is what its depth was told of.
+    /// Each pixel when its block last changed; its depth belongs to this picture.
     #[must_use]
     pub const fn reference(&self) -> Option<&Photo> {
         self.compare.reference()
     }
 
-    /// All tiles as one chunk, as of frame `number`: what a reader that has none begins with.
+    /// Snapshot for new readers: all tiles as one chunk, as of frame `number`.
     ///
     /// # Errors
-    /// [`LiveError`] where a tile cannot be coded.
+    /// [`LiveError`] if a tile cannot be encoded.
     pub fn snapshot(&self, number: u64) -> Result<Option<Chunk>, LiveError> {
         let coded = |g: &core::Geometry| chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, number);
         self.geometry().map(coded).transpose()
     }
 
-    /// Takes a frame; gives what it changed.
+    /// Processes a frame and returns what it changed.
     ///
     /// # Errors
-    /// [`GeometryError`]; what is known stays as it was, and the frame's changes are taken up with the next one.
+    /// [`GeometryError`]. The geometry is then unchanged, and the next frame includes this frame's changes.
     pub fn next(&mut self, frame: &Frame) -> Result<Update, GeometryError> {
         if let Some(d) = frame.depth.as_ref().filter(|d| (d.width, d.height) != (frame.photo.width, frame.photo.height)) {
             return Err(GeometryError::Depth(d.width, d.height, frame.photo.width, frame.photo.height));
         }
         if self.settings.separate {
-            // the first frame of any is a cut
+            // a first frame is always a cut
             self.compare = Compare::new(self.settings.tolerance);
         }
         let models = self.models.clone();
@@ -239,39 +248,39 @@ impl Geometry {
         let mut update = Update { cut: change.cut, ..Update::default() };
         let state = self.state.get_or_insert_with(|| State::new(&frame.photo, &self.settings));
         let grid = state.geometry.grid;
-        state.take(&change, &grid, &mut update.changed);
-        if frame.depth.is_none() && state.known {
-            let due = state.settle.next(&change);
-            state.take(&due, &grid, &mut Vec::new());
+        state.record_change(&change, &grid, &mut update.changed);
+        if frame.depth.is_none() && state.has_depth {
+            let due = state.rechecks.next(&change);
+            state.record_change(&due, &grid, &mut Vec::new());
         }
         if let Some(depth) = &frame.depth {
-            state.take_depth(depth, &grid, target(&state.geometry, CHANGED * options.max_error), change.across);
+            state.record_depth_change(depth, &grid, to_disparity(&state.geometry, CHANGED * options.max_error), change.across);
         }
-        let known = state.known;
-        // a clock that was put back gives no reason to wait for it
-        let since = state.sent.and_then(|sent| frame.at.checked_sub(sent));
-        let rests = since.is_some_and(|since| since < self.settings.rest);
+        let has_depth = state.has_depth;
+        // if the clock was set back, do not wait for it
+        let since = state.last_sent.and_then(|sent| frame.at.checked_sub(sent));
+        let cooling_down = since.is_some_and(|since| since < self.settings.cooldown);
         let measured = frame.depth.is_some();
-        if !rests && state.stale.contains(&true) {
+        if !cooling_down && state.stale.contains(&true) {
             let sizes = if measured { Vec::new() } else { models.depth.sizes(frame.photo.width, frame.photo.height) };
-            if let Some(size) = self.budget.depth(&sizes, measured || !known) {
+            if let Some(size) = self.budget.depth(&sizes, measured || !has_depth) {
                 let before = Instant::now();
-                let part = if known { state.stale_part(change.across) } else { None };
+                let part = if has_depth { state.stale_part(change.across) } else { None };
                 update.depth_size = sizes.get(size).copied();
                 let (map, network_ms) = estimate(&mut job, frame, update.depth_size, part)?;
                 self.budget.depth_took(ms(before), network_ms);
-                state.join(map, known && !measured, change.across);
+                state.merge_depth(map, has_depth && !measured, change.across);
             }
         }
-        if !rests && !state.stale.contains(&true) {
+        if !cooling_down && !state.stale.contains(&true) {
             let most = (options.planes == PlaneCount::Auto).then_some(MAX_AUTO_PLANES);
             let share = self.budget.tiles(state.queue.waiting(), most);
-            let wanted = state.queue.next(share.tiles, share.planes.is_none());
-            if !wanted.is_empty() {
+            let chosen_tiles = state.queue.next(share.tiles, share.planes.is_none());
+            if !chosen_tiles.is_empty() {
                 let before = Instant::now();
-                let counts = state.place(&mut job, &mut self.planes, frame, (&wanted, share, self.settings.parallax), &mut update)?;
+                let counts = state.place(&mut job, &mut self.planes, frame, (&chosen_tiles, share, self.settings.parallax), &mut update)?;
                 self.budget.tiles_took(&counts, share.planes.is_none(), ms(before));
-                state.sent = (!update.sent.is_empty() && !measured).then_some(frame.at);
+                state.last_sent = (!update.sent.is_empty() && !measured).then_some(frame.at);
             }
         }
         state.queue.age();
@@ -282,20 +291,20 @@ impl Geometry {
         let coded = |area| chunk::encode(&grid, area, &state.geometry.tiles, frame.number);
         update.chunks = Area::covering(&grid, sent).into_iter().map(coded).collect::<Result<_, _>>()?;
         update.coding_ms = ms(before);
-        tell(&mut self.told, &state.geometry, &update.sent);
+        update_readers(&mut self.reader_tiles, &state.geometry, &update.sent);
         Ok(update)
     }
 }
 
-/// Notes that readers have these tiles now.
-fn tell(told: &mut Option<core::Geometry>, now: &core::Geometry, sent: &[u32]) {
-    match told {
-        Some(told) if told.grid == now.grid => {
+/// Records that readers now have these tiles.
+fn update_readers(reader_tiles: &mut Option<core::Geometry>, now: &core::Geometry, sent: &[u32]) {
+    match reader_tiles {
+        Some(reader_tiles) if reader_tiles.grid == now.grid => {
             for t in sent {
-                told.tiles[*t as usize] = now.tiles[*t as usize].clone();
+                reader_tiles.tiles[*t as usize] = now.tiles[*t as usize].clone();
             }
         }
-        _ => *told = Some(now.clone()),
+        _ => *reader_tiles = Some(now.clone()),
     }
 }
 
@@ -303,8 +312,8 @@ fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// Error in δ that is so many pixels of parallax.
-fn target(g: &core::Geometry, pixels: f64) -> f64 {
+/// Converts an error from pixels of parallax to δ.
+fn to_disparity(g: &core::Geometry, pixels: f64) -> f64 {
     let all = core::Rect { x: 0, y: 0, w: g.grid.width, h: g.grid.height };
     let parallax = g.view_box.parallax(&g.intrinsics, all);
     pixels / parallax.0.max(parallax.1).max(1.0)
@@ -320,13 +329,13 @@ impl State {
             geometry,
             delta: DisparityMap { width, height, delta: vec![0.0; photo.rgb.len()] },
             stale: vec![false; blocks],
-            settle: Settle::new(blocks, settings.settles),
-            known: false,
-            sent: None,
+            rechecks: Rechecks::new(blocks, settings.recheck),
+            has_depth: false,
+            last_sent: None,
         }
     }
 
-    /// The rectangle of all stale blocks, clipped to the picture; none where there is none.
+    /// Bounding rectangle of the stale blocks, clipped to the picture; `None` if no block is stale.
     fn stale_part(&self, across: usize) -> Option<Rect> {
         let stale = || self.stale.iter().enumerate().filter(|(_, s)| **s).map(|(i, _)| (i % across, i / across));
         let (x0, x1) = (stale().map(|b| b.0).min()? as u32 * BLOCK, (stale().map(|b| b.0).max()? as u32 + 1) * BLOCK);
@@ -335,8 +344,8 @@ impl State {
         Some(Rect { x: x0, y: y0, w: x1 - x0, h: y1 - y0 })
     }
 
-    /// Notes what changed.
-    fn take(&mut self, change: &Change, grid: &Grid, changed: &mut Vec<u32>) {
+    /// Marks changed blocks as stale and queues changed tiles.
+    fn record_change(&mut self, change: &Change, grid: &Grid, changed: &mut Vec<u32>) {
         for (stale, by) in self.stale.iter_mut().zip(&change.blocks) {
             *stale |= *by > 0;
         }
@@ -348,16 +357,16 @@ impl State {
         }
     }
 
-    /// Notes tiles whose measured depth has changed though their colours have not.
-    fn take_depth(&mut self, depth: &DisparityMap, grid: &Grid, target: f64, across: usize) {
+    /// Queues tiles whose measured depth changed although their colours did not.
+    fn record_depth_change(&mut self, depth: &DisparityMap, grid: &Grid, threshold: f64, across: usize) {
         for t in 0..grid.tiles() {
             let r = grid.rect(t);
-            let off = |y: u32| {
+            let changed_in_row = |y: u32| {
                 let row = y as usize * grid.width as usize + r.x as usize;
                 let (new, old) = (&depth.delta[row..][..r.w as usize], &self.delta.delta[row..][..r.w as usize]);
-                new.iter().zip(old).filter(|(a, b)| f64::from((*a - *b).abs()) > target).count()
+                new.iter().zip(old).filter(|(a, b)| f64::from((*a - *b).abs()) > threshold).count()
             };
-            let count: usize = (r.y..r.y + r.h).map(off).sum();
+            let count: usize = (r.y..r.y + r.h).map(changed_in_row).sum();
             if !self.queue.waits(t) && count as f64 > DEPTH_CHANGED * r.area() as f64 {
                 self.queue.add(t, count as u64);
                 for y in r.y / BLOCK..(r.y + r.h).div_ceil(BLOCK) {
@@ -368,43 +377,43 @@ impl State {
         }
     }
 
-    /// Takes a new map over where blocks are stale; with `align`, brought to the scale of the others first, and small changes in part.
-    fn join(&mut self, mut map: Estimated, align: bool, across: usize) {
+    /// Copies a new map into the stale blocks. With `align`, first aligns it with the other blocks, and damps small changes.
+    fn merge_depth(&mut self, mut map: Estimated, align: bool, across: usize) {
         let width = self.delta.width as usize;
         let block = |i: usize| i / width / BLOCK as usize * across + i % width / BLOCK as usize;
-        let trembles = if align { (TREMBLES.0 * target(&self.geometry, 1.0)) as f32 } else { 0.0 };
+        let noise = if align { (DEPTH_NOISE.0 * to_disparity(&self.geometry, 1.0)) as f32 } else { 0.0 };
         if align {
             let steady: Vec<bool> = (0..self.delta.delta.len()).map(|i| !self.stale[block(i)]).collect();
             align::fit(&map.delta, &self.delta, &steady).apply(&mut map.delta.delta);
-            align::meet(&mut map.delta, &self.delta, &self.stale, across);
+            align::join_borders(&mut map.delta, &self.delta, &self.stale, across);
         }
         for (i, (to, new)) in self.delta.delta.iter_mut().zip(&map.delta.delta).enumerate() {
             if self.stale[block(i)] {
-                *to = if (*new - *to).abs() < trembles { *to + TREMBLES.1 * (*new - *to) } else { *new };
+                *to = if (*new - *to).abs() < noise { *to + DEPTH_NOISE.1 * (*new - *to) } else { *new };
             }
         }
         self.stale.fill(false);
-        self.known = true;
+        self.has_depth = true;
     }
 
-    /// Places the planes of some tiles; `update` is told, in order, of those that moved by more than `parallax` pixels, and of the others. Gives how
-    /// many planes each was found to have.
+    /// Fits the planes of some tiles. Adds to `update`, in order, the tiles that moved by more than `parallax` pixels as sent and the
+    /// others as kept. Returns the number of planes of each tile.
     fn place(
         &mut self,
         job: &mut Context,
         planes: &mut Planes,
         frame: &Frame,
-        (wanted, share, parallax): (&[u32], Share, f64),
+        (chosen_tiles, share, parallax): (&[u32], TileBudget, f64),
         update: &mut Update,
     ) -> Result<Vec<usize>, MakeError> {
         let mut chosen = vec![false; self.geometry.tiles.len()];
-        for t in wanted {
+        for t in chosen_tiles {
             chosen[*t as usize] = true;
         }
         planes.change(chosen.clone());
         planes.at_most(share.planes);
         let intrinsics = self.geometry.intrinsics;
-        // the stage looks at camera and map alone
+        // the stage uses only the camera and the map
         let photo = Photo { width: frame.photo.width, height: frame.photo.height, rgb: Vec::new() };
         let prepared = Prepared { photo, intrinsics, format: PhotoFormat::Jpeg, uploaded: None, reduced: None, other_eye: None };
         let map = Estimated {
@@ -416,23 +425,23 @@ impl State {
         self.delta = map.delta;
         let mut geometry = placed?.geometry;
         layers::add_backgrounds_to(&mut geometry, &self.delta, |t| chosen[t as usize]);
-        let mut counts = Vec::with_capacity(wanted.len());
+        let mut counts = Vec::with_capacity(chosen_tiles.len());
         for (t, new) in (0..).zip(geometry.tiles).filter(|(t, _)| chosen[*t as usize]) {
             counts.push(new.planes.len());
             self.queue.done(t, share.planes.is_some_and(|most| new.planes.len() >= most as usize));
-            let held = &self.geometry.tiles[t as usize];
-            if *held == new {
+            let old = &self.geometry.tiles[t as usize];
+            if *old == new {
                 continue;
             }
-            let off = moved(&self.geometry, t, held, &new);
-            if off > parallax {
+            let error = reprojection_error(&self.geometry, t, old, &new);
+            if error > parallax {
                 self.geometry.tiles[t as usize] = new;
                 update.sent.push(t);
             } else {
-                // the next ones start from what readers have
-                planes.hold(t, held);
+                // the next fit starts from the planes that readers have
+                planes.hold(t, old);
                 update.kept.push(t);
-                update.kept_off = update.kept_off.max(off);
+                update.kept_error = update.kept_error.max(error);
             }
         }
         Ok(counts)

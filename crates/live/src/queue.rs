@@ -1,9 +1,9 @@
-//! Tiles that wait for their planes.
+//! Queue of tiles that wait for planes.
 
-/// Frames after which a tile goes before all that wait for a shorter time, however much these changed: none waits for ever.
-pub(crate) const STARVES: u32 = 8;
+/// After this many frames, a tile precedes all that have waited less, however much they changed, so that no tile waits forever.
+pub(crate) const MAX_WAIT: u32 = 8;
 
-/// Which tiles wait, and which are to be looked at again when there is time.
+/// Tiles that wait for planes, and coarse tiles that get more when there is time.
 #[derive(Clone, Debug)]
 pub(crate) struct Queue {
     tiles: Vec<Waiting>,
@@ -11,64 +11,64 @@ pub(crate) struct Queue {
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Waiting {
-    /// How much it changed; 0: it does not wait.
-    by: u64,
-    /// Frames for which it has waited.
+    /// How much the tile changed; 0: it does not wait.
+    change: u64,
+    /// Number of frames it has waited.
     age: u32,
-    /// It was given as many planes as there was time for, which may be fewer than it needs.
+    /// A time limit capped its planes, so it may need more.
     coarse: bool,
 }
 
 impl Queue {
-    /// None of so many waits.
+    /// A queue for this many tiles, of which none waits.
     pub fn new(tiles: usize) -> Self {
         Self { tiles: vec![Waiting::default(); tiles] }
     }
 
-    /// How many wait, but for those that are looked at again.
+    /// Number of tiles that wait, without coarse ones.
     pub fn waiting(&self) -> usize {
-        self.tiles.iter().filter(|w| w.by > 0).count()
+        self.tiles.iter().filter(|w| w.change > 0).count()
     }
 
-    /// How many have fewer planes than they may need.
+    /// Number of coarse tiles.
     pub fn coarse(&self) -> usize {
         self.tiles.iter().filter(|w| w.coarse).count()
     }
 
-    /// Whether one waits.
+    /// Whether a tile waits.
     pub fn waits(&self, tile: u32) -> bool {
-        self.tiles[tile as usize].by > 0
+        self.tiles[tile as usize].change > 0
     }
 
-    /// A tile changed by so much.
-    pub fn add(&mut self, tile: u32, by: u64) {
-        self.tiles[tile as usize].by += by;
+    /// Adds a change of a tile.
+    pub fn add(&mut self, tile: u32, change: u64) {
+        self.tiles[tile as usize].change += change;
     }
 
-    /// A frame has gone by.
+    /// Counts a frame for all tiles that wait.
     pub fn age(&mut self) {
-        self.tiles.iter_mut().filter(|w| w.by > 0).for_each(|w| w.age = w.age.saturating_add(1));
+        self.tiles.iter_mut().filter(|w| w.change > 0).for_each(|w| w.age = w.age.saturating_add(1));
     }
 
-    /// Those whose turn it is, `most` at most: all that wait where there is time for them, else first, from the oldest on, those that have waited for
-    /// long, then those that changed most. Where nothing holds tiles back, those that were held follow with `again`.
+    /// The next tiles, at most `most`. If not all waiting tiles fit: first those that have waited long, oldest first, then those that
+    /// changed most. If all fit and `again` is set, coarse tiles follow.
     pub fn next(&self, most: usize, again: bool) -> Vec<u32> {
-        let mut next: Vec<u32> = (0..).zip(&self.tiles).filter(|(_, w)| w.by > 0).map(|(t, _)| t).collect();
+        let mut next: Vec<u32> = (0..).zip(&self.tiles).filter(|(_, w)| w.change > 0).map(|(t, _)| t).collect();
         if next.len() > most {
             let turn = |t: &u32| {
-                let Waiting { by, age, .. } = self.tiles[*t as usize];
-                std::cmp::Reverse((if age >= STARVES { age } else { 0 }, by))
+                let Waiting { change, age, .. } = self.tiles[*t as usize];
+                std::cmp::Reverse((if age >= MAX_WAIT { age } else { 0 }, change))
             };
             next.sort_by_key(turn);
             next.truncate(most);
         } else if again {
-            let coarse = (0..).zip(&self.tiles).filter(|(_, w)| w.coarse && w.by == 0).map(|(t, _)| t);
+            let coarse = (0..).zip(&self.tiles).filter(|(_, w)| w.coarse && w.change == 0).map(|(t, _)| t);
             next.extend(coarse.take(most - next.len()));
         }
         next
     }
 
-    /// A tile has its planes; `coarse` where it may need more.
+    /// Marks a tile as done; `coarse` if it may need more planes.
     pub fn done(&mut self, tile: u32, coarse: bool) {
         self.tiles[tile as usize] = Waiting { coarse, ..Waiting::default() };
     }
@@ -79,10 +79,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_changed_most_goes_first_and_those_that_were_held_come_last() {
+    fn most_changed_tiles_come_first_and_coarse_ones_last() {
         let mut queue = Queue::new(6);
-        for (tile, by) in [(0, 5), (2, 9), (3, 7)] {
-            queue.add(tile, by);
+        for (tile, change) in [(0, 5), (2, 9), (3, 7)] {
+            queue.add(tile, change);
         }
         queue.done(5, true);
         assert_eq!((queue.waiting(), queue.coarse()), (3, 1));
@@ -93,12 +93,12 @@ mod tests {
     }
 
     #[test]
-    fn no_tile_waits_for_ever_beside_others_that_change_more() {
+    fn no_tile_starves() {
         let mut queue = Queue::new(20);
         let mut longest = [0u32; 20];
         let mut since = [None::<u32>; 20];
         for frame in 0..400 {
-            // tile 0 changes by next to nothing, once in a while; all others by much, each frame
+            // tile 0 rarely changes, and only slightly; all others change much in each frame
             for tile in 0..20 {
                 if tile > 0 || frame % 40 == 0 {
                     queue.add(tile, if tile == 0 { 1 } else { 1000 + u64::from(tile) });
@@ -113,8 +113,8 @@ mod tests {
             }
             queue.age();
         }
-        // those that starve go in the order in which they came: a tile waits for each other one once
-        assert!(longest.iter().all(|l| *l > 0 && *l <= STARVES + 20), "{longest:?}");
-        assert!(since.iter().flatten().all(|from| 400 - from <= STARVES + 20), "{since:?}");
+        // starving tiles go in order of arrival: a tile waits for each other tile once
+        assert!(longest.iter().all(|l| *l > 0 && *l <= MAX_WAIT + 20), "{longest:?}");
+        assert!(since.iter().flatten().all(|from| 400 - from <= MAX_WAIT + 20), "{since:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Decoders of what publishers send.
+//! Decoders for the video that publishers send.
 
 mod vp9;
 
@@ -11,7 +11,7 @@ use tmpi_pipeline::photo::{self, Limits};
 /// Codec string of frames that are JPEG files.
 pub const JPEG: &str = "jpeg";
 
-/// What [`VideoError::Broken`] says where the decoder gave up in the midst of a frame.
+/// Text of [`VideoError::Broken`] if the decoder panicked.
 pub const FAILED: &str = "the decoder failed on it";
 
 /// Why a frame cannot be decoded.
@@ -20,30 +20,30 @@ pub enum VideoError {
     /// There is no decoder for the codec.
     #[error("no decoder for the codec {0:?}")]
     Codec(String),
-    /// The bytes are damaged, or use what the decoder does not know; it goes on with the next key frame.
+    /// The bytes are damaged, or use an unsupported feature. Decoding continues at the next key frame.
     #[error("video: {0}")]
     Broken(String),
-    /// The stream uses what the decoder does not know; the text says what, and what to do.
+    /// The stream uses an unsupported feature; the text names it and says what to do.
     #[error("{0}")]
     Unsupported(String),
-    /// The frame is not of the size that the publisher said.
-    #[error("a frame of {0}×{1}, where the publisher said {2}×{3}")]
+    /// The frame does not have the size that the publisher announced.
+    #[error("the frame has {0}×{1} pixels, but the publisher announced {2}×{3}")]
     Size(u32, u32, u32, u32),
 }
 
-/// Decodes the frames of a room one after the other.
+/// Decodes the frames of a room in order.
 pub trait Decoder: Send {
-    /// Decodes an access unit; none where it holds no picture.
+    /// Decodes an access unit; returns `None` if it contains no picture.
     ///
     /// # Errors
-    /// [`VideoError::Broken`], [`VideoError::Size`].
+    /// [`VideoError::Broken`], [`VideoError::Unsupported`] or [`VideoError::Size`].
     fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError>;
 }
 
-/// The decoder for a codec string of `WebCodecs`, of frames of that size.
+/// Creates the decoder for a `WebCodecs` codec string and frames of this size.
 ///
 /// # Errors
-/// [`VideoError::Codec`].
+/// [`VideoError::Codec`] if there is none.
 pub fn decoder(codec: &str, size: (u32, u32)) -> Result<Box<dyn Decoder>, VideoError> {
     match codec {
         JPEG => Ok(Box::new(Jpeg { size })),
@@ -53,10 +53,10 @@ pub fn decoder(codec: &str, size: (u32, u32)) -> Result<Box<dyn Decoder>, VideoE
     }
 }
 
-/// Size of what a frame shows, by its head; none where it says none, as it is no key frame.
+/// Reads the displayed size from a frame's header; returns `None` if it is not a key frame.
 ///
 /// # Errors
-/// [`VideoError::Unsupported`] where the decoder does not know what it uses, [`VideoError::Broken`].
+/// [`VideoError::Unsupported`] if the frame uses an unsupported feature, [`VideoError::Broken`] if it is damaged.
 pub fn size(codec: &str, data: &[u8]) -> Result<Option<(u32, u32)>, VideoError> {
     if codec == JPEG {
         return photo::upright_size(data, &Limits::default()).map(Some).map_err(|e| VideoError::Broken(e.to_string()));
@@ -73,7 +73,7 @@ impl From<KeyFrameError> for VideoError {
     }
 }
 
-fn sized(photo: Photo, (width, height): (u32, u32)) -> Result<Option<Photo>, VideoError> {
+fn expect_size(photo: Photo, (width, height): (u32, u32)) -> Result<Option<Photo>, VideoError> {
     if (photo.width, photo.height) == (width, height) {
         Ok(Some(photo))
     } else {
@@ -89,13 +89,13 @@ struct Jpeg {
 impl Decoder for Jpeg {
     fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
         if PhotoFormat::sniff(data) != Some(PhotoFormat::Jpeg) {
-            return Err(VideoError::Broken("a frame that is no JPEG".into()));
+            return Err(VideoError::Broken("the frame is not a JPEG".into()));
         }
         let (width, height) = self.size;
         let limits = Limits { pixels: u64::from(width) * u64::from(height), side: width.max(height), ..Limits::default() };
-        // as photos are: cameras leave out of their frames whatever is the same in all of them
+        // like a photo, because that reader tolerates frames without code tables or an end marker
         let decoded = photo::decode(data, &limits, None).map_err(|e| VideoError::Broken(e.to_string()))?;
-        sized(decoded.photo, self.size)
+        expect_size(decoded.photo, self.size)
     }
 }
 
@@ -105,14 +105,14 @@ mod h264 {
     use rusty_h264_common::YuvFrame;
     use rusty_h264_decoder::DecodeError;
 
-    use super::{Decoder, FAILED, I420, KeyFrame, Photo, VideoError, key_frame, sized, to_rgb};
+    use super::{Decoder, FAILED, I420, KeyFrame, Photo, VideoError, expect_size, key_frame, to_rgb};
     use crate::units::is_bidirectional;
 
-    /// H.264, access units in Annex B.
+    /// Decoder for H.264 access units in Annex B format.
     pub struct H264 {
         decoder: rusty_h264_decoder::Decoder,
         size: (u32, u32),
-        /// What the last key frame said.
+        /// Parameters of the last key frame.
         key: Option<KeyFrame>,
     }
 
@@ -124,7 +124,7 @@ mod h264 {
 
     impl Decoder for H264 {
         fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
-            // Damaged slices can make it panic, and leave it unable to read sound ones: the next key frame brings its own parameters
+            // damaged slices can make the decoder panic, or unable to read sound ones; a new decoder continues at the next key frame
             let decoded = catch_unwind(AssertUnwindSafe(|| self.picture(data)));
             let decoded = decoded.unwrap_or_else(|_| Err(VideoError::Broken(FAILED.into())));
             decoded.inspect_err(|_| self.decoder = rusty_h264_decoder::Decoder::new())
@@ -135,22 +135,22 @@ mod h264 {
         fn picture(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
             self.check(data)?;
             let decoded = self.decoder.decode(data).map_err(|error| match error {
-                DecodeError::Unsupported(what) => VideoError::Unsupported(format!("the video uses {what}, which is not decoded here")),
+                DecodeError::Unsupported(what) => VideoError::Unsupported(format!("the video uses {what}, which is not supported")),
                 error => VideoError::Broken(error.to_string()),
             })?;
             let Some(frame) = decoded else { return Ok(None) };
-            let key = self.key.ok_or_else(|| VideoError::Broken("a picture before its parameters".into()))?;
-            let frame = shown(frame, (key.left as usize, key.top as usize));
+            let key = self.key.ok_or_else(|| VideoError::Broken("a picture precedes its parameters".into()))?;
+            let frame = crop(frame, (key.left as usize, key.top as usize));
             let planes = I420 { width: frame.width as u32, height: frame.height as u32, y: &frame.y, u: &frame.u, v: &frame.v };
-            let short = || VideoError::Broken("a plane that is too short".into());
-            sized(to_rgb(&planes, key.colour).ok_or_else(short)?, self.size)
+            let short = || VideoError::Broken("a plane is too short".into());
+            expect_size(to_rgb(&planes, key.colour).ok_or_else(short)?, self.size)
         }
 
-        /// Refuses parameters of larger frames before the decoder takes memory for them, and slices of which rooms have none: what damage makes
-        /// of others can make the decoder panic.
+        /// Refuses parameters of larger frames before the decoder allocates memory for them. Refuses B slices, which rooms do not use:
+        /// damaged data that looks like one can make the decoder panic.
         fn check(&mut self, data: &[u8]) -> Result<(), VideoError> {
             if is_bidirectional(data) {
-                return Err(VideoError::Broken("a slice that refers to later pictures".into()));
+                return Err(VideoError::Broken("a slice refers to later pictures".into()));
             }
             if let Some(key) = key_frame("avc1.", data)? {
                 let (width, height) = self.size;
@@ -163,8 +163,8 @@ mod h264 {
         }
     }
 
-    /// The decoder leaves out what is cut off to the right and below; here goes what is cut off to the left and above.
-    fn shown(frame: YuvFrame, (left, top): (usize, usize)) -> YuvFrame {
+    /// Crops the left and top; the decoder crops only the right and bottom.
+    fn crop(frame: YuvFrame, (left, top): (usize, usize)) -> YuvFrame {
         if (left, top) == (0, 0) {
             return frame;
         }
@@ -192,7 +192,7 @@ mod h264 {
         use super::{Decoder as _, H264, VideoError, is_bidirectional};
         use crate::units::Splitter;
 
-        /// Access units of a stream, and hashes of its frames as another decoder has them (tests/video/README.md).
+        /// Access units of a stream, and hashes of its frames by another decoder (tests/video/README.md).
         fn sample(name: &str, size: (u32, u32)) -> (H264, Vec<Vec<u8>>, Vec<String>) {
             let at = |ending: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/video").join(format!("{name}.{ending}"));
             let mut splitter = Splitter::default();
@@ -218,7 +218,7 @@ mod h264 {
         }
 
         #[test]
-        fn planes_are_bit_by_bit_those_of_another_decoder() {
+        fn planes_equal_those_of_another_decoder() {
             for (name, size) in [("testsrc", (174, 142)), ("layers", (320, 240))] {
                 let (mut h264, units, hashes) = sample(name, size);
                 assert_eq!(units.iter().map(|unit| hash(&mut h264, unit)).collect::<Vec<_>>(), hashes, "{name}");
@@ -227,7 +227,7 @@ mod h264 {
         }
 
         #[test]
-        fn a_slice_that_refers_to_later_pictures_never_reaches_the_decoder() {
+        fn b_slices_never_reach_the_decoder() {
             let (mut h264, units, _) = sample("testsrc", (174, 142));
             // first_mb_in_slice 0, slice_type 1
             let slice = [0, 0, 1, 0x41, 0b1010_0000, 7, 7];
@@ -239,7 +239,7 @@ mod h264 {
         }
 
         #[test]
-        fn without_the_upper_layer_the_lower_one_is_what_it_was() {
+        fn the_base_layer_decodes_without_the_upper_one() {
             let (mut h264, units, hashes) = sample("layers", (320, 240));
             let base: Vec<_> = units.iter().zip(hashes).filter(|(unit, _)| is_referred_to(unit)).collect();
             assert_eq!((base.len(), units.len()), (12, 24));
@@ -255,18 +255,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_codec_that_nobody_knows_is_refused_and_so_is_another_size() {
+    fn unknown_codecs_and_other_sizes_are_refused() {
         assert!(matches!(decoder("av01.0", (8, 8)), Err(VideoError::Codec(_))));
         let photo = Photo { width: 16, height: 8, rgb: vec![[90; 3]; 128] };
         let jpeg = tmpi_core::container::Carried { format: PhotoFormat::Jpeg, bytes: vec![] };
         assert!(jpeg.decode().is_err());
-        assert!(sized(photo.clone(), (16, 8)).is_ok_and(|p| p.is_some()) && sized(photo, (8, 16)).is_err());
+        assert!(expect_size(photo.clone(), (16, 8)).is_ok_and(|p| p.is_some()) && expect_size(photo, (8, 16)).is_err());
         assert!(matches!(decoder(JPEG, (16, 8)).unwrap().decode(b"no JPEG"), Err(VideoError::Broken(_))));
     }
 
-    /// Cameras leave out of the frames of Motion JPEG whatever is the same in all of them.
+    /// Cameras omit from Motion JPEG frames what is the same in all of them.
     #[test]
-    fn frames_without_code_tables_or_an_end_are_whole() {
+    fn jpeg_frames_without_tables_or_end_marker_decode() {
         let rgb = (0..48 * 32).map(|i| [(i % 48 * 5) as u8, (i / 48 * 7) as u8, 90]).collect();
         let frame = tmpi_core::container::Carried::from_photo(&Photo { width: 48, height: 32, rgb }, 90).unwrap().bytes;
         let decoded = |frame: &[u8]| decoder(JPEG, (48, 32)).unwrap().decode(frame).unwrap().unwrap();
@@ -284,9 +284,9 @@ mod tests {
         assert!(decoder(JPEG, (40, 32)).unwrap().decode(&frame).is_err() && decoder(JPEG, (96, 32)).unwrap().decode(&frame).is_err());
     }
 
-    /// A decoder that goes on after the first error panics on this stream, and reads no sound one after it.
+    /// Without a reset after the first error, the decoder panics on this stream and cannot decode a sound one afterwards.
     #[test]
-    fn a_damaged_stream_is_an_error_and_the_next_sound_one_is_decoded_as_by_a_new_decoder() {
+    fn a_sound_stream_decodes_after_a_damaged_one() {
         let outcomes = |h264: &mut dyn Decoder, stream: &[u8]| {
             let mut splitter = crate::units::Splitter::default();
             let mut units = splitter.push(stream).unwrap();

@@ -1,4 +1,4 @@
-//! Streams of cameras and films of every kind, as ffmpeg makes them, against what ffmpeg shows of them.
+//! Compares decoded streams of many kinds, made by ffmpeg, with ffmpeg's own decoding.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::io::Write as _;
@@ -9,14 +9,14 @@ use tmpi_live::units::{Splitter, codec};
 use tmpi_live::video::{self, VideoError};
 use tmpi_testing::Need;
 
-/// What an ffmpeg with these arguments, separated by spaces, makes of its input; none where there is no ffmpeg.
+/// Runs ffmpeg with these arguments, separated by spaces, and returns its output; `None` if there is no ffmpeg.
 fn ffmpeg(arguments: &str, input: &[u8]) -> Option<Vec<u8>> {
     let mut command = Command::new("ffmpeg");
     command.args(["-loglevel", "error"]).args(arguments.split(' ')).arg("-");
     let spawned = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
     let mut child = Need::Ffmpeg.or_skip(spawned)?;
     let (mut stdin, input) = (child.stdin.take().unwrap(), input.to_vec());
-    // it may end before it has read all
+    // ffmpeg may exit before it has read everything
     let writes = std::thread::spawn(move || drop(stdin.write_all(&input)));
     let out = child.wait_with_output().unwrap();
     writes.join().unwrap();
@@ -24,18 +24,18 @@ fn ffmpeg(arguments: &str, input: &[u8]) -> Option<Vec<u8>> {
     Some(out.stdout)
 }
 
-/// Frames of a moving picture in colour, coded as the arguments say.
+/// A moving test picture in colour, encoded with these arguments.
 fn film(size: &str, filters: &str, coder: &str) -> Option<Vec<u8>> {
     ffmpeg(&format!("-f lavfi -i testsrc2=size={size}:rate=10:duration=0.6 -vf {filters} {coder}"), &[])
 }
 
-/// H.264 with these parameters of x264.
+/// An H.264 stream with these x264 parameters.
 fn h264(size: &str, filters: &str, parameters: &str) -> Option<Vec<u8>> {
     let coder = "-c:v libx264 -preset veryfast -bf 0 -crf 8";
     film(size, filters, &format!("{coder} -x264-params keyint=3:{parameters} -f h264"))
 }
 
-/// Access units of H.264.
+/// Access units of an H.264 stream.
 fn units(stream: &[u8]) -> Vec<Vec<u8>> {
     let mut splitter = Splitter::default();
     let mut units = splitter.push(stream).unwrap();
@@ -55,34 +55,34 @@ fn ivf(mut file: &[u8]) -> Vec<Vec<u8>> {
     frames
 }
 
-/// What the server shows of a stream, from the size that its first frame says.
+/// Decodes a stream as the server does, at the size in its first frame.
 fn shown(codec: &str, frames: &[Vec<u8>]) -> Result<Vec<Photo>, VideoError> {
     let size = video::size(codec, &frames[0])?.expect("a key frame first");
     let mut decoder = video::decoder(codec, size)?;
     frames.iter().filter_map(|frame| decoder.decode(frame).transpose()).collect()
 }
 
-/// What ffmpeg shows of it, with all that is to be cut off cut off (`unaligned`). Each chroma value stands for four pixels, as here.
+/// Decodes a stream with ffmpeg, fully cropped (`unaligned`). Each chroma value applies to four pixels, as in our decoder.
 fn reference(format: &str, stream: &[u8], size: (u32, u32), reading: &str) -> Vec<Vec<u8>> {
     let scale = format!("scale={reading}flags=neighbor+accurate_rnd+full_chroma_int");
     let raw = ffmpeg(&format!("-flags unaligned -f {format} -i - -vf {scale} -f rawvideo -pix_fmt rgb24"), stream).unwrap();
     raw.chunks_exact(3 * (size.0 * size.1) as usize).map(<[u8]>::to_vec).collect()
 }
 
-/// Mean likeness of two films, dB.
-fn likeness(is: &[Photo], should: &[Vec<u8>]) -> f64 {
+/// PSNR between two films, dB.
+fn psnr(is: &[Photo], should: &[Vec<u8>]) -> f64 {
     assert_eq!(is.len(), should.len());
     let squares = is.iter().zip(should).flat_map(|(is, should)| is.rgb.as_flattened().iter().zip(should));
     let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), (a, b)| (sum + f64::from(a.abs_diff(*b)).powi(2), count + 1.0));
     10.0 * (255.0 * 255.0 * count / f64::max(sum, 1e-9)).log10()
 }
 
-/// Likeness from which on two decoders show the same but for rounding, dB.
-const SAME: f64 = 50.0;
+/// Above this PSNR, dB, two decoders differ only by rounding.
+const SAME_PSNR: f64 = 50.0;
 
 #[test]
-fn what_is_cut_off_on_any_side_is_not_shown_and_the_rest_lies_where_it_belongs() {
-    // left, top, right, bottom; the size of the film, what is left of it
+fn cropping_works_on_all_sides() {
+    // size of the film; crop on the left, top, right and bottom; displayed size
     let cuts = [
         ("320x240", [0, 0, 0, 0], (320, 240)),
         ("320x240", [0, 8, 0, 0], (320, 232)),
@@ -95,7 +95,7 @@ fn what_is_cut_off_on_any_side_is_not_shown_and_the_rest_lies_where_it_belongs()
     for interlaced in [0, 1] {
         for (size, [left, top, right, bottom], shows) in cuts {
             let cut = format!("crop-rect={left},{top},{right},{bottom}:fake-interlaced={interlaced}");
-            // rows of fields are cut off in fours
+            // with fields, rows are cropped in multiples of four
             if interlaced == 1 && (top % 4 != 0 || bottom % 4 != 0 || size == "322x182") {
                 continue;
             }
@@ -104,17 +104,17 @@ fn what_is_cut_off_on_any_side_is_not_shown_and_the_rest_lies_where_it_belongs()
             let codec = codec(&units[0]).unwrap();
             assert_eq!(video::size(&codec, &units[0]).unwrap(), Some(shows), "{size} {cut}");
             let is = shown(&codec, &units).unwrap();
-            let likeness = likeness(&is, &reference("h264", &stream, shows, "in_color_matrix=bt709:"));
-            assert!(is.len() == 6 && likeness > SAME, "{size} {cut}: {} frames, {likeness:.1} dB", is.len());
+            let psnr = psnr(&is, &reference("h264", &stream, shows, "in_color_matrix=bt709:"));
+            assert!(is.len() == 6 && psnr > SAME_PSNR, "{size} {cut}: {} frames, {psnr:.1} dB", is.len());
         }
     }
 }
 
-/// Matrices: by ffmpeg, x264 and the numbers that VP9 and VUI have for them in ffmpeg.
+/// Colour matrices: ffmpeg's name in the scale filter, and the name in x264 and in stream metadata.
 const MATRICES: [(&str, &str); 4] = [("bt601", "smpte170m"), ("bt709", "bt709"), ("smpte240m", "smpte240m"), ("bt2020", "bt2020nc")];
 
 #[test]
-fn colours_are_those_that_the_stream_names() {
+fn h264_colours_follow_the_stream() {
     for (matrix, named) in MATRICES {
         for (range, full, format) in [("tv", "off", "yuv420p"), ("pc", "on", "yuvj420p")] {
             let converted = format!("scale=out_color_matrix={matrix}:out_range={range},format={format}");
@@ -122,18 +122,18 @@ fn colours_are_those_that_the_stream_names() {
             let units = units(&stream);
             let is = shown(&codec(&units[0]).unwrap(), &units).unwrap();
             let read = |matrix: &str, range: &str| {
-                likeness(&is, &reference("h264", &stream, (320, 240), &format!("in_color_matrix={matrix}:in_range={range}:")))
+                psnr(&is, &reference("h264", &stream, (320, 240), &format!("in_color_matrix={matrix}:in_range={range}:")))
             };
             let [same, other] = [read(matrix, range), read(if matrix == "bt709" { "bt601" } else { "bt709" }, range)];
-            assert!(same > SAME && other < SAME - 5.0, "H.264 {named} {range}: {same:.1} dB, by another matrix {other:.1}");
+            assert!(same > SAME_PSNR && other < SAME_PSNR - 5.0, "H.264 {named} {range}: {same:.1} dB, by another matrix {other:.1}");
             let wrong = read(matrix, if range == "tv" { "pc" } else { "tv" });
-            assert!(wrong < SAME - 5.0, "H.264 {named} {range}: {wrong:.1} dB by the other range");
+            assert!(wrong < SAME_PSNR - 5.0, "H.264 {named} {range}: {wrong:.1} dB by the other range");
         }
     }
 }
 
 #[test]
-fn colours_of_vp9_are_those_that_it_names() {
+fn vp9_colours_follow_the_stream() {
     for (matrix, named) in MATRICES {
         for range in ["tv", "pc"] {
             let converted =
@@ -144,28 +144,28 @@ fn colours_of_vp9_are_those_that_it_names() {
             assert_eq!(video::size("vp09.00.10.08", &frames[0]).unwrap(), Some((174, 142)));
             let is = shown("vp09.00.10.08", &frames).unwrap();
             let read = |matrix: &str, range: &str| {
-                likeness(&is, &reference("ivf", &file, (174, 142), &format!("in_color_matrix={matrix}:in_range={range}:")))
+                psnr(&is, &reference("ivf", &file, (174, 142), &format!("in_color_matrix={matrix}:in_range={range}:")))
             };
             let [same, other] = [read(matrix, range), read(if matrix == "bt709" { "bt601" } else { "bt709" }, range)];
-            assert!(same > SAME && other < SAME - 5.0, "VP9 {named} {range}: {same:.1} dB, by another matrix {other:.1}");
+            assert!(same > SAME_PSNR && other < SAME_PSNR - 5.0, "VP9 {named} {range}: {same:.1} dB, by another matrix {other:.1}");
         }
     }
 }
 
 #[test]
-fn a_stream_that_names_no_colours_is_bt709_and_one_of_full_range_that_of_jpeg() {
+fn unnamed_colours_are_bt709_or_jpeg_at_full_range() {
     for (range, full, format, matrix) in [("tv", "off", "yuv420p", "bt709"), ("pc", "on", "yuvj420p", "bt601")] {
         let converted = format!("scale=out_color_matrix={matrix}:out_range={range},format={format}");
         let Some(stream) = h264("320x240", &converted, &format!("fullrange={full}")) else { return };
         let units = units(&stream);
         let is = shown(&codec(&units[0]).unwrap(), &units).unwrap();
-        let same = likeness(&is, &reference("h264", &stream, (320, 240), &format!("in_color_matrix={matrix}:in_range={range}:")));
-        assert!(same > SAME, "{range}: {same:.1} dB");
+        let same = psnr(&is, &reference("h264", &stream, (320, 240), &format!("in_color_matrix={matrix}:in_range={range}:")));
+        assert!(same > SAME_PSNR, "{range}: {same:.1} dB");
     }
 }
 
 #[test]
-fn what_is_not_decoded_says_so_by_its_first_frame_with_what_helps() {
+fn unsupported_streams_fail_at_once_with_advice() {
     let kinds = [
         ("format=yuv422p", "", "4:2:0"),
         ("format=yuv444p", "", "4:2:0"),

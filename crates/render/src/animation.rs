@@ -8,7 +8,7 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use super::{Outlook, View, looking_at};
+use super::{MotionRange, View, looking_at};
 use tmpi_core::{Camera, Intrinsics, Pose};
 
 /// Longest time that `ffmpeg` may run: the longest film of the largest frames takes about a minute of one core.
@@ -52,8 +52,8 @@ impl Path {
 
     /// The camera of frame `frame` of `frames` around `camera`, as far as the scene moves by itself.
     #[must_use]
-    pub fn camera(self, camera: &Camera, frame: u32, frames: u32, outlook: &Outlook) -> Camera {
-        let (turn, v) = (f64::from(frame) / f64::from(frames.max(1)), &outlook.travel);
+    pub fn camera(self, camera: &Camera, frame: u32, frames: u32, range: &MotionRange) -> Camera {
+        let (turn, v) = (f64::from(frame) / f64::from(frames.max(1)), &range.travel);
         let (sin, cos) = (turn * std::f64::consts::TAU).sin_cos();
         // there and back: 0 to 1 to 0
         let way = (1.0 - cos) / 2.0;
@@ -64,13 +64,13 @@ impl Path {
             Self::DollyZoom => [0.0, 0.0, -v.z * way],
             Self::Zoom => [0.0, 0.0, v.z * way],
         };
-        let turned = looking_at(outlook.pivot, x, y, z);
+        let turned = looking_at(range.pivot, x, y, z);
         let mut pose = camera.pose.shifted([x, y, z]);
         (pose.yaw, pose.pitch) = (pose.yaw + turned.yaw, pose.pitch + turned.pitch);
         let intrinsics = match self {
-            Self::DollyZoom => magnified(camera, overscan(camera, outlook) * (1.0 - z * outlook.pivot), [0.5, 0.5]),
-            Self::Zoom => magnified(camera, 1.0 + (ZOOM - 1.0) * way, outlook.nearest),
-            _ => magnified(camera, overscan(camera, outlook), [0.5, 0.5]),
+            Self::DollyZoom => magnified(camera, overscan(camera, range) * (1.0 - z * range.pivot), [0.5, 0.5]),
+            Self::Zoom => magnified(camera, 1.0 + (ZOOM - 1.0) * way, range.nearest),
+            _ => magnified(camera, overscan(camera, range), [0.5, 0.5]),
         };
         Camera { pose, intrinsics, ..*camera }
     }
@@ -84,12 +84,12 @@ const LOOKS: u32 = 8;
 
 /// How much larger a film shows the photo, so that what lies beyond its border stays out of sight. The camera turns as it moves, which shifts the
 /// borders of a wide lens more than its middle: so it goes by where the corners of the nearest and the farthest plane come to lie.
-fn overscan(camera: &Camera, outlook: &Outlook) -> f64 {
-    let (v, sides) = (&outlook.travel, [camera.width, camera.height].map(f64::from));
+fn overscan(camera: &Camera, range: &MotionRange) -> f64 {
+    let (v, sides) = (&range.travel, [camera.width, camera.height].map(f64::from));
     let needed = |look: u32| {
         let (sin, cos) = (f64::from(look) / f64::from(LOOKS) * std::f64::consts::TAU).sin_cos();
         let (x, y) = (v.x * cos, v.y * sin);
-        let turned = looking_at(outlook.pivot, x, y, 0.0);
+        let turned = looking_at(range.pivot, x, y, 0.0);
         let pose = Pose { yaw: turned.yaw, pitch: turned.pitch, ..Pose::default().shifted([x, y, 0.0]) };
         let moved = Camera { pose, ..*camera };
         let corners = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]].into_iter().flat_map(|share| [(share, 0.0), (share, 1.0)]);
@@ -297,17 +297,17 @@ mod tests {
     #[test]
     fn ways_stay_in_what_the_scene_travels_and_close() {
         let travel = ViewBox { x: 0.1, y: 0.05, z: 0.2 };
-        let outlook = Outlook { travel, pivot: 0.4, nearest: [0.25, 0.75] };
+        let range = MotionRange { travel, pivot: 0.4, nearest: [0.25, 0.75] };
         let own = Camera { pose: Pose::default(), intrinsics: Intrinsics::centred(60, 40, 50.0), width: 60, height: 40 };
         for name in Path::NAMES {
             let path = Path::from_name(name).unwrap();
             for i in 0..=24 {
-                let Camera { pose: p, intrinsics: k, .. } = path.camera(&own, i, 24, &outlook);
+                let Camera { pose: p, intrinsics: k, .. } = path.camera(&own, i, 24, &range);
                 assert!(p.tx.abs() <= 0.1 + 1e-9 && p.ty.abs() <= 0.05 + 1e-9 && p.tz.abs() <= 0.2 + 1e-9, "{name} {i}: {p:?}");
                 // views do not look past the borders more than a camera that moves does
                 assert!(k.fx >= own.intrinsics.fx - 1e-9, "{name} {i}: {k:?}");
             }
-            let (a, b) = (path.camera(&own, 0, 24, &outlook).pose, path.camera(&own, 24, 24, &outlook).pose);
+            let (a, b) = (path.camera(&own, 0, 24, &range).pose, path.camera(&own, 24, 24, &range).pose);
             assert!((a.tx - b.tx).abs() + (a.ty - b.ty).abs() + (a.tz - b.tz).abs() < 1e-9, "{name}");
         }
         assert!(Path::from_name("spiral").is_none());
@@ -317,21 +317,21 @@ mod tests {
 
     #[test]
     fn what_a_way_is_about_stays_in_its_place() {
-        let outlook = Outlook { travel: ViewBox { x: 0.1, y: 0.1, z: 0.2 }, pivot: 0.4, nearest: [0.25, 0.75] };
+        let range = MotionRange { travel: ViewBox { x: 0.1, y: 0.1, z: 0.2 }, pivot: 0.4, nearest: [0.25, 0.75] };
         let own = Camera { pose: Pose::default(), intrinsics: Intrinsics::centred(60, 40, 50.0), width: 60, height: 40 };
         // half of the way, a point at the pivot is as large and as far from the middle as everywhere in the film
-        let (over, at) = (overscan(&own, &outlook), path_place(Path::DollyZoom, &own, &outlook, [48.0, 30.0], 0.4));
+        let (over, at) = (overscan(&own, &range), path_place(Path::DollyZoom, &own, &range, [48.0, 30.0], 0.4));
         assert!((at[0] - 30.0 - 18.0 * over).abs() < 1e-9 && (at[1] - 20.0 - 10.0 * over).abs() < 1e-9, "{at:?}");
-        let far = path_place(Path::DollyZoom, &own, &outlook, [48.0, 30.0], 0.0);
+        let far = path_place(Path::DollyZoom, &own, &range, [48.0, 30.0], 0.0);
         assert!(far[0] > at[0] + 0.1, "what is far grows: {far:?}");
         // the lens stays on the nearest thing, which infinity tells from the step forward
-        let at = path_place(Path::Zoom, &own, &outlook, [15.0, 30.0], 0.0);
+        let at = path_place(Path::Zoom, &own, &range, [15.0, 30.0], 0.0);
         assert!((at[0] - 15.0).abs() < 1e-9 && (at[1] - 30.0).abs() < 1e-9, "{at:?}");
     }
 
     /// Where a pixel of disparity `delta` is half of the way.
-    fn path_place(path: Path, own: &Camera, outlook: &Outlook, pixel: [f64; 2], delta: f64) -> [f64; 2] {
-        let camera = path.camera(own, 1, 2, outlook);
+    fn path_place(path: Path, own: &Camera, range: &MotionRange, pixel: [f64; 2], delta: f64) -> [f64; 2] {
+        let camera = path.camera(own, 1, 2, range);
         let h = tmpi_core::homography([0.0, 0.0, delta], &own.intrinsics, &camera);
         let [x, y, w] = tmpi_core::mat3_vec(&h, [pixel[0], pixel[1], 1.0]);
         [x / w, y / w]
@@ -339,10 +339,10 @@ mod tests {
 
     #[test]
     fn films_show_nothing_from_beyond_the_borders_where_the_photo_moves_as_usual() {
-        let outlook = Outlook { travel: ViewBox { x: 0.03, y: 0.02, z: 0.02 }, pivot: 0.5, nearest: [0.5, 0.5] };
+        let range = MotionRange { travel: ViewBox { x: 0.03, y: 0.02, z: 0.02 }, pivot: 0.5, nearest: [0.5, 0.5] };
         let own = Camera { pose: Pose::default(), intrinsics: Intrinsics::centred(600, 400, 350.0), width: 600, height: 400 };
         for (path, i) in [Path::Swing, Path::Orbit].into_iter().flat_map(|path| (0..=24).map(move |i| (path, i))) {
-            let camera = path.camera(&own, i, 24, &outlook);
+            let camera = path.camera(&own, i, 24, &range);
             for (x, y, delta) in [0.0, 600.0].into_iter().flat_map(|x| [(x, 0.0, 0.0), (x, 400.0, 0.0), (x, 0.0, 1.0), (x, 400.0, 1.0)]) {
                 let h = tmpi_core::homography([0.0, 0.0, delta], &own.intrinsics, &camera);
                 let [u, v, w] = tmpi_core::mat3_vec(&h, [x, y, 1.0]);

@@ -3,7 +3,7 @@
 use image::codecs::{jpeg::JpegEncoder, png, webp::WebPEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::View;
+use super::{View, mpo};
 use tmpi_core::Photo;
 
 /// Picture formats that views are written in.
@@ -19,10 +19,12 @@ pub enum PictureFormat {
     /// Lossless, with alpha.
     #[value(name = "webp")]
     WebP,
+    /// A side-by-side pair as two JPEGs in one file, as 3D cameras write them.
+    Mpo,
 }
 
 impl PictureFormat {
-    /// All formats, the default first.
+    /// All formats of single pictures, the default first.
     pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::WebP];
 
     /// Media type.
@@ -32,16 +34,18 @@ impl PictureFormat {
             Self::Png => "image/png",
             Self::Jpeg => "image/jpeg",
             Self::WebP => "image/webp",
+            Self::Mpo => "image/mpo",
         }
     }
 
-    /// The format that a file name ending stands for: `png`, `jpg`, `jpeg` or `webp`, in any case.
+    /// The format that a file name ending stands for: `png`, `jpg`, `jpeg`, `webp` or `mpo`, in any case.
     #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
         match extension.to_ascii_lowercase().as_str() {
             "png" => Some(Self::Png),
             "jpg" | "jpeg" => Some(Self::Jpeg),
             "webp" => Some(Self::WebP),
+            "mpo" => Some(Self::Mpo),
             _ => None,
         }
     }
@@ -67,12 +71,17 @@ pub enum EncodeError {
 /// JPEG quality where the caller has no wish.
 pub const DEFAULT_QUALITY: u8 = 90;
 
-/// Writes a view as a picture file: PNG and WebP with straight alpha, JPEG over black at `quality` (clamped to 1..=100).
+/// Writes a view as a picture file: PNG and WebP with straight alpha, JPEG over black at `quality` (clamped to 1..=100), MPO as the JPEGs of
+/// its left and its right half.
 ///
 /// # Errors
 /// [`EncodeError::Codec`]: WebP holds at most 16 384 pixels a side, JPEG 65 535.
 pub fn encode(view: &View, format: PictureFormat, quality: u8) -> Result<Vec<u8>, EncodeError> {
     let (width, height) = (view.width, view.height);
+    if format == PictureFormat::Mpo {
+        let [left, right] = [0, width / 2].map(|from| encode(&part(view, from, width / 2), PictureFormat::Jpeg, quality));
+        return Ok(mpo::join(&left?, &right?));
+    }
     let mut out = Vec::with_capacity(view.rgba.len() / 2 + 1024);
     let written = match format {
         PictureFormat::Png => png::PngEncoder::new_with_quality(&mut out, png::CompressionType::Fast, png::FilterType::Up).write_image(
@@ -81,7 +90,7 @@ pub fn encode(view: &View, format: PictureFormat, quality: u8) -> Result<Vec<u8>
             height,
             ExtendedColorType::Rgba8,
         ),
-        PictureFormat::Jpeg => {
+        PictureFormat::Jpeg | PictureFormat::Mpo => {
             // premultiplied colour is the colour over black
             let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
             JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100)).write_image(
@@ -96,6 +105,13 @@ pub fn encode(view: &View, format: PictureFormat, quality: u8) -> Result<Vec<u8>
         }
     };
     written.map(|()| out).map_err(|e| EncodeError::Codec { width, height, format, reason: e.to_string() })
+}
+
+/// Columns of a view.
+fn part(view: &View, from: u32, width: u32) -> View {
+    let row = |row: &[[u8; 4]]| row[from as usize..][..width as usize].to_vec();
+    let rgba = view.rgba.chunks_exact(view.width.max(1) as usize).flat_map(row).collect();
+    View { width, height: view.height, rgba }
 }
 
 /// Straight-alpha texels; fully transparent ones are 0.
@@ -137,6 +153,18 @@ mod tests {
             assert_eq!((back.width(), back.height()), (37, 5));
             assert_eq!(back.as_raw().as_slice(), v.rgba.as_flattened(), "{format:?}");
         }
+    }
+
+    #[test]
+    fn an_mpo_holds_both_halves() {
+        let rgba = (0..40 * 16).map(|i| if i % 40 < 20 { [200, 30, 30, 255] } else { [30, 30, 200, 255] }).collect();
+        let file = encode(&View { width: 40, height: 16, rgba }, PictureFormat::Mpo, 95).unwrap();
+        let second = file.windows(4).rposition(|w| w == b"\xff\xd8\xff\xe2").unwrap();
+        let open = |bytes: &[u8]| image::load_from_memory_with_format(bytes, image::ImageFormat::Jpeg).unwrap().to_rgb8();
+        let (left, right) = (open(&file), open(&file[second..]));
+        assert_eq!((left.dimensions(), right.dimensions()), ((20, 16), (20, 16)));
+        assert!(left.pixels().all(|p| p.0[0] > 180 && p.0[2] < 60) && right.pixels().all(|p| p.0[2] > 180 && p.0[0] < 60));
+        assert!(encode(&view(1, 5), PictureFormat::Mpo, 90).is_err(), "there are no halves of one column");
     }
 
     #[test]

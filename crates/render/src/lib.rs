@@ -7,10 +7,11 @@ pub mod difference;
 mod encode;
 mod footprint;
 mod gpu;
-mod outlook;
-mod prepared;
+mod motion_range;
+mod mpo;
+mod multiview;
 mod reference;
-mod several;
+mod scene_cache;
 #[cfg(test)]
 mod testing;
 
@@ -19,9 +20,9 @@ pub use border::{corners, holds, looking_at, margin as border_margin};
 pub use cpu::{Cpu, draw_reference_view};
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::{Gpu, without_a_display};
-pub use outlook::Outlook;
+pub use motion_range::MotionRange;
+pub use multiview::{Arrangement, EYES, MAX_QUILT, Rig, StereoLayout, draw_multiview, pivot};
 pub use reference::Reference;
-pub use several::{Arrangement, EYES, MAX_QUILT, Rig, draw_several, pivot};
 
 use std::sync::Arc;
 

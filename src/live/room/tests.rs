@@ -37,7 +37,7 @@ impl Made {
             self.tiles.tiles[tile as usize] = geometry(depth).tiles[tile as usize].clone();
         }
         let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-        self.room.keep(EPOCH, Still::new(self.frame, photo, self.tiles.clone()), |_| {});
+        self.room.keep(EPOCH, FrameWithTiles::new(self.frame, photo, self.tiles.clone()), |_| {});
         if let Some(area) = changed {
             self.room.push_tiles(EPOCH, message(&self.tiles, area, self.frame));
         }
@@ -156,7 +156,7 @@ fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() 
     assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
     made.room.push(EPOCH + 1, What::Key, vec![0; 10].into());
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-    made.room.keep(EPOCH + 1, Still::new(0, photo, made.tiles.clone()), |_| {});
+    made.room.keep(EPOCH + 1, FrameWithTiles::new(0, photo, made.tiles.clone()), |_| {});
     made.frame = 0;
     assert_eq!(viewer.read(&made.room), [all]);
 }
@@ -244,7 +244,7 @@ fn tiles_of_the_next_epoch_are_not_sent_after_the_hello_of_the_last_one() {
     made.tiles = geometry(0.25);
     assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-    made.room.keep(EPOCH + 1, Still::new(1, photo, made.tiles.clone()), |_| {});
+    made.room.keep(EPOCH + 1, FrameWithTiles::new(1, photo, made.tiles.clone()), |_| {});
     assert!(made.room.tiles(&mut viewer).is_none());
     assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH + 1));
     assert!(made.room.tiles(&mut viewer).is_some());

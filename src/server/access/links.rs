@@ -12,7 +12,7 @@ pub fn query_of(link: &Link) -> String {
 
 /// The link in a request's URL; `None` if it is missing or malformed.
 #[derive(Clone)]
-pub struct Asked(pub Option<Link>);
+pub struct LinkInUrl(pub Option<Link>);
 
 /// The link in the URL that the parameter `url` names, as in oEmbed requests.
 #[must_use]

@@ -44,7 +44,7 @@ mod tests {
     #[test]
     fn tokens_are_told_from_secrets_and_keys() {
         let fine = format!("{PREFIX}{}", "0f".repeat(32));
-        assert!(is_token(&fine) && link_of(&fine).is_some() && !super::super::who::is_secret(&fine));
+        assert!(is_token(&fine) && link_of(&fine).is_some() && !super::super::callers::is_secret(&fine));
         for wrong in
             [&fine[1..], &fine[..fine.len() - 1], &format!("{fine}0"), &fine.replace('f', "F"), &fine.replace('f', "g"), PREFIX, ""]
         {

@@ -4,11 +4,11 @@
 //! keeps that secret in a cookie that scripts cannot read, so image, event-stream and worker requests carry it too. A photo that the caller
 //! may not see answers 404.
 
+mod callers;
 mod cookies;
 mod links;
 mod manage;
-mod needs;
-mod who;
+mod permissions;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,18 +20,18 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tmpi_library::{Grant, KEY_PREFIX, Library, Link, Millis, Owner, Photo, PhotoId, SESSION_PREFIX, Scope, Subject};
 
+use super::client_limits::client_address;
 use super::hosts::Hosts;
 use super::problem::Problem;
-use super::rates::{Asker, Rates, Told};
+use super::rates::{RateHeaders, RateKey, Rates};
 use super::settings::{Settings, Visibility};
-use super::share::asker;
 use crate::live::check_origin;
+use callers::{Principal, bearer, is_secret, new_secret};
 use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
 pub use cookies::{set_manage, set_owner};
-use links::Asked;
+use links::LinkInUrl;
 pub(super) use links::{link_of_url, query_of, take_link};
-use needs::{Need, need, refusal};
-use who::{Who, bearer, fresh, is_secret};
+use permissions::{Permission, permission, refusal};
 
 /// Lifetime of a ticket.
 pub const TICKET: Duration = Duration::from_mins(15);
@@ -40,14 +40,14 @@ const TICKET_PREFIX: &str = "tmpi_t_";
 
 /// The caller of a request, with its rights.
 struct Caller {
-    who: Who,
+    who: Principal,
     owner: Option<Owner>,
     link: Option<Link>,
     /// Time of the request by the database's clock; 0 without a link or token.
     at: Millis,
     /// A photo's own token.
     token: Option<String>,
-    need: Need,
+    permission: Permission,
     /// The answer depends on the caller's rights.
     private: AtomicBool,
     /// Only the link gave access.
@@ -89,11 +89,11 @@ impl Guard {
     ///
     /// # Errors
     /// 401, 403, 404 or 405 if the caller has no right to the route, 429 if it sends too many requests.
-    pub async fn admit(&self, hosts: &Hosts, rates: &Rates, request: &mut Request) -> (Told, Result<Pass, Problem>) {
+    pub async fn admit(&self, hosts: &Hosts, rates: &Rates, request: &mut Request) -> (RateHeaders, Result<Pass, Problem>) {
         let come = self.come_in(hosts, request).await;
         // refused requests count, too
-        let key = come.as_ref().ok().and_then(|caller| if let Who::Key(key) = &caller.who { Some(key.name.clone()) } else { None });
-        let (told, taken) = rates.count(Asker::of(key, asker()), request);
+        let key = come.as_ref().ok().and_then(|caller| if let Principal::Key(key) = &caller.who { Some(key.name.clone()) } else { None });
+        let (told, taken) = rates.count(RateKey::of(key, client_address()), request);
         (told, taken.and(come).map(|caller| Pass(Arc::new(caller))))
     }
 
@@ -101,17 +101,17 @@ impl Guard {
     pub async fn answer(&self, Pass(caller): Pass, request: Request, next: Next) -> Response {
         let path = request.uri().path().to_owned();
         let headers = request.headers().clone();
-        let link = request.extensions().get::<Asked>().and_then(|asked| asked.0.clone());
+        let link = request.extensions().get::<LinkInUrl>().and_then(|asked| asked.0.clone());
         let mut response = CALLER.scope(Arc::clone(&caller), next.run(request)).await;
         // a list depends on the caller, even if it is empty
-        if caller.need == Need::List || caller.private.load(Ordering::Relaxed) {
+        if caller.permission == Permission::List || caller.private.load(Ordering::Relaxed) {
             keep_private(&mut response);
         }
         if path == "/" && response.status() != StatusCode::NOT_MODIFIED {
             let secret = match &caller.who {
-                Who::Owner(_, kept) => Ok(kept.clone()),
+                Principal::Owner(_, kept) => Ok(kept.clone()),
                 // keep an existing cookie even if a link from another site led here
-                Who::Stranger if matches!(self.of_cookie(&headers).await, Ok(Who::Stranger)) => fresh(),
+                Principal::Anonymous if matches!(self.of_cookie(&headers).await, Ok(Principal::Anonymous)) => new_secret(),
                 _ => return response,
             };
             match secret {
@@ -128,11 +128,11 @@ impl Guard {
 
     /// Identifies the caller, and refuses what needs no photo to decide.
     async fn come_in(&self, hosts: &Hosts, request: &mut Request) -> Result<Caller, Problem> {
-        let need = match request.extensions().get::<MatchedPath>() {
+        let permission = match request.extensions().get::<MatchedPath>() {
             // 404s and preflights need no rights
-            None => Need::Nothing,
-            Some(_) if *request.method() == Method::OPTIONS => Need::Nothing,
-            Some(path) => need(request.method(), path.as_str()).ok_or_else(|| refusal(request.method(), path.as_str()))?,
+            None => Permission::Nothing,
+            Some(_) if *request.method() == Method::OPTIONS => Permission::Nothing,
+            Some(path) => permission(request.method(), path.as_str()).ok_or_else(|| refusal(request.method(), path.as_str()))?,
         };
         let asked = take_link(request.uri()).map(|(uri, link)| {
             *request.uri_mut() = uri;
@@ -140,33 +140,36 @@ impl Guard {
         });
         let is_of_page = request.extensions().get::<MatchedPath>().is_some_and(|path| path.as_str() == "/oembed");
         let asked = asked.or_else(|| is_of_page.then(|| link_of_url(request.uri())));
-        let (who, token) =
-            if need == Need::Room { (Who::Stranger, None) } else { self.who(hosts, request.headers(), request.version()).await? };
+        let (who, token) = if permission == Permission::Room {
+            (Principal::Anonymous, None)
+        } else {
+            self.who(hosts, request.headers(), request.version()).await?
+        };
         let link = asked.clone().unwrap_or_else(|| {
             let of_cookie = cookie(request.headers(), LINK_COOKIE).and_then(|text| text.parse().ok());
             of_cookie.filter(|_| check_origin(request.headers()).is_ok())
         });
-        request.extensions_mut().insert(Asked(asked.flatten()));
-        match need {
-            Need::Upload => who.has_leave(Scope::Upload, "upload")?,
-            Need::List => who.has_leave(Scope::Read, "read")?,
-            Need::Metrics if !who.is_told(Scope::Metrics) => {
+        request.extensions_mut().insert(LinkInUrl(asked.flatten()));
+        match permission {
+            Permission::Upload => who.require_scope(Scope::Upload, "upload")?,
+            Permission::List => who.require_scope(Scope::Read, "read")?,
+            Permission::Metrics if !who.has_scope(Scope::Metrics) => {
                 let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope metrics or admin";
                 return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
-            Need::Admin if !who.is_admin() => {
+            Permission::Admin if !who.is_admin() => {
                 let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope admin";
                 return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
             _ => {}
         }
         let at = if link.is_some() || token.is_some() { self.library.now().await? } else { 0 };
-        Ok(Caller { owner: who.owner(), who, link, at, token, need, private: AtomicBool::new(false), linked: AtomicBool::new(false) })
+        Ok(Caller { owner: who.owner(), who, link, at, token, permission, private: AtomicBool::new(false), linked: AtomicBool::new(false) })
     }
 
     /// Identifies the caller, with the photo token that it also has. A bearer counts alone; otherwise cookies and loopback count, unless
     /// another site's page made the request.
-    async fn who(&self, hosts: &Hosts, headers: &HeaderMap, version: Version) -> Result<(Who, Option<String>), Problem> {
+    async fn who(&self, hosts: &Hosts, headers: &HeaderMap, version: Version) -> Result<(Principal, Option<String>), Problem> {
         let unknown = || {
             let detail = "the key is unknown or no longer valid, or the secret is malformed";
             let problem = Problem::new(StatusCode::UNAUTHORIZED, "key", detail).field("Authorization");
@@ -180,38 +183,38 @@ impl Guard {
             }
             if text.starts_with(KEY_PREFIX) {
                 let found = self.library.find_key(text).await?;
-                return found.map(|key| (Who::Key(key), None)).ok_or_else(unknown);
+                return found.map(|key| (Principal::Key(key), None)).ok_or_else(unknown);
             }
             let who = match text.strip_prefix(TICKET_PREFIX) {
                 Some(rest) => {
                     let session = self.library.find_session(&format!("{SESSION_PREFIX}{rest}")).await?;
-                    session.map(|session| Who::Ticket(session.owner))
+                    session.map(|session| Principal::Ticket(session.owner))
                 }
-                None => Who::of_bearer(text),
+                None => Principal::of_bearer(text),
             };
             let who = who.ok_or_else(unknown)?;
-            let token = matches!(who, Who::Manager).then(|| text.to_owned());
+            let token = matches!(who, Principal::Manager).then(|| text.to_owned());
             return Ok((who, token));
         }
         if check_origin(headers).is_err() {
-            return Ok((Who::Stranger, None));
+            return Ok((Principal::Anonymous, None));
         }
         let token = manage_cookie(headers).filter(|text| manage::is_token(text)).map(str::to_owned);
         // unconfigured proxies use HTTP/1.0 and name neither the client nor the requested host
         if hosts.is_own(headers) && version != Version::HTTP_10 {
-            return Ok((Who::Own, token));
+            return Ok((Principal::LocalUser, token));
         }
         Ok((self.of_cookie(headers).await?, token))
     }
 
     /// The caller by its owner cookie: a secret or a session.
-    async fn of_cookie(&self, headers: &HeaderMap) -> Result<Who, Problem> {
-        let Some(kept) = owner_cookie(headers) else { return Ok(Who::Stranger) };
+    async fn of_cookie(&self, headers: &HeaderMap) -> Result<Principal, Problem> {
+        let Some(kept) = owner_cookie(headers) else { return Ok(Principal::Anonymous) };
         if kept.starts_with(SESSION_PREFIX) {
             let session = self.library.find_session(kept).await?;
-            return Ok(session.map_or(Who::Stranger, |session| Who::Owner(session.owner, kept.to_owned())));
+            return Ok(session.map_or(Principal::Anonymous, |session| Principal::Owner(session.owner, kept.to_owned())));
         }
-        Ok(if is_secret(kept) { Who::Owner(Owner::of_secret(kept), kept.to_owned()) } else { Who::Stranger })
+        Ok(if is_secret(kept) { Principal::Owner(Owner::of_secret(kept), kept.to_owned()) } else { Principal::Anonymous })
     }
 
     /// Whether the browser's cookie belongs to another owner.
@@ -237,7 +240,7 @@ impl Guard {
     /// 503 where the library cannot be reached.
     pub async fn to_keep(&self, owner: &Owner) -> Result<String, Problem> {
         match caller().as_deref() {
-            Some(Caller { who: Who::Owner(_, kept), .. }) => Ok(kept.clone()),
+            Some(Caller { who: Principal::Owner(_, kept), .. }) => Ok(kept.clone()),
             _ => Ok(self.library.open_session(owner, None, Duration::from_secs(KEPT)).await?),
         }
     }
@@ -252,12 +255,12 @@ impl Guard {
     fn lets(&self, caller: &Caller, photo: &Photo, at: Millis) -> bool {
         let everybodys = || Settings::of(photo).visibility == Some(Visibility::Link);
         let opens = |link: &Link| self.library.secret().allows(Grant::View, Subject::Photo(photo), link, at);
-        match caller.need {
-            Need::Read if everybodys() => return true,
-            Need::Read | Need::List if caller.has(photo, Scope::Read) => {}
-            Need::Change | Need::Own if caller.has(photo, Scope::Upload) => {}
-            Need::Read | Need::Change if self.is_managed(caller, photo, at) => {}
-            Need::Read if caller.link.as_ref().is_some_and(opens) => caller.linked.store(true, Ordering::Relaxed),
+        match caller.permission {
+            Permission::Read if everybodys() => return true,
+            Permission::Read | Permission::List if caller.has(photo, Scope::Read) => {}
+            Permission::Change | Permission::Own if caller.has(photo, Scope::Upload) => {}
+            Permission::Read | Permission::Change if self.is_managed(caller, photo, at) => {}
+            Permission::Read if caller.link.as_ref().is_some_and(opens) => caller.linked.store(true, Ordering::Relaxed),
             _ => return false,
         }
         caller.private.store(true, Ordering::Relaxed);
@@ -284,8 +287,8 @@ impl Guard {
     pub async fn still_allows(&self, Pass(caller): &Pass, photo: &Photo) -> bool {
         // a failed lookup denies
         let good = match &caller.who {
-            Who::Key(key) => self.library.is_still_good(key).await.unwrap_or(false),
-            Who::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => {
+            Principal::Key(key) => self.library.is_still_good(key).await.unwrap_or(false),
+            Principal::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => {
                 self.library.find_session(kept).await.is_ok_and(|found| found.is_some())
             }
             _ => true,
@@ -304,7 +307,7 @@ impl Guard {
         if let Some(owner) = caller().and_then(|caller| caller.owner.clone()) {
             return Ok(Uploader { owner, is_new: false });
         }
-        Ok(Uploader { owner: Owner::of_secret(&fresh()?), is_new: true })
+        Ok(Uploader { owner: Owner::of_secret(&new_secret()?), is_new: true })
     }
 
     /// The caller as an owner; `None` for tickets, photo tokens and callers without credentials.
@@ -342,7 +345,7 @@ impl Caller {
 #[must_use]
 pub fn to_be() -> Option<Owner> {
     match &caller()?.who {
-        Who::Owner(owner, _) | Who::Ticket(owner) => Some(owner.clone()),
+        Principal::Owner(owner, _) | Principal::Ticket(owner) => Some(owner.clone()),
         _ => None,
     }
 }
@@ -350,7 +353,7 @@ pub fn to_be() -> Option<Owner> {
 /// The owner that the caller's secret or session names.
 #[must_use]
 pub fn owner_by_secret() -> Option<Owner> {
-    caller().and_then(|caller| if let Who::Owner(owner, _) = &caller.who { Some(owner.clone()) } else { None })
+    caller().and_then(|caller| if let Principal::Owner(owner, _) = &caller.who { Some(owner.clone()) } else { None })
 }
 
 /// The photo token that the caller sent.

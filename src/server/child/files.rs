@@ -1,7 +1,7 @@
 //! Writes export files in a child process.
 
 use super::ProcessMaker;
-use super::ask::Answer;
+use super::exchange::Answer;
 use super::frames::{kind, write};
 use crate::server::exports::{Work, late};
 use crate::server::maker::Fault;
@@ -11,7 +11,7 @@ impl ProcessMaker {
     /// Writes a file in a process that is killed if the file is unwanted or late.
     pub(super) fn write_file(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
         let recipe = work.recipe.text();
-        let worker = self.take(work.gives_way)?;
+        let worker = self.take(work.is_low_priority)?;
         self.ask(
             worker,
             |input| write(input, kind::RECIPE, recipe.as_bytes()).and_then(|()| write(input, kind::WRITE, work.container)),

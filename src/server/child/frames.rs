@@ -47,7 +47,7 @@ pub fn read(from: &mut impl Read) -> io::Result<(u8, Vec<u8>)> {
 
 /// A stage in a frame.
 #[derive(Serialize, Deserialize)]
-pub struct Told {
+pub struct StageFrame {
     pub stage: String,
     pub step: u32,
     pub steps: u32,

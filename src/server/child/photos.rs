@@ -1,8 +1,8 @@
 //! Makes photos in a child process.
 
 use super::ProcessMaker;
-use super::ask::Answer;
-use super::frames::{Told, kind, write};
+use super::exchange::Answer;
+use super::frames::{StageFrame, kind, write};
 use crate::server::maker::{Fault, Product};
 use crate::server::options;
 use tmpi_pipeline::{MakeError, Options, Progress, STAGES, Sink, strokes};
@@ -42,7 +42,7 @@ impl Answer for Made<'_> {
         let Self { product, stage, sink } = self;
         match kind {
             kind::PROGRESS => {
-                let told: Told = serde_json::from_slice(&bytes).map_err(|e| e.to_string())?;
+                let told: StageFrame = serde_json::from_slice(&bytes).map_err(|e| e.to_string())?;
                 *stage = STAGES.iter().find(|s| **s == told.stage).copied().unwrap_or(stage);
                 sink.progress(&Progress { stage, step: told.step, steps: told.steps, elapsed_ms: told.elapsed_ms });
             }

@@ -126,7 +126,7 @@ fn children_of_a_process_end_with_it_and_its_temporary_files_are_removed() {
         let told = dir.path().join("id");
         let recipe = Recipe::parse("format=zip", &Limits::default()).unwrap();
         // the folder exists before anything is sent
-        let work = Work { recipe: &recipe, container: b"line\n", drawing: &|| Err(String::new()), gives_way: true };
+        let work = Work { recipe: &recipe, container: b"line\n", drawing: &|| Err(String::new()), is_low_priority: true };
         let fault = if n == 0 { maker.export(&work, &Once(&told)) } else { maker.export(&work, &Silent) }.unwrap_err();
         assert!(matches!((n, &fault), (0, Fault::Cancelled) | (1, Fault::Crashed(_))), "{fault:?}");
         let id = std::fs::read_to_string(&told).unwrap();

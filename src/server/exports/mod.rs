@@ -2,10 +2,10 @@
 
 mod query;
 mod recipe;
-mod work;
 mod write;
+mod write_limits;
 
 pub use query::ExportQuery;
 pub use recipe::Recipe;
-pub use work::{Wanted, written};
 pub use write::{Drawing, TITLE, Work, late};
+pub use write_limits::{WriteRequest, written};

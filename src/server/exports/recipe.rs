@@ -2,11 +2,11 @@
 
 use super::query::ExportQuery;
 use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures, ORA_BYTES};
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::limits::Limits;
-use crate::server::made::Done;
 use crate::server::problem::Problem;
-use crate::server::routes::{Pairs, StereoKind, ViewQuery};
-use tmpi_render::{AnimationFormat, Arrangement, Path};
+use crate::server::routes::{Pairs, ViewQuery};
+use tmpi_render::{AnimationFormat, Arrangement, Path, StereoLayout};
 
 /// Memory of a process that writes a file, in bytes, without the photo. This and the other figures are above those measured on 12
 /// megapixels.
@@ -102,7 +102,7 @@ impl Recipe {
     }
 
     /// Memory that the work takes besides the scene, in bytes.
-    fn own(&self, done: &Done) -> u64 {
+    fn own(&self, done: &FinishedPhoto) -> u64 {
         let pixels = u64::from(done.width) * u64::from(done.height);
         match self {
             Self::File { format: ExportFormat::Html, .. } => PAGE * done.atlas_bytes,
@@ -114,7 +114,7 @@ impl Recipe {
 
     /// Memory of a process that writes the file, in bytes.
     #[must_use]
-    pub fn memory(&self, done: &Done) -> u64 {
+    pub fn memory(&self, done: &FinishedPhoto) -> u64 {
         let scene = if matches!(self, Self::File { format: ExportFormat::Html, .. }) { 0 } else { done.scene_bytes() };
         PROCESS + scene + self.own(done)
     }
@@ -122,7 +122,7 @@ impl Recipe {
     /// Whether the server writes it in its own process, while the client waits: pages, which contain the container unchanged, and other
     /// files of small photos, but no films.
     #[must_use]
-    pub fn is_cheap(&self, done: &Done) -> bool {
+    pub fn is_cheap(&self, done: &FinishedPhoto) -> bool {
         match self {
             Self::File { format: ExportFormat::Html, .. } => true,
             Self::File { .. } => done.scene_bytes() <= CHEAP,
@@ -147,13 +147,10 @@ fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static s
     let number = |v: Option<f64>| v.map(|v| v.to_string());
     // the default pose is the photo's
     let pose = |v: Option<f64>| number(v.filter(|v| *v != 0.0));
-    let stereo = q.stereo.map(|kind| match kind {
-        StereoKind::Sbs => "sbs".to_owned(),
-        StereoKind::Anaglyph => "anaglyph".to_owned(),
-    });
+    let stereo = q.stereo.map(StereoLayout::name);
     let quilt = q.quilt.and_then(|quilt| match quilt {
         Arrangement::Quilt { columns, rows } => Some(format!("{columns}x{rows}")),
-        Arrangement::SideBySide | Arrangement::Anaglyph => None,
+        Arrangement::Stereo(_) => None,
     });
     let crop = q.crop.map(|c| format!("{},{},{},{}", c.corner[0], c.corner[1], c.size[0], c.size[1]));
     let moving = q.moving.map(|m| (ending(m.format), way(m.path), m.frames));
@@ -251,7 +248,7 @@ mod tests {
 
     #[test]
     fn what_is_heavy_is_not_for_the_serving_process() {
-        let done = |width, height| Done { at_ms: 1, width, height, atlas_bytes: 400_000, atlas_hash: String::new() };
+        let done = |width, height| FinishedPhoto { at_ms: 1, width, height, atlas_bytes: 400_000, atlas_hash: String::new() };
         let (small, large) = (done(1000, 1000), done(4000, 3000));
         for (asked, cheap) in [("format=html", [true, true]), ("format=glb", [true, false]), ("path=orbit", [false, false])] {
             let recipe = read(asked).unwrap();

@@ -12,7 +12,7 @@ use axum::http::StatusCode;
 use tmpi_core::container;
 use tmpi_core::{Camera, Scene};
 use tmpi_pipeline::Sink;
-use tmpi_render::{Animation, DEFAULT_QUALITY, Outlook, RenderError, Renderer, View, draw_several};
+use tmpi_render::{Animation, DEFAULT_QUALITY, MotionRange, RenderError, Renderer, View, draw_multiview};
 
 /// Title of a page: the server knows no name of the photo.
 pub const TITLE: &str = "3D photo";
@@ -29,7 +29,7 @@ pub struct Work<'a> {
     /// The renderer for films in this process.
     pub drawing: Drawing<'a>,
     /// Whether it has low priority.
-    pub gives_way: bool,
+    pub is_low_priority: bool,
 }
 
 impl Work<'_> {
@@ -76,15 +76,15 @@ fn fault(error: &ExportError) -> Fault {
 
 fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unless<'_>) -> Result<Vec<u8>, Fault> {
     let Some(moving) = query.moving else { return Err(Fault::Photo(Problem::parameter("path", "is wanted for a film"))) };
-    let (camera, rig, outlook) = (query.camera(scene, size), query.rig(scene), Outlook::of(scene));
+    let (camera, rig, range) = (query.camera(scene, size), query.rig(scene), MotionRange::of(scene));
     let photo = |problem: Problem| Fault::Photo(problem);
     let draw = |camera: &Camera| match &rig {
-        Some(rig) => draw_several(renderer, scene, camera, rig),
+        Some(rig) => draw_multiview(renderer, scene, camera, rig),
         None => renderer.render(scene, camera),
     };
     let mut animation = None;
     for frame in 0..moving.frames {
-        let camera = moving.path.camera(&camera, frame, moving.frames, &outlook);
+        let camera = moving.path.camera(&camera, frame, moving.frames, &range);
         let view =
             draw(&camera).map_err(|e| if matches!(e, RenderError::Cancelled) { Fault::Cancelled } else { photo(Problem::from(&e)) })?;
         let size = (view.width, view.height);

@@ -14,7 +14,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::query::NoQuery;
-use super::{errors, foreign, no_method, system};
+use super::{foreign, no_method, openapi_errors, system};
 use crate::server::app::App;
 use crate::server::hosts::Hosts;
 use crate::server::middleware;
@@ -87,7 +87,7 @@ fn api() -> OpenApiRouter<App> {
 pub fn router(app: App, addr: SocketAddr, names: &[String]) -> Router {
     let (router, document) = api().split_for_parts();
     let mut document = serde_json::json!(document);
-    errors::put(&mut document);
+    openapi_errors::put(&mut document);
     let state = (App::clone(&app), Arc::new(Hosts::new(addr, names)));
     router
         .route("/openapi.json", axum::routing::get(async move || axum::Json(document)))

@@ -6,9 +6,9 @@ use axum::http::{HeaderMap, HeaderName};
 use axum::response::Response;
 
 use crate::server::app::{Shared, Stored};
+use crate::server::build_identity;
 use crate::server::conditional::{Coding, Entity, insert, kept, known_as, not_modified, respond};
-use crate::server::identity;
-use crate::server::made::Done;
+use crate::server::finished_photo::FinishedPhoto;
 
 /// A derived answer before it is made.
 pub(super) struct Derived {
@@ -19,9 +19,9 @@ pub(super) struct Derived {
 
 impl Derived {
     /// For a finished photo. `asked` is the version in the query; `name` maps the photo's version to everything that the answer depends on.
-    pub fn new(app: &Shared, done: &Done, asked: Option<&str>, name: impl FnOnce(&str) -> String) -> Self {
+    pub fn new(app: &Shared, done: &FinishedPhoto, asked: Option<&str>, name: impl FnOnce(&str) -> String) -> Self {
         let results = app.version(done);
-        Self { cache_control: kept(asked, || results.clone()), made: identity::short(&name(&results)) }
+        Self { cache_control: kept(asked, || results.clone()), made: build_identity::short(&name(&results)) }
     }
 
     /// 304 for a client that has the answer already.

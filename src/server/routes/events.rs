@@ -16,9 +16,9 @@ use super::query::NoQuery;
 use super::state::{PhotoState, Progress};
 use crate::server::access::{Guard, Pass};
 use crate::server::app::App;
+use crate::server::client_limits::{ClientSlot, client_address};
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
-use crate::server::share::{Place, asker};
 
 /// Interval of the checks of the queue and of the client's access.
 const QUEUE_LOOK: Duration = Duration::from_secs(1);
@@ -45,7 +45,7 @@ struct Listener {
     ended: bool,
     /// The client's rights, with private access.
     pass: Option<Pass>,
-    _place: Place,
+    _place: ClientSlot,
 }
 
 impl Listener {
@@ -185,7 +185,7 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 )]
 pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
-    let Some(place) = app.streams.take(asker()) else {
+    let Some(place) = app.streams.take(client_address()) else {
         let detail = "too many event streams are open, in all or from your address";
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(5));
     };

@@ -10,13 +10,13 @@ use tokio_util::sync::CancellationToken;
 
 use super::derived::Derived;
 use crate::export::{self, ExportError, ExportFormat, ExportOptions};
-use crate::server::app::{App, Export, Full, Shared, Stored};
+use crate::server::app::{App, Export, Shared, Stored, WhenFull};
 use crate::server::attachment::attachment;
-use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::exports::{ExportQuery, Recipe, TITLE};
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
+use crate::server::time_limit::TimeLimit;
 
 /// Download the photo as a page, a model, layers or an archive.
 ///
@@ -46,7 +46,7 @@ use crate::server::problem::Problem;
 )]
 pub async fn export(
     State(app): State<App>,
-    Extension(clock): Extension<Clock>,
+    Extension(clock): Extension<TimeLimit>,
     Path(id): Path<String>,
     uri: Uri,
     headers: HeaderMap,
@@ -80,7 +80,7 @@ pub async fn export(
                 None if cheap => export::html(&container, TITLE).map_err(problem),
                 None => shared.written(&recipe, (&container, &done), &gone),
             };
-            let stored = Stored::derived(Some(&name), bytes?, &shared.disk(), Full::Refuse)?;
+            let stored = Stored::derived(Some(&name), bytes?, &shared.disk(), WhenFull::Refuse)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;

@@ -14,11 +14,11 @@ use crate::server::access::Guard;
 use crate::server::app::{App, Shared, Stored};
 use crate::server::attachment::attachment;
 use crate::server::body;
+use crate::server::build_identity;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::exports::Recipe;
-use crate::server::identity;
 use crate::server::problem::Problem;
-use crate::server::time::rfc3339;
+use crate::server::timestamps::rfc3339;
 use tmpi_library::{Class, Job, JobState, Kind, LibraryError, Order, Part, Photo, Share};
 
 /// Most bytes of the parameters.
@@ -199,7 +199,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
     let (_, done) = Shared::done(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
-    let key = identity::short(&format!("file {} {text}", app.version(&done)));
+    let key = build_identity::short(&format!("file {} {text}", app.version(&done)));
     let order = Order {
         photo: &photo,
         key: &key,
@@ -230,7 +230,8 @@ async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
         job => job?,
     };
     // files of an older version of the photo or of the program expire on their own
-    let is_current = job.version == photo.version && identity::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
+    let is_current =
+        job.version == photo.version && build_identity::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
     if is_current { Ok(job) } else { Err(none()) }
 }
 

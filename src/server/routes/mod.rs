@@ -1,25 +1,25 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
 mod admin;
-mod again;
-mod better;
+mod better_network;
 mod derived;
-mod errors;
 mod events;
 mod export;
 mod exports;
 mod network;
 mod oembed;
+mod openapi_errors;
+mod openapi_values;
 mod owner;
 mod photos;
 mod query;
+mod remake;
 mod results;
 mod state;
 mod strokes;
 mod system;
 mod view;
 mod view_query;
-mod words;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
@@ -40,7 +40,7 @@ use super::middleware;
 pub(super) use admin::router as admin_router;
 pub(crate) use query::{NoBody, Pairs};
 pub(super) use state::Progress as Stage;
-pub(super) use view_query::{StereoKind, ViewQuery};
+pub(super) use view_query::ViewQuery;
 
 use super::pages;
 use super::problem::Problem;
@@ -171,9 +171,9 @@ pub fn openapi_of(limits: &Limits, has_admin: bool) -> serde_json::Result<Bytes>
     document.merge(live::routes::watching_api().into_openapi());
     document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;
-    words::put(&mut document);
-    errors::put(&mut document);
-    words::put_link(&mut document, limits.link.as_secs());
+    openapi_values::put(&mut document);
+    openapi_errors::put(&mut document);
+    openapi_values::put_link(&mut document, limits.link.as_secs());
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
 
@@ -260,7 +260,7 @@ fn foreign(_: ProtectionError) -> Response {
 }
 
 /// Rooms.
-fn rooms_router(here: live::Here) -> Router {
+fn rooms_router(here: live::RoomsContext) -> Router {
     let (watching, _) = live::routes::watching_api().split_for_parts();
     let (publishing, _) = live::routes::publishing_api().split_for_parts();
     let watching = watching.method_not_allowed_fallback(no_method).layer((map_response(say_methods), rooms_cors()));
@@ -268,7 +268,7 @@ fn rooms_router(here: live::Here) -> Router {
 }
 
 /// The whole service, with `rooms` if enabled, and without metrics if there is an admin listener.
-pub fn router(app: App, rooms: Option<live::Here>) -> Router {
+pub fn router(app: App, rooms: Option<live::RoomsContext>) -> Router {
     let (router, _) = if app.has_admin { pages_api() } else { own_api() }.split_for_parts();
     let (open, _) = open_api().split_for_parts();
     // set the fallback before the layers, so that they see every method (preflights are OPTIONS);

@@ -6,13 +6,13 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::again::answer;
 use super::query::{NoBody, NoQuery, Pairs};
+use super::remake::answer;
 use super::state::PhotoState;
 use crate::server::app::{App, Shared};
-use crate::server::clock::Clock;
-use crate::server::network::{Fetching, Offer};
+use crate::server::depth_network::{Fetching, Offer};
 use crate::server::problem::Problem;
+use crate::server::time_limit::TimeLimit;
 use crate::server::upload::class_of;
 use tmpi_library::Class;
 use tmpi_pipeline::networks::models::registry::better_than;
@@ -119,7 +119,7 @@ pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: No
 pub async fn again(
     State(app): State<App>,
     Path(id): Path<String>,
-    Extension(clock): Extension<Clock>,
+    Extension(clock): Extension<TimeLimit>,
     uri: Uri,
     headers: HeaderMap,
     _: NoBody,

@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::query::Pairs;
 use crate::server::app::App;
-use crate::server::card::Card;
 use crate::server::hosts;
+use crate::server::preview_card::Card;
 use crate::server::problem::Problem;
 
 /// Default longest sides of a frame in pixels.

@@ -9,17 +9,17 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
-use super::better::better_depth;
+use super::better_network::better_depth;
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
 use crate::server::access::Guard;
 use crate::server::app::{App, Stored};
 use crate::server::body;
-use crate::server::clock::Clock;
+use crate::server::build_identity::short;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, respond_once};
-use crate::server::identity::short;
 use crate::server::problem::Problem;
 use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
+use crate::server::time_limit::TimeLimit;
 use crate::server::upload;
 use tmpi_library::{Cursor, Event, Filter, LibraryError, Owner, Page, Photo, PhotoState as Phase};
 
@@ -49,7 +49,7 @@ pub struct UploadForm {
     /// `batch` for a photo of many, which gives way to those of others and to files that are written; else `interactive`. It is no part of what
     /// makes the photo the same.
     class: Option<String>,
-    /// How the depth map is meant: `disparity` or `metric`.
+    /// How the depth map is meant: `disparity` (white is near), `inverted` (white is far) or `metric` (distances).
     depth_kind: Option<String>,
     /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.
     photo_depth: Option<String>,
@@ -120,7 +120,7 @@ pub struct UploadForm {
         (status = 507, description = "The disk is full"),
     )
 )]
-pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, request: Request) -> Result<Response, Problem> {
+pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimit>, request: Request) -> Result<Response, Problem> {
     let wait = prefer_wait(request.headers());
     let Query(query) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
     let (owner, is_new) = uploader(&app)?;
@@ -144,7 +144,7 @@ fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
 }
 
 /// The answer to an upload that was accepted; whoever was nobody before is told the photo's token, without which they could not see it.
-async fn accepted(app: &App, photo: Photo, clock: &Clock, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
+async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
     let photo = wait_for(app, photo, clock, wait).await?;
     let ready = wait.is_some() && photo.state.is_final();
     if ready && photo.state != Phase::Done {
@@ -168,7 +168,7 @@ async fn accepted(app: &App, photo: Photo, clock: &Clock, wait: Option<u64>, is_
 ///
 /// # Errors
 /// 404 where it was deleted, 503 where the library cannot be reached.
-pub(super) async fn wait_for(app: &App, photo: Photo, clock: &Clock, wait: Option<u64>) -> Result<Photo, Problem> {
+pub(super) async fn wait_for(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>) -> Result<Photo, Problem> {
     let Some(seconds) = wait else { return Ok(photo) };
     // counted from the end of the body; the longest wait is what the request has left
     let left = clock.deadline().map_or(Duration::ZERO, |at| at.saturating_duration_since(tokio::time::Instant::now()));

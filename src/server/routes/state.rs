@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::server::app::Shared;
-use crate::server::made::Done;
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::options;
 use crate::server::problem::Problem;
 use crate::server::settings::{Settings, Visibility};
-use crate::server::time::rfc3339;
+use crate::server::timestamps::rfc3339;
 use tmpi_library::{Kind, LibraryError, Part, Photo, PhotoState as Phase};
 
 /// State of a photo.
@@ -197,7 +197,7 @@ impl PhotoState {
 
     /// The part of the state that the photo's row holds.
     fn of_row(app: &Shared, photo: &Photo) -> Self {
-        let (settings, done) = (Settings::of(photo), Done::of(photo));
+        let (settings, done) = (Settings::of(photo), FinishedPhoto::of(photo));
         let poster = settings.poster_query(&options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
         let at = |part: &str| format!("/v1/photos/{}{part}", photo.id);
         let version = done.as_ref().map(|done| app.version(done));

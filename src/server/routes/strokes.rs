@@ -4,15 +4,15 @@ use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::Response;
 
-use super::again;
 use super::photos::merge_patch;
 use super::query::NoQuery;
+use super::remake;
 use super::state::PhotoState;
 use crate::server::app::{App, Shared, Stored};
-use crate::server::clock::Clock;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::settings::still_as_seen;
+use crate::server::time_limit::TimeLimit;
 use tmpi_library::Content;
 use tmpi_pipeline::strokes::{BYTES, Stroke, patch, write};
 
@@ -92,7 +92,7 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
 pub async fn touch_up(
     State(app): State<App>,
     Path(id): Path<String>,
-    Extension(clock): Extension<Clock>,
+    Extension(clock): Extension<TimeLimit>,
     _: NoQuery,
     request: Request,
 ) -> Result<Response, Problem> {
@@ -102,11 +102,11 @@ pub async fn touch_up(
     let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
     still_as_seen(&headers, &stored(&before).etag)?;
     let answer = if before == wanted {
-        again::state(&app, &photo, StatusCode::OK).await
+        remake::state(&app, &photo, StatusCode::OK).await
     } else {
         let asker = Shared::asker(photo.owner.clone());
         let again = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &asker).await?;
-        again::answer(&app, again, &headers, &clock).await
+        remake::answer(&app, again, &headers, &clock).await
     };
     let etag = stored(&wanted).etag;
     let mut response = answer?;

@@ -12,10 +12,10 @@ use sha2::{Digest, Sha256};
 use super::query::NoQuery;
 use crate::server::app::App;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
+use crate::server::metrics::{MEDIA_TYPE, gauge};
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
-use crate::server::process;
-use crate::server::telemetry::{MEDIA_TYPE, gauge};
+use crate::server::process_metrics;
 use tmpi_library::Class::Batch;
 use tmpi_library::hex;
 use tmpi_library::{Kind, PhotoState as Phase};
@@ -125,7 +125,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     // some file systems answer slowly
     let shared = App::clone(&app);
     let looked = tokio::task::spawn_blocking(move || {
-        let mut figures = process::figures();
+        let mut figures = process_metrics::figures();
         if let Some(room) = shared.library.blobs().disk() {
             figures.push(gauge("tmpi_data_free_bytes", "Free room on the disk of the data directory", room.bytes as f64));
             // some file systems have no limit

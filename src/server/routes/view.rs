@@ -9,16 +9,16 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Full, Shared, Stored};
-use crate::server::clock::Clock;
+use crate::server::app::{App, Export, Shared, Stored, WhenFull};
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
-use crate::server::made::Done;
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
+use crate::server::time_limit::TimeLimit;
 use tmpi_core::{Camera, Scene};
 use tmpi_library::Photo;
-use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
+use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_multiview, encode};
 
 use super::derived::Derived;
 use super::view_query::ViewQuery;
@@ -70,7 +70,7 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
     params(("id" = String, Path, description = "Id of the photo"), ViewQuery),
     responses(
         (status = 200, description = "The view; PNG and WebP are transparent where nothing is known", content(
-            (String = "image/png"), (String = "image/jpeg"), (String = "image/webp"), (String = "video/mp4"))),
+            (String = "image/png"), (String = "image/jpeg"), (String = "image/webp"), (String = "image/mpo"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
         (status = 404, description = "There is no such photo"),
@@ -82,7 +82,7 @@ fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFo
 )]
 pub async fn view(
     State(app): State<App>,
-    Extension(clock): Extension<Clock>,
+    Extension(clock): Extension<TimeLimit>,
     Path(id): Path<String>,
     uri: Uri,
     headers: HeaderMap,
@@ -100,7 +100,7 @@ pub async fn view(
         return Ok(response);
     }
     let mut timing = Vec::new();
-    let full = if query.moving.is_some() { Full::Refuse } else { Full::Memory };
+    let full = if query.moving.is_some() { WhenFull::Refuse } else { WhenFull::Memory };
     // concurrent requests for the same view wait for this one
     let drawn = async {
         let (bytes, took) = draw(&app, (&photo, &done), &query, size, format).await?;
@@ -134,7 +134,7 @@ fn count(app: &App, timing: &[(&'static str, Duration)]) {
 /// Renders and encodes a view or film; also returns the time of each phase.
 async fn draw(
     app: &App,
-    (photo, done): (&Photo, &Done),
+    (photo, done): (&Photo, &FinishedPhoto),
     query: &ViewQuery,
     size: (u32, u32),
     format: PictureFormat,
@@ -164,7 +164,7 @@ async fn draw(
     let drawn = slot.run(move || {
         let start = Instant::now();
         let view = match &rig {
-            Some(rig) => draw_several(&renderer, &scene, &camera, rig),
+            Some(rig) => draw_multiview(&renderer, &scene, &camera, rig),
             None => renderer.render(&scene, &camera),
         };
         let view = view.map_err(|e| Problem::from(&e))?;

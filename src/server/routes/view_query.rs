@@ -1,12 +1,13 @@
 //! Query parameters of a view.
 
 use axum::http::Uri;
+use clap::ValueEnum as _;
 
 use super::query::Pairs;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
-use tmpi_render::{AnimationFormat, Arrangement, EYES, Outlook, Path, PictureFormat, Rig, pivot};
+use tmpi_render::{AnimationFormat, Arrangement, EYES, MotionRange, Path, PictureFormat, Rig, StereoLayout, pivot};
 
 /// Allowed fields of view in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
@@ -42,15 +43,6 @@ pub struct Moving {
     pub frames: u32,
     /// File format.
     pub format: AnimationFormat,
-}
-
-/// Stereo pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StereoKind {
-    /// Side by side, the left eye's view on the left.
-    Sbs,
-    /// For red and cyan glasses.
-    Anaglyph,
 }
 
 /// A part of a picture, in fractions of its width and height.
@@ -107,12 +99,13 @@ pub struct ViewQuery {
     /// `h` mean the part.
     #[param(value_type = Option<String>, example = "0.25,0.25,0.5,0.5")]
     pub crop: Option<Crop>,
-    /// `png`, `jpeg` or `webp`; by `Accept` if it is not given. With `path`: `webp` (default) or `mp4`.
+    /// `png`, `jpeg` or `webp`, or with `stereo=sbs` `mpo`; by `Accept` if it is not given. With `path`: `webp` (default) or `mp4`.
     #[param(value_type = Option<String>)]
     pub format: Option<PictureFormat>,
-    /// Two views in one picture: `sbs` side by side, `anaglyph` for red and cyan glasses.
+    /// The views of two eyes in one picture: `sbs` side by side, `half-sbs` at half the width, `crossed` for crossed eyes, `top-bottom`,
+    /// `half-top-bottom`, `anaglyph` for red and cyan glasses, `anaglyph-grey`, `anaglyph-green-magenta` or `anaglyph-amber-blue`.
     #[param(value_type = Option<String>)]
-    pub stereo: Option<StereoKind>,
+    pub stereo: Option<StereoLayout>,
     /// `COLUMNSxROWS` views from left to right, starting at the lower left, for light-field displays; at most 100.
     #[param(value_type = Option<String>)]
     pub quilt: Option<Arrangement>,
@@ -191,13 +184,14 @@ impl ViewQuery {
         let moving = moving.transpose()?;
         let format = given.take("format").map(|text| {
             let known = PictureFormat::from_extension(&text);
-            known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg or webp, not {text:?}")))
+            known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg, webp or mpo, not {text:?}")))
         });
         let format = format.transpose()?;
-        let stereo = given.take("stereo").map(|text| match text.as_str() {
-            "sbs" => Ok(StereoKind::Sbs),
-            "anaglyph" => Ok(StereoKind::Anaglyph),
-            _ => Err(Problem::parameter("stereo", format!("must be sbs or anaglyph, not {text:?}"))),
+        let stereo = given.take("stereo").map(|text| {
+            StereoLayout::from_name(&text).ok_or_else(|| {
+                let names: Vec<String> = StereoLayout::value_variants().iter().map(|layout| layout.name()).collect();
+                Problem::parameter("stereo", format!("must be one of {}, not {text:?}", names.join(", ")))
+            })
         });
         let stereo = stereo.transpose()?;
         let quilt = given.take("quilt").map(|text| Arrangement::quilt(&text).map_err(|e| Problem::parameter("quilt", e))).transpose()?;
@@ -208,6 +202,9 @@ impl ViewQuery {
             if value.is_some() && stereo.is_none() && quilt.is_none() {
                 return Err(Problem::parameter(name, "goes with stereo or quilt"));
             }
+        }
+        if format == Some(PictureFormat::Mpo) && stereo != Some(StereoLayout::SideBySide) {
+            return Err(Problem::parameter("format", "mpo goes with stereo=sbs"));
         }
         Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, moving, frames, version })
     }
@@ -253,11 +250,7 @@ impl ViewQuery {
 
     /// Limits the number of pictures: each has a cost, however small it is.
     fn renders_within(&self, most: u32) -> Result<(), Problem> {
-        let views = match self.arrangement() {
-            Some(Arrangement::Quilt { columns, rows }) => columns * rows,
-            Some(_) => 2,
-            None => 1,
-        };
+        let views = self.arrangement().map_or(1, Arrangement::views);
         let frames = self.moving.map_or(1, |m| m.frames);
         if views * frames > most {
             let field = if self.moving.is_some() { "frames" } else { "quilt" };
@@ -267,17 +260,14 @@ impl ViewQuery {
     }
 
     fn arrangement(&self) -> Option<Arrangement> {
-        self.quilt.or(self.stereo.map(|kind| match kind {
-            StereoKind::Sbs => Arrangement::SideBySide,
-            StereoKind::Anaglyph => Arrangement::Anaglyph,
-        }))
+        self.quilt.or(self.stereo.map(Arrangement::Stereo))
     }
 
     /// The cameras of stereo pictures and quilts.
     #[must_use]
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
-        let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(Outlook::TRAVEL) } else { EYES };
+        let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(MotionRange::TRAVEL) } else { EYES };
         Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or_else(|| pivot(scene)) })
     }
 
@@ -364,6 +354,8 @@ mod tests {
             ("crop=-0.1,0,0.5,1", "crop"),
             ("crop=0,0,NaN,1", "crop"),
             ("format=gif", "format"),
+            ("format=mpo", "format"),
+            ("format=mpo&stereo=crossed", "format"),
             ("yew=3", "yew"),
             ("stereo=both", "stereo"),
             ("quilt=11x10", "quilt"),

@@ -20,7 +20,7 @@ use opentelemetry_sdk::trace::{Sampler, SdkTracer, SdkTracerProvider};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 
-use super::telemetry::Outcome;
+use super::metrics::Outcome;
 pub use send::check as check_collector;
 pub use span::{Current, Job, Parent, TRACE, Work, current, parent};
 use tmpi_library::PhotoId;

@@ -17,7 +17,7 @@ use opentelemetry_sdk::trace::{BatchConfigBuilder, BatchSpanProcessor, Span, Spa
 use tokio::runtime::Handle;
 
 use super::{Counts, QUEUE};
-use crate::server::telemetry::Outcome;
+use crate::server::metrics::Outcome;
 
 /// Spans per batch, and the longest wait of one.
 const BATCH: usize = 512;

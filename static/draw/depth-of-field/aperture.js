@@ -1,4 +1,4 @@
-// Depth of field, a lens instead of a pinhole: the picture is the mean of views from all over the aperture, so that what lies away from the focus blurs.
+// Depth of field: the picture is the mean of views from all over the aperture, which blurs everything away from the focus.
 import { shifted } from '../../view/camera.js';
 import { SLOW_MS } from '../../view/frame-pacing.js';
 
@@ -6,19 +6,19 @@ import { SLOW_MS } from '../../view/frame-pacing.js';
 /** @import { WebGlRenderer } from '../webgl.js' */
 /** @import { WebGpuRenderer } from '../webgpu.js' */
 
-/** Views that a picture at rest is the mean of, and the most of them that one frame draws. */
+/** Count of views in the mean of a picture at rest, and most views per frame. */
 const SAMPLES = 64;
 const STEP = 8;
-/** Radius of the aperture at full blur, in units of the nearest distance; half the usual view box, so nothing beyond it is seen. */
+/** Radius of the aperture at full blur, in units of the nearest distance: half the default view box, so no view sees beyond it. */
 const LARGEST = 0.015;
 
 export class DepthOfField {
   /** Share of the largest aperture, 0 (a pinhole) to 1. */
   blur = 0;
-  /** Disparity of what is sharp, or null for what views turn about. */
+  /** Disparity in focus, or null for the pivot. */
   /** @type {number | null} */
   focus = null;
-  /** Time to draw the scene once, ms. */
+  /** Time of one pass over the scene, ms. */
   cost = 0;
   #key = '';
   #done = 0;
@@ -27,20 +27,20 @@ export class DepthOfField {
     return this.blur > 0;
   }
 
-  /** True while the picture gets better with another frame. */
+  /** True while another frame would improve the picture. */
   get unfinished() {
     return this.on && this.#done < SAMPLES;
   }
 
-  /** The next frame starts anew. */
+  /** Restarts the mean with the next frame. */
   restart() {
     this.#done = 0;
     this.#key = '';
   }
 
   /**
-   * Draws some more of the aperture's views, anew where anything has changed since; nothing where the picture is done. Where that
-   * takes too long while something moves, one through a pinhole. Gives back how often the scene was drawn.
+   * Adds some of the aperture's views to the picture, restarting if anything has changed; does nothing if the picture is finished. Draws
+   * without depth of field if that takes too long while moving. Returns how often the scene was drawn.
    * @param {WebGpuRenderer | WebGlRenderer} renderer
    * @param {View[]} views
    * @param {number} pivot
@@ -67,7 +67,7 @@ export class DepthOfField {
   }
 
   /**
-   * The finished picture of one view: premultiplied RGBA.
+   * The finished picture of one view, premultiplied RGBA.
    * @param {WebGpuRenderer | WebGlRenderer} renderer
    * @param {View} view
    * @param {number} pivot
@@ -89,11 +89,11 @@ export class DepthOfField {
   }
 }
 
-/** Steps of the R2 sequence, whose every beginning is spread evenly over a square. */
+/** Steps of the R2 sequence, whose prefixes are evenly spread over a square. */
 const [ALONG, AROUND] = [0.7548776662466927, 0.5698402909980532];
 
 /**
- * Place `i` in the unit disc. Places come in opposite pairs: no even number of them moves the picture.
+ * Point `i` in the unit disc. Points come in opposite pairs, so an even number of them does not shift the picture.
  * @param {number} i
  */
 export function apertureAt(i) {

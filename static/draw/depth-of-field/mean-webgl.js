@@ -1,4 +1,4 @@
-// The running mean of pictures with WebGL2, as mean-webgpu.js has it.
+// The running mean of pictures with WebGL2, as in mean-webgpu.js.
 import { hasHalfFloatTargets, WebGlTarget } from '../webgl-target.js';
 
 /** @import { copier } from '../webgl-copy.js' */
@@ -21,7 +21,7 @@ export class WebGlMean {
   }
 
   /**
-   * What the next picture is to be drawn into.
+   * The render target for the next picture.
    * @param {number} width
    * @param {number} height
    */
@@ -31,7 +31,7 @@ export class WebGlMean {
   }
 
   /**
-   * Takes the part into the mean, of which it is the share `weight`.
+   * Blends the picture into the mean with a weight.
    * @param {number} weight
    */
   add(weight) {
@@ -47,8 +47,8 @@ export class WebGlMean {
 }
 
 /**
- * The finest format that can be blended into. The last of many pictures change a sum of 16-bit floats by less than it can tell; one of
- * bytes rounds each time, which shows as bands but shows.
+ * The most precise format that supports blending. 16-bit floats cannot represent the contribution of the last of many pictures; bytes
+ * round each time, which causes visible banding but still works.
  * @param {WebGL2RenderingContext} gl
  */
 function sumFormat(gl) {

@@ -1,4 +1,4 @@
-// The running mean of pictures with WebGPU: each is drawn into `part`, and blended into a sum by its weight.
+// The running mean of pictures with WebGPU: each picture is drawn into `part` and blended into a sum with its weight.
 import { copyPipeline, copyTexture } from '../webgpu-copy.js';
 
 /** @type {GPUBlendComponent} */
@@ -12,7 +12,7 @@ export class WebGpuMean {
   /** @type {GPUTexture | null} */
   #sum = null;
   /**
-   * What the next picture is drawn into.
+   * The render target for the next picture.
    * @type {GPUTexture | null}
    */
   #part = null;
@@ -21,19 +21,19 @@ export class WebGpuMean {
    * @param {GPUDevice} device
    * @param {GPUShaderModule} copy of copy.wgsl
    * @param {GPUTextureFormat} partFormat of the pictures
-   * @param {GPUTextureFormat} format of what shows their mean
+   * @param {GPUTextureFormat} format of the texture that shows their mean
    */
   constructor(device, copy, partFormat, format) {
     this.#device = device;
     this.partFormat = partFormat;
-    // the last of many pictures change a sum of 16-bit floats by less than it can tell
+    // 16-bit floats cannot represent the contribution of the last of many pictures
     this.#sumFormat = /** @type {GPUTextureFormat} */ (device.features.has('float32-blendable') ? 'rgba32float' : 'rgba16float');
     this.#add = copyPipeline(device, copy, this.#sumFormat, { color: WEIGHED, alpha: WEIGHED });
     this.#show = copyPipeline(device, copy, format);
   }
 
   /**
-   * What the next picture is to be drawn into.
+   * The render target for the next picture.
    * @param {number} width
    * @param {number} height
    */
@@ -48,7 +48,7 @@ export class WebGpuMean {
   }
 
   /**
-   * Takes the part into the mean, of which it is the share `weight`.
+   * Blends the picture into the mean with a weight.
    * @param {number} weight
    */
   add(weight) {

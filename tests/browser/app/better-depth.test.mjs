@@ -1,9 +1,9 @@
-// The offer of a better depth network, on a server that has one to fetch.
+// The offer of a better depth network that the server can download.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
-import { frames, until } from '../support/until.mjs';
+import { until, waitForAnimationFrames } from '../support/until.mjs';
 
 const NAME = 'depth-anything-v2-small-fp16';
 const WORSE = ['depth-anything-v2-metric', 'midas-v2.1', 'midas-v2.1-small', 'tmpi'];
@@ -13,42 +13,42 @@ describe('better depth', () => {
   const suite = boxSuite();
 
   /**
-   * The photo's page with a report that names `model` and a server whose network is in `states`, one after the other; to whom that is no affair it
-   * has the network `name`.
+   * Opens the photo page with a report that names `model`; the server's network goes through `states`. Without access to /v1/network, the network is
+   * `name`.
    */
   async function opened(model, states, name) {
     const all = await suite.open();
     const { page } = all;
     await waitForMode(page, 'gpu');
-    const asked = [];
-    const told = { photos: 0 };
+    const requests = [];
+    const counts = { photos: 0 };
     const report = { depth_model: model, stages: [{ name: 'depth', ms: 90 }], error: { tile_px: [] } };
-    // as the server tells whoever may have the photo made again
+    // the server sends better_depth to users who may make the photo again
     await page.route('**/v1/photos/box', (route) => {
       const known = states[0].better_than ? states[0] : { name, better_than: WORSE };
-      told.photos++;
+      counts.photos++;
       const worse = known.better_than.some((kind) => report.depth_model.startsWith(kind));
       return route.fulfill({ json: { ...suite.server.state, ...(worse && { better_depth: known.name }) } });
     });
     await page.route('**/v1/photos/box/report*', (route) => route.fulfill({ json: report }));
     await page.route('**/v1/network', (route) => {
-      asked.push(route.request().method());
+      requests.push(route.request().method());
       const [now] = states;
       if (states.length > 1) states.shift();
       return route.fulfill(typeof now === 'number' ? { status: now, json: { title: 'refused', status: now } } : { json: now });
     });
     await page.route('**/v1/photos/box/again', (route) => {
-      asked.push('again');
+      requests.push('again');
       report.depth_model = states[0].name ?? name;
       return route.fulfill({ json: suite.server.state });
     });
     const menu = page.locator('#show-menu');
     await page.locator('#show').click();
-    return { ...all, asked, told, menu };
+    return { ...all, requests, counts, menu };
   }
 
-  test('it is fetched, and the photo is made again with it', async () => {
-    const { context, errors, asked, menu } = await opened('tmpi', [
+  test('the page downloads it and makes the photo again', async () => {
+    const { context, errors, requests, menu } = await opened('tmpi', [
       { name: 'tmpi', better_than: [], better: BETTER },
       { name: 'tmpi', better_than: [], better: BETTER, fetched_bytes: 0 },
       { name: 'tmpi', better_than: [], better: BETTER, fetched_bytes: 24_821_221 },
@@ -60,12 +60,12 @@ describe('better depth', () => {
     await menu.getByRole('button', { name: 'Make again with Depth Anything V2 Small' }).click();
     await menu.getByText('estimated by Depth Anything V2 Small').waitFor();
     assert.equal(await menu.locator('#better-depth button').count(), 0);
-    assert.deepEqual(asked.slice(0, 5), ['GET', 'POST', 'GET', 'GET', 'again']);
+    assert.deepEqual(requests.slice(0, 5), ['GET', 'POST', 'GET', 'GET', 'again']);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('a download that failed is told and can be tried again', async () => {
+  test('the page reports a failed download and offers a retry', async () => {
     const failed = { name: 'tmpi', better_than: [], better: BETTER, problem: 'the download broke off after 12 of 49642442 bytes' };
     const { context, menu } = await opened('tmpi', [failed]);
     await menu.getByText('The server could not fetch it.').click();
@@ -74,33 +74,33 @@ describe('better depth', () => {
     await context.close();
   });
 
-  test('an owner whom the server’s networks are no affair of has the photo made again', async () => {
-    const { context, asked, menu } = await opened('tmpi', [403], NAME);
+  test('an owner without access to networks makes the photo again', async () => {
+    const { context, requests, menu } = await opened('tmpi', [403], NAME);
     await menu.getByRole('button', { name: 'Make again with Depth Anything V2 Small' }).click();
     await menu.getByText('estimated by Depth Anything V2 Small').waitFor();
     assert.equal(await menu.locator('#better-depth > *').count(), 0);
-    assert.deepEqual(asked.slice(0, 2), ['GET', 'again']);
+    assert.deepEqual(requests.slice(0, 2), ['GET', 'again']);
     await context.close();
   });
 
-  test('nothing is offered where no network estimated the depth, or one as good has, nor to strangers', async () => {
+  test('no offer without a better network, or to strangers', async () => {
     for (const [model, count, now] of [
       ['given', 0, { name: NAME, better_than: WORSE }],
       [NAME, 1, { name: NAME, better_than: WORSE }],
-      // the server has a worse one now
+      // the server now has a worse network
       [NAME, 1, { name: 'tmpi', better_than: [] }],
       ['moge-2-small', 1, { name: NAME, better_than: WORSE }],
-      // whoever is refused has nothing to choose
+      // users without access get no choice
       ['tmpi', 1, 401],
       ['tmpi', 1, 403],
     ]) {
-      const { page, context, asked, told, menu } = await opened(model, [now]);
+      const { page, context, requests, counts, menu } = await opened(model, [now]);
       await menu.locator('#depth-source').waitFor();
-      // the photo says last whether there is something to choose
-      await until(() => told.photos >= count);
-      await frames(page, 3);
+      // the last response with the photo decides whether there is an offer
+      await until(() => counts.photos >= count);
+      await waitForAnimationFrames(page, 3);
       assert.equal(await menu.locator('#better-depth > *').count(), 0, model);
-      assert.equal(asked.length, count, model);
+      assert.equal(requests.length, count, model);
       await context.close();
     }
   });

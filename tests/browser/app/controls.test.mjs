@@ -1,4 +1,4 @@
-// A walk through every control of the pages. What a page has and the walk does not is a failure, and so is the reverse.
+// Uses every control of the pages. Fails if a page has a control without a step, or a step has no control.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
@@ -7,10 +7,10 @@ import { launch, openPage, waitForMode } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
 import { serve } from '../support/static-server.mjs';
-import { until as come } from '../support/until.mjs';
+import { until as waitUntil } from '../support/until.mjs';
 
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
-/** A finger, and a browser in which all controls are offered. */
+/** A touch device on which all controls appear. */
 const EVERYTHING = {
   reducedMotion: 'reduce',
   hasTouch: true,
@@ -19,7 +19,7 @@ const EVERYTHING = {
   acceptDownloads: true,
 };
 
-/** Names of all controls, shown or not. */
+/** Names of all controls, visible or not. */
 function controls(page) {
   return page.evaluate(() =>
     [...document.querySelectorAll('a, button, input, select, summary, [tabindex]')].map((element) => {
@@ -30,9 +30,9 @@ function controls(page) {
   );
 }
 
-/** Takes the steps in their order; every control is named by one of them and by no other. */
-async function walk(page, steps) {
-  assert.deepEqual([...new Set(await controls(page))].toSorted(), Object.keys(steps).toSorted(), 'the walk knows all controls');
+/** Runs the steps in order; every control must have exactly one step. */
+async function runSteps(page, steps) {
+  assert.deepEqual([...new Set(await controls(page))].toSorted(), Object.keys(steps).toSorted(), 'every control has a step');
   for (const [name, step] of Object.entries(steps)) {
     await step().catch((error) => {
       throw new Error(`${name}: ${error.message}`, { cause: error });
@@ -52,7 +52,7 @@ describe('every control', () => {
     await server?.close();
   });
 
-  test('of the page of one photo', async () => {
+  test('of the photo page works', async () => {
     const { page, context, errors } = await openPage(browser, EVERYTHING);
     await page.addInitScript(`${readFileSync(EMULATOR, 'utf8')}
       window.headset = new IWER.XRDevice(IWER.metaQuest3);
@@ -67,29 +67,29 @@ describe('every control', () => {
     const $ = (id) => page.locator(`#${id}`);
     const viewer = (f) => page.evaluate(`(${f})(window.viewer)`);
     const until = (f) =>
-      come(
+      waitUntil(
         () => viewer(f),
         () => f.toString(),
       );
     const menu = (id) => page.evaluate((name) => document.getElementById(name).matches(':popover-open'), id);
-    const opens = (button, id) => async () => {
+    const opensMenu = (button, id) => async () => {
       await button.click();
-      assert.ok(await menu(id), 'opens its menu');
+      assert.ok(await menu(id), 'the menu opens');
     };
-    const overlay = (name) => async () => {
+    const selectsOverlay = (name) => async () => {
       await page.locator(`input[value=${name}]`).check();
       assert.equal(await viewer((v) => v.overlay), name);
     };
-    const answers = (locator, path) => async () =>
+    const linksTo = (locator, path) => async () =>
       assert.equal(
         new URL(await locator.getAttribute('href'), server.url).pathname + new URL(await locator.getAttribute('href'), server.url).search,
         path,
       );
-    const saves = (count) => () => assert.equal(server.patches.length, count);
-    saves(0)();
-    await walk(page, {
+    const assertSaved = (count) => assert.equal(server.patches.length, count);
+    assertSaved(0);
+    await runSteps(page, {
       'a: All photos': async () => {
-        // twice: in the bar, and where the photo cannot be shown
+        // one link is in the bar, one in the error message
         for (const link of await page.locator('a[href="/"]').all()) assert.equal(await link.getAttribute('href'), '/');
       },
       'div: The box': async () => {
@@ -107,7 +107,7 @@ describe('every control', () => {
         await $('idle').click();
         assert.ok(!(await viewer((v) => v.idle)));
       },
-      'button: Show': opens($('show'), 'show-menu'),
+      'button: Show': opensMenu($('show'), 'show-menu'),
       'input: Side by side for stereo viewers': async () => {
         await $('stereo').check();
         assert.ok(await viewer((v) => v.stereo));
@@ -127,16 +127,16 @@ describe('every control', () => {
         assert.ok(await $('blur-hint').isVisible());
         await $('blur').fill('0');
       },
-      'input: Depth': overlay('depth'),
+      'input: Depth': selectsOverlay('depth'),
       'summary: How it is made': async () => {
         await page.locator('#inner summary').click();
         assert.match(await $('facts').textContent(), /^200 × 120 · [\d.]+ kB · [\d.]+ ms$/);
-        assert.equal(await $('readout').textContent(), '', 'the title is nobody’s instrument');
+        assert.equal(await $('readout').textContent(), '', 'the readout stays empty');
       },
-      'input: Tiles': overlay('tiles'),
-      'input: Planes': overlay('planes'),
-      'input: Error: red is a pixel of parallax or more': overlay('error'),
-      'input: The photo': overlay('none'),
+      'input: Tiles': selectsOverlay('tiles'),
+      'input: Planes': selectsOverlay('planes'),
+      'input: Error: red is a pixel of parallax or more': selectsOverlay('error'),
+      'input: The photo': selectsOverlay('none'),
       'button: Look around in a headset': async () => {
         await $('headset').click();
         await until((v) => v.headset?.frames > 0);
@@ -144,10 +144,10 @@ describe('every control', () => {
         await until((v) => !v.headset);
         await page.keyboard.press('Escape');
       },
-      'button: Settings': opens($('settings'), 'settings-menu'),
+      'button: Settings': opensMenu($('settings'), 'settings-menu'),
       'input: Title': async () => {
         await $('set-title').fill('Another');
-        assert.ok(await $('set-save').isEnabled(), 'while it is typed');
+        assert.ok(await $('set-save').isEnabled(), 'Save is enabled while typing');
         await $('set-title').press('Tab');
       },
       'input: How far it moves': async () => {
@@ -169,7 +169,7 @@ describe('every control', () => {
         assert.equal(await viewer((v) => v.pivot), 0.7);
       },
       'button: Begin with this view': async () => {
-        await until((v) => !v.moving); // home from the orbit
+        await until((v) => !v.moving); // back from the orbit
         await $('set-start').click();
         assert.deepEqual(await viewer((v) => v.settings.start), { x: 0, y: 0, z: 0 });
       },
@@ -180,12 +180,12 @@ describe('every control', () => {
       'button: Save with the photo': async () => {
         await $('set-save').click();
         await page.getByText('Saved', { exact: true }).waitFor();
-        saves(1)();
+        assertSaved(1);
         assert.equal(await $('title').textContent(), 'Another');
       },
       'button: Back to how it was': async () => {
         await $('set-clear').click();
-        assert.equal(await $('set-title').inputValue(), 'Another', 'what a photo is called is not how it moves');
+        assert.equal(await $('set-title').inputValue(), 'Another', 'reset keeps the title');
         assert.deepEqual(await viewer((v) => v.settings), { version: 1, title: 'Another' });
         await page.keyboard.press('Escape');
       },
@@ -196,11 +196,11 @@ describe('every control', () => {
         await $('touch-cancel').click();
         await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
       },
-      'button: Download': opens(page.locator('[popovertarget=download-menu]'), 'download-menu'),
-      'a: The 3D photo (.tmpi)': answers($('download'), '/v1/photos/box/atlas'),
-      'a: A page for any browser (.html)': answers(page.locator('[data-export=html]'), '/v1/photos/box/export?format=html'),
-      'a: A 3D model (.glb)': answers(page.locator('[data-export=glb]'), '/v1/photos/box/export?format=glb'),
-      'a: Layers for Krita or GIMP (.ora)': answers(page.locator('[data-export=ora]'), '/v1/photos/box/export?format=ora'),
+      'button: Download': opensMenu(page.locator('[popovertarget=download-menu]'), 'download-menu'),
+      'a: The 3D photo (.tmpi)': linksTo($('download'), '/v1/photos/box/atlas'),
+      'a: A page for any browser (.html)': linksTo(page.locator('[data-export=html]'), '/v1/photos/box/export?format=html'),
+      'a: A 3D model (.glb)': linksTo(page.locator('[data-export=glb]'), '/v1/photos/box/export?format=glb'),
+      'a: Layers for Krita or GIMP (.ora)': linksTo(page.locator('[data-export=ora]'), '/v1/photos/box/export?format=ora'),
       'button: This view (.png)': async () => {
         const [download] = await Promise.all([page.waitForEvent('download'), $('picture').click()]);
         assert.equal(download.suggestedFilename(), 'Another.png');
@@ -209,21 +209,25 @@ describe('every control', () => {
       'a: For red and cyan glasses (.jpg)': async () => {
         await page.locator('[popovertarget=download-menu]').click();
         const pivot = await viewer((v) => v.pivot.toFixed(3));
-        await answers(page.locator('[data-view=anaglyph]'), `/v1/photos/box/view?stereo=anaglyph&format=jpeg&focus=${pivot}`)();
+        await linksTo(page.locator('[data-view=anaglyph]'), `/v1/photos/box/view?stereo=anaglyph&format=jpeg&focus=${pivot}`)();
         assert.equal(await page.locator('[data-view=anaglyph]').getAttribute('download'), 'Another-anaglyph.jpg');
       },
       'a: Two views side by side (.jpg)': async () => {
         assert.match(await page.locator('[data-view=sbs]').getAttribute('href'), /\/v1\/photos\/box\/view\?stereo=sbs&/);
+      },
+      'a: A stereo photo for 3D displays (.mpo)': async () => {
+        assert.match(await page.locator('[data-view=mpo]').getAttribute('href'), /\?stereo=sbs&format=mpo&/);
+        assert.equal(await page.locator('[data-view=mpo]').getAttribute('download'), 'Another.mpo');
       },
       'a: For a light-field display (.png)': async () => {
         assert.match(await page.locator('[data-view=quilt]').getAttribute('href'), /\?quilt=8x6&w=420&h=560&format=png&/);
         assert.match(await page.locator('[data-view=quilt]').getAttribute('download'), /_qs8x6a0\.75\.png$/);
       },
       'a: The depth map (.png)': async () => {
-        await answers($('depth-download'), '/v1/photos/box/depth')();
+        await linksTo($('depth-download'), '/v1/photos/box/depth')();
         await page.keyboard.press('Escape');
       },
-      'button: Share': opens($('share'), 'share-menu'),
+      'button: Share': opensMenu($('share'), 'share-menu'),
       'button: A film or GIF…': async () => {
         await $('share-film').click();
         const dialog = page.getByRole('dialog', { name: 'A film or GIF' });
@@ -274,7 +278,7 @@ describe('every control', () => {
         await page.getByRole('button', { name: 'Close' }).click();
         assert.ok(await $('link-dialog').isHidden());
       },
-      // last: where a screen is only emulated, clicks go astray afterwards
+      // last, because clicks miss afterwards on an emulated screen
       'button: Tilt to look around': async () => {
         assert.ok(await $('tilt-offer').isHidden());
         await $('stage').tap();
@@ -297,7 +301,7 @@ describe('every control', () => {
         await other.getByRole('button', { name: 'Undo' }).click();
         assert.equal(new URL(other.url()).pathname, '/');
         await other.close();
-        assert.deepEqual(server.deleted, [], 'what was undone is not deleted');
+        assert.deepEqual(server.deleted, [], 'undo prevents the deletion');
       },
       'button: Try again': async () => {
         const lost = await context.newPage();
@@ -312,7 +316,7 @@ describe('every control', () => {
     Object.assign(server.state, { settings: undefined, visibility: undefined, links: undefined });
   });
 
-  test('at no width the page is wider than the screen, in both languages', async () => {
+  test('pages fit any screen width in both languages', async () => {
     server.state.settings = { version: 1, title: 'A name that is long enough to fill a line of its own, and then some more of it' };
     for (const locale of ['en', 'de']) {
       const { page, context } = await openPage(browser, { reducedMotion: 'reduce', locale });
@@ -322,13 +326,13 @@ describe('every control', () => {
         for (const width of [320, 360, 480, 600, 641, 720, 800, 901, 1024, 1280]) {
           await page.setViewportSize({ width, height: 700 });
           const beyond = await page.evaluate(async () => {
-            // the viewer lays its pictures out within the frame that sees the new size
+            // the viewer resizes its pictures in the next frame
             await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
             const shown = [...document.body.querySelectorAll('*')].filter(
               (e) => e.checkVisibility({ visibilityProperty: true }) && e.getBoundingClientRect().right > innerWidth + 0.5,
             );
             return [
-              ...(document.documentElement.scrollWidth > innerWidth ? ['the page'] : []),
+              ...(document.documentElement.scrollWidth > innerWidth ? ['page'] : []),
               ...shown.map((e) => `${e.localName} ${e.id} ${e.className}`),
             ];
           });
@@ -340,7 +344,7 @@ describe('every control', () => {
     server.state.settings = undefined;
   });
 
-  test('of the page of all photos', async () => {
+  test('of the gallery page works', async () => {
     const { page, context, errors } = await openPage(browser, EVERYTHING);
     const photo = (id) => ({
       id,
@@ -352,20 +356,20 @@ describe('every control', () => {
       settings: { version: 1, title: id },
     });
     const bodies = [];
-    let refuse = false;
+    let reject = false;
     await page.route('**/v1/photos*', async (route) => {
       if (route.request().method() !== 'POST') {
         const second = route.request().url().includes('after');
         return route.fulfill({ json: second ? { photos: [photo('older')] } : { photos: [photo('box')], next: '/v1/photos?after=1' } });
       }
       bodies.push(route.request().postDataBuffer().toString('latin1'));
-      if (refuse) return route.fulfill({ status: 415, json: { detail: 'This is no picture.' } });
+      if (reject) return route.fulfill({ status: 415, json: { detail: 'This is no picture.' } });
       return route.fulfill({ status: 202, json: photo('new') });
     });
     await page.route('**/thumbnail', (route) => route.fulfill({ contentType: 'image/png', body: boxPhoto(60, 40) }));
-    let going = null;
+    let pending = null;
     await page.route('**/events', async (route) => {
-      if (going) await going;
+      if (pending) await pending;
       return route.fulfill({ contentType: 'text/event-stream', body: 'event: done\ndata: {}\n\n' });
     });
     await page.goto(`${server.url}/`);
@@ -374,10 +378,10 @@ describe('every control', () => {
     const $ = (id) => page.locator(`#${id}`);
     const file = (name) => ({ name, mimeType: 'image/png', buffer: Buffer.from(name) });
     const sent = async (count) => {
-      await come(() => bodies.length >= count);
+      await waitUntil(() => bodies.length >= count);
       return bodies.at(-1);
     };
-    await walk(page, {
+    await runSteps(page, {
       'a: tmpi': async () => assert.equal(await page.locator('.brand').getAttribute('href'), '/'),
       'summary: Options': async () => {
         await page.locator('summary').click();
@@ -388,21 +392,21 @@ describe('every control', () => {
         const body = await sent(1);
         assert.match(body, /name="photo"; filename="one.png"/);
         assert.doesNotMatch(body, /name="quality"/);
-        // the row's controls come and go with it
+        // wait until the controls of the upload's row are gone
         await page.getByRole('link', { name: 'Open one.png' }).waitFor();
       },
       'input: Take a photo': async () => {
         assert.ok(await page.getByText('Take a photo').isVisible());
         assert.equal(await $('camera').getAttribute('capture'), 'environment');
-        let arrive;
-        going = new Promise((resume) => (arrive = resume));
+        let finish;
+        pending = new Promise((resume) => (finish = resume));
         await $('camera').setInputFiles([file('shot.png')]);
         assert.match(await sent(2), /filename="shot.png"/);
         await page.getByRole('button', { name: 'Cancel shot.png' }).click();
         await page.getByText('shot.png', { exact: true }).waitFor({ state: 'detached' });
         assert.deepEqual(server.deleted, ['/v1/photos/new']);
-        arrive();
-        going = null;
+        finish();
+        pending = null;
       },
       'select: Quality of the next photos': async () => {
         await $('quality').selectOption('small');
@@ -413,7 +417,7 @@ describe('every control', () => {
       },
       'input: Your own depth map, for one photo (a grey picture, near is bright; best a 16-bit PNG)': async () => {
         await $('depth-map').setInputFiles([file('map.png')]);
-        refuse = true;
+        reject = true;
         await $('picker').setInputFiles([file('three.png')]);
         assert.match(await sent(4), /name="depth"; filename="map.png"/);
         await page.getByText('This is no picture.', { exact: true }).waitFor();
@@ -437,7 +441,7 @@ describe('every control', () => {
         assert.ok(await $('selection-delete').isDisabled());
         await page.getByRole('checkbox', { name: 'Choose older' }).check();
         await page.getByText('1 of 2 chosen').waitFor();
-        // a click on the picture marks it, and opens nothing
+        // a click on the picture selects it instead of opening it
         await card.click();
         await page.getByText('2 of 2 chosen').waitFor();
       },

@@ -1,4 +1,4 @@
-// What is sent for a file that is no JPEG, PNG or WebP, and what is said where nothing can be.
+// Conversion of files other than JPEG, PNG and WebP before the upload, and messages for files that cannot be converted.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { kindOf, reduced } from '../../../static/app/convert.js';
@@ -9,10 +9,10 @@ const bytes = (text) => Buffer.from(text, 'latin1');
 const LOSS = 'If the photo came with depth, it was lost in the conversion.';
 const ftyp = (brands) => bytes(`\0\0\0\x18ftyp${brands}`);
 
-describe('files', () => {
+describe('files to upload', () => {
   const suite = uploadSuite();
 
-  test('are told by their first bytes', () => {
+  test('are recognised by their first bytes', () => {
     for (const [head, kind] of [
       [bytes('\xff\xd8\xff\xe0'), 'JPEG'],
       [boxPhoto(2, 2), 'PNG'],
@@ -28,7 +28,7 @@ describe('files', () => {
       assert.equal(kindOf(head), kind, String(head));
   });
 
-  test('a picture is reduced as far as the limits ask, in its shape', () => {
+  test('large pictures shrink to the limits and keep their shape', () => {
     assert.equal(reduced({ width: 8000, height: 6000 }), null);
     const large = reduced({ width: 12_000, height: 9000 });
     assert.ok(large.width * large.height <= 50e6 && large.width * large.height > 49e6);
@@ -36,14 +36,14 @@ describe('files', () => {
     assert.deepEqual(reduced({ width: 32_768, height: 100 }), { width: 16_384, height: 50 });
   });
 
-  test('what the browser shows is sent as what the server reads, its first frame in its colours', async () => {
+  test('GIF and BMP are converted to PNG and JPEG', async () => {
     const { page, context, bodies } = await suite.open({
       posts: [
         { status: 202, json: photo('a') },
         { status: 202, json: photo('b') },
       ],
     });
-    // one pixel, red
+    // one red pixel
     const gif = Buffer.from('R0lGODdhAQABAIAAAP8AAAAAACwAAAAAAQABAAACAkQBADs=', 'base64');
     await page.setInputFiles('#picker', { name: 'dot.gif', mimeType: 'image/gif', buffer: gif });
     await page.getByRole('link', { name: 'Open dot.gif' }).waitFor();
@@ -78,9 +78,9 @@ describe('files', () => {
     await context.close();
   });
 
-  test('what nobody here reads is refused before it travels, and says what to do', async () => {
+  test('unreadable files are rejected with advice and not sent', async () => {
     const { page, context, sent } = await suite.open({});
-    for (const [name, buffer, said] of [
+    for (const [name, buffer, message] of [
       ['phone.heic', ftyp('heic\0\0\0\0mif1heic'), /iPhone.*Most Compatible/],
       ['scan.tif', bytes('II*\0'), /cannot read TIFF\. Save the photo as JPEG/],
       ['walk.mov', ftyp('qt  \0\0\0\0qt  '), /film, not a photo/],
@@ -88,7 +88,7 @@ describe('files', () => {
     ]) {
       await page.setInputFiles('#picker', { name, mimeType: 'image/x', buffer });
       const row = page.locator('.upload.failed').filter({ hasText: name });
-      assert.match(await row.locator('.upload-state').textContent(), said);
+      assert.match(await row.locator('.upload-state').textContent(), message);
     }
     assert.deepEqual(sent, []);
     assert.equal(await page.locator('#uploads-total').textContent(), '4 failed');
@@ -97,7 +97,7 @@ describe('files', () => {
     await context.close();
   });
 
-  test('what is too large is made smaller, upright', async () => {
+  test('a file over the limit shrinks and stays upright', async () => {
     const { page, context } = await suite.open({});
     const made = await page.evaluate(async () => {
       const { prepared } = await import('/static/app/convert.js');
@@ -106,7 +106,7 @@ describe('files', () => {
       context.fillStyle = '#0c0';
       context.fillRect(0, 0, 60, 40);
       const jpeg = new Uint8Array(await (await canvas.convertToBlob({ type: 'image/jpeg' })).arrayBuffer());
-      // says that it lies on its side, and is longer than the server takes
+      // EXIF orientation 6, and more bytes than the server accepts
       const exif = [
         0xff,
         0xe1,
@@ -115,12 +115,12 @@ describe('files', () => {
         ...[...'Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0'].map((c) => c.charCodeAt(0)),
       ];
       const file = new File([jpeg.subarray(0, 2), new Uint8Array(exif), jpeg.subarray(2), new Uint8Array(33 * 2 ** 20)], 'large.jpeg');
-      const told = [];
-      const out = await prepared(file, (loss) => told.push(loss));
+      const losses = [];
+      const out = await prepared(file, (loss) => losses.push(loss));
       const image = await createImageBitmap(out);
-      return { name: out.name, type: out.type, small: out.size < 10_000, size: [image.width, image.height], told };
+      return { name: out.name, type: out.type, small: out.size < 10_000, size: [image.width, image.height], losses };
     });
-    assert.deepEqual(made, { name: 'large.jpg', type: 'image/jpeg', small: true, size: [40, 60], told: [LOSS] });
+    assert.deepEqual(made, { name: 'large.jpg', type: 'image/jpeg', small: true, size: [40, 60], losses: [LOSS] });
     await context.close();
   });
 });

@@ -1,14 +1,14 @@
-// Files that are dropped or pasted.
+// Dropped and pasted files.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
 describe('drop', () => {
   const suite = uploadSuite();
-  /** Names of the files that were sent. */
+  /** Names of the uploaded files. */
   const names = (bodies) => bodies.map((body) => body.match(/filename="([^"]*)"/)[1]).sort();
 
-  test('photos can be dropped and pasted', async () => {
+  test('uploads dropped and pasted photos', async () => {
     const posts = [
       { status: 202, json: photo('a') },
       { status: 202, json: photo('b') },
@@ -20,7 +20,7 @@ describe('drop', () => {
       for (const name of ['dropped.png', 'second.png']) files.items.add(new File(['x'], name, { type: 'image/png' }));
       const event = (type) => new DragEvent(type, { bubbles: true, cancelable: true, dataTransfer: files });
       document.body.dispatchEvent(event('dragenter'));
-      if (!document.getElementById('drop').classList.contains('over')) throw new Error('the page does not show that it takes the files');
+      if (!document.getElementById('drop').classList.contains('over')) throw new Error('the page does not highlight the drop zone');
       document.body.dispatchEvent(event('drop'));
       const pasted = new DataTransfer();
       pasted.items.add(new File(['x'], 'pasted.png', { type: 'image/png' }));
@@ -32,7 +32,7 @@ describe('drop', () => {
     await context.close();
   });
 
-  test('a folder gives its pictures, those of folders in it too', async () => {
+  test('uploads the pictures of a folder and its subfolders', async () => {
     const posts = [
       { status: 202, json: photo('a') },
       { status: 202, json: photo('b') },
@@ -40,7 +40,7 @@ describe('drop', () => {
     const { page, context, bodies } = await suite.open({ posts });
     await page.evaluate(() => {
       const file = (name, type) => ({ isFile: true, file: (done) => done(new File(['x'], name, { type })) });
-      // as browsers do, a reader gives a part at a time
+      // like browsers, the reader returns a few entries at a time
       const folder = (...entries) => ({
         isDirectory: true,
         createReader: () => ({ readEntries: (done) => done(entries.splice(0, 2)) }),
@@ -56,7 +56,7 @@ describe('drop', () => {
     await context.close();
   });
 
-  test('a depth map goes with the photo of its own folder', async () => {
+  test('pairs a depth map with the photo in its folder', async () => {
     const posts = [
       { status: 202, json: photo('a') },
       { status: 202, json: photo('b') },

@@ -1,11 +1,11 @@
-// What is written for programs of others, opened by them.
+// Exports, opened by other programs.
 import assert from 'node:assert/strict';
 import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { pathToFileURL } from 'node:url';
-import { launch, openPage, pixelsAt, pixelsOf, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { filePixels, fractionDifferent, launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { openModel, validate } from '../support/gltf.mjs';
 import { boxPhoto, inBox, png16 } from '../support/pictures.mjs';
 import { makePhoto, startServer } from '../support/program.mjs';
@@ -13,16 +13,16 @@ import { makePhoto, startServer } from '../support/program.mjs';
 const WIDTH = 320;
 const HEIGHT = 200;
 const MAX_SHARE = 0.015;
-/** Where textures are lossy WebP: what that does to this sharp a texture, 2.1 to 2.4 %. */
+/** For lossy WebP textures, which change this sharp texture by 2.1 to 2.4 %. */
 const MAX_SHARE_LOSSY = 0.03;
-/** Borders are left out of comparisons: renderers differ in what lies beside the photo. */
+/** Comparisons exclude borders, because renderers differ beyond the photo. */
 const INNER = { x0: 0.05, y0: 0.05, x1: 0.95, y1: 0.95 };
 const POSES = [
   { tx: 0.025, ty: -0.01, tz: 0.01 },
   { tx: -0.02, ty: 0.015, tz: -0.02, yaw: 1.5, pitch: -1, roll: 2 },
 ];
 
-/** A box on a ground that comes near, below a sky. */
+/** A box on an approaching ground, below a sky. */
 const depth = () => png16(WIDTH, HEIGHT, (x, y) => (inBox(x, y, WIDTH, HEIGHT) ? 0.95 : Math.max(0, y - 60) / 160));
 
 describe('exports', () => {
@@ -50,13 +50,13 @@ describe('exports', () => {
     if (folder) rmSync(folder, { recursive: true, force: true });
   });
 
-  /** Opens the page from disk; `asked` collects every address outside it. */
+  /** Opens the page from disk; `requests` collects every external URL. */
   async function openPageFile(on, options) {
     const opened = await openPage(on, options);
-    const asked = [];
-    opened.page.on('request', (request) => /^(data|blob|file):/.test(request.url()) || asked.push(request.url()));
+    const requests = [];
+    opened.page.on('request', (request) => /^(data|blob|file):/.test(request.url()) || requests.push(request.url()));
     await opened.page.goto(pathToFileURL(join(folder, 'photo.html')).href);
-    return { ...opened, asked };
+    return { ...opened, requests };
   }
 
   /** The server's view at a pose. */
@@ -64,7 +64,7 @@ describe('exports', () => {
     const { page, context } = await openPage(browser);
     await page.goto(server.url);
     const query = new URLSearchParams({ ...pose, w: WIDTH, h: HEIGHT, format: 'png' });
-    const pixels = await pixelsOf(page, `/v1/photos/${made.id}/view?${query}`);
+    const pixels = await filePixels(page, `/v1/photos/${made.id}/view?${query}`);
     await context.close();
     return pixels;
   }
@@ -72,67 +72,67 @@ describe('exports', () => {
   async function screenshot(page) {
     const shot = await page.screenshot();
     const { page: reader, context } = await openPage(browser);
-    const pixels = await pixelsOf(reader, `data:image/png;base64,${shot.toString('base64')}`);
+    const pixels = await filePixels(reader, `data:image/png;base64,${shot.toString('base64')}`);
     await context.close();
     return pixels;
   }
 
-  test('the page from disk draws what the server draws, moves, and asks for nothing', async (t) => {
-    const { page, context, errors, asked } = await openPageFile(browser);
+  test('the page works from disk without requests', async (t) => {
+    const { page, context, errors, requests } = await openPageFile(browser);
     await waitForMode(page, 'gpu');
     const first = await page.evaluate(() => window.viewer.pose.tx);
     await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 2e-3, first);
     const shares = [];
-    for (const pose of POSES) shares.push(shareDifferent(await pixelsAt(page, pose, WIDTH, HEIGHT), await served(pose), WIDTH, HEIGHT));
+    for (const pose of POSES) shares.push(fractionDifferent(await pixelsAt(page, pose, WIDTH, HEIGHT), await served(pose), WIDTH, HEIGHT));
     t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
     for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
-    // and that reaches the screen
+    // the change is visible on the screen
     await page.evaluate(() => window.viewer.setPose({ tx: -0.03 }));
     const left = await screenshot(page);
     await page.evaluate(() => window.viewer.setPose({ tx: 0.03 }));
     const right = await screenshot(page);
-    assert.ok(shareDifferent(left, right, 1280, 800) > 0.05, 'the canvas stands still');
-    assert.deepEqual([errors, asked], [[], []]);
+    assert.ok(fractionDifferent(left, right, 1280, 800) > 0.05, 'the canvas does not change');
+    assert.deepEqual([errors, requests], [[], []]);
     await context.close();
   });
 
-  test('without WebGPU, or without scripts, the page shows the photo', async () => {
+  test('the page shows the photo without WebGPU or scripts', async () => {
     const plain = await launch({ webgpu: false });
     const pages = [await openPageFile(plain), await openPageFile(plain, { javaScriptEnabled: false })];
     await pages[0].page.waitForFunction(() => document.getElementById('stage').dataset.mode);
-    for (const { page, errors, asked } of pages) {
+    for (const { page, errors, requests } of pages) {
       const pixels = await screenshot(page);
-      // the photo is as high as the window, in its middle the box
+      // the photo fills the height of the window, with the box in the middle
       const middle = pixels.subarray((400 * 1280 + 640) * 4, (400 * 1280 + 640) * 4 + 3);
       const share = pixels.filter((v, i) => i % 4 === 0 && v > 30).length / (1280 * 800);
       assert.ok(Math.max(...middle) > 60 && share > 0.8, `${middle} ${share}`);
-      assert.deepEqual([errors, asked], [[], []]);
+      assert.deepEqual([errors, requests], [[], []]);
     }
     await plain.close();
   });
 
   for (const format of ['glb', 'glb&shape=metric', 'glb&textures=webp']) {
     const [lossy, relief] = [format.includes('webp'), !format.includes('metric')];
-    test(`the model (${format}) is valid glTF, and another renderer draws the same views from it`, async (t) => {
+    test(`the ${format} model is valid and renders the same views`, async (t) => {
       const report = await validate(files[format]);
       assert.deepEqual([report.errors, report.warnings], [0, 0], JSON.stringify(report.messages));
       const { extensionsRequired = [] } = JSON.parse(files[format].subarray(20, 20 + files[format].readUInt32LE(12)).toString());
-      assert.deepEqual(
-        extensionsRequired,
-        lossy ? ['EXT_texture_webp'] : [],
-        'what every program reads, unless somebody asks for less bytes',
-      );
+      assert.deepEqual(extensionsRequired, lossy ? ['EXT_texture_webp'] : [], 'only lossy textures need an extension');
       const { page, context, errors } = await openPage(browser);
       const model = await openModel(page, files[format]);
       for (const name of ['photo', 'opaque_0', 'soft_0', 'camera']) assert.ok(model.names.includes(name), `${name}: ${model.names}`);
       const still = await model.draw({}, WIDTH, HEIGHT);
       const shares = [];
-      // a relief has the photo's views from cameras beside each other; those that turn or step forward are other views
+      // a relief reproduces views only for cameras that move sideways
       const poses = relief ? POSES.map(({ tx, ty }) => ({ tx, ty })) : POSES;
       for (const pose of [{}, ...poses]) {
         const want = await served(pose);
-        shares.push(shareDifferent(await model.draw(pose, WIDTH, HEIGHT), want, WIDTH, HEIGHT, INNER));
-        if (pose.tx) assert.ok(shareDifferent(still, want, WIDTH, HEIGHT, INNER) > 3 * MAX_SHARE, 'a model that stands still would pass');
+        shares.push(fractionDifferent(await model.draw(pose, WIDTH, HEIGHT), want, WIDTH, HEIGHT, INNER));
+        if (pose.tx)
+          assert.ok(
+            fractionDifferent(still, want, WIDTH, HEIGHT, INNER) > 3 * MAX_SHARE,
+            'the comparison must detect a model that does not move',
+          );
       }
       t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
       const most = lossy ? MAX_SHARE_LOSSY : MAX_SHARE;
@@ -142,7 +142,7 @@ describe('exports', () => {
     });
   }
 
-  test('the model fills the frame that a viewer puts around it, without holes', async (t) => {
+  test('the model fills a viewer’s frame without holes', async (t) => {
     const { page, context } = await openPage(browser);
     const model = await openModel(page, files.glb);
     const [w, h] = [640, 480];
@@ -152,7 +152,7 @@ describe('exports', () => {
         await page.evaluate(() => document.querySelector('canvas').scrollIntoView());
         await page.locator('canvas').screenshot({ path: join(process.env.TMPI_PICTURES, `framed-${above}.png`) });
       }
-      assert.ok(size[2] < 0.4 * size[0] && size[0] < 1.3, `as deep as wide, or not a unit wide: ${size}`);
+      assert.ok(size[2] < 0.4 * size[0] && size[0] < 1.3, `too deep, or too wide: ${size}`);
       let [covered, holes] = [0, 0];
       for (let y = 0; y < h; y++) {
         const row = Array.from({ length: w }, (_, x) => pixels[(y * w + x) * 4 + 3] > 200);
@@ -161,7 +161,7 @@ describe('exports', () => {
         covered += inside.length;
         holes += inside.filter((seen) => !seen).length;
       }
-      // what a flat picture of the photo's shape covers whose bounding sphere just fits in the frame: 28 % of it here
+      // area of a flat picture with the photo's shape whose bounding sphere just fits the frame, 28 % of it here
       const flat = ((h * Math.cos(Math.PI / 12)) / 1.05 / Math.hypot(WIDTH, HEIGHT)) ** 2 * WIDTH * HEIGHT;
       t.diagnostic(
         `${above}° above: ${((100 * covered) / (w * h)).toFixed(1)} % of the frame (flat: ${((100 * flat) / (w * h)).toFixed(1)}), ${holes} pixels of holes`,

@@ -1,8 +1,8 @@
-// A private photo in a frame on another site, where no cookie goes along, on the built program.
+// A private photo in a frame on another site, where the browser sends no cookies; with the built program.
 import assert from 'node:assert/strict';
 import { createServer } from 'node:http';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, takeGraphics } from '../support/browser.mjs';
+import { disableGraphics, launch, openPage } from '../support/browser.mjs';
 import { boxDepth, boxPhoto } from '../support/pictures.mjs';
 import { makePhoto, startServer } from '../support/program.mjs';
 
@@ -16,9 +16,9 @@ describe('a frame on another site', () => {
   let link;
   before(async () => {
     server = await startServer(['--host', HOST]);
-    // one of its own, which finds the program by another name
+    // its own browser, which resolves another host name to the program
     browser = await launch({ webgpu: false, more: [`--host-resolver-rules=MAP ${HOST} 127.0.0.1`] });
-    // this machine's own user makes it; the browser comes under another name, as a stranger
+    // the local user uploads the photo; the browser with another host name is a stranger
     photo = await makePhoto(server.url, boxPhoto(200, 120), boxDepth(200, 120));
     const headers = { 'content-type': 'application/merge-patch+json' };
     await fetch(`${server.url}${photo.links.self}`, { method: 'PATCH', headers, body: '{"title": "The box"}' });
@@ -40,41 +40,41 @@ describe('a frame on another site', () => {
 
   async function open(query, graphics) {
     const opened = await openPage(browser, { reducedMotion: 'reduce' });
-    if (!graphics) await takeGraphics(opened.page, { webgl: false });
-    const asked = [];
+    if (!graphics) await disableGraphics(opened.page, { webgl: false });
+    const requests = [];
     opened.page.on('request', (request) => {
       const { pathname, search } = new URL(request.url());
-      if (pathname.startsWith('/v1/')) asked.push(pathname.split('/').pop() + search);
+      if (pathname.startsWith('/v1/')) requests.push(pathname.split('/').pop() + search);
     });
     const frame = encodeURIComponent(`http://${HOST}:${new URL(server.url).port}/embed/${photo.id}${query}`);
     await opened.page.goto(`http://127.0.0.1:${other.address().port}/?frame=${frame}`);
-    const shown = opened.page.frames().find((f) => f.url().includes('/embed/'));
-    return { ...opened, shown, asked };
+    const embedded = opened.page.frames().find((f) => f.url().includes('/embed/'));
+    return { ...opened, embedded, requests };
   }
 
   for (const graphics of [true, false]) {
-    test(`shows it by its link, drawn by the ${graphics ? 'browser' : 'server'}`, async () => {
-      const { shown, asked, context } = await open(`?fit=cover&${link.query}`, graphics);
-      await shown.waitForFunction(() => document.getElementById('viewer').loaded);
-      await shown.waitForFunction(() => document.title === 'The box');
-      assert.equal(await shown.evaluate(() => document.getElementById('viewer').viewer.mode), graphics ? 'webgl' : 'served');
+    test(`shows the photo with a signed link, drawn by the ${graphics ? 'browser' : 'server'}`, async () => {
+      const { embedded, requests, context } = await open(`?fit=cover&${link.query}`, graphics);
+      await embedded.waitForFunction(() => document.getElementById('viewer').loaded);
+      await embedded.waitForFunction(() => document.title === 'The box');
+      assert.equal(await embedded.evaluate(() => document.getElementById('viewer').viewer.mode), graphics ? 'webgl' : 'served');
       assert.ok(
-        asked.every((address) => address.includes(link.query)),
-        `${asked}`,
+        requests.every((address) => address.includes(link.query)),
+        `${requests}`,
       );
       for (const part of ['atlas', 'settings', graphics ? 'thumbnail' : 'view'])
         assert.ok(
-          asked.some((address) => address.startsWith(part)),
-          `${part}: ${asked}`,
+          requests.some((address) => address.startsWith(part)),
+          `${part}: ${requests}`,
         );
       await context.close();
     });
   }
 
-  test('shows nothing of it without', async () => {
-    const { shown, context } = await open('', true);
-    await shown.waitForFunction(() => document.getElementById('viewer').shadowRoot.querySelector('.error:not([hidden])'));
-    assert.notEqual(await shown.title(), 'The box');
+  test('shows nothing without a link', async () => {
+    const { embedded, context } = await open('', true);
+    await embedded.waitForFunction(() => document.getElementById('viewer').shadowRoot.querySelector('.error:not([hidden])'));
+    assert.notEqual(await embedded.title(), 'The box');
     await context.close();
   });
 });

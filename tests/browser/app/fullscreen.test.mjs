@@ -1,20 +1,20 @@
-// Full screen on the pages of a photo and of a room: what is then seen on the screen.
+// Full screen on the pages of photos and rooms.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { openPage, pixelsAt, pixelsOf, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { filePixels, fractionDifferent, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { roomSuite } from '../support/room.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 const SCREENS = {
   desktop: { viewport: { width: 1280, height: 800 } },
   'a phone': { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true },
-  'a phone on its side': { viewport: { width: 844, height: 390 }, hasTouch: true, isMobile: true },
+  'a phone in landscape': { viewport: { width: 844, height: 390 }, hasTouch: true, isMobile: true },
 };
-/** The picture has at least this share of the screen's width or height: it fills one of them but for the tools. */
+/** The picture fills at least this fraction of the screen's width or height; the toolbar takes the rest. */
 const FILLS = 0.8;
 
-/** Where the picture is, and the screen's size. */
-function places(page) {
+/** Position of picture and toolbar, and size of the screen. */
+function layout(page) {
   return page.evaluate(() => {
     const { x, y, width, height } = document.querySelector('.tmpi-canvas').getBoundingClientRect();
     const tools = document.getElementById('tools').getBoundingClientRect();
@@ -23,42 +23,42 @@ function places(page) {
   });
 }
 
-/** Waits until the picture has its new size. */
-async function settled(page) {
+/** Waits until the layout is stable. */
+async function stableLayout(page) {
   let last = '';
   for (;;) {
     await page.evaluate(() => new Promise((resume) => requestAnimationFrame(() => requestAnimationFrame(resume))));
-    const now = JSON.stringify(await places(page));
+    const now = JSON.stringify(await layout(page));
     if (now === last) return JSON.parse(now);
     last = now;
   }
 }
 
-/** Pixels that the screen shows at the picture's place, and the picture's size there. */
-async function seen(page, { x, y, width, height }) {
+/** Pixels of the picture on the screen, and its size there. */
+async function screenPixels(page, { x, y, width, height }) {
   const clip = { x: Math.ceil(x), y: Math.ceil(y), width: Math.floor(width) - 1, height: Math.floor(height) - 1 };
   const shot = await page.screenshot({ clip, scale: 'css' });
   const { page: blank, context } = await openPage(page.context().browser());
-  const pixels = await pixelsOf(blank, `data:image/png;base64,${shot.toString('base64')}`);
+  const pixels = await filePixels(blank, `data:image/png;base64,${shot.toString('base64')}`);
   await context.close();
   return { pixels, width: clip.width, height: clip.height };
 }
 
-/** Asserts that the picture fills the screen, and nothing lies over it. */
+/** Asserts that the picture fills the screen and nothing covers it. */
 async function assertFills(page) {
-  const at = await settled(page);
+  const at = await stableLayout(page);
   const [width, height] = at.screen;
-  const told = JSON.stringify(at);
-  assert.ok(at.x >= 0 && at.y >= 0 && at.x + at.width <= width && at.y + at.height <= height, `on the screen: ${told}`);
-  assert.ok(Math.max(at.width / width, at.height / height) >= FILLS, `as large as fits: ${told}`);
-  assert.ok(Math.min(at.tools[0] / width, at.tools[1] / height) < 0.25, `the tools keep their size: ${told}`);
-  assert.equal(at.under, 'stage', told);
+  const details = JSON.stringify(at);
+  assert.ok(at.x >= 0 && at.y >= 0 && at.x + at.width <= width && at.y + at.height <= height, `the picture is on the screen: ${details}`);
+  assert.ok(Math.max(at.width / width, at.height / height) >= FILLS, `the picture fills the screen: ${details}`);
+  assert.ok(Math.min(at.tools[0] / width, at.tools[1] / height) < 0.25, `the toolbar keeps its size: ${details}`);
+  assert.equal(at.under, 'stage', details);
   return at;
 }
 
-/** Goes to full screen in one way. */
-async function enter(page, way) {
-  if (way === 'the button') await page.locator('#fullscreen').click();
+/** Enters full screen by the button or the key. */
+async function enter(page, trigger) {
+  if (trigger === 'the button') await page.locator('#fullscreen').click();
   else await page.keyboard.press('f');
   await page.waitForFunction(() => document.fullscreenElement === document.documentElement);
 }
@@ -66,18 +66,18 @@ async function enter(page, way) {
 describe('full screen of a photo', () => {
   const suite = boxSuite();
   for (const [screen, options] of Object.entries(SCREENS)) {
-    for (const way of screen === 'desktop' ? ['the button', 'the key F'] : ['the button']) {
-      test(`by ${way} on ${screen} shows the photo`, async () => {
-        // a browser that knows the hints shows nothing over the photo
+    for (const trigger of screen === 'desktop' ? ['the button', 'the key F'] : ['the button']) {
+      test(`by ${trigger} shows the photo on ${screen}`, async () => {
+        // hides the hint of a first visit, which covers the photo
         const localStorage = [{ name: 'tmpi-hinted', value: '1' }];
         const storageState = { cookies: [], origins: [{ origin: suite.server.url, localStorage }] };
         const { page, context, errors } = await suite.open({ reducedMotion: 'reduce', storageState, ...options });
         await waitForMode(page, 'gpu');
-        await enter(page, way);
-        const shot = await seen(page, await assertFills(page));
-        // shown where the photo itself is, from where it was taken
-        const own = await pixelsAt(page, {}, shot.width, shot.height);
-        const off = shareDifferent(shot.pixels, own, shot.width, shot.height, { levels: 24 });
+        await enter(page, trigger);
+        const shot = await screenPixels(page, await assertFills(page));
+        // the screen shows the photo from the reference camera
+        const expected = await pixelsAt(page, {}, shot.width, shot.height);
+        const off = fractionDifferent(shot.pixels, expected, shot.width, shot.height, { levels: 24 });
         assert.ok(off < 0.05, `${off} of the pixels differ`);
         await page.keyboard.press('f');
         await page.waitForFunction(() => !document.fullscreenElement);
@@ -97,9 +97,9 @@ describe('full screen of a room', () => {
       const { page, context } = await suite.watch('wide', { options: { reducedMotion: 'reduce', ...options } });
       await page.waitForFunction(() => document.getElementById('stage').dataset.mode && document.getElementById('loading').hidden);
       await enter(page, 'the button');
-      const shot = await seen(page, await assertFills(page));
+      const shot = await screenPixels(page, await assertFills(page));
       const levels = new Set(shot.pixels.filter((_, i) => i % 4 === 0));
-      assert.ok(levels.size > 32, `a picture on ${screen}, not one colour: ${levels.size} levels`);
+      assert.ok(levels.size > 32, `the picture on ${screen} is not one colour: ${levels.size} levels`);
       await context.close();
     }
     await publisher.context.close();

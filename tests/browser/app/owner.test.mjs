@@ -1,8 +1,8 @@
-// Links that bring a secret along: what they ask before a browser becomes another owner, and what they do by themselves.
+// Links with a secret: an owner link asks before the browser becomes another owner, a manage link does not.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, seriousViolations } from '../support/browser.mjs';
-import { boxSuite, STILL } from '../support/suite.mjs';
+import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
 
 const SECRET = `tmpi_o_${'a'.repeat(40)}`;
 const TICKET = `tmpi_t_1_${'5e'.repeat(64)}`;
@@ -13,7 +13,7 @@ describe('a link with a secret', () => {
 
   async function open(hash, more = {}) {
     suite.server.posts.length = 0;
-    const opened = await openPage(suite.browser, { ...STILL, ...more });
+    const opened = await openPage(suite.browser, { ...REDUCED_MOTION, ...more });
     await opened.page.goto(`${suite.server.url}/view/box${hash}`);
     return opened;
   }
@@ -23,38 +23,38 @@ describe('a link with a secret', () => {
     await dialog.getByRole('button', { name: button }).click();
     await dialog.waitFor({ state: 'detached' });
   };
-  /** Once the page goes on to show the photo. */
-  const goesOn = (page) => page.waitForFunction(() => window.viewer);
+  /** Waits until the page shows the photo. */
+  const waitForViewer = (page) => page.waitForFunction(() => window.viewer);
 
-  test('for one photo is kept without a word, and leaves the address', async () => {
+  test('for one photo works silently and leaves the address bar', async () => {
     const { page, context } = await open(`#manage=${TOKEN}`);
-    await goesOn(page);
+    await waitForViewer(page);
     assert.deepEqual(suite.server.posts, [['/v1/photos/box/manage', `Bearer ${TOKEN}`]]);
     assert.equal(new URL(page.url()).hash, '');
     assert.equal(await page.locator('dialog[open]').count(), 0);
     await context.close();
   });
 
-  test('of an owner is kept by nobody who did not say that it is theirs', async () => {
+  test('of an owner does nothing until the user confirms it', async () => {
     const { page, context } = await open(`#owner=${SECRET}`);
     const dialog = page.getByRole('dialog', { name: 'Is this link your own?' });
     await dialog.waitFor();
-    assert.deepEqual(suite.server.posts, [], 'nothing is sent before');
-    assert.equal(new URL(page.url()).hash, '', 'it is in no history');
+    assert.deepEqual(suite.server.posts, [], 'no request before the answer');
+    assert.equal(new URL(page.url()).hash, '', 'the secret leaves the address bar');
     assert.deepEqual(await seriousViolations(page), []);
     await page.keyboard.press('Escape');
-    await goesOn(page);
+    await waitForViewer(page);
     assert.deepEqual(suite.server.posts, []);
     await context.close();
-    // nor by the button
+    // the Close button also declines
     const again = await open(`#owner=${SECRET}`);
     await answer(again.page, 'Is this link your own?', 'Close');
-    await goesOn(again.page);
+    await waitForViewer(again.page);
     assert.deepEqual(suite.server.posts, []);
     await again.context.close();
   });
 
-  test('of an owner replaces what the browser was only where that was said, too', async () => {
+  test('of an owner replaces another owner only after confirmation', async () => {
     suite.server.state.another = true;
     for (const [button, sent] of [
       ['Close', ['/v1/owner']],
@@ -63,7 +63,7 @@ describe('a link with a secret', () => {
       const { page, context } = await open(`#owner=${SECRET}`);
       await answer(page, 'Is this link your own?', 'I made it myself');
       await answer(page, 'Give up the photos of this browser?', button);
-      await goesOn(page);
+      await waitForViewer(page);
       assert.deepEqual(
         suite.server.posts,
         sent.map((path) => [path, `Bearer ${SECRET}`]),
@@ -73,12 +73,12 @@ describe('a link with a secret', () => {
     suite.server.state.another = undefined;
     const { page, context } = await open(`#owner=${TICKET}`);
     await answer(page, 'Is this link your own?', 'I made it myself');
-    await goesOn(page);
-    assert.deepEqual(suite.server.posts, [['/v1/owner', `Bearer ${TICKET}`]], 'a browser that was nobody loses nothing');
+    await waitForViewer(page);
+    assert.deepEqual(suite.server.posts, [['/v1/owner', `Bearer ${TICKET}`]], 'a browser without an owner needs no second question');
     await context.close();
   });
 
-  test('the questions fit into small screens, in both languages', async () => {
+  test('the dialogs fit small screens in both languages', async () => {
     for (const locale of ['en', 'de']) {
       const { page, context } = await open(`#owner=${SECRET}`, { locale, viewport: { width: 320, height: 480 } });
       const dialog = page.locator('.share-dialog');

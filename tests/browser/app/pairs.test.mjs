@@ -1,41 +1,41 @@
-// Photos and depth maps told apart by their names; where depth comes from, in words.
+// Pairs of photos and depth maps by file name, and the text about the depth's source.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { test } from 'node:test';
 import { pairs } from '../../../static/app/pairs.js';
 
-// the module looks at the browser's language when it is loaded
+// the module reads the browser's language when it loads
 Object.defineProperty(globalThis, 'navigator', { value: { language: 'en' }, configurable: true });
 const { depthSource, networkName } = await import('../../../static/app/depth-source.js');
 
-/** Pairs of files by their names; what stands before a slash is their folder. */
-const named = (...names) => {
+/** Names of the pairs that files with these names form; the part before a slash is the folder. */
+const pairNames = (...names) => {
   const folders = new Map(names.map((name) => [/.*\/|/.exec(name)[0], {}]));
   const files = names.map((name) => ({ file: new File(['x'], name.replace(/.*\//, '')), folder: folders.get(/.*\/|/.exec(name)[0]) }));
   return pairs(files).map(({ file, depth }) => [file.name, depth?.name ?? null]);
 };
 
-test('a map goes with its photo, in any order and with any extension', () => {
-  assert.deepEqual(named('a_depth.png', 'a.jpg', 'b.jpg'), [
+test('pairs maps with photos in any order and format', () => {
+  assert.deepEqual(pairNames('a_depth.png', 'a.jpg', 'b.jpg'), [
     ['a.jpg', 'a_depth.png'],
     ['b.jpg', null],
   ]);
   for (const map of ['A-Depth.jpg', 'a.depthmap.webp', 'a_depth_map.png', 'a disparity.png', 'a_disp.png'])
-    assert.deepEqual(named('a.jpg', map), [['a.jpg', map]], map);
+    assert.deepEqual(pairNames('a.jpg', map), [['a.jpg', map]], map);
 });
 
-test('a name that only looks like a map’s is a photo', () => {
-  assert.deepEqual(named('depth.png', 'in-depth.jpg', 'b.jpg'), [
+test('treats names that only resemble a map as photos', () => {
+  assert.deepEqual(pairNames('depth.png', 'in-depth.jpg', 'b.jpg'), [
     ['depth.png', null],
     ['in-depth.jpg', null],
     ['b.jpg', null],
   ]);
-  assert.deepEqual(named('_depth.png'), [['_depth.png', null]]);
-  // the second map of a photo is no photo
-  assert.deepEqual(named('a.jpg', 'a_depth.png', 'a-depth.png'), [['a.jpg', 'a_depth.png']]);
+  assert.deepEqual(pairNames('_depth.png'), [['_depth.png', null]]);
+  // a second map of the same photo is ignored
+  assert.deepEqual(pairNames('a.jpg', 'a_depth.png', 'a-depth.png'), [['a.jpg', 'a_depth.png']]);
 });
 
-test('a map goes with a photo of its own folder', async () => {
+test('pairs only within a folder', async () => {
   const text = (name, content) => ({ file: new File([content], name) });
   const [one, two] = [{}, {}];
   const both = pairs([
@@ -49,26 +49,26 @@ test('a map goes with a photo of its own folder', async () => {
     ['1', '1d'],
     ['2', '2d'],
   ]);
-  // one that has none there is a photo
-  assert.deepEqual(named('x/a.jpg', 'y/a_depth.png', 'a.jpg'), [
+  // a map without a photo in its folder is a photo
+  assert.deepEqual(pairNames('x/a.jpg', 'y/a_depth.png', 'a.jpg'), [
     ['a.jpg', null],
     ['a_depth.png', null],
     ['a.jpg', null],
   ]);
 });
 
-test('of photos that are called alike the first has the map', () => {
-  assert.deepEqual(named('a.png', 'a.jpg', 'a_depth.png'), [
+test('gives the map to the first of equally named photos', () => {
+  assert.deepEqual(pairNames('a.png', 'a.jpg', 'a_depth.png'), [
     ['a.png', 'a_depth.png'],
     ['a.jpg', null],
   ]);
-  assert.deepEqual(named('a_depth.png', 'a.jpg', 'A.webp'), [
+  assert.deepEqual(pairNames('a_depth.png', 'a.jpg', 'A.webp'), [
     ['a.jpg', 'a_depth.png'],
     ['A.webp', null],
   ]);
 });
 
-test('every network that the program ranks has a name for people', () => {
+test('every ranked network has a readable name', () => {
   const registry = readFileSync(new URL('../../../crates/pipeline/src/networks/models/registry.rs', import.meta.url), 'utf8');
   const ranks = /const RANKS[^=]*= \[([^\]]*)\]/
     .exec(registry)[1]
@@ -78,7 +78,7 @@ test('every network that the program ranks has a name for people', () => {
   for (const rank of ranks) assert.notEqual(networkName(rank), rank);
 });
 
-test('what made the depth is told in words', () => {
+test('depthSource describes where the depth comes from', () => {
   const report = (depth_model, input = {}) => ({ depth_model, input, stages: [{ name: 'depth', ms: 31 }] });
   assert.equal(depthSource(report('tmpi')), 'Depth: estimated by the built-in network in 0.03 s.');
   assert.equal(depthSource(report('depth-anything-v2-small-fp16')), 'Depth: estimated by Depth Anything V2 Small in 0.03 s.');

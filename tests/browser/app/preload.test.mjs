@@ -1,4 +1,4 @@
-// Whatever a page or a worker needs is named where it begins: no module is found out only once another has come.
+// Pages and workers list all modules that they need, so that no module waits for another to load.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { files, graph, imports, source } from '../support/modules.mjs';
@@ -7,7 +7,7 @@ const sorted = (names) => [...names].toSorted();
 
 describe('modules', () => {
   for (const page of ['upload', 'view', 'demo', 'embed', 'watch', 'publish']) {
-    test(`the ${page} page preloads all that its script imports`, () => {
+    test(`the ${page} page preloads all modules of its script`, () => {
       const links = [...source(`app/${page}-page.html`).matchAll(/<link rel="modulepreload" href="\/static\/([^"]+)" \/>/g)].map(
         ([, name]) => name,
       );
@@ -20,14 +20,14 @@ describe('modules', () => {
   }
 
   for (const worker of ['decode/worker.js', 'live/worker.js']) {
-    test(`${worker} imports all that it needs itself`, () => {
+    test(`${worker} imports all modules directly`, () => {
       const all = graph(worker);
       all.delete(worker);
       assert.deepEqual(sorted(imports(worker)), sorted(all));
     });
   }
 
-  test('the element preloads the viewer, and of rooms what they need besides', () => {
+  test('the element preloads the viewer, and rooms their extra modules', () => {
     const listed = (name) => {
       const [, list] = source('element/modules.js').match(new RegExp(`^export const ${name} = \\[([^\\]]*)\\];`, 'm'));
       return [...list.matchAll(/'([^']+)'/g)].map(([, module]) => module);
@@ -37,12 +37,12 @@ describe('modules', () => {
     assert.deepEqual(listed('ROOM_MODULES'), sorted([...graph('element/room.js')].filter((name) => !photos.has(name))));
   });
 
-  // decode/scene.js has types alone
-  test('every module is needed by some page', () => {
+  // decode/scene.js has only types
+  test('every module is used', () => {
     const roots = [
       'app/upload-page.js',
       'app/view-page.js',
-      // when it is asked for
+      // loaded on demand
       'app/touch-up.js',
       'app/demo-page.js',
       'app/embed-page.js',
@@ -57,7 +57,7 @@ describe('modules', () => {
       'decode/unpack.js',
       'live/worker.js',
       'live/microphone-worklet.js',
-      // fetched when they are asked for
+      // loaded on demand
       'app/access-dialog.js',
       'app/owner-dialog.js',
       'app/embed-dialog.js',

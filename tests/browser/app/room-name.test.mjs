@@ -1,19 +1,19 @@
-// A room's name: a fresh one for whoever goes live, and another where somebody writes one.
+// Room names: a new one for each publisher, and the form to change it.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { freshName, publishPage } from '../../../static/app/room-name.js';
 import { roomSuite } from '../support/room.mjs';
 
-test('fresh names differ and can be said', () => {
+test('new names are unique and pronounceable', () => {
   const names = new Set(Array.from({ length: 500 }, freshName));
   assert.equal(names.size, 500);
   for (const name of names) assert.match(publishPage(name), /^\/live\/(?:[bdfgklmnprstvz][aeiou]){4}\/publish$/);
 });
 
-describe('the page of who publishes', () => {
+describe('the publisher’s page', () => {
   const suite = roomSuite();
 
-  test('says before the start that a room is taken, and goes to another', async () => {
+  test('warns if the room is taken, and switches to another', async () => {
     const first = await suite.publish('taken');
     const second = await suite.camera.newContext({ permissions: ['camera', 'microphone'] });
     const page = await second.newPage();

@@ -1,8 +1,8 @@
-// The dialogs of sharing: how to put a photo on a page, and films of it.
+// The share dialogs: embedding, access, links and films.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { escaped, snippets } from '../../../static/app/snippets.js';
-import { openPage, saved, seriousViolations, waitForMode } from '../support/browser.mjs';
+import { downloadBytes, openPage, seriousViolations, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 const HOSTILE = `"><script>alert(1)</script>'&<b>`;
@@ -28,7 +28,7 @@ describe('sharing', () => {
     return dialog;
   };
 
-  test('no name breaks out of the pieces of HTML', async () => {
+  test('snippets escape hostile titles', async () => {
     assert.equal(escaped(HOSTILE), '&quot;&gt;&lt;script&gt;alert(1)&lt;/script&gt;&#39;&amp;&lt;b&gt;');
     const photo = { origin: 'https://h', id: 'box', width: 4, height: 3 };
     const [plain, hostile] = ['T', HOSTILE].map((name) => snippets({ ...photo, name }));
@@ -49,7 +49,7 @@ describe('sharing', () => {
     await context.close();
   });
 
-  test('what is copied shows the photo on another page', async () => {
+  test('the copied snippet shows the photo on another page', async () => {
     suite.server.state.settings = { version: 1, title: 'The box' };
     const { page, context, errors } = await open();
     await context.grantPermissions(['clipboard-read', 'clipboard-write']);
@@ -72,7 +72,7 @@ describe('sharing', () => {
     suite.server.state.settings = undefined;
   });
 
-  test('without a clipboard the text is ready for the keyboard’s', async () => {
+  test('without a clipboard API the text is selected', async () => {
     const { page, context } = await open();
     await page.evaluate(() => Object.defineProperty(navigator, 'clipboard', { value: undefined }));
     const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
@@ -85,7 +85,7 @@ describe('sharing', () => {
     await context.close();
   });
 
-  test('who may see a photo is said where the server asks who comes, and nowhere else', async () => {
+  test('the access dialog appears only on servers with access control', async () => {
     const plain = await open();
     assert.ok(await plain.page.locator('#share-access').isHidden());
     await plain.context.close();
@@ -107,7 +107,7 @@ describe('sharing', () => {
     await dialog.getByText('Copied').waitFor();
     assert.equal(await page.evaluate(() => navigator.clipboard.readText()), await ending.inputValue());
     const other = dialog.getByLabel('A link to change it', { exact: true });
-    assert.ok(await other.isHidden(), 'a secret is shown to who asks for it');
+    assert.ok(await other.isHidden(), 'the secret stays hidden until requested');
     await dialog.getByText('Let somebody else change it').click();
     assert.equal(await other.inputValue(), suite.server.url + manage);
     const fresh = `/view/box#manage=tmpi_m_${'1e'.repeat(32)}`;
@@ -119,39 +119,39 @@ describe('sharing', () => {
     suite.server.state.ticket = `tmpi_t_1_${'5e'.repeat(64)}`;
     await dialog.getByText('For another browser of yours').click();
     const mine = dialog.getByLabel('The link for your other browser', { exact: true });
-    assert.ok(await mine.isHidden(), 'none is made unasked');
+    assert.ok(await mine.isHidden(), 'the link is made on request');
     await dialog.getByRole('button', { name: 'Make a link' }).click();
-    const told = dialog.getByText('Valid for 15 minutes');
-    await told.waitFor();
-    const [bottom, edge] = await told.evaluate((line) => [line, line.closest('dialog')].map((e) => e.getBoundingClientRect().bottom));
-    assert.ok(bottom <= edge, 'what is new is seen');
+    const note = dialog.getByText('Valid for 15 minutes');
+    await note.waitFor();
+    const [bottom, edge] = await note.evaluate((line) => [line, line.closest('dialog')].map((e) => e.getBoundingClientRect().bottom));
+    assert.ok(bottom <= edge, 'the new text is visible');
     assert.equal(await mine.inputValue(), `${suite.server.url}/view/box#owner=${suite.server.state.ticket}`);
     suite.server.state.ticket = undefined;
     assert.deepEqual(await seriousViolations(page), []);
     await dialog.getByLabel('Who may see it', { exact: true }).selectOption('Anyone with the link');
     await dialog.getByText('Saved').waitFor();
-    assert.ok(await ending.isHidden(), 'nobody needs a link that ends');
+    assert.ok(await ending.isHidden(), 'a public photo needs no expiring link');
     assert.deepEqual(JSON.parse(suite.server.patches[before].body), { visibility: 'link' });
     await page.keyboard.press('Escape');
     await dialog.waitFor({ state: 'detached' });
-    // what is saved next is of the settings as they are now
+    // the next save uses the current version
     await page.locator('#settings').click();
     await page.locator('#set-title').fill('Another');
     await page.locator('#set-save').click();
     await page.getByText('Saved', { exact: true }).waitFor();
     assert.equal(suite.server.patches[before + 1].headers['if-match'], `"${before + 2}"`);
-    // a photo of somebody else, which everybody with the link may see
+    // a public photo of another owner
     suite.server.state.links = undefined;
     await page.keyboard.press('Escape');
     const none = await dialogOf(page, '#share-access', 'Who may see it');
     await none.getByText('Only the person who uploaded the photo').waitFor();
     assert.equal(await none.locator('select, textarea').count(), 0);
-    assert.equal(errors.length, 1, `the refusal alone: ${errors}`);
+    assert.equal(errors.length, 1, `only the rejected request: ${errors}`);
     await context.close();
     Object.assign(suite.server.state, { visibility: undefined, links: undefined, settings: undefined });
   });
 
-  test('a link to a private photo is signed and says until when', async () => {
+  test('a link to a private photo is signed and expires', async () => {
     Object.assign(suite.server.state, { visibility: 'private', links: {} });
     const before = suite.server.patches.length;
     const { page, context, errors } = await open();
@@ -162,12 +162,12 @@ describe('sharing', () => {
     const link = dialog.getByLabel('Link to this view', { exact: true });
     assert.equal(await link.inputValue(), `${suite.server.url}/view/box?expires=86400&signature=5e#pose=0.5,0,0`);
     await dialog.getByText('Only you can see this photo.').waitFor();
-    const said = dialog.getByText('Anyone with this link can see the photo until');
+    const expiry = dialog.getByText('Anyone with this link can see the photo until');
     await dialog.getByText('only on this machine').waitFor();
-    const first = await said.textContent();
+    const first = await expiry.textContent();
     await dialog.getByLabel('Valid for').selectOption('30 days');
     await page.waitForFunction(() => document.querySelector('.share-dialog textarea').value.includes('expires=2592000&'));
-    assert.notEqual(await said.textContent(), first);
+    assert.notEqual(await expiry.textContent(), first);
     assert.match(await link.inputValue(), /#pose=0\.5,0,0$/);
     await dialog.getByRole('button', { name: 'Copy: Link to this view' }).click();
     await dialog.getByText('Copied').waitFor();
@@ -178,7 +178,7 @@ describe('sharing', () => {
     assert.equal(await link.inputValue(), `${suite.server.url}/view/box#pose=0.5,0,0`);
     assert.deepEqual(JSON.parse(suite.server.patches[before].body), { visibility: 'link' });
     await page.keyboard.press('Escape');
-    // nobody needs to be asked any more
+    // a public photo needs no dialog
     await page.locator('#share').click();
     await page.locator('#share-link').click();
     await page.getByText('Link to this view copied').waitFor();
@@ -188,7 +188,7 @@ describe('sharing', () => {
     Object.assign(suite.server.state, { visibility: undefined, links: undefined, settings: undefined });
   });
 
-  test('who came by a link hands on that link, and nobody hands on none', async () => {
+  test('visitors share the signed link that they have', async () => {
     suite.server.state.visibility = 'private';
     const { page, context } = await openPage(suite.browser, { reducedMotion: 'reduce' });
     const signed = `${suite.server.url}/view/box?expires=4102444800&signature=5e`;
@@ -211,7 +211,7 @@ describe('sharing', () => {
     suite.server.state.visibility = undefined;
   });
 
-  test('pieces for a page are there once others may see the photo', async () => {
+  test('snippets appear once others may see the photo', async () => {
     suite.server.state.visibility = 'private';
     const { page, context } = await open();
     const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
@@ -223,7 +223,7 @@ describe('sharing', () => {
     Object.assign(suite.server.state, { visibility: undefined, settings: undefined });
   });
 
-  test('a GIF is made, shown and saved; what is cancelled leaves nothing', async () => {
+  test('makes, shows and saves a GIF; cancelling leaves nothing', async () => {
     const { page, context, errors } = await open();
     const dialog = await dialogOf(page, '#share-film', 'A film or GIF');
     await dialog.getByLabel('Kind').selectOption('gif');
@@ -233,7 +233,7 @@ describe('sharing', () => {
     assert.ok(await page.waitForFunction(() => document.querySelector('.share-dialog img').naturalWidth === 200));
     const [download] = await Promise.all([page.waitForEvent('download'), dialog.getByRole('link', { name: 'Save' }).click()]);
     assert.match(download.suggestedFilename(), /-wiggle\.gif$/);
-    assert.equal((await saved(download)).toString('latin1', 0, 6), 'GIF89a');
+    assert.equal((await downloadBytes(download)).toString('latin1', 0, 6), 'GIF89a');
     assert.deepEqual(await seriousViolations(page), []);
 
     await dialog.getByLabel('Movement').selectOption('orbit');
@@ -249,7 +249,7 @@ describe('sharing', () => {
     await context.close();
   });
 
-  test('all fit into every screen, in both languages', async () => {
+  test('dialogs fit every screen in both languages', async () => {
     Object.assign(suite.server.state, { visibility: 'private', links: { manage: `/view/box#manage=tmpi_m_${'a'.repeat(64)}` } });
     for (const locale of ['en', 'de']) {
       for (const viewport of SIZES) {
@@ -259,11 +259,11 @@ describe('sharing', () => {
           await page.locator(entry).click();
           const dialog = page.locator('.share-dialog');
           await dialog.waitFor();
-          const room = await dialog.evaluate((element) => {
+          const fits = await dialog.evaluate((element) => {
             const { left, right, top, bottom } = element.getBoundingClientRect();
             return left >= 0 && right <= innerWidth && top >= 0 && bottom <= innerHeight && element.scrollWidth <= element.clientWidth;
           });
-          assert.ok(room, `${entry} in ${locale} at ${viewport.width}×${viewport.height}`);
+          assert.ok(fits, `${entry} in ${locale} at ${viewport.width}×${viewport.height}`);
           await dialog.locator('.row button').last().click();
           await dialog.waitFor({ state: 'detached' });
         }

@@ -1,17 +1,17 @@
-// The touch-up of a photo's depth, on the built program: what is painted is what the server makes of it.
+// Touch-up of depth with the built program: the server applies what the user paints.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, pixelsAt, pixelsOf, seriousViolations, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { filePixels, fractionDifferent, launch, openPage, pixelsAt, seriousViolations, waitForMode } from '../support/browser.mjs';
 import { BOX, boxPhoto, inBox, png16 } from '../support/pictures.mjs';
 import { makePhoto, startServer } from '../support/program.mjs';
 
 const WIDTH = 320;
 const HEIGHT = 200;
-/** The wall, and wrongly the box before it as well. */
+/** Disparity of the whole photo: the box is wrongly as far as the wall. */
 const WALL = 0.3;
-const STILL = { reducedMotion: 'reduce' };
+const REDUCED_MOTION = { reducedMotion: 'reduce' };
 
-/** Share of the pixels of which either is true where both are. */
+/** Intersection over union of two masks. */
 function overlap(a, b) {
   let both = 0;
   let either = 0;
@@ -34,19 +34,19 @@ describe('touch-up', () => {
     await server?.close();
   });
 
-  /** A fresh photo in its page: `{page, context, errors, id, depth}`. */
-  async function opened(shade, options = STILL) {
+  /** Uploads a new photo and opens its page: `{page, context, errors, id, depth}`. */
+  async function opened(shade, options = REDUCED_MOTION) {
     const made = await makePhoto(
       server.url,
       boxPhoto(WIDTH, HEIGHT),
-      // another photo each time
+      // makes each photo unique
       png16(WIDTH, HEIGHT, (x, y) => WALL + (x === 0 && y === 0 ? shade : 0)),
     );
     const all = await openPage(browser, options);
     await all.page.goto(`${server.url}/view/${made.id}`);
     await waitForMode(all.page, 'gpu');
-    /** Disparity as the server has it, 0 to 255 a pixel. */
-    const depth = async () => (await pixelsOf(all.page, `/v1/photos/${made.id}/depth`)).filter((_, i) => i % 4 === 0);
+    /** The server's disparity, 0 to 255 per pixel. */
+    const depth = async () => (await filePixels(all.page, `/v1/photos/${made.id}/depth`)).filter((_, i) => i % 4 === 0);
     return { ...all, id: made.id, depth };
   }
 
@@ -58,7 +58,7 @@ describe('touch-up', () => {
 
   const strokes = async (page, id) => (await page.evaluate(async (url) => (await fetch(url)).json(), `/v1/photos/${id}/strokes`)).strokes;
 
-  /** Brings the brush over places of the photo, in shares of it. */
+  /** Paints through positions, as fractions of the photo. */
   async function paint(page, places) {
     const box = await page.locator('#touch-photo').boundingBox();
     const to = ([x, y]) => [box.x + x * box.width, box.y + y * box.height];
@@ -75,11 +75,11 @@ describe('touch-up', () => {
       input.dispatchEvent(new Event('change', { bubbles: true }));
     }, value);
 
-  /** Brightness of the preview of the depth at a place. */
+  /** Brightness of the depth preview at a position. */
   const previewed = (page, [x, y]) =>
     page.locator('#touch-depth').evaluate(
       async (canvas, [px, py]) => {
-        // what was asked for is drawn with the next frame
+        // changes appear in the next frame
         await new Promise((resume) => requestAnimationFrame(() => requestAnimationFrame(resume)));
         return canvas.getContext('2d').getImageData(px * canvas.width, py * canvas.height, 1, 1).data[0];
       },
@@ -99,7 +99,7 @@ describe('touch-up', () => {
     [BOX.x1 - 0.05, middle[1]],
   ];
 
-  test('a thing that was left at the wall is painted nearer, out to its edges', async () => {
+  test('painting brings the box nearer up to its edges', async () => {
     const { page, context, errors, id, depth } = await opened(0.01);
     const address = page.url();
     const version = await page.evaluate(async (url) => (await (await fetch(url)).json()).version, `/v1/photos/${id}`);
@@ -107,12 +107,12 @@ describe('touch-up', () => {
     const flat = await aside();
     await start(page);
     assert.deepEqual(await seriousViolations(page), []);
-    assert.ok(await page.locator('#touch-save').isDisabled(), 'there is nothing to save');
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'Save is disabled without strokes');
     await slide(page, '#touch-size', 0.16);
     await paint(page, along);
     await slide(page, '#touch-amount', 0.5);
     assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.5)) < 3, 'the preview follows the slider');
-    assert.ok(Math.abs((await previewed(page, [0.05, 0.05])) - 255 * WALL) < 3, 'and the wall stays');
+    assert.ok(Math.abs((await previewed(page, [0.05, 0.05])) - 255 * WALL) < 3, 'the wall stays');
     const preview = await wholePreview(page);
     await page.locator('#touch-save').click();
     await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
@@ -133,19 +133,19 @@ describe('touch-up', () => {
       (i) => near(map[i]),
       (i) => near(preview[i]),
     );
-    assert.ok(same > 0.97, `the server and the preview agree on ${same}`);
-    // what is shown now moves before the wall, as it did not before
+    assert.ok(same > 0.97, `the server and the preview overlap by ${same}`);
+    // the box now moves against the wall
     await page.waitForFunction(() => window.viewer?.renderer);
     const deep = await aside();
     const inner = { x0: BOX.x0 + 0.05, x1: BOX.x1 - 0.05, y0: BOX.y0 + 0.05, y1: BOX.y1 - 0.05 };
-    const moved = shareDifferent(flat, deep, WIDTH, HEIGHT, inner);
-    const stood = shareDifferent(flat, deep, WIDTH, HEIGHT, { x0: 0.05, x1: 0.25, y0: 0.05, y1: 0.95 });
+    const moved = fractionDifferent(flat, deep, WIDTH, HEIGHT, inner);
+    const stood = fractionDifferent(flat, deep, WIDTH, HEIGHT, { x0: 0.05, x1: 0.25, y0: 0.05, y1: 0.95 });
     assert.ok(moved > 0.5 && stood < 0.02, `${moved} of the box and ${stood} of the wall moved`);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('strokes go on from those of before, which are applied once', async () => {
+  test('new strokes add to saved ones, which are applied once', async () => {
     const { page, context, errors, id, depth } = await opened(0.05);
     const painted = async (by) => {
       await slide(page, '#touch-size', 0.16);
@@ -161,7 +161,7 @@ describe('touch-up', () => {
     await painted(0.3);
     await save();
     await start(page);
-    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.3)) < 3, 'it begins with what is there');
+    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.3)) < 3, 'the preview starts with the saved strokes');
     await painted(0.2);
     assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.5)) < 3);
     const preview = await wholePreview(page);
@@ -173,12 +173,12 @@ describe('touch-up', () => {
       (i) => near(map[i]),
       (i) => near(preview[i]),
     );
-    assert.ok(same > 0.95, `the server and the preview agree on ${same}`);
+    assert.ok(same > 0.95, `the server and the preview overlap by ${same}`);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('strokes of before are undone and slid one by one, and the preview is what the server makes', async () => {
+  test('saved strokes can be undone and changed one by one', async () => {
     const { page, context, errors, id, depth } = await opened(0.06);
     const radius = 0.16;
     const wide = { points: along, radius, by: 0.3 };
@@ -201,7 +201,7 @@ describe('touch-up', () => {
       await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
       await page.locator('#settings').waitFor();
     };
-    /** Holds the preview against the map that the server made of it: share of pixels within 4 levels. */
+    /** Fraction of preview pixels within 4 levels of the server's map. */
     const agrees = async (preview) => {
       const map = await depth();
       return preview.filter((value, i) => Math.abs(value - map[i]) <= 4).length / map.length;
@@ -209,24 +209,24 @@ describe('touch-up', () => {
     const near = async (place, value) => Math.abs((await previewed(page, place)) - 255 * value) < 3;
 
     await start(page);
-    assert.ok(await page.locator('#touch-save').isDisabled(), 'nothing is new');
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'Save is disabled without changes');
     const begun = await wholePreview(page);
     const same = await agrees(begun);
-    assert.ok(same > 0.98, `what it begins with is what is there: ${same}`);
+    assert.ok(same > 0.98, `the preview starts with the saved depth: ${same}`);
     assert.ok((await near(middle, WALL + 0.3)) && (await near([0.12, 0.15], WALL + 0.25)) && (await near([0.88, 0.15], 0)));
-    // the newest goes first
+    // undo removes the newest stroke first
     await page.locator('#touch-undo').click();
-    assert.ok(await near([0.88, 0.15], WALL), 'the wall under the sky is seen again');
-    // the one before it follows the slider now
+    assert.ok(await near([0.88, 0.15], WALL), 'the wall is back at its depth');
+    // the slider now changes the stroke before
     await slide(page, '#touch-amount', 0.4);
     assert.ok(await near([0.12, 0.15], WALL + 0.4));
     await page.locator('#touch-undo').click();
     await page.locator('#touch-undo').click();
-    assert.ok((await near([0.12, 0.15], WALL)) && (await near(middle, WALL)), 'all three are undone');
+    assert.ok((await near([0.12, 0.15], WALL)) && (await near(middle, WALL)), 'all three strokes are undone');
     assert.ok(await page.locator('#touch-undo').isDisabled());
     for (const _ of [1, 2, 3]) await page.locator('#touch-redo').click();
     assert.deepEqual(await wholePreview(page), begun);
-    assert.ok(await page.locator('#touch-save').isDisabled(), 'it is as it was');
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'Save is disabled after redo');
     await page.locator('#touch-undo').click();
     await page.locator('#touch-undo').click();
     const preview = await wholePreview(page);
@@ -234,9 +234,9 @@ describe('touch-up', () => {
     await save();
     assert.deepEqual(await strokes(page, id), [wide]);
     const share = await agrees(preview);
-    assert.ok(share > 0.98, `the preview is what the server made on ${share}`);
+    assert.ok(share > 0.98, `the preview equals the server's map on ${share}`);
 
-    // all at once, and other strokes over what was there before any
+    // remove all strokes and paint on the original depth
     await start(page);
     await page.locator('#touch-clear').click();
     assert.equal(
@@ -251,14 +251,14 @@ describe('touch-up', () => {
     await save();
     assert.equal((await strokes(page, id))[0].by, 0.5);
     const again = await agrees(other);
-    assert.ok(again > 0.98, `and again on ${again}`);
+    assert.ok(again > 0.98, `the preview equals the server's map on ${again}`);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('of a photo that an older program made the strokes of before go together, and that is told', async () => {
+  test('strokes of older programs can only be removed together', async () => {
     const { page, context, id } = await opened(0.07);
-    // as such a server answers
+    // the response of an old photo
     await page.route('**/depth?*before=strokes*', (route) => route.fulfill({ status: 404, json: { title: 'Not Found', status: 404 } }));
     await start(page);
     await slide(page, '#touch-size', 0.16);
@@ -268,10 +268,10 @@ describe('touch-up', () => {
     await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
     await page.locator('#settings').waitFor();
     await start(page);
-    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.3)) < 3, 'it begins with what is there');
+    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.3)) < 3, 'the preview starts with the saved strokes');
     assert.ok(await page.locator('#touch-undo').isDisabled());
     await page.locator('#touch-clear').click();
-    // what goes is told for as long as it is seen
+    // the notice stays while the user paints
     await paint(page, [[0.1, 0.1]]);
     assert.match(await page.locator('#touch-status').textContent(), /^Earlier strokes are removed when you save\. /);
     await page.locator('#touch-save').click();
@@ -280,7 +280,7 @@ describe('touch-up', () => {
     await context.close();
   });
 
-  test('undo, redo, cancel, and remove all', async () => {
+  test('undo, redo, cancel and remove all', async () => {
     const { page, context, errors, id, depth } = await opened(0.02);
     const untouched = await depth();
     await start(page);
@@ -296,13 +296,13 @@ describe('touch-up', () => {
     await page.keyboard.press('Control+Z');
     await page.locator('#touch-redo').click();
     assert.equal(await previewed(page, middle), painted);
-    // far away, and as near as a place: that of the stroke before
+    // as far as the sky, then as near as another position
     await page.getByLabel('Far away, like the sky').check();
     await paint(page, [[0.1, 0.1]]);
     assert.equal(await previewed(page, [0.1, 0.1]), 0);
     await page.getByLabel('As near as a place').check();
     await paint(page, [[0.9, 0.9]]);
-    assert.ok(await page.locator('#touch-save').isDisabled(), 'the place is missing');
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'Save is disabled until a place is chosen');
     assert.match(await page.locator('#touch-status').textContent(), /choose a place/);
     await paint(page, [middle]);
     assert.equal(await previewed(page, [0.9, 0.9]), painted);
@@ -326,11 +326,11 @@ describe('touch-up', () => {
     await context.close();
   });
 
-  test('by keyboard', async () => {
+  test('works by keyboard', async () => {
     const { page, context, errors, id } = await opened(0.03);
     await start(page);
     await page.locator('#touch-photo').focus();
-    // down, a few steps to the right, up
+    // start a stroke, move right, end the stroke
     await page.keyboard.press('Space');
     for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
     await page.keyboard.press('Space');
@@ -350,8 +350,8 @@ describe('touch-up', () => {
     await context.close();
   });
 
-  test('by touch on a small screen, and told where another was faster', async () => {
-    const phone = { ...STILL, hasTouch: true, isMobile: true, viewport: { width: 360, height: 740 } };
+  test('works by touch, and reports a conflicting change', async () => {
+    const phone = { ...REDUCED_MOTION, hasTouch: true, isMobile: true, viewport: { width: 360, height: 740 } };
     const { page, context, errors, id } = await opened(0.04, phone);
     await start(page);
     const wide = await page.evaluate(() => document.querySelector('dialog.touch-up').scrollWidth);
@@ -376,7 +376,7 @@ describe('touch-up', () => {
     await page.waitForFunction(() =>
       /Somebody changed the photo in the meantime/.test(document.getElementById('touch-status').textContent),
     );
-    assert.ok(await page.locator('#touch-save').isEnabled(), 'what was painted is still there');
+    assert.ok(await page.locator('#touch-save').isEnabled(), 'the strokes are still there');
     assert.deepEqual(
       errors.filter((e) => !/412/.test(e)),
       [],

@@ -1,4 +1,4 @@
-// Deletions, and how they are taken back.
+// Deleting photos, and undo.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { until } from '../support/until.mjs';
@@ -7,13 +7,13 @@ import { photo, uploadSuite } from '../support/upload-page.mjs';
 describe('undo', () => {
   const suite = uploadSuite();
 
-  test('a photo deleted while its row is shown takes the row with it', async () => {
+  test('deleting a photo removes its upload row', async () => {
     const one = { ...photo('a'), settings: { version: 1, title: 'one' } };
     const { page, context } = await suite.open({ pages: [{ photos: [one] }], posts: [{ status: 202, json: one }] });
     await page.route('**/v1/photos/a', (route) => route.fulfill({ status: 204 }));
     await page.setInputFiles('#picker', { name: 'one.png', mimeType: 'image/png', buffer: Buffer.from('x') });
     await page.getByRole('link', { name: 'Open one.png' }).waitFor();
-    // somebody is at it, so that it does not fold away by itself
+    // hover keeps the row from closing by itself
     await page.getByRole('link', { name: 'Open one.png' }).hover();
     await page.getByRole('button', { name: 'Delete one' }).dispatchEvent('click');
     await page.locator('.upload').waitFor({ state: 'detached' });
@@ -21,7 +21,7 @@ describe('undo', () => {
     await context.close();
   });
 
-  test('one undo takes all deletions back that wait; leaving the page carries them out', async () => {
+  test('undo restores all; leaving the page deletes', async () => {
     const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b'), photo('c')] }] });
     const cards = page.locator('.card:visible');
     await cards.nth(2).waitFor();
@@ -42,7 +42,7 @@ describe('undo', () => {
     await context.close();
   });
 
-  test('what a photo’s own page deleted is deleted by the list, unless it is undone there', async () => {
+  test('the gallery can undo a deletion from the photo page', async () => {
     suite.server.deleted.length = 0;
     const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b')] }] });
     await page.locator('.card').nth(1).waitFor();
@@ -52,16 +52,16 @@ describe('undo', () => {
     assert.equal(await page.locator('.card:visible').count(), 1);
     await page.getByRole('button', { name: 'Undo' }).click();
     assert.equal(await page.locator('.card:visible').count(), 2);
-    // it is asked for once
+    // the offer appears once
     await page.reload();
     await page.locator('.card').nth(1).waitFor();
     assert.equal(await page.locator('.undo').count(), 0);
-    // one that the first page of the list does not have
+    // a photo that is not on the first page of the gallery
     await Promise.all([page.waitForEvent('load'), hand('z')]);
     await page.getByText('The one deleted').waitFor();
     await page.goto('about:blank');
     await until(() => suite.server.deleted.length);
-    assert.deepEqual(suite.server.deleted, ['/v1/photos/z'], 'what was undone is not deleted');
+    assert.deepEqual(suite.server.deleted, ['/v1/photos/z'], 'undo prevents the deletion');
     await context.close();
   });
 });

@@ -1,13 +1,13 @@
-// The page of all photos, against answers of a server that the test makes up.
+// The gallery page with fake server responses.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { seriousViolations } from '../support/browser.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
-describe('page of all photos', () => {
+describe('gallery page', () => {
   const suite = uploadSuite();
 
-  test('an empty list says so; a long one goes on', async () => {
+  test('shows a note when empty, and loads more pages', async () => {
     const empty = await suite.open({});
     await empty.page.getByText('No photo yet').waitFor();
     assert.ok(await empty.page.locator('#more').isHidden());
@@ -20,7 +20,7 @@ describe('page of all photos', () => {
     await context.close();
   });
 
-  test('where the server is busy the upload waits as long as it says', async () => {
+  test('an upload waits as long as a busy server says', async () => {
     const posts = [
       { status: 429, headers: { 'retry-after': '1' }, contentType: 'application/problem+json', body: '{"detail":"64 photos wait"}' },
       { status: 202, json: { ...photo('a'), state: 'queued' } },
@@ -34,13 +34,13 @@ describe('page of all photos', () => {
     await context.close();
   });
 
-  test('what the server says in numbers and tags is said in words', async () => {
-    const refused = (status, detail) => ({ status, contentType: 'application/problem+json', body: JSON.stringify({ detail }) });
+  test('server errors become readable messages', async () => {
+    const rejected = (status, detail) => ({ status, contentType: 'application/problem+json', body: JSON.stringify({ detail }) });
     const posts = [
-      refused(413, 'the request’s body is over the limit of 33554432 bytes'),
-      refused(400, 'photo: 9000×9000 is over the limit of 50000000 pixels'),
-      refused(412, 'the photo was changed meanwhile; it is "c377c1" now'),
-      refused(415, 'This is no picture.'),
+      rejected(413, 'the request’s body is over the limit of 33554432 bytes'),
+      rejected(400, 'photo: 9000×9000 is over the limit of 50000000 pixels'),
+      rejected(412, 'the photo was changed meanwhile; it is "c377c1" now'),
+      rejected(415, 'This is no picture.'),
     ];
     const { page, context } = await suite.open({ posts });
     for (const words of ['at most 34 MB', 'at most 50 million', 'Reload the page', 'This is no picture.']) {
@@ -50,7 +50,7 @@ describe('page of all photos', () => {
     await context.close();
   });
 
-  test('a depth map goes with one photo', async () => {
+  test('a depth map applies to one photo', async () => {
     const posts = [
       { status: 202, json: photo('a') },
       { status: 202, json: photo('b') },
@@ -67,7 +67,7 @@ describe('page of all photos', () => {
     await context.close();
   });
 
-  test('nothing stands in the way of people who do not see or point', async () => {
+  test('has no serious accessibility violations', async () => {
     for (const colorScheme of ['light', 'dark']) {
       const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b')] }], options: { colorScheme } });
       await page.locator('.card').nth(1).waitFor();

@@ -1,4 +1,4 @@
-// Many uploads at a time: those in work are seen, the others counted, and the list of photos stays in reach.
+// Many uploads at once: the page shows the active ones, counts the others, and keeps the gallery in reach.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { seriousViolations } from '../support/browser.mjs';
@@ -11,7 +11,7 @@ const COUNT = 40;
 describe('many uploads', () => {
   const suite = uploadSuite();
 
-  /** Opens the page with so many uploads under way; `finish(n)` lets n photos be made, in their order. */
+  /** Opens the page with `count` uploads in progress; `finish(n)` completes the first n photos. */
   async function open(count, options = {}) {
     const ids = Array.from({ length: count }, (_, i) => `p${i}`);
     const { page, context, sent } = await suite.open({
@@ -47,22 +47,22 @@ describe('many uploads', () => {
   }
   const names = (page) => page.locator('.upload:visible .upload-name').allTextContents();
 
-  test('those in work are seen, the total goes on, what is ready folds away', async () => {
+  test('shows active uploads, counts all, and hides finished ones', async () => {
     const { page, context, sent, finish, most } = await open(COUNT);
     await page.getByText(`0 of ${COUNT} ready`).waitFor();
     assert.deepEqual(await names(page), ['photo 0.png', 'photo 1.png', 'photo 2.png']);
     assert.equal(await page.locator('#uploads-more-text').textContent(), `and ${COUNT - 3} more`);
     const top = (await page.locator('#gallery .card').first().boundingBox()).y;
-    assert.ok(top < 1100, `the photos begin at ${top}`);
+    assert.ok(top < 1100, `the gallery starts at ${top}`);
     await until(() => sent.length === COUNT);
     finish(12);
     await page.getByText(`12 of ${COUNT} ready`).waitFor();
-    // the newest that is ready, and three in work
+    // the newest finished upload, and three active ones
     assert.deepEqual(await names(page), ['photo 11.png', 'photo 12.png', 'photo 13.png', 'photo 14.png']);
     assert.match(await page.title(), /^12 of 40/);
     const share = await page.locator('#uploads-bar').evaluate((bar) => bar.value);
     assert.ok(share > 12 / COUNT && share < 0.6, `${share}`);
-    assert.ok(most() <= 4, `${most()} connections are held by events`);
+    assert.ok(most() <= 4, `events take ${most()} connections`);
     assert.deepEqual(await seriousViolations(page), []);
     finish(COUNT);
     await page.getByText(`${COUNT} of ${COUNT} ready`).waitFor();
@@ -81,12 +81,12 @@ describe('many uploads', () => {
     assert.deepEqual(
       suite.server.deleted.toSorted(),
       Array.from({ length: 8 }, (_, i) => `/v1/photos/p${i}`),
-      'none of them is made',
+      'all photos are deleted',
     );
     await context.close();
   });
 
-  test('a phone has the same in sight', async () => {
+  test('fits a phone', async () => {
     const { page, context } = await open(8, { viewport: { width: 390, height: 844 } });
     await page.getByText('0 of 8 ready').waitFor();
     assert.deepEqual(await names(page), ['photo 0.png', 'photo 1.png', 'photo 2.png']);

@@ -1,4 +1,4 @@
-// What the page of a photo says and asks.
+// Texts and dialogs of the photo page.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { waitForMode } from '../support/browser.mjs';
@@ -6,10 +6,10 @@ import { boxSuite } from '../support/suite.mjs';
 
 const PHONE = { reducedMotion: 'reduce', hasTouch: true, isMobile: true, viewport: { width: 390, height: 844 } };
 
-describe('the page of a photo', () => {
+describe('the photo page', () => {
   const suite = boxSuite();
 
-  test('calls each motion the same in settings and films', async () => {
+  test('names motions the same in settings and films', async () => {
     suite.server.state.settings = { version: 1 };
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
@@ -22,12 +22,12 @@ describe('the page of a photo', () => {
     const film = await dialog.getByLabel('Movement').locator('option').allTextContents();
     assert.deepEqual(film, [...set, 'Wigglegram']);
     const [make, close] = await Promise.all(['Make it', 'Close'].map((name) => dialog.getByRole('button', { name }).boundingBox()));
-    assert.equal(make.y, close.y, 'side by side');
+    assert.equal(make.y, close.y, 'the buttons are side by side');
     await context.close();
     suite.server.state.settings = undefined;
   });
 
-  test('asks before settings are lost that are not saved', async () => {
+  test('asks before unsaved settings are lost', async () => {
     suite.server.state.settings = { version: 1 };
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
@@ -35,27 +35,27 @@ describe('the page of a photo', () => {
     await page.locator('#set-title').fill('Another');
     await page.keyboard.press('Escape');
     await page.getByText('Not saved yet').waitFor();
-    const asked = page.waitForEvent('dialog');
-    const left = page.evaluate(() => location.assign('/')).catch(() => {});
-    const dialog = await asked;
+    const question = page.waitForEvent('dialog');
+    const leaving = page.evaluate(() => location.assign('/')).catch(() => {});
+    const dialog = await question;
     assert.equal(dialog.type(), 'beforeunload');
     await dialog.dismiss();
-    await left;
+    await leaving;
     await page.locator('#settings').click();
     await page.locator('#set-save').click();
     await page.getByText('Saved', { exact: true }).waitFor();
-    let again = false;
+    let askedAgain = false;
     page.on('dialog', (other) => {
-      again = true;
+      askedAgain = true;
       other.accept();
     });
     await page.goto(`${suite.server.url}/embed/blank`);
-    assert.equal(again, false);
+    assert.equal(askedAgain, false);
     await context.close();
     suite.server.state.settings = undefined;
   });
 
-  test('stands still while its blur is set', async () => {
+  test('stops idle motion while the user sets the blur', async () => {
     const { page, context } = await suite.open({});
     await waitForMode(page, 'gpu');
     assert.ok(await page.evaluate(() => window.viewer.idle));
@@ -69,7 +69,7 @@ describe('the page of a photo', () => {
     ['a mouse', { reducedMotion: 'reduce' }, 'Click the picture', 'Tap the picture'],
     ['fingers', PHONE, 'Tap the picture', 'Click the picture'],
   ]) {
-    test(`tells whoever has ${device} what to do with them`, async () => {
+    test(`explains how to use it with ${device}`, async () => {
       const { page, context } = await suite.open(options);
       await waitForMode(page, 'gpu');
       const note = await page.locator('#served-note').textContent();
@@ -83,7 +83,7 @@ describe('the page of a photo', () => {
     });
   }
 
-  test('has its title in the middle, however long the readout', async () => {
+  test('keeps the title centred beside a long readout', async () => {
     suite.server.state.settings = { version: 1, title: 'The box' };
     const { page, context } = await suite.open();
     await page.waitForFunction(() => document.title.startsWith('The box'));
@@ -100,7 +100,7 @@ describe('the page of a photo', () => {
     suite.server.state.settings = undefined;
   });
 
-  test('says first what to do where something is to be as near as a place', async () => {
+  test('explains how to paint as near as another place', async () => {
     suite.server.state.settings = { version: 1 };
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
@@ -110,17 +110,17 @@ describe('the page of a photo', () => {
     await page.getByText('First paint over what is at the wrong depth').waitFor();
     const save = page.locator('#touch-save');
     assert.ok(await save.isDisabled());
-    // WCAG 2.2, 1.4.3: readable, also where it cannot be pressed
+    // WCAG 2.2, 1.4.3: also readable when disabled
     const contrast = await save.evaluate((button) => {
       const { color, backgroundColor } = getComputedStyle(button);
-      const light = (text) => {
+      const luminance = (text) => {
         const [r, g, b] = text
           .match(/[\d.]+/g)
           .slice(0, 3)
           .map((v) => (v / 255 <= 0.03928 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
         return 0.2126 * r + 0.7152 * g + 0.0722 * b;
       };
-      const [a, b] = [light(color), light(backgroundColor)].toSorted((x, y) => y - x);
+      const [a, b] = [luminance(color), luminance(backgroundColor)].toSorted((x, y) => y - x);
       return (a + 0.05) / (b + 0.05);
     });
     assert.ok(contrast >= 4.5, `${contrast}`);

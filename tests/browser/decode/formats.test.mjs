@@ -1,4 +1,4 @@
-// Photos of every format and feature: what the program decodes them to is what Chromium shows of them, over white.
+// The program decodes photos of every format and feature as Chromium shows them, over white.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { existsSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
@@ -9,32 +9,32 @@ import { launch, openPage } from '../support/browser.mjs';
 import { program } from '../support/program.mjs';
 
 const decoded = join(dirname(program), 'examples/decoded');
-/** Photos that there are at least. */
+/** Minimum number of photos. */
 const LEAST = 300;
-/** Photos a round trip to the page. */
-const TOGETHER = 50;
-/** Mean and largest difference in levels of 255. Decoders round differently, and smooth colours that have fewer samples differently. */
+/** Photos per round trip to the page. */
+const BATCH = 50;
+/** Mean and largest difference in levels of 255; decoders round and upsample chroma differently. */
 const BOUNDS = { mean: 0.8, most: 8 };
-/** Photos that are decoded to something else on purpose, by their name, and why. */
+/** Photos that the program decodes differently on purpose, by name, with the reason. */
 const EXCEPTIONS = [
   {
     names: /^sampling-22-22-22-(interleaved|progressive)/,
-    why: 'libjpeg takes no more than ten blocks in a unit, and Chromium shows black',
+    why: 'libjpeg allows at most ten blocks per MCU, and Chromium shows black',
   },
-  { names: /^sampling-41-21-11-separate/, why: 'neither decoder of the program reads it; it is refused' },
-  { names: /^(half|no)-end-(.*-separate|nothing-interleaved)/, why: 'without an end marker Chromium leaves out the last rows, or all' },
-  { names: /^no-end-(newline-interleaved|film-progressive)/, why: 'the same' },
-  { names: /^half-end-(newline|film)-progressive/, why: 'the same' },
-  { names: /^(profile|cicp)-linear-2-16/, why: 'Chromium rounds to eight bits before it converts, which shows in shadows' },
-  { names: /^gamma-(1|primaries)/, why: 'gAMA and cHRM are passed over' },
-  { names: /^orientation-[2-8]-opaque.*webp/, why: 'Chromium turns no WebP' },
-  { names: /^animation-0-.*-clear/, why: 'Chromium takes a frame as opaque whose canvas does not say that it is clear' },
+  { names: /^sampling-41-21-11-separate/, why: 'neither decoder of the program reads it, so the program rejects it' },
+  { names: /^(half|no)-end-(.*-separate|nothing-interleaved)/, why: 'without an end marker Chromium omits the last rows, or all rows' },
+  { names: /^no-end-(newline-interleaved|film-progressive)/, why: 'as above' },
+  { names: /^half-end-(newline|film)-progressive/, why: 'as above' },
+  { names: /^(profile|cicp)-linear-2-16/, why: 'Chromium rounds to eight bits before it converts, which changes shadows' },
+  { names: /^gamma-(1|primaries)/, why: 'the program ignores gAMA and cHRM' },
+  { names: /^orientation-[2-8]-opaque.*webp/, why: 'Chromium does not rotate WebP' },
+  { names: /^animation-0-.*-clear/, why: 'Chromium treats a frame as opaque unless its canvas declares alpha' },
 ];
 
-/** What Chromium makes of photos beside what the program does; runs in the page. */
+/** In the page: compares photos that Chromium decodes with those of the program. */
 async function compare(photos) {
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const one = async ({ name, file, rgb, width, height }) => {
+  const compareOne = async ({ name, file, rgb, width, height }) => {
     const image = new Image();
     image.src = URL.createObjectURL(new Blob([bytes(file)]));
     const shown = await image.decode().then(
@@ -59,7 +59,7 @@ async function compare(photos) {
     }
     return { name, shown, taken: true, mean: sum / own.length, most };
   };
-  return Promise.all(photos.map(one));
+  return Promise.all(photos.map(compareOne));
 }
 
 describe('photos of every format and feature', () => {
@@ -76,24 +76,24 @@ describe('photos of every format and feature', () => {
     rmSync(folder, { recursive: true, force: true });
   });
 
-  test('are decoded as Chromium shows them', async (t) => {
+  test('decode as Chromium shows them', async (t) => {
     const { page, context } = await openPage(browser);
     const text = (name) => readFileSync(join(folder, name)).toString('base64');
     const index = JSON.parse(readFileSync(join(folder, 'index.json'), 'utf8'));
     const photos = index.map((photo) => ({ ...photo, file: text(photo.name), rgb: photo.refused ? '' : text(`${photo.name}.rgb`) }));
     const results = [];
-    for (let at = 0; at < photos.length; at += TOGETHER) results.push(...(await page.evaluate(compare, photos.slice(at, at + TOGETHER))));
+    for (let at = 0; at < photos.length; at += BATCH) results.push(...(await page.evaluate(compare, photos.slice(at, at + BATCH))));
     await context.close();
     assert.ok(results.length >= LEAST, `${results.length} photos`);
 
-    const alike = ({ shown, taken, mean, most }) => shown === taken && (!taken || (mean <= BOUNDS.mean && most <= BOUNDS.most));
-    const exceptional = ({ name }) => EXCEPTIONS.some(({ names }) => names.test(name));
-    t.diagnostic(`${results.filter(alike).length} of ${results.length} photos are alike`);
-    const wrong = results.filter((result) => !alike(result) && !exceptional(result));
+    const isSame = ({ shown, taken, mean, most }) => shown === taken && (!taken || (mean <= BOUNDS.mean && most <= BOUNDS.most));
+    const isException = ({ name }) => EXCEPTIONS.some(({ names }) => names.test(name));
+    t.diagnostic(`${results.filter(isSame).length} of ${results.length} photos are the same`);
+    const wrong = results.filter((result) => !isSame(result) && !isException(result));
     assert.deepEqual(wrong, [], `${wrong.length} of ${results.length} photos`);
     for (const { names, why } of EXCEPTIONS) {
-      const of = results.filter(({ name }) => names.test(name));
-      assert.ok(of.length > 0 && of.every((result) => !alike(result)), `no longer an exception: ${names}, ${why}`);
+      const matches = results.filter(({ name }) => names.test(name));
+      assert.ok(matches.length > 0 && matches.every((result) => !isSame(result)), `no longer an exception: ${names}, ${why}`);
     }
   });
 });

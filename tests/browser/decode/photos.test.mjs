@@ -1,4 +1,4 @@
-// The built decoder against the native one, every layer and every texture: rendered scenes, and photos where TMPI_DATA has some.
+// Compares every layer and texture of the WebAssembly and the native decoder: rendered scenes, and photos if TMPI_DATA has some.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { createHash } from 'node:crypto';
@@ -9,24 +9,24 @@ import { after, before, describe, test } from 'node:test';
 import { readHead } from '../../../static/decode/head.js';
 import { pieces } from '../../../static/draw/border.js';
 import { pack } from '../../../static/draw/texture-atlas.js';
-import { digest, texels } from '../support/decoder.mjs';
+import { decodeTexels, sceneDigest } from '../support/decoder.mjs';
 import { lab, program } from '../support/program.mjs';
 import { skip } from '../support/skip.mjs';
 
 const SCENES = 12;
-/** Folders of photos below TMPI_DATA, and how many are taken of each. */
+/** Folders of photos in TMPI_DATA, and number of photos to use from each. */
 const PHOTOS = { kodak: 8, dav2: 10, tmpi: 2 };
-/** Longest side of a photo, for the sake of time: as many tiles as make rows, borders and corners. */
+/** Longest side of a photo: small for speed, but with several rows of tiles, borders and corners. */
 const SIDE = 400;
 const MOST_BYTES = 1 << 28;
-/** Numbers of a piece. */
+/** Numbers per piece. */
 const PIECE = 7;
 const native = join(dirname(program), 'examples/native');
 
-/** Runs a program to its end; gives what it wrote. */
+/** Runs a program; returns its output. */
 const run = (file, args, input) => execFileSync(file, args, { input, maxBuffer: MOST_BYTES, stdio: ['pipe', 'pipe', 'ignore'] });
 
-/** Strips of texture pages: size, and the numbers of their pieces. */
+/** Strips of texture pages: size and pieces. */
 function stripsOf(head, layers) {
   const all = pieces({ ...head.scene, layers });
   const { bands, width } = pack(all);
@@ -39,23 +39,23 @@ function stripsOf(head, layers) {
   });
 }
 
-/** Digests of the built decoder and of the native one. */
-async function both(file) {
+/** Digests of both decoders. */
+async function digests(file) {
   const bytes = new Uint8Array(readFileSync(file));
   const head = readHead(bytes);
   const { width, height } = head.scene;
   const photo = { width, height, data: new Uint8Array(run(native, ['pixels', file])) };
-  const decoded = await texels(bytes, { photo });
+  const decoded = await decodeTexels(bytes, { photo });
   const strips = stripsOf(head, decoded.layers);
   const hash = createHash('sha256');
   for (const { numbers, ...size } of strips) hash.update(decoded.decoder.strip(Uint32Array.from(numbers), size.width, size.height));
-  const asked = strips.flatMap(({ width, height, numbers }) => [width, height, numbers.length / PIECE, ...numbers]);
-  const input = Buffer.from(Uint32Array.from(asked).buffer);
+  const request = strips.flatMap(({ width, height, numbers }) => [width, height, numbers.length / PIECE, ...numbers]);
+  const input = Buffer.from(Uint32Array.from(request).buffer);
   const [layers, textures] = run(native, ['digests', file], input).toString().trim().split(' ');
-  return { built: [digest(head.scene, decoded), hash.digest('hex')], native: [layers, textures], hidden: decoded.hidden.length };
+  return { built: [sceneDigest(head.scene, decoded), hash.digest('hex')], native: [layers, textures], hidden: decoded.hidden.length };
 }
 
-describe('the built decoder and the native one', () => {
+describe('the WebAssembly and the native decoder', () => {
   let folder = '';
   before(() => {
     assert.ok(existsSync(native), `no ${native}: cargo build --release --workspace --examples makes it`);
@@ -63,20 +63,20 @@ describe('the built decoder and the native one', () => {
   });
   after(() => rmSync(folder, { recursive: true, force: true }));
 
-  /** Compares all containers in a folder below; some texels must be hidden, or nothing is shown of their colours. */
+  /** Compares all containers in a folder; some texels must be hidden, so that the comparison includes their colours. */
   async function compare(name, count) {
     const files = readdirSync(join(folder, name)).filter((file) => file.endsWith('.tmpi'));
     assert.equal(files.length, count);
     let hidden = 0;
     for (const file of files) {
-      const digests = await both(join(folder, name, file));
-      assert.deepEqual(digests.built, digests.native, file);
-      hidden += digests.hidden;
+      const result = await digests(join(folder, name, file));
+      assert.deepEqual(result.built, result.native, file);
+      hidden += result.hidden;
     }
     assert.ok(hidden > count * 1000, `${hidden} hidden texels`);
   }
 
-  test(`come to the same layers and textures of ${SCENES} rendered scenes`, async () => {
+  test(`decode ${SCENES} rendered scenes to the same layers and textures`, async () => {
     const rendered = join(folder, 'rendered');
     run(lab, ['synth', '--output', rendered, '--count', String(SCENES)]);
     for (const seed of readdirSync(rendered)) {
@@ -87,12 +87,12 @@ describe('the built decoder and the native one', () => {
   });
 
   const data = process.env.TMPI_DATA && join(process.env.TMPI_DATA, 'photos');
-  test('come to the same layers and textures of photos', async (t) => {
-    if (!data || !existsSync(data)) return skip(t, 'data', 'TMPI_DATA names no folder with photos');
+  test('decode photos to the same layers and textures', async (t) => {
+    if (!data || !existsSync(data)) return skip(t, 'data', 'TMPI_DATA has no photos');
     for (const [name, count] of Object.entries(PHOTOS)) {
       const all = readdirSync(join(data, name)).filter((file) => /\.(jpg|png)$/.test(file));
-      const taken = all.slice(0, count).map((file) => join(data, name, file));
-      run(program, ['make', '-q', '-o', join(folder, name), '--max-size', String(SIDE), ...taken]);
+      const photos = all.slice(0, count).map((file) => join(data, name, file));
+      run(program, ['make', '-q', '-o', join(folder, name), '--max-size', String(SIDE), ...photos]);
       await compare(name, count);
     }
   });

@@ -1,17 +1,16 @@
-// The built decoder against the native one, bit for bit: tests/golden/digests.txt, which crates/decoder/tests/golden.rs holds the native
-// one to.
+// Compares the WebAssembly decoder bit for bit with tests/golden/digests.txt; crates/decoder/tests/golden.rs checks the native decoder against it.
 import assert from 'node:assert/strict';
 import { createHash } from 'node:crypto';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
 import { readHead } from '../../../static/decode/head.js';
-import { digest, texels } from '../support/decoder.mjs';
+import { decodeTexels, sceneDigest } from '../support/decoder.mjs';
 
 const GOLDEN = new URL('../../golden/', import.meta.url);
 const VARIANTS = 200;
 const MOST_PIXELS = 200_000;
 
-/** A picture that every decoder has without a codec. */
+/** A picture that needs no codec. */
 function pattern(width, height) {
   const data = new Uint8Array(width * height * 4);
   for (let y = 0, i = 0; y < height; y++) {
@@ -20,23 +19,22 @@ function pattern(width, height) {
   return { width, height, data };
 }
 
-/** Digest of a container decoded with the pattern for its pictures, or `refused`. */
+/** Digest of a container decoded with the pattern as its pictures, or `refused`. */
 async function outcome(bytes) {
   try {
     const head = readHead(bytes);
     if (!head) return 'refused';
     const { width, height } = head.scene;
     if (width * height > MOST_PIXELS) return 'refused';
-    // blocks of the hidden picture lie in rows of `hiddenColumns`: as many as it says
     const hidden = head.hidden && pattern(...hiddenSize(bytes));
-    return digest(head.scene, await texels(bytes, { photo: pattern(width, height), hidden }));
+    return sceneDigest(head.scene, await decodeTexels(bytes, { photo: pattern(width, height), hidden }));
   } catch (error) {
     assert.ok(!/^the decoder failed/.test(error.message), error.message);
     return 'refused';
   }
 }
 
-/** Size of the hidden picture by the index's fields 14 and 15: count of blocks of eight pixels, and how many lie in a row. */
+/** Size of the hidden picture from the index's fields 14 and 15: number of 8-pixel blocks, and blocks per row. */
 function hiddenSize(bytes) {
   const fields = new Map();
   let at = 12;
@@ -55,7 +53,7 @@ function hiddenSize(bytes) {
   }
   const [blocks, columns] = [fields.get(14) ?? 0, fields.get(15) ?? 0];
   const size = [columns * 8, Math.ceil(blocks / columns) * 8];
-  if (!(size[0] * size[1] <= MOST_PIXELS)) throw new Error('too large for a test');
+  if (!(size[0] * size[1] <= MOST_PIXELS)) throw new Error('too large for the test');
   return size;
 }
 
@@ -69,11 +67,11 @@ function random(seed) {
   };
 }
 
-function damaged(bytes, below) {
+function corrupted(bytes, below) {
   let out = bytes.slice();
   for (let i = below(4); i >= 0; i--) {
-    const reach = below(2) === 0 ? Math.min(out.length, 300) : out.length;
-    const at = below(reach);
+    const end = below(2) === 0 ? Math.min(out.length, 300) : out.length;
+    const at = below(end);
     const kind = below(8);
     if (kind === 0) out = out.slice(0, Math.max(at, 1));
     else if (kind === 1) out[at] = below(256);
@@ -82,18 +80,18 @@ function damaged(bytes, below) {
   return out;
 }
 
-describe('the built decoder', () => {
+describe('the WebAssembly decoder', () => {
   const lines = readFileSync(new URL('digests.txt', GOLDEN), 'utf8').trim().split('\n');
   assert.ok(lines.length > 10);
   lines.forEach((line, i) => {
-    const [name, whole, all] = line.split(' ');
-    test(`comes to what the native one does: ${name}, whole and damaged`, async () => {
+    const [name, intact, variants] = line.split(' ');
+    test(`decodes as the native one, intact and corrupted: ${name}`, async () => {
       const bytes = new Uint8Array(readFileSync(new URL(name, GOLDEN)));
-      assert.equal(await outcome(bytes), whole);
+      assert.equal(await outcome(bytes), intact);
       const below = random(i + 1);
       const hash = createHash('sha256');
-      for (let k = 0; k < VARIANTS; k++) hash.update(await outcome(damaged(bytes, below)));
-      assert.equal(hash.digest('hex'), all);
+      for (let k = 0; k < VARIANTS; k++) hash.update(await outcome(corrupted(bytes, below)));
+      assert.equal(hash.digest('hex'), variants);
     });
   });
 });

@@ -1,13 +1,13 @@
-// What draws where something fails.
+// Fallbacks when a renderer fails.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { pixelsAt, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { fractionDifferent, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 
 describe('backends', () => {
   const suite = boxSuite();
 
-  test('a lost device is rebuilt once; then WebGL draws, and after two more losses the server', async () => {
+  test('lost devices fall back to WebGL, then the server', async () => {
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
     const before = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
@@ -15,10 +15,10 @@ describe('backends', () => {
     await waitForMode(page, 'loading');
     await waitForMode(page, 'gpu');
     const rebuilt = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
-    assert.equal(shareDifferent(before, rebuilt, WIDTH, HEIGHT, { levels: 0 }), 0);
+    assert.equal(fractionDifferent(before, rebuilt, WIDTH, HEIGHT, { levels: 0 }), 0);
     await page.evaluate(() => window.viewer.renderer.device.destroy());
     await waitForMode(page, 'webgl');
-    const other = shareDifferent(before, await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT), WIDTH, HEIGHT);
+    const other = fractionDifferent(before, await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT), WIDTH, HEIGHT);
     assert.ok(other < 0.005, `${other} of the pixels differ between WebGPU and WebGL2`);
     for (let i = 0; i < 2; i++) {
       await page.evaluate(() => {

@@ -1,25 +1,25 @@
-// The instances that the shaders draw.
+// Instance data for the shaders.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { pieces } from '../../../static/draw/border.js';
 import { INSTANCE_FLOATS, instances, withErrors } from '../../../static/draw/instances.js';
 import { pack } from '../../../static/draw/texture-atlas.js';
 import { boxContainer } from '../support/container.mjs';
-import { scene as decoded } from '../support/decoder.mjs';
+import { decodeScene } from '../support/decoder.mjs';
 import { readPng } from '../support/pictures.mjs';
 
 describe('instances', async () => {
-  const scene = await decoded(new Uint8Array(boxContainer()), readPng);
+  const scene = await decodeScene(new Uint8Array(boxContainer()), readPng);
   const all = pieces(scene);
   const places = pack(all);
-  /** Instance `i` by the names of tmpi.wgsl. */
+  /** Instance `i`, named as in tmpi.wgsl. */
   const read = (data, i) => {
     const [a, b, c, page, cx, cy, x, y, w, h] = data.subarray(i * INSTANCE_FLOATS, (i + 1) * INSTANCE_FLOATS);
     return { a, b, c, page, cx, cy, x, y, w, h };
   };
   const delta = ({ a, b, c, cx, cy, x, y, w, h }) => a + (b * (x + w / 2 - cx) + c * (y + h / 2 - cy)) / (scene.tileSize / 2);
 
-  test('first all pieces in layer order, then the soft ones back to front', () => {
+  test('lists all pieces in order, then soft pieces back to front', () => {
     const { data, opaque, soft } = instances(scene, all, places);
     assert.equal(opaque, all.length);
     assert.equal(soft, all.filter((p) => scene.layers.soft[p.layer]).length);
@@ -28,7 +28,7 @@ describe('instances', async () => {
     for (let i = 1; i < soft; i++) assert.ok(delta(read(data, opaque + i - 1)) <= delta(read(data, opaque + i)) + 1e-6, `${i}`);
   });
 
-  test('a tile’s error is the fraction beside its page, less than one', () => {
+  test('stores a tile’s error as a fraction of the page', () => {
     const errors = [0, 0.5, 7];
     const { data } = withErrors(instances(scene, all, places), errors);
     const shares = new Map();

@@ -1,4 +1,4 @@
-// Twelve kinds of scene from eight places, drawn by WebGPU and by WebGL2, against the reference that the program draws in f64.
+// Compares WebGPU and WebGL2 with the program's f64 reference: twelve scenes from eight poses.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
@@ -7,19 +7,19 @@ import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
 import { HOME, lookingAt, POSE_KEYS } from '../../../static/view/camera.js';
-import { launch, openPage, pixelsAt, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { disableGraphics, launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { png } from '../support/pictures.mjs';
 import { lab, program } from '../support/program.mjs';
 import { serve } from '../support/static-server.mjs';
 
 const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
-/** Share of the pixels off by more than 8 levels, and mean FLIP, at most. */
+/** Largest fraction of pixels off by more than 8 levels, and largest mean FLIP. */
 const MOST_OFF = 0.015;
 const MOST_FLIP = 0.02;
-/** Scenes are made for twice the usual view box. */
+/** The scenes have twice the default view box. */
 const REACH = 0.06;
 
-/** Corners of the view box: four look straight ahead, four turn. */
+/** Corners of the view box; four cameras look straight ahead, four turn. */
 function poses() {
   const out = [];
   for (let corner = 0; corner < 8; corner++) {
@@ -45,7 +45,7 @@ describe('scenes', () => {
     if (folder) rmSync(folder, { recursive: true });
   });
 
-  /** The reference's picture of a scene at pose `i`, drawn once. */
+  /** The reference's picture of a scene at pose `i`, cached. */
   const drawn = new Map();
   function reference(scene, pose, i) {
     const path = join(folder, `${scene}-${i}.png`);
@@ -59,32 +59,34 @@ describe('scenes', () => {
 
   async function compare(t, mode) {
     assert.equal(scenes.length, 12);
-    let [off, seen] = [0, 0];
+    let [worstOff, worstFlip] = [0, 0];
     for (const scene of scenes) {
       const server = await serve({ atlas: readFileSync(join(FOLDER, scene)) });
       const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
-      if (mode === 'webgl') await takeGraphics(page, { webgl: true });
+      if (mode === 'webgl') await disableGraphics(page, { webgl: true });
       await page.goto(`${server.url}/view/box`);
       await waitForMode(page, mode);
       for (const [i, pose] of poses().entries()) {
         const { path, width, height } = reference(scene, pose, i);
         const data = await pixelsAt(page, pose, width, height);
-        const own = join(folder, 'own.png');
+        const browserPicture = join(folder, 'browser.png');
         writeFileSync(
-          own,
+          browserPicture,
           png(width, height, 3, (x, y) => data.subarray((y * width + x) * 4, (y * width + x) * 4 + 3)),
         );
-        const figures = JSON.parse(run(lab, 'compare', path, own, '--json'));
+        const figures = JSON.parse(run(lab, 'compare', path, browserPicture, '--json'));
         assert.ok(figures.share_off <= MOST_OFF && figures.flip <= MOST_FLIP, `${scene} from ${i}: ${JSON.stringify(figures)}`);
-        [off, seen] = [Math.max(off, figures.share_off), Math.max(seen, figures.flip)];
+        [worstOff, worstFlip] = [Math.max(worstOff, figures.share_off), Math.max(worstFlip, figures.flip)];
       }
       assert.deepEqual(errors, []);
       await context.close();
       await server.close();
     }
-    t.diagnostic(`${mode}: at most ${(off * 100).toFixed(3)} % of the pixels off by more than 8 levels, FLIP at most ${seen.toFixed(4)}`);
+    t.diagnostic(
+      `${mode}: at most ${(worstOff * 100).toFixed(3)} % of the pixels off by more than 8 levels, FLIP at most ${worstFlip.toFixed(4)}`,
+    );
   }
 
-  test('WebGPU draws what the reference draws', (t) => compare(t, 'gpu'));
-  test('WebGL2 draws what the reference draws', (t) => compare(t, 'webgl'));
+  test('WebGPU draws the same as the reference', (t) => compare(t, 'gpu'));
+  test('WebGL2 draws the same as the reference', (t) => compare(t, 'webgl'));
 });

@@ -1,16 +1,16 @@
-// Views that the server draws, where the browser cannot.
+// Views that the server draws because the browser cannot.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { openPage, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { disableGraphics, openPage, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
-import { frames, gate, until } from '../support/until.mjs';
+import { gate, until, waitForAnimationFrames } from '../support/until.mjs';
 
-describe('views of the server', () => {
+describe('server views', () => {
   const suite = boxSuite();
 
-  test('with neither WebGPU nor WebGL the server’s views are shown, one request at a time, the latest pose last', async (t) => {
+  test('request one view at a time, the latest pose last', async (t) => {
     const { page, context, errors } = await openPage(suite.browser);
-    await takeGraphics(page, { webgl: false });
+    await disableGraphics(page, { webgl: false });
     await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'served');
     assert.match(await page.locator('#served-note').textContent(), /The server draws this view/);
@@ -24,21 +24,21 @@ describe('views of the server', () => {
     for (let i = 0; i < 12; i++) await page.keyboard.press('ArrowLeft');
     await page.waitForFunction(() => !window.viewer.moving);
     await until(() => suite.server.views.length > seen);
-    await frames(page, 5);
-    assert.equal(suite.server.views.length, seen + 1, 'a second one is not asked for before the first is there');
+    await waitForAnimationFrames(page, 5);
+    assert.equal(suite.server.views.length, seen + 1, 'the page waits for the first view before it requests the second');
     answer.open();
     await page.waitForFunction(() => !window.viewer.moving && window.viewer.serverViews.shown === window.viewer.serverViews.wanted);
     const last = new URLSearchParams(suite.server.views.at(-1));
     assert.equal(last.get('tx'), '-0.03000');
     assert.ok(Number(last.get('fov')) > 60 && Number(last.get('fov')) < 82, last.get('fov'));
-    assert.equal(last.get('crop'), null, 'all of the photo');
+    assert.equal(last.get('crop'), null, 'the whole photo');
     for (let i = 0; i < 4; i++) await page.keyboard.press('+');
     await page.waitForFunction(() => !window.viewer.moving && window.viewer.serverViews.shown === window.viewer.serverViews.wanted);
     const close = new URLSearchParams(suite.server.views.at(-1));
     const [x, y, w, h] = close.get('crop').split(',').map(Number);
     assert.ok(w < 0.5 && w > 0.3 && h < 0.7 && Math.abs(x + w / 2 - 0.5) < 1e-3 && Math.abs(y + h / 2 - 0.5) < 1e-3, close.get('crop'));
     assert.equal(close.get('fov'), last.get('fov'));
-    // as wide for its height as what is seen of the photo is
+    // the view has the aspect ratio of the visible part
     assert.ok(Math.abs(Number(close.get('w')) / Number(close.get('h')) - (w * 200) / (h * 120)) < 0.02, close.toString());
     assert.deepEqual(errors, []);
     await context.close();

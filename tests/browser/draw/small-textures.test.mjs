@@ -1,13 +1,13 @@
-// Graphics devices whose textures are smaller than the pages that others get.
+// GPUs with a small maximum texture size.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { openPage, pixelsAt, shareDifferent, waitForMode } from '../support/browser.mjs';
-import { boxSuite, HEIGHT, STILL, WIDTH } from '../support/suite.mjs';
+import { fractionDifferent, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
+import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
 
 const SIDE = 128;
 
-/** Makes the page believe that no texture is larger. */
-function shrink(side) {
+/** Fakes the maximum texture size. */
+function limitTextures(side) {
   const { getParameter } = WebGL2RenderingContext.prototype;
   WebGL2RenderingContext.prototype.getParameter = function (name) {
     return name === this.MAX_TEXTURE_SIZE ? side : getParameter.call(this, name);
@@ -16,17 +16,17 @@ function shrink(side) {
 
 for (const [mode, webgpu] of [
   ['webgl', false],
-  // the scene must still fit where WebGPU is lost
+  // WebGPU also packs small, so that the scene fits if it falls back to WebGL
   ['gpu', true],
 ]) {
   describe(`small textures, ${mode}`, () => {
     const suite = boxSuite({ webgpu });
 
-    test('the scene is packed into pages that fit, and looks the same', async () => {
+    test('the scene fits into smaller pages and looks the same', async () => {
       const seen = [];
       for (const small of [false, true]) {
-        const { page, context } = await openPage(suite.browser, STILL);
-        if (small) await page.addInitScript(shrink, SIDE);
+        const { page, context } = await openPage(suite.browser, REDUCED_MOTION);
+        if (small) await page.addInitScript(limitTextures, SIDE);
         await page.goto(`${suite.server.url}/view/box`);
         await waitForMode(page, mode);
         const { width, height, pages } = await page.evaluate(() => window.viewer.scene.atlas);
@@ -34,8 +34,8 @@ for (const [mode, webgpu] of [
         seen.push(await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT));
         await context.close();
       }
-      // other places on the pages round otherwise
-      assert.equal(shareDifferent(...seen, WIDTH, HEIGHT, { levels: 2 }), 0);
+      // other positions in the texture round differently
+      assert.equal(fractionDifferent(...seen, WIDTH, HEIGHT, { levels: 2 }), 0);
     });
   });
 }

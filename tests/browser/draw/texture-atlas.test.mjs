@@ -1,4 +1,4 @@
-// Places of pieces on the pages of the texture array, and what is written there.
+// Positions of pieces on the pages of the texture array, and the texels there.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
@@ -6,9 +6,9 @@ import { readHead } from '../../../static/decode/head.js';
 import { pieces } from '../../../static/draw/border.js';
 import { INSTANCE_FLOATS } from '../../../static/draw/instances.js';
 import { checkFit, pack, upload } from '../../../static/draw/texture-atlas.js';
-import { scene as decoded, texels } from '../support/decoder.mjs';
+import { decodeScene, decodeTexels } from '../support/decoder.mjs';
 
-/** Sizes from a generator with a fixed seed. */
+/** Pseudo-random sizes from a fixed seed. */
 function sizes(count, most) {
   let seed = 7;
   const random = () => {
@@ -19,7 +19,7 @@ function sizes(count, most) {
 }
 
 describe('texture atlas', () => {
-  test('pieces lie on their pages without overlap, those of two groups in strips of their own', () => {
+  test('pieces do not overlap, and groups have separate strips', () => {
     const two = Array.from({ length: 3000 }, (_, i) => Number(i > 1700));
     for (const [groups, most] of [[undefined], [two], [two, 2048], [undefined, 1000]]) {
       const all = sizes(3000, 170);
@@ -36,16 +36,16 @@ describe('texture atlas', () => {
       });
       for (const places of rows.values()) {
         places.sort((p, q) => p[0] - q[0]);
-        for (let k = 1; k < places.length; k++) assert.ok(places[k - 1][1] <= places[k][0], 'two pieces in one place');
+        for (let k = 1; k < places.length; k++) assert.ok(places[k - 1][1] <= places[k][0], 'two pieces overlap');
       }
       const strips = bands.toSorted((p, q) => p.page - q.page || p.y - q.y);
       for (let k = 1; k < strips.length; k++) {
-        assert.ok(strips[k - 1].page < strips[k].page || strips[k - 1].y + strips[k - 1].h <= strips[k].y, 'two strips in one place');
+        assert.ok(strips[k - 1].page < strips[k].page || strips[k - 1].y + strips[k - 1].h <= strips[k].y, 'two strips overlap');
       }
     }
   });
 
-  test('what does not fit the device is refused', () => {
+  test('an atlas that exceeds the device limits is rejected', () => {
     assert.equal(pack([{ w: 5000, h: 10 }]).width, 5000);
     const atlas = { width: 5000, height: 10, pages: 2, wide: false, strips: [] };
     checkFit(atlas, { side: 5000, pages: 2 });
@@ -57,10 +57,10 @@ describe('texture atlas', () => {
     }
   });
 
-  test('strips are uploaded whole, in parts of a moment, and never so many that the queue is full', async () => {
+  test('strips upload in parts that never fill the queue', async () => {
     const width = 2048;
     const strip = (page, y, h) => ({ page, y, h, data: Uint8Array.from({ length: width * 4 * h }, (_, i) => (i + page * 3 + y) & 255) });
-    // one taller than a part, and one that ends within one
+    // one strip is taller than a part, one ends within a part
     const strips = [strip(0, 0, 1500), strip(0, 1500, 64), strip(1, 0, 257)];
     const seen = strips.map(() => []);
     let [queued, most, parts] = [0, 0, 0];
@@ -80,21 +80,21 @@ describe('texture atlas', () => {
     assert.ok(parts > strips.length && most <= 10 << 20, `${parts} parts, ${most} bytes queued`);
   });
 
-  /** Colours beyond the border, in one band and in several. @type {number[][]} */
+  /** Colours beyond the border, for each number of bands. @type {number[][]} */
   const beyond = [];
   for (const count of [1, 2]) {
-    test(`the texels written are those of the layers, premultiplied, and blurred mirror images beyond the border: ${count} bands`, async () => {
+    test(`pages contain premultiplied texels, blurred beyond the border (bands: ${count})`, async () => {
       const bytes = new Uint8Array(readFileSync(new URL('../../golden/v1_3.tmpi', import.meta.url)));
       const { width, height } = readHead(bytes).scene;
       const photo = { width, height, data: Uint8Array.from({ length: width * height * 4 }, (_, i) => (i * 7 + (i >> 9)) & 255) };
-      const scene = await decoded(bytes, async () => photo, count);
+      const scene = await decodeScene(bytes, async () => photo, count);
       const all = pieces(scene);
-      assert.ok(all.some((p) => p.flipX) && all.some((p) => p.flipY), 'the scene goes on beyond its border');
+      assert.ok(all.some((p) => p.flipX) && all.some((p) => p.flipY), 'the scene continues beyond its border');
       const { atlas, layers } = scene;
       const pages = new Uint8Array(atlas.width * atlas.height * atlas.pages * 4);
       for (const strip of atlas.strips) pages.set(strip.data, (strip.page * atlas.height + strip.y) * atlas.width * 4);
-      const { classes, alpha, hidden } = await texels(bytes, { photo });
-      const looked = [0, 0, 0];
+      const { classes, alpha, hidden } = await decodeTexels(bytes, { photo });
+      const checked = [0, 0, 0];
       /** @type {number[]} */
       const blurred = [];
       let sharp = 0;
@@ -118,7 +118,7 @@ describe('texture atlas', () => {
             const texel = starts[p.layer] + y * layers.w[p.layer] + x;
             const at = ((page * atlas.height + atlasY + v) * atlas.width + atlasX + u) * 4;
             const kind = classes[texel];
-            looked[kind]++;
+            checked[kind]++;
             assert.equal(pages[at + 3], kind ? alpha[texel] : 0);
             const from = ((layers.y[p.layer] + y) * width + layers.x[p.layer] + x) * 4;
             const source = kind === 1 ? photo.data.subarray(from) : hidden.subarray(ranks[texel] * 3);
@@ -133,12 +133,12 @@ describe('texture atlas', () => {
         }
       });
       assert.ok(
-        looked.every((n) => n > 1000),
-        `${looked} texels`,
+        checked.every((n) => n > 1000),
+        `${checked} texels`,
       );
       assert.ok(sharp < blurred.length / 4, `${sharp} of ${blurred.length} colours beyond the border are sharp`);
       beyond.push(blurred);
-      assert.deepEqual(blurred, beyond[0], 'bands blur alike');
+      assert.deepEqual(blurred, beyond[0], 'all bands blur the same');
     });
   }
 });

@@ -1,4 +1,4 @@
-// The error of each tile, over the scene.
+// The overlay with the error of each tile.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { TileErrors } from '../../../static/draw/tile-errors.js';
@@ -8,12 +8,12 @@ import { boxSuite } from '../support/suite.mjs';
 describe('tile errors', () => {
   const suite = boxSuite();
 
-  test('the error of each tile is shown', async () => {
+  test('the overlay shows the error of each tile', async () => {
     const { page, context, errors } = await suite.open();
     await waitForMode(page, 'gpu');
     for (const webgl of [false, true]) {
       if (webgl) {
-        // the second host shows the same
+        // WebGL shows the same
         for (let i = 0; i < 2; i++) {
           await page.evaluate(() => {
             window.lost = window.viewer.renderer;
@@ -42,14 +42,14 @@ describe('tile errors', () => {
         return data[0] < data[1];
       });
       const [first, last] = await colours();
-      assert.ok(first[1] > first[0] + 60, `the first tile has no error and is green: ${first}`);
-      assert.ok(last[0] > last[1] + 60, `the last has a pixel and is red: ${last}`);
+      assert.ok(first[1] > first[0] + 60, `the first tile has no error and must be green: ${first}`);
+      assert.ok(last[0] > last[1] + 60, `the last tile has an error of one pixel and must be red: ${last}`);
     }
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('the report is fetched once and when it is wanted; after a failure it may be asked for again', async (t) => {
+  test('fetches the report on demand, and again after a failure', async (t) => {
     const answers = [new Response('', { status: 500 }), Response.json({ error: { tile_px: [1, 2] } })];
     const fetched = t.mock.method(globalThis, 'fetch', async () => answers.shift());
     const shown = [];

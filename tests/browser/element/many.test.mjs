@@ -1,4 +1,4 @@
-// Many elements on a page, and elements that are moved and told otherwise while they run.
+// Many elements on a page, and changes to running elements.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
 import { launch, openPage } from '../support/browser.mjs';
@@ -6,13 +6,13 @@ import { boxContainer } from '../support/container.mjs';
 import { serve } from '../support/static-server.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
-/** More than the 16 contexts that Chromium gives to a page. */
+/** More than the 16 WebGL contexts that Chromium allows per page. */
 const MANY = 18;
-const STILL = { reducedMotion: 'reduce' };
-const one = (more = '') => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
+const REDUCED_MOTION = { reducedMotion: 'reduce' };
+const element = (more = '') => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
 
-/** Opens a page of these elements, styled. */
-async function open(browser, server, html, options = STILL) {
+/** Opens a page with this HTML. */
+async function open(browser, server, html, options = REDUCED_MOTION) {
   const opened = await openPage(browser, options);
   await opened.page.goto(`${server.url}/embed/blank`);
   await opened.page.evaluate((markup) => (document.body.innerHTML = markup), html);
@@ -35,11 +35,11 @@ describe('many elements without WebGPU', () => {
   const modes = (page) => page.evaluate(() => [...document.querySelectorAll('tmpi-viewer')].map((e) => e.viewer?.mode));
   const drawn = (page, n) => page.waitForFunction((i) => document.querySelectorAll('tmpi-viewer')[i].viewer?.mode === 'webgl', n);
 
-  test(`each of ${MANY} below one another is drawn where it is in sight, also when scrolled back to`, async () => {
+  test(`each of ${MANY} is drawn when scrolled into view`, async () => {
     const { page, context, errors } = await open(
       browser,
       server,
-      `<style>tmpi-viewer { width: 150px; margin-bottom: 700px }</style>${one('loading="eager"').repeat(MANY)}`,
+      `<style>tmpi-viewer { width: 150px; margin-bottom: 700px }</style>${element('loading="eager"').repeat(MANY)}`,
     );
     const visit = async (n) => {
       await page.evaluate((i) => document.querySelectorAll('tmpi-viewer')[i].scrollIntoView(), n);
@@ -49,9 +49,9 @@ describe('many elements without WebGPU', () => {
     await visit(0);
     assert.ok(
       (await modes(page)).every((mode) => mode === 'webgl' || mode === 'loading'),
-      'none is given up',
+      'no element falls back to the server',
     );
-    // what has no context shows its photo
+    // elements without a context show the photo
     const pictured = await page.evaluate(() =>
       [...document.querySelectorAll('tmpi-viewer')].map((e) => e.shadowRoot.querySelector('.tmpi-poster').naturalWidth),
     );
@@ -60,11 +60,11 @@ describe('many elements without WebGPU', () => {
     await context.close();
   });
 
-  test(`of ${MANY} in sight at once one that is used is drawn, and no browser takes one away`, async () => {
+  test(`with ${MANY} visible, the element in use is drawn`, async () => {
     const { page, context, errors } = await open(
       browser,
       server,
-      `<style>body { margin: 0 } tmpi-viewer { width: 100px; height: 60px; display: inline-block }</style>${one().repeat(MANY)}`,
+      `<style>body { margin: 0 } tmpi-viewer { width: 100px; height: 60px; display: inline-block }</style>${element().repeat(MANY)}`,
     );
     await page.waitForFunction(
       (n) => [...document.querySelectorAll('tmpi-viewer')].filter((e) => e.viewer?.mode === 'webgl').length >= n,
@@ -74,10 +74,10 @@ describe('many elements without WebGPU', () => {
       [...document.querySelectorAll('tmpi-viewer')].every((e) => e.shadowRoot.querySelector('.tmpi-poster')?.naturalWidth),
     );
     const waiting = (await modes(page)).indexOf('loading');
-    assert.ok(waiting >= 0, 'some wait');
+    assert.ok(waiting >= 0, 'some elements wait for a context');
     await page.locator('tmpi-viewer').nth(waiting).hover();
     await drawn(page, waiting);
-    // those that leave make room for those that wait
+    // removed elements free contexts for waiting ones
     await page.evaluate(() => {
       for (const e of [...document.querySelectorAll('tmpi-viewer')].slice(0, 12)) e.remove();
     });
@@ -90,7 +90,7 @@ describe('many elements without WebGPU', () => {
   });
 });
 
-describe('an element that runs', () => {
+describe('a running element', () => {
   const suite = boxSuite();
   const running = async (html, options = {}) => {
     const opened = await open(suite.browser, suite.server, `<style>tmpi-viewer { width: 300px }</style>${html}`, options);
@@ -99,8 +99,8 @@ describe('an element that runs', () => {
   };
   const idle = (page) => page.evaluate(() => document.querySelector('tmpi-viewer').viewer.idle);
 
-  test('heeds reduced motion that is switched on, and off again', async () => {
-    const { page, context } = await running(one());
+  test('follows changes of reduced motion', async () => {
+    const { page, context } = await running(element());
     assert.equal(await idle(page), true);
     await page.emulateMedia({ reducedMotion: 'reduce' });
     await page.waitForFunction(() => !document.querySelector('tmpi-viewer').viewer.idle);
@@ -109,35 +109,35 @@ describe('an element that runs', () => {
     await context.close();
   });
 
-  test('takes the word false, and properties, as frameworks write them', async () => {
+  test('accepts "false" and properties, as frameworks set them', async () => {
     const { page, context } = await running(
-      one('auto-rotate="false" camera-controls="false" fullscreen="false" settings="false" still="false"'),
+      element('auto-rotate="false" camera-controls="false" fullscreen="false" settings="false" still="false"'),
     );
-    const told = () =>
+    const state = () =>
       page.evaluate(() => {
         const e = document.querySelector('tmpi-viewer');
         const button = e.shadowRoot.querySelector('button').hidden;
         return [e.viewer.idle, e.shadowRoot.querySelector('.stage').inert, button, e.autoRotate, e.cameraControls, e.fullscreen, e.still];
       });
-    assert.deepEqual(await told(), [false, true, true, false, false, false, false]);
-    const asked = await page.evaluate(() => performance.getEntriesByType('resource').filter((r) => r.name.endsWith('/settings')).length);
-    assert.equal(asked, 0);
-    // as React 19 does: a property where there is one of the attribute's name
+    assert.deepEqual(await state(), [false, true, true, false, false, false, false]);
+    const requests = await page.evaluate(() => performance.getEntriesByType('resource').filter((r) => r.name.endsWith('/settings')).length);
+    assert.equal(requests, 0);
+    // React 19 sets a property if the element has one with the attribute's name
     await page.evaluate(() => {
       const e = document.querySelector('tmpi-viewer');
       for (const name of ['auto-rotate', 'camera-controls', 'fullscreen']) if (name in e) e[name] = true;
     });
-    assert.deepEqual(await told(), [true, false, false, true, true, true, false]);
+    assert.deepEqual(await state(), [true, false, false, true, true, true, false]);
     await page.evaluate(() => (document.querySelector('tmpi-viewer').still = true));
-    assert.deepEqual((await told())[0], false);
+    assert.deepEqual((await state())[0], false);
     await page.evaluate(() => (document.querySelector('tmpi-viewer')['auto-rotate'] = false));
     await page.evaluate(() => (document.querySelector('tmpi-viewer').still = false));
-    assert.deepEqual((await told()).slice(0, 4), [false, false, false, false]);
+    assert.deepEqual((await state()).slice(0, 4), [false, false, false, false]);
     await context.close();
   });
 
-  test('is moved within the page without beginning anew', async () => {
-    const { page, context } = await running(`<div id="there"></div>${one('still')}`);
+  test('moves within the page without a restart', async () => {
+    const { page, context } = await running(`<div id="there"></div>${element('still')}`);
     const same = await page.evaluate(() => {
       const e = document.querySelector('tmpi-viewer');
       const { viewer } = e;

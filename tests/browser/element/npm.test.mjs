@@ -1,8 +1,8 @@
-// The package for npm: a page that is served nothing but its files and a container.
+// The npm package, on a server with only its files and a container.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { mkdtempSync, readFileSync, rmSync, statSync, writeFileSync } from 'node:fs';
-import { request as ask, createServer } from 'node:http';
+import { createServer, request as httpRequest } from 'node:http';
 import { createRequire } from 'node:module';
 import { tmpdir } from 'node:os';
 import { dirname, extname, join } from 'node:path';
@@ -12,21 +12,21 @@ import { launch, openPage, seriousViolations } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
 import { startServer } from '../support/program.mjs';
-import { STILL } from '../support/suite.mjs';
+import { REDUCED_MOTION } from '../support/suite.mjs';
 
 const TYPES = { '.js': 'text/javascript', '.wasm': 'application/wasm', '.wgsl': 'text/plain', '.html': 'text/html' };
 const POLICY =
   "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; connect-src 'self'; worker-src 'self' blob:; img-src 'self' blob:";
 const PAGE = `<!doctype html><title>package</title><script type="module" src="/tmpi-viewer/tmpi-viewer.js"></script>
   <tmpi-viewer src="/photo.tmpi" alt="A box"></tmpi-viewer>`;
-/** Uses of the types, some of them wrong. */
+/** Valid and invalid uses of the types. */
 const USE = `import 'tmpi-viewer';
   const viewer = document.querySelector('tmpi-viewer')!;
   viewer.addEventListener('load', ({ detail }) => detail.mode === 'webgl');
   const file: Promise<Blob> = viewer.toBlob();
   viewer.addEventListener('state', ({ detail }) => detail.state === 'waiting');
   viewer.addEventListener('statistics', ({ detail }) => detail.behind + detail.frames);
-  const heard: Promise<void> = viewer.setSound(true);
+  const soundOn: Promise<void> = viewer.setSound(true);
   // @ts-expect-error no such state
   viewer.addEventListener('state', ({ detail }) => detail.state === 'asleep');
   // @ts-expect-error no such mode
@@ -34,21 +34,21 @@ const USE = `import 'tmpi-viewer';
   viewer.src = '/photo.tmpi';
   viewer.speed = 2;
   viewer.room = null;
-  // @ts-expect-error no address
+  // @ts-expect-error not a URL
   viewer.poster = new Blob();
-  // @ts-expect-error not to be set
+  // @ts-expect-error read-only
   viewer.loaded = true;
   import { Tmpi } from 'tmpi-viewer/rest';
   const tmpi = new Tmpi('https://photos.example');
   const made = tmpi.wait('id', { onEvent: (event) => event.type === 'stage' && event.data.step });
   const atlas: Promise<Uint8Array> = tmpi.atlas('id', { sections: ['photo'] }).then(({ bytes }) => bytes);
-  // @ts-expect-error with a tag there may be none
+  // @ts-expect-error null for an unchanged tag
   tmpi.atlas('id', {}, 'tag').then(({ bytes }) => bytes);
   // @ts-expect-error no such setting
   tmpi.change('id', { tilte: 'A box' });
-  export { file, heard, made, atlas };`;
+  export { file, soundOn, made, atlas };`;
 
-describe('package', () => {
+describe('npm package', () => {
   const folder = mkdtempSync(join(tmpdir(), 'tmpi-npm-'));
   const root = join(folder, 'node_modules/tmpi-viewer');
   let archive;
@@ -60,15 +60,15 @@ describe('package', () => {
     execFileSync('tar', ['-xzf', archive, '-C', root, '--strip-components=1']);
     missing = [];
     server = createServer((request, response) => {
-      const answer = (type, body) => {
+      const reply = (type, body) => {
         response.writeHead(200, { 'content-type': type, 'content-security-policy': POLICY });
         response.end(body);
       };
-      if (request.url === '/') return answer('text/html', PAGE);
-      if (request.url === '/photo.tmpi') return answer('application/octet-stream', boxContainer());
+      if (request.url === '/') return reply('text/html', PAGE);
+      if (request.url === '/photo.tmpi') return reply('application/octet-stream', boxContainer());
       try {
-        if (!request.url.startsWith('/tmpi-viewer/')) throw new Error('not of the package');
-        answer(
+        if (!request.url.startsWith('/tmpi-viewer/')) throw new Error('not in the package');
+        reply(
           TYPES[extname(request.url)] ?? 'application/octet-stream',
           readFileSync(join(root, request.url.slice('/tmpi-viewer/'.length))),
         );
@@ -85,7 +85,7 @@ describe('package', () => {
     rmSync(folder, { recursive: true, force: true });
   });
 
-  test('has what it needs and no more', () => {
+  test('contains only the necessary files', () => {
     const files = execFileSync('tar', ['-tzf', archive], { encoding: 'utf8' }).trim().split('\n');
     for (const name of [
       'README.md',
@@ -116,9 +116,9 @@ describe('package', () => {
     ['gpu', true],
     ['webgl', false],
   ]) {
-    test(`shows a photo and moves it, by ${mode}, under a strict policy`, async () => {
+    test(`shows and moves a photo under a strict policy (${mode})`, async () => {
       const browser = await launch({ webgpu: true });
-      const { page, errors } = await openPage(browser, STILL);
+      const { page, errors } = await openPage(browser, REDUCED_MOTION);
       if (!webgpu) await page.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
       await page.goto(`http://127.0.0.1:${server.address().port}/`);
       await page.waitForFunction((wanted) => document.querySelector('tmpi-viewer').viewer?.mode === wanted, mode);
@@ -139,9 +139,9 @@ describe('package', () => {
     });
   }
 
-  test('its example uploads a photo to the program, on the site of that, and shows it', async () => {
+  test('the example page uploads and shows photos', async () => {
     const program = await startServer();
-    // one site: the package's folder, and the program behind it
+    // one origin: the package's folder, and a proxy to the program
     const site = createServer((request, response) => {
       const { pathname } = new URL(request.url, 'http://localhost');
       if (pathname.startsWith('/tmpi-viewer/')) {
@@ -149,19 +149,19 @@ describe('package', () => {
         return response.end(readFileSync(join(root, pathname.slice('/tmpi-viewer/'.length))));
       }
       const { method, headers } = request;
-      const onwards = ask(new URL(request.url, program.url), { method, headers }, (answer) => {
-        response.writeHead(answer.statusCode, answer.headers);
-        answer.pipe(response);
+      const proxied = httpRequest(new URL(request.url, program.url), { method, headers }, (upstream) => {
+        response.writeHead(upstream.statusCode, upstream.headers);
+        upstream.pipe(response);
       });
-      onwards.on('error', () => response.destroy());
-      response.on('close', () => onwards.destroy());
-      return request.pipe(onwards);
+      proxied.on('error', () => response.destroy());
+      response.on('close', () => proxied.destroy());
+      return request.pipe(proxied);
     });
     await new Promise((resume) => site.listen(0, '127.0.0.1', resume));
     const url = `http://127.0.0.1:${site.address().port}`;
     const browser = await launch({ webgpu: true });
     try {
-      const { page, errors } = await openPage(browser, STILL);
+      const { page, errors } = await openPage(browser, REDUCED_MOTION);
       await page.goto(`${url}/tmpi-viewer/upload.html`);
       for (const [name, length] of [
         ['a box.png', 0],
@@ -199,7 +199,7 @@ describe('package', () => {
     }
   });
 
-  test('its types say what is right and what is wrong', () => {
+  test('types accept valid and reject invalid uses', () => {
     writeFileSync(join(folder, 'use.ts'), USE);
     const tsc = join(dirname(createRequire(import.meta.url).resolve('typescript/package.json')), 'bin/tsc');
     const words = ['--noEmit', '--strict', '--module', 'esnext', '--moduleResolution', 'bundler', '--target', 'esnext', 'use.ts'];

@@ -1,4 +1,4 @@
-// The client of the HTTP interface: against the built program, and against servers that fail in a way of their own.
+// The JavaScript client of the HTTP API: with the built program, and with failing servers.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
@@ -10,15 +10,15 @@ import { startServer } from '../support/program.mjs';
 const PHOTO = new Uint8Array(readFileSync(new URL('../../../docs/sample.jpg', import.meta.url)));
 const NONE = '0'.repeat(32);
 
-/** Rejects as a TmpiError of this reason, with this status. */
-const refuses = (promise, reason, status) =>
+/** Asserts that a promise rejects with a TmpiError of this reason and status. */
+const assertRejects = (promise, reason, status) =>
   assert.rejects(promise, (error) => {
     assert.ok(error instanceof TmpiError, error.stack);
     assert.deepEqual([error.reason, error.status], [reason, status]);
     return true;
   });
 
-describe('a client of the built program', () => {
+describe('a client with the built program', () => {
   let server;
   let tmpi;
   let made;
@@ -32,7 +32,7 @@ describe('a client of the built program', () => {
   });
   after(() => server?.close());
 
-  test('uploads, and is told what happens until the photo is made', async () => {
+  test('uploads and reports progress', async () => {
     assert.equal(made.state, 'done');
     assert.equal(Math.max(made.width, made.height), 320);
     assert.deepEqual([seen.at(-1).type, seen.at(-1).data.id], ['done', made.id]);
@@ -40,7 +40,7 @@ describe('a client of the built program', () => {
     assert.deepEqual([again.id, again.settings.title], [made.id, 'A "box" & more']);
   });
 
-  test('takes a file by its name, with a depth map', async () => {
+  test('uploads a named file with a depth map', async () => {
     const file = new File([boxPhoto(200, 120)], 'a box.png');
     const { id, settings } = await tmpi.upload(file, { depth: new Uint8Array(boxDepth(200, 120)), wait: 20 });
     assert.equal(settings.title, 'a box');
@@ -49,11 +49,11 @@ describe('a client of the built program', () => {
     for await (const photo of tmpi.photos(1)) ids.push(photo.id);
     assert.deepEqual(ids, [id, made.id]);
     await tmpi.delete(id);
-    await refuses(tmpi.state(id), 'refused', 404);
-    await refuses(tmpi.wait(id), 'refused', 404);
+    await assertRejects(tmpi.state(id), 'refused', 404);
+    await assertRejects(tmpi.wait(id), 'refused', 404);
   });
 
-  test('fetches containers, whole, in part, and only what it has not', async () => {
+  test('fetches whole and partial containers, with ETags', async () => {
     const whole = await tmpi.atlas(made.id);
     assert.deepEqual([whole.mediaType, whole.bytes.length], ['application/vnd.tmpi', made.atlas_bytes]);
     assert.equal(new TextDecoder().decode(whole.bytes.subarray(0, 4)), 'TMPI');
@@ -62,7 +62,7 @@ describe('a client of the built program', () => {
     assert.ok(small.bytes.length < whole.bytes.length);
     const part = await tmpi.atlas(made.id, { sections: ['planes'], region: [0, 0, 64, 64] });
     assert.ok(part.bytes.length < small.bytes.length);
-    await refuses(new Tmpi(server.url, { maxBytes: 1000 }).atlas(made.id), 'too-large');
+    await assertRejects(new Tmpi(server.url, { maxBytes: 1000 }).atlas(made.id), 'too-large');
   });
 
   test('fetches views, exports, depth, thumbnail and report', async () => {
@@ -76,11 +76,11 @@ describe('a client of the built program', () => {
     assert.ok((await tmpi.report(made.id)).stages);
   });
 
-  test('changes settings and strokes, only if they are those that were seen', async () => {
+  test('changes settings and strokes only if the ETag matches', async () => {
     const { etag } = await tmpi.state(made.id);
     const changed = await tmpi.change(made.id, { speed: 2 }, etag);
     assert.deepEqual([changed.value.settings.speed, changed.value.settings.title], [2, 'A "box" & more']);
-    await refuses(tmpi.change(made.id, { speed: 3 }, etag), 'refused', 412);
+    await assertRejects(tmpi.change(made.id, { speed: 3 }, etag), 'refused', 412);
     await assert.rejects(tmpi.change(made.id, { speed: 99 }), (error) => error.problem.field === 'speed');
     const strokes = [{ points: [[0.5, 0.5]], radius: 0.1, by: 0.2 }];
     await tmpi.touchUp(made.id, strokes, (await tmpi.strokes(made.id)).etag);
@@ -88,18 +88,18 @@ describe('a client of the built program', () => {
     assert.deepEqual((await tmpi.strokes(made.id)).value.strokes, strokes);
   });
 
-  test('gives links and a frame to embed', async () => {
-    await refuses(tmpi.link(made.id, 60), 'refused', 400);
+  test('returns links and an iframe', async () => {
+    await assertRejects(tmpi.link(made.id, 60), 'refused', 400);
     assert.equal((await tmpi.link(made.id)).page, `/view/${made.id}`);
     const frame = tmpi.embed(made);
     assert.equal(frame, `<iframe src="${server.url}/embed/${made.id}" title="A &quot;box&quot; &amp; more" allow="fullscreen"></iframe>`);
     assert.equal((await fetch(`${server.url}/embed/${made.id}`)).status, 200);
   });
 
-  test('says what is wrong', async () => {
-    await refuses(tmpi.upload(new TextEncoder().encode('no picture')), 'refused', 415);
-    await refuses(tmpi.report(NONE), 'refused', 404);
-    await refuses(tmpi.state('../metrics'), 'input');
+  test('rejects with the reason', async () => {
+    await assertRejects(tmpi.upload(new TextEncoder().encode('no picture')), 'refused', 415);
+    await assertRejects(tmpi.report(NONE), 'refused', 404);
+    await assertRejects(tmpi.state('../metrics'), 'input');
     assert.throws(() => tmpi.address('//elsewhere.example/'), { reason: 'answer' });
     assert.throws(() => new Tmpi(server.url, { ownerLink: `${server.url}/view/${NONE}` }), { reason: 'input' });
     const stop = AbortSignal.abort(new Error('enough'));
@@ -107,7 +107,7 @@ describe('a client of the built program', () => {
   });
 });
 
-describe('a client of servers that fail', () => {
+describe('a client with failing servers', () => {
   const servers = [];
   after(() => {
     for (const server of servers) {
@@ -115,17 +115,17 @@ describe('a client of servers that fail', () => {
       server.close();
     }
   });
-  /** A server that answers request number n, from 0, by `answer(n, request, response)`; counts them. */
-  const failing = async (answer) => {
-    const told = { count: 0, requests: [] };
+  /** A server that responds with `respond(n, request, response)` to request n, from 0, and counts requests. */
+  const startServerWith = async (respond) => {
+    const mock = { count: 0, requests: [] };
     const server = createServer((request, response) => {
-      told.requests.push(request);
-      answer(told.count++, request, response);
+      mock.requests.push(request);
+      respond(mock.count++, request, response);
     });
     servers.push(server);
     await new Promise((resume) => server.listen(0, '127.0.0.1', resume));
-    told.url = `http://127.0.0.1:${server.address().port}`;
-    return told;
+    mock.url = `http://127.0.0.1:${server.address().port}`;
+    return mock;
   };
   const problem = (response, status, more = {}) => {
     response.writeHead(status, { 'content-type': 'application/problem+json', ...more });
@@ -133,61 +133,61 @@ describe('a client of servers that fail', () => {
   };
   const json = (response, value) => response.writeHead(200).end(JSON.stringify(value));
 
-  test('what reads is tried again after 503, a broken connection and silence; what changes is not', async () => {
-    const told = await failing((n, request, response) => {
+  test('reads are retried after failures, changes are not', async () => {
+    const mock = await startServerWith((n, request, response) => {
       if (n === 0 || request.method === 'DELETE') problem(response, 503, { 'retry-after': '0' });
       else if (n === 1) response.destroy();
       else if (n === 3) json(response, { photos: [] });
     });
-    const tmpi = new Tmpi(told.url, { silence: 2000, longestPause: 100 });
+    const tmpi = new Tmpi(mock.url, { silence: 2000, longestPause: 100 });
     assert.deepEqual(await tmpi.list(), { photos: [] });
-    assert.equal(told.count, 4);
-    await refuses(tmpi.delete(NONE), 'refused', 503);
-    assert.equal(told.count, 5);
+    assert.equal(mock.count, 4);
+    await assertRejects(tmpi.delete(NONE), 'refused', 503);
+    assert.equal(mock.count, 5);
   });
 
-  test('after 429 everything is tried again, unless it takes too long', async () => {
-    const told = await failing((n, _, response) => {
+  test('retries everything after 429 unless the wait is long', async () => {
+    const mock = await startServerWith((n, _, response) => {
       if (n === 0) problem(response, 429, { 'retry-after': '0' });
       else if (n === 1) response.writeHead(204).end();
       else problem(response, 429, { 'retry-after': '3600' });
     });
-    const tmpi = new Tmpi(told.url, { longestPause: 100 });
+    const tmpi = new Tmpi(mock.url, { longestPause: 100 });
     await tmpi.delete(NONE);
-    assert.equal(told.count, 2);
+    assert.equal(mock.count, 2);
     await assert.rejects(tmpi.list(), (error) => error.problem.retry_after === 3600);
-    assert.equal(told.count, 3);
+    assert.equal(mock.count, 3);
   });
 
-  test('uploads of nobody are not sent twice, those of an owner are', async () => {
-    const told = await failing((_, request, response) => {
+  test('only uploads of an owner are retried', async () => {
+    const mock = await startServerWith((_, request, response) => {
       request.resume();
       request.on('end', () => problem(response, 503));
     });
     const options = { longestPause: 10, tries: 3 };
-    await refuses(new Tmpi(told.url, options).upload(PHOTO), 'refused', 503);
-    assert.equal(told.count, 1);
-    const owner = new Tmpi(told.url, { ...options, ownerLink: `${told.url}/view/${NONE}#owner=tmpi_o_${'a'.repeat(40)}` });
-    await refuses(owner.upload(PHOTO), 'refused', 503);
-    assert.equal(told.count, 4);
-    assert.equal(told.requests.at(-1).headers.authorization, `Bearer tmpi_o_${'a'.repeat(40)}`);
+    await assertRejects(new Tmpi(mock.url, options).upload(PHOTO), 'refused', 503);
+    assert.equal(mock.count, 1);
+    const owner = new Tmpi(mock.url, { ...options, ownerLink: `${mock.url}/view/${NONE}#owner=tmpi_o_${'a'.repeat(40)}` });
+    await assertRejects(owner.upload(PHOTO), 'refused', 503);
+    assert.equal(mock.count, 4);
+    assert.equal(mock.requests.at(-1).headers.authorization, `Bearer tmpi_o_${'a'.repeat(40)}`);
   });
 
-  test('a link to change a photo says who asks, and is taken back', async () => {
-    const told = await failing((_, __, response) => response.writeHead(204).end());
+  test('a manage link authorises requests and can be revoked', async () => {
+    const mock = await startServerWith((_, __, response) => response.writeHead(204).end());
     const token = `tmpi_m_${'0f'.repeat(32)}`;
-    await new Tmpi(told.url, { manageLink: `${told.url}/view/${NONE}#manage=${token}` }).takeLinksBack(NONE);
-    const { method, url, headers } = told.requests[0];
+    await new Tmpi(mock.url, { manageLink: `${mock.url}/view/${NONE}#manage=${token}` }).takeLinksBack(NONE);
+    const { method, url, headers } = mock.requests[0];
     assert.deepEqual([method, url, headers.authorization], ['DELETE', `/v1/photos/${NONE}/manage`, `Bearer ${token}`]);
     for (const wrong of [`/view/${NONE}`, `/view/${NONE}#manage=tmpi_o_${'a'.repeat(64)}`, `#manage=${token}0`])
-      assert.throws(() => new Tmpi(told.url, { manageLink: wrong }), { reason: 'input' });
+      assert.throws(() => new Tmpi(mock.url, { manageLink: wrong }), { reason: 'input' });
     const state = { links: { embed: `/embed/${NONE}` }, settings: {} };
-    const frame = new Tmpi(told.url).embed(state, { query: 'expires=1&signature=5e' });
-    assert.ok(frame.includes(`src="${told.url}/embed/${NONE}?expires=1&amp;signature=5e"`), frame);
+    const frame = new Tmpi(mock.url).embed(state, { query: 'expires=1&signature=5e' });
+    assert.ok(frame.includes(`src="${mock.url}/embed/${NONE}?expires=1&amp;signature=5e"`), frame);
   });
 
-  test('a stream of events that breaks off is followed by a look at the state', async () => {
-    const told = await failing((n, request, response) => {
+  test('polls the state after an interrupted event stream', async () => {
+    const mock = await startServerWith((n, request, response) => {
       if (request.url.endsWith('/events')) {
         response.writeHead(200, { 'content-type': 'text/event-stream' });
         response.write(': hello\n\nevent: queued\nda');
@@ -195,31 +195,31 @@ describe('a client of servers that fail', () => {
       } else json(response, { id: NONE, state: n === 1 ? 'queued' : 'done' });
     });
     const seen = [];
-    const made = await new Tmpi(told.url, { longestPause: 50 }).wait(NONE, { onEvent: (event) => seen.push(event) });
-    assert.deepEqual([made.state, told.count, seen], ['done', 4, [{ type: 'queued', data: { position: 4 } }]]);
+    const made = await new Tmpi(mock.url, { longestPause: 50 }).wait(NONE, { onEvent: (event) => seen.push(event) });
+    assert.deepEqual([made.state, mock.count, seen], ['done', 4, [{ type: 'queued', data: { position: 4 } }]]);
   });
 
-  test('a photo that is never made is late, and one that fails says why', async () => {
-    const told = await failing((_, request, response) => {
+  test('reports photos that time out or fail', async () => {
+    const mock = await startServerWith((_, request, response) => {
       if (!request.url.endsWith('/events')) json(response, { id: NONE, state: 'working' });
       else response.writeHead(200).end();
     });
-    await refuses(new Tmpi(told.url, { longestPause: 20 }).wait(NONE, { limit: 300 }), 'late');
-    const failed = await failing((_, _request, response) => {
+    await assertRejects(new Tmpi(mock.url, { longestPause: 20 }).wait(NONE, { limit: 300 }), 'late');
+    const failed = await startServerWith((_, _request, response) => {
       response.writeHead(200).end('event: failed\ndata: {"title": "Broken", "status": 422, "detail": "no pixels"}\n\n');
     });
-    await refuses(new Tmpi(failed.url).wait(NONE), 'not-made', 422);
+    await assertRejects(new Tmpi(failed.url).wait(NONE), 'not-made', 422);
   });
 
-  test('answers without end, of others, or elsewhere are no answers', async () => {
-    const told = await failing((n, _, response) => {
+  test('rejects invalid, foreign and redirected responses', async () => {
+    const mock = await startServerWith((n, _, response) => {
       if (n === 0) response.writeHead(200).end('<html>');
       else if (n === 1) response.writeHead(404).end('nothing here');
       else response.writeHead(302, { location: 'http://127.0.0.1:9/' }).end();
     });
-    const tmpi = new Tmpi(told.url, { tries: 1 });
-    await refuses(tmpi.list(), 'answer');
+    const tmpi = new Tmpi(mock.url, { tries: 1 });
+    await assertRejects(tmpi.list(), 'answer');
     await assert.rejects(tmpi.list(), (error) => error.status === 404 && error.problem.detail === 'nothing here');
-    await refuses(tmpi.list(), 'connection');
+    await assertRejects(tmpi.list(), 'connection');
   });
 });

@@ -1,8 +1,8 @@
-// Films and GIFs made in the browser.
+// Films and GIFs that the browser makes.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
 import { skip } from '../support/skip.mjs';
-import { boxSuite, STILL } from '../support/suite.mjs';
+import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
 
 describe('films', () => {
   const suite = boxSuite();
@@ -10,13 +10,13 @@ describe('films', () => {
   let context;
   let errors;
   before(async () => {
-    ({ page, context, errors } = await suite.open(STILL));
+    ({ page, context, errors } = await suite.open(REDUCED_MOTION));
     await page.waitForFunction(() => window.viewer?.mode === 'gpu');
   });
   after(() => context?.close());
 
-  /** Makes a film: its type, size, first bytes, and what progress said. */
-  const make = (wish) =>
+  /** Makes a film; returns its type, size, first bytes, and progress values. */
+  const make = (options) =>
     page.evaluate(async (w) => {
       const { makeFilm } = await import('/static/film/film.js');
       const shares = [];
@@ -24,17 +24,17 @@ describe('films', () => {
       window.film = blob;
       const bytes = new Uint8Array(await blob.arrayBuffer());
       return { type: blob.type, size: bytes.length, head: String.fromCharCode(...bytes.subarray(0, 12)), shares };
-    }, wish);
+    }, options);
 
-  /** Share of the samples of two pictures that differ by so much that no codec does it. */
+  /** Fraction of samples that differ by more than a codec could cause; and the view at a point of the path. */
   const OFF = `window.off = (a, b) => a.filter((v, i) => i % 4 < 3 && Math.abs(v - b[i]) > 48).length / (a.length * 0.75);
     window.seenAt = async (style, share, size) => {
-      const { cameraAt, wayAt } = await import('/static/film/way.js');
-      const { pose, k } = cameraAt(window.viewer, wayAt(style, share), size);
+      const { cameraAt, pathAt } = await import('/static/film/camera-path.js');
+      const { pose, k } = cameraAt(window.viewer, pathAt(style, share), size);
       return window.viewer.renderer.readPixels(pose, k, size.width, size.height);
     };`;
 
-  /** The film as the browser plays it: its size and length, and how far a quarter of it is from the view there and from that after another half. */
+  /** Plays the film; returns size, duration, and the difference of the frame at a quarter from the views at one and at three quarters. */
   const played = async (style) => {
     await page.evaluate(OFF);
     return page.evaluate(async (way) => {
@@ -48,12 +48,12 @@ describe('films', () => {
         });
       await once('loadeddata');
       const seeked = once('seeked');
-      // within the frame, not at its edge
+      // inside the frame, not at its edge
       video.currentTime = video.duration / 4 + 0.01;
       await seeked;
       const size = { width: video.videoWidth, height: video.videoHeight };
       const context = new OffscreenCanvas(size.width, size.height).getContext('2d');
-      // the first video of a page is black until its decoder has started
+      // the first video of a page stays black until its decoder starts
       let data;
       for (const end = performance.now() + 5000; performance.now() < end; await new Promise(requestAnimationFrame)) {
         context.drawImage(video, 0, 0);
@@ -70,7 +70,7 @@ describe('films', () => {
     // EBML
     ['webm', '\x1aE\xdf\xa3'],
   ]) {
-    test(`a film (.${kind}) where the browser has an encoder for one`, async (t) => {
+    test(`makes a .${kind} film if the browser has an encoder`, async (t) => {
       const able = await page.evaluate(async (container) => {
         const { encoding } = await import('/static/film/video.js');
         return (await encoding({ width: 200, height: 120, frameMs: 33 }, container))?.config.codec ?? null;
@@ -78,7 +78,7 @@ describe('films', () => {
       if (!able) {
         const refused = await make({ kind, style: 'swing', seconds: 2, side: 480 }).catch((error) => error.message);
         assert.match(refused, /no encoder/);
-        return skip(t, 'chromium', `it has no encoder for a film of the kind ${kind}`);
+        return skip(t, 'chromium', `no encoder for ${kind} films`);
       }
       const made = await make({ kind, style: 'orbit', seconds: 2, side: 480 });
       assert.equal(made.type, `video/${kind}`);
@@ -91,7 +91,7 @@ describe('films', () => {
     });
   }
 
-  test('a GIF goes on for ever and shows what the view shows', async (t) => {
+  test('makes a GIF that loops and shows the view', async (t) => {
     const made = await make({ kind: 'gif', style: 'wiggle', seconds: 2, side: 480 });
     assert.deepEqual([made.type, made.head.slice(0, 6)], ['image/gif', 'GIF89a']);
     await page.evaluate(OFF);
@@ -122,10 +122,10 @@ describe('films', () => {
     t.diagnostic(JSON.stringify(read));
     assert.deepEqual([read.frameCount, read.forever, Math.round(read.duration)], [4, true, 480]);
     assert.ok(read.other > 0.004 && read.same < read.other / 3, JSON.stringify(read));
-    assert.equal(read.again, 0, 'the middle is shown twice');
+    assert.equal(read.again, 0, 'the middle appears twice');
   });
 
-  test('what is cancelled ends soon, and the viewer goes on', async () => {
+  test('a cancelled film ends soon and the viewer resumes', async () => {
     const ended = await page.evaluate(async () => {
       const { makeFilm } = await import('/static/film/film.js');
       const stop = new AbortController();

@@ -1,33 +1,33 @@
-// The second language.
+// The German translation.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage } from '../support/browser.mjs';
 import { files, source } from '../support/modules.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
-// the modules look at the browser's language when they are loaded
+// the modules read the browser's language when they load
 Object.defineProperty(globalThis, 'navigator', { value: { language: 'de-DE' }, configurable: true });
 const { t } = await import('../../../static/i18n/messages.js');
 const { ELEMENT, word } = await import('../../../static/i18n/element.js');
 
-/** The same in both languages, or a name. */
+/** Texts that are the same in both languages. */
 const SAME = new Set(['tmpi', 'Live', 'Download', 'Reset']);
 const TABLES = ['i18n/element.js', 'i18n/messages.js'];
-/** A text between quotes, where nothing else is said of it. */
+/** A single-quoted string. */
 const QUOTED = /'((?:[^'\\\n]|\\.)*)'/g;
 
 const scripts = (folders) => files().filter((name) => folders.test(name) && name.endsWith('.js') && !TABLES.includes(name));
 const pages = () => files().filter((name) => name.endsWith('-page.html') && !name.includes('embed'));
 const unescaped = (text) => text.replaceAll("\\'", "'");
 
-/** Texts of scripts: what is handed to a function as it stands. */
-const handed = (name, folders) =>
+/** String literals that scripts pass to a function. */
+const textsPassedTo = (name, folders) =>
   scripts(folders).flatMap((file) =>
     [...source(file).matchAll(new RegExp(`\\b${name}\\(\\s*${QUOTED.source}`, 'g'))].map(([, text]) => [file, unescaped(text)]),
   );
 
-/** Texts of pages: what stands between tags, and what is said of controls. */
-function written() {
+/** Texts of pages: text between tags, and labels. */
+function pageTexts() {
   return pages().flatMap((name) => {
     const body = source(name)
       .replace(/^[\s\S]*<body/, '<body')
@@ -38,15 +38,15 @@ function written() {
   });
 }
 
-/** Keys of a table. */
+/** Keys of a translation table. */
 const keys = (name) =>
   [...source(name).matchAll(/^(?: {2}|.*\{ )?(?:'((?:[^'\\\n]|\\.)*)'|(\w+)):\s/gm)].map(([, quoted, plain]) => unescaped(quoted ?? plain));
 
 describe('messages', () => {
   const suite = uploadSuite();
 
-  test('has a word for each that scripts and pages say', () => {
-    const all = [...handed('t', /^(?:app|element|film|i18n|live|view)\//), ...written()];
+  test('translate every text of scripts and pages', () => {
+    const all = [...textsPassedTo('t', /^(?:app|element|film|i18n|live|view)\//), ...pageTexts()];
     assert.ok(all.length > 200, `${all.length} texts`);
     assert.deepEqual(
       all.filter(([, text]) => t(text) === text && !SAME.has(text)),
@@ -54,14 +54,14 @@ describe('messages', () => {
     );
   });
 
-  test('has a word for each that the element says', () => {
-    const all = handed('word', /^element\//).map(([, text]) => text);
+  test('translate every text of the element', () => {
+    const all = textsPassedTo('word', /^element\//).map(([, text]) => text);
     assert.deepEqual([...new Set(all)].toSorted(), Object.keys(ELEMENT).toSorted());
     for (const text of all) assert.ok(word(text) !== text && t(text) === word(text), text);
   });
 
-  test('the element says nothing that is not translated', () => {
-    // addresses, names of attributes and shapes have no capital letter before small ones, or no word at all
+  test('the element has no untranslated text', () => {
+    // URLs, attribute names and shapes do not look like sentences
     const words = /^(?:[A-Z][a-z]+(?: |$)|\d\w* [a-z]|.*[a-z] [a-z]+ [a-z])/;
     const bare = scripts(/^element\//).flatMap((name) => {
       const code = source(name)
@@ -73,17 +73,17 @@ describe('messages', () => {
     assert.deepEqual(bare, []);
   });
 
-  test('has no word that nobody says', () => {
-    const said = [...scripts(/./), ...pages()].map((name) => unescaped(source(name)).replace(/\s+/g, ' ')).join('\n');
+  test('have no unused translation', () => {
+    const texts = [...scripts(/./), ...pages()].map((name) => unescaped(source(name)).replace(/\s+/g, ' ')).join('\n');
     const all = TABLES.flatMap(keys);
     assert.ok(all.length > 250, `${all.length} keys`);
     assert.deepEqual(
-      all.filter((key) => !said.includes(key)),
+      all.filter((key) => !texts.includes(key)),
       [],
     );
   });
 
-  test('the page speaks German where the browser does', async () => {
+  test('the page is German in a German browser', async () => {
     const { page, context } = await suite.open({ pages: [{ photos: [photo('a')] }], options: { locale: 'de-DE' } });
     await page.getByText('Fotos auswählen', { exact: true }).first().waitFor();
     await page.getByRole('button', { name: /löschen$/ }).waitFor();
@@ -93,7 +93,7 @@ describe('messages', () => {
     await context.close();
   });
 
-  test('so does the element on a page of others', async () => {
+  test('the element is German on a page of another site', async () => {
     const { page, context } = await openPage(suite.browser, { locale: 'de-DE' });
     await page.goto(`${suite.server.url}/embed?host=${suite.server.url}`);
     const viewer = page.locator('tmpi-viewer');

@@ -1,14 +1,14 @@
-// Numbers and sentences as people read them.
+// Formatting of numbers and sentences.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 
-// the module looks at the browser's language when it is loaded
+// the module reads the browser's language when it loads
 Object.defineProperty(globalThis, 'navigator', { value: { language: 'en' }, configurable: true });
 const { formatBytes, queueText, sentence, stageText } = await import('../../../static/i18n/text.js');
 const { t } = await import('../../../static/i18n/messages.js');
 
 describe('text', () => {
-  test('bytes have at most three digits', () => {
+  test('formatBytes shows at most three digits', () => {
     const cases = {
       0: '0 B',
       999: '999 B',
@@ -23,12 +23,12 @@ describe('text', () => {
     for (const [bytes, want] of Object.entries(cases)) assert.equal(formatBytes(Number(bytes)), want);
   });
 
-  test('a stage that is not known is named as the server names it', () => {
+  test('an unknown stage keeps the server’s name', () => {
     assert.equal(stageText('encode'), 'Packing');
     assert.equal(stageText('polish'), 'polish');
   });
 
-  test('places in the queue, values and sentences', () => {
+  test('queue positions, placeholders and sentences', () => {
     assert.equal(queueText(0), 'Waiting for its turn');
     assert.equal(queueText(3), 'Waiting for its turn, 3 ahead');
     assert.equal(t('{1} before {0}', 'a', 'b'), 'b before a');

@@ -1,20 +1,20 @@
-// Pointer, wheel and fingers.
+// Pointer, wheel and touch.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
-import { boxSuite, STILL } from '../support/suite.mjs';
+import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
 
-const SMALL = { ...STILL, viewport: { width: 500, height: 480 } };
+const SMALL = { ...REDUCED_MOTION, viewport: { width: 500, height: 480 } };
 const zoom = (page) => page.evaluate(() => window.viewer.zoom);
-/** Waits until nothing moves and the zoom is as wanted. */
-const zoomed = (page, least, most) =>
+/** Waits until nothing moves and the zoom is in a range. */
+const waitForZoom = (page, least, most) =>
   page.waitForFunction(
     ([from, to]) => !window.viewer.moving && window.viewer.zoom.scale >= from && window.viewer.zoom.scale <= to,
     [least, most],
   );
 
-/** Fingers on a page: `touch` says where they are, `drag` moves them all from there by so much. */
-async function fingers(page) {
+/** Touch input: `touch` sends an event, `drag` moves all fingers by an offset. */
+async function touchInput(page) {
   const client = await page.context().newCDPSession(page);
   const touch = (type, ...points) =>
     client.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
@@ -29,16 +29,16 @@ async function fingers(page) {
 describe('gestures', () => {
   const suite = boxSuite();
 
-  test('wheel, keys and two clicks come closer, about the pointer, and the camera stays where it is', async () => {
+  test('wheel, keys and double click zoom without moving the camera', async () => {
     const { page, context, errors } = await suite.open(SMALL);
     await waitForMode(page, 'gpu');
     const box = await page.locator('#stage').boundingBox();
     const middle = [box.x + box.width / 2, box.y + box.height / 2];
     await page.mouse.move(...middle);
     await page.mouse.wheel(0, -200);
-    await zoomed(page, 1.5, 2);
-    assert.equal(await page.evaluate(() => window.viewer.pose.tz), 0, 'it is no step forward');
-    // a drag moves the photo now
+    await waitForZoom(page, 1.5, 2);
+    assert.equal(await page.evaluate(() => window.viewer.pose.tz), 0, 'the camera does not step forward');
+    // when zoomed, a drag pans the photo
     const before = await zoom(page);
     await page.mouse.down();
     await page.mouse.move(middle[0] + 60, middle[1], { steps: 4 });
@@ -46,27 +46,27 @@ describe('gestures', () => {
     assert.ok((await zoom(page)).x < before.x - 0.02);
     await page.locator('#stage').focus();
     await page.keyboard.press('0');
-    await zoomed(page, 1, 1);
+    await waitForZoom(page, 1, 1);
     await page.keyboard.press('+');
-    await zoomed(page, 1.2, 1.3);
+    await waitForZoom(page, 1.2, 1.3);
     await page.keyboard.press('-');
-    await zoomed(page, 1, 1);
+    await waitForZoom(page, 1, 1);
     await page.mouse.dblclick(middle[0] - 80, middle[1]);
-    await zoomed(page, 2, 10);
-    assert.ok((await zoom(page)).x < 0.5, 'about the pointer');
+    await waitForZoom(page, 2, 10);
+    assert.ok((await zoom(page)).x < 0.5, 'the zoom centres on the pointer');
     await page.mouse.dblclick(...middle);
-    await zoomed(page, 1, 1);
+    await waitForZoom(page, 1, 1);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('two fingers come closer, and one moves the photo then', async () => {
+  test('two fingers zoom, then one finger pans', async () => {
     const { page, context, errors } = await openPage(suite.browser, { ...SMALL, hasTouch: true });
     await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'gpu');
     const { x, y, width, height } = await page.locator('#stage').boundingBox();
     const [cx, cy] = [x + width / 2, y + height / 2];
-    const { touch } = await fingers(page);
+    const { touch } = await touchInput(page);
     await touch('touchStart', [cx - 40, cy], [cx + 40, cy]);
     for (let i = 1; i <= 6; i++) await touch('touchMove', [cx - 40 - i * 8, cy], [cx + 40 + i * 8, cy]);
     await touch('touchEnd');
@@ -80,7 +80,7 @@ describe('gestures', () => {
     await context.close();
   });
 
-  test('after a drag hovering goes on from there', async () => {
+  test('hovering continues from where a drag ended', async () => {
     const { page, context } = await suite.open(SMALL);
     await waitForMode(page, 'gpu');
     const box = await page.locator('#stage').boundingBox();
@@ -93,18 +93,18 @@ describe('gestures', () => {
     await page.mouse.down();
     await page.mouse.move(cx + 40, cy, { steps: 4 });
     await page.mouse.up();
-    const put = await settled();
-    assert.ok(put < -0.003, `${put}`);
+    const dragged = await settled();
+    assert.ok(dragged < -0.003, `${dragged}`);
     await page.mouse.move(cx + 41, cy);
-    assert.ok(Math.abs((await settled()) - put) < 0.004, 'no jump');
+    assert.ok(Math.abs((await settled()) - dragged) < 0.004, 'no jump');
     await page.mouse.move(cx + 100, cy, { steps: 10 });
     const right = await settled();
     await page.mouse.move(cx - 150, cy, { steps: 20 });
-    assert.ok((await settled()) > right + 0.005, 'it follows the pointer');
+    assert.ok((await settled()) > right + 0.005, 'the camera follows the pointer');
     await context.close();
   });
 
-  test('an element leaves the wheel to the page until it is asked', async () => {
+  test('an element zooms only with Ctrl and the wheel', async () => {
     const { page, context } = await openPage(suite.browser, { ...SMALL, viewport: { width: 500, height: 300 } });
     await page.goto(`${suite.server.url}/embed/three`);
     await page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
@@ -123,19 +123,19 @@ describe('gestures', () => {
     await context.close();
   });
 
-  test('an element leaves one finger that goes up or down to the page, and takes all others', async () => {
+  test('vertical swipes scroll the page; other touches move the camera', async () => {
     const { page, context, errors } = await openPage(suite.browser, { ...SMALL, viewport: { width: 400, height: 300 }, hasTouch: true });
     await page.goto(`${suite.server.url}/embed/three`);
     await page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
     await page.evaluate(() => document.querySelector('tmpi-viewer').viewer.setIdle(false));
-    const { touch, drag } = await fingers(page);
+    const { touch, drag } = await touchInput(page);
     const raw = () => page.evaluate(() => ({ ...document.querySelector('tmpi-viewer').viewer.motion.raw }));
-    const scrolls = async (what) => {
+    const assertScrolls = async (what) => {
       const before = await raw();
       await drag([6, -100], [150, 130]);
-      await page.waitForFunction(() => scrollY > 40, null, { timeout: 5000 }).catch(() => assert.fail(`${what} the page does not scroll`));
-      assert.deepEqual(await raw(), before, `${what} the camera stays`);
-      // the page goes on for a while: it has stopped once it stands still for ten frames
+      await page.waitForFunction(() => scrollY > 40, null, { timeout: 5000 }).catch(() => assert.fail(`${what}: the page does not scroll`));
+      assert.deepEqual(await raw(), before, `${what}: the camera stays`);
+      // momentum scrolling has stopped after ten still frames
       await page.evaluate(() => Object.assign(window, { lastY: -1, still: 0 }));
       await page.waitForFunction(() => {
         window.still = window.lastY === scrollY ? window.still + 1 : 0;
@@ -144,18 +144,18 @@ describe('gestures', () => {
       });
       await page.evaluate(() => scrollTo(0, 0));
     };
-    await scrolls('with all of the photo in sight');
+    await assertScrolls('whole photo');
     await drag([-60, 4], [150, 100]);
     const sideways = await raw();
     assert.ok(sideways.x > 0.4 && Math.abs(sideways.y) < 0.1, JSON.stringify(sideways));
     await drag([0, -60], [110, 130], [160, 130]);
     const both = await raw();
-    assert.ok(both.y > sideways.y + 0.4, `two fingers go up and down: ${both.y}`);
+    assert.ok(both.y > sideways.y + 0.4, `two fingers move the camera: ${both.y}`);
     assert.equal(await page.evaluate(() => scrollY), 0);
-    // closer, and back to all of it
+    // zoom in, and back out
     for (const close of [true, false]) {
       for (let tap = 0; tap < 2; tap++) {
-        // so far from where the last taps were that they are no third and fourth
+        // far from the last taps, else the browser counts triple taps
         await touch('touchStart', [close ? 120 : 200, 100]);
         await touch('touchEnd');
       }
@@ -163,7 +163,7 @@ describe('gestures', () => {
         const { viewer } = document.querySelector('tmpi-viewer');
         return !viewer.moving && viewer.zoom.scale > 1.5 === wanted;
       }, close);
-      await scrolls(close ? 'closer' : 'back');
+      await assertScrolls(close ? 'zoomed in' : 'zoomed out');
     }
     assert.deepEqual(
       errors.filter((e) => !e.includes('favicon')),
@@ -172,14 +172,14 @@ describe('gestures', () => {
     await context.close();
   });
 
-  test('in full screen an element takes one finger whatever its way, and the wheel', async () => {
+  test('in full screen all touches and the wheel apply', async () => {
     const { page, context } = await openPage(suite.browser, { ...SMALL, hasTouch: true });
     await page.goto(`${suite.server.url}/embed/three`);
     await page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
     await page.locator('tmpi-viewer').first().getByRole('button', { name: 'Full screen' }).focus();
     await page.keyboard.press('Enter');
     await page.waitForFunction(() => document.fullscreenElement?.localName === 'tmpi-viewer');
-    const { drag } = await fingers(page);
+    const { drag } = await touchInput(page);
     const [x, y] = await page.evaluate(() => [innerWidth / 2, innerHeight / 2]);
     await drag([2, -80], [x, y]);
     const raw = await page.evaluate(() => document.fullscreenElement.viewer.motion.raw.y);

@@ -1,14 +1,14 @@
-// The tilt of the device moves the camera.
+// Tilting the device moves the camera.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
-import { frames } from '../support/until.mjs';
+import { waitForAnimationFrames } from '../support/until.mjs';
 
 describe('gyroscope', () => {
   const suite = boxSuite();
 
-  test('tilting the device moves the camera, from the first posture on, and stops with the box', async () => {
+  test('tilt moves the camera until the box is unchecked', async () => {
     const { page, context, errors } = await openPage(suite.browser, { reducedMotion: 'reduce', hasTouch: true });
     await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'gpu');
@@ -18,16 +18,16 @@ describe('gyroscope', () => {
     const tilt = (beta, gamma) =>
       page.evaluate(([b, g]) => dispatchEvent(new DeviceOrientationEvent('deviceorientation', { beta: b, gamma: g })), [beta, gamma]);
     const settled = async () => {
-      // what was told a moment ago begins to move with the next frame
-      await frames(page, 3);
+      // an event takes effect in the next frame
+      await waitForAnimationFrames(page, 3);
       await page.waitForFunction(() => !window.viewer.moving);
     };
     const pose = () => page.evaluate(() => window.viewer.pose);
-    // the browser is asked first, which takes its time
+    // wait for the permission request
     await page.waitForFunction(() => window.viewer.tilting);
     await tilt(40, 10);
     await settled();
-    assert.ok(Math.abs((await pose()).tx) < 1e-4, 'the first posture is the middle');
+    assert.ok(Math.abs((await pose()).tx) < 1e-4, 'the first orientation is the centre');
     await tilt(40, 20);
     await page.waitForFunction(() => window.viewer.pose.tx > 0.01);
     await tilt(30, 10);
@@ -38,7 +38,7 @@ describe('gyroscope', () => {
     await page.mouse.move(stage.x + 20, stage.y + 20);
     await page.mouse.move(stage.x + 60, stage.y + 40);
     await settled();
-    assert.deepEqual(await pose(), last, 'a mouse that hovers does not fight the tilt');
+    assert.deepEqual(await pose(), last, 'hovering does not override the tilt');
     await box.uncheck();
     await tilt(70, 60);
     await settled();

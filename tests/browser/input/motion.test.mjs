@@ -1,12 +1,12 @@
-// Keys, drags, and what moves by itself.
+// Keys, drags, and idle motion.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { Motion, STYLES } from '../../../static/input/motion.js';
 import { waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
-/** Where it is at each of `seconds`, in steps of a frame. */
-function way(motion, seconds) {
+/** Simulates `seconds` of motion; returns the state at each frame. */
+function simulate(motion, seconds) {
   const places = [];
   for (let i = 0; i < seconds * 60; i++) {
     motion.step(1 / 60);
@@ -15,13 +15,13 @@ function way(motion, seconds) {
   return places;
 }
 
-describe('ways of moving by itself', () => {
+describe('idle motion', () => {
   for (const [style, axes] of Object.entries({ swing: 'xy', orbit: 'xy', dolly: 'z', 'dolly-zoom': 'z', zoom: 'z' })) {
-    test(`${style} moves along ${axes}, within the limits, and comes round`, () => {
+    test(`${style} moves along ${axes} within the limits`, () => {
       const motion = new Motion();
-      motion.wander(style, 1);
+      motion.setIdleStyle(style, 1);
       motion.setIdle(true);
-      const places = way(motion, 24);
+      const places = simulate(motion, 24);
       for (const axis of ['x', 'y', 'z']) {
         const most = Math.max(...places.map((place) => Math.abs(place[axis])));
         assert.ok(axes.includes(axis) ? most > 0.2 && most <= 1 : most === 0, `${axis}: ${most}`);
@@ -29,22 +29,22 @@ describe('ways of moving by itself', () => {
       const late = places.slice(-8 * 60);
       assert.equal(Math.max(...late.map(({ magnified }) => magnified)) > 1.2, style === 'zoom');
       assert.equal(late.at(-1).compensated, style === 'dolly-zoom' ? 1 : 0);
-      assert.ok(late.at(-1).away > 0.99, 'the frame is a little closer meanwhile');
+      assert.ok(late.at(-1).away > 0.99, 'the frame zooms in a little');
       motion.setIdle(false);
-      const { x, y, z, away } = way(motion, 6).at(-1);
-      assert.deepEqual({ x, y, z, away }, { x: 0, y: 0, z: 0, away: 0 }, 'and is the photo again');
+      const { x, y, z, away } = simulate(motion, 6).at(-1);
+      assert.deepEqual({ x, y, z, away }, { x: 0, y: 0, z: 0, away: 0 }, 'it returns to the photo');
     });
   }
 
-  test('every style is tried, an unknown one is none, and speed has bounds', () => {
+  test('unknown styles fall back, and speed is bounded', () => {
     const motion = new Motion();
-    motion.wander('spiral', 100);
+    motion.setIdleStyle('spiral', 100);
     assert.deepEqual([motion.style, motion.rate], [STYLES[0], 4]);
     const turns = (rate) => {
       const fast = new Motion();
-      fast.wander('dolly', rate);
+      fast.setIdleStyle('dolly', rate);
       fast.setIdle(true);
-      const places = way(fast, 30).map(({ z }) => z);
+      const places = simulate(fast, 30).map(({ z }) => z);
       return places.filter((z, i) => i > 0 && z > 0 && places[i - 1] <= 0).length;
     };
     assert.ok(turns(2) >= 2 * turns(1) - 1 && turns(2) > turns(1), `${turns(2)} ${turns(1)}`);
@@ -54,53 +54,53 @@ describe('ways of moving by itself', () => {
 describe('motion', () => {
   const suite = boxSuite();
 
-  test('keys, drag and buttons move the camera, within the view box', async () => {
+  test('keys, drag and buttons move the camera within limits', async () => {
     const { page, context, errors } = await suite.open();
     await waitForMode(page, 'gpu');
-    // input reaches the page some time after it is sent: wait for what it has to lead to
-    const comesTo = async (what, key, least, most) => {
-      const there = ([k, from, to]) => !window.viewer.moving && window.viewer.pose[k] >= from && window.viewer.pose[k] <= to;
-      await page.waitForFunction(there, [key, least, most], { timeout: 10_000 }).catch(async () => {
+    // input takes time to reach the page, so wait for its effect
+    const waitForPose = async (what, key, least, most) => {
+      const isThere = ([k, from, to]) => !window.viewer.moving && window.viewer.pose[k] >= from && window.viewer.pose[k] <= to;
+      await page.waitForFunction(isThere, [key, least, most], { timeout: 10_000 }).catch(async () => {
         assert.fail(`${what}: ${JSON.stringify(await page.evaluate(() => window.viewer.pose))}`);
       });
     };
     await page.locator('#stage').focus();
     for (let i = 0; i < 3; i++) await page.keyboard.press('ArrowRight');
-    await comesTo('three steps to the right', 'tx', 0.01, 0.027);
+    await waitForPose('three steps to the right', 'tx', 0.01, 0.027);
     for (let i = 0; i < 30; i++) await page.keyboard.press('ArrowRight');
-    await comesTo('the limit', 'tx', 0.027, 0.03);
+    await waitForPose('the limit', 'tx', 0.027, 0.03);
     await page.keyboard.press('0');
-    await comesTo('back', 'tx', 0, 0);
+    await waitForPose('back', 'tx', 0, 0);
     const box = await page.locator('#stage').boundingBox();
     await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
     await page.mouse.down();
     await page.mouse.move(box.x + box.width / 2 + 150, box.y + box.height / 2, { steps: 5 });
     await page.mouse.up();
-    await comesTo('near things follow the pointer', 'tx', -0.03, -0.005);
+    await waitForPose('near things follow the pointer', 'tx', -0.03, -0.005);
     await page.locator('#reset').click();
-    await comesTo('reset', 'tx', -1e-4, 1e-4);
+    await waitForPose('reset', 'tx', -1e-4, 1e-4);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('moves by itself, but not for those who asked for less motion', async () => {
+  test('moves by itself, but not with reduced motion', async () => {
     const open = async (options) => {
       const { page, context } = await suite.open(options);
       await waitForMode(page, 'gpu');
       const pressed = () => page.locator('#idle').getAttribute('aria-pressed');
-      const far = () => page.evaluate(() => Math.hypot(window.viewer.pose.tx, window.viewer.pose.ty));
+      const distance = () => page.evaluate(() => Math.hypot(window.viewer.pose.tx, window.viewer.pose.ty));
       const toggled = async () => {
         await page.locator('#stage').focus();
         await page.keyboard.press(' ');
         return pressed();
       };
-      return { page, context, pressed, far, toggled };
+      return { page, context, pressed, distance, toggled };
     };
     const calm = await open({ reducedMotion: 'reduce' });
     const usual = await open({});
     assert.equal(await usual.pressed(), 'true');
     await usual.page.waitForFunction(() => Math.abs(window.viewer.pose.tx) > 0.01);
-    assert.deepEqual([await calm.pressed(), await calm.far()], ['false', 0], 'which had more time to move');
+    assert.deepEqual([await calm.pressed(), await calm.distance()], ['false', 0], 'it had more time to move');
     assert.deepEqual([await usual.toggled(), await calm.toggled()], ['false', 'true']);
     await calm.page.waitForFunction(() => Math.abs(window.viewer.pose.tx) > 0.01);
     for (const { context } of [usual, calm]) await context.close();

@@ -1,20 +1,20 @@
-// A headset instead of a screen.
+// VR headsets.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
-import { boxSuite, STILL } from '../support/suite.mjs';
+import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
 
-/** A page on which a software rasteriser is soon done. */
-const SMALL = { ...STILL, viewport: { width: 480, height: 460 } };
+/** A small page, for fast software rendering. */
+const SMALL = { ...REDUCED_MOTION, viewport: { width: 480, height: 460 } };
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
 
-/** In the page: share of the pixels that an eye sees otherwise than the page draws them at its pose, and share that shows anything. */
+/** In the page: fraction of an eye's pixels that differ from the page's view at its pose, and fraction that is not black. */
 function eyePicture() {
   const { headset } = window.viewer;
   return new Promise((resolve) => {
-    // after the frame that the headset has asked for, and before it is shown
+    // runs after the headset has drawn its frame, before it is shown
     headset.session.requestAnimationFrame(async () => {
       const { gl } = headset.renderer;
       const [{ pose, k, x, y, width, height }] = headset.views;
@@ -25,7 +25,7 @@ function eyePicture() {
       let [off, covered] = [0, 0];
       for (let row = 0; row < height; row++) {
         for (let i = 0; i < width * 4; i += 4) {
-          // what is read begins below
+          // readPixels starts at the bottom row
           const [a, b] = [(height - 1 - row) * width * 4 + i, row * width * 4 + i];
           if ([0, 1, 2].some((c) => Math.abs(seen[a + c] - drawn[b + c]) > 8)) off++;
           if ([0, 1, 2].some((c) => seen[a + c] > 8)) covered++;
@@ -39,7 +39,7 @@ function eyePicture() {
 describe('headset', () => {
   const suite = boxSuite();
 
-  test('a headset shows it, within the view box, and gives the page back', async () => {
+  test('a headset shows the photo within the view box', async () => {
     const { page, context, errors } = await openPage(suite.browser, SMALL);
     await page.addInitScript(`${readFileSync(EMULATOR, 'utf8')}
       window.headset = new IWER.XRDevice(IWER.metaQuest3);
@@ -53,7 +53,7 @@ describe('headset', () => {
     const eyes = await poses();
     assert.equal(eyes.length, 2);
     assert.ok(Math.abs(eyes[1].tx - eyes[0].tx - 1 / 30) < 2e-3, JSON.stringify(eyes));
-    // far to the right and up, turned to the left
+    // far right and up, turned left
     await page.evaluate(() => {
       window.headset.position.set(window.headset.position.x + 5, window.headset.position.y + 5, window.headset.position.z);
       window.headset.quaternion.set(0, Math.sin(0.15), 0, Math.cos(0.15));
@@ -61,21 +61,18 @@ describe('headset', () => {
     await page.waitForFunction(() => window.viewer.headset.views[0].pose.yaw < -5);
     const [left, right] = await poses();
     assert.ok((left.tx + right.tx) / 2 > 0.025 && (left.tx + right.tx) / 2 <= 0.0301, JSON.stringify([left, right]));
-    assert.ok(left.ty < -0.025 && left.ty >= -0.0301, 'up is up');
+    assert.ok(left.ty < -0.025 && left.ty >= -0.0301, 'up moves the camera up');
     assert.ok(Math.abs(left.yaw + (0.3 * 180) / Math.PI) < 0.5, `turned to the left: ${left.yaw}`);
     assert.ok(await page.evaluate(() => window.viewer.asleep));
     const { off, covered } = await page.evaluate(eyePicture);
-    assert.ok(
-      off < 0.01 && covered > 0.3,
-      `${off} of what an eye sees is not what the page draws there; ${covered} of it is no background`,
-    );
+    assert.ok(off < 0.01 && covered > 0.3, `${off} of the eye's pixels differ from the page's view; ${covered} of them are not background`);
     await page.evaluate(() => window.viewer.headset.end());
     await page.waitForFunction(() => !window.viewer.headset && !window.viewer.asleep);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('without a headset none is offered', async () => {
+  test('no button without a headset', async () => {
     const { page, context } = await openPage(suite.browser, SMALL);
     await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'gpu');

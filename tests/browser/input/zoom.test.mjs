@@ -1,35 +1,35 @@
-// How close one looks.
+// Zoom.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { Zoom } from '../../../static/input/zoom.js';
 
 const near = (a, b, what) => assert.ok(Math.abs(a - b) < 1e-6, `${what}: ${a}, not ${b}`);
-/** A wide photo in a square room: 4000 pixels on 1000 of the screen. */
+/** A wide photo in a square area: 4000 pixels on 1000 screen pixels. */
 const panorama = () => {
   const zoom = new Zoom();
   zoom.measure({ width: 1000, height: 1000 }, { width: 1000, height: 200 }, 4);
   return zoom;
 };
-/** Photo's place, in shares, that lies so many CSS pixels from the middle. */
-const under = ({ now: { scale, x, y } }, at) => ({ x: x + at.x / (1000 * scale), y: y + at.y / (200 * scale) });
+/** Position in the photo, as fractions, at an offset in CSS pixels from the middle. */
+const photoPoint = ({ now: { scale, x, y } }, at) => ({ x: x + at.x / (1000 * scale), y: y + at.y / (200 * scale) });
 
 describe('zoom', () => {
-  test('what lies under the pointer stays there, at the end and on the way', () => {
+  test('the point under the pointer stays in place', () => {
     const zoom = panorama();
     const at = { x: 300, y: -40 };
-    const before = under(zoom, at);
+    const before = photoPoint(zoom, at);
     zoom.by(3, at);
     let frames = 0;
     while (zoom.step(1 / 60)) {
-      near(under(zoom, at).x, before.x, 'on the way');
+      near(photoPoint(zoom, at).x, before.x, 'during the animation');
       frames++;
     }
     assert.ok(frames > 5 && frames < 120, `${frames}`);
     near(zoom.now.scale, 3, 'scale');
-    near(under(zoom, at).x, before.x, 'at the end');
+    near(photoPoint(zoom, at).x, before.x, 'at the end');
   });
 
-  test('a panorama fills the room as one comes closer, and no border comes into sight', () => {
+  test('a panorama fills the area and shows no border', () => {
     const zoom = panorama();
     assert.deepEqual(zoom.size, { width: 1000, height: 200 });
     assert.deepEqual(zoom.frame, { scale: 1, x: 0.5, y: 0.5 });
@@ -45,7 +45,7 @@ describe('zoom', () => {
     near(zoom.now.y, 1 - 1000 / (2 * 200 * 8), 'the lower border');
   });
 
-  test('it ends at twice the photo’s own pixels, and at all of it', () => {
+  test('zoom ends at twice the photo’s resolution', () => {
     const zoom = panorama();
     zoom.by(1e9, { x: 10, y: 10 });
     assert.equal(zoom.target.scale, 8);
@@ -53,10 +53,10 @@ describe('zoom', () => {
     assert.deepEqual(zoom.target, { scale: 1, x: 0.5, y: 0.5 });
     const small = new Zoom();
     small.measure({ width: 1000, height: 1000 }, { width: 1000, height: 1000 }, 0.2);
-    assert.equal(small.most, 3, 'a small photo can be looked at closer too');
+    assert.equal(small.most, 3, 'small photos can be enlarged too');
   });
 
-  test('a double tap goes to the photo’s own pixels and back', () => {
+  test('a double tap toggles the photo’s full resolution', () => {
     const zoom = panorama();
     zoom.toggle({ x: -200, y: 0 });
     assert.equal(zoom.target.scale, 4);

@@ -1,14 +1,14 @@
-// How a page comes into a room.
+// Connecting to a room.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { Connection } from '../../../static/live/connection.js';
 
-describe('a room without a place', () => {
-  test('is asked for less and less often', async (t) => {
-    let asked = 0;
+describe('a full room', () => {
+  test('is polled less and less often', async (t) => {
+    let requests = 0;
     const full = { publishing: true, viewers: 1024, full: true, may_publish: false };
     t.mock.method(globalThis, 'fetch', async () => {
-      asked++;
+      requests++;
       return Response.json(full);
     });
     t.mock.timers.enable({ apis: ['setTimeout'] });
@@ -21,10 +21,10 @@ describe('a room without a place', () => {
     await connection.start();
     const pauses = [];
     for (let pause = 0; pauses.length < 5; pause++) {
-      const before = asked;
+      const before = requests;
       t.mock.timers.tick(1000);
       await settled();
-      if (asked === before) continue;
+      if (requests === before) continue;
       pauses.push(pause + 1);
       pause = -1;
     }

@@ -1,4 +1,4 @@
-// The decoder of rooms, by the messages that its fuzzer begins with.
+// The room decoder, with the seeds of its fuzzer as messages.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { beforeEach, describe, test } from 'node:test';
@@ -10,7 +10,7 @@ const file = (path) => readFileSync(new URL(`../../../${path}`, import.meta.url)
 const module = new WebAssembly.Module(file('static/live/decoder.wasm'));
 const seed = (name) => file(`fuzz/seeds/message/${name}`);
 
-describe('the decoder of rooms', () => {
+describe('the room decoder', () => {
   /** @type {RoomDecoder} */
   let decoder;
   let head;
@@ -19,11 +19,11 @@ describe('the decoder of rooms', () => {
     ({ head } = decoder.read(seed('hello')));
   });
 
-  /** A picture of the room's size in which no two pixels near each other are alike. */
+  /** A picture of the room's size without equal neighbours. */
   const picture = () =>
     Uint8Array.from({ length: head.width * head.height * 4 }, (_, i) => (i % 4 === 3 ? 255 : (i * 37 + Math.floor(i / 520) * 11) % 256));
 
-  test('shows nothing before all tiles came, and then every pixel as it is', () => {
+  test('shows nothing until all tiles have arrived', () => {
     const rgba = picture();
     decoder.frame(PIXELS.RGBA, rgba);
     assert.deepEqual(decoder.layers(), []);
@@ -53,12 +53,12 @@ describe('the decoder of rooms', () => {
     assert.equal(end, cells.length);
     const again = decoder.cells(numbers, new ArrayBuffer(cells.length + 9));
     assert.deepEqual(again, cells);
-    assert.equal(again.buffer.byteLength, cells.length + 9, 'in the buffer that was handed over');
-    assert.deepEqual(decoder.cells(numbers, new ArrayBuffer(9)), cells, 'that is too small');
+    assert.equal(again.buffer.byteLength, cells.length + 9, 'the decoder reuses the given buffer');
+    assert.deepEqual(decoder.cells(numbers, new ArrayBuffer(9)), cells, 'a small buffer is replaced');
     assert.ok(same.every(Boolean), `${same.filter((v) => !v).length} pixels are in no layer`);
   });
 
-  test('tells which tiles a frame changed, and nothing where none is', () => {
+  test('reports which tiles a frame changes', () => {
     decoder.read(seed('geometry'));
     decoder.read(seed('snapshot'));
     const rgba = picture();
@@ -69,14 +69,17 @@ describe('the decoder of rooms', () => {
     rgba[0] ^= 255;
     decoder.frame(PIXELS.RGBA, rgba);
     const changed = decoder.layers();
-    assert.ok(changed.some(({ tile }) => tile === 0) && !changed.some(({ tile }) => tile === 5), 'the first tile, and not the last');
+    assert.ok(
+      changed.some(({ tile }) => tile === 0) && !changed.some(({ tile }) => tile === 5),
+      'the first tile changed, the last did not',
+    );
     assert.ok(
       changed.every(({ layers }) => layers === null),
-      'with the layers of before',
+      'the layers are unchanged',
     );
   });
 
-  test('planes of a camera are converted as the server does', () => {
+  test('converts camera planes as the server does', () => {
     decoder.read(seed('geometry'));
     decoder.read(seed('snapshot'));
     const { width, height } = head;
@@ -85,17 +88,17 @@ describe('the decoder of rooms', () => {
     decoder.frame(PIXELS.I420, bytes);
     assert.equal(decoder.layers().length, 6);
     decoder.frame(PIXELS.NV12, bytes);
-    assert.deepEqual(decoder.layers(), [], 'grey is the same in either order');
+    assert.deepEqual(decoder.layers(), [], 'grey is the same in both formats');
     const white = new Uint8Array(width * height * 4).fill(255);
     decoder.frame(PIXELS.RGBA, white);
-    assert.deepEqual(decoder.layers(), [], '235 is white');
+    assert.deepEqual(decoder.layers(), [], 'luma 235 is white');
   });
 
-  test('messages that it writes are read back', () => {
+  test('reads the messages that it writes', () => {
     const data = Uint8Array.of(0, 0, 1, 0x65, 7);
     const time = 1_790_000_000_123_456;
     const colour = { matrix: 'bt709', fullRange: false };
-    // as the last HELLO said
+    // from the last HELLO
     const shown = { x: 0, y: 0, width: head.width, height: head.height };
     assert.deepEqual(decoder.read(decoder.writeVideo({ frame: 77, time, key: true, data })), {
       kind: 'video',
@@ -111,7 +114,7 @@ describe('the decoder of rooms', () => {
       const video = { frame: 78, time, key: false, layer, data };
       const message = decoder.writeVideo(video);
       assert.deepEqual(decoder.read(message), { kind: 'video', colour, shown, ...video });
-      // `video` (2) is there once, with all of it
+      // the message is one `video` field (2)
       assert.deepEqual([...message.subarray(0, 2)], [(2 << 3) | 2, message.length - 2]);
     }
     assert.deepEqual(decoder.read(decoder.writeSound({ time, data })), { kind: 'sound', time, data });
@@ -120,12 +123,12 @@ describe('the decoder of rooms', () => {
     assert.ok(Buffer.from(hello).includes('avc1.42e01f') && Buffer.from(hello).includes('opus'));
   });
 
-  test('what a page says when it is hidden and when it is shown again is CREDIT', () => {
+  test('hidden and visible pages send CREDIT', () => {
     assert.deepEqual(decoder.read(SOUND_ALONE), { kind: 'credit', frames: 0, key: false });
     assert.deepEqual(decoder.read(EVERYTHING), { kind: 'credit', frames: 1, key: true });
   });
 
-  test('what is damaged is refused with the reason, and the next message is read', () => {
+  test('rejects corrupted messages and reads the next one', () => {
     const broken = Uint8Array.from(seed('geometry'));
     broken[broken.length - 3] ^= 1;
     assert.throws(() => decoder.read(broken), /damaged|planes|range/);

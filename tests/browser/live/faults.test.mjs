@@ -1,20 +1,20 @@
-// What goes wrong around a room: tiles that do not come, a microphone that fails, a camera that stands still, links and places that are gone.
+// Faults in a room: missing tiles, a broken microphone, a frozen camera, an expired link, a full room.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { waitForMode } from '../support/browser.mjs';
-import { flatPixels, likenessOf, roomSuite, showsFrames } from '../support/room.mjs';
-import { frames } from '../support/until.mjs';
+import { compareWithFilm, flatPixels, roomSuite, waitForFrames } from '../support/room.mjs';
+import { waitForAnimationFrames } from '../support/until.mjs';
 
-/** A page whose room's worker is given tiles once the page says `come`. */
-const withoutTiles = (page) =>
+/** Delays tiles until the page calls `window.releaseTiles()`. */
+const delayTiles = (page) =>
   page.addInitScript(() => {
     const tiles = new BroadcastChannel('tiles');
-    window.come = () => tiles.postMessage('come');
+    window.releaseTiles = () => tiles.postMessage('release');
     const { Worker: Plain } = window;
     window.Worker = class extends Plain {
       constructor(url) {
         const script = `const early = []; self.onmessage = (event) => early.push(event);
-          let wait = new Promise((come) => (new BroadcastChannel('tiles').onmessage = come)).then(() => (wait = null));
+          let wait = new Promise((release) => (new BroadcastChannel('tiles').onmessage = release)).then(() => (wait = null));
           const isTiles = (data) => [26, 34].includes(new Uint8Array(data)[0]);
           self.WebSocket = class extends WebSocket {
             set onmessage(f) {
@@ -30,21 +30,21 @@ const withoutTiles = (page) =>
     };
   });
 
-/** Camera alone, whose frames are held back while `window.still` is set. */
-const standing = (page) =>
+/** A camera without sound that gives no frames while `window.frozen` is set. */
+const freezableCamera = (page) =>
   page.addInitScript(() => {
     delete window.MediaStreamTrackProcessor;
     const open = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
     navigator.mediaDevices.getUserMedia = ({ video }) => open({ video });
     const { requestVideoFrameCallback: ask } = HTMLVideoElement.prototype;
     HTMLVideoElement.prototype.requestVideoFrameCallback = function (f) {
-      const next = (...args) => (window.still ? ask.call(this, next) : f(...args));
+      const next = (...args) => (window.frozen ? ask.call(this, next) : f(...args));
       return ask.call(this, next);
     };
   });
 
-/** Sockets of the page are kept in `window.sockets`. */
-const kept = (page) =>
+/** Records the page's sockets in `window.sockets`. */
+const recordSockets = (page) =>
   page.addInitScript(() => {
     window.sockets = [];
     window.WebSocket = class extends WebSocket {
@@ -55,20 +55,21 @@ const kept = (page) =>
     };
   });
 
-describe('around a room', () => {
+describe('faults in a room', () => {
   const suite = roomSuite();
-  const state = (page, wanted, timeout = 20_000) => page.waitForFunction((s) => document.body.dataset.state === s, wanted, { timeout });
+  const waitForState = (page, wanted, timeout = 20_000) =>
+    page.waitForFunction((s) => document.body.dataset.state === s, wanted, { timeout });
 
-  test('the video is shown as it is as long as there are no tiles, and in depth once they came', async () => {
+  test('the video is flat until tiles arrive', async () => {
     const publisher = await suite.publish('attic');
-    const { page, context, errors } = await suite.watch('attic', { prepare: withoutTiles });
+    const { page, context, errors } = await suite.watch('attic', { prepare: delayTiles });
     await waitForMode(page, 'flat');
     await page.getByText('The picture has no depth yet.').waitFor();
     assert.ok(await page.locator('#loading').isHidden());
-    await showsFrames(page, 5);
-    const { same, other } = likenessOf(await flatPixels(page));
+    await waitForFrames(page, 5);
+    const { same, other } = compareWithFilm(await flatPixels(page));
     assert.ok(same > 22 && same > other + 3, `${same} dB, half a film away ${other} dB`);
-    await page.evaluate(() => window.come());
+    await page.evaluate(() => window.releaseTiles());
     await waitForMode(page, 'gpu');
     await page.getByText('Move the pointer or drag to look around.').waitFor();
     assert.deepEqual(errors, []);
@@ -76,7 +77,7 @@ describe('around a room', () => {
     await publisher.context.close();
   });
 
-  test('without a microphone that works there is a picture, and nobody is promised sound', async () => {
+  test('a broken microphone leaves a picture without sound', async () => {
     const publisher = await suite.publish('mute', {
       prepare: (page) =>
         page.addInitScript(() => {
@@ -91,7 +92,7 @@ describe('around a room', () => {
     await publisher.context.close();
   });
 
-  test('sound that fails later is taken back, and the picture goes on', async () => {
+  test('the picture continues when sound fails later', async () => {
     const publisher = await suite.publish('hoarse', {
       prepare: (page) =>
         page.addInitScript(() => {
@@ -108,7 +109,7 @@ describe('around a room', () => {
     await page.getByRole('button', { name: 'Sound' }).waitFor();
     await publisher.page.evaluate(() => window.failSound(new Error('the encoder is gone')));
     await page.locator('#sound').waitFor({ state: 'hidden' });
-    // what is measured is there after the first frames
+    // measurements start after the first frames
     const { frame } = await (await page.waitForFunction(() => window.measured)).jsonValue();
     await page.waitForFunction((before) => window.measured.frame !== before && window.measured.frames > 0, frame);
     await publisher.page.getByText('You are live, without sound').waitFor();
@@ -116,53 +117,52 @@ describe('around a room', () => {
     await publisher.context.close();
   });
 
-  test('a camera that gives no frames pauses, and goes on by itself', async () => {
+  test('a frozen camera pauses the room, then it resumes', async () => {
     const prepare = async (page) => {
-      await standing(page);
-      await kept(page);
+      await freezableCamera(page);
+      await recordSockets(page);
     };
     const publisher = await suite.publish('cellar', { prepare });
     await publisher.page.evaluate(() => {
-      window.still = true;
+      window.frozen = true;
     });
-    await state(publisher.page, 'paused');
+    await waitForState(publisher.page, 'paused');
     await publisher.page.getByText('Paused: the camera gives no picture while this page is hidden.').waitFor();
-    // who is not there is not sent away for saying nothing
+    // the paused page disconnects, so the server need not time it out
     await publisher.page.waitForFunction(() => window.sockets.every(({ readyState }) => readyState === WebSocket.CLOSED));
     await publisher.page.evaluate(() => {
-      window.still = false;
+      window.frozen = false;
     });
-    await state(publisher.page, 'live');
+    await waitForState(publisher.page, 'live');
     const { page, context } = await suite.watch('cellar');
     await waitForMode(page, 'gpu');
     await context.close();
     await publisher.context.close();
   });
 
-  test('a publisher whose link is good no more is told so, and does not try for ever', async () => {
+  test('a publisher with an expired link stops reconnecting', async () => {
     const publisher = await suite.publish('garden', {
       prepare: async (page) => {
-        await kept(page);
+        await recordSockets(page);
         await page.clock.install();
       },
     });
     await publisher.page.route('**/v1/live/garden', (route) => route.fulfill({ status: 403, body: '{}' }));
     await publisher.page.evaluate(() => window.sockets.at(-1).close());
-    // as the page is told of a connection that broke
     await publisher.page.getByText('the link is no longer valid').waitFor();
-    await state(publisher.page, 'ended');
+    await waitForState(publisher.page, 'ended');
     const opened = await publisher.page.evaluate(() => window.sockets.length);
     await publisher.page.clock.fastForward(60_000);
-    await frames(publisher.page, 5);
+    await waitForAnimationFrames(publisher.page, 5);
     assert.equal(await publisher.page.evaluate(() => window.sockets.length), opened);
     await publisher.context.close();
   });
 
-  test('who finds no place is told so, and waits', async () => {
+  test('a viewer of a full room waits for a place', async () => {
     const publisher = await suite.publish('hall');
     const full = { publishing: true, viewers: 1024, full: true, may_publish: false };
-    const crowd = (page) => page.route('**/v1/live/hall', (route) => route.fulfill({ json: full }));
-    const { page, context } = await suite.watch('hall', { prepare: crowd });
+    const fakeFull = (page) => page.route('**/v1/live/hall', (route) => route.fulfill({ json: full }));
+    const { page, context } = await suite.watch('hall', { prepare: fakeFull });
     await page.getByText('The room is full. This page tries again by itself.').waitFor();
     await page.unroute('**/v1/live/hall');
     await waitForMode(page, 'gpu');

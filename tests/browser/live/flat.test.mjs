@@ -1,12 +1,12 @@
-// Rooms in browsers that cannot draw, or that cannot decode the video.
+// Rooms in browsers without graphics or without a video decoder.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { takeGraphics, waitForMode } from '../support/browser.mjs';
+import { disableGraphics, waitForMode } from '../support/browser.mjs';
 import { roomSuite } from '../support/room.mjs';
 
-const blind = (page) => takeGraphics(page, { webgl: false });
-/** The worker of the room has no decoder of video. */
-const undecoded = (page) =>
+const withoutGraphics = (page) => disableGraphics(page, { webgl: false });
+/** Removes the video decoder from the room's worker. */
+const withoutDecoder = (page) =>
   page.addInitScript(() => {
     const { Worker: Plain } = window;
     window.Worker = class extends Plain {
@@ -18,12 +18,12 @@ const undecoded = (page) =>
     };
   });
 
-describe('a room in a browser that lacks something', () => {
+describe('a room in a limited browser', () => {
   const suite = roomSuite();
 
-  test('without graphics it shows the plain video', async () => {
+  test('shows flat video without graphics', async () => {
     const publisher = await suite.publish('attic');
-    const { page, context, errors } = await suite.watch('attic', { prepare: blind });
+    const { page, context, errors } = await suite.watch('attic', { prepare: withoutGraphics });
     await waitForMode(page, 'flat');
     await page.getByText('This browser shows the video without depth.').waitFor();
     const isBright = () =>
@@ -37,11 +37,11 @@ describe('a room in a browser that lacks something', () => {
     await publisher.context.close();
   });
 
-  test('without a decoder it says so', async () => {
+  test('shows an error without a video decoder', async () => {
     const publisher = await suite.publish('garden');
     const codec = await publisher.page.evaluate(() => window.publisher.codec);
-    assert.notEqual(codec, 'jpeg', 'pictures need no decoder');
-    const { page, context } = await suite.watch('garden', { prepare: undecoded });
+    assert.notEqual(codec, 'jpeg', 'JPEG pictures need no decoder');
+    const { page, context } = await suite.watch('garden', { prepare: withoutDecoder });
     await page.locator('#failure').waitFor();
     assert.match(await page.locator('#failure-text').textContent(), /cannot decode the video/);
     await context.close();

@@ -1,4 +1,4 @@
-// Temporal layers: the camera's page codes every other frame so that no other refers to it, and says so.
+// Temporal layers: the publisher's page marks every other frame as unreferenced.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
@@ -7,8 +7,8 @@ import { roomSuite } from '../support/room.mjs';
 
 const module = new WebAssembly.Module(readFileSync(new URL('../../../static/live/decoder.wasm', import.meta.url)));
 
-/** Messages of a group of pictures, each after its length. */
-async function groupOf(address) {
+/** Fetches the messages of a group of pictures; each follows its length. */
+async function fetchGroup(address) {
   const response = await fetch(address);
   assert.equal(response.status, 200);
   const bytes = Buffer.from(await response.arrayBuffer());
@@ -22,8 +22,8 @@ async function groupOf(address) {
   return messages;
 }
 
-/** In the page: a hash of the samples of each frame. */
-async function decoded({ codec, frames }) {
+/** In the page: hashes of the decoded frames. */
+async function decodeHashes({ codec, frames }) {
   const hashes = [];
   const waiting = [];
   const decoder = new VideoDecoder({
@@ -51,20 +51,20 @@ async function decoded({ codec, frames }) {
 describe('temporal layers', () => {
   const suite = roomSuite();
 
-  test('every other frame can be left out, and the rest is bit by bit what it was', async () => {
+  test('the base layer decodes alone, bit for bit', async () => {
     const publisher = await suite.publish('attic');
     await publisher.page.waitForFunction(() => window.publisher.counts.frames > 30);
-    const messages = await groupOf(`${suite.server.url}/v1/live/attic/gops/latest`);
+    const messages = await fetchGroup(`${suite.server.url}/v1/live/attic/gops/latest`);
     const { codec } = messages.find(({ kind }) => kind === 'hello');
     const video = messages.filter(({ kind }) => kind === 'video');
     assert.ok(codec.startsWith('avc1.42') && video.length > 10, `${video.length} frames of ${codec}`);
     const upper = video.filter(({ layer }) => layer === 1);
     assert.ok(video[0].key && upper.every(({ key }) => !key));
-    // an encoder may leave frames out
+    // an encoder may drop frames
     assert.ok(upper.length > video.length / 4 && upper.length < (3 * video.length) / 4, `${upper.length} of ${video.length}`);
     const frames = video.map(({ frame, key, layer, data }) => ({ frame, key, layer, data: Buffer.from(data).toString('base64') }));
-    const all = await publisher.page.evaluate(decoded, { codec, frames });
-    const base = await publisher.page.evaluate(decoded, { codec, frames: frames.filter(({ layer }) => layer === 0) });
+    const all = await publisher.page.evaluate(decodeHashes, { codec, frames });
+    const base = await publisher.page.evaluate(decodeHashes, { codec, frames: frames.filter(({ layer }) => layer === 0) });
     assert.equal(Object.keys(all).length, frames.length);
     assert.deepEqual(
       Object.keys(base),

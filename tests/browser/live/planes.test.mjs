@@ -1,4 +1,4 @@
-// A browser's decoders of H.264 and VP9 have bit by bit the planes that the server's has: both are held to the hashes of crates/live/tests/video.
+// A browser decodes H.264 and VP9 to the same planes as the server, bit for bit: both match the hashes in crates/live/tests/video.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
@@ -8,8 +8,8 @@ import { launch, openPage } from '../support/browser.mjs';
 const file = (name) => readFileSync(new URL(`../../../crates/live/tests/video/${name}`, import.meta.url));
 const [SLICE, KEY, PARAMETERS] = [1, 5, 7];
 
-/** Access units of one slice each: they begin with parameters, or with a slice where none came before it. */
-function units(stream) {
+/** Splits a stream into access units with one slice each. */
+function accessUnits(stream) {
   const starts = [];
   for (let at = stream.indexOf('000001', 0, 'hex'); at >= 0; at = stream.indexOf('000001', at + 3, 'hex')) starts.push(at);
   const out = [];
@@ -26,30 +26,30 @@ function units(stream) {
 }
 
 /** Frames of an IVF file. */
-function framesOf(ivf) {
+function ivfFrames(ivf) {
   const out = [];
   for (let at = 32; at < ivf.length; ) {
     const length = ivf.readUInt32LE(at);
     const data = ivf.subarray(at + 12, at + 12 + length);
-    // the uncompressed header: two bits of a marker, two of the profile, none that shows a frame again, none for a key frame
+    // uncompressed header: 2 bits frame marker, 2 bits profile, show_existing_frame, frame_type (0: key frame)
     out.push({ key: !(data[0] & 0b100), data: data.toString('base64') });
     at += 12 + length;
   }
   return out;
 }
 
-/** Codec string by the parameters that a stream begins with. */
+/** Codec string from the stream's parameter set. */
 function codecOf(stream) {
   const at = stream.indexOf('000001', 0, 'hex') + 3;
   assert.equal(stream[at] & 31, PARAMETERS);
   return `avc1.${stream.subarray(at + 1, at + 4).toString('hex')}`;
 }
 
-/** In the page: hashes of the planes of each frame, as the page of a room gets them. */
-async function decoded({ codec, frames }) {
+/** In the page: hashes of the decoded planes of each frame. */
+async function decodeHashes({ codec, frames }) {
   const { pixelsOf } = await import('/live/pixels.js');
   const { PIXELS } = await import('/live/decoder.js');
-  const { Pictures } = await import('/live/pictures.js');
+  const { FrameDecoder } = await import('/live/frame-decoder.js');
   const hashes = [];
   let last = Promise.resolve();
   let [done, failed] = [null, null];
@@ -62,7 +62,7 @@ async function decoded({ codec, frames }) {
     hashes.push(format === PIXELS.I420 ? Array.from(digest, (byte) => byte.toString(16).padStart(2, '0')).join('') : `format ${format}`);
     if (frame === frames.length - 1) done();
   };
-  const pictures = await Pictures.of(codec, (of) => (last = last.then(() => taken(of))), failed);
+  const pictures = await FrameDecoder.of(codec, (of) => (last = last.then(() => taken(of))), failed);
   for (const [frame, { key, data }] of frames.entries()) {
     const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
     pictures.decode({ frame, time: 0, key, layer: 0, data: bytes }, 0);
@@ -71,7 +71,7 @@ async function decoded({ codec, frames }) {
   return hashes;
 }
 
-describe('planes of a browser', () => {
+describe('decoded planes of a browser', () => {
   let [server, browser, page] = [null, null, null];
   before(async () => {
     const pages = new URL('../../../static/', import.meta.url);
@@ -90,24 +90,24 @@ describe('planes of a browser', () => {
     server?.close();
   });
 
-  /** What a table of ffmpeg's says. */
+  /** Hashes in an ffmpeg framehash file. */
   const hashesOf = (name) => {
     const table = file(`${name}.framehash`).toString().split('\n');
     return table.filter((line) => line && !line.startsWith('#')).map((line) => line.split(', ').at(-1).trim());
   };
   const check = async (codec, frames, expected) => {
     assert.ok(frames.length === expected.length && frames[0].key && !frames[1].key);
-    assert.deepEqual(await page.evaluate(decoded, { codec, frames }), expected);
+    assert.deepEqual(await page.evaluate(decodeHashes, { codec, frames }), expected);
   };
 
   for (const name of ['testsrc', 'layers']) {
-    test(`are those of ffmpeg and of the server: ${name}`, async () => {
+    test(`equal those of ffmpeg and the server: ${name}`, async () => {
       const stream = file(`${name}.h264`);
-      await check(codecOf(stream), units(stream), hashesOf(name));
+      await check(codecOf(stream), accessUnits(stream), hashesOf(name));
     });
   }
 
-  test('are those of ffmpeg and of the server: VP9', async () => {
-    await check('vp09.00.10.08', framesOf(file('testsrc.ivf')), hashesOf('testsrc-vp9'));
+  test('equal those of ffmpeg and the server: VP9', async () => {
+    await check('vp09.00.10.08', ivfFrames(file('testsrc.ivf')), hashesOf('testsrc-vp9'));
   });
 });

@@ -1,4 +1,4 @@
-// Streams of every kind as people publish them, against what ffmpeg shows of them; and what is said of those that cannot be shown.
+// Compares streams of many formats with ffmpeg, and checks the messages for unsupported streams.
 import assert from 'node:assert/strict';
 import { execFileSync, spawn } from 'node:child_process';
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
@@ -7,14 +7,14 @@ import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { program, startServer } from '../support/program.mjs';
-import { STILL } from '../support/room.mjs';
+import { REDUCED_MOTION } from '../support/room.mjs';
 import { skip } from '../support/skip.mjs';
 import { until } from '../support/until.mjs';
 
-/** Likeness from which on a page shows what ffmpeg does, but for the rounding of two decoders and of what is soft, dB. */
+/** PSNR in dB from which a page shows the same as ffmpeg except for rounding and soft edges. */
 const SAME_DB = 36;
-/** The same where the film is coded anew on its way. */
-const ANEW_DB = 28;
+/** The same if the program transcodes the film. */
+const TRANSCODED_DB = 28;
 
 const hasFfmpeg = () => {
   try {
@@ -38,26 +38,26 @@ describe('streams', () => {
     rmSync(folder, { recursive: true, force: true });
   });
 
-  /** Likeness of two pictures, RGBA, dB. */
+  /** PSNR of two RGBA pictures in dB. */
   function psnr(a, b) {
     assert.equal(a.length, b.length);
     const sum = a.reduce((sum, value, i) => (i % 4 === 3 ? sum : sum + (value - b[i]) ** 2), 0);
     return 10 * Math.log10((255 * 255 * a.length * 0.75) / Math.max(sum, 1e-9));
   }
 
-  /** The same film, to be turned by 90 degrees as it is shown. */
-  function turned(film) {
-    const file = join(folder, 'turned.mp4');
+  /** The same film with a rotation of 90 degrees in its metadata. */
+  function rotated(film) {
+    const file = join(folder, 'rotated.mp4');
     try {
       ffmpeg(['-display_rotation', '90', '-i', film, '-c', 'copy', file]);
     } catch {
-      // as older ones are told
+      // the option of older ffmpeg versions
       ffmpeg(['-i', film, '-c', 'copy', '-metadata:s:v', 'rotate=90', file]);
     }
     return file;
   }
 
-  /** A film of one picture in H.264 that goes on for as long as a test may take; the size and the colours that ffmpeg is to read it by. */
+  /** Encodes an H.264 film of one repeated picture, longer than a test takes. */
   function film(name, { size = '320x240', filters = 'null', parameters = '', more = [], seconds = 60 }) {
     const file = join(folder, name);
     const source = `testsrc2=size=${size}:rate=10:duration=0.1,loop=${seconds * 10}:1:0,setpts=N/10/TB,${filters}`;
@@ -66,117 +66,117 @@ describe('streams', () => {
     return file;
   }
 
-  /** RGBA of a film's first picture as ffmpeg shows it, and its size. */
+  /** First picture of a film from ffmpeg: RGBA and size. */
   function reference(file, reading = '') {
-    const asked = ['-loglevel', 'error', '-select_streams', 'v:0', '-show_entries', 'stream=width,height', '-of', 'csv=p=0', file];
-    const info = execFileSync('ffprobe', asked);
+    const args = ['-loglevel', 'error', '-select_streams', 'v:0', '-show_entries', 'stream=width,height', '-of', 'csv=p=0', file];
+    const info = execFileSync('ffprobe', args);
     let [width, height] = String(info).split('\n')[0].split(',').map(Number);
     const filter = `scale=${reading}flags=neighbor+accurate_rnd+full_chroma_int`;
-    // with all that is to be cut off cut off
+    // apply the cropping exactly
     const pixels = ffmpeg(['-flags', 'unaligned', '-i', file, '-frames:v', '1', '-vf', filter, '-f', 'rawvideo', '-pix_fmt', 'rgba', '-']);
-    if (file.includes('turned')) [width, height] = [height, width];
+    if (file.includes('rotated')) [width, height] = [height, width];
     return { pixels, width, height };
   }
 
-  /** Publishes a file by the program until `stop`; `said` is what it said. */
+  /** Publishes a file with the program until `stop`; `log` is its stderr. */
   function publish(room, file, rate = 10) {
     const child = spawn(program, ['live', 'publish', file, '--room', `${server.url}/live/${room}`, '--rate', String(rate)]);
-    const told = { said: '', ended: new Promise((resolve) => child.on('exit', resolve)), stop: () => child.kill() };
-    child.stderr.on('data', (text) => (told.said += text));
-    return told;
+    const result = { log: '', ended: new Promise((resolve) => child.on('exit', resolve)), stop: () => child.kill() };
+    child.stderr.on('data', (text) => (result.log += text));
+    return result;
   }
 
-  /** How like the page's picture from the camera's own place is to a reference, dB, once it is as large. */
-  async function likeness(page, { pixels, width, height }) {
+  /** PSNR in dB of the page's picture to a reference, once both have the same size. */
+  async function pagePsnr(page, { pixels, width, height }) {
     await page.waitForFunction(([w, h]) => window.viewer?.head?.width === w && window.viewer.head.height === h, [width, height]);
     await waitForMode(page, 'gpu');
     let same = 0;
-    // after a change of the size the picture of before is there until the next one
+    // after a size change the old picture stays until the next frame
     await until(async () => {
       const before = same;
       same = psnr(await pixelsAt(page, {}, width, height), pixels);
-      return same > ANEW_DB && same <= before + 0.5;
+      return same > TRANSCODED_DB && same <= before + 0.5;
     }).catch(() => {});
     return same;
   }
 
   const KINDS = [
     ['cropped on all sides', { parameters: 'crop-rect=6,4,10,8' }, 'in_color_matrix=bt709:'],
-    ['cropped above and below, as small computers do', { parameters: 'crop-rect=0,4,0,4' }, 'in_color_matrix=bt709:'],
-    ['marked as interlaced, of whole frames', { parameters: 'fake-interlaced=1' }, 'in_color_matrix=bt709:'],
+    ['cropped at top and bottom, as from small computers', { parameters: 'crop-rect=0,4,0,4' }, 'in_color_matrix=bt709:'],
+    ['marked as interlaced with progressive frames', { parameters: 'fake-interlaced=1' }, 'in_color_matrix=bt709:'],
     [
-      'of BT.601',
+      'in BT.601',
       { filters: 'scale=out_color_matrix=bt601,format=yuv420p', parameters: 'colormatrix=smpte170m' },
       'in_color_matrix=bt601:',
     ],
     [
-      'of BT.2020',
+      'in BT.2020',
       { filters: 'scale=out_color_matrix=bt2020,format=yuv420p', parameters: 'colormatrix=bt2020nc' },
       'in_color_matrix=bt2020:',
     ],
     [
-      'of full range',
+      'in full range',
       { filters: 'scale=out_color_matrix=bt709:out_range=pc,format=yuvj420p', parameters: 'colormatrix=bt709:fullrange=on' },
       'in_color_matrix=bt709:in_range=pc:',
     ],
   ];
   for (const [at, [name, options, reading]] of KINDS.entries()) {
-    test(`a stream ${name} is shown as ffmpeg shows it`, async (t) => {
-      if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'there is no ffmpeg');
+    test(`a stream ${name} looks as in ffmpeg`, async (t) => {
+      if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
       const plain = options.filters ? {} : { filters: 'scale=out_color_matrix=bt709,format=yuv420p' };
       const file = film(`kind${at}.h264`, { ...plain, ...options });
       const publisher = publish(`kind${at}`, file);
-      const { page, context, errors } = await openPage(browser, STILL);
+      const { page, context, errors } = await openPage(browser, REDUCED_MOTION);
       await page.goto(`${server.url}/live/kind${at}`);
-      const same = await likeness(page, reference(file, reading));
-      assert.ok(same > SAME_DB, `${same.toFixed(1)} dB; ${publisher.said}`);
+      const same = await pagePsnr(page, reference(file, reading));
+      assert.ok(same > SAME_DB, `${same.toFixed(1)} dB; ${publisher.log}`);
       assert.deepEqual(errors, []);
       publisher.stop();
       await context.close();
     });
   }
 
-  test('a film that is to be turned is shown upright, and one that is interlaced is made whole', async (t) => {
-    if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'there is no ffmpeg');
+  test('rotated films are upright, interlaced films deinterlaced', async (t) => {
+    if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
     const lying = film('lying.mp4', { filters: 'format=yuv420p', more: ['-profile:v', 'baseline'] });
     for (const [room, file] of [
-      ['turned', turned(lying)],
+      ['rotated', rotated(lying)],
       ['fields', film('fields.h264', { filters: 'format=yuv420p', parameters: 'interlaced=1' })],
     ]) {
       const publisher = publish(room, file);
-      const { page, context } = await openPage(browser, STILL);
+      const { page, context } = await openPage(browser, REDUCED_MOTION);
       await page.goto(`${server.url}/live/${room}`);
-      const same = await likeness(page, reference(file, 'in_color_matrix=bt601:'));
-      assert.ok(same > ANEW_DB, `${room}: ${same.toFixed(1)} dB; ${publisher.said}`);
+      const same = await pagePsnr(page, reference(file, 'in_color_matrix=bt601:'));
+      assert.ok(same > TRANSCODED_DB, `${room}: ${same.toFixed(1)} dB; ${publisher.log}`);
       publisher.stop();
       await context.close();
     }
   });
 
-  test('who watches goes on where a camera is turned, at the new size', async (t) => {
-    if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'there is no ffmpeg');
+  test('viewers follow a change of video size', async (t) => {
+    if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
     const filters = 'scale=out_color_matrix=bt709,format=yuv420p';
     const [wide, high] = [film('wide.h264', { filters, seconds: 30 }), film('high.h264', { size: '240x320', filters })];
     const both = join(folder, 'both.h264');
     writeFileSync(both, Buffer.concat([readFileSync(wide), readFileSync(high)]));
     const publisher = publish('turn', both, 20);
-    const { page, context, errors } = await openPage(browser, STILL);
+    const { page, context, errors } = await openPage(browser, REDUCED_MOTION);
     await page.goto(`${server.url}/live/turn`);
     await page.evaluate(() => {
-      window.stayed = true;
+      window.notReloaded = true;
     });
     for (const file of [wide, high]) {
-      const same = await likeness(page, reference(file, 'in_color_matrix=bt709:'));
-      assert.ok(same > SAME_DB, `${file}: ${same.toFixed(1)} dB; ${publisher.said}`);
+      const same = await pagePsnr(page, reference(file, 'in_color_matrix=bt709:'));
+      assert.ok(same > SAME_DB, `${file}: ${same.toFixed(1)} dB; ${publisher.log}`);
     }
-    assert.ok(await page.evaluate(() => window.stayed));
+    assert.ok(await page.evaluate(() => window.notReloaded));
     assert.deepEqual(errors, []);
     publisher.stop();
     await context.close();
   });
 
-  /** Frames of a film, as a page sends them: gives the reason that it is sent away with. */
-  const sent = (page, room, frames) =>
+  /** Publishes frames from the page; returns the reason of the server's BYE. */
+  const publishFrames = (page, room, frames) =>
     page.evaluate(
       async ([name, units]) => {
         const { compiled, RoomDecoder } = await import('/static/live/decoder.js');
@@ -200,8 +200,8 @@ describe('streams', () => {
       [room, frames],
     );
 
-  /** Access units of a stream whose pictures have one slice each. */
-  function units(file) {
+  /** Splits a stream with one slice per picture into access units. */
+  function accessUnits(file) {
     const data = readFileSync(file);
     const all = [];
     let [start, slices] = [0, 0];
@@ -221,16 +221,16 @@ describe('streams', () => {
     }));
   }
 
-  test('what cannot be shown ends with a reason that publisher and watchers read', async (t) => {
-    if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'there is no ffmpeg');
-    const good = units(film('good.h264', { filters: 'format=yuv420p', more: ['-profile:v', 'baseline'], seconds: 20 })).slice(0, 120);
-    const bad = units(film('chroma.h264', { filters: 'format=yuv422p', seconds: 1 }));
-    const { page, context } = await openPage(browser, STILL);
+  test('unsupported video ends with a reason for everyone', async (t) => {
+    if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
+    const good = accessUnits(film('good.h264', { filters: 'format=yuv420p', more: ['-profile:v', 'baseline'], seconds: 20 })).slice(0, 120);
+    const bad = accessUnits(film('chroma.h264', { filters: 'format=yuv422p', seconds: 1 }));
+    const { page, context } = await openPage(browser, REDUCED_MOTION);
     await page.goto(`${server.url}/live/odd`);
     await page.getByText('Nobody is live here yet').waitFor();
     const publisher = await openPage(browser);
     await publisher.page.goto(`${server.url}/live/odd/publish`);
-    const reason = await sent(publisher.page, 'odd', [...good, ...bad]);
+    const reason = await publishFrames(publisher.page, 'odd', [...good, ...bad]);
     assert.match(reason, /4:2:0/);
     await page.getByText(reason).first().waitFor();
     assert.ok(await page.getByText('Loading…').isHidden());
@@ -238,8 +238,8 @@ describe('streams', () => {
     await publisher.context.close();
   });
 
-  /** A page whose room's worker has decoders that do this. */
-  const decoding = (page, script) =>
+  /** Replaces the video decoder in the room's worker; `script` is the body of decode(). */
+  const fakeDecoder = (page, script) =>
     page.addInitScript(
       (text) => {
         const { Worker: Plain } = window;
@@ -263,14 +263,14 @@ describe('streams', () => {
 
   for (const [kind, script] of [
     ['fails', "this.on.error(new Error('hardware')); "],
-    ['gives nothing', ''],
+    ['returns nothing', ''],
   ]) {
-    test(`a browser whose decoder ${kind} says so, and does not load for ever`, async (t) => {
-      if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'there is no ffmpeg');
+    test(`shows an error if the decoder ${kind}`, async (t) => {
+      if (!hasFfmpeg()) return skip(t, 'ffmpeg', 'ffmpeg is not installed');
       const room = `mute-${kind.length}`;
       const publisher = publish(room, film(`${room}.h264`, { filters: 'format=yuv420p' }));
-      const { page, context } = await openPage(browser, STILL);
-      await decoding(page, script);
+      const { page, context } = await openPage(browser, REDUCED_MOTION);
+      await fakeDecoder(page, script);
       await page.goto(`${server.url}/live/${room}`);
       await page.getByText('This browser cannot show the video of this room').waitFor();
       assert.ok(await page.getByText('Loading…').isHidden());

@@ -1,4 +1,4 @@
-// Places of layers that come and go.
+// Places for changing layers in the atlas.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { TileAtlas } from '../../../static/live/tile-atlas.js';
@@ -22,17 +22,17 @@ function layers(tile, count) {
 
 const all = (count) => Array.from({ length: TILES }, (_, tile) => ({ tile, layers: layers(tile, count) }));
 
-/** Squares in use, as text, by the layer that has each; throws where two layers share one, or one lies beyond the pages. */
+/** Used squares and their layers; throws if two layers share a square, or one is outside the pages. */
 function squares(atlas) {
   const { instances } = atlas.drawn();
   const { width, height } = atlas.size;
   const seen = new Map();
   for (let i = 0; i < instances.opaque; i++) {
     const [a, , , page, , , , , w, h, x, y] = instances.data.subarray(i * 12, i * 12 + 12);
-    // what runs backward begins at the other side
+    // mirrored instances start at the opposite side
     const [left, upper] = [x < 0 ? -x - w : x, y < 0 ? -y - h : y];
     const at = [page, Math.floor(left / 64), Math.floor(upper / 64)].join();
-    assert.equal(at, [page, Math.ceil((left + w) / 64) - 1, Math.ceil((upper + h) / 64) - 1].join(), 'within a square');
+    assert.equal(at, [page, Math.ceil((left + w) / 64) - 1, Math.ceil((upper + h) / 64) - 1].join(), 'the layer is within a square');
     const layer = [instances.tiles[i], a].join();
     assert.equal(seen.get(at) ?? layer, layer, `two layers at ${at}`);
     assert.ok(page < atlas.pages && left + w <= width && upper + h <= height, at);
@@ -41,8 +41,8 @@ function squares(atlas) {
   return seen;
 }
 
-describe('places of tiles', () => {
-  test('no two layers share a square, whatever comes and goes', () => {
+describe('tile atlas', () => {
+  test('no two layers share a square', () => {
     const atlas = new TileAtlas(HEAD, 2048);
     const first = atlas.change(all(2));
     assert.ok(first.reshaped && !first.grown);
@@ -52,27 +52,27 @@ describe('places of tiles', () => {
       const tile = (n * 5) % TILES;
       const change = atlas.change([{ tile, layers: layers(tile, 1 + (n % 4)) }]);
       const filled = [...change.numbers].filter((_, i) => i % 2 === 0);
-      assert.ok(change.grown || filled.every((t) => t === tile), 'of that tile alone');
+      assert.ok(change.grown || filled.every((t) => t === tile), 'only squares of the changed tile');
       squares(atlas);
     }
   });
 
-  test('what continues a layer beyond the border is of the same texels, backward', () => {
+  test('instances beyond the border mirror the same texels', () => {
     const atlas = new TileAtlas(HEAD, 2048);
     const { numbers } = atlas.change(all(1));
     assert.equal(numbers.length / 2, TILES);
     const { instances } = atlas.drawn();
     const rows = Array.from({ length: instances.opaque }, (_, i) => [...instances.data.subarray(i * 12, i * 12 + 12)]);
-    // tile 0: itself, left of the border, above it, and both
-    const [own, left, above, both] = rows.filter((_, i) => instances.tiles[i] === 0);
-    assert.ok(own[10] >= 0 && own[11] >= 0);
-    // the column that touches the border is the same on either side, and so is the row
-    assert.deepEqual([left[6] + left[8], -left[10] - left[8]], [own[6], own[10]]);
-    assert.deepEqual([above[7] + above[9], -above[11] - above[9]], [own[7], own[11]]);
-    assert.deepEqual([left[11], above[10], both[10], both[11]], [own[11], own[10], left[10], above[11]]);
+    // tile 0: itself, mirrored left, mirrored above, and both
+    const [plain, left, above, both] = rows.filter((_, i) => instances.tiles[i] === 0);
+    assert.ok(plain[10] >= 0 && plain[11] >= 0);
+    // the column at the border is the same on both sides, and so is the row
+    assert.deepEqual([left[6] + left[8], -left[10] - left[8]], [plain[6], plain[10]]);
+    assert.deepEqual([above[7] + above[9], -above[11] - above[9]], [plain[7], plain[11]]);
+    assert.deepEqual([left[11], above[10], both[10], both[11]], [plain[11], plain[10], left[10], above[11]]);
   });
 
-  test('a tile that has the layers of before keeps its squares', () => {
+  test('a tile with unchanged layers keeps its squares', () => {
     const atlas = new TileAtlas(HEAD, 2048);
     const { places } = atlas.change(all(2));
     const again = atlas.change([{ tile: 0, layers: null }]);
@@ -80,7 +80,7 @@ describe('places of tiles', () => {
     assert.deepEqual([...again.places], [...places.subarray(0, again.places.length)]);
   });
 
-  test('where there is no place left all are filled anew on larger pages', () => {
+  test('a full atlas moves to larger pages', () => {
     const atlas = new TileAtlas(HEAD, 2048);
     atlas.change(all(1));
     const before = atlas.size.width * atlas.size.height * atlas.pages;

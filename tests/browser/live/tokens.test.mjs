@@ -1,4 +1,4 @@
-// Rooms of a server with a key: who has a token in the address comes in, and it stays behind the #.
+// Rooms on a server with a key: a token in the URL fragment gives access and never leaves the browser in a URL.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { randomBytes } from 'node:crypto';
@@ -7,11 +7,11 @@ import { join } from 'node:path';
 import { describe, test } from 'node:test';
 import { waitForMode } from '../support/browser.mjs';
 import { program } from '../support/program.mjs';
-import { roomSuite, shoot } from '../support/room.mjs';
+import { roomSuite, saveScreenshot } from '../support/room.mjs';
 
-/** As if a proxy had passed the request on: nobody is this machine's own user then. */
+/** Requests through a proxy do not come from the local user. */
 const STRANGER = { extraHTTPHeaders: { 'x-forwarded-for': '192.0.2.1' } };
-const REFUSED = /you need (?:a link|an invitation) that is still valid/;
+const DENIED = /you need (?:a link|an invitation) that is still valid/;
 
 describe('tokens', () => {
   let key;
@@ -22,37 +22,37 @@ describe('tokens', () => {
   });
   const token = (...more) => execFileSync(program, ['live', 'token', 'attic', '--key', key, ...more], { encoding: 'utf8' }).trim();
 
-  test('who has none, or a wrong one, is told what is missing', async () => {
+  test('a page without a valid token asks for a link', async () => {
     for (const hash of ['', '#token=1.abc']) {
       const { page, context } = await suite.watch('attic', { hash, options: STRANGER });
-      await page.getByText(REFUSED).waitFor();
-      await shoot(page, 'watch-refused');
+      await page.getByText(DENIED).waitFor();
+      await saveScreenshot(page, 'watch-refused');
       await page.goto(`${suite.server.url}/live/attic/publish${hash}`);
-      await page.getByText(REFUSED).waitFor();
+      await page.getByText(DENIED).waitFor();
       assert.ok(await page.locator('#form').isHidden());
       await context.close();
     }
   });
 
-  test('a link that a publisher gives away is for watching alone', async () => {
+  test('the publisher’s link allows only watching', async () => {
     const requests = [];
-    const note = async (page) => {
+    const recordRequests = async (page) => {
       page.on('request', (request) => requests.push(request.url()));
       page.on('websocket', (socket) => requests.push(socket.url()));
     };
-    const publisher = await suite.publish('attic', { hash: `#token=${token('--publish')}`, prepare: note });
-    // it is asked of the server
+    const publisher = await suite.publish('attic', { hash: `#token=${token('--publish')}`, prepare: recordRequests });
+    // the page fetches the link from the server
     await publisher.page.waitForFunction(() => document.querySelector('#link').value);
     const link = new URL(await publisher.page.locator('#link').inputValue());
     assert.match(link.hash, /^#token=\d+\.[0-9a-f]+$/);
-    const { page, context, errors } = await suite.watch('attic', { hash: link.hash, prepare: note });
+    const { page, context, errors } = await suite.watch('attic', { hash: link.hash, prepare: recordRequests });
     await waitForMode(page, 'gpu');
     assert.ok(
       requests.some((url) => url.startsWith('ws:')) && !requests.some((url) => url.includes('token=') || url.includes('?')),
       `${requests}`,
     );
     await page.goto(`${suite.server.url}/live/attic/publish${link.hash}`);
-    await page.getByText(REFUSED).waitFor();
+    await page.getByText(DENIED).waitFor();
     assert.deepEqual(errors, []);
     await context.close();
     await publisher.context.close();

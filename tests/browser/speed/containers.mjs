@@ -1,11 +1,11 @@
-// Containers of one photo in several sizes.
+// Makes containers of one photo in several sizes.
 import { execFileSync } from 'node:child_process';
 import { readFileSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { launch } from '../support/browser.mjs';
 import { program } from '../support/program.mjs';
 
-/** Sizes of the table: the paper's picture, those around it, and 9.1 megapixels. */
+/** The paper's picture size, sizes around it, and 9.1 megapixels. */
 export const SIZES = [
   [320, 178],
   [630, 350],
@@ -14,8 +14,8 @@ export const SIZES = [
   [4048, 2248],
 ];
 
-/** In the page: the photo's middle in a size, as JPEG in base 64. */
-async function resized([photo, width, height]) {
+/** In the page: crops and resizes the photo; returns JPEG in base64. */
+async function resize([photo, width, height]) {
   const bitmap = await createImageBitmap(await (await fetch(photo)).blob());
   const scale = Math.max(width / bitmap.width, height / bitmap.height);
   const canvas = new OffscreenCanvas(width, height);
@@ -28,10 +28,10 @@ async function resized([photo, width, height]) {
 }
 
 /**
- * Writes photos and containers of them.
+ * Writes resized photos and their containers.
  * @param {string} photo file, JPEG or PNG
  * @param {string} folder to write to
- * @returns {Promise<{photo: string, container: string}[]>} paths, one for each of `SIZES`
+ * @returns {Promise<{photo: string, container: string}[]>} paths for each of `SIZES`
  */
 export async function containersOf(photo, folder) {
   const address = `data:image/${photo.endsWith('.png') ? 'png' : 'jpeg'};base64,${readFileSync(photo).toString('base64')}`;
@@ -40,7 +40,7 @@ export async function containersOf(photo, folder) {
   const made = [];
   for (const [width, height] of SIZES) {
     const names = { photo: join(folder, `${width}x${height}.jpg`), container: join(folder, `${width}x${height}.tmpi`) };
-    writeFileSync(names.photo, Buffer.from(await page.evaluate(resized, [address, width, height]), 'base64'));
+    writeFileSync(names.photo, Buffer.from(await page.evaluate(resize, [address, width, height]), 'base64'));
     execFileSync(program, ['make', '-q', '-o', names.container, names.photo], { stdio: ['ignore', 'ignore', 'inherit'] });
     made.push(names);
   }

@@ -1,9 +1,9 @@
-// Time to decode containers in Chromium, of this tree's decoder against the one in JavaScript, in alternating rounds. Pictures are decoded
-// before the clock runs, and one thread decodes. Cold: a new process, compiling included. Again: a fresh worker that is handed the module.
-// Warm: the last of the runs. Pages: filling all texture pages, warm; the JavaScript decoder left that to the page's own thread.
+// Measures decoding in Chromium with the WebAssembly and the JavaScript decoder, in alternating rounds, on one thread, without decoding pictures.
+// Cold: a new process, including compilation. Again: a new worker that gets the compiled module. Warm: the last run. Pages: filling all texture
+// pages, warm; the JavaScript decoder does that on the main thread.
 import { launch } from '../support/browser.mjs';
 
-/** What both workers do: decode as often as asked, and say how long each took. */
+/** Part of both workers: decodes repeatedly and reports the times. */
 const COMMON = `
 self.onmessage = async ({ data }) => {
   try {
@@ -68,8 +68,8 @@ async function run(_, bytes, photo) {
 }${COMMON}`,
 };
 
-/** In the page: the first worker, then a fresh one that is handed its module. */
-async function measured({ kind, file, runs }) {
+/** In the page: runs a worker, then a new one with the compiled module. */
+async function measure({ kind, file, runs }) {
   const { readHead } = await import('/wasm/decode/head.js');
   const bytes = new Uint8Array(await (await fetch(`/file/${file}`)).arrayBuffer());
   const { photo, scene } = readHead(bytes);
@@ -98,9 +98,9 @@ async function measured({ kind, file, runs }) {
 }
 
 /**
- * Rounds of all kinds, in alternating order.
+ * Measures all kinds in alternating order.
  * @param {string} address of the server
- * @param {{kinds: ('wasm' | 'js')[], file: number, runs: number, rounds: number}} asked `file`: its number at the server
+ * @param {{kinds: ('wasm' | 'js')[], file: number, runs: number, rounds: number}} options `file`: its index on the server
  */
 export async function decodeRounds(address, { kinds, file, runs, rounds }) {
   const results = [];
@@ -110,7 +110,7 @@ export async function decodeRounds(address, { kinds, file, runs, rounds }) {
       const browser = await launch({ webgpu: false });
       const page = await browser.newPage();
       await page.goto(address);
-      result[kind] = await page.evaluate(measured, { kind, file, runs });
+      result[kind] = await page.evaluate(measure, { kind, file, runs });
       await browser.close();
     }
     results.push(result);

@@ -1,13 +1,13 @@
-// The longest tasks of the page's own thread while a photo is opened, by Chromium's trace. A task's time on the processor is told apart
-// from what passed meanwhile: software drawing works in a process of its own, on the same processors.
+// Finds the longest main-thread tasks while a photo opens, from Chromium's trace. Separates CPU time from wall time, because software rendering
+// uses the same processors in another process.
 import { launch } from '../support/browser.mjs';
 
 const CATEGORIES = ['toplevel', 'devtools.timeline', 'disabled-by-default-devtools.timeline', 'v8', 'blink.user_timing'];
-/** Time after the first view in which the scene moves. */
+/** The trace continues this long after the first view, while the scene moves. */
 const AFTER_MS = 500;
 
 /** In the page: opens a photo and waits until it is drawn. */
-async function opened([address, container]) {
+async function openPhoto([address, container]) {
   const { Viewer } = await import(`${address}view/viewer.js`);
   performance.mark('opening');
   const viewer = new Viewer(document.getElementById('stage'), { atlas: container });
@@ -19,14 +19,14 @@ async function opened([address, container]) {
   return mode;
 }
 
-/** Tasks of the page's thread, those first that took most time on the processor, each with what took longest in it. */
+/** Main-thread tasks by descending CPU time, each with its longest events. */
 function tasksOf(events) {
   const main = events.find(({ name, args }) => name === 'opening' || args?.data?.name === 'opening');
-  const own = events.filter(({ pid, tid, ph }) => ph === 'X' && pid === main?.pid && tid === main.tid);
-  const tasks = own.filter(({ name }) => name === 'RunTask');
+  const mainEvents = events.filter(({ pid, tid, ph }) => ph === 'X' && pid === main?.pid && tid === main.tid);
+  const tasks = mainEvents.filter(({ name }) => name === 'RunTask');
   return tasks
     .map((task) => {
-      const within = own.filter(
+      const within = mainEvents.filter(
         (e) => e !== task && e.ts >= task.ts && e.ts + (e.dur ?? 0) <= task.ts + task.dur && !/RunTask$/.test(e.name),
       );
       within.sort((a, b) => (b.dur ?? 0) - (a.dur ?? 0));
@@ -42,9 +42,9 @@ function describe({ name, dur, args }) {
 }
 
 /**
- * Tasks while a container is opened.
+ * Main-thread tasks while a container opens.
  * @param {string} address of static/
- * @param {string} container its address
+ * @param {string} container URL
  */
 export async function pageTasks(address, container, webgpu) {
   const browser = await launch({ webgpu });
@@ -52,7 +52,7 @@ export async function pageTasks(address, container, webgpu) {
     const page = await browser.newPage({ viewport: { width: 1280, height: 800 } });
     await page.goto(`${address}stage`);
     await browser.startTracing(page, { categories: CATEGORIES });
-    const mode = await page.evaluate(opened, [address, container]);
+    const mode = await page.evaluate(openPhoto, [address, container]);
     await page.waitForTimeout(AFTER_MS);
     const { traceEvents } = JSON.parse((await browser.stopTracing()).toString());
     return { mode, tasks: tasksOf(traceEvents) };

@@ -1,12 +1,11 @@
-// Time that the page's decoder of rooms takes for the frames of a recorded room, in Chromium. Pictures are decoded by the browser before the
-// clock runs, and nothing is drawn: what is timed is what static/live/worker.js does from a decoded frame and its tiles to the texels that it
-// hands to the page.
+// Measures how long the page's room decoder takes for the frames of a recorded room in Chromium: the work of static/live/worker.js from a decoded
+// frame and its tiles to texels. Excludes video decoding and drawing.
 import { launch } from '../support/browser.mjs';
 
-/** In the page: milliseconds of each part for each frame, and the memory of the instance. */
-async function measured({ file }) {
+/** In the page: milliseconds of each part for each frame, and memory of the decoder. */
+async function measure({ file }) {
   const { compiled, RoomDecoder } = await import('/wasm/live/decoder.js');
-  const { Pictures } = await import('/wasm/live/pictures.js');
+  const { FrameDecoder } = await import('/wasm/live/frame-decoder.js');
   const { pixelsOf } = await import('/wasm/live/pixels.js');
   const { TileAtlas } = await import('/wasm/live/tile-atlas.js');
   const bytes = new Uint8Array(await (await fetch(`/file/${file}`)).arrayBuffer());
@@ -18,7 +17,7 @@ async function measured({ file }) {
     at += 4 + length;
   }
   const module = await compiled();
-  // once for the pictures, and once for the time
+  // a first pass decodes the pictures, a second one is measured
   const first = await RoomDecoder.of(module);
   const pixels = new Map();
   let hello = null;
@@ -28,7 +27,7 @@ async function measured({ file }) {
     if (read.kind === 'hello') {
       hello = read;
       pictures?.close();
-      pictures = await Pictures.of(
+      pictures = await FrameDecoder.of(
         hello.codec,
         async ({ frame, time, picture }) => {
           pixels.set(frame, null);
@@ -95,14 +94,14 @@ async function measured({ file }) {
 
 /**
  * @param {string} address of the server
- * @param {number} file its number there
+ * @param {number} file its index on the server
  */
 export async function roomTimes(address, file) {
   const browser = await launch({ webgpu: false });
   try {
     const page = await browser.newPage();
     await page.goto(address);
-    return await page.evaluate(measured, { file });
+    return await page.evaluate(measure, { file });
   } finally {
     await browser.close();
   }

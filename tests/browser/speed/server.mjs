@@ -1,4 +1,4 @@
-// Serves this tree's static/ as /wasm/, another's as /js/, and containers.
+// Serves static/ as /wasm/, static/ with the JavaScript decoder as /js/, and containers.
 import { createReadStream, readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { extname, join } from 'node:path';
@@ -12,7 +12,7 @@ const STAGE = `${PAGE}<div id="stage" tabindex="0" style="width: 100vw; height: 
 
 /**
  * @param {string[]} files containers, at /file/NUMBER
- * @param {string | null} js static/ of the decoder in JavaScript
+ * @param {string | null} js folder static/ with the JavaScript decoder
  */
 export async function startSpeedServer(files, js) {
   const server = createServer((request, response) => {

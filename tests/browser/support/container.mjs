@@ -1,7 +1,7 @@
-// The box before the wall as containers (tests/golden/box), which once were written by hand from proto/tmpi.proto.
+// Containers of a box in front of a wall (tests/golden/box), written by hand from proto/tmpi.proto.
 import { readFileSync } from 'node:fs';
 
-/** What is known of the scene at once; its photo is `boxPhoto` of that size. */
+/** The scene's head; its photo is `boxPhoto` of that size. */
 export const BOX_HEAD = {
   width: 200,
   height: 120,

@@ -1,4 +1,4 @@
-// The page's decoder in node.
+// The pages' WebAssembly decoder, run in Node.
 import { createHash } from 'node:crypto';
 import { readFileSync } from 'node:fs';
 import { assembled } from '../../../static/decode/assemble.js';
@@ -8,30 +8,30 @@ import { tileCounts } from '../../../static/decode/grid.js';
 import { readHead } from '../../../static/decode/head.js';
 import { unpacked } from '../../../static/decode/unpack.js';
 
-const built = (name) => new WebAssembly.Module(readFileSync(new URL(`../../../static/decode/${name}`, import.meta.url)));
-export const module = built('decoder.wasm');
-const unpacker = built('unpacker.wasm');
+const compile = (name) => new WebAssembly.Module(readFileSync(new URL(`../../../static/decode/${name}`, import.meta.url)));
+const decoderModule = compile('decoder.wasm');
+const unpacker = compile('unpacker.wasm');
 
-/** What the decoder takes: the container with no section packed. */
-const plain = (head, bytes) => (head.packed ? unpacked(unpacker, bytes) : bytes);
+/** The container with all sections unpacked, as the decoder needs it. */
+const unpack = (head, bytes) => (head.packed ? unpacked(unpacker, bytes) : bytes);
 
-/** The scene of a container as pages get it, in `count` bands; `picture` decodes picture files to RGBA. */
-export async function scene(bytes, picture, count = 1) {
+/** Decodes a container as pages do, in `count` bands; `picture` decodes picture files to RGBA. */
+export async function decodeScene(bytes, picture, count = 1) {
   const head = readHead(bytes);
-  const of = async (file) => file && picture(bytes.subarray(file.start, file.end));
-  const input = { bytes: await plain(head, bytes), photo: await of(head.photo), hidden: await of(head.hidden) };
-  const bands = Array.from({ length: count }, () => new Band(module));
+  const decodePicture = async (file) => file && picture(bytes.subarray(file.start, file.end));
+  const input = { bytes: await unpack(head, bytes), photo: await decodePicture(head.photo), hidden: await decodePicture(head.hidden) };
+  const bands = Array.from({ length: count }, () => new Band(decoderModule));
   return (await assembled(head, input, bands)).scene;
 }
 
 /**
- * Layers and texels of a container, and the decoder that has them, by one instance, or the rows of tiles `rows`.
+ * Decodes layers and texels of a container with one decoder instance; `rows` limits it to a range of tile rows.
  * @param {{photo: object, hidden?: object | null, rows?: number[]}} given pictures as RGBA
  */
-export async function texels(bytes, { photo, hidden = null, rows }) {
+export async function decodeTexels(bytes, { photo, hidden = null, rows }) {
   const head = readHead(bytes);
-  const decoder = await Decoder.of(module);
-  decoder.open(await plain(head, bytes));
+  const decoder = await Decoder.of(decoderModule);
+  decoder.open(await unpack(head, bytes));
   decoder.picture('photo', photo);
   if (hidden) decoder.picture('hidden', hidden);
   const { columns, tiles } = tileCounts(head.scene);
@@ -39,8 +39,8 @@ export async function texels(bytes, { photo, hidden = null, rows }) {
   return { layers, decoder, memory: decoder.memory, ...decoder.texels() };
 }
 
-/** What `Scene::digest` of crates/core gives. */
-export function digest({ width, tileSize, tileStride }, { layers, classes, alpha, hidden }) {
+/** The same digest as `Scene::digest` of crates/core. */
+export function sceneDigest({ width, tileSize, tileStride }, { layers, classes, alpha, hidden }) {
   const { columns } = tileCounts({ width, height: 1, tileSize, tileStride });
   const hash = createHash('sha256');
   const row = Buffer.alloc(44);

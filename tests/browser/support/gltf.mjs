@@ -1,4 +1,4 @@
-// A glTF model through other people's programs: the validator of its makers, and a renderer.
+// Opens a glTF model in other programs: Khronos' validator and three.js.
 
 import { readFile } from 'node:fs/promises';
 import { createRequire } from 'node:module';
@@ -15,7 +15,7 @@ const PAGE = `<!doctype html><script type="importmap">
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 const model = await new GLTFLoader().loadAsync('${HOST}/model.glb');
-// colours are blended in the photo's own encoding, as tmpi does: nothing is decoded and nothing encoded
+// blend colours in the photo's encoding, as tmpi does, without conversion
 model.scene.traverse((o) => o.material && ((o.material.map.colorSpace = THREE.NoColorSpace), (o.material.map.needsUpdate = true)));
 const renderer = new THREE.WebGLRenderer({ antialias: false, alpha: true, preserveDrawingBuffer: true });
 renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
@@ -28,7 +28,7 @@ window.draw = (pose, width, height) => {
   const camera = model.cameras[0];
   const degrees = Math.PI / 180;
   camera.updateProjectionMatrix();
-  // a step in the file's space that moves things against each other as one in the photo's, and how far it moves all, in halves of the view
+  // a step in model space with the parallax of one in the photo's space, and the shift of the whole picture, in half views
   const focal = camera.projectionMatrix.elements;
   const step = ((intrinsics.fx / photo.width) * 2) / (focal[0] * disparity.gain);
   const [tx, ty, tz] = [(pose.tx ?? 0) * step, -(pose.ty ?? 0) * step, -(pose.tz ?? 0) * step];
@@ -36,11 +36,11 @@ window.draw = (pose, width, height) => {
   focal[8] -= focal[0] * tx * disparity.offset;
   focal[9] -= focal[5] * ty * disparity.offset;
   camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
-  // to the right, up and clockwise are positive in tmpi
+  // in tmpi, right, up and clockwise are positive
   camera.rotation.set((pose.pitch ?? 0) * degrees, -(pose.yaw ?? 0) * degrees, -(pose.roll ?? 0) * degrees, 'YXZ');
   return pixels(camera, width, height);
 };
-// as model-viewer frames a model by its bounding box: from the front, from so many degrees above
+// frames the model by its bounding box, as model-viewer does: from the front, above by some degrees
 window.frame = (above, width, height) => {
   const box = new THREE.Box3().setFromObject(model.scene);
   const { center, radius } = box.getBoundingSphere(new THREE.Sphere());
@@ -64,15 +64,15 @@ function pixels(camera, width, height) {
 window.ready = true;
 </script>`;
 
-/** The validator's report: `{errors, warnings, messages}`. */
+/** Validates a model: `{errors, warnings, messages}`. */
 export async function validate(glb) {
   const { issues } = await validateBytes(new Uint8Array(glb), { maxIssues: 50, writeTimestamp: false });
   return { errors: issues.numErrors, warnings: issues.numWarnings, messages: issues.messages };
 }
 
 /**
- * Opens a model in three.js; `draw(pose, width, height)` gives RGBA as the photo's camera sees it, `frame(above, width, height)` size and
- * RGBA as a viewer shows it that frames the model by its bounding box.
+ * Opens a model in three.js. `draw(pose, width, height)` returns RGBA from the photo's camera; `frame(above, width, height)` returns the model's size
+ * and RGBA as a viewer that frames the bounding box shows it.
  */
 export async function openModel(page, glb) {
   await page.route(`${HOST}/**`, async (route) => {

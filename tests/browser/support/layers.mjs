@@ -1,14 +1,14 @@
-// Scenes of layers over the whole photo, made as the decoder would give them, and what is seen of them straight ahead.
+// Scenes with layers over the whole photo, as the decoder would return them, and their expected picture from the front.
 import { assembled } from '../../../static/decode/assemble.js';
 import { Band } from '../../../static/decode/band.js';
 import { Decoder } from '../../../static/decode/decoder.js';
 
 /**
- * Layers in front of each other: every texel is hidden and has a colour of its own.
+ * A scene of planes in front of each other; every texel is hidden and has its own colour.
  * @param {{delta: number, alpha: number, colour: (x: number, y: number) => number[]}[]} planes in layer order, far to near
  * @param {{width?: number, height?: number}} [size]
  */
-export function layersOf(planes, { width = 48, height = 32 } = {}) {
+export function planeScene(planes, { width = 48, height = 32 } = {}) {
   const n = planes.length;
   const size = width * height;
   const all = (Kind, value) => Kind.from({ length: n }, (_, i) => (typeof value === 'function' ? value(i) : value));
@@ -39,8 +39,8 @@ export function layersOf(planes, { width = 48, height = 32 } = {}) {
   };
 }
 
-/** A decoder that gives planes in place of a container's layers: what `Band` asks of one. */
-function decoderOf(planes, { layers, alpha }) {
+/** A fake decoder for `Band` that returns planes instead of a container's layers. */
+function fakeDecoder(planes, { layers, alpha }) {
   return {
     alpha,
     open() {},
@@ -50,12 +50,12 @@ function decoderOf(planes, { layers, alpha }) {
       const out = new Uint8Array(width * height * 4);
       for (let k = 0; k < pieces.length; k += 7) {
         const [layer, u, v, w, h, mirrored, at] = pieces.subarray(k, k + 7);
-        if (mirrored) throw new Error('nothing is seen beyond the border');
+        if (mirrored) throw new Error('the scene must not reach beyond the border');
         const { alpha, colour } = planes[layer];
-        const part = straight ? 1 : alpha / 255;
+        const factor = straight ? 1 : alpha / 255;
         for (let y = 0; y < h; y++) {
           for (let x = 0; x < w; x++) {
-            out.set([...colour(u + x, v + y).map((value) => Math.round(value * part)), alpha], (y * width + at + x) * 4);
+            out.set([...colour(u + x, v + y).map((value) => Math.round(value * factor)), alpha], (y * width + at + x) * 4);
           }
         }
       }
@@ -64,11 +64,11 @@ function decoderOf(planes, { layers, alpha }) {
   };
 }
 
-/** The scene of `layersOf` as pages get it: assembled by a band whose decoder gives the planes. */
-export async function layerScene(test, planes, size) {
-  const given = layersOf(planes, size);
+/** The scene of `planeScene`, assembled as pages do. */
+export async function assembledPlaneScene(test, planes, size) {
+  const given = planeScene(planes, size);
   const { width, height } = given;
-  const mocked = test.mock.method(Decoder, 'of', async () => decoderOf(planes, given));
+  const mocked = test.mock.method(Decoder, 'of', async () => fakeDecoder(planes, given));
   const photo = { width, height, data: new Uint8ClampedArray(width * height * 4) };
   const { alpha, layers, ...head } = given;
   const { scene } = await assembled({ scene: head }, { bytes: new Uint8Array(), photo, hidden: null }, [new Band(null)]);
@@ -76,8 +76,8 @@ export async function layerScene(test, planes, size) {
   return { ...scene, decodeMs: 0 };
 }
 
-/** Premultiplied colour of planes over each other, nearest last, as numbers from 0 to 255 that nothing has rounded. */
-export function over(planes, x, y) {
+/** Composites planes, nearest last; returns the unrounded premultiplied colour from 0 to 255. */
+export function composite(planes, x, y) {
   let sum = [0, 0, 0, 0];
   for (const { alpha, colour } of planes) {
     const a = alpha / 255;
@@ -86,9 +86,9 @@ export function over(planes, x, y) {
   return sum;
 }
 
-/** Draws a scene in the page by one backend, at a pose, in the photo's size: premultiplied RGBA and whether it was drawn in floats. */
-export async function drawn(page, mode, scene, pose) {
-  const sent = JSON.stringify(scene, (_, value) =>
+/** Draws a scene with one backend at a pose and the photo's size; returns premultiplied RGBA, and whether it was drawn in floats. */
+export async function drawScene(page, mode, scene, pose) {
+  const json = JSON.stringify(scene, (_, value) =>
     ArrayBuffer.isView(value) ? { kind: value.constructor.name, values: [...value] } : value,
   );
   const { pixels, wide } = await page.evaluate(
@@ -96,16 +96,16 @@ export async function drawn(page, mode, scene, pose) {
       const { WebGpuRenderer } = await import('/static/draw/webgpu.js');
       const { WebGlRenderer } = await import('/static/draw/webgl.js');
       const { HOME } = await import('/static/view/camera.js');
-      const own = JSON.parse(text, (_, value) => (value?.kind ? window[value.kind].from(value.values) : value));
+      const parsed = JSON.parse(text, (_, value) => (value?.kind ? window[value.kind].from(value.values) : value));
       const lost = () => {};
       const canvas = document.createElement('canvas');
-      const renderer = await (kind === 'gpu' ? WebGpuRenderer.create(own, lost) : WebGlRenderer.create(canvas, own, lost));
-      const data = await renderer.readPixels({ ...HOME, ...at }, own.intrinsics, own.width, own.height);
-      const answer = { pixels: [...data], wide: renderer.wide };
+      const renderer = await (kind === 'gpu' ? WebGpuRenderer.create(parsed, lost) : WebGlRenderer.create(canvas, parsed, lost));
+      const data = await renderer.readPixels({ ...HOME, ...at }, parsed.intrinsics, parsed.width, parsed.height);
+      const result = { pixels: [...data], wide: renderer.wide };
       renderer.dispose();
-      return answer;
+      return result;
     },
-    [sent, mode, pose],
+    [json, mode, pose],
   );
   return { pixels: Uint8ClampedArray.from(pixels), wide };
 }

@@ -1,4 +1,4 @@
-// Pictures for the tests: a PNG writer and synthetic scenes.
+// Pictures for the tests: a PNG encoder and a synthetic scene.
 import { crc32, deflateSync, inflateSync } from 'node:zlib';
 
 const SIGNATURE = Buffer.from([0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a]);
@@ -23,7 +23,7 @@ function chunk(type, data) {
 }
 
 /**
- * A PNG of 8-bit samples.
+ * Encodes an 8-bit PNG.
  * @param {number} channels 1 grey, 3 RGB
  * @param {(x: number, y: number) => number[]} at
  */
@@ -36,7 +36,7 @@ export function png(width, height, channels, at) {
   return pngOf(width, height, 8, channels === 1 ? 0 : 2, rows);
 }
 
-/** A 16-bit grey PNG of values in [0, 1]. */
+/** Encodes a 16-bit grey PNG from values in [0, 1]. */
 export function png16(width, height, at) {
   const rows = Buffer.alloc(height * (1 + width * 2));
   for (let y = 0, i = 0; y < height; y++) {
@@ -55,7 +55,7 @@ function pngOf(width, height, depth, colour, rows) {
   return Buffer.concat([SIGNATURE, chunk('IHDR', header), chunk('IDAT', deflateSync(rows)), chunk('IEND', Buffer.alloc(0))]);
 }
 
-/** Reads what `png` writes (8 bit, no filter): `{width, height, data}` as RGBA. */
+/** Decodes a PNG of `png` (8 bit, no filter) to RGBA: `{width, height, data}`. */
 export function readPng(bytes) {
   const file = Buffer.from(bytes);
   const width = file.readUInt32BE(16);
@@ -77,7 +77,7 @@ export function readPng(bytes) {
   return { width, height, data };
 }
 
-/** A box in front of a wall: far and near disparity, and which pixels are the box. */
+/** A box in front of a wall: disparity of both, and the box's edges as fractions of the photo. */
 export const BOX = { far: 0.1, near: 0.9, x0: 0.35, y0: 0.25, x1: 0.65, y1: 0.8 };
 
 export function inBox(x, y, width, height) {
@@ -85,7 +85,7 @@ export function inBox(x, y, width, height) {
   return u > BOX.x0 && u < BOX.x1 && v > BOX.y0 && v < BOX.y1;
 }
 
-/** Colour of the wall, also where the box hides it: smooth, so that a resampling by part of a pixel stays near. */
+/** Colour of the wall, also behind the box; smooth, so that a shift by part of a pixel changes it little. */
 export function wall(x, y) {
   return [120 + 70 * Math.sin(x / 9), 110 + 60 * Math.sin(y / 7 + x / 40), 90 + 50 * Math.cos((x + y) / 17)];
 }
@@ -94,12 +94,12 @@ function box(x, y) {
   return [215 + 25 * Math.sin(x / 5), 90 + 40 * Math.sin(y / 6), 50];
 }
 
-/** Photo of the box before the wall. */
+/** Photo of the box in front of the wall. */
 export function boxPhoto(width, height) {
   return png(width, height, 3, (x, y) => (inBox(x, y, width, height) ? box(x, y) : wall(x, y)));
 }
 
-/** Its disparity. */
+/** Disparity of that photo. */
 export function boxDepth(width, height) {
   return png16(width, height, (x, y) => (inBox(x, y, width, height) ? BOX.near : BOX.far));
 }

@@ -1,4 +1,4 @@
-// The built program as a server.
+// Runs the built program as a server.
 import { spawn } from 'node:child_process';
 import { existsSync, mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
@@ -8,7 +8,7 @@ import { until } from './until.mjs';
 
 const root = fileURLToPath(new URL('../../../', import.meta.url));
 export const program = resolve(process.env.TMPI_BIN || join(root, 'target/release/tmpi'));
-/** The program that measures, beside the other: cargo build --release --workspace makes it. */
+/** tmpi-lab, built beside the program by cargo build --release --workspace. */
 export const lab = join(dirname(program), 'tmpi-lab');
 const START_MS = 30_000;
 
@@ -17,15 +17,15 @@ export async function startServer(more = []) {
   if (!existsSync(program)) throw new Error(`no program at ${program}: build it with cargo build --release, or set TMPI_BIN`);
   const data = mkdtempSync(join(tmpdir(), 'tmpi-browser-'));
   const args = ['serve', '--addr', '127.0.0.1:0', '--depth-model', 'tmpi', '--data', data, ...more];
-  // for work on the pages without building anew
+  // to change pages without a build
   if (process.env.TMPI_STATIC) args.push('--static', resolve(process.env.TMPI_STATIC));
   const child = spawn(program, args, { cwd: root, stdio: ['ignore', 'pipe', 'pipe'] });
   let log = '';
   child.stderr.on('data', (text) => (log += text));
   const url = await new Promise((resolve, reject) => {
     let out = '';
-    const timer = setTimeout(() => reject(new Error(`the server names no address\n${log}`)), START_MS);
-    child.on('exit', (code) => reject(new Error(`the server ended with ${code}\n${log}`)));
+    const timer = setTimeout(() => reject(new Error(`the server printed no address\n${log}`)), START_MS);
+    child.on('exit', (code) => reject(new Error(`the server exited with ${code}\n${log}`)));
     child.stdout.on('data', (text) => {
       out += text;
       const address = out.match(/http:\/\/[\d.:]+/);
@@ -35,15 +35,15 @@ export async function startServer(more = []) {
     });
   });
   const close = async () => {
-    const gone = new Promise((resolve) => child.once('exit', resolve));
+    const exited = new Promise((resolve) => child.once('exit', resolve));
     child.kill('SIGTERM');
-    await gone;
+    await exited;
     rmSync(data, { recursive: true, force: true });
   };
   return { url, close };
 }
 
-/** Uploads a photo, with its depth map where there is one, and waits until it is made. */
+/** Uploads a photo, optionally with a depth map, and waits until it is made. */
 export async function makePhoto(url, photo, depth) {
   const form = new FormData();
   form.append('photo', new Blob([photo], { type: 'image/png' }), 'photo.png');

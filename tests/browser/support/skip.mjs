@@ -1,8 +1,8 @@
-// Tests that cannot run here.
+// Skips tests that cannot run on this machine.
 import { appendFileSync } from 'node:fs';
 
 /**
- * Skips the test, unless TMPI_REQUIRE names what is missing; the file that TMPI_SKIPPED names is told: what is missing, the test and why, between tabs.
+ * Skips the test, or fails if TMPI_REQUIRE lists `need`. Appends need, test and reason, separated by tabs, to the file in TMPI_SKIPPED.
  * @param {import('node:test').TestContext} t
  * @param {'gpu' | 'onnx' | 'ffmpeg' | 'data' | 'chromium' | 'other'} need what is missing
  * @param {string} reason

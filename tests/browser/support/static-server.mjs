@@ -1,4 +1,4 @@
-// Serves static/ as the real server does, and one photo with a container given, so that the viewer is tested by itself.
+// A fake server for tests of the viewer: serves static/ like the real one, and one photo with a given container.
 import { readFile } from 'node:fs/promises';
 import { createServer } from 'node:http';
 import { extname, normalize } from 'node:path';
@@ -15,18 +15,18 @@ const TYPES = {
   '.wgsl': 'text/wgsl',
   '.tmpi': 'application/vnd.tmpi',
 };
-/** What the server has at addresses of its own. */
+/** Files that the server serves at other paths. */
 const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };
 const POLICY =
   "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
 
-/** Errors of the box's tiles: none, but a pixel in the last. */
+/** Errors of the box's tiles: 1 pixel in the last tile. */
 const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
 
 /**
- * @param {{atlas: Buffer, wasm?: boolean}} photo `wasm`: whether the page's policy allows WebAssembly
+ * @param {{atlas: Buffer, wasm?: boolean}} photo `wasm`: whether the page's content security policy allows WebAssembly
  * @returns {Promise<{url: string, views: string[], deleted: string[], held: {atlas?: Promise<void>, view?: Promise<void>}, close: () => Promise<void>}>}
- *   `held`: what the rest of a container, after its photo, and a view wait for
+ *   `held`: promises that delay a view, and the rest of a container after its photo
  */
 export async function serve({ atlas, wasm = true }) {
   const views = [];
@@ -80,12 +80,12 @@ export async function serve({ atlas, wasm = true }) {
     if (url.pathname === '/v1/photos/box/atlas') return sendAtlas(response, atlas, held);
     if (url.pathname === '/embed/blank')
       return send(200, TYPES['.html'], '<!doctype html><title>blank</title><link rel="icon" href="data:,">');
-    if (url.pathname === '/embed/three') return send(200, TYPES['.html'], three());
+    if (url.pathname === '/embed/three') return send(200, TYPES['.html'], threeElementsPage());
     if (url.pathname === '/embed')
       return send(
         200,
         TYPES['.html'],
-        embed(url.searchParams.get('host'), url.searchParams.get('more') ?? 'still', url.searchParams.get('in')),
+        embeddingPage(url.searchParams.get('host'), url.searchParams.get('more') ?? 'still', url.searchParams.get('in')),
       );
     if (url.pathname === '/v1/photos/box/view') {
       views.push(url.search);
@@ -117,25 +117,25 @@ export async function serve({ atlas, wasm = true }) {
   };
 }
 
-/** The container in two parts, the second after the photo. */
+/** Sends the container in two parts; the second starts after the photo. */
 async function sendAtlas(response, atlas, held) {
   const headers = { 'content-type': 'application/vnd.tmpi', 'content-length': atlas.length, 'access-control-allow-origin': '*' };
   response.writeHead(200, headers);
-  const cut = Math.floor(atlas.length * 0.9);
-  response.write(atlas.subarray(0, cut));
+  const split = Math.floor(atlas.length * 0.9);
+  response.write(atlas.subarray(0, split));
   await held.atlas;
-  response.end(atlas.subarray(cut));
+  response.end(atlas.subarray(split));
 }
 
 /** A page with three elements, the last far below. */
-function three() {
-  const one = (more) => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
+function threeElementsPage() {
+  const element = (more) => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
   return `<!doctype html><title>three</title><script type="module" src="/tmpi-viewer.js"></script><style>tmpi-viewer { width: 300px }</style>
-    ${one('auto-rotate="off"')}${one('camera-controls="off"')}<div style="height: 4000px"></div>${one('still')}`;
+    ${element('auto-rotate="off"')}${element('camera-controls="off"')}<div style="height: 4000px"></div>${element('still')}`;
 }
 
-/** A page of somebody else with the element on it; `more`: further attributes, `within`: what is in it. */
-function embed(host, more, within) {
+/** A page of another site with the element; `more`: further attributes, `within`: its content. */
+function embeddingPage(host, more, within) {
   return `<!doctype html><title>embed</title><link rel="icon" href="data:,"><script type="module" src="${host}/tmpi-viewer.js"></script>
     <p>text</p><tmpi-viewer src="${host}/v1/photos/box/atlas" alt="A box before a wall" ${more}>${within ?? ''}</tmpi-viewer>`;
 }

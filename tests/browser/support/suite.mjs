@@ -1,16 +1,16 @@
-// What most suites need: a server with one photo, a browser, and pages in it.
+// Shared setup for most suites: a server with one photo, and a browser.
 import { after, before } from 'node:test';
 import { launch, openPage } from './browser.mjs';
 import { boxContainer } from './container.mjs';
 import { serve } from './static-server.mjs';
 
-/** Size of the box's photo. */
+/** Size of the photo of the box. */
 export const [WIDTH, HEIGHT] = [200, 120];
-/** The least motion, so that a picture is at rest when nobody moves it. */
-export const STILL = { reducedMotion: 'reduce' };
+/** Without idle motion the picture rests until the test moves it. */
+export const REDUCED_MOTION = { reducedMotion: 'reduce' };
 
 /**
- * The box's photo on a server, and a browser; to be called in `describe`.
+ * A server with the photo of the box, and a browser. Call it in `describe`.
  * @param {{webgpu?: boolean, width?: number, height?: number, wasm?: boolean, atlas?: Buffer}} [options] `wasm`: whether the policy allows
  *   WebAssembly; `atlas`: another container
  */
@@ -18,8 +18,8 @@ export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, wasm =
   const suite = {
     server: null,
     browser: null,
-    /** Opens the photo's page. */
-    async open(options = STILL, hash = '') {
+    /** Opens the photo page. */
+    async open(options = REDUCED_MOTION, hash = '') {
       const opened = await openPage(suite.browser, options);
       await opened.page.goto(`${suite.server.url}/view/box${hash}`);
       return opened;

@@ -1,35 +1,35 @@
-// Waiting for what a test needs, in place of pauses of a fixed length.
+// Waits for conditions instead of fixed times.
 import assert from 'node:assert/strict';
 
-/** Time after which nothing is waited for any longer: software drawing on a busy machine takes its time. */
-export const PATIENCE_MS = 60_000;
-/** Pause between two looks. */
-const LOOK_MS = 10;
+/** Timeout of all waits; software rendering on a busy machine is slow. */
+export const TIMEOUT_MS = 60_000;
+/** Pause between two checks. */
+const POLL_MS = 10;
 
 /**
- * Waits until `holds` gives something true, and gives that.
+ * Waits until `condition` returns a truthy value, and returns it.
  * @template T
- * @param {() => T | Promise<T>} holds
- * @param {() => unknown} [seen] what to say where it never does
+ * @param {() => T | Promise<T>} condition
+ * @param {() => unknown} [details] for the message after a timeout
  * @returns {Promise<T>}
  */
-export async function until(holds, seen = () => '') {
-  for (const end = performance.now() + PATIENCE_MS; ; await new Promise((resume) => setTimeout(resume, LOOK_MS))) {
-    const found = await holds();
-    if (found) return found;
-    if (performance.now() > end) assert.fail(`never: ${holds} ${JSON.stringify(seen())}`);
+export async function until(condition, details = () => '') {
+  for (const end = performance.now() + TIMEOUT_MS; ; await new Promise((resume) => setTimeout(resume, POLL_MS))) {
+    const value = await condition();
+    if (value) return value;
+    if (performance.now() > end) assert.fail(`timed out: ${condition} ${JSON.stringify(details())}`);
   }
 }
 
-/** Lets the page draw so many frames: whatever was on its way to them is there then. */
-export const frames = (page, count) =>
+/** Waits for `count` animation frames, so that pending changes are drawn. */
+export const waitForAnimationFrames = (page, count) =>
   page.evaluate(async (n) => {
     for (let i = 0; i < n; i++) await new Promise(requestAnimationFrame);
   }, count);
 
-/** Something to wait for, `opened`, which holds until `open` is called. */
+/** A promise `opened` that resolves when `open` is called. */
 export function gate() {
-  const made = {};
-  made.opened = new Promise((resolve) => (made.open = resolve));
-  return made;
+  const result = {};
+  result.opened = new Promise((resolve) => (result.open = resolve));
+  return result;
 }

@@ -1,14 +1,14 @@
-// The page of all photos, against answers of a server that the test makes up.
+// The gallery page with fake server responses.
 import { openPage } from './browser.mjs';
 import { boxSuite } from './suite.mjs';
 
-/** A photo as the server lists it. */
+/** A photo in the server's list. */
 export const photo = (id) => ({ id, state: 'done', created: '2026-03-04T05:06:07Z', width: 30, height: 20, atlas_bytes: 1500 });
 
-/** A server and a browser without WebGPU; to be called in `describe`. */
+/** A server and a browser without WebGPU. Call it in `describe`. */
 export function uploadSuite() {
   const suite = boxSuite({ webgpu: false, atlas: Buffer.alloc(0) });
-  /** Opens the page; `posts` gives the answers to uploads, one after the other. */
+  /** Opens the page; `posts` are the responses to uploads, in order. */
   suite.open = async function open({ pages = [{ photos: [] }], posts = [], options = {} }) {
     const { page, context } = await openPage(suite.browser, options);
     const sent = [];

@@ -1,9 +1,9 @@
-// A film for the fake camera: a textured box moves before a wall, and each frame has its number written into it.
+// A film for the fake camera: a textured box moves in front of a wall, and each frame contains its number.
 import { writeFileSync } from 'node:fs';
 
 export const [WIDTH, HEIGHT] = [320, 240];
 export const FRAMES = 60;
-/** Squares that tell the number, most significant first, and where they begin. */
+/** The number is a row of squares at the top left, most significant bit first. */
 const BITS = 6;
 export const SQUARE = 16;
 
@@ -20,7 +20,7 @@ function sample(n, x, y) {
   return [90 + 40 * Math.sin(x / 11) + 20 * Math.cos(y / 9), 140 + 10 * Math.sin(x / 40), 118];
 }
 
-/** Planes of frame `n`, one after the other, `times` as large. */
+/** Y, U and V planes of frame `n`, scaled by `times`. */
 export function planes(n, times = 1) {
   const [width, height] = [WIDTH * times, HEIGHT * times];
   const out = Buffer.alloc((width * height * 3) / 2);
@@ -38,7 +38,7 @@ export function planes(n, times = 1) {
   return out;
 }
 
-/** Writes the film as YUV4MPEG2, `times` as large. */
+/** Writes the film as YUV4MPEG2, scaled by `times`. */
 export function writeFilm(file, times = 1) {
   const head = Buffer.from(`YUV4MPEG2 W${WIDTH * times} H${HEIGHT * times} F30:1 Ip A1:1 C420jpeg\n`);
   const frames = Array.from({ length: FRAMES }, (_, n) => [Buffer.from('FRAME\n'), planes(n, times)]).flat();
@@ -58,8 +58,8 @@ export function rgba(n) {
   return out;
 }
 
-/** The number that is written into a picture. */
-export function numberOf(pixels) {
+/** Reads the frame number from a picture. */
+export function frameNumber(pixels) {
   let n = 0;
   for (let bit = 0; bit < BITS; bit++) {
     const at = ((SQUARE / 2) * WIDTH + bit * SQUARE + SQUARE / 2) * 4;
@@ -68,7 +68,7 @@ export function numberOf(pixels) {
   return n;
 }
 
-/** Peak signal to noise in dB over all colours of a part of two pictures. */
+/** Peak signal-to-noise ratio in dB over all channels in a rectangle. */
 export function psnr(a, b, { x0 = 0, y0 = 0, x1 = WIDTH, y1 = HEIGHT } = {}) {
   let [sum, count] = [0, 0];
   for (let y = y0; y < y1; y++) {

@@ -1,26 +1,26 @@
-// Poses and angles.
+// Camera poses and angles.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { anglesOf, extrinsics, framed, HOME, lookingAt, magnified, resized, WHOLE } from '../../../static/view/camera.js';
 import { BOX_HEAD } from '../support/container.mjs';
 
 describe('camera', () => {
-  test('a frame over all of the photo is its own camera, and one over a part looks there', () => {
+  test('a frame over the whole photo is the reference camera', () => {
     const size = { width: 400, height: 240 };
     assert.deepEqual(framed(BOX_HEAD, size, WHOLE), resized(BOX_HEAD.intrinsics, BOX_HEAD, size));
-    // twice as large, about the upper left corner
+    // magnified by 2 about the upper left corner
     const k = framed(BOX_HEAD, size, magnified(WHOLE, 2, { x: 0, y: 0 }));
     assert.deepEqual([k.fx, k.cx, k.cy], [4 * BOX_HEAD.intrinsics.fx, 4 * BOX_HEAD.intrinsics.cx, 4 * BOX_HEAD.intrinsics.cy]);
   });
 
-  test('what lies at the pivot stays in place', () => {
+  test('a moved camera keeps facing the pivot', () => {
     const pose = lookingAt(0.5, 0.02, 0, 0);
-    assert.ok(pose.yaw < 0, 'a camera on the right looks to the left');
+    assert.ok(pose.yaw < 0, 'a camera on the right looks left');
     assert.ok(Math.abs(pose.yaw + (Math.atan(0.01) * 180) / Math.PI) < 1e-9);
     assert.ok(lookingAt(0.5, 0, 0.02, 0).pitch > 0, 'a camera below looks up');
   });
 
-  test('angles come back from a rotation', () => {
+  test('rotation matrices convert back to angles', () => {
     for (const angles of [
       [0, 0, 0],
       [30, -20, 10],

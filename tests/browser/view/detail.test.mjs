@@ -1,19 +1,19 @@
 // Finer parts of large photos.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { partAddress, wantedPart } from '../../../static/view/detail.js';
+import { partAddress, visiblePart } from '../../../static/view/detail.js';
 
 const PHOTO = { width: 6000, height: 4000 };
 const LOADED = { width: 1500 };
 const SCREEN = { width: 1200, height: 800 };
 
-describe('the part that is wanted', () => {
-  test('none as long as the level at hand is as fine as the screen, or the photo has no more', () => {
-    assert.equal(wantedPart(PHOTO, LOADED, { scale: 1.4, x: 0.5, y: 0.5 }, SCREEN), null);
-    assert.equal(wantedPart(PHOTO, PHOTO, { scale: 10, x: 0.5, y: 0.5 }, SCREEN), null);
+describe('the finer part to load', () => {
+  test('is none if the loaded level is fine enough', () => {
+    assert.equal(visiblePart(PHOTO, LOADED, { scale: 1.4, x: 0.5, y: 0.5 }, SCREEN), null);
+    assert.equal(visiblePart(PHOTO, PHOTO, { scale: 10, x: 0.5, y: 0.5 }, SCREEN), null);
   });
 
-  test('covers what is in sight, with a margin, at the level that the screen shows', () => {
+  test('covers the visible part with a margin', () => {
     for (const [scale, level] of [
       [2.4, 1],
       [5, 0],
@@ -23,7 +23,7 @@ describe('the part that is wanted', () => {
         [0.5, 0.5],
         [0.1, 0.95],
       ]) {
-        const part = wantedPart(PHOTO, LOADED, { scale, x, y }, SCREEN);
+        const part = visiblePart(PHOTO, LOADED, { scale, x, y }, SCREEN);
         assert.equal(part.level, level, `${scale}`);
         const { rect } = part;
         const half = { x: PHOTO.width / scale / 2, y: (PHOTO.width / scale / 2) * (SCREEN.height / SCREEN.width) };
@@ -37,7 +37,7 @@ describe('the part that is wanted', () => {
     }
   });
 
-  test('its address is beside the container’s', () => {
+  test('has a URL derived from the container’s', () => {
     const part = { level: 0, rect: { x: 512, y: 0, w: 900, h: 800 } };
     assert.equal(partAddress('/v1/photos/a/atlas?fit=1500&v=7', part), '/v1/photos/a/atlas?v=7&level=0&region=512,0,900,800');
     assert.equal(partAddress('data:application/vnd.tmpi;base64,AAAA', part), null);

@@ -1,7 +1,7 @@
-// What can be drawn over the scene, and for each eye.
+// Overlays and the stereo view.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { pixelsAt, pixelsOf, saved, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { downloadBytes, filePixels, fractionDifferent, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { BOX, inBox } from '../support/pictures.mjs';
 import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 
@@ -10,7 +10,7 @@ const HOME = {};
 describe('display', () => {
   const suite = boxSuite();
 
-  test('the menu shows depth, tiles and planes, and a view for each eye', async () => {
+  test('the menu shows depth, tiles, planes and stereo', async () => {
     const { page, context, errors } = await suite.open();
     await waitForMode(page, 'gpu');
     const photo = await pixelsAt(page, HOME, WIDTH, HEIGHT);
@@ -35,29 +35,29 @@ describe('display', () => {
     for (const name of ['Tiles', 'Planes']) {
       await page.getByLabel(name).check();
       const tinted = await pixelsAt(page, HOME, WIDTH, HEIGHT);
-      for (const other of seen) assert.ok(shareDifferent(tinted, other, WIDTH, HEIGHT) > 0.5, name);
+      for (const other of seen) assert.ok(fractionDifferent(tinted, other, WIDTH, HEIGHT) > 0.5, name);
       seen.push(tinted);
     }
     await page.getByLabel('The photo').check();
-    assert.equal(shareDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
+    assert.equal(fractionDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
     const shape = () => page.evaluate(() => window.viewer.canvas.clientWidth / window.viewer.canvas.clientHeight);
     const [one] = [await shape()];
     await page.getByLabel('Side by side').check();
-    assert.ok(Math.abs((await shape()) / one - 2) < 0.05, 'twice as wide for its height');
+    assert.ok(Math.abs((await shape()) / one - 2) < 0.05, 'the picture has twice the aspect ratio');
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('the picture of this view is saved', async () => {
+  test('saves a picture of the current view', async () => {
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
     const view = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
     await page.getByRole('button', { name: 'Download' }).click();
     const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#picture').click()]);
     assert.match(download.suggestedFilename(), /\.png$/);
-    const picture = await saved(download);
+    const picture = await downloadBytes(download);
     assert.deepEqual([picture.readUInt32BE(16), picture.readUInt32BE(20)], [WIDTH, HEIGHT]);
-    assert.equal(shareDifferent(await pixelsOf(page, picture), view, WIDTH, HEIGHT, { levels: 1 }), 0);
+    assert.equal(fractionDifferent(await filePixels(page, picture), view, WIDTH, HEIGHT, { levels: 1 }), 0);
     await context.close();
   });
 });

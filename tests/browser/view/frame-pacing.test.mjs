@@ -1,9 +1,9 @@
-// How many pixels are drawn while something moves.
+// Resolution while something moves.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { FramePacing, SLOW_MS } from '../../../static/view/frame-pacing.js';
 
-/** A renderer whose frames take `ms` by a clock that the test moves. */
+/** A renderer whose frames take `ms` on a fake clock. */
 function renderer(t, ms) {
   let now = 0;
   t.mock.method(performance, 'now', () => now);
@@ -15,11 +15,11 @@ function renderer(t, ms) {
 }
 
 describe('frame pacing', () => {
-  test('slow frames lose pixels while something moves, down to half a side', async (t) => {
+  test('slow frames reduce the resolution while something moves', async (t) => {
     const pacing = new FramePacing();
     const slow = renderer(t, SLOW_MS + 1);
     await pacing.measure(slow, () => false);
-    assert.equal(pacing.detail, 1, 'at rest the picture stays whole');
+    assert.equal(pacing.detail, 1, 'full resolution at rest');
     await pacing.measure(slow, () => true);
     const once = pacing.detail;
     assert.ok(once < 1);
@@ -27,10 +27,10 @@ describe('frame pacing', () => {
     assert.equal(pacing.detail, 0.5);
     const room = new FramePacing(true);
     for (let i = 0; i < 20; i++) await room.measure(slow, () => true);
-    assert.equal(room.detail, 0.2, 'or a fifth of a room');
+    assert.equal(room.detail, 0.2, 'a fifth for rooms');
   });
 
-  test('fast frames get them back; those between change nothing', async (t) => {
+  test('fast frames restore the resolution', async (t) => {
     const pacing = new FramePacing();
     pacing.detail = 0.5;
     await pacing.measure(renderer(t, SLOW_MS * 0.75), () => true);
@@ -39,7 +39,7 @@ describe('frame pacing', () => {
     assert.equal(pacing.detail, 1);
   });
 
-  test('the time told follows slowly; a frame during a measurement and one of a lost device are not measured', async (t) => {
+  test('smooths the frame time and skips overlapping measurements', async (t) => {
     const pacing = new FramePacing();
     assert.equal(await pacing.measure(renderer(t, 10), () => false), 10);
     assert.equal(await pacing.measure(renderer(t, 30), () => false), 30);
@@ -50,6 +50,6 @@ describe('frame pacing', () => {
     finish();
     assert.notEqual(await first, null);
     assert.equal(await pacing.measure({ idle: () => Promise.reject(new Error('lost')) }, () => false), null);
-    assert.equal(await pacing.measure(renderer(t, 5), () => false), 5, 'and measuring goes on');
+    assert.equal(await pacing.measure(renderer(t, 5), () => false), 5, 'measuring continues after a lost device');
   });
 });

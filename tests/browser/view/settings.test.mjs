@@ -1,4 +1,4 @@
-// What the owner of a photo wants.
+// The owner's settings of a photo.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, seriousViolations, waitForMode } from '../support/browser.mjs';
@@ -7,7 +7,7 @@ import { boxSuite } from '../support/suite.mjs';
 describe('settings', () => {
   const suite = boxSuite();
 
-  test('the settings of a photo are obeyed, tried and saved', async () => {
+  test('settings apply, can be changed and are saved', async () => {
     const { page, context, errors } = await openPage(suite.browser, { reducedMotion: 'reduce' });
     suite.server.state.settings = {
       version: 1,
@@ -19,7 +19,7 @@ describe('settings', () => {
     await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'gpu');
     assert.equal(await page.locator('#title').textContent(), 'The box');
-    // half the view box of 0.03 to the right is as far as it goes, and where it starts
+    // the limit, and the start, is half the view box of 0.03 to the right
     await page.waitForFunction(() => Math.abs(window.viewer.pose.tx - 0.015) < 1e-3);
     assert.equal(await page.evaluate(() => window.viewer.pivot), 0.6);
     await page.locator('#stage').focus();

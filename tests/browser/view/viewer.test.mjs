@@ -1,23 +1,23 @@
-// The viewer by itself: a container written by hand, a server that does nothing but serve files.
+// The viewer alone, with a hand-written container and a static file server.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { imagePixels, openPage, pixelsAt, seriousViolations, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { fractionDifferent, imagePixels, openPage, pixelsAt, seriousViolations, waitForMode } from '../support/browser.mjs';
 import { BOX, boxPhoto, inBox, readPng, wall } from '../support/pictures.mjs';
-import { boxSuite, HEIGHT, STILL, WIDTH } from '../support/suite.mjs';
+import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
 import { gate } from '../support/until.mjs';
 
 const HOME = {};
 
-/** The box before the wall for a camera at `tx`, drawn by hand; the soft rim is left out. */
+/** Expected picture of the box and wall for a camera at `tx`, without the soft edge. */
 function expected(tx) {
   const focal = 0.58 * WIDTH;
   const out = new Uint8ClampedArray(WIDTH * HEIGHT * 4);
   const photo = readPng(boxPhoto(WIDTH, HEIGHT)).data;
   for (let y = 0; y < HEIGHT; y++) {
     for (let x = 0; x < WIDTH; x++) {
-      const near = Math.round(x + focal * tx * BOX.near);
-      const far = x + focal * tx * BOX.far;
-      const colour = inBox(near, y, WIDTH, HEIGHT) ? photo.subarray((y * WIDTH + near) * 4, (y * WIDTH + near) * 4 + 3) : wall(far, y);
+      const boxX = Math.round(x + focal * tx * BOX.near);
+      const wallX = x + focal * tx * BOX.far;
+      const colour = inBox(boxX, y, WIDTH, HEIGHT) ? photo.subarray((y * WIDTH + boxX) * 4, (y * WIDTH + boxX) * 4 + 3) : wall(wallX, y);
       out.set([...colour, 255], (y * WIDTH + x) * 4);
     }
   }
@@ -34,7 +34,7 @@ describe('viewer', () => {
     const { page, context, errors } = await suite.open();
     await page.waitForFunction(() => document.querySelector('.tmpi-poster')?.naturalWidth);
     const poster = await imagePixels(page, '.tmpi-poster', WIDTH, HEIGHT);
-    assert.equal(shareDifferent(poster, readPng(boxPhoto(WIDTH, HEIGHT)).data, WIDTH, HEIGHT, { levels: 2 }), 0);
+    assert.equal(fractionDifferent(poster, readPng(boxPhoto(WIDTH, HEIGHT)).data, WIDTH, HEIGHT, { levels: 2 }), 0);
     assert.equal(await page.evaluate(() => window.viewer.mode), 'loading');
     rest.open();
     await waitForMode(page, 'gpu');
@@ -43,28 +43,28 @@ describe('viewer', () => {
     await context.close();
   });
 
-  test('the view from the photo’s own place is the photo', async () => {
+  test('the reference view equals the photo', async () => {
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
     const got = await pixelsAt(page, HOME, WIDTH, HEIGHT);
     const photo = readPng(boxPhoto(WIDTH, HEIGHT)).data;
-    const share = shareDifferent(got, photo, WIDTH, HEIGHT, { levels: 2 });
+    const share = fractionDifferent(got, photo, WIDTH, HEIGHT, { levels: 2 });
     assert.ok(share < 0.001, `${share} of the pixels differ`);
     await context.close();
   });
 
-  test('from the side the box moves before the wall, and the wall behind it appears', async () => {
+  test('from the side the box moves and reveals the wall', async () => {
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
     // 5 pixels of parallax for the box, 0.55 for the wall
     const tx = 5 / (0.58 * WIDTH) / BOX.near;
     for (const side of [tx, -tx]) {
       const got = await pixelsAt(page, { tx: side }, WIDTH, HEIGHT);
-      // the left and right border and the soft rim are not in the drawing by hand
-      const share = shareDifferent(got, expected(side), WIDTH, HEIGHT, { levels: 12, x0: 0.02, x1: 0.98 });
+      // the expected picture lacks the left and right border and the soft edge
+      const share = fractionDifferent(got, expected(side), WIDTH, HEIGHT, { levels: 12, x0: 0.02, x1: 0.98 });
       assert.ok(share < 0.03, `${share} of the pixels differ at ${side}`);
-      const still = shareDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), expected(side), WIDTH, HEIGHT, { levels: 12 });
-      assert.ok(still > 0.1, `the drawings would not tell a view that stands still: ${still}`);
+      const still = fractionDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), expected(side), WIDTH, HEIGHT, { levels: 12 });
+      assert.ok(still > 0.1, `the comparison must detect a view that does not move: ${still}`);
     }
     await context.close();
   });
@@ -88,14 +88,14 @@ describe('viewer', () => {
       return { still, moved: count - still };
     });
     assert.equal(drawn.still, 0);
-    assert.ok(drawn.moved > 0, 'what counts would have seen it');
+    assert.ok(drawn.moved > 0, 'the counter works');
     await context.close();
   });
 
   test('no corner of the view box sees past the border', async () => {
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
-    const open8 = await page.evaluate(async () => {
+    const uncovered = await page.evaluate(async () => {
       let uncovered = 0;
       for (const x of [-1, 1]) {
         for (const y of [-1, 1]) {
@@ -108,11 +108,11 @@ describe('viewer', () => {
       }
       return uncovered;
     });
-    assert.equal(open8, 0);
+    assert.equal(uncovered, 0);
     await context.close();
   });
 
-  test('nothing stands in the way of people who do not see or point', async () => {
+  test('has no serious accessibility violations', async () => {
     for (const colorScheme of ['light', 'dark']) {
       const { page, context } = await suite.open({ colorScheme, reducedMotion: 'reduce' });
       await waitForMode(page, 'gpu');
@@ -122,8 +122,8 @@ describe('viewer', () => {
     }
   });
 
-  test('a shared address brings the same pose', async () => {
-    const { page, context } = await suite.open(STILL, '#pose=0.5,-0.25,0.1');
+  test('a shared link restores the pose', async () => {
+    const { page, context } = await suite.open(REDUCED_MOTION, '#pose=0.5,-0.25,0.1');
     await waitForMode(page, 'gpu');
     const pose = await page.evaluate(() => window.viewer.pose);
     assert.ok(
@@ -137,7 +137,7 @@ describe('viewer', () => {
     await context.close();
   });
 
-  test('a photo that is not there: the reason is shown', async () => {
+  test('a missing photo shows an error', async () => {
     const { page, context } = await openPage(suite.browser);
     await page.goto(`${suite.server.url}/view/none`);
     await page.locator('#failure').waitFor();

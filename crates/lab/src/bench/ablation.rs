@@ -1,8 +1,8 @@
-//! Each step of planes, layers and drawing switched off by itself, with what that loses.
+//! Ablation: disables single steps of planes, layers and rendering, and measures the loss.
 
 use std::sync::Arc;
 
-use super::measure::{self, Bench};
+use super::measure::{self, Bench, Figures};
 use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::eval::mesh;
@@ -18,63 +18,63 @@ use tmpi_pipeline::planes::{Method, NEIGHBOUR, Placement, overlap_disagreement, 
 use tmpi_pipeline::{MakeError, Movement, Options};
 use tmpi_render::{Cpu, Reference, Renderer};
 
-/// What is done otherwise than by default.
+/// The step that is disabled or replaced.
 #[derive(Clone, Copy, PartialEq, Default)]
 pub(super) enum Without {
     #[default]
     Nothing,
-    /// The map as it is given.
+    /// Uses the map without the median filter.
     Median,
-    /// Pixels of mixed colours stay on the side that the map gives them.
+    /// Leaves pixels of mixed colours on the side where the map has them.
     Rims,
-    /// The median also of pixels whose colour speaks for the side that they are on.
+    /// Applies the median also to pixels whose colour matches their side.
     FullMedian,
-    /// Fronto-parallel planes under the same bound of error.
+    /// Uses fronto-parallel planes with the same error bound.
     Slant,
-    /// Every pixel on its nearest plane.
+    /// Assigns every pixel to its nearest plane.
     Smoothing,
-    /// No plane for background that only the neighbourhood shows.
+    /// Adds no planes for background that is visible only in neighbouring tiles.
     Backgrounds,
-    /// Nothing behind what is visible.
+    /// Has no texels behind the visible surface.
     Hidden,
-    /// Hidden texels also where the layer lies in front of what is visible.
+    /// Keeps hidden texels in front of the visible surface.
     Trim,
-    /// Every texel behind something, seen from the view box or not.
+    /// Keeps hidden texels that cannot be seen from the view box.
     Prune,
-    /// Hidden texels take the photo's colour at their own place.
+    /// Colours hidden texels with the photo's colour at the same pixel.
     Fill,
-    /// No soft rim.
+    /// Has no soft rims.
     Soft,
-    /// Every pixel of the view sorted by itself, in `f64`.
+    /// Sorts every pixel of the view separately, in `f64`.
     Passes,
-    /// The photo as a mesh, torn where it would be stretched.
+    /// Renders the photo as a mesh that is torn at stretched triangles.
     Planes,
-    /// Hidden colours by Ψ.
+    /// Lets Ψ colour hidden texels.
     Refined,
-    /// Hidden texels take the colour of the exact surface where it lies on their plane: the most that any Ψ could bring.
+    /// Colours hidden texels from the exact surface if it lies on their plane: an upper bound for any Ψ.
     Known,
 }
 
 const ALL: [(&str, Without); 16] = [
     ("all steps", Without::Nothing),
     ("without the colour-weighted median", Without::Median),
-    ("without joining rims to the near side", Without::Rims),
-    ("colour-weighted median of every pixel at edges", Without::FullMedian),
+    ("without moving rims to the near side", Without::Rims),
+    ("colour-weighted median of every edge pixel", Without::FullMedian),
     ("without slant (optimal, same error)", Without::Slant),
     ("without label smoothing", Without::Smoothing),
     ("without backgrounds", Without::Backgrounds),
     ("without hidden texels", Without::Hidden),
     ("hidden texels in front of the surface too", Without::Trim),
-    ("unseen texels kept", Without::Prune),
-    ("without fill: the photo's own colour behind", Without::Fill),
+    ("without pruning of unseen texels", Without::Prune),
+    ("without inpainting: the photo's colour behind", Without::Fill),
     ("without soft rims", Without::Soft),
-    ("drawn by a full sort of every pixel", Without::Passes),
+    ("rendered with a full sort of every pixel", Without::Passes),
     ("mesh of photo and disparity", Without::Planes),
     ("with Ψ", Without::Refined),
-    ("hidden colours known", Without::Known),
+    ("with true hidden colours", Without::Known),
 ];
 
-/// A subject ready for planes.
+/// A decoded subject with its cleaned disparity.
 pub(super) struct Prepared<'a> {
     subject: &'a Subject,
     photo: Photo,
@@ -164,13 +164,13 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// How far neighbouring tiles are apart where both lie, in δ.
-    pub(super) fn neighbours_apart(&self) -> f64 {
+    /// Difference between neighbouring tiles in their overlap, in δ.
+    pub(super) fn neighbour_difference(&self) -> f64 {
         let b = self.geometry(Without::Nothing, NEIGHBOUR);
         overlap_disagreement(&b.grid, &b.tiles)
     }
 
-    /// Figures of one setting.
+    /// Measures one setting.
     fn figures(&self, without: Without, neighbour: f32) -> Result<Vec<(&'static str, f64)>, BenchError> {
         if without == Without::Planes {
             let views = self.subject.views.iter().map(|(camera, want)| {
@@ -192,17 +192,17 @@ impl<'a> Prepared<'a> {
         }
         let mut all = means(&views);
         let pixels = f64::from(self.photo.width) * f64::from(self.photo.height);
-        all.push(("planes a tile", scene.layers.len() as f64 / f64::from(scene.grid.tiles())));
-        all.push(("texels for each pixel", scene.texels.class.iter().filter(|c| **c != 0).count() as f64 / pixels));
-        all.push(("changes of label, % of pixels", 100.0 * changes(&geometry)));
+        all.push(("planes per tile", scene.layers.len() as f64 / f64::from(scene.grid.tiles())));
+        all.push(("texels per pixel", scene.texels.class.iter().filter(|c| **c != 0).count() as f64 / pixels));
+        all.push(("label changes, % of pixels", 100.0 * changes(&geometry)));
         Ok(all)
     }
 }
 
-/// PSNR, SSIM and L1 of a view, and the share of it that is not covered.
+/// PSNR, SSIM and L1 of a view, and its uncovered fraction.
 type View = ([f64; 3], f64);
 
-/// Means over the views.
+/// Means over all views.
 fn means(views: &[View]) -> Vec<(&'static str, f64)> {
     let mean = |f: &dyn Fn(&View) -> f64| views.iter().map(f).sum::<f64>() / views.len().max(1) as f64;
     vec![
@@ -218,7 +218,7 @@ fn texels(shapes: &mut [LayerMasks]) -> impl Iterator<Item = (&mut u8, &mut u8)>
     shapes.iter_mut().flat_map(|s| &mut s.layers).flat_map(|l| l.class.iter_mut().zip(&mut l.alpha))
 }
 
-/// Share of pixels, of all tiles, whose right neighbour lies on another plane: what labels cost on the wire follows it.
+/// Fraction of pixels, over all tiles, whose right neighbour has another label. The size of the label section follows it.
 fn changes(b: &Geometry) -> f64 {
     let rows = (0..b.grid.tiles()).zip(&b.tiles).flat_map(|(i, t)| t.labels.chunks(b.grid.rect(i).w as usize));
     let (mut changed, mut all) = (0usize, 0usize);
@@ -229,20 +229,15 @@ fn changes(b: &Geometry) -> f64 {
     changed as f64 / all.max(1) as f64
 }
 
-/// Mean over the subjects of the figures of a setting.
+/// Measures a setting on all subjects; the figures are means.
 pub(super) fn point(all: &[Prepared], setting: String, without: Without, neighbour: f32, axes: (&str, &str)) -> Result<Point, BenchError> {
-    let mut figures: Vec<(&'static str, f64)> = Vec::new();
+    let mut figures = Figures::default();
     for p in all {
         for (name, value) in p.figures(without, neighbour)? {
-            let value = value / all.len() as f64;
-            match figures.iter_mut().find(|f| f.0 == name) {
-                Some(f) => f.1 += value,
-                None => figures.push((name, value)),
-            }
+            figures.add(name, value);
         }
     }
-    let of = |name: &str| figures.iter().find(|f| f.0 == name).map_or(0.0, |f| f.1);
-    Ok(Point { setting, x: of(axes.0), y: of(axes.1), figures, ..Point::default() })
+    Ok(figures.point(setting, axes))
 }
 
 const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };
@@ -251,11 +246,11 @@ fn prepared<'a>(subjects: &'a [Subject], psi: Option<&'a dyn Network>) -> Result
     subjects.iter().filter_map(|s| Prepared::new(s, psi).transpose()).collect()
 }
 
-/// Steps off one at a time.
+/// Disables one step at a time.
 pub(super) fn steps(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
     progress("Without each step");
     let all = prepared(subjects, bench.psi())?;
-    let texels = Axis { label: "texels for each pixel", log: false, up: Some(false) };
+    let texels = Axis { label: "texels per pixel", log: false, up: Some(false) };
     let mut points = Vec::new();
     for (name, without) in ALL.into_iter().filter(|(_, w)| *w != Without::Refined || bench.psi().is_some()) {
         points.push(point(&all, name.into(), without, NEIGHBOUR, (texels.label, VIEW.label))?);
@@ -268,40 +263,40 @@ pub(super) fn steps(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
     Ok(Experiment {
         id: "without",
         title: "Without each step".into(),
-        about: "Exact disparity and the photo's own pixels, no coding; one step of planes, layers and drawing switched off at a time. The mesh is compared over its torn places too, which it leaves black. The last two rows add something: Ψ, and colours that no photo tells.".into(),
+        about: "Exact disparity and the photo's own pixels, without compression; one step of planes, layers and rendering is disabled at a time. The comparison of the mesh includes the black holes where it is torn. The last two rows add something: Ψ, and true colours that no photo contains.".into(),
         x: texels,
         y: VIEW,
         curves: vec![Curve { name: "steps".into(), points }],
     })
 }
 
-/// The weight of label smoothing.
+/// Varies the weight of label smoothing.
 pub(super) fn labels(subjects: &[Subject], quick: bool, progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    progress("Smoothing labels");
+    progress("Label smoothing");
     let all = prepared(subjects, None)?;
-    let changes = Axis { label: "changes of label, % of pixels", log: true, up: Some(false) };
+    let changes = Axis { label: "label changes, % of pixels", log: true, up: Some(false) };
     let weights: &[f32] = if quick { &[0.0, 0.12, 0.3, 1.5] } else { &[0.0, 0.05, 0.12, 0.2, 0.3, 0.6, 1.5] };
     let mut points = Vec::new();
     for &w in weights {
-        let mut p = point(&all, format!("a neighbour's plane weighs {w}"), Without::Nothing, w, (changes.label, VIEW.label))?;
+        let mut p = point(&all, format!("neighbour weight {w}"), Without::Nothing, w, (changes.label, VIEW.label))?;
         p.default = (w - NEIGHBOUR).abs() < 1e-6;
         points.push(p);
     }
     Ok(Experiment {
         id: "labels",
-        title: "Smoothing labels".into(),
-        about: "How much a neighbour on another plane weighs against the error of a pixel, in squares of the error allowed. Changes of label are what the label section of a container pays for.".into(),
+        title: "Label smoothing".into(),
+        about: "Cost of a neighbour with another label, relative to a pixel's squared error in units of the allowed error. Label changes determine the size of a container's label section.".into(),
         x: changes,
         y: VIEW,
         curves: vec![Curve { name: "weight".into(), points }],
     })
 }
 
-/// Kinds of motion apart, and errors near the borders of tiles against errors elsewhere.
+/// Measures each kind of motion, and compares errors near tile borders with errors elsewhere.
 pub(super) fn moves(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    /// Pixels on each side of a border of a tile that count as near it.
+    /// Pixels on each side of a tile border that count as near it.
     const NEAR: u32 = 8;
-    const NAMES: [&str; 4] = ["sideways", "up and down", "forward", "all, turned"];
+    const NAMES: [&str; 4] = ["sideways", "up and down", "forward", "combined, with rotation"];
     progress("Kinds of motion, and seams");
     let mut sums = [[0f64; 6]; 4];
     let mut count = 0usize;
@@ -309,7 +304,7 @@ pub(super) fn moves(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
         let Some(p) = Prepared::new(s, None)? else { continue };
         let Some(made) = bench.runs(s, &measure::Depth::Known, &Options::default())?.pop() else { continue };
         let scene = Arc::new(tmpi_core::container::decode(&made.container)?);
-        // the same scene painted white near borders tells where they have gone in a view
+        // a copy of the scene that is white near borders shows where they appear in a view
         let (w, h, grid) = (p.photo.width, p.photo.height, scene.grid);
         let borders = |start: fn(&Rect) -> u32, length: fn(&Rect) -> u32, side: u32| -> Vec<bool> {
             let tiles: Vec<Rect> = (0..grid.tiles()).map(|t| grid.rect(t)).collect();
@@ -361,7 +356,7 @@ pub(super) fn moves(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
         id: "moves",
         title: "Kinds of motion, and seams".into(),
         about: format!(
-            "Exact views by kind of motion; mean error of pixels within {NEAR} of a border of a tile, and of all others. On the diagonal both are equal."
+            "Exact views by kind of motion: mean error of pixels within {NEAR} pixels of a tile border, and of all others. Both are equal on the diagonal."
         ),
         x,
         y,

@@ -1,4 +1,4 @@
-//! What making costs on this machine, and how well a budget of run time is kept with it.
+//! Processing costs on this machine, and how well time budgets are kept with them.
 
 use super::measure::{Bench, Depth, median};
 use super::subject::Subject;
@@ -9,14 +9,14 @@ use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::run::budget::{Costs, Measured, fit};
 use tmpi_pipeline::{self, Made, Options};
 
-/// Operating points: times the parallax error that is asked for.
+/// Operating points, as multiples of the default parallax error.
 const FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
-/// Stages up to the disparity that planes are placed on.
+/// Stages before planes are fitted.
 const BEFORE: [&str; 4] = ["photo", "depth", "denoise", "snap"];
-/// Enough for everything: the budget is only asked for its figures.
+/// A budget that limits nothing, set only to get its report.
 const PLENTY: f64 = 1e7;
 
-/// Median over the repeats of what `of` says.
+/// Median of `of` over the repeated runs.
 fn median_of(runs: &[Made], of: impl Fn(&Made) -> f64) -> f64 {
     median(runs.iter().map(of).collect())
 }
@@ -53,7 +53,7 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str))
     costs.before = median(before);
     (costs.plain, costs.points) = fit(&FACTORS, &points);
     if let (true, Some(s)) = (networks::available().is_ok(), scenes.first()) {
-        // two sizes tell what grows from what does not
+        // two sizes separate the fixed cost from the cost per pixel
         let ms = |max_size: Option<u32>| -> Result<(f64, f64), BenchError> {
             let runs = bench.runs(s, &Depth::Estimated, &Options { max_size, ..Options::default() })?;
             Ok((runs.first().map_or(1.0, megapixels), median_of(&runs, |m| stages(m, &BEFORE))))
@@ -66,7 +66,7 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str))
     Ok(costs)
 }
 
-/// Asks for several budgets by the built-in or named costs; the scenes are enlarged, so that there is something to choose.
+/// Runs with several budgets, with the built-in costs or those that `TMPI_COSTS` names.
 pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
     progress("budgets");
     let mut curves = Vec::new();
@@ -85,31 +85,31 @@ pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -
             let outcome = budget(|b| b.outcome_ms);
             points.push(point(format!("--budget-ms {asked} chose {chose}"), &runs, outcome));
             if let Some(p) = points.last_mut() {
-                p.figures
-                    .extend([("predicted, ms", budget(|b| b.predicted_ms)), ("outcome over budget, %", 100.0 * (outcome / asked - 1.0))]);
+                p.figures.extend([("predicted, ms", budget(|b| b.predicted_ms)), ("over budget, %", 100.0 * (outcome / asked - 1.0))]);
             }
         }
         let unbounded = (0..bench.repeats).map(|_| make(None)).collect::<Result<Vec<_>, _>>()?;
-        points.push(point("without a budget".into(), &unbounded, median_of(&unbounded, |m| m.report.total_ms)));
+        let free = point("without a budget".into(), &unbounded, median_of(&unbounded, |m| m.report.total_ms));
+        points.push(Point { default: true, ..free });
         curves.push(Curve { name: s.name.clone(), points });
     }
     Ok(Experiment {
         id: "budget",
-        title: "Budgets of run time".into(),
-        about: "What --budget-ms made of it, by the costs that TMPI_COSTS names, else by the built-in ones, and what no budget takes. The error \
-                is in pixels of the photo's own size: a photo that was made smaller has larger ones."
+        title: "Time budgets".into(),
+        about: "Results of --budget-ms with the costs that TMPI_COSTS names, or the built-in ones, and results without a budget. The error is in \
+                pixels of the original photo, so it is larger for a photo that was reduced."
             .into(),
-        x: Axis { label: "took, ms", log: true, up: Some(false) },
+        x: Axis { label: "time, ms", log: true, up: Some(false) },
         y: Axis { label: "parallax error, px", log: true, up: Some(false) },
         curves,
     })
 }
 
-/// A point of time against error.
+/// A point with time on the x axis and error on the y axis.
 fn point(setting: String, runs: &[Made], ms: f64) -> Point {
     let scale = |m: &Made| m.report.error.reduction.map_or(1.0, |r| r.scale);
     let error = median_of(runs, |m| m.report.error.planes.mean_px / scale(m));
     let reduced = runs.last().and_then(|m| m.report.error.reduction?.psnr);
-    let figures = reduced.map(|psnr| ("photo reduced and enlarged, dB", psnr)).into_iter().collect();
+    let figures = reduced.map(|psnr| ("photo after reduction and enlargement, dB", psnr)).into_iter().collect();
     Point { setting, x: ms, y: error, figures, ..Point::default() }
 }

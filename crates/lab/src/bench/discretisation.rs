@@ -1,4 +1,4 @@
-//! How well planes describe a disparity map, clean or damaged: the paper's third table.
+//! Error of planes fitted to clean and damaged disparity maps: the paper's third table.
 
 use super::measure::{Bench, median};
 use super::subject::Subject;
@@ -11,7 +11,7 @@ use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, ghost_share, overlap_disagreement, place};
 
-/// Planes a tile, as in the paper.
+/// Planes per tile, as in the paper.
 const PLANES: u32 = 4;
 
 /// How a map is cleaned before planes are fitted to it.
@@ -21,11 +21,11 @@ enum Cleaning {
     Classic,
     Auto,
     Theta,
-    /// Snapping to the photo's edges, which is not cleaning, but what ramps ask for.
+    /// Snaps to the photo's edges, which is not cleaning but the remedy for ramps.
     Snap,
 }
 
-/// Distance in δ from every true surface nearby at which a pixel counts as a ghost.
+/// A pixel counts as a ghost if it is farther than this from every true surface nearby, in δ.
 const GHOST: f32 = 0.05;
 
 fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> Result<(DisparityMap, Option<Vec<f32>>), MakeError> {
@@ -42,18 +42,18 @@ fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> R
     })
 }
 
-/// Errors against the clean map of planes that were fitted to the clean map, or to a noisy one.
+/// Fits planes to clean and damaged maps, and measures their error against the clean map.
 pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    progress("Planes of clean and noisy maps");
+    progress("Planes on clean and damaged maps");
     let methods = [("linear", Method::Linear), ("lloyd", Method::Lloyd), ("optimal", Method::Optimal), ("slanted", Method::Slanted)];
     let mut settings: Vec<(String, Placement, Cleaning)> =
         methods.iter().map(|&(name, m)| (format!("{name}, {PLANES} planes"), Placement::fixed(m, PLANES), Cleaning::Off)).collect();
     settings.push(("slanted, error 0.005".into(), Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, 0.005), Cleaning::Off));
-    let mut ways = vec![("classic", Cleaning::Classic), ("auto", Cleaning::Auto)];
+    let mut cleanings = vec![("classic", Cleaning::Classic), ("auto", Cleaning::Auto)];
     if bench.models.theta.is_some() && tmpi_pipeline::networks::available().is_ok() {
-        ways.push(("theta", Cleaning::Theta));
+        cleanings.push(("theta", Cleaning::Theta));
     }
-    for (name, c) in ways {
+    for (name, c) in cleanings {
         settings.push((format!("lloyd, {PLANES} planes, --denoise {name}"), Placement::fixed(Method::Lloyd, PLANES), c));
         settings.push((format!("slanted, {PLANES} planes, --denoise {name}"), Placement::fixed(Method::Slanted, PLANES), c));
     }
@@ -72,9 +72,9 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
     }
     Ok(Experiment {
         id: "discretisation",
-        title: "Planes of clean and damaged maps".into(),
-        about: "Planes fitted to a map as it is, to one with noise, and to one blurred by 5×5 pixels; errors of all against the clean map, in thousandths, as in the paper's third table. Ghosts are pixels whose plane is more than 0.05 from every true surface within two pixels. Rendered scenes, and photos that have a disparity map beside them.".into(),
-        x: Axis { label: "planes, cpu ms", log: true, up: Some(false) },
+        title: "Planes on clean and damaged maps".into(),
+        about: "Planes fitted to a clean map, to one with noise, and to one blurred by 5×5 pixels. All errors are relative to the clean map, in thousandths, as in the paper's third table. Ghosts are pixels whose plane is more than 0.05 from every true surface within two pixels. Subjects are photos with a disparity map beside them, otherwise rendered scenes.".into(),
+        x: Axis { label: "planes, CPU ms", log: true, up: Some(false) },
         y: Axis { label: "MAE, 1e-3", log: true, up: Some(false) },
         curves,
     })
@@ -114,8 +114,8 @@ fn point(
     let figures = vec![
         ("MSE, 1e-3", mse),
         ("Q25, 1e-3", q25),
-        ("planes placed a tile", planes),
-        ("neighbours apart, 1e-3", apart),
+        ("planes per tile", planes),
+        ("difference between neighbouring tiles, 1e-3", apart),
         ("ghosts, % of pixels", ghosts),
     ];
     Ok(Point { setting: setting.into(), x: ms, y: mae, figures, ..Point::default() })

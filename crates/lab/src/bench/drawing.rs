@@ -1,4 +1,4 @@
-//! Drawing: every renderer by picture size, and its difference from the reference.
+//! Rendering: time of each backend by picture size, and its difference from the reference.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Options, PlaneCount};
 use tmpi_render::{Cpu, Gpu, Reference, Renderer};
 
-/// Width of the views by plane count, in pixels.
+/// Width of the views for the plane counts, in pixels.
 const PLANES_WIDTH: u32 = 1280;
 
 pub(super) fn run(
@@ -27,9 +27,9 @@ pub(super) fn run(
     progress("drawing");
     let Some(s) = scenes.first() else { return Ok(Vec::new()) };
     let scene = made(bench, s, PlaneCount::Auto)?;
-    let mut hosts: Vec<Box<dyn Renderer>> = vec![Box::new(Cpu::default())];
+    let mut backends: Vec<Box<dyn Renderer>> = vec![Box::new(Cpu::default())];
     match Gpu::new(true) {
-        Ok(gpu) => hosts.push(Box::new(gpu)),
+        Ok(gpu) => backends.push(Box::new(gpu)),
         Err(reason) => skipped.push(format!("gpu: {reason}")),
     }
     let sizes: &[u32] = if quick { &[320, 640, 1280] } else { &[320, 640, 1280, 1920, 3840] };
@@ -39,22 +39,22 @@ pub(super) fn run(
         let intrinsics = scene.intrinsics.resized((w, h), (width, height));
         Camera { pose: Pose { yaw: 1.0, ..Pose::at(0.03, -0.02, 0.03) }, intrinsics, width, height }
     };
-    let timed = |host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera| -> Result<f64, BenchError> {
-        // the first one loads the scene
-        host.render(scene, camera)?;
+    let timed = |backend: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera| -> Result<f64, BenchError> {
+        // the first view loads the scene
+        backend.render(scene, camera)?;
         let times = (0..bench.repeats * 3).map(|_| {
             let start = Instant::now();
-            host.render(scene, camera).map(|_| start.elapsed().as_secs_f64() * 1e3)
+            backend.render(scene, camera).map(|_| start.elapsed().as_secs_f64() * 1e3)
         });
         Ok(median(times.collect::<Result<_, _>>()?))
     };
     let mut curves = Vec::new();
-    for host in &hosts {
+    for backend in &backends {
         let mut points = Vec::new();
         for &width in sizes {
             let camera = camera(width);
-            let view = host.render(&scene, &camera)?;
-            let ms = timed(host.as_ref(), &scene, &camera)?;
+            let view = backend.render(&scene, &camera)?;
+            let ms = timed(backend.as_ref(), &scene, &camera)?;
             let mut figures = Vec::new();
             if width <= 1280 {
                 let want = Reference.render(&scene, &camera)?;
@@ -64,39 +64,39 @@ pub(super) fn run(
             let setting = format!("{}×{}", camera.width, camera.height);
             points.push(Point { setting, x: megapixels, y: ms, figures, ..Point::default() });
         }
-        curves.push(Curve { name: host.name().into(), points });
+        curves.push(Curve { name: backend.name().into(), points });
     }
     let counts = [1, 2, 4, 8, 16].map(|n| Ok((n, made(bench, s, PlaneCount::Fixed(n))?)));
     let counts = counts.into_iter().collect::<Result<Vec<_>, BenchError>>()?;
-    let of_planes = |host: &dyn Renderer| {
+    let of_planes = |backend: &dyn Renderer| {
         let points = counts.iter().map(|(n, scene)| {
-            let ms = timed(host, scene, &camera(PLANES_WIDTH))?;
+            let ms = timed(backend, scene, &camera(PLANES_WIDTH))?;
             let planes = scene.layers.len() as f64 / f64::from(scene.grid.tiles());
             let megabytes = 4.0 * scene.texels.class.len() as f64 / 1e6;
             let figures = vec![("layers", scene.layers.len() as f64), ("texels as RGBA8, MB", megabytes)];
             Ok(Point { setting: format!("--planes {n}"), x: planes, y: ms, figures, ..Point::default() })
         });
-        Ok(Curve { name: host.name().into(), points: points.collect::<Result<_, BenchError>>()? })
+        Ok(Curve { name: backend.name().into(), points: points.collect::<Result<_, BenchError>>()? })
     };
-    let by_planes = hosts.iter().map(|host| of_planes(host.as_ref())).collect::<Result<Vec<_>, BenchError>>()?;
+    let by_planes = backends.iter().map(|backend| of_planes(backend.as_ref())).collect::<Result<Vec<_>, BenchError>>()?;
     Ok(vec![
         Experiment {
             id: "drawing",
-            title: "Drawing".into(),
-            about: format!("A view of “{}” from within the view box, by renderer and picture size; the scene is loaded before.", s.name),
+            title: "Rendering".into(),
+            about: format!("A view of “{}” from inside the view box, by backend and picture size. The scene is already loaded.", s.name),
             x: Axis { label: "picture, megapixels", log: true, up: None },
-            y: Axis { label: "a view, ms", log: true, up: Some(false) },
+            y: Axis { label: "view, ms", log: true, up: Some(false) },
             curves,
         },
         Experiment {
             id: "drawing-planes",
-            title: "Drawing: planes".into(),
+            title: "Rendering: planes".into(),
             about: format!(
-                "A view of “{}” {PLANES_WIDTH} pixels wide by renderer and planes a tile, backgrounds among them; the scene is loaded before.",
+                "A view of “{}”, {PLANES_WIDTH} pixels wide, by backend and planes per tile, including backgrounds. The scene is already loaded.",
                 s.name
             ),
-            x: Axis { label: "planes a tile", log: true, up: None },
-            y: Axis { label: "a view, ms", log: true, up: Some(false) },
+            x: Axis { label: "planes per tile", log: true, up: None },
+            y: Axis { label: "view, ms", log: true, up: Some(false) },
             curves: by_planes,
         },
     ])

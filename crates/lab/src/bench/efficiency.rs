@@ -1,7 +1,7 @@
-//! What a photo of the paper's size costs: the paper's second table, by tile size and planes, and the placing of planes alone.
+//! Costs of a photo of the paper's size, by tile size and number of planes (the paper's second table), and of plane fitting alone.
 
 use super::measure::median;
-use super::scaling::Workshop;
+use super::scaling::ProcessRunner;
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::scenes;
 use tmpi_core::{Grid, Rect};
@@ -9,11 +9,11 @@ use tmpi_pipeline::clock::Clock;
 use tmpi_pipeline::planes::{Method, Placement, discretisation_error, place};
 use tmpi_pipeline::{Options, Report};
 
-/// The paper's picture.
+/// The paper's picture size.
 const SIZE: (u32, u32) = (630, 350);
 /// Seed of the first scene.
 const SEED: u64 = 900_200;
-/// Stages that a row tells, with the name of the figure.
+/// Stages in a row, and the names of their figures.
 const STAGES: [(&str, &str); 6] = [
     ("denoise", "cleaning, ms"),
     ("snap", "edges, ms"),
@@ -23,7 +23,7 @@ const STAGES: [(&str, &str); 6] = [
     ("verify", "verifying, ms"),
 ];
 
-/// Run time by stage, peak memory and size by tile size and count of planes.
+/// Run time of each stage, peak memory and size, by tile size and number of planes.
 pub(super) fn table(repeats: usize, skipped: &mut Vec<String>, progress: &dyn Fn(&str)) -> Option<Experiment> {
     progress("efficiency");
     match measured(repeats) {
@@ -31,7 +31,7 @@ pub(super) fn table(repeats: usize, skipped: &mut Vec<String>, progress: &dyn Fn
             id: "efficiency",
             title: "Efficiency".into(),
             about: format!(
-                "A rendered scene of {}×{} pixels with its disparity, each setting in {repeats} processes of its own: medians of the stages, of the whole and of peak memory, and what is sent. The layers as RGBA8, which the paper gives as space, beside it.",
+                "A rendered scene of {}×{} pixels with its disparity; each setting runs in {repeats} separate processes. Medians of each stage, the total and peak memory, and the container's size. Layers as RGBA8 correspond to the space in the paper.",
                 SIZE.0, SIZE.1
             ),
             x: Axis { label: "photo and disparity to container, ms", log: true, up: Some(false) },
@@ -48,19 +48,19 @@ pub(super) fn table(repeats: usize, skipped: &mut Vec<String>, progress: &dyn Fn
 fn measured(repeats: usize) -> Result<Vec<Curve>, BenchError> {
     let scene = scenes::Scene::framed(SEED, SIZE.0, SIZE.1);
     let picture = scene.render(&scene.camera(), 1);
-    let workshop = Workshop::new()?;
-    workshop.put(&picture.photo, &picture.disparity)?;
+    let runner = ProcessRunner::new()?;
+    runner.put(&picture.photo, &picture.disparity)?;
     let curve = |name: &str, settings: &[&str]| -> Result<Curve, BenchError> {
         let points = settings.iter().map(|setting| {
             let arguments: Vec<&str> = setting.split_whitespace().collect();
-            let runs = (0..repeats).map(|_| workshop.make(&arguments)).collect::<Result<Vec<_>, _>>()?;
+            let runs = (0..repeats).map(|_| runner.make(&arguments)).collect::<Result<Vec<_>, _>>()?;
             Ok(row(setting, &runs))
         });
         Ok(Curve { name: name.into(), points: points.collect::<Result<_, BenchError>>()? })
     };
     Ok(vec![
         curve("tile size", &["--tile 32", "", "--tile 128", "--tile 256"])?,
-        curve("planes a tile", &["--planes 1", "--planes 2", "--planes 4", "--planes 8"])?,
+        curve("planes per tile", &["--planes 1", "--planes 2", "--planes 4", "--planes 8"])?,
         curve("the paper's planes", &["--plane-method lloyd --planes 4", "--plane-method lloyd --planes 32 --tile full"])?,
     ])
 }
@@ -71,8 +71,8 @@ fn row(setting: &str, runs: &[Report]) -> Point {
     let mut figures: Vec<(&str, f64)> = STAGES.map(|(name, figure)| (figure, stage(name))).into();
     let last = runs.last();
     figures.extend([
-        ("all, cpu ms", over(&|r| r.stages.iter().map(|s| s.cpu_ms).sum())),
-        ("planes a tile", last.map_or(0.0, |r| r.planes_per_tile)),
+        ("total, CPU ms", over(&|r| r.stages.iter().map(|s| s.cpu_ms).sum())),
+        ("planes per tile", last.map_or(0.0, |r| r.planes_per_tile)),
         ("container, KB", last.map_or(0.0, |r| r.bytes.total as f64 / 1e3)),
         ("layers as RGBA8, KB", last.map_or(0.0, |r| 4.0 * r.texels as f64 / 1e3)),
     ]);
@@ -86,7 +86,7 @@ fn row(setting: &str, runs: &[Report]) -> Point {
     }
 }
 
-/// Planes of all tiles and nothing else: processor time and error by method and count.
+/// Plane fitting alone: CPU time and error by method and number of planes.
 pub(super) fn clustering(repeats: usize, progress: &dyn Fn(&str)) -> Experiment {
     progress("clustering");
     let scenes = (0..4).map(|i| scenes::Scene::framed(SEED + i, SIZE.0, SIZE.1));
@@ -116,15 +116,15 @@ pub(super) fn clustering(repeats: usize, progress: &dyn Fn(&str)) -> Experiment 
     let curve = |(name, method): (&str, Method)| Curve { name: name.into(), points: [1, 2, 4, 8].map(|n| point(method, n)).into() };
     Experiment {
         id: "clustering",
-        title: "Placing planes, and nothing else".into(),
+        title: "Plane fitting alone".into(),
         about: format!(
-            "All {} tiles of {} rendered disparity maps of {}×{} pixels, means of medians: processor time of all threads against the error that the planes leave.",
+            "All {} tiles of {} rendered disparity maps of {}×{} pixels, means of medians: CPU time of all threads against the error of the planes.",
             grid.tiles(),
             maps.len(),
             SIZE.0,
             SIZE.1
         ),
-        x: Axis { label: "all tiles, cpu ms", log: true, up: Some(false) },
+        x: Axis { label: "all tiles, CPU ms", log: true, up: Some(false) },
         y: Axis { label: "disparity MAE, 1e-3", log: true, up: Some(false) },
         curves: methods.map(curve).into(),
     }

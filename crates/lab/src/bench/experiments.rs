@@ -1,45 +1,47 @@
-//! What is varied.
+//! Definitions of the experiments.
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, Settings};
 use tmpi_core::{DisparityMap, ViewBox};
-use tmpi_pipeline::networks::{self, models};
+use tmpi_pipeline::networks;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
-const MS: Axis = Axis { label: "making, ms", log: true, up: Some(false) };
+const MS: Axis = Axis { label: "processing, ms", log: true, up: Some(false) };
 const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };
 const PARALLAX: Axis = Axis { label: "parallax error, px", log: true, up: Some(false) };
 
 const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
-/// A point of a curve.
-struct Set {
-    /// As on the command line.
-    words: String,
-    options: Options,
-    depth: Depth,
-    /// Level of the container that is looked at.
-    level: u8,
-    /// It is what ships.
-    default: bool,
+/// A setting to measure: one point of a curve.
+pub(super) struct Set {
+    /// The setting as on the command line.
+    pub words: String,
+    pub options: Options,
+    pub depth: Depth,
+    /// Level of the container to measure.
+    pub level: u8,
+    /// Position on the horizontal axis, if that shows the setting itself.
+    pub at: Option<f64>,
+    /// Whether this is the default.
+    pub default: bool,
 }
 
 impl Set {
-    fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
+    pub fn new(words: impl Into<String>, options: Options, depth: Depth) -> Self {
         let default = options == Options::default();
-        Self { words: words.into(), options, depth, level: 0, default }
+        Self { words: words.into(), options, depth, level: 0, at: None, default }
     }
 }
 
-/// One experiment to be.
-struct Plan {
-    id: &'static str,
-    title: &'static str,
-    about: &'static str,
-    axes: (Axis, Axis),
-    curves: Vec<(&'static str, Vec<Set>)>,
+/// An experiment to run.
+pub(super) struct Plan {
+    pub id: &'static str,
+    pub title: &'static str,
+    pub about: &'static str,
+    pub axes: (Axis, Axis),
+    pub curves: Vec<(&'static str, Vec<Set>)>,
 }
 
 impl Plan {
@@ -48,9 +50,9 @@ impl Plan {
         let mut curves = Vec::new();
         for (name, settings) in self.curves {
             let mut points: Vec<Point> = Vec::new();
-            for Set { words, options, depth, level, default } in settings {
+            for Set { words, options, depth, level, at, default } in settings {
                 let p = bench.point_of_level(subjects, &depth, &options, level, words, (x.label, y.label))?;
-                points.push(Point { default, ..p });
+                points.push(Point { default, x: at.unwrap_or(p.x), ..p });
             }
             curves.push(Curve { name: name.into(), points });
         }
@@ -78,21 +80,32 @@ fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Ve
     counts.iter().map(one).collect()
 }
 
-/// Plane placement by count and by error.
+/// Plane fitting by count and by error.
 fn planes(quick: bool, axes: (Axis, Axis)) -> Plan {
     let n: &[u32] = if quick { &[1, 2, 4, 8] } else { &[1, 2, 3, 4, 6, 8, 12] };
     let mut curves: Vec<_> = METHODS.map(|(name, m)| (name, counts(m, name, n, TileSize::Pixels(64)))).into();
-    curves.push(("slanted, by error", errors(quick)));
+    curves.push(("slanted, by error", vec![known("--planes auto", |_| {})]));
     Plan {
         id: "planes",
-        title: "Planes: how they are placed, and how many",
-        about: "A fixed count of planes a tile by each method, and the fewest slanted planes that keep the parallax error.",
+        title: "Planes: method and number",
+        about: "A fixed number of planes per tile by each method, and the fewest slanted planes that meet the parallax error.",
         axes,
         curves,
     }
 }
 
-/// The paper's figure: tile size by plane count.
+/// The error that planes may leave.
+fn max_error(quick: bool, axes: (Axis, Axis)) -> Plan {
+    Plan {
+        id: "max-error",
+        title: "Largest parallax error",
+        about: "How many pixels planes may misplace a point, at the corners of the view box. A smaller error takes more planes.",
+        axes,
+        curves: vec![("slanted, by error", errors(quick))],
+    }
+}
+
+/// Tile size by number of planes, as in the paper's figure.
 fn tiles(quick: bool) -> Plan {
     let sizes: &[(&'static str, TileSize)] = &[
         ("tiles of 32", TileSize::Pixels(32)),
@@ -111,13 +124,13 @@ fn tiles(quick: bool) -> Plan {
     Plan {
         id: "tiles",
         title: "Tile size",
-        about: "Slanted planes on tiles of several sizes, and regular multiplane images: one tile, many fronto-parallel planes.",
+        about: "Slanted planes on tiles of several sizes, and ordinary multiplane images: one tile with many fronto-parallel planes.",
         axes: (MS, VIEW),
         curves,
     }
 }
 
-/// Gaussian noise of variance 1e-3 by a fixed generator.
+/// Adds Gaussian noise of variance 1e-3 from a fixed generator.
 pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
     let mut state = 1u64;
     let mut uniform = || {
@@ -128,12 +141,12 @@ pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
     DisparityMap { delta: map.delta.iter().map(|d| (d + noise()).clamp(0.0, 1.0)).collect(), ..*map }
 }
 
-/// A box of 5×5 pixels: what networks do to edges.
+/// Blurs with a box of 5×5 pixels, similar to what networks do to edges.
 pub(super) fn blurred(map: &DisparityMap) -> DisparityMap {
     box_blurred(map, 2)
 }
 
-/// Means over `(2r+1)²` pixels, fewer at borders.
+/// Box blur over `(2r+1)²` pixels, fewer at borders.
 pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
     let (w, h) = (map.width as usize, map.height as usize);
     let mean = |i: usize| {
@@ -145,7 +158,7 @@ pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
     DisparityMap { delta: (0..w * h).map(mean).collect(), ..*map }
 }
 
-/// Each step off, one at a time. `refined`: whether there is a network for it.
+/// Changes one option at a time. `refined`: whether Ψ is available.
 fn steps(refined: bool) -> Plan {
     let on = |setting: &str, change: &dyn Fn(&mut Options)| {
         let mut o = Options::default();
@@ -168,13 +181,13 @@ fn steps(refined: bool) -> Plan {
     Plan {
         id: "steps",
         title: "Steps on and off",
-        about: "One step changed at a time, on exact disparity and on disparity whose edges are blurred over 5 pixels.",
+        about: "One option changed at a time, on exact disparity and on disparity with edges blurred over 5 pixels.",
         axes: (MS, VIEW),
-        curves: vec![("exact disparity", of(&Depth::Known)), ("blurred disparity", of(&Depth::Spoilt(blurred)))],
+        curves: vec![("exact disparity", of(&Depth::Known)), ("blurred disparity", of(&Depth::Degraded(blurred)))],
     }
 }
 
-/// `theta`: whether that network is there.
+/// Cleaning methods. `theta`: whether the network Θ is available.
 fn denoise(theta: bool) -> Plan {
     let of = |depth: &Depth| {
         [("off", Denoise::Off), ("classic", Denoise::Classic), ("auto", Denoise::Auto), ("theta", Denoise::Theta)]
@@ -185,10 +198,10 @@ fn denoise(theta: bool) -> Plan {
     };
     Plan {
         id: "denoise",
-        title: "Cleaning of disparity",
-        about: "Nothing, a median with a guided filter, fitted planes where the map is damaged (auto), and the network Θ, on noise of variance 1e-3 and on blurred edges.",
+        title: "Disparity cleaning",
+        about: "No cleaning, a median with a guided filter, planes fitted where the map is damaged (auto), and the network Θ, with noise of variance 1e-3 and with blurred edges.",
         axes: (MS, VIEW),
-        curves: vec![("noisy disparity", of(&Depth::Spoilt(noisy))), ("blurred disparity", of(&Depth::Spoilt(blurred)))],
+        curves: vec![("noisy disparity", of(&Depth::Degraded(noisy))), ("blurred disparity", of(&Depth::Degraded(blurred)))],
     }
 }
 
@@ -197,133 +210,83 @@ fn quality(quick: bool) -> Plan {
     Plan {
         id: "quality",
         title: "Picture quality",
-        about: "How large the container is, and how near its views are to the exact ones.",
+        about: "Size of the container, and similarity of its views to the exact ones.",
         axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
         curves: vec![("quality", all.iter().map(|&q| known(format!("--quality {q}"), |o| o.quality = q)).collect())],
     }
 }
 
 fn prune(quick: bool) -> Plan {
-    let all: &[f64] = if quick { &[0.015, 0.06, 0.12] } else { &[0.015, 0.045, 0.06, 0.12, 0.25] };
-    let one = |&v: &f64| {
-        known(format!("--view-box {v},{v},{v} --verify-prune"), |o| {
-            (o.view_box, o.verify_prune) = (ViewBox { x: v, y: v, z: v }, true);
-        })
+    let all: &[f64] = if quick { &[0.125, 0.5, 1.0] } else { &[0.125, 0.25, 0.5, 1.0, 2.0] };
+    let one = |&s: &f64| {
+        let v = scaled(s);
+        let words = format!("--view-box {},{},{} --verify-prune", v.x, v.y, v.z);
+        Set { default: v == Options::VIEW_BOX, ..known(words, |o| (o.view_box, o.verify_prune) = (v, true)) }
     };
     Plan {
         id: "prune",
-        title: "Leaving out what is never seen",
-        about: "Pixels that differ by more than 8 levels at the corners of the view box and the middles of its sides, drawn with and without the texels left out; the corner where they are most.",
+        title: "Pruning of unseen texels",
+        about: "Pixels that differ by more than 8 levels between views with and without the pruned texels, at the corners and side centres of the view box; the worst of these cameras.",
         axes: (
-            Axis { label: "texels for each pixel", log: false, up: Some(false) },
-            Axis { label: "left out wrongly, % of pixels", log: false, up: Some(false) },
+            Axis { label: "texels per pixel", log: false, up: Some(false) },
+            Axis { label: "wrongly pruned, % of pixels", log: false, up: Some(false) },
         ),
         curves: vec![("view box", all.iter().map(one).collect())],
     }
 }
 
-/// How far cameras may go, by what it costs.
-fn view_box(quick: bool) -> Plan {
+/// A multiple of the default view box.
+fn scaled(by: f64) -> ViewBox {
     let usual = Options::VIEW_BOX;
+    ViewBox { x: usual.x * by, y: usual.y * by, z: usual.z * by }
+}
+
+/// Costs of the view box's size.
+fn view_box(quick: bool) -> Plan {
     let all: &[f64] = if quick { &[0.5, 1.0, 2.0] } else { &[0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 4.0] };
     let one = |&s: &f64| {
-        let v = ViewBox { x: usual.x * s, y: usual.y * s, z: usual.z * s };
+        let v = scaled(s);
         known(format!("--view-box {},{},{}", v.x, v.y, v.z), |o| o.view_box = v)
     };
     Plan {
         id: "view-box",
         title: "View box",
-        about: "How far from the photo's own place cameras may go, at the same parallax error: what it takes, and how near views within half of the usual box are to the exact ones.",
+        about: "How far cameras may move from the photo's camera, at the same parallax error: costs, and similarity of views within half of the default box to the exact ones.",
         axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
         curves: vec![("view box", all.iter().map(one).collect())],
     }
 }
 
-/// Photos made smaller before anything else, and containers made smaller afterwards.
+/// Photos reduced before processing, and containers reduced afterwards.
 fn sizes(quick: bool) -> [Plan; 2] {
     let all: &[u32] = if quick { &[96, 192] } else { &[96, 160, 240, 360, 480] };
     let mut smaller: Vec<Set> = all.iter().map(|&n| known(format!("--max-size {n}"), |o| o.max_size = Some(n))).collect();
-    smaller.push(known("as it is", |_| {}));
+    smaller.push(known("original size", |_| {}));
     let level = |level: u8| Set { level, default: level == 0, ..known(format!("level {level}"), |_| {}) };
     [
         Plan {
             id: "size",
             title: "Largest side",
-            about: "The photo reduced before it is made; views are drawn at the photo's own size.",
+            about: "The photo is reduced before processing; views are rendered at its original size.",
             axes: (MS, VIEW),
             curves: vec![("largest side", smaller)],
         },
         Plan {
             id: "levels",
             title: "Levels of a container",
-            about: "A container at 1, 1/2, 1/4 and 1/8 of its size, as small screens and slow links get it; views are drawn at the photo's own size.",
+            about: "A container at 1, 1/2, 1/4 and 1/8 of its size, as for small screens and slow connections; views are rendered at the photo's original size.",
             axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
             curves: vec![("levels", (0..=tmpi_core::container::LEVELS).map(level).collect())],
         },
     ]
 }
 
-/// A network that is given a setting.
-fn network(words: String, default: bool, settings: &models::Settings) -> Option<Set> {
-    let models = models::load(settings).ok()?;
-    Some(Set { default, ..Set::new(words, Options::default(), Depth::By(models.depth)) })
-}
-
-/// What can be set of the depth network.
-fn depth_settings(quick: bool, given: &models::Settings) -> Plan {
-    let with = |change: &dyn Fn(&mut models::Settings)| {
-        let mut settings = given.clone();
-        change(&mut settings);
-        settings
-    };
-    let own = |v: f64, own: f64| (v - own).abs() < 1e-12;
-    let numbers: &[f64] = if quick { &[0.0, 1.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
-    let smoothing = given.depth_smoothing.unwrap_or(given.depth.smoothing);
-    let smoothed = numbers.iter().map(|s| smoothing.max(0.01) * s);
-    let smoothed =
-        smoothed.filter_map(|s| network(format!("--depth-smoothing {s}"), own(s, smoothing), &with(&|n| n.depth_smoothing = Some(s))));
-    let ramp = given.depth_ramp.unwrap_or(given.depth.ramp);
-    let ramps = numbers.iter().map(|s| 0.25 * s).chain([ramp]);
-    let ramps = ramps.filter_map(|r| network(format!("--depth-ramp {r}"), own(r, ramp), &with(&|n| n.depth_ramp = Some(r))));
-    let areas: &[u32] = if quick { &[50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
-    let mut pixels: Vec<Set> = areas
-        .iter()
-        .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), &with(&|n| n.depth_pixels = Some(p))))
-        .collect();
-    pixels.extend(network("its own size".into(), given.depth_pixels.is_none(), given));
-    let flip = given.flip.unwrap_or(given.depth.flip);
-    let flips = [false, true].into_iter().filter_map(|f| network(format!("--flip {f}"), f == flip, &with(&|n| n.flip = Some(f))));
-    Plan {
-        id: "network",
-        title: "Settings of the depth network",
-        about: "Size that the network works at, smoothing of its map, a vertical ramp added to it, and the mean with the mirrored photo.",
-        axes: (
-            Axis { label: "depth, ms", log: true, up: Some(false) },
-            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
-        ),
-        curves: vec![("pixels", pixels), ("smoothing", smoothed.collect()), ("ramp", ramps.collect()), ("mirror image", flips.collect())],
-    }
-}
-
-fn depth() -> Plan {
-    Plan {
-        id: "depth",
-        title: "Depth network",
-        about: "Disparity of the network against the exact one, after the best scale and shift.",
-        axes: (
-            Axis { label: "depth, ms", log: true, up: Some(false) },
-            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
-        ),
-        curves: vec![("estimated", vec![Set::new("as given by --depth-model", Options::default(), Depth::Estimated)])],
-    }
-}
-
-/// The first words of a reason: a list of all places that were searched is of no use here.
-fn brief(reason: &impl std::fmt::Display) -> String {
+/// Shortens a reason to the part before its list of searched paths.
+pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
     reason.to_string().split(':').next().unwrap_or_default().to_owned()
 }
 
-/// Experiments on scenes with exact views.
+/// Runs the experiments on scenes with exact views.
 pub(super) fn on_scenes(
     bench: &Bench,
     scenes: &[Subject],
@@ -332,25 +295,43 @@ pub(super) fn on_scenes(
     progress: &dyn Fn(&str),
 ) -> Result<Vec<Experiment>, BenchError> {
     let quick = settings.quick;
-    // the first run of a process pays for its threads and its memory
+    // warm-up: the first run of a process pays for threads and memory
     bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
-    let mut plans =
-        vec![planes(quick, (MS, VIEW)), tiles(quick), steps(bench.psi().is_some()), quality(quick), prune(quick), view_box(quick)];
+    let mut plans = vec![
+        max_error(quick, (MS, VIEW)),
+        planes(quick, (MS, VIEW)),
+        tiles(quick),
+        steps(bench.psi().is_some()),
+        quality(quick),
+        prune(quick),
+        view_box(quick),
+    ];
     plans.extend(sizes(quick));
     if let Err(reason) = networks::available() {
-        skipped.push(format!("depth and denoise networks: {}", brief(&reason)));
+        skipped.push(format!("denoise networks: {}", brief(&reason)));
     } else {
-        plans.extend([denoise(bench.models.theta.is_some()), depth(), depth_settings(quick, &settings.networks)]);
+        plans.push(denoise(bench.models.theta.is_some()));
     }
+    run(bench, scenes, plans, settings, progress)
+}
+
+/// Those of the experiments that are asked for.
+pub(super) fn run(
+    bench: &Bench,
+    subjects: &[Subject],
+    plans: Vec<Plan>,
+    settings: &Settings,
+    progress: &dyn Fn(&str),
+) -> Result<Vec<Experiment>, BenchError> {
     let mut all = Vec::new();
     for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {
         progress(plan.title);
-        all.push(plan.run(bench, scenes)?);
+        all.push(plan.run(bench, subjects)?);
     }
     Ok(all)
 }
 
-/// Experiments on photos, whose disparity the network estimates.
+/// Runs the experiments on photos with estimated disparity.
 pub(super) fn on_photos(
     bench: &Bench,
     photos: &[Subject],
@@ -361,7 +342,10 @@ pub(super) fn on_photos(
         skipped.push(format!("photos: {}", brief(&reason)));
         return Ok(Vec::new());
     }
-    let plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
+    let mut plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
+    if let Some((_, by_error)) = plan.curves.last_mut() {
+        *by_error = errors(true);
+    }
     progress(plan.title);
     Ok(vec![plan.run(bench, photos)?])
 }

@@ -1,24 +1,24 @@
-//! What was measured on.
+//! The machine that measurements ran on.
 
 use serde::Serialize;
 
-/// The machine, in words.
+/// Description of a machine.
 #[derive(Clone, Debug, Serialize)]
 pub struct Machine {
-    /// Processor.
+    /// CPU model.
     pub processor: String,
-    /// Threads that work is spread over.
+    /// Number of worker threads.
     pub threads: usize,
-    /// Memory in bytes; 0 where the system does not tell.
+    /// Memory in bytes; 0 if unknown.
     pub memory: u64,
     /// Operating system and architecture.
     pub system: String,
-    /// Work of others while it was measured: running tasks, mean over the last minute; none where the system does not tell.
+    /// Load average over the last minute; `None` if unknown.
     pub load: Option<f64>,
 }
 
 impl Machine {
-    /// This one.
+    /// Describes this machine.
     #[must_use]
     pub fn this() -> Self {
         let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();

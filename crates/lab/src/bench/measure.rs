@@ -1,4 +1,4 @@
-//! Runs a setting on all subjects: medians of time, means of error.
+//! Runs a setting on all subjects and collects medians of time and means of error.
 
 use std::sync::Arc;
 
@@ -17,33 +17,33 @@ use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Made, Models, Options};
 use tmpi_render::{Cpu, Renderer, View};
 
-/// Share of a view that is left out on each side, as in the paper.
+/// Fraction of a view that is cropped on each side, as in the paper.
 const CROP: f64 = 0.15;
-/// Stages that no knob changes: reading files, and measuring itself.
+/// Stages excluded from the processing time: no option changes them, or they only measure.
 const APART: [&str; 3] = ["photo", "depth", "verify"];
 
-/// What settings are run with.
+/// Networks and repeats for all settings.
 pub(super) struct Bench<'a> {
     pub models: &'a Models,
     pub repeats: usize,
 }
 
-/// How a setting's disparity comes about.
+/// Source of a setting's disparity.
 #[derive(Clone)]
 pub(super) enum Depth {
-    /// As it is known, else by the network.
+    /// The known disparity, otherwise the network's.
     Known,
-    /// By the network, whatever is known.
+    /// Always the network's estimate.
     Estimated,
-    /// By another one, whatever is known.
+    /// Always this network's estimate.
     By(Arc<dyn Estimator>),
-    /// What is known, spoilt.
-    Spoilt(fn(&DisparityMap) -> DisparityMap),
-    /// What is known, spoilt, and given as a file.
+    /// The known disparity, degraded, treated as an estimate.
+    Degraded(fn(&DisparityMap) -> DisparityMap),
+    /// The known disparity, degraded, provided as a file.
     Given(fn(&DisparityMap) -> DisparityMap),
 }
 
-/// Median; 0 of nothing.
+/// Median; 0 if there are no values.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let n = values.len();
@@ -54,34 +54,41 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
     }
 }
 
-/// Figures by name, of all subjects.
+/// Values of all subjects by figure name.
 #[derive(Default)]
-struct Figures(Vec<(&'static str, Vec<f64>)>);
+pub(super) struct Figures(Vec<(&'static str, Vec<f64>)>);
 
 impl Figures {
-    fn add(&mut self, name: &'static str, value: f64) {
+    pub fn add(&mut self, name: &'static str, value: f64) {
         match self.0.iter_mut().find(|(n, _)| *n == name) {
             Some((_, all)) => all.push(value),
             None => self.0.push((name, vec![value])),
         }
     }
 
-    /// Mean and deviation; NaN where there is no such figure.
+    /// Mean and standard deviation; NaN for an unknown figure.
     fn of(&self, name: &str) -> [f64; 2] {
         let Some((_, all)) = self.0.iter().find(|f| f.0 == name) else { return [f64::NAN; 2] };
         let n = all.len() as f64;
         let mean = all.iter().sum::<f64>() / n;
         [mean, (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()]
     }
+
+    /// The means, with two of them as the place of a point, and the spread of the second.
+    pub fn point(&self, setting: String, axes: (&str, &str)) -> Point {
+        let ([x, _], [y, spread]) = (self.of(axes.0), self.of(axes.1));
+        let figures = self.0.iter().map(|(name, _)| (*name, self.of(name)[0])).collect();
+        Point { setting, x, y, spread, figures, ..Point::default() }
+    }
 }
 
 impl Bench<'_> {
-    /// Ψ, where there is one and ONNX Runtime to run it.
+    /// Ψ, if it is available and ONNX Runtime can run it.
     pub fn psi(&self) -> Option<&dyn Network> {
         self.models.psi.as_deref().filter(|_| networks::available().is_ok()).map(|psi| psi as &dyn Network)
     }
 
-    /// Runs a setting on all subjects. `x` and `y` name the figures of the axes.
+    /// Runs a setting on all subjects. `axes` names the figures for x and y.
     pub fn point(
         &self,
         subjects: &[Subject],
@@ -93,7 +100,7 @@ impl Bench<'_> {
         self.point_of_level(subjects, depth, options, 0, setting, axes)
     }
 
-    /// The same of the container at `1 / 2^level` of its size.
+    /// The same for the container at `1 / 2^level` of its size.
     pub fn point_of_level(
         &self,
         subjects: &[Subject],
@@ -109,12 +116,10 @@ impl Bench<'_> {
                 figures.add(name, value);
             }
         }
-        let ([x, _], [y, spread]) = (figures.of(axes.0), figures.of(axes.1));
-        let means = figures.0.iter().map(|(name, _)| (*name, figures.of(name)[0])).collect();
-        Ok(Point { setting, x, y, spread, figures: means, ..Point::default() })
+        Ok(figures.point(setting, axes))
     }
 
-    /// Makes a subject as often as repeats are asked for.
+    /// Processes a subject as often as configured.
     pub fn runs(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<Made>, BenchError> {
         let options = Options { fov_x: options.fov_x.or(s.fov_x), ..options.clone() };
         let mut models = self.models.clone();
@@ -125,7 +130,7 @@ impl Bench<'_> {
                 models.depth = Arc::clone(network);
                 None
             }
-            (Depth::Spoilt(how), Some(d)) => {
+            (Depth::Degraded(how), Some(d)) => {
                 models.depth = Arc::new(OracleDepth(how(d)));
                 None
             }
@@ -143,18 +148,18 @@ impl Bench<'_> {
     fn figures(&self, s: &Subject, depth: &Depth, options: &Options, level: u8) -> Result<Vec<(&'static str, f64)>, BenchError> {
         let runs = self.runs(s, depth, options)?;
         let over = |f: &dyn Fn(&tmpi_pipeline::Report) -> f64| median(runs.iter().map(|m| f(&m.report)).collect());
-        let stages = |wanted: &dyn Fn(&str) -> bool, cpu: bool| {
-            over(&|r| r.stages.iter().filter(|s| wanted(&s.name)).map(|s| if cpu { s.cpu_ms } else { s.ms }).sum())
+        let stages = |included: &dyn Fn(&str) -> bool, cpu: bool| {
+            over(&|r| r.stages.iter().filter(|s| included(&s.name)).map(|s| if cpu { s.cpu_ms } else { s.ms }).sum())
         };
         let Some(made) = runs.last() else { return Ok(Vec::new()) };
         let r = &made.report;
         let file = container::level(&made.container, level)?;
         let mut all = vec![
-            ("making, ms", stages(&|n| !APART.contains(&n), false)),
-            ("making, cpu ms", stages(&|n| !APART.contains(&n), true)),
-            ("planes, cpu ms", stages(&|n| n == "planes", true)),
+            ("processing, ms", stages(&|n| !APART.contains(&n), false)),
+            ("processing, CPU ms", stages(&|n| !APART.contains(&n), true)),
+            ("planes, CPU ms", stages(&|n| n == "planes", true)),
             ("depth, ms", stages(&|n| n == "depth", false)),
-            ("planes a tile", r.planes_per_tile),
+            ("planes per tile", r.planes_per_tile),
             ("container, KB", file.len() as f64 / 1000.0),
             ("depth MAE, 1e-3", r.error.depth_mae * 1e3),
             ("depth MSE, 1e-3", r.error.depth_mse * 1e3),
@@ -170,12 +175,12 @@ impl Bench<'_> {
         );
         if let Some(p) = r.error.prune {
             all.push(("largest difference, levels", p.max_abs.into()));
-            all.push(("left out wrongly, % of pixels", p.share_off * 100.0));
+            all.push(("wrongly pruned, % of pixels", p.share_off * 100.0));
         }
         all.push(("verifying, ms", stages(&|n| n == "verify", false)));
         let scene = Arc::new(container::decode(&file)?);
         let held = scene.texels.class.iter().filter(|c| **c != 0).count() as f64;
-        all.push(("texels for each pixel", held / (f64::from(r.width) * f64::from(r.height))));
+        all.push(("texels per pixel", held / (f64::from(r.width) * f64::from(r.height))));
         all.push(("parallax error, px", r.error.planes.mean_px));
         if let Some(truth) = &s.disparity {
             all.push(("disparity error, 1e-3", 1e3 * aligned_error(&made.disparity, truth)));
@@ -196,12 +201,12 @@ fn views(s: &Subject, scene: &Arc<Scene>) -> Result<[f64; 3], BenchError> {
     Ok(std::array::from_fn(|i| scores.iter().map(|v| v[i]).sum::<f64>() / scores.len().max(1) as f64))
 }
 
-/// The same of a view over black.
+/// PSNR, SSIM and L1 of a view over black.
 fn score(view: &View, want: &Photo) -> [f64; 3] {
     compared(&view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>(), want)
 }
 
-/// PSNR, SSIM and L1 (of values in 0 to 1) of colours, less [`CROP`] on each side.
+/// PSNR, SSIM and L1 (of values from 0 to 1), without [`CROP`] on each side.
 pub(super) fn compared(got: &[[u8; 3]], want: &Photo) -> [f64; 3] {
     let (w, h) = (want.width as usize, want.height as usize);
     let (x, y) = ((w as f64 * CROP) as usize, (h as f64 * CROP) as usize);
@@ -217,7 +222,7 @@ pub(super) fn compared(got: &[[u8; 3]], want: &Photo) -> [f64; 3] {
     ]
 }
 
-/// Mean absolute difference after the best scale and shift: monocular disparity has neither.
+/// Mean absolute difference after alignment of scale and shift, which monocular disparity lacks.
 fn aligned_error(got: &DisparityMap, want: &DisparityMap) -> f64 {
     let n = got.delta.len().min(want.delta.len()).max(1) as f64;
     let mean = |f: &dyn Fn(f64, f64) -> f64| got.delta.iter().zip(&want.delta).map(|(g, w)| f((*g).into(), (*w).into())).sum::<f64>() / n;
@@ -232,7 +237,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn medians_of_odd_even_and_none() {
+    fn medians_of_odd_even_and_empty_lists() {
         assert!((median(vec![3.0, 1.0, 9.0]) - 3.0).abs() < 1e-12);
         assert!((median(vec![4.0, 1.0, 9.0, 2.0]) - 3.0).abs() < 1e-12);
         assert!(median(Vec::new()).abs() < 1e-12);

@@ -1,4 +1,4 @@
-//! Planes against what viewers of photo and depth map draw.
+//! Compares planes with the mesh that other viewers render from a photo and its depth map.
 
 use std::sync::Arc;
 
@@ -11,11 +11,13 @@ use tmpi_core::{Camera, DisparityMap, Intrinsics, Pose, Scene};
 use tmpi_pipeline::{Options, PlaneCount, PlaneMethod, Switch};
 use tmpi_render::{Cpu, RenderError, Renderer};
 
-/// Samples across and down a pixel where edges are to be smooth in both pictures.
+/// Samples per pixel along each axis, to make edges smooth in both pictures.
 const SAMPLES: u32 = 4;
-/// PSNR of a view of `scene` against the mesh of its photo and `map`, wherever that is not torn, and the share of the view that this
-/// is. With more than one sample a pixel, across and down, both pictures are drawn so much larger and averaged: one is cut off hard at
-/// an edge and the other fades out over a pixel, and only then do they agree on what an edge is.
+/// PSNR of a view of `scene` against the mesh of its photo and `map` where the mesh is not torn, and the fraction of the view that this
+/// covers.
+///
+/// With `samples` above 1, both pictures are rendered larger by that factor and averaged. The mesh has hard edges and layers fade out over
+/// a pixel, so only then are edges comparable.
 fn compared(scene: &Arc<Scene>, map: &DisparityMap, pose: Pose, samples: u32) -> Result<(f64, f64), RenderError> {
     let (w, h, k, n) = (scene.photo.width, scene.photo.height, scene.intrinsics, f64::from(samples));
     let enlarged = Intrinsics { fx: k.fx * n, fy: k.fy * n, cx: k.cx * n, cy: k.cy * n };
@@ -41,12 +43,12 @@ fn compared(scene: &Arc<Scene>, map: &DisparityMap, pose: Pose, samples: u32) ->
     Ok((metrics::psnr(got.as_flattened(), want.as_flattened()), share))
 }
 
-/// Views of photos whose disparity is known against the mesh of photo and disparity, wherever that is not torn: what planes add to
-/// the error of the disparity itself.
+/// Compares views of photos with known disparity with the mesh, where it is not torn: the error that planes add to that of the
+/// disparity.
 pub(super) fn against(bench: &Bench, photos: &[Subject], progress: &dyn Fn(&str)) -> Result<Option<Experiment>, BenchError> {
-    /// A step to the right, twice the usual view box.
+    /// Camera step to the right: twice the default view box.
     const STEP: f64 = 0.06;
-    // only their times would differ
+    // repeats would differ only in time
     let bench = &Bench { models: bench.models, repeats: 1 };
     let known: Vec<&Subject> = photos.iter().filter(|s| s.disparity.is_some()).collect();
     if known.is_empty() {
@@ -66,18 +68,18 @@ pub(super) fn against(bench: &Bench, photos: &[Subject], progress: &dyn Fn(&str)
         ("--plane-method lloyd --planes 4", with(&|o| (o.plane_method, o.planes) = (PlaneMethod::Lloyd, PlaneCount::Fixed(4)))),
     ];
     let (planes, view) = (
-        Axis { label: "planes a tile", log: false, up: Some(false) },
+        Axis { label: "planes per tile", log: false, up: Some(false) },
         Axis { label: "view against the mesh, dB", log: false, up: Some(true) },
     );
     let mut points = Vec::new();
     for (name, options) in settings {
         let (mut count, mut psnr, mut smooth, mut covered) = (0.0, 0.0, 0.0, 0.0);
         for s in &known {
-            let Some(made) = bench.runs(s, &Depth::Spoilt(DisparityMap::clone), &options)?.pop() else { continue };
+            let Some(made) = bench.runs(s, &Depth::Degraded(DisparityMap::clone), &options)?.pop() else { continue };
             let scene = Arc::new(tmpi_core::container::decode(&made.container)?);
             let pose = Pose::at(STEP, 0.0, 0.0);
             let (db, share) = compared(&scene, &made.disparity, pose, 1)?;
-            // NaN where it is too large to be drawn so much larger: no figure, rather than that of some of the photos
+            // NaN if the enlarged view exceeds the size limit: no figure is better than one for only some of the photos
             let default = options == Options::default();
             let averaged = default.then(|| compared(&scene, &made.disparity, pose, SAMPLES).ok()).flatten();
             smooth += averaged.map_or(f64::NAN, |(db, _)| db) / known.len() as f64;
@@ -87,7 +89,7 @@ pub(super) fn against(bench: &Bench, photos: &[Subject], progress: &dyn Fn(&str)
         }
         let mut figures = vec![("covered by the mesh, % of pixels", covered)];
         if smooth.is_finite() {
-            figures.push(("with 16 samples a pixel in both, dB", smooth));
+            figures.push(("with 16 samples per pixel, dB", smooth));
         }
         points.push(Point { setting: name.into(), x: count, y: psnr, default: options == Options::default(), figures, ..Point::default() });
     }
@@ -95,7 +97,7 @@ pub(super) fn against(bench: &Bench, photos: &[Subject], progress: &dyn Fn(&str)
         id: "mesh",
         title: "Planes against the mesh".into(),
         about: format!(
-            "A step of {STEP} to the right, drawn from {} photos with the disparity that lies beside them, against the mesh of photo and disparity as used, wherever the mesh is not torn. The mesh is cut off hard at edges, layers fade out over a pixel; with 16 samples a pixel in both pictures that difference goes.",
+            "A step of {STEP} to the right, for {} photos with a disparity map beside them, against the mesh of photo and disparity where the mesh is not torn. The mesh has hard edges and layers fade out over a pixel; 16 samples per pixel in both pictures remove that difference.",
             known.len()
         ),
         x: planes,

@@ -1,8 +1,8 @@
-//! Error against run time of every approximation, on rendered scenes with exact second views and on any photos.
+//! Measures error against run time for each approximation, on rendered scenes with exact second views and on photos.
 //!
-//! Rendered scenes tell the error of whole views (PSNR, SSIM, L1 over the view less 15 % on each side). Photos have no second
-//! view; for them the error is how far, in pixels over the view box, planes move the picture wrongly against the disparity they
-//! were fitted to. A point is a mean over all subjects, with the deviation over them.
+//! For rendered scenes, the error is that of whole views (PSNR, SSIM, L1 over the view without 15 % on each side). Photos have no second
+//! view; their error is that of the planes against the disparity that they were fitted to, in pixels of parallax over the view box. A point
+//! is the mean over all subjects, with the standard deviation.
 
 mod ablation;
 mod costs;
@@ -11,9 +11,12 @@ mod drawing;
 mod efficiency;
 mod experiments;
 mod families;
+mod glance;
 mod machine;
 mod measure;
+mod measuring;
 mod mesh;
+mod network;
 mod page;
 mod plot;
 mod ramps;
@@ -31,26 +34,27 @@ pub use page::html;
 use tmpi_pipeline::run::budget::Costs;
 use tmpi_pipeline::{MakeError, Models};
 
-/// What is measured, and how long it may take.
+/// Settings of a benchmark.
 #[derive(Clone)]
 pub struct Settings {
-    /// Fewer scenes, fewer repeats, smaller pictures: minutes.
+    /// Uses fewer scenes, fewer repeats and smaller pictures; takes minutes.
     pub quick: bool,
-    /// Folders of photos beside the rendered scenes.
+    /// Folders of photos to measure in addition to rendered scenes.
     pub photos: Vec<PathBuf>,
-    /// The experiments to do, of [`EXPERIMENTS`]; none: all of them.
+    /// Experiments to run, from [`EXPERIMENTS`]; empty: all.
     pub only: Vec<String>,
     /// The networks.
     pub models: Models,
-    /// What they were loaded by: the depth network's own settings are varied.
+    /// Settings that the networks were loaded with; an experiment varies those of the depth network.
     pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
-/// Short names of the experiments, in the order in which they are done.
-pub const EXPERIMENTS: [&str; 24] = [
+/// Short names of the experiments. `live-budget` is [`crate::live::budget`]'s.
+pub const EXPERIMENTS: [&str; 30] = [
     "scaling",
     "efficiency",
     "clustering",
+    "max-error",
     "planes",
     "tiles",
     "steps",
@@ -62,7 +66,10 @@ pub const EXPERIMENTS: [&str; 24] = [
     "levels",
     "denoise",
     "depth",
-    "network",
+    "depth-pixels",
+    "depth-smoothing",
+    "depth-ramp",
+    "depth-mirror",
     "without",
     "labels",
     "moves",
@@ -72,30 +79,34 @@ pub const EXPERIMENTS: [&str; 24] = [
     "families",
     "drawing",
     "budget",
+    "measuring",
+    "live-budget",
 ];
 
 impl Settings {
-    fn wants(&self, experiment: &str) -> bool {
+    /// Whether an experiment is asked for.
+    #[must_use]
+    pub fn wants(&self, experiment: &str) -> bool {
         self.only.is_empty() || self.only.iter().any(|o| o == experiment)
     }
 }
 
-/// A measured setting, mean over all subjects.
+/// A measured setting: means over all subjects.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Point {
-    /// What is set, as on the command line.
+    /// The setting, as on the command line.
     pub setting: String,
     /// Position on the horizontal axis.
     pub x: f64,
     /// Position on the vertical axis.
     pub y: f64,
-    /// Deviation of that over the subjects; 0 of one.
+    /// Standard deviation of `y` over the subjects; 0 for a single subject.
     pub spread: f64,
-    /// True for the defaults.
+    /// Whether this is the default setting.
     pub default: bool,
-    /// True where no other point of the experiment is better in both.
+    /// Whether no other point of the experiment is better on both axes.
     pub pareto: bool,
-    /// Everything that was measured, by name.
+    /// All measured values, by name.
     pub figures: Vec<(&'static str, f64)>,
 }
 
@@ -104,7 +115,7 @@ pub struct Point {
 pub struct Curve {
     /// Name in the legend.
     pub name: String,
-    /// In the order of the number.
+    /// Points in the order of that number.
     pub points: Vec<Point>,
 }
 
@@ -113,9 +124,9 @@ pub struct Curve {
 pub struct Axis {
     /// Name and unit.
     pub label: &'static str,
-    /// Logarithmic.
+    /// Whether the axis is logarithmic.
     pub log: bool,
-    /// Whether more is better; none where neither is.
+    /// Whether more is better; `None` if neither direction is.
     pub up: Option<bool>,
 }
 
@@ -126,68 +137,68 @@ pub struct Experiment {
     pub id: &'static str,
     /// Heading.
     pub title: String,
-    /// What was done.
+    /// Description.
     pub about: String,
     /// Horizontal axis.
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Its curves.
+    /// Curves.
     pub curves: Vec<Curve>,
 }
 
-/// Everything that was measured.
+/// Results of a benchmark.
 #[derive(Clone, Debug, Serialize)]
 pub struct Results {
     /// Version of the program.
     pub version: &'static str,
-    /// Where.
+    /// The machine.
     pub machine: Machine,
-    /// What on.
+    /// Names of the measured scenes and photos.
     pub subjects: Vec<String>,
-    /// Runs a figure of time is the median of.
+    /// Number of runs; times are medians.
     pub repeats: usize,
     /// The experiments.
     pub experiments: Vec<Experiment>,
-    /// Costs of this machine, for `--budget-ms`, where they were measured.
+    /// Costs of this machine for `--budget-ms`, if they were measured.
     pub costs: Option<Costs>,
-    /// What could not be measured, and why.
+    /// Skipped experiments, each with the reason.
     pub skipped: Vec<String>,
-    /// Seconds that all of it took.
+    /// Total time in seconds.
     pub seconds: f64,
 }
 
-/// Why nothing was measured.
+/// Why a benchmark failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
-    /// A photo could not be made.
-    #[error("{subject} cannot be made")]
+    /// A photo could not be processed.
+    #[error("cannot process {subject}")]
     Make {
         /// Scene or photo.
         subject: String,
-        /// What went wrong.
+        /// The error.
         source: MakeError,
     },
-    /// A view could not be drawn.
+    /// A view could not be rendered.
     #[error(transparent)]
     Render(#[from] tmpi_render::RenderError),
-    /// A container could not be read back.
+    /// A container could not be decoded.
     #[error(transparent)]
     Atlas(#[from] tmpi_core::container::ContainerError),
-    /// A scene could not be written as a picture.
-    #[error("writing a scene: {0}")]
+    /// A scene could not be encoded as a picture.
+    #[error("cannot write a scene: {0}")]
     Picture(String),
     /// A folder or a file cannot be used.
     #[error("{path}: {reason}")]
     File {
         /// The path.
         path: PathBuf,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
 }
 
-/// The program `tmpi`: the one that the variable `TMPI` names, else the one beside this program.
+/// Path of the program `tmpi`: the variable `TMPI`, otherwise the program beside this one.
 fn program() -> std::io::Result<PathBuf> {
     if let Some(named) = std::env::var_os("TMPI").filter(|v| !v.is_empty()) {
         return Ok(named.into());
@@ -196,11 +207,11 @@ fn program() -> std::io::Result<PathBuf> {
     if path.is_file() {
         return Ok(path);
     }
-    let reason = format!("there is no {}: `cargo build --release` makes it, or TMPI names another one", path.display());
+    let reason = format!("{} does not exist: run `cargo build --release`, or set TMPI to the program", path.display());
     Err(std::io::Error::new(std::io::ErrorKind::NotFound, reason))
 }
 
-/// Measures everything; `progress` is told of every experiment.
+/// Runs the experiments; calls `progress` with the name of each.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -222,7 +233,10 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let photos = subject::photos(&settings.photos, settings.quick)?;
     let bench = measure::Bench { models: &settings.models, repeats };
     let mut experiments = first;
+    let known = photos.iter().any(|p| p.disparity.is_some());
+    let measured = if known { &photos } else { &scenes };
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
+    experiments.extend(network::run(&bench, measured, settings, &mut skipped, progress)?);
     if wants("ramps") {
         experiments.push(ramps::run(&bench, &scenes, progress)?);
     }
@@ -245,8 +259,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
         experiments.extend(mesh::against(&bench, &photos, progress)?);
     }
     if wants("discretisation") {
-        let known = photos.iter().any(|p| p.disparity.is_some());
-        experiments.push(discretisation::run(&bench, if known { &photos } else { &scenes }, progress)?);
+        experiments.push(discretisation::run(&bench, measured, progress)?);
     }
     if wants("drawing") {
         experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
@@ -255,6 +268,9 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     if wants("budget") {
         experiments.push(costs::kept(&bench, &scenes, progress)?);
         costs = Some(costs::fitted(&bench, &scenes, progress)?);
+    }
+    if wants("measuring") {
+        experiments.push(measuring::run(&bench, &scenes, settings.quick, progress)?);
     }
     experiments.extend(scaling);
     for e in &mut experiments {
@@ -273,20 +289,25 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
 }
 
 impl Experiment {
-    /// Marks the points that no other one beats in both directions.
+    /// Marks the Pareto-optimal points, among those that can be compared.
     pub(crate) fn mark(&mut self) {
         let (Some(x_up), Some(y_up)) = (self.x.up, self.y.up) else { return };
         let score = |p: &Point| (if x_up { p.x } else { -p.x }, if y_up { p.y } else { -p.y });
+        let apart = self.is_apart();
         let all: Vec<(f64, f64)> = self.curves.iter().flat_map(|c| &c.points).map(score).collect();
-        for p in self.curves.iter_mut().flat_map(|c| &mut c.points) {
-            let (x, y) = score(p);
-            p.pareto = !all.iter().any(|&(a, b)| a >= x && b >= y && (a > x || b > y));
+        for c in &mut self.curves {
+            let own: Vec<(f64, f64)> = c.points.iter().map(score).collect();
+            let others = if apart { &own } else { &all };
+            for p in &mut c.points {
+                let (x, y) = score(p);
+                p.pareto = !others.iter().any(|&(a, b)| a >= x && b >= y && (a > x || b > y));
+            }
         }
     }
 }
 
 impl Results {
-    /// All points as comma-separated values, a line each.
+    /// All figures of all points as CSV, one per line.
     #[must_use]
     pub fn csv(&self) -> String {
         let quoted = |s: &str| format!("\"{}\"", s.replace('"', "\"\""));
@@ -295,7 +316,7 @@ impl Results {
             for (c, p) in e.curves.iter().flat_map(|c| c.points.iter().map(move |p| (c, p))) {
                 let head = format!("{},{},{},{},{}", e.id, quoted(&c.name), quoted(&p.setting), p.default, p.pareto);
                 for (name, value) in [(e.x.label, p.x), (e.y.label, p.y), ("spread", p.spread)].iter().chain(&p.figures) {
-                    // a String takes everything
+                    // writing to a String cannot fail
                     let _ = writeln!(out, "{head},{},{value}", quoted(name));
                 }
             }
@@ -321,14 +342,14 @@ mod tests {
     }
 
     #[test]
-    fn the_front_holds_what_nothing_beats() {
+    fn pareto_points_are_marked() {
         let mut e = experiment(&[(1.0, 10.0), (2.0, 20.0), (3.0, 15.0), (2.0, 19.0), (1.0, 10.0)]);
         e.mark();
         assert_eq!(e.curves[0].points.iter().map(|p| p.pareto).collect::<Vec<_>>(), [true, true, false, false, true]);
     }
 
     #[test]
-    fn tables_and_page_hold_every_point() {
+    fn csv_and_page_contain_all_points() {
         let results = Results {
             version: "0",
             machine: Machine::this(),
@@ -343,6 +364,6 @@ mod tests {
         assert!(results.csv().contains("\"c, \"\"d\"\"\""));
         let page = html(&results);
         assert!(page.contains("about &lt;it&gt;") && page.contains("none &amp; nothing") && page.matches("<circle").count() >= 2);
-        assert!(!page.contains("http://") || page.contains("http://www.w3.org/2000/svg"), "nothing is fetched");
+        assert!(!page.contains("http://") || page.contains("http://www.w3.org/2000/svg"), "the page makes no requests");
     }
 }

@@ -1,4 +1,4 @@
-//! An experiment as an SVG drawing.
+//! Draws an experiment as an SVG plot.
 
 use std::fmt::Write;
 
@@ -6,17 +6,26 @@ use super::{Axis, Experiment, Point};
 
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 400.0;
-/// Left, upper, right, lower border.
+/// Left, top, right and bottom margins.
 const BORDER: [f64; 4] = [70.0, 14.0, 170.0, 50.0];
-/// Colours that most people can tell apart (Okabe and Ito), and that show on white and on black.
+/// Colour-blind safe colours (Okabe and Ito) that are visible on white and on black.
 const COLOURS: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9"];
 
-/// Text within markup.
+/// Largest number of points whose values are written beside them.
+const NAMED: usize = 12;
+
+/// The value in a setting as on the command line.
+fn brief(setting: &str) -> &str {
+    let value = setting.strip_prefix("--").and_then(|s| s.split_once(' ')).map_or(setting, |(_, value)| value);
+    value.split_once(" --").map_or(value, |(value, _)| value)
+}
+
+/// Escapes text for markup.
 pub(super) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// A number for people: three digits.
+/// Formats a number with about three digits.
 pub(super) fn number(v: f64) -> String {
     let digits = match v.abs() {
         a if a >= 100.0 || a == 0.0 => 0,
@@ -28,7 +37,7 @@ pub(super) fn number(v: f64) -> String {
     format!("{v:.digits$}")
 }
 
-/// Places values on an axis.
+/// Maps values to positions on an axis.
 struct Scale {
     log: bool,
     lo: f64,
@@ -38,7 +47,7 @@ struct Scale {
 }
 
 impl Scale {
-    /// Over all finite values, with a little room on both sides.
+    /// A scale over all finite values, with some padding on both sides.
     fn new(axis: &Axis, values: impl Iterator<Item = f64>, from: f64, to: f64) -> Self {
         let log = axis.log;
         let seen = values.filter(|v| v.is_finite() && (!log || *v > 0.0)).map(|v| if log { v.log10() } else { v });
@@ -48,13 +57,13 @@ impl Scale {
         Self { log, lo: lo - room, hi: hi + room, from, to }
     }
 
-    /// Place of a value; none where it has none.
+    /// Position of a value; `None` if it has none on this axis.
     fn at(&self, v: f64) -> Option<f64> {
         let v = if self.log { v.log10() } else { v };
         v.is_finite().then(|| self.from + (v - self.lo) / (self.hi - self.lo) * (self.to - self.from))
     }
 
-    /// Round values to label, about `count` of them.
+    /// About `count` round values for labels.
     fn ticks(&self, count: f64) -> Vec<f64> {
         if self.log {
             let within = |v: &f64| (self.lo..=self.hi).contains(&v.log10());
@@ -74,7 +83,7 @@ impl Scale {
     }
 }
 
-/// The drawing, as markup.
+/// The plot as markup.
 pub(super) fn svg(e: &Experiment) -> String {
     let points = || e.curves.iter().flat_map(|c| &c.points);
     let x = Scale::new(&e.x, points().map(|p| p.x), BORDER[0], WIDTH - BORDER[2]);
@@ -83,6 +92,7 @@ pub(super) fn svg(e: &Experiment) -> String {
     axes(&mut out, e, &x, &y);
     front(&mut out, e, &x, &y);
     let mut labels: Vec<(f64, usize)> = Vec::new();
+    let named = e.joined() && points().count() <= NAMED;
     for (i, c) in e.curves.iter().enumerate() {
         let colour = COLOURS[i % COLOURS.len()];
         let dash = if i < COLOURS.len() { "" } else { " stroke-dasharray=\"5 4\"" };
@@ -98,8 +108,17 @@ pub(super) fn svg(e: &Experiment) -> String {
             if p.default {
                 put(
                     &mut out,
-                    &format!("<circle cx=\"{a:.1}\" cy=\"{b:.1}\" r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/>"),
+                    &format!(
+                        "<circle cx=\"{a:.1}\" cy=\"{b:.1}\" r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/>\
+                         <text x=\"{:.1}\" y=\"{:.1}\" class=\"own\">default</text>",
+                        a + 11.0,
+                        b + 16.0
+                    ),
                 );
+            }
+            if named {
+                let name = escaped(brief(&p.setting));
+                put(&mut out, &format!("<text x=\"{:.1}\" y=\"{:.1}\" class=\"of\">{name}</text>", a + 7.0, b - 7.0));
             }
             if let (Some(top), Some(bottom)) = (y.at(p.y + p.spread), y.at(p.y - p.spread))
                 && p.spread > 0.0
@@ -125,7 +144,7 @@ pub(super) fn svg(e: &Experiment) -> String {
             labels.push((*b, i));
         }
     }
-    // names at the right, at the height of the last point, pushed apart
+    // labels on the right, at the height of each curve's last point, spread to avoid overlap
     labels.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut next = BORDER[1] + 8.0;
     for (wanted, i) in labels {
@@ -154,7 +173,7 @@ fn axes(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
     let (left, right, upper, lower) = (BORDER[0], WIDTH - BORDER[2], BORDER[1], HEIGHT - BORDER[3]);
     for v in x.ticks(6.0) {
         if let Some(at) = x.at(v) {
-            // a String takes everything
+            // writing to a String cannot fail
             let _ = write!(
                 out,
                 "<line class=\"grid\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{upper}\" y2=\"{lower}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
@@ -188,9 +207,9 @@ fn axes(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
     );
 }
 
-/// The front of what nothing beats, as steps.
+/// Draws the Pareto front as steps.
 fn front(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
-    if !e.joined() || e.x.up.is_none() {
+    if !e.joined() || e.x.up.is_none() || e.is_apart() {
         return;
     }
     let mut best: Vec<(f64, f64)> =
@@ -204,13 +223,13 @@ fn front(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
 }
 
 impl Experiment {
-    /// True where the points of a curve follow one number, so that a line between them means something.
+    /// Whether the points of a curve follow one number, so that a line between them is meaningful.
     fn joined(&self) -> bool {
         !["steps", "ramps", "denoise", "without", "moves", "mesh", "discretisation", "families"].contains(&self.id)
     }
 }
 
-/// A tick's label: no more digits than it has.
+/// A tick's label, without trailing zeros.
 fn short(v: f64) -> String {
     let rounded = (v * 1e6).round() / 1e6;
     if rounded.abs() >= 1e4 { format!("{}k", rounded / 1e3) } else { format!("{rounded}") }
@@ -221,7 +240,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ticks_are_round_and_within() {
+    fn ticks_are_few_and_on_the_axis() {
         let axis = |log| Axis { label: "", log, up: None };
         for (values, log) in [(vec![27.3, 28.9], false), (vec![0.0, 0.0], false), (vec![3.0, 250.0], true), (vec![41.0, 47.0], true)] {
             let s = Scale::new(&axis(log), values.iter().copied(), 0.0, 100.0);
@@ -234,9 +253,10 @@ mod tests {
     }
 
     #[test]
-    fn numbers_for_people() {
+    fn numbers_and_text_are_formatted() {
         assert_eq!([0.0, 0.5, 12.345, 1234.5].map(number), ["0", "0.5000", "12.3", "1234"]);
         assert_eq!((short(20000.0).as_str(), short(0.3).as_str()), ("20k", "0.3"));
+        assert_eq!(["--max-error 1", "--view-box 1,2,3 --verify-prune", "level 2"].map(brief), ["1", "1,2,3", "level 2"]);
         assert_eq!(escaped("<a&\"b\">"), "&lt;a&amp;&quot;b&quot;&gt;");
     }
 }

@@ -1,4 +1,4 @@
-//! Blurred maps told from exact ones, and what snapping is worth on both.
+//! Detection of blurred maps, and the effect of snapping on blurred and exact ones.
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
@@ -8,10 +8,10 @@ use tmpi_pipeline::depth;
 use tmpi_pipeline::edges;
 use tmpi_pipeline::{Options, Switch};
 
-/// A way to spoil a map.
+/// A function that degrades a map.
 type Damage = fn(&DisparityMap) -> DisparityMap;
 
-/// A point a scene and damage: the share of ramps, and by how much the views of snapped maps are better.
+/// One point per scene and kind of damage: the fraction of ramps, and the gain of views by snapping.
 pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
     progress("Ramps");
     let axes = (
@@ -20,7 +20,7 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
     );
     let damages: [(&str, Damage); 4] = [
         ("exact disparity", DisparityMap::clone),
-        ("enlarged to twice", depth::halved),
+        ("halved and enlarged", depth::halved),
         ("blurred by 3×3", |map| experiments::box_blurred(map, 1)),
         ("blurred by 5×5", experiments::blurred),
     ];
@@ -41,9 +41,9 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
     }
     Ok(Experiment {
         id: "ramps",
-        title: "Blurred maps told from exact ones".into(),
+        title: "Detection of blurred maps".into(),
         about: format!(
-            "Maps as they are exact, and spoilt in three ways, each given as a file; one point a scene. Above {} % of ramps the program takes a map for blurred and snaps it to the photo's edges; below, only the careful median runs.",
+            "Exact maps and maps degraded in three ways, each provided as a file; one point per scene. Above {} % of ramps, tmpi treats a map as blurred and snaps it to the photo's edges; below, it applies only the careful median.",
             100.0 * edges::BLURRED
         ),
         x: axes.0,

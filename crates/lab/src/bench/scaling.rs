@@ -1,4 +1,4 @@
-//! Scaling: time and peak memory by photo size.
+//! Time and peak memory by photo size.
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
@@ -21,7 +21,7 @@ pub(super) fn run(quick: bool, skipped: &mut Vec<String>, progress: &dyn Fn(&str
     let megapixels: &[f64] = if quick { &[0.2, 0.8, 3.0, 12.0] } else { &[0.2, 0.5, 1.0, 3.0, 6.0, 12.0, 24.0, 49.9] };
     match measured(megapixels) {
         Ok(points) => vec![
-            experiment("scaling-time", "Scaling: time", "making from photo and disparity, ms", &points, |r| r.total_ms),
+            experiment("scaling-time", "Scaling: time", "processing of photo and disparity, ms", &points, |r| r.total_ms),
             experiment("scaling-memory", "Scaling: memory", "peak resident memory, MB", &points, |r| r.peak_rss_bytes as f64 / 1e6),
         ],
         Err(reason) => {
@@ -35,11 +35,11 @@ fn experiment(id: &'static str, title: &str, y: &'static str, reports: &[Report]
     let mp = |r: &Report| f64::from(r.width) * f64::from(r.height) / 1e6;
     let point = |r: &Report| {
         let mut figures = vec![
-            ("all, ms", r.total_ms),
-            ("all, cpu ms", r.stages.iter().map(|s| s.cpu_ms).sum()),
-            ("ms a megapixel", r.total_ms / mp(r)),
-            ("bytes of memory a pixel", r.peak_rss_bytes as f64 / (mp(r) * 1e6)),
-            ("planes a tile", r.planes_per_tile),
+            ("total, ms", r.total_ms),
+            ("total, CPU ms", r.stages.iter().map(|s| s.cpu_ms).sum()),
+            ("ms per megapixel", r.total_ms / mp(r)),
+            ("bytes of memory per pixel", r.peak_rss_bytes as f64 / (mp(r) * 1e6)),
+            ("planes per tile", r.planes_per_tile),
         ];
         for (name, figure) in [("planes", "planes, ms"), ("layers", "layers, ms"), ("encode", "encode, ms"), ("verify", "verify, ms")] {
             figures.extend(r.stages.iter().filter(|s| s.name == name).map(|s| (figure, s.ms)));
@@ -54,7 +54,7 @@ fn experiment(id: &'static str, title: &str, y: &'static str, reports: &[Report]
         id,
         title: title.into(),
         about: format!(
-            "One rendered scene enlarged to each size, made with its disparity in a process of its own, once. From the smallest to the largest: {slope:.1} a megapixel."
+            "One rendered scene, enlarged to each size and processed with its disparity once in a separate process. From the smallest to the largest: {slope:.1} per megapixel."
         ),
         x: Axis { label: "photo, megapixels", log: true, up: None },
         y: Axis { label: y, log: true, up: Some(false) },
@@ -62,14 +62,14 @@ fn experiment(id: &'static str, title: &str, y: &'static str, reports: &[Report]
     }
 }
 
-/// A folder for files that processes of their own read and write, and the program that they run.
-pub(super) struct Workshop {
+/// Runs `tmpi make` in separate processes, in a temporary folder.
+pub(super) struct ProcessRunner {
     folder: PathBuf,
     program: PathBuf,
 }
 
-impl Workshop {
-    /// Makes the folder.
+impl ProcessRunner {
+    /// Creates the folder.
     pub fn new() -> Result<Self, BenchError> {
         let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
         let bad = |e: std::io::Error| BenchError::File { path: folder.clone(), reason: e.to_string() };
@@ -82,7 +82,7 @@ impl Workshop {
         BenchError::File { path: self.folder.clone(), reason: reason.to_string() }
     }
 
-    /// Writes the photo and the disparity map that [`Workshop::make`] takes.
+    /// Writes the photo and disparity map for [`ProcessRunner::make`].
     pub fn put(&self, photo: &Photo, disparity: &DisparityMap) -> Result<(), BenchError> {
         let mut file = Vec::new();
         JpegEncoder::new_with_quality(&mut file, 85)
@@ -93,7 +93,7 @@ impl Workshop {
         std::fs::write(self.folder.join("d.png"), map).map_err(|e| self.bad(&e))
     }
 
-    /// Makes the photo in a process of its own: a process's peak of memory never falls.
+    /// Processes the photo in a new process, because the peak memory of a process never decreases.
     pub fn make(&self, arguments: &[&str]) -> Result<Report, BenchError> {
         let [photo, depth, out, report] = ["p.jpg", "d.png", "o.tmpi", "r.json"].map(|name| self.folder.join(name));
         let mut command = Command::new(&self.program);
@@ -109,16 +109,16 @@ impl Workshop {
             .args(arguments);
         let status = command.arg("--quiet").stdout(Stdio::null()).status().map_err(|e| self.bad(&e))?;
         if !status.success() {
-            return Err(self.bad(&format!("making with {arguments:?} ended with {status}")));
+            return Err(self.bad(&format!("`tmpi make` with {arguments:?}: {status}")));
         }
         let text = std::fs::read(&report).map_err(|e| self.bad(&e))?;
         serde_json::from_slice(&text).map_err(|e| self.bad(&e))
     }
 }
 
-impl Drop for Workshop {
+impl Drop for ProcessRunner {
     fn drop(&mut self) {
-        // what is left behind lies in the system's folder for such things
+        // ignore failures: the folder is temporary
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
@@ -126,11 +126,11 @@ impl Drop for Workshop {
 fn measured(megapixels: &[f64]) -> Result<Vec<Report>, BenchError> {
     let scene = scenes::Scene::framed(900_100, BASE.0, BASE.1);
     let picture = scene.render(&scene.camera(), 1);
-    let workshop = Workshop::new()?;
+    let runner = ProcessRunner::new()?;
     let one = |mp: &f64| {
         let width = (mp * 1e6 * 1.5).sqrt().round();
-        workshop.put(&resize(&picture.photo, width as u32, (width / 1.5).round() as u32), &picture.disparity)?;
-        workshop.make(&[])
+        runner.put(&resize(&picture.photo, width as u32, (width / 1.5).round() as u32), &picture.disparity)?;
+        runner.make(&[])
     };
     megapixels.iter().map(one).collect()
 }

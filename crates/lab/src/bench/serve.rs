@@ -1,4 +1,4 @@
-//! The server under load: views a second and how long one takes, by how many clients ask at a time, and whether memory stays flat.
+//! Load test of the server: throughput and latency of views by number of clients, and memory over time.
 
 use std::fmt::Write;
 use std::io::{BufRead, BufReader};
@@ -10,69 +10,69 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::Value;
 
-/// Clients that ask at a time, one after the other.
+/// Numbers of concurrent clients, measured in turn.
 pub const CLIENTS: [usize; 3] = [1, 8, 64];
 /// Views between two readings of the server's memory.
 const READING: usize = 500;
-/// Longest that making the photo may take.
-const PATIENCE: Duration = Duration::from_mins(2);
+/// Time limit for processing the photo.
+const TIMEOUT: Duration = Duration::from_mins(2);
 
-/// Where the load goes.
+/// The server to measure.
 #[derive(Clone, Debug)]
 pub enum Target {
-    /// A server that runs already; its newest photo is asked for views.
+    /// A running server; requests views of its newest photo.
     Url(String),
-    /// A server started for the measurement on a free port, with this photo.
+    /// A new server on a free port, with this photo.
     Photo(Vec<u8>),
 }
 
-/// What is asked for.
+/// The load to generate.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
-    /// Views by each count of clients.
+    /// Views for each number of clients.
     pub views: usize,
-    /// Views after that by 8 clients, over which memory is read.
+    /// Additional views by 8 clients, during which memory is recorded.
     pub memory_views: usize,
     /// Width of the views in pixels.
     pub width: u32,
 }
 
-/// How one count of clients fared.
+/// Results for one number of clients.
 #[derive(Clone, Debug, Serialize)]
-pub struct Served {
-    /// Clients at a time.
+pub struct LoadResult {
+    /// Number of concurrent clients.
     pub clients: usize,
-    /// Views that came.
+    /// Received views.
     pub views: usize,
-    /// Answers 503, after which a client waits and asks again.
+    /// Responses with status 503, after which a client waits and retries.
     pub refused: usize,
-    /// Views a second.
+    /// Views per second.
     pub rate: f64,
-    /// Median of the times from request to picture, milliseconds.
+    /// Median latency in milliseconds, from request to complete picture.
     pub p50_ms: f64,
-    /// 99 of 100 took less, milliseconds.
+    /// 99th percentile of the latency in milliseconds.
     pub p99_ms: f64,
 }
 
-/// Everything that was measured.
+/// Results of a load test.
 #[derive(Clone, Debug, Serialize)]
 pub struct ServeResults {
     /// Size of the views.
     pub size: [u32; 2],
-    /// By count of clients.
-    pub served: Vec<Served>,
-    /// Views asked for so far and the server's resident memory in MiB; empty where it is not told.
+    /// Results by number of clients.
+    pub served: Vec<LoadResult>,
+    /// Number of requested views so far, and the server's resident memory in MiB; empty if unknown.
     pub memory: Vec<(usize, f64)>,
 }
 
 impl ServeResults {
-    /// The figures for people.
+    /// The results as a text table.
     #[must_use]
     pub fn table(&self) -> String {
-        let mut out = format!("views of {}×{}, each of another pose, JPEG\n", self.size[0], self.size[1]);
+        let mut out = format!("views of {}×{}, each with a different pose, JPEG\n", self.size[0], self.size[1]);
         out += "clients   views  refused  views/s   p50 ms   p99 ms\n";
         for s in &self.served {
-            // a String takes everything
+            // writing to a String cannot fail
             let _ = writeln!(out, "{:7} {:7} {:8} {:8.1} {:8.1} {:8.1}", s.clients, s.views, s.refused, s.rate, s.p50_ms, s.p99_ms);
         }
         for (views, mib) in &self.memory {
@@ -82,18 +82,18 @@ impl ServeResults {
     }
 }
 
-/// Why nothing was measured.
+/// Why a load test failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The server could not be started or asked.
+    /// The server could not be started, or a request failed.
     #[error("{0}")]
     Server(String),
-    /// The server's folder could not be made.
-    #[error("making the folder {path}")]
+    /// The server's folder could not be created.
+    #[error("cannot create the folder {path}")]
     Folder {
         /// The folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
 }
@@ -102,46 +102,46 @@ fn failed(what: &str, why: impl std::fmt::Display) -> ServeError {
     ServeError::Server(format!("{what}: {why}"))
 }
 
-/// A server of our own; it and its folder go when this is dropped.
-struct Own {
+/// A server started for the test. Dropping this stops it and deletes its folder.
+struct TestServer {
     child: Child,
     folder: PathBuf,
 }
 
-impl Own {
-    /// Starts `tmpi` as a server; with its address.
+impl TestServer {
+    /// Starts `tmpi serve`; returns it with its address.
     fn start() -> Result<(Self, String), ServeError> {
         let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
         std::fs::create_dir_all(&folder).map_err(|source| ServeError::Folder { path: folder.clone(), source })?;
         let mut command = Command::new(super::program().map_err(|e| failed("the server", e))?);
         command.args(["serve", "--addr", "127.0.0.1:0", "--data"]).arg(&folder).env("RUST_LOG", "error").stdout(Stdio::piped());
-        let child = command.spawn().map_err(|e| failed("starting the server", e))?;
-        let mut own = Self { child, folder };
+        let child = command.spawn().map_err(|e| failed("cannot start the server", e))?;
+        let mut server = Self { child, folder };
         let mut line = String::new();
-        let out = own.child.stdout.take().ok_or_else(|| failed("the server", "no output"))?;
+        let out = server.child.stdout.take().ok_or_else(|| failed("the server", "no output"))?;
         BufReader::new(out).read_line(&mut line).map_err(|e| failed("the server's address", e))?;
         if line.trim().is_empty() {
-            return Err(failed("the server", "it ended before it named its address"));
+            return Err(failed("the server", "it exited before it printed its address"));
         }
-        Ok((own, line.trim().to_owned()))
+        Ok((server, line.trim().to_owned()))
     }
 
-    /// Resident memory in MiB; none where the system does not tell.
+    /// Resident memory in MiB; `None` if unknown.
     fn memory(&self) -> Option<f64> {
         Some(tmpi_pipeline::clock::resident_bytes(Some(self.child.id()))? as f64 / f64::from(1 << 20))
     }
 }
 
-impl Drop for Own {
+impl Drop for TestServer {
     fn drop(&mut self) {
-        // it has nothing to lose
+        // its data is temporary
         let _ = self.child.kill();
         let _ = self.child.wait();
         let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 
-/// A connection that stays open.
+/// A client that keeps its connection open.
 fn agent() -> ureq::Agent {
     ureq::Agent::config_builder().http_status_as_error(false).timeout_global(Some(Duration::from_mins(1))).build().into()
 }
@@ -152,8 +152,8 @@ fn json(agent: &ureq::Agent, url: &str) -> Result<Value, ServeError> {
     serde_json::from_slice(&body).map_err(|e| failed(url, e))
 }
 
-/// Uploads a photo and waits until it is made; gives its state.
-fn made(agent: &ureq::Agent, url: &str, photo: &[u8]) -> Result<Value, ServeError> {
+/// Uploads a photo, waits until it is processed, and returns its state.
+fn upload(agent: &ureq::Agent, url: &str, photo: &[u8]) -> Result<Value, ServeError> {
     let address = format!("{url}/v1/photos");
     let request = agent.post(&address).header("content-type", "application/octet-stream");
     let mut answer = request.send(photo).map_err(|e| failed("upload", e))?;
@@ -163,28 +163,28 @@ fn made(agent: &ureq::Agent, url: &str, photo: &[u8]) -> Result<Value, ServeErro
     loop {
         match state["state"].as_str() {
             Some("done") => return Ok(state),
-            Some("queued" | "working") if start.elapsed() < PATIENCE => {}
-            _ => return Err(failed("the photo was not made", state)),
+            Some("queued" | "working") if start.elapsed() < TIMEOUT => {}
+            _ => return Err(failed("the photo was not processed", state)),
         }
         std::thread::sleep(Duration::from_millis(50));
         state = json(agent, &format!("{address}/{}", state["id"].as_str().unwrap_or_default()))?;
     }
 }
 
-/// Measures; `progress` is told of every step.
+/// Runs the load test; calls `progress` at each step.
 ///
 /// # Errors
 /// [`ServeError`].
 pub fn run(target: &Target, load: &Load, progress: &dyn Fn(&str)) -> Result<ServeResults, ServeError> {
     let agent = agent();
-    let (own, url) = match target {
+    let (server, url) = match target {
         Target::Url(url) => (None, url.trim_end_matches('/').to_owned()),
-        Target::Photo(_) => Own::start().map(|(own, url)| (Some(own), url))?,
+        Target::Photo(_) => TestServer::start().map(|(server, url)| (Some(server), url))?,
     };
     let photo = match target {
         Target::Photo(file) => {
-            progress("making the photo");
-            made(&agent, &url, file)?
+            progress("processing the photo");
+            upload(&agent, &url, file)?
         }
         Target::Url(_) => {
             let list = json(&agent, &format!("{url}/v1/photos"))?;
@@ -199,17 +199,18 @@ pub fn run(target: &Target, load: &Load, progress: &dyn Fn(&str)) -> Result<Serv
     // the scene is decoded before the clock starts
     ask(&agent, &view, &asked)?;
     let mut memory = Vec::new();
-    let mut read = |asked: &AtomicUsize| memory.extend(own.as_ref().and_then(Own::memory).map(|m| (asked.load(Ordering::Relaxed), m)));
+    let mut read =
+        |asked: &AtomicUsize| memory.extend(server.as_ref().and_then(TestServer::memory).map(|m| (asked.load(Ordering::Relaxed), m)));
     let mut served = Vec::new();
     for clients in CLIENTS {
         progress(&format!("{clients} clients"));
-        served.push(storm(&view, clients, load.views, &asked)?);
+        served.push(run_clients(&view, clients, load.views, &asked)?);
     }
     read(&asked);
     let mut left = load.memory_views;
     while left > 0 {
         let some = left.min(READING);
-        storm(&view, 8, some, &asked)?;
+        run_clients(&view, 8, some, &asked)?;
         left -= some;
         read(&asked);
         progress(&format!("{left} views left"));
@@ -217,9 +218,9 @@ pub fn run(target: &Target, load: &Load, progress: &dyn Fn(&str)) -> Result<Serv
     Ok(ServeResults { size: [load.width, height], served, memory })
 }
 
-/// Asks for the next view; true where it came, false where the server is busy.
+/// Requests the next view; returns whether it came, or false if the server is busy.
 fn ask(agent: &ureq::Agent, view: &str, asked: &AtomicUsize) -> Result<bool, ServeError> {
-    // poses that no cache has seen, within the view box
+    // poses inside the view box that are not cached yet
     let n = asked.fetch_add(1, Ordering::Relaxed);
     let (x, y) = ((n % 600) as f64 / 1e4 - 0.03, (n / 600 % 600) as f64 / 1e4 - 0.03);
     let mut answer = agent.get(format!("{view}&tx={x:.5}&ty={y:.5}")).call().map_err(|e| failed("view", e))?;
@@ -231,8 +232,8 @@ fn ask(agent: &ureq::Agent, view: &str, asked: &AtomicUsize) -> Result<bool, Ser
     }
 }
 
-/// `views` views by `clients` at a time.
-fn storm(view: &str, clients: usize, views: usize, asked: &AtomicUsize) -> Result<Served, ServeError> {
+/// Requests `views` views with `clients` concurrent clients.
+fn run_clients(view: &str, clients: usize, views: usize, asked: &AtomicUsize) -> Result<LoadResult, ServeError> {
     let (left, refused) = (AtomicUsize::new(views), AtomicUsize::new(0));
     let start = Instant::now();
     let one = || {
@@ -256,7 +257,7 @@ fn storm(view: &str, clients: usize, views: usize, asked: &AtomicUsize) -> Resul
     let mut times = all.concat();
     times.sort_by(f64::total_cmp);
     let at = |share: f64| times.get(((times.len() as f64 * share) as usize).min(times.len().saturating_sub(1))).copied().unwrap_or(0.0);
-    Ok(Served {
+    Ok(LoadResult {
         clients,
         views: times.len(),
         refused: refused.into_inner(),

@@ -1,4 +1,4 @@
-//! What is measured on: rendered scenes with exact disparity and second views, or photos.
+//! Subjects of the benchmark: rendered scenes with exact disparity and second views, or photos.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,24 +13,26 @@ use tmpi_core::{Camera, DisparityMap, Photo, Pose};
 use tmpi_pipeline::depth::{self, DepthKind};
 use tmpi_pipeline::photo::Limits;
 
-/// Scenes of the benchmark start here, far from those that networks were trained on.
+/// First seed of the benchmark's scenes, far from those that networks were trained on.
 const SEED: u64 = 900_000;
+/// Samples a pixel, across and down.
+const SAMPLES: u32 = 3;
 
 /// A scene or a photo.
 pub(super) struct Subject {
     pub name: String,
-    /// The file as it would be uploaded.
+    /// The photo file.
     pub file: Vec<u8>,
-    /// Exact disparity where it is known.
+    /// Exact disparity, if known.
     pub disparity: Option<Arc<DisparityMap>>,
-    /// Seed of a rendered scene.
+    /// Seed, if the scene is rendered.
     pub seed: Option<u64>,
     pub fov_x: Option<f64>,
     /// Exact views.
     pub views: Vec<(Camera, Photo)>,
 }
 
-/// Rendered scenes, each with a step aside, up and down, forward, and one of all with a turn of the head.
+/// Rendered scenes with four views each: moved sideways, vertically, forward, and all combined with a rotation.
 pub(super) fn rendered(quick: bool) -> Result<Vec<Subject>, BenchError> {
     let (count, size) = if quick { (4, (384, 256)) } else { (16, (630, 350)) };
     (0..count).map(|i| scene(SEED + i, size)).collect()
@@ -39,7 +41,6 @@ pub(super) fn rendered(quick: bool) -> Result<Vec<Subject>, BenchError> {
 fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
     let scene = scenes::Scene::framed(seed, width, height);
     let camera = scene.camera();
-    let picture = scene.render(&camera, 3);
     let side = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
     let poses = [
         Pose::at(0.06 * side, 0.0, 0.0),
@@ -49,8 +50,15 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
     ];
     let views = poses.map(|pose| {
         let c = Camera { pose, ..camera };
-        (c, scene.render(&c, 3).photo)
+        (c, scene.render(&c, SAMPLES).photo)
     });
+    Ok(Subject { views: views.into(), ..photo_of(&scene, seed, (width, height))? })
+}
+
+/// A scene's photo and disparity, without views.
+fn photo_of(scene: &scenes::Scene, seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
+    let camera = scene.camera();
+    let picture = scene.render(&camera, SAMPLES);
     let mut file = Vec::new();
     PngEncoder::new(&mut file)
         .write_image(picture.photo.rgb.as_flattened(), width, height, ExtendedColorType::Rgb8)
@@ -61,13 +69,19 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
         disparity: Some(Arc::new(picture.disparity)),
         seed: Some(seed),
         fov_x: Some(camera.intrinsics.fov_x(width)),
-        views: views.into(),
+        views: Vec::new(),
     })
 }
 
-/// So many scenes of each family, families by name.
+/// Renders one scene at a given size, without views.
+pub(super) fn large((width, height): (u32, u32)) -> Result<Subject, BenchError> {
+    let scene = scenes::Scene::framed(SEED, width, height);
+    Ok(Subject { name: format!("{width}×{height}"), ..photo_of(&scene, SEED, (width, height))? })
+}
+
+/// Renders `count` scenes of each family; families are sorted by name.
 pub(super) fn by_family(count: usize) -> Result<super::families::Families, BenchError> {
-    /// Apart from the scenes of [`rendered`].
+    /// Does not overlap with the scenes of [`rendered`].
     const FIRST: u64 = SEED + 50_000;
     const SIZE: (u32, u32) = (384, 256);
     let mut found = std::collections::BTreeMap::<&'static str, Vec<u64>>::new();
@@ -83,13 +97,13 @@ pub(super) fn by_family(count: usize) -> Result<super::families::Families, Bench
     found.into_iter().map(|(family, seeds)| Ok((family, seeds.into_iter().map(|s| scene(s, SIZE)).collect::<Result<_, _>>()?))).collect()
 }
 
-/// The surface behind the first one of a rendered scene.
+/// The second surface of a rendered scene: what lies behind the visible one.
 pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> scenes::Picture {
     let scene = scenes::Scene::framed(seed, width, height);
     scene.hidden(&scene.camera(), 3)
 }
 
-/// The disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, where there is one.
+/// Reads the disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, if it exists.
 fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, BenchError> {
     let map = photo.with_file_name(format!("{}{MAP}", photo.file_stem().unwrap_or_default().to_string_lossy()));
     let Ok(png) = std::fs::read(&map) else { return Ok(None) };
@@ -98,10 +112,10 @@ fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, BenchError>
     depth::from_map(&png, DepthKind::Disparity, &Limits::default(), width, height).map(|(map, _)| Some(map)).map_err(|e| bad(&e))
 }
 
-/// End of the name of a disparity map beside a photo.
+/// Suffix of the name of a disparity map beside a photo.
 const MAP: &str = "_disp16.png";
 
-/// All photos of the folders, by name; with `quick` a few of each.
+/// Reads all photos in the folders, sorted by name; with `quick`, only four of each folder.
 pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, BenchError> {
     let mut all = Vec::new();
     for folder in folders {
@@ -122,7 +136,7 @@ pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, B
             all.push(Subject { name, file, disparity, seed: None, fov_x: None, views: Vec::new() });
         }
         if found == 0 {
-            return Err(BenchError::File { path: folder.clone(), reason: "holds no photo".into() });
+            return Err(BenchError::File { path: folder.clone(), reason: "contains no photo".into() });
         }
     }
     Ok(all)

@@ -4,17 +4,17 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use super::result;
-use tmpi_lab::stress::{self, Checked, Verdict};
+use tmpi_lab::stress::{self, Checked, Kernel, Verdict};
 use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
-/// Check every numerical kernel on stiff and extreme cases against f64
+/// Check each numerical kernel on stiff and extreme cases against an f64 reference
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CheckArgs {
-    /// All cases as JSON on standard output
+    /// Print all cases as JSON
     #[arg(long)]
     json: bool,
-    /// Instead: what cameras at the corners of the view box see past the borders of the photos of this folder; may be given several times
+    /// Instead, check what cameras at the corners of the view box see past the borders of the photos in this folder; repeatable
     #[arg(long, value_name = "DIR")]
     photos: Vec<PathBuf>,
     #[command(flatten)]
@@ -42,7 +42,7 @@ fn table(checked: &Checked) -> String {
         let number = |v: f64| if v == 0.0 || (1e-3..1e4).contains(&v) { format!("{v:.3}") } else { format!("{v:.1e}") };
         let error = c.error.map_or("none".into(), number);
         let verdict = if c.verdict == Verdict::Ok { "ok" } else { "FAIL" };
-        // a String takes everything
+        // writing to a String cannot fail
         let _ = writeln!(
             out,
             "{:family$}  {:name$}  {:subject$}  {:>9}  {error:>9}  {verdict:7}  {}",
@@ -56,6 +56,23 @@ fn table(checked: &Checked) -> String {
     for s in &checked.skipped {
         let _ = writeln!(out, "skipped: {s}");
     }
-    let _ = write!(out, "{} cases, {} failed", checked.cases.len(), checked.failed());
+    let _ = write!(out, "\n{}{} cases, {} failed", kernels(checked), checked.cases.len(), checked.failed());
+    out
+}
+
+/// A line for each kernel: how many cases, how near to their bounds, how long.
+fn kernels(checked: &Checked) -> String {
+    let all = checked.kernels();
+    let widest = |f: &dyn Fn(&Kernel) -> usize| all.iter().map(f).max().unwrap_or(0);
+    let (family, subject) = (widest(&|k| k.family.len()), widest(&|k| k.subject.len()));
+    let mut out = format!("{:family$}  {:subject$}  cases  failed  error/bound       ms\n", "family", "of");
+    for k in &all {
+        // a String takes everything
+        let _ = writeln!(
+            out,
+            "{:family$}  {:subject$}  {:>5}  {:>6}  {:>11.2}  {:>7.0}",
+            k.family, k.subject, k.cases, k.failed, k.nearest, k.ms
+        );
+    }
     out
 }

@@ -8,24 +8,24 @@ use serde_json::json;
 use super::{read, result};
 use tmpi_lab::metrics::{flip, max_abs, psnr, share_off, ssim_map};
 
-/// Levels of 255 from which a pixel counts as different.
+/// A pixel counts as different above this many of 255 levels.
 const LEVELS: u8 = 8;
 
-/// Compare two pictures of one size: PSNR, SSIM, FLIP, and the share of pixels that differ
+/// Compare two pictures of the same size: PSNR, SSIM, FLIP, and the fraction of pixels that differ
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CompareArgs {
-    /// The picture that the other one is held against
+    /// Reference picture
     #[arg(value_name = "REFERENCE")]
     reference: PathBuf,
-    /// PNG, JPEG or WebP; what is transparent lies over black
+    /// Picture to compare: PNG, JPEG or WebP; transparency shows black
     #[arg(value_name = "TEST")]
     test: PathBuf,
-    /// The figures as JSON
+    /// Print the results as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Colours over black, and pixels a row.
+/// Reads a picture over black; returns its pixels and width.
 fn picture(path: &Path) -> anyhow::Result<(Vec<[u8; 3]>, usize)> {
     let decoded = image::load_from_memory(&read(path)?).with_context(|| path.display().to_string())?;
     let rgba = decoded.into_rgba8();
@@ -37,12 +37,7 @@ fn picture(path: &Path) -> anyhow::Result<(Vec<[u8; 3]>, usize)> {
 pub(super) fn run(args: &CompareArgs) -> anyhow::Result<()> {
     let ((a, width), (b, other)) = (picture(&args.reference)?, picture(&args.test)?);
     let size = |p: &[[u8; 3]], w: usize| format!("{w}×{}", p.len() / w.max(1));
-    anyhow::ensure!(
-        width == other && a.len() == b.len(),
-        "pictures of one size are wanted, not {} and {}",
-        size(&a, width),
-        size(&b, other)
-    );
+    anyhow::ensure!(width == other && a.len() == b.len(), "the pictures differ in size: {} and {}", size(&a, width), size(&b, other));
     let ssim = ssim_map(&a, &b, width);
     let ssim = ssim.iter().map(|v| f64::from(*v)).sum::<f64>() / ssim.len().max(1) as f64;
     let (psnr, flip, share, most) =
@@ -51,7 +46,7 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<()> {
         return result(&json!({ "psnr": psnr, "ssim": ssim, "flip": flip, "share_off": share, "max_abs": most }).to_string());
     }
     result(&format!(
-        "PSNR {psnr:.2} dB, SSIM {ssim:.4}, FLIP {flip:.4}, {:.3} % of the pixels off by more than {LEVELS} levels, at most {most}",
+        "PSNR {psnr:.2} dB, SSIM {ssim:.4}, FLIP {flip:.4}, {:.3} % of pixels off by more than {LEVELS} levels, largest difference {most}",
         100.0 * share
     ))
 }

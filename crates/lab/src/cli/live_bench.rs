@@ -14,93 +14,93 @@ use tmpi_lab::live::sweep::OperatingPoint;
 use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::{self, models};
 
-/// Measure rendered sequences from camera to reader: error against time and bytes
+/// Measure rendered sequences from camera to viewer: error against time and bytes
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct LiveBenchArgs {
-    /// Size of the frames; several, separated by commas: all sequences at each of them, with each bit rate and budget, a line for each
+    /// Frame size. With several sizes, measures all sequences at each size, bit rate and budget, and prints one line for each
     #[arg(long, value_delimiter = ',', default_value = "320x240", value_parser = |text: &str| size(text, MAX_PIXELS), value_name = "WxH,…")]
     size: Vec<(u32, u32)>,
-    /// One sequence alone
+    /// Measure only this sequence
     #[arg(long, value_parser = live::NAMES, value_name = "NAME")]
     only: Option<String>,
-    /// Number of the first scene; the next two are used, too
+    /// Seed of the first scene; the next two seeds are used too
     #[arg(long, default_value_t = live::SEED, value_name = "N")]
     scene: u64,
     /// Frames of each sequence
     #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     frames: u32,
-    /// Of the sequence every so many frames are sent, 30 being taken a second
+    /// Send only every Nth frame; the camera takes 30 per second
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=60), value_name = "N")]
     every: u32,
-    /// How frames are sent
+    /// Video codec
     #[arg(long, default_value = "h264", value_parser = ["h264", "jpeg"], value_name = "CODEC")]
     codec: String,
-    /// Bits a second of H.264; 384 kbit/s for 320×240 as the publishing page has it, more for larger frames, where nothing is said. Or several
+    /// H.264 bits per second; may be several. Default: that of the publishing page, 384 kbit/s at 320×240 and more for larger frames
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     bitrate: Vec<u32>,
-    /// Milliseconds that the geometry of a frame may take, for which the size of depth, planes and tiles are chosen by what they took before; 0: as
-    /// long as it takes. Or several
+    /// Milliseconds that the geometry of a frame may take; may be several. Sets depth size, planes and tiles by earlier measurements. 0: no
+    /// limit
     #[arg(long, value_delimiter = ',', default_value = "0", value_parser = milliseconds, value_name = "MS,…")]
     budget_ms: Vec<f64>,
-    /// Write drawings of error against run time and against bytes to this file, where several points are measured
+    /// Write plots of error against run time and bytes to this file, if several points are measured
     #[arg(long, value_name = "FILE.html")]
     page: Option<PathBuf>,
-    /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
+    /// Send a tile only if its new planes move some point by more than this many pixels, for some camera in the view box
     #[arg(long, default_value_t = tmpi_live::PARALLAX, value_parser = parallax, value_name = "PX")]
     parallax: f64,
-    /// Parallax error that planes may leave, in pixels
+    /// Allowed parallax error of planes, in pixels
     #[arg(long, default_value_t = tmpi_live::MAX_ERROR, value_parser = parallax, value_name = "PX")]
     max_error: f64,
-    /// Frames after the last change near a block for which its estimated depth waits to be looked at once more; 0: it is not
-    #[arg(long, default_value_t = tmpi_live::SETTLES.frames, value_name = "N")]
+    /// Frames between the last change near a block and a second estimate of its depth; 0: none
+    #[arg(long, default_value_t = tmpi_live::RECHECK.frames, value_name = "N")]
     settle: u8,
-    /// Blocks of 8 pixels that count as near
-    #[arg(long, default_value_t = tmpi_live::SETTLES.blocks, value_name = "N")]
+    /// Radius around a changed block that counts as near, in blocks of 8 pixels
+    #[arg(long, default_value_t = tmpi_live::RECHECK.blocks, value_name = "N")]
     settle_blocks: u8,
-    /// Milliseconds for which frames rest after one of which tiles were sent, where depth is estimated
-    #[arg(long, default_value_t = tmpi_live::REST.as_millis() as u16, value_parser = clap::value_parser!(u16).range(0..=1000), value_name = "MS")]
+    /// With estimated depth, milliseconds after sending tiles during which no others are sent
+    #[arg(long, default_value_t = tmpi_live::COOLDOWN.as_millis() as u16, value_parser = clap::value_parser!(u16).range(0..=1000), value_name = "MS")]
     rest_ms: u16,
-    /// Frames by which tiles come after theirs: meanwhile the reader moves labels along with what moves
+    /// Frames by which tiles arrive late; meanwhile the reader moves labels along with motion
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
     late: u32,
-    /// Frames after the one that tiles are of up to which it does; 0: labels stay where they were
+    /// Maximum number of frames for which labels follow motion; 0: they stay in place
     #[arg(long, default_value_t = FOLLOWS, value_parser = clap::value_parser!(u32).range(0..=i64::from(FOLLOWS)), value_name = "N")]
     follow: u32,
-    /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's
+    /// Align the network's disparity with the true scale first, to exclude errors of scale
     #[arg(long)]
     true_scale: bool,
-    /// Damage so many access units of a stream of that size, decode them and measure time and memory instead; 1 where these are not bounded, or the decoder
-    /// has panicked though that was contained
+    /// Instead, damage N access units of a stream, decode them and measure time and memory. Exit code 1 if these exceed their limits or the
+    /// decoder panics, even if the panic is caught
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=100_000_000), value_name = "N")]
     damaged: Option<u64>,
-    /// Draw the view from beside the camera for two frames of every so many
+    /// Render the side view for two of every N frames
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     views: u32,
-    /// Write the streams to this folder, and as pictures the frames, views and true views that are compared
+    /// Write the streams, and pictures of the compared frames, views and true views, to this folder
     #[arg(long, value_name = "DIR")]
     files: Option<PathBuf>,
-    /// The figures as JSON
+    /// Print the results as JSON
     #[arg(long)]
     json: bool,
-    /// Learn what the coders of chunks begin with, write it to this file and measure nothing
+    /// Instead, learn the initial state of the chunk coders and write it to this file
     #[arg(long, value_name = "FILE")]
     learn: Option<PathBuf>,
     #[command(flatten)]
     models: ModelFlags,
 }
 
-/// Bits a second and pixel, as the publishing page has them (`static/live/encoders.js`): 384 kbit/s at 320×240.
+/// Bits per second and pixel, as on the publishing page (`static/live/encoders.js`): 384 kbit/s at 320×240.
 const RATE: f64 = 5.0;
 
 fn parallax(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|px: &f64| px.is_finite() && *px >= 0.0).ok_or_else(|| "pixels, 0 or more".into())
+    text.parse().ok().filter(|px: &f64| px.is_finite() && *px >= 0.0).ok_or_else(|| "expected pixels, 0 or more".into())
 }
 
 fn milliseconds(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|ms: &f64| ms.is_finite() && *ms >= 0.0).ok_or_else(|| "milliseconds, 0 or more".into())
+    text.parse().ok().filter(|ms: &f64| ms.is_finite() && *ms >= 0.0).ok_or_else(|| "expected milliseconds, 0 or more".into())
 }
 
-/// Every size with every bit rate and budget.
+/// All combinations of size, bit rate and budget.
 fn points(args: &LiveBenchArgs) -> Vec<OperatingPoint> {
     let mut points = Vec::new();
     for &size in &args.size {
@@ -119,14 +119,14 @@ fn points(args: &LiveBenchArgs) -> Vec<OperatingPoint> {
 
 pub(super) fn run(args: &LiveBenchArgs) -> anyhow::Result<()> {
     let points = points(args);
-    let first = points.first().context("at least one size and one budget are wanted")?;
+    let first = points.first().context("at least one size and one budget are required")?;
     if points.len() > 1 && (args.damaged.is_some() || args.learn.is_some() || args.files.is_some()) {
-        let reason = "--damaged, --learn and --files take one size, bit rate and budget";
+        let reason = "--damaged, --learn and --files accept only one size, bit rate and budget";
         Cli::command().error(ErrorKind::ArgumentConflict, reason).exit();
     }
-    let told = |what: &str| note(&format!("tmpi-lab live-bench: {what}"));
+    let progress = |what: &str| note(&format!("tmpi-lab live-bench: {what}"));
     if let Some(count) = args.damaged {
-        let found = live::damaged::run(first.size, first.bitrate, count, &told)?;
+        let found = live::damaged::run(first.size, first.bitrate, count, &progress)?;
         result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() })?;
         return found.check().map_err(anyhow::Error::msg);
     }
@@ -143,27 +143,27 @@ pub(super) fn run(args: &LiveBenchArgs) -> anyhow::Result<()> {
         true_scale: args.true_scale,
         parallax: args.parallax,
         max_error: args.max_error,
-        rest: Duration::from_millis(args.rest_ms.into()),
+        cooldown: Duration::from_millis(args.rest_ms.into()),
         late: args.late,
         follow: args.follow,
-        settles: tmpi_live::Settling { frames: args.settle, blocks: args.settle_blocks },
+        recheck: tmpi_live::RecheckSettings { frames: args.settle, blocks: args.settle_blocks },
         files: args.files.clone(),
         only: args.only.clone(),
     };
     if let Some(file) = &args.learn {
-        return write(file, live::learn(&settings, &told)?.as_bytes());
+        return write(file, live::learn(&settings, &progress)?.as_bytes());
     }
-    let left_out = |skipped: &[String]| skipped.iter().for_each(|s| note(&format!("left out: {s}")));
+    let note_skipped = |skipped: &[String]| skipped.iter().for_each(|s| note(&format!("skipped: {s}")));
     if points.len() > 1 || args.page.is_some() {
-        let found = live::sweep::measure(&settings, &points, &told)?;
-        left_out(&found.skipped);
+        let found = live::sweep::measure(&settings, &points, &progress)?;
+        note_skipped(&found.skipped);
         if let Some(file) = &args.page {
             write(file, found.page().as_bytes())?;
         }
         return result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() });
     }
-    let results = live::run(&settings, &told)?;
-    left_out(&results.skipped);
+    let results = live::run(&settings, &progress)?;
+    note_skipped(&results.skipped);
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }
 
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn every_size_is_measured_with_every_rate_and_budget() {
+    fn sizes_rates_and_budgets_are_combined() {
         let at = |size, bitrate, budget_ms| OperatingPoint { size, bitrate, budget_ms };
         assert_eq!(asked("--codec h264"), [at((320, 240), Some(384_000), 0.0)]);
         assert_eq!(

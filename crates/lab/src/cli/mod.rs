@@ -1,4 +1,4 @@
-//! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
+//! The command line. Results go to standard output, progress and logs to standard error; exit code 0, 1 (failed) or 2 (usage).
 
 mod bench;
 mod check;
@@ -17,7 +17,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-/// Measures and tests what tmpi does
+/// Measures and tests tmpi
 #[derive(Debug, Parser)]
 #[command(name = "tmpi-lab", version, about, max_term_width = 110)]
 struct Cli {
@@ -39,7 +39,7 @@ enum Command {
 /// Runs the program; exit code 0, 1 (failed) or 2 (usage).
 pub fn main() -> ExitCode {
     // SAFETY: the program has no other thread yet
-    #[allow(unsafe_code, reason = "the one call before all others")]
+    #[allow(unsafe_code, reason = "sets environment variables before any thread starts")]
     unsafe {
         tmpi_pipeline::networks::keep_to_yourself();
         tmpi_render::without_a_display();
@@ -65,18 +65,18 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Writes one line to standard error, where somebody reads it.
+/// Writes a line to standard error and ignores failures.
 fn note(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// Writes one line of results.
+/// Writes a line of results to standard output.
 fn result(line: &str) -> anyhow::Result<()> {
     writeln!(std::io::stdout(), "{line}")?;
     Ok(())
 }
 
-/// Writes a file; makes the folders that it lacks.
+/// Writes a file and creates missing folders.
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let context = || format!("writing {}", path.display());
     if let Some(folder) = path.parent() {
@@ -85,18 +85,18 @@ fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     std::fs::write(path, bytes).with_context(context)
 }
 
-/// Contents of a file.
+/// Reads a file.
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| format!("reading {}", path.display()))
 }
 
-/// Reads a picture size, `WxH`, of at most `most` pixels.
+/// Parses a picture size, `WxH`, of at most `most` pixels.
 fn size(text: &str, most: u64) -> Result<(u32, u32), String> {
-    let (w, h) = text.split_once(['x', 'X']).ok_or("a size is written WIDTHxHEIGHT")?;
-    let side = |v: &str| v.parse::<u32>().ok().filter(|&v| v > 0).ok_or("both sides of a size are whole numbers of at least 1");
+    let (w, h) = text.split_once(['x', 'X']).ok_or("expected WIDTHxHEIGHT")?;
+    let side = |v: &str| v.parse::<u32>().ok().filter(|&v| v > 0).ok_or("width and height must be whole numbers of at least 1");
     let size = (side(w)?, side(h)?);
     if u64::from(size.0) * u64::from(size.1) > most {
-        return Err(format!("a picture has at most {most} pixels"));
+        return Err(format!("the picture may have at most {most} pixels"));
     }
     Ok(size)
 }
@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_definition_is_sound() {
+    fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
     }
 

@@ -1,4 +1,4 @@
-//! Layers of rendered scenes as the program makes them, with what their hidden texels should show: what Ψ learns from.
+//! Training data for Ψ: layers of rendered scenes, with the true colours of their hidden texels.
 
 use tmpi_core::TexturedLayer;
 use tmpi_core::{Class, Geometry, Grid, Rect, TileFrame, ViewBox};
@@ -12,17 +12,17 @@ use tmpi_pipeline::{Movement, Options};
 
 /// Half the side of the view box, as in the bench.
 const BOX: f64 = 0.06;
-/// Channels after Ψ's own: the colour that a texel should show, and whether it is known.
+/// Channels after Ψ's inputs: a texel's true colour, and whether it is known.
 const TRUTH: usize = 4;
 
-/// A file of `NumPy`, u8 [N, 13, side, side]: for each layer with known hidden texels the channels of [`refine::input`], of which the
-/// disparity goes from −1..1 to 0..255 and all others from 0..1, then red, green, blue and 255 where they are known.
+/// A `NumPy` file, u8 [N, 13, side, side]. For each layer with known hidden texels, it has the channels of [`refine::input`], scaled to
+/// 0..255 from −1..1 for disparity and from 0..1 for the others, then red, green, blue, and 255 where they are known.
 ///
-/// With `spoilt` the planes come from a map of half the size, as a network would give it.
-pub(super) fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
+/// With `degraded`, the planes come from a map of half the size, as from a network.
+pub(super) fn layers(scene: &Scene, picture: &Picture, degraded: bool) -> Vec<u8> {
     let (photo, camera) = (&picture.photo, scene.camera());
     let (w, h) = (photo.width, photo.height);
-    let map = if spoilt { edges::snap(photo, &depth::halved(&picture.disparity)) } else { edges::clean(photo, &picture.disparity) };
+    let map = if degraded { edges::snap(photo, &depth::halved(&picture.disparity)) } else { edges::clean(photo, &picture.disparity) };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
     let most = Movement::new(camera.intrinsics, Options::VIEW_BOX).most(Rect { x: 0, y: 0, w, h });
     let tiles = place(&map, None, &grid, &Options::default().placement(Options::MAX_ERROR, most));
@@ -65,11 +65,11 @@ fn truth(l: &TexturedLayer, tile: Rect, known: &[Option<[u8; 3]>], side: usize) 
     out
 }
 
-/// Head of a file of `NumPy`, version 1.0, for bytes in C order.
+/// Header of a `NumPy` file, version 1.0, for bytes in C order.
 fn header(shape: &[usize]) -> Vec<u8> {
     let extents = shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
     let about = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({extents},), }}");
-    // magic, version, length and text together fill lines of 64 bytes
+    // the whole header is a multiple of 64 bytes
     let length = (10 + about.len() + 1).next_multiple_of(64) - 10;
     let mut out = b"\x93NUMPY\x01\x00".to_vec();
     out.extend((length as u16).to_le_bytes());
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hidden_texels_that_are_known_have_a_truth() {
+    fn known_hidden_texels_have_true_colours() {
         let scene = Scene::framed(3, 160, 96);
         let picture = scene.render(&scene.camera(), 1);
         let file = layers(&scene, &picture, false);
@@ -92,7 +92,7 @@ mod tests {
         let count: usize = text.split("'shape': (").nth(1).and_then(|s| s.split(',').next()).and_then(|s| s.parse().ok()).unwrap();
         assert!(count > 0 && text.ends_with('\n'), "{text}");
         assert_eq!(file.len(), head + count * 13 * 64 * 64);
-        // a texel that is known is hidden by Ψ's own mask
+        // known texels are hidden in Ψ's mask
         for l in file[head..].chunks_exact(13 * 4096) {
             assert!((0..4096).all(|i| l[12 * 4096 + i] == 0 || l[8 * 4096 + i] == 255));
             assert!((0..4096).any(|i| l[12 * 4096 + i] == 255));

@@ -1,4 +1,4 @@
-//! `tmpi-lab synth`: rendered scenes with exact ground truth, written as picture files.
+//! `tmpi-lab synth`: writes rendered scenes with exact ground truth as picture files.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -16,62 +16,62 @@ use tmpi_lab::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct SynthArgs {
-    /// Folder to write to; each scene gets a folder named by its seed
+    /// Output folder; each scene gets a subfolder named by its seed
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// How many scenes
+    /// Number of scenes
     #[arg(long, default_value_t = 1, value_name = "N")]
     count: u32,
-    /// Seed of the first scene; the others follow one by one
+    /// Seed of the first scene; the others use the next seeds
     #[arg(long, default_value_t = 0, value_name = "S")]
     seed: u64,
-    /// Picture size; without it, sizes and shapes vary from scene to scene, about 256 × 384 pixels in area
+    /// Picture size. By default, size and aspect ratio vary between scenes, with an area of about 256 × 384 pixels
     #[arg(long, value_parser = |text: &str| size(text, MAX_PIXELS), value_name = "WxH")]
     size: Option<(u32, u32)>,
-    /// Second views of each scene
+    /// Number of second views per scene
     #[arg(long, default_value_t = 0, value_name = "N")]
     views: u32,
-    /// Largest shift of a second view in each direction, in units of the nearest distance
+    /// Maximum shift of a second view along each axis, in units of the nearest distance
     #[arg(long, default_value_t = 0.08, value_name = "UNITS")]
     baseline: f64,
     /// Also write the surface behind the first one
     #[arg(long)]
     hidden: bool,
-    /// Also write the layers as this program makes them, with what their hidden texels should show: what Ψ learns from
+    /// Also write layers with the true colours of their hidden texels, to train Ψ
     #[arg(long)]
     layers: bool,
-    /// Colour samples in a pixel at edges, squared
+    /// Colour samples per pixel along each axis, at edges
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16), value_name = "N")]
     supersampling: u32,
-    /// Cut about half of all textures from the photos (PNG, JPEG, WebP) in this folder, in the order of their names, and set some figures before a
-    /// whole one
+    /// Cut about half of all textures from the photos (PNG, JPEG, WebP) in this folder, in order of name, and use whole photos as backdrops
+    /// of some figures
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// Replace things by the textured models (binary glTF, in metres) in this folder, where one is of their size, and set some scenes within those
-    /// that are furnished
+    /// Replace objects by textured models (binary glTF, in metres) of similar size from this folder, and place some scenes inside furnished
+    /// models
     #[arg(long, value_name = "DIR")]
     models: Option<PathBuf>,
     /// Which axis of the models points up
     #[arg(long, default_value = "y", value_name = "AXIS", requires = "models")]
     models_up: UpAxis,
-    /// Leave out scenes whose folder is complete
+    /// Skip scenes whose folder is complete
     #[arg(long)]
     resume: bool,
 }
 
-/// An axis that points up.
+/// The axis that points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum UpAxis {
-    /// As glTF has it
+    /// As in the glTF specification
     Y,
-    /// As many exporters leave it
+    /// As many exporters write it
     Z,
 }
 
-/// Most pixels in a scene's picture.
+/// Maximum number of pixels in a scene's picture.
 const MAX_PIXELS: u64 = 50_000_000;
 
-/// Sizes that vary with the seed: multiples of 32, area about 256 × 384, aspect 9:16 to 16:9 and sometimes 1:3 to 3:1.
+/// A size that depends on the seed: multiples of 32, area about 256 × 384, aspect 9:16 to 16:9 and sometimes 1:3 to 3:1.
 fn varied_size(seed: u64) -> (u32, u32) {
     const SIZES: [(u32, u32); 12] = [
         (384, 256),
@@ -108,11 +108,11 @@ pub(super) fn run(args: &SynthArgs) -> anyhow::Result<()> {
         })
         .collect::<anyhow::Result<Vec<()>>>()?;
     let s = start.elapsed().as_secs_f64();
-    note(&format!("{} scenes in {s:.1} s, {:.2} a second", families.len(), families.len() as f64 / s.max(1e-9)));
+    note(&format!("{} scenes in {s:.1} s, {:.2} per second", families.len(), families.len() as f64 / s.max(1e-9)));
     Ok(())
 }
 
-/// What is in a folder, sorted by name.
+/// Entries of a folder, sorted by name.
 fn files_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let listing = std::fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))?;
     let mut files = listing.map(|e| Ok(e?.path())).collect::<anyhow::Result<Vec<_>>>()?;
@@ -120,20 +120,20 @@ fn files_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// All models of a folder, sorted by name; those that cannot be read are named and left out.
+/// Reads all models in a folder, sorted by name. Names and skips those that cannot be read.
 fn read_models(folder: &Path, up: Up) -> anyhow::Result<Models> {
     let mut models = Vec::new();
     for f in files_of(folder)?.iter().filter(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))) {
         match Model::read(&std::fs::read(f).with_context(|| format!("reading {}", f.display()))?, up) {
             Ok(model) => models.push(model),
-            Err(e) => note(&format!("left out {}: {e}", f.display())),
+            Err(e) => note(&format!("skipped {}: {e}", f.display())),
         }
     }
-    anyhow::ensure!(!models.is_empty(), "{} holds no model: a .glb file that can be read", folder.display());
+    anyhow::ensure!(!models.is_empty(), "{} contains no readable .glb file", folder.display());
     Ok(Models::new(models))
 }
 
-/// All photos of a folder, sorted by name; other files are passed over.
+/// Reads all photos in a folder, sorted by name. Ignores other files.
 fn read_pictures(folder: &Path) -> anyhow::Result<Pictures> {
     let mut photos = Vec::new();
     for f in files_of(folder)? {
@@ -142,7 +142,7 @@ fn read_pictures(folder: &Path) -> anyhow::Result<Pictures> {
             photos.push(Photo { width: p.width(), height: p.height(), rgb: p.pixels().map(|p| p.0).collect() });
         }
     }
-    anyhow::ensure!(!photos.is_empty(), "{} holds no photo", folder.display());
+    anyhow::ensure!(!photos.is_empty(), "{} contains no photo", folder.display());
     Ok(Pictures::new(&photos))
 }
 
@@ -176,12 +176,12 @@ fn write_scene(args: &SynthArgs, assets: &Assets, seed: u64, folder: &Path) -> a
         "fov_x": camera.intrinsics.fov_x(width),
         "views": views,
     });
-    // last, so that its presence says that the folder is complete
+    // written last: marks the folder as complete
     std::fs::write(folder.join("scene.json"), serde_json::to_vec_pretty(&about)?)?;
     Ok(())
 }
 
-/// Positions fill the box of ± `baseline` evenly (a Halton sequence, shifted by the seed); the camera does not turn.
+/// Camera poses that fill the box of ± `baseline` evenly (a Halton sequence, shifted by the seed). The camera does not rotate.
 fn second_pose(seed: u64, index: u32, baseline: f64) -> Pose {
     let halton = |base: u64| {
         let (mut n, mut f, mut r) = (u64::from(index) + 1 + seed % 1009 * 7, 1.0, 0.0);
@@ -202,7 +202,7 @@ fn write_picture(folder: &Path, prefix: &str, p: &Picture) -> anyhow::Result<()>
         Ok(PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Adaptive))
     };
     encoder("photo")?.write_image(p.photo.rgb.as_flattened(), w, h, ExtendedColorType::Rgb8)?;
-    // a second camera may stand nearer than the unit; its disparity map is clipped there
+    // a second camera may be nearer than one unit; clip its disparity
     let grey: Vec<u16> = p.disparity.delta.iter().map(|d| (d * 65_535.0).round().clamp(0.0, 65_535.0) as u16).collect();
     encoder("disparity")?.write_image(bytemuck::cast_slice(&grey), w, h, ExtendedColorType::L16)?;
     Ok(())
@@ -213,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn varied_sides_are_multiples_of_32() {
+    fn varied_sizes_are_multiples_of_32() {
         assert!((0..200).map(varied_size).all(|(w, h)| w % 32 == 0 && h % 32 == 0));
     }
 
@@ -229,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_on_disk_reads_back() -> anyhow::Result<()> {
+    fn written_scenes_can_be_read_back() -> anyhow::Result<()> {
         let folder = tempfile::tempdir()?;
         let args = SynthArgs {
             output: folder.path().into(),

@@ -1,8 +1,10 @@
 //! Second views against the truth: what each way of making a scene out of a photo and its depth is worth (paper, section 5, table 1).
 
 pub mod mesh;
+mod public;
 mod scenes;
 mod score;
+mod sources;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,6 +15,8 @@ use serde::Serialize;
 use self::scenes::{Case, Truth};
 pub use self::score::{DepthScore, Score};
 use self::score::{Fit, Mask};
+use self::sources::Parts;
+pub use self::sources::Sources;
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::depth;
@@ -115,6 +119,8 @@ pub struct Row {
     pub way: &'static str,
     /// Mean over all views that count.
     pub score: Score,
+    /// Where their error comes from.
+    pub sources: Sources,
     /// Wall time to make a scene, with depth where it is estimated, ms.
     pub make_ms: f64,
     /// Wall time to draw a view on the processor, ms.
@@ -171,6 +177,8 @@ pub struct Settings {
     pub only: Vec<String>,
     /// A network for LPIPS as an ONNX file.
     pub lpips: Option<PathBuf>,
+    /// A folder for the views of every way and the true ones, as PNG files.
+    pub files: Option<PathBuf>,
 }
 
 /// Measures the ways named, or all, on all scenes below the folders.
@@ -178,7 +186,7 @@ pub struct Settings {
 /// # Errors
 /// [`EvalError`].
 pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, EvalError> {
-    let Settings { depth, only, lpips } = settings;
+    let Settings { depth, only, lpips, files } = settings;
     let depth = *depth;
     let lpips = lpips.as_deref().map(lpips_network).transpose()?;
     if let Some(unknown) = only.iter().find(|o| !names().contains(&o.as_str())) {
@@ -190,9 +198,10 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
     let chosen: Vec<_> = ways().into_iter().filter(|(name, options)| wanted(name, options)).collect();
     let mut rows: Vec<Row> = chosen.iter().map(|(way, _)| Row { way, ..Row::default() }).collect();
     let mut scores: Vec<Vec<Score>> = vec![Vec::new(); rows.len()];
+    let mut sources: Vec<Vec<Sources>> = vec![Vec::new(); rows.len()];
     let (mut blank, mut views, mut depth_scores, mut cases) = (0, 0, Vec::new(), 0.0);
     for folder in folders {
-        for case in scenes::read(folder)? {
+        for case in scenes::read(folder, models.depth.as_ref())? {
             progress(&case.name);
             cases += 1.0;
             let all: Vec<Made> =
@@ -202,19 +211,25 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
             }
             let photo = photo(&case)?;
             let mut own: Vec<Vec<Score>> = vec![Vec::new(); all.len()];
-            for truth in &case.views {
+            for (view, truth) in case.views.iter().enumerate() {
                 let warp = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST);
                 let mask = Mask::new(truth.camera.width as usize, &warp.depth);
-                let scored = |m| scored(m, &case, truth, &mask, depth, lpips.as_ref());
-                let drawn: Vec<(Score, f64, f64)> = all.iter().map(scored).collect::<Result<_, _>>()?;
-                if drawn.iter().any(|d| d.1 > BLANK) {
+                let parts = Parts::new(&warp, &truth.camera);
+                let folder = files.as_ref().map(|folder| folder.join(&case.name).join(view.to_string()));
+                if let Some(folder) = &folder {
+                    written(folder, "true", &truth.camera, &truth.rgb)?;
+                }
+                let scored = |m: &Made| scored(m, &case, truth, (&mask, &parts), depth, lpips.as_ref(), folder.as_deref());
+                let drawn: Vec<Scored> = all.iter().map(scored).collect::<Result<_, _>>()?;
+                if drawn.iter().any(|d| d.blank > BLANK) {
                     blank += 1;
                     continue;
                 }
                 views += 1;
-                for (i, (score, _, ms)) in drawn.into_iter().enumerate() {
-                    own[i].push(score);
-                    rows[i].draw_ms += ms;
+                for (i, d) in drawn.into_iter().enumerate() {
+                    own[i].push(d.score);
+                    sources[i].push(d.sources);
+                    rows[i].draw_ms += d.ms;
                 }
             }
             for ((row, made), own) in rows.iter_mut().zip(&all).zip(&own) {
@@ -227,8 +242,8 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
             scores.iter_mut().zip(own).for_each(|(all, own)| all.extend(own));
         }
     }
-    for (row, scores) in rows.iter_mut().zip(&scores) {
-        row.score = Score::mean(scores);
+    for ((row, scores), sources) in rows.iter_mut().zip(&scores).zip(&sources) {
+        (row.score, row.sources) = (Score::mean(scores), Sources::mean(sources));
         row.draw_ms /= f64::from(u32::try_from(views).unwrap_or(u32::MAX)).max(1.0);
         for v in [&mut row.make_ms, &mut row.bytes, &mut row.texels_m, &mut row.planes] {
             *v /= cases;
@@ -248,13 +263,17 @@ fn lpips_network(path: &Path) -> Result<Session, EvalError> {
 }
 
 fn photo(case: &Case) -> Result<Photo, EvalError> {
-    let bad = |e: &dyn std::fmt::Display| EvalError::File { path: case.name.clone().into(), reason: e.to_string() };
-    let decoded = image::load_from_memory(&case.photo).map_err(|e| bad(&e))?.into_rgb8();
-    let (width, height) = (decoded.width(), decoded.height());
-    if (width, height) != (case.truth.width, case.truth.height) {
-        return Err(bad(&"photo and disparity have different sizes"));
+    let path = Path::new(&case.name);
+    let photo = decoded(&case.photo, path)?;
+    if (photo.width, photo.height) != (case.truth.width, case.truth.height) {
+        return Err(EvalError::file(path, &"photo and disparity have different sizes"));
     }
-    Ok(Photo { width, height, rgb: decoded.pixels().map(|p| p.0).collect() })
+    Ok(photo)
+}
+
+fn decoded(file: &[u8], path: &Path) -> Result<Photo, EvalError> {
+    let decoded = image::load_from_memory(file).map_err(|e| EvalError::file(path, &e))?.into_rgb8();
+    Ok(Photo { width: decoded.width(), height: decoded.height(), rgb: decoded.pixels().map(|p| p.0).collect() })
 }
 
 fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Options>, depth: Depth) -> Result<Made, EvalError> {
@@ -299,22 +318,43 @@ fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, E
     })
 }
 
-/// The score of a view, its blank share and the time to draw it.
+/// What became of a view.
+struct Scored {
+    score: Score,
+    sources: Sources,
+    /// Share of the scored pixels where nothing is drawn.
+    blank: f64,
+    /// Time to draw it, ms.
+    ms: f64,
+}
+
 fn scored(
     made: &Made,
     case: &Case,
     truth: &Truth,
-    mask: &Mask,
+    (mask, parts): (&Mask, &Parts),
     depth: Depth,
     lpips: Option<&Session>,
-) -> Result<(Score, f64, f64), EvalError> {
+    folder: Option<&Path>,
+) -> Result<Scored, EvalError> {
     let camera = if depth == Depth::Own { seen(&truth.camera, Fit::new(&made.disparity, &case.truth)) } else { truth.camera };
     let start = Instant::now();
     let drawn = draw(made, &case.intrinsics, &camera)?;
     let ms = start.elapsed().as_secs_f64() * 1e3;
+    if let Some(folder) = folder {
+        written(folder, made.row.way, &camera, &drawn.rgb)?;
+    }
     let mut score = mask.score(&drawn.rgb, &truth.rgb);
     score.lpips = lpips.map(|network| mask.lpips(network, &drawn.rgb, &truth.rgb)).transpose()?;
-    Ok((score, mask.share(|i| drawn.blank[i]), ms))
+    let sources = parts.sources(&drawn.rgb, &truth.rgb, mask.inside());
+    Ok(Scored { score, sources, blank: mask.share(|i| drawn.blank[i]), ms })
+}
+
+fn written(folder: &Path, name: &str, camera: &Camera, rgb: &[[u8; 3]]) -> Result<(), EvalError> {
+    let path = folder.join(format!("{name}.png"));
+    std::fs::create_dir_all(folder).map_err(|e| EvalError::file(folder, &e))?;
+    image::save_buffer(&path, rgb.as_flattened(), camera.width, camera.height, image::ExtendedColorType::Rgb8)
+        .map_err(|e| EvalError::file(&path, &e))
 }
 
 /// The camera that sees a scene of estimated disparity δ, which has neither scale nor zero, where `camera` sees the true one,
@@ -364,6 +404,7 @@ impl Results {
                 r.planes
             );
         }
+        out += &sources::table(self.depth, &self.rows);
         if let Some(d) = self.depth_score {
             let _ = write!(
                 out,

@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::EvalError;
+use super::{EvalError, public};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Pose, ViewBox};
+use tmpi_pipeline::depth::Estimator;
 
 /// Focal length of a stereo pair's cameras in widths of the picture, which their files do not tell.
-const FOCAL: f64 = 0.58;
+pub(super) const FOCAL: f64 = 0.58;
 
 /// A photo, its true disparity, and what it looks like from elsewhere.
 pub(super) struct Case {
@@ -36,24 +37,27 @@ impl Case {
 }
 
 /// All scenes below a folder, by name: those that `tmpi-lab synth --views N` wrote, and rectified stereo pairs (`left.png`, `right.png`,
-/// `disp_left.png` and `meta.json` with `scale`: the file's values over it are pixels, 0 is unknown).
-pub(super) fn read(folder: &Path) -> Result<Vec<Case>, EvalError> {
+/// `disp_left.png` and `meta.json` with `scale`: the file's values over it are pixels, 0 is unknown); and what [`public::of`] takes, in the
+/// folder itself, too.
+pub(super) fn read(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, EvalError> {
     let entries = std::fs::read_dir(folder).map_err(|e| EvalError::file(folder, &e))?;
     let mut folders: Vec<PathBuf> =
         entries.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>().map_err(|e| EvalError::file(folder, &e))?;
     folders.sort();
-    let mut cases = Vec::new();
+    let mut cases = public::of(folder, depth)?;
     for f in folders.iter().filter(|f| f.is_dir()) {
         if f.join("scene.json").exists() {
             cases.push(rendered(f)?);
         } else if f.join("disp_left.png").exists() {
             cases.push(pair(f)?);
+        } else {
+            cases.extend(public::of(f, depth)?);
         }
     }
     if cases.is_empty() {
         return Err(EvalError::File {
             path: folder.into(),
-            reason: "no folder below it holds a scene of `tmpi-lab synth` or a stereo pair".into(),
+            reason: "neither it nor a folder below it holds a scene of `tmpi-lab synth`, a stereo pair, a light field or a sequence".into(),
         });
     }
     Ok(cases)
@@ -115,7 +119,7 @@ fn pair(folder: &Path) -> Result<Case, EvalError> {
 }
 
 /// What is unknown (0) in a row gets the farther of the two known neighbours in it: what is seen by one camera alone lies behind.
-fn complete(row: &mut [f64]) {
+pub(super) fn complete(row: &mut [f64]) {
     let known: Vec<(usize, f64)> = row.iter().copied().enumerate().filter(|(_, d)| *d > 0.0).collect();
     let mut next = 0usize;
     for x in 0..row.len() {
@@ -128,20 +132,20 @@ fn complete(row: &mut [f64]) {
     }
 }
 
-fn name(folder: &Path) -> String {
+pub(super) fn name(folder: &Path) -> String {
     folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn bytes(path: &Path) -> Result<Vec<u8>, EvalError> {
+pub(super) fn bytes(path: &Path) -> Result<Vec<u8>, EvalError> {
     std::fs::read(path).map_err(|e| EvalError::file(path, &e))
 }
 
-fn json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, EvalError> {
+pub(super) fn json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, EvalError> {
     serde_json::from_slice(&bytes(path)?).map_err(|e| EvalError::file(path, &e))
 }
 
 /// Values of a grey picture as the file has them.
-fn map(path: &Path) -> Result<(u32, u32, Vec<f64>), EvalError> {
+pub(super) fn map(path: &Path) -> Result<(u32, u32, Vec<f64>), EvalError> {
     let decoded = image::open(path).map_err(|e| EvalError::file(path, &e))?;
     let (width, height) = (decoded.width(), decoded.height());
     let values = match decoded {
@@ -151,7 +155,7 @@ fn map(path: &Path) -> Result<(u32, u32, Vec<f64>), EvalError> {
     Ok((width, height, values))
 }
 
-fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3]>, EvalError> {
+pub(super) fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3]>, EvalError> {
     let decoded = image::open(path).map_err(|e| EvalError::file(path, &e))?.into_rgb8();
     if (decoded.width(), decoded.height()) != (width, height) {
         return Err(EvalError::File { path: path.into(), reason: format!("must be {width}×{height} pixels, as the disparity") });
@@ -162,6 +166,7 @@ fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3]>, EvalErr
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::oracle::OracleDepth;
 
     #[test]
     fn unknown_disparities_are_those_of_what_lies_behind() {
@@ -171,6 +176,11 @@ mod tests {
         let mut row = [0.0; 3];
         complete(&mut row);
         assert!(row.iter().all(|d: &f64| d.abs() <= 0.0), "{row:?}");
+    }
+
+    /// No pair of these is measured.
+    fn none() -> OracleDepth {
+        OracleDepth(DisparityMap { width: 0, height: 0, delta: Vec::new() })
     }
 
     #[test]
@@ -184,13 +194,13 @@ mod tests {
         rgb.save(scene.join("left.png")).unwrap();
         rgb.save(scene.join("right.png")).unwrap();
         std::fs::write(scene.join("meta.json"), r#"{"scale": 20}"#).unwrap();
-        let cases = read(folder.path()).unwrap();
+        let cases = read(folder.path(), &none()).unwrap();
         assert_eq!(cases.len(), 1);
         assert!(cases[0].truth.delta.iter().all(|d| (*d - 1.0).abs() < 1e-6));
         // two pixels of shift for the nearest
         let camera = &cases[0].views[0].camera;
         assert!((camera.pose.tx * camera.intrinsics.fx - 2.0).abs() < 1e-12);
         assert_eq!(cases[0].views[0].rgb[9], [1, 1, 7]);
-        assert!(read(&scene).is_err_and(|e| e.to_string().contains("stereo pair")));
+        assert!(read(&scene, &none()).is_err_and(|e| e.to_string().contains("stereo pair")));
     }
 }

@@ -89,6 +89,11 @@ impl Mask {
         Self { width, beside: among(&|i| near[i]), uncovered: among(&|i| !covered[i]), inside }
     }
 
+    /// Whether each pixel is scored.
+    pub fn inside(&self) -> &[bool] {
+        &self.inside
+    }
+
     /// Share of the scored pixels that `blank` names.
     pub fn share(&self, blank: impl Fn(usize) -> bool) -> f64 {
         let all = self.inside.iter().filter(|b| **b).count();

@@ -1,4 +1,4 @@
-//! Damaged access units into the decoder of a room: time and memory that they take.
+//! Feeds damaged access units to a room's decoder, and measures time and memory.
 
 use std::fmt::Write as _;
 use std::time::Instant;
@@ -11,49 +11,49 @@ use tmpi_pipeline::clock::{Clock, peak_rss_bytes};
 use super::sequence::{Kind, Sequence};
 use super::{LiveBenchError, encoder};
 
-/// Frames of the stream that is damaged.
+/// Frames in the stream to damage.
 const FRAMES: u32 = 120;
-/// Units that are decoded before memory is looked at: what a sound stream takes.
-const WARM: u64 = 1000;
-/// Bytes that damage may make the decoder take beyond that.
+/// Undamaged units to decode before memory is measured.
+const WARM_UP: u64 = 1000;
+/// Limit of additional memory for damaged units, in bytes.
 const MEMORY: u64 = 64 << 20;
-/// Milliseconds of the processor that a unit may take: on a machine that does nothing else a room's frames wait so long at the most.
+/// Limit of CPU time per unit, in milliseconds: the longest delay of a room's frames on an idle machine.
 const LONGEST: f64 = 1000.0;
-/// Changes of a unit, at most.
+/// Maximum number of changes per unit.
 const CHANGES: u64 = 16;
 
-/// What became of the units.
+/// Results for damaged units.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Damaged {
-    /// Units that were damaged.
+    /// Number of damaged units.
     pub units: u64,
-    /// Of these decoded to a picture all the same.
+    /// Units that still decoded to a picture.
     pub pictures: u64,
-    /// Without a picture.
+    /// Units that decoded without a picture.
     pub without: u64,
-    /// Refused.
+    /// Units that were refused.
     pub refused: u64,
-    /// Refused, as the decoder panicked within its bounds: nothing outside it notices.
+    /// Refused units at which the decoder panicked; the panic was caught.
     pub contained: u64,
-    /// Seconds in all.
+    /// Total time in seconds.
     pub seconds: f64,
-    /// Milliseconds of the one that took longest, by the clock: whatever else the machine does is in it.
+    /// Longest wall time of a unit in milliseconds, including other load.
     pub longest_ms: f64,
-    /// The most of the processor that one took, in milliseconds; by the clock where the system does not tell.
+    /// Longest CPU time of a unit in milliseconds; wall time if CPU time is unknown.
     pub longest_cpu_ms: f64,
-    /// Bytes of memory beyond what a sound stream takes, at the most.
+    /// Peak memory in bytes beyond that of an undamaged stream.
     pub memory: u64,
 }
 
 impl Damaged {
-    /// Whether time and memory are within their bounds, and nothing has panicked: contained or not, that is a fault.
+    /// Checks that time and memory are within their limits, and that the decoder did not panic. Even a caught panic is a fault.
     ///
     /// # Errors
-    /// What is not as it should be, with its figure.
+    /// Lists each violation with its value.
     pub fn check(&self) -> Result<(), String> {
         let mut wrong = Vec::new();
         if self.longest_cpu_ms > LONGEST {
-            wrong.push(format!("a unit took {:.0} ms of the processor, more than {LONGEST:.0}", self.longest_cpu_ms));
+            wrong.push(format!("a unit took {:.0} ms of CPU time, more than {LONGEST:.0}", self.longest_cpu_ms));
         }
         if self.memory > MEMORY {
             wrong.push(format!("{} bytes of memory, more than {MEMORY}", self.memory));
@@ -64,37 +64,39 @@ impl Damaged {
         if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
     }
 
-    /// As lines.
+    /// The results as a text table.
     #[must_use]
     pub fn table(&self) -> String {
         let mut out = String::new();
         let Self { units, pictures, without, refused, contained, seconds, longest_ms, longest_cpu_ms, memory } = self;
         let _ = writeln!(out, "damaged access units              {units}");
-        let _ = writeln!(out, "decoded all the same              {pictures}, without a picture {without}");
-        let _ = writeln!(out, "refused                           {refused}, of which the decoder gave up within its bounds {contained}");
-        let _ = writeln!(out, "time                              {seconds:.0} s, the longest {longest_ms:.1} ms");
-        let _ = writeln!(out, "of the processor                  {longest_cpu_ms:.1} ms at the most (bound {LONGEST:.0} ms)");
-        let _ = writeln!(out, "memory beyond a sound stream's    {:.1} MiB (bound {} MiB)", *memory as f64 / 1_048_576.0, MEMORY >> 20);
+        let _ = writeln!(out, "decoded                           {pictures} with a picture, {without} without");
+        let _ = writeln!(out, "refused                           {refused}, {contained} of them after a caught panic");
+        let _ = writeln!(out, "time                              {seconds:.0} s, longest {longest_ms:.1} ms");
+        let _ = writeln!(out, "longest CPU time                  {longest_cpu_ms:.1} ms (limit {LONGEST:.0} ms)");
+        let _ = writeln!(out, "additional memory                 {:.1} MiB (limit {} MiB)", *memory as f64 / 1_048_576.0, MEMORY >> 20);
         out
     }
 }
 
-/// Damages `count` units of a stream – frames of that size, H.264 of `bitrate` bits a second or JPEG – and decodes them. After each that is refused a sound key frame follows, which is not counted: the next
-/// one finds a decoder at work. `told` is told how far it is.
+/// Damages and decodes `count` units of a stream: frames of this size, as H.264 at `bitrate` bits per second, or as JPEG.
+///
+/// After each refused unit, an undamaged key frame follows, which is not counted, so that the next unit reaches a working decoder.
+/// `progress` is called from time to time.
 ///
 /// # Errors
-/// [`LiveBenchError`] where there is no stream, or a sound key frame is refused after a damaged one.
-pub fn run(size: (u32, u32), bitrate: Option<u32>, count: u64, told: &dyn Fn(&str)) -> Result<Damaged, LiveBenchError> {
+/// [`LiveBenchError`] if the stream cannot be encoded, or an undamaged key frame is refused after a damaged unit.
+pub fn run(size: (u32, u32), bitrate: Option<u32>, count: u64, progress: &dyn Fn(&str)) -> Result<Damaged, LiveBenchError> {
     let mut encoder = encoder(size, bitrate)?;
-    let sequence = Sequence::new(Kind::Measured, super::SEED, size, FRAMES, super::measure::ASIDE);
+    let sequence = Sequence::new(Kind::Measured, super::SEED, size, FRAMES, super::measure::SIDE_OFFSET);
     let units = (0..FRAMES).map(|n| encoder.encode(&sequence.shot(n).noisy)).collect::<Result<Vec<_>, _>>()?;
     let key = units.iter().find(|(_, key)| *key).map(|(data, _)| data.clone());
-    let key = key.ok_or_else(|| LiveBenchError::Encode("a stream without a key frame".into()))?;
+    let key = key.ok_or_else(|| LiveBenchError::Encode("the stream has no key frame".into()))?;
     let mut decoder = video::decoder(encoder.codec(), size)?;
-    for n in 0..WARM {
+    for n in 0..WARM_UP {
         decoder.decode(&units[n as usize % units.len()].0)?;
     }
-    // what the decoder's own panics say is counted, not printed
+    // count the decoder's panics instead of printing them
     let hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(|_| {}));
     let (mut out, mut random, began, before) = (Damaged::default(), Random(0x9E37_79B9_7F4A_7C15), Instant::now(), peak_rss_bytes());
@@ -121,7 +123,7 @@ pub fn run(size: (u32, u32), bitrate: Option<u32>, count: u64, told: &dyn Fn(&st
             }
         }
         if out.units.is_multiple_of(100_000) {
-            told(&format!("{} of {count} damaged units", out.units));
+            progress(&format!("{} of {count} damaged units", out.units));
         }
     }
     std::panic::set_hook(hook);
@@ -130,7 +132,7 @@ pub fn run(size: (u32, u32), bitrate: Option<u32>, count: u64, told: &dyn Fn(&st
     result.map(|()| out)
 }
 
-/// Bytes changed, cut off, doubled, or gone on with as another unit does.
+/// Damages a unit: changes, truncates, inserts and duplicates bytes, or continues with another unit.
 fn damage(unit: &[u8], other: &[u8], random: &mut Random) -> Vec<u8> {
     let mut data = unit.to_vec();
     for _ in 0..=random.next() % CHANGES {
@@ -157,7 +159,7 @@ fn damage(unit: &[u8], other: &[u8], random: &mut Random) -> Vec<u8> {
     data
 }
 
-/// Xorshift (Marsaglia 2003): the same each time.
+/// Xorshift generator (Marsaglia 2003) with reproducible values.
 struct Random(u64);
 
 impl Random {
@@ -180,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn damaged_frames_are_refused_or_shown_and_all_are_counted() {
+    fn all_damaged_frames_are_counted() {
         let found = run((80, 64), Some(100_000), 300, &|_| {}).unwrap();
         assert_eq!((found.units, found.pictures + found.without + found.refused), (300, 300));
         assert!(found.longest_cpu_ms > 0.0 && found.longest_ms > 0.0);
@@ -188,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_its_bound_and_any_panic_is_a_failure_that_says_so() {
+    fn panics_and_exceeded_limits_are_reported() {
         let good = Damaged { units: 9, pictures: 5, refused: 4, longest_cpu_ms: LONGEST, memory: MEMORY, ..Damaged::default() };
         assert_eq!(good.check(), Ok(()));
         let panicked = Damaged { contained: 2, ..good.clone() }.check().unwrap_err();
@@ -198,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_changes_what_it_is_given() {
+    fn damage_changes_units() {
         let (unit, other) = ((0..200u8).collect::<Vec<_>>(), vec![7; 90]);
         let mut random = Random(1);
         let changed = (0..100).filter(|_| damage(&unit, &other, &mut random) != unit).count();

@@ -1,4 +1,4 @@
-//! Encoders of the publisher's side, for measuring.
+//! Encoders of the publisher, for measurements.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
@@ -6,25 +6,25 @@ use tmpi_core::Photo;
 
 use super::LiveBenchError;
 
-/// An encoder of frames, one after the other.
+/// Encodes frames in order.
 pub trait Encoder {
-    /// Codec string, as publishers say it.
+    /// Codec string, as sent by publishers.
     fn codec(&self) -> &'static str;
 
-    /// A frame's bytes, and whether it can be decoded without others.
+    /// Encodes a frame; returns its bytes, and whether it is a key frame.
     ///
     /// # Errors
     /// [`LiveBenchError::Encode`].
     fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError>;
 }
 
-/// Quality of the JPEG files of publishers that have no other encoder.
+/// JPEG quality of publishers without a video encoder.
 pub const QUALITY: u8 = 90;
 
-/// JPEG of each frame.
+/// Encodes each frame as JPEG.
 #[derive(Clone, Copy, Debug)]
 pub struct Jpeg {
-    /// 1 to 100.
+    /// Quality, 1 to 100.
     pub quality: u8,
 }
 
@@ -42,7 +42,7 @@ impl Encoder for Jpeg {
     }
 }
 
-/// H.264, Constrained Baseline, one frame out for each in.
+/// Encodes H.264 Constrained Baseline without delay.
 pub struct H264 {
     encoder: rusty_h264_encoder::Encoder,
     frames: u32,
@@ -52,10 +52,10 @@ impl H264 {
     /// Frames between key frames.
     pub const GOP: u32 = 60;
 
-    /// Frames of that size, 30 a second, at `bitrate` bits a second.
+    /// Creates an encoder for frames of this size at 30 frames and `bitrate` bits per second.
     ///
     /// # Errors
-    /// [`LiveBenchError::Encode`] where a side is odd, or the size is beyond the encoder.
+    /// [`LiveBenchError::Encode`] if a side is odd or the encoder does not support the size.
     pub fn new((width, height): (u32, u32), bitrate: u32) -> Result<Self, LiveBenchError> {
         let mut config = rusty_h264_encoder::EncoderConfig::baseline(width as usize, height as usize);
         config.preset = rusty_h264_encoder::Preset::Balanced;
@@ -79,7 +79,7 @@ impl Encoder for H264 {
     }
 }
 
-/// BT.709, limited range; chroma as the mean of four pixels.
+/// Converts to BT.709, limited range. Chroma is the mean of four pixels.
 fn to_i420(photo: &Photo) -> [Vec<u8>; 3] {
     let (w, h) = (photo.width, photo.height);
     let (kr, kb) = (0.2126, 0.0722);
@@ -105,8 +105,8 @@ mod tests {
     use tmpi_live::video::{Colour, I420, to_rgb};
 
     #[test]
-    fn the_conversion_is_undone_by_the_readers() {
-        // one colour for each four pixels, as chroma has it
+    fn readers_invert_the_colour_conversion() {
+        // one colour per four pixels, like chroma
         let pixel = |x: u32, y: u32| [(x / 2 * 8) as u8, (y / 2 * 8) as u8, ((x / 2 + y / 2) * 4) as u8];
         let photo = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| pixel(i % 64, i / 64)).collect() };
         let [y, u, v] = to_i420(&photo);

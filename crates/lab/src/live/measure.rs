@@ -1,4 +1,4 @@
-//! One sequence from the camera to a reader.
+//! Measures one sequence from the camera to a reader.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -13,19 +13,19 @@ use tmpi_render::{PictureFormat, View};
 use super::baseline::as_jpeg;
 use super::reader::{Mean, Moment, Reader, ms};
 use super::scale::Truth;
-use super::sequence::{Kind, Seen, Sequence, Shot};
+use super::sequence::{Kind, SeenSurfaces, Sequence, Shot};
 use super::totals::{Totals, add, add_bytes};
 use super::{Figures, LiveBenchError, Settings, encoder, room};
 
-/// How far beside the camera views are drawn: the border of the default view box.
-pub const ASIDE: f64 = 0.03;
-/// The corners of the view box that pictures are written of.
+/// Sideways offset of the side view: the border of the default view box.
+pub const SIDE_OFFSET: f64 = 0.03;
+/// Corners of the view box for which pictures are written.
 const CORNERS: [(&str, (f64, f64)); 4] =
     [("upper-left", (-1.0, -1.0)), ("upper-right", (1.0, -1.0)), ("lower-left", (-1.0, 1.0)), ("lower-right", (1.0, 1.0))];
-/// Seconds after which what a reader has seen counts.
+/// Seconds after which the reader's memory is measured.
 const SETTLED: f64 = 5.0;
 
-/// Runs a sequence through a room that carries its geometry on, and through one that does not.
+/// Runs a sequence through a room that keeps its geometry between frames, and through one that does not.
 pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Figures, LiveBenchError> {
     let mut f = Figures { sequence: kind.name(), codec: if settings.bitrate.is_some() { "h264" } else { "jpeg" }, ..Figures::default() };
     let mut encoder = encoder(settings.size, settings.bitrate)?;
@@ -35,19 +35,19 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
     let mut separate = Driver::new(models, room(settings, sequence, 0.0, true));
     let (mut reader, mut other) = (Reader::remembering(settings.follow), Reader::default());
-    // the truth of the frame before, and of all until now
-    let (mut last, mut seen) = (None::<Photo>, Seen::default());
+    // the true previous frame, and everything that the camera has seen
+    let (mut last, mut seen) = (None::<Photo>, SeenSurfaces::default());
     let (mut stream, mut messages) = (Vec::new(), Vec::new());
     let empty = room(settings, sequence, settings.frame_ms, false).empty(settings.size.0, settings.size.1);
     record(&mut messages, wire::message::Kind::Hello(wire::Hello { codec: encoder.codec().into(), ..Model::hello(&empty) }));
     let mut sums = Totals::default();
-    // every second frame may rest: views are of the one kind as often as of the other
+    // an odd interval: if every second frame is in the cooldown, views alternate between both kinds
     let views = settings.views | 1;
     for n in 0..settings.frames {
         let taken = n * settings.every;
         let shot = sequence.shot(taken);
-        truth.is(&shot.delta);
-        let seen_before = seen.take(sequence, taken, &shot);
+        truth.set(&shot.delta);
+        let seen_before = seen.add(sequence, taken, &shot);
         let (data, key) = encoder.encode(&shot.noisy)?;
         f.video_bytes += record(&mut messages, video((n, taken), key, &data));
         stream.extend_from_slice(&data);
@@ -75,16 +75,16 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         if let Some(g) = carried.geometry() {
             sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
             f.left_out_off = f.left_out_off.max(carried.reference().map_or(0, |of| most_off(of, &frame.photo)));
-            f.kept_off = f.kept_off.max(update.kept_off);
+            f.kept_off = f.kept_off.max(update.kept_error);
             reader.model.get_or_insert(Model::new(&Model::hello(g))?);
         }
         let before = Instant::now();
-        let (came, tiles) = reader.hear(message, settings.late)?;
+        let (came, tiles) = reader.receive(message, settings.late)?;
         f.read_ms += ms(before);
         let known = reader.model.as_ref().and_then(Model::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.take(g, &came, &frame.photo, When { frame: n.into(), tiles, gone: Some(at(settings.every)) });
+            reader.update(g, &came, &frame.photo, When { frame: n.into(), tiles, gone: Some(at(settings.every)) });
             sums.layers.push(ms(before));
             if let Some(plate) = sequence.plate(taken) {
                 sums.edges(reader.shown(g), (&shot.delta, &plate.disparity));
@@ -100,7 +100,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                 shot: &shot,
                 seen_before: &seen_before,
                 plate: sequence.plate(taken),
-                beside: sequence.beside(),
+                side_pose: sequence.side_pose(),
                 follows: n % views == 1,
                 sent,
                 settled: f64::from(taken) >= SETTLED * 30.0,
@@ -110,11 +110,11 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             let by_itself = separate.geometry().map(|g| other.show(moment(g, &[]))).transpose()?;
             if let Some(folder) = settings.files.as_deref().filter(|_| n % views == 0) {
                 let ours = [("frame", Some(&frame.photo)), ("beside", view.as_ref()), ("separate", by_itself.as_ref())];
-                for (what, picture) in ours.into_iter().chain([("truth", Some(&shot.beside))]) {
+                for (what, picture) in ours.into_iter().chain([("truth", Some(&shot.side_view))]) {
                     keep(folder, kind, n, what, picture)?;
                 }
                 for (corner, (tx, ty)) in CORNERS {
-                    let at = (tx * ASIDE, ty * ASIDE);
+                    let at = (tx * SIDE_OFFSET, ty * SIDE_OFFSET);
                     let view = known.as_ref().map(|g| reader.view(moment(g, &[]), Pose::at(at.0, at.1, 0.0))).transpose()?.flatten();
                     keep(folder, kind, n, corner, view.as_ref())?;
                     keep(folder, kind, n, &format!("{corner}-truth"), Some(&sequence.view(taken, at)))?;
@@ -131,19 +131,19 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     Ok(f)
 }
 
-/// Levels that two pictures are apart in any channel, at most.
+/// Largest difference of any channel between two pictures, in levels.
 fn most_off(a: &Photo, b: &Photo) -> u8 {
     a.rgb.as_flattened().iter().zip(b.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or_default()
 }
 
-/// What readers saw of a room that carries its geometry on, beside one that does not.
+/// Collects the readers' results for both rooms.
 fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
     (f.masks_ms, f.fill_ms) = (reader.masks.get(), reader.fill.get());
     let decibels = |square: Mean| if square.get() > 0.0 { 10.0 * (255f64.powi(2) / square.get()).log10() } else { 0.0 };
-    (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.made_up));
+    (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.inpainted));
     f.uncovered_psnr_most = decibels(reader.least);
-    (f.seen_before_psnr, f.seen_before_psnr_made_up) = (decibels(reader.seen_remembered), decibels(reader.seen_made_up));
-    (f.own_depth_psnr, f.own_depth_psnr_made_up) = (decibels(reader.own_remembered), decibels(reader.own_made_up));
+    (f.seen_before_psnr, f.seen_before_psnr_made_up) = (decibels(reader.seen_remembered), decibels(reader.seen_inpainted));
+    (f.own_depth_psnr, f.own_depth_psnr_made_up) = (decibels(reader.own_remembered), decibels(reader.own_inpainted));
     ([f.seam, f.seam_wide], [f.seam_separate, f.seam_wide_separate]) = (reader.seams.map(Mean::get), other.seams.map(Mean::get));
     f.seen_before = reader.seen_remembered.count() / reader.remembered.count().max(1.0);
     f.own_view_off = reader.off;
@@ -152,7 +152,7 @@ fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
     (f.psnr_separate, f.ssim_separate, f.flicker_separate) = (other.psnr.get(), other.ssim.get(), other.flicker.get());
 }
 
-/// Counts how far the video is from what the camera saw, and the JPEG file that is as far.
+/// Adds the PSNR of the video, and the JPEG with the same PSNR.
 fn compare_video(sums: &mut Totals, photo: &Photo, shot: &Shot) -> Result<(), LiveBenchError> {
     let off = psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened());
     sums.video_psnr.add(off);
@@ -160,35 +160,35 @@ fn compare_video(sums: &mut Totals, photo: &Photo, shot: &Shot) -> Result<(), Li
     Ok(())
 }
 
-/// Bytes of a snapshot of what a room holds at a frame, where it holds anything.
+/// Size of a room's snapshot at a frame in bytes; `None` if the room is empty.
 fn snapshot(room: &Driver, n: u32) -> Result<Option<f64>, LiveBenchError> {
     let message = |chunk| wire::message::Kind::Snapshot(wire::Geometry { frame: n.into(), chunks: vec![chunk] });
     Ok(room.snapshot(n.into())?.map(|chunk| tmpi_core::live::write(message(chunk)).len() as f64))
 }
 
-/// Writes the video, and all messages of the room.
+/// Writes the video and all messages of the room.
 fn keep_streams(settings: &Settings, folder: &Path, kind: Kind, (video, messages): (&[u8], &[u8])) -> Result<(), LiveBenchError> {
     write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), video)?;
     write(folder, &format!("{}.room", kind.slug()), messages)
 }
 
-/// Writes what is to be seen at a frame, where there is anything.
+/// Writes a picture for a frame, if there is one.
 fn keep(folder: &Path, kind: Kind, n: u32, what: &str, picture: Option<&Photo>) -> Result<(), LiveBenchError> {
     picture.map_or(Ok(()), |picture| write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?))
 }
 
-/// When a frame of a sequence is taken: 30 are a second.
+/// Capture time of a frame, at 30 frames a second.
 pub(super) fn at(n: u32) -> Duration {
     Duration::from_micros(u64::from(n) * 33_333)
 }
 
-/// A frame as a message, by its number and that in the sequence.
+/// A frame as a message, with its number in the room and in the sequence.
 fn video((n, taken): (u32, u32), key: bool, data: &[u8]) -> wire::message::Kind {
     let time = at(taken).as_micros() as u64;
     wire::message::Kind::Video(wire::Video { frame: n.into(), time, key, layer: 0, data: data.to_vec().into() })
 }
 
-/// Adds a message as `tmpi live watch --record` has it, each after its length; gives its bytes.
+/// Appends a length-prefixed message, as `tmpi live watch --record` does; returns its size in bytes.
 fn record(messages: &mut Vec<u8>, kind: wire::message::Kind) -> f64 {
     let bytes = tmpi_core::live::write(kind);
     messages.extend((bytes.len() as u32).to_le_bytes());

@@ -1,4 +1,4 @@
-//! A reader of a room: what it shows from beside the camera, against the truth.
+//! A reader of a room: compares its side view with the truth.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -14,52 +14,52 @@ use super::sequence::{BEHIND, Shot};
 use crate::metrics::ssim_map;
 use crate::scenes::Picture;
 
-/// Share of a view that is left out on each side, as in the paper.
+/// Fraction of a view that is cropped on each side, as in the paper.
 const CROP: f64 = 0.15;
 
-/// δ by which a layer lies behind what is shown.
+/// A layer is behind the visible surface if it is farther by this δ.
 const APART: f64 = 0.05;
 
 /// Colours of the hidden texels of each layer of each tile.
 type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 
-/// A reader, and how good what it shows is.
+/// A reader, with the errors of what it shows.
 #[derive(Default)]
 pub(super) struct Reader {
     pub model: Option<Model>,
-    /// What it shows, as a page does; none: it makes every frame up anew.
+    /// Layers with memory, as on a page; `None`: inpaints every frame separately.
     pub layers: Option<Layers>,
-    /// Tiles that were sent and are not read yet.
-    under_way: VecDeque<wire::Geometry>,
-    /// Tiles whose layers are others than in the frame before.
-    other: Vec<u32>,
+    /// Sent tiles that have not arrived yet.
+    in_flight: VecDeque<wire::Geometry>,
+    /// Tiles whose layers changed since the previous frame.
+    changed: Vec<u32>,
     renderer: Cpu,
-    /// The tiles that were shown last, and the true view of them.
+    /// The tiles shown last, and the true view of that frame.
     last: Option<(Geometry, Photo)>,
     pub psnr: Mean,
     pub ssim: Mean,
-    /// Disagreement of neighbouring tiles: pixels, and the share of more than one.
+    /// Disagreement of neighbouring tiles: mean in pixels, and the fraction above one pixel.
     pub seams: [Mean; 2],
     pub flicker: Mean,
     pub flicker_left_out: Mean,
-    /// Squared error of a channel where the camera itself sees nothing: all hidden texels made up, and those that were seen before shown.
-    pub made_up: Mean,
+    /// Squared error of a channel in uncovered pixels: with all hidden texels inpainted, and with remembered colours.
+    pub inpainted: Mean,
     pub remembered: Mean,
-    /// With the truth on the hidden texels of what the thing stands before: the least that layers of these planes can leave.
+    /// The same with true colours on the hidden texels behind the object: the least error that these planes allow.
     pub least: Mean,
-    /// The same of what the camera saw at an earlier frame.
-    pub seen_made_up: Mean,
+    /// Squared error in uncovered pixels that the camera saw in an earlier frame.
+    pub seen_inpainted: Mean,
     pub seen_remembered: Mean,
-    /// Against the same layers with the truth on their hidden texels, where these show what the thing stands before: the error of depth is in neither.
-    pub own_made_up: Mean,
+    /// Squared error against the same layers with true hidden colours behind the object, which excludes errors of depth.
+    pub own_inpainted: Mean,
     pub own_remembered: Mean,
-    /// Pixels of the view from the camera's own place that differ from the frame.
+    /// Number of pixels that differ between the identity view and the frame.
     pub off: u64,
     pub masks: Mean,
     pub fill: Mean,
 }
 
-/// A mean of values as they come.
+/// A running mean: sum and count.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Mean(f64, f64);
 
@@ -78,60 +78,60 @@ impl Mean {
     }
 }
 
-/// What a view is drawn of and compared with.
+/// What a view shows and is compared with.
 #[derive(Clone, Copy)]
 pub(super) struct Moment<'a> {
     pub geometry: &'a Geometry,
-    /// The frame as it was decoded.
+    /// The decoded frame.
     pub photo: &'a Photo,
     pub shot: &'a Shot,
-    /// Pixels of the view from beside that the camera does not see, and saw before.
+    /// Pixels of the side view that the camera does not see now, but has seen before.
     pub seen_before: &'a [bool],
-    /// The frame without the thing, where that is known.
+    /// The frame without the object, if known.
     pub plate: Option<&'a Picture>,
-    /// The pose of the view.
-    pub beside: Pose,
-    /// The frame before was shown, too.
+    /// Pose of the side view.
+    pub side_pose: Pose,
+    /// Whether the previous frame was shown too.
     pub follows: bool,
     /// Tiles that were sent.
     pub sent: &'a [u32],
-    /// What was seen before counts by now.
+    /// Whether the reader's memory is measured by now.
     pub settled: bool,
 }
 
 impl Reader {
-    /// One that shows what was seen before, as a page does, and whose labels follow what moves in so many frames.
+    /// A reader that remembers colours, like a page, and whose labels follow motion for up to `follow` frames.
     pub fn remembering(follow: u32) -> Self {
         Self { layers: Some(Layers::remembering().following(follow)), ..Self::default() }
     }
 
-    /// Takes tiles as they are sent, and reads those that were sent so many frames before; gives the numbers of those that it has anew, and their frame.
+    /// Queues sent tiles, and decodes those sent `late` frames ago. Returns the indices of new tiles and their frame.
     ///
     /// # Errors
-    /// Where they cannot be read.
-    pub fn hear(&mut self, message: wire::Geometry, late: u32) -> Result<(Vec<u32>, Option<u64>), LiveError> {
-        self.under_way.push_back(message);
-        let due = if self.under_way.len() > late as usize { self.under_way.pop_front() } else { None };
+    /// [`LiveError`] if they cannot be decoded.
+    pub fn receive(&mut self, message: wire::Geometry, late: u32) -> Result<(Vec<u32>, Option<u64>), LiveError> {
+        self.in_flight.push_back(message);
+        let due = if self.in_flight.len() > late as usize { self.in_flight.pop_front() } else { None };
         let Some((message, model)) = due.zip(self.model.as_mut()) else { return Ok((Vec::new(), None)) };
         Ok((model.take(&message)?, Some(message.frame)))
     }
 
-    /// Takes a frame, and the numbers of the tiles that came with it.
-    pub fn take(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, when: When) {
+    /// Updates the layers for a frame and its new tiles.
+    pub fn update(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, when: When) {
         if let Some(layers) = &mut self.layers {
-            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone(), when).layers;
+            self.changed = layers.update(geometry, |t| changed.contains(&t), photo.clone(), when).layers;
         }
     }
 
-    /// Tiles as they are shown: with labels that have followed what moved.
+    /// The tiles as shown, with labels that have followed motion.
     pub fn shown<'a>(&'a self, geometry: &'a Geometry) -> &'a Geometry {
         self.layers.as_ref().and_then(Layers::with_moved).unwrap_or(geometry)
     }
 
-    /// Draws the view from beside the camera and compares it with the truth, and with the frame before where that was shown. Gives it.
+    /// Renders the side view, and compares it with the truth and with the previous frame if that was shown. Returns the view.
     ///
     /// # Errors
-    /// As the renderer gives them.
+    /// [`RenderError`] from the renderer.
     pub fn show(&mut self, m: Moment) -> Result<Photo, RenderError> {
         let shown = self.layers.as_ref().and_then(Layers::with_moved).cloned();
         let m = Moment { geometry: shown.as_ref().unwrap_or(m.geometry), ..m };
@@ -146,43 +146,43 @@ impl Reader {
         self.fill.add(ms(before));
         let mut compared = None;
         if m.settled && self.layers.is_some() {
-            let made_up = self.draw(m, &composed(m, g, shapes.clone(), colours.clone()), m.beside)?;
-            add_squares(&mut self.made_up, &made_up, m.shot, &m.shot.uncovered);
-            add_squares(&mut self.seen_made_up, &made_up, m.shot, m.seen_before);
+            let inpainted = self.draw(m, &composed(m, g, shapes.clone(), colours.clone()), m.side_pose)?;
+            add_squares(&mut self.inpainted, &inpainted, m.shot, &m.shot.uncovered);
+            add_squares(&mut self.seen_inpainted, &inpainted, m.shot, m.seen_before);
             let truth = m.plate.map(|plate| self.truth_by_own_depth(m, plate, &shapes, &colours)).transpose()?;
-            compared = truth.map(|truth| (made_up, truth));
+            compared = truth.map(|truth| (inpainted, truth));
         }
         let scene = match &self.layers {
             Some(layers) => Arc::new(layers.scene(g)),
             None => composed(m, g, shapes, colours),
         };
-        let view = self.draw(m, &scene, m.beside)?;
+        let view = self.draw(m, &scene, m.side_pose)?;
         let own = self.draw(m, &scene, Pose::default())?;
         self.off += own.rgb.iter().zip(&m.photo.rgb).filter(|(a, b)| a != b).count() as u64;
         if m.settled {
             add_squares(&mut self.remembered, &view, m.shot, &m.shot.uncovered);
             add_squares(&mut self.seen_remembered, &view, m.shot, m.seen_before);
         }
-        if let Some((made_up, (truth, shown))) = compared {
+        if let Some((inpainted, (truth, shown))) = compared {
             add_squares(&mut self.least, &truth, m.shot, &m.shot.uncovered);
-            add_squares_of(&mut self.own_made_up, &made_up, &truth, &shown);
+            add_squares_of(&mut self.own_inpainted, &inpainted, &truth, &shown);
             add_squares_of(&mut self.own_remembered, &view, &truth, &shown);
         }
         self.compare(m, &view)?;
-        self.last = Some((g.clone(), m.shot.beside.clone()));
+        self.last = Some((g.clone(), m.shot.side_view.clone()));
         Ok(view)
     }
 
-    /// What it shows of the frame that was shown last, from another place.
+    /// Renders the frame shown last from another pose.
     ///
     /// # Errors
-    /// As the renderer gives them.
+    /// [`RenderError`] from the renderer.
     pub fn view(&self, m: Moment, pose: Pose) -> Result<Option<Photo>, RenderError> {
         let Some(layers) = &self.layers else { return Ok(None) };
         self.draw(m, &Arc::new(layers.scene(self.shown(m.geometry))), pose).map(Some)
     }
 
-    /// The scene of a frame with some tiles, hidden texels as far as they were seen before.
+    /// The scene of a frame with these tiles, and with remembered hidden colours.
     fn scene(&self, m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, mut colours: Colours) -> Arc<Scene> {
         if let Some(memory) = self.layers.as_ref().and_then(Layers::memory) {
             memory.recall(0, &shapes, &mut colours);
@@ -190,7 +190,7 @@ impl Reader {
         composed(m, g, shapes, colours)
     }
 
-    /// The view from beside with the truth on the hidden texels that lie behind the thing, and the pixels that mostly show those.
+    /// The side view with true colours on the hidden texels behind the object, and the pixels that mostly show these texels.
     fn truth_by_own_depth(
         &self,
         m: Moment,
@@ -212,14 +212,14 @@ impl Reader {
                     let (x, y) = (r.x + i % r.w, r.y + i / r.w);
                     let at = (y * m.photo.width + x) as usize;
                     let shown = shown[tile as usize][((y - all.y) * all.w + x - all.x) as usize];
-                    // of the thing itself there may be several planes, one behind the other
+                    // the object itself may have several planes, one behind the other
                     let is_behind = f64::from(shown - place.disparity(&layer.plane, x, y)) > APART;
                     if is_behind && m.shot.delta.delta[at] - plate.disparity.delta[at] > BEHIND {
                         *colour = paint(at);
                     }
                 }
             }
-            self.draw(m, &composed(m, m.geometry, shapes.to_vec(), colours), m.beside)
+            self.draw(m, &composed(m, m.geometry, shapes.to_vec(), colours), m.side_pose)
         };
         let (truth, dark, light) = (painted(&|at| plate.photo.rgb[at])?, painted(&|_| [0; 3])?, painted(&|_| [255; 3])?);
         let shown = dark.rgb.iter().zip(&light.rgb).map(|(dark, light)| light[1].abs_diff(dark[1]) > 127).collect();
@@ -235,21 +235,21 @@ impl Reader {
 
     fn compare(&mut self, m: Moment, view: &Photo) -> Result<(), RenderError> {
         let shot = m.shot;
-        self.psnr.add(psnr(cropped(view).as_flattened(), cropped(&shot.beside).as_flattened()));
-        let ssim = ssim_map(&cropped(view), &cropped(&shot.beside), inner(view.width).len());
+        self.psnr.add(psnr(cropped(view).as_flattened(), cropped(&shot.side_view).as_flattened()));
+        let ssim = ssim_map(&cropped(view), &cropped(&shot.side_view), inner(view.width).len());
         self.ssim.add(ssim.iter().map(|v| f64::from(*v)).sum::<f64>() / ssim.len().max(1) as f64);
         let Some((last, truth)) = self.last.take().filter(|_| m.follows) else { return Ok(()) };
-        // this frame with the last one's tiles: what differs then is not the video's noise
+        // this frame with the previous tiles, so that the video's noise causes no difference
         let drawn = |g: &Geometry| {
             let shapes = g.masks();
             let colours = Inpainter::new(m.photo, g).fill_all(&shapes);
-            self.draw(m, &self.scene(m, g, shapes, colours), m.beside)
+            self.draw(m, &self.scene(m, g, shapes, colours), m.side_pose)
         };
         let (view, last) = (drawn(m.geometry)?, drawn(&last)?);
-        // where nothing is near that was sent, or followed what moved: tiles and what parallax brings to them
-        let calm = calm(m.geometry, m.sent.iter().chain(&self.other));
+        // pixels far from tiles that were sent or followed motion, including the range of parallax
+        let calm = calm(m.geometry, m.sent.iter().chain(&self.changed));
         let (mut all, mut left) = (Mean::default(), Mean::default());
-        let pixels = view.rgb.iter().zip(&last.rgb).zip(shot.beside.rgb.iter().zip(&truth.rgb)).zip(&calm);
+        let pixels = view.rgb.iter().zip(&last.rgb).zip(shot.side_view.rgb.iter().zip(&truth.rgb)).zip(&calm);
         for (((now, was), (true_now, true_was)), calm) in pixels {
             if true_now == true_was {
                 let change = now.iter().zip(was).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
@@ -277,9 +277,9 @@ fn composed(m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, colours: Colours) 
     Arc::new(compose(m.photo.clone(), g, tiles.collect()))
 }
 
-/// Adds the squared error of the channels of the pixels that are `counted`.
+/// Adds the squared errors of all channels of the `counted` pixels.
 fn add_squares(mean: &mut Mean, view: &Photo, shot: &Shot, counted: &[bool]) {
-    add_squares_of(mean, view, &shot.beside, counted);
+    add_squares_of(mean, view, &shot.side_view, counted);
 }
 
 fn add_squares_of(mean: &mut Mean, view: &Photo, truth: &Photo, counted: &[bool]) {
@@ -289,7 +289,7 @@ fn add_squares_of(mean: &mut Mean, view: &Photo, truth: &Photo, counted: &[bool]
     }
 }
 
-/// Pixels that none of some tiles, nor one beside them, has.
+/// Pixels outside of these tiles and their neighbours.
 fn calm<'a>(g: &Geometry, tiles: impl Iterator<Item = &'a u32>) -> Vec<bool> {
     let mut calm = vec![true; g.grid.width as usize * g.grid.height as usize];
     for t in tiles {

@@ -1,4 +1,4 @@
-//! A depth network whose disparity is brought to the scale of the truth: what its scale alone costs is told by the difference.
+//! A depth network whose disparity is aligned with the truth, to measure the effect of its scale errors.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -7,18 +7,18 @@ use tmpi_live::align;
 use tmpi_pipeline::Models;
 use tmpi_pipeline::depth::{DepthError, Estimate, Estimator};
 
-/// The truth of the frame under way.
+/// True disparity of the current frame.
 #[derive(Clone, Default)]
 pub struct Truth(Arc<Mutex<Option<DisparityMap>>>);
 
 impl Truth {
-    /// Of the frame that comes next.
-    pub fn is(&self, delta: &DisparityMap) {
+    /// Sets the truth for the next frame.
+    pub fn set(&self, delta: &DisparityMap) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(delta.clone());
     }
 
-    /// A map brought to it, where it is of one size with it.
-    fn brought(&self, mut map: DisparityMap) -> DisparityMap {
+    /// Aligns a map with the truth, if both have the same size.
+    fn align(&self, mut map: DisparityMap) -> DisparityMap {
         let truth = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if let Some(truth) = truth.filter(|t| (t.width, t.height) == (map.width, map.height)) {
             align::fit(&map, &truth, &vec![true; map.delta.len()]).apply(&mut map.delta);
@@ -26,7 +26,7 @@ impl Truth {
         map
     }
 
-    /// The same networks, of which that for depth gives its disparity on the truth's scale: the best one factor and shift for a frame.
+    /// The same networks, with a depth network whose disparity is aligned by the best scale and shift for each frame.
     pub fn scaled(&self, models: &Models) -> Models {
         Models { depth: Arc::new(Scaled { network: Arc::clone(&models.depth), truth: self.clone() }), ..models.clone() }
     }
@@ -43,7 +43,7 @@ impl Estimator for Scaled {
     }
 
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        self.network.estimate(photo).map(|map| self.truth.brought(map))
+        self.network.estimate(photo).map(|map| self.truth.align(map))
     }
 
     fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
@@ -51,7 +51,7 @@ impl Estimator for Scaled {
     }
 
     fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<Estimate, DepthError> {
-        self.network.estimate_at(photo, size).map(|e| Estimate { map: self.truth.brought(e.map), ..e })
+        self.network.estimate_at(photo, size).map(|e| Estimate { map: self.truth.align(e.map), ..e })
     }
 }
 
@@ -61,7 +61,7 @@ mod tests {
 
     use super::*;
 
-    /// Half of what it should be, from a quarter on.
+    /// Half of the true disparity, plus a quarter.
     struct Half;
 
     impl Estimator for Half {
@@ -76,13 +76,13 @@ mod tests {
     }
 
     #[test]
-    fn a_scale_that_is_off_is_brought_to_the_truth() {
+    fn wrong_scale_and_shift_are_corrected() {
         let photo = Photo { width: 40, height: 30, rgb: (0..1200).map(|i| [(i % 200) as u8; 3]).collect() };
         let truth = DisparityMap { width: 40, height: 30, delta: photo.rgb.iter().map(|p| f32::from(p[0]) / 255.0).collect() };
         let given = Truth::default();
         let models = given.scaled(&Models { depth: Arc::new(Half), theta: None, psi: None });
-        assert_eq!(models.depth.estimate(&photo).unwrap(), Half.estimate(&photo).unwrap(), "without a truth nothing is changed");
-        given.is(&truth);
+        assert_eq!(models.depth.estimate(&photo).unwrap(), Half.estimate(&photo).unwrap(), "unchanged without a truth");
+        given.set(&truth);
         let found = models.depth.estimate(&photo).unwrap();
         let most = found.delta.iter().zip(&truth.delta).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(most < 1e-3, "{most}");

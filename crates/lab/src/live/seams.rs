@@ -1,9 +1,9 @@
-//! How far neighbouring tiles disagree where they overlap: a seam in views from beside.
+//! Disagreement of neighbouring tiles in their overlap, which appears as a seam in side views.
 
 use tmpi_core::{Geometry, Rect};
 
-/// Of the pixels that two neighbours both have: how far apart they show the point there, in pixels, from the border of the view box, on the mean; and
-/// the share that they show more than a pixel apart.
+/// For the pixels common to two neighbours: the mean distance, in pixels, between the positions at which they show the point, seen from the
+/// border of the view box; and the fraction with a distance of more than a pixel.
 #[must_use]
 pub fn seams(g: &Geometry) -> (f64, f64) {
     let (grid, columns) = (&g.grid, g.grid.columns());
@@ -39,7 +39,7 @@ mod tests {
     use tmpi_core::{Grid, Intrinsics, Plane, Tile, ViewBox};
 
     #[test]
-    fn tiles_that_agree_have_no_seam_and_others_as_many_pixels_as_they_are_apart() {
+    fn seams_measure_the_disagreement_of_tiles() {
         let grid = Grid::new(120, 64, 64);
         let tile = |delta: f64, t: u32| Tile {
             planes: vec![Plane::fronto_parallel(delta)],

@@ -1,27 +1,27 @@
-//! Rendered sequences with exact disparity and exact views from beside the camera.
+//! Rendered sequences with exact disparity and exact side views.
 
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 
 use crate::scenes::{Picture, Scene};
 
-/// What happens in a sequence.
+/// Kind of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// The camera stands still, a thing of a person's size goes to and fro before it.
+    /// A still camera, and a person-sized object that moves to and fro.
     Still,
     /// The same, with depth measured by the camera.
     Measured,
-    /// The camera moves, the scene does not.
+    /// A moving camera and a still scene.
     Moving,
-    /// As `Still`, in another scene from the middle on.
+    /// Like `Still`, with another scene from the middle on.
     Cut,
 }
 
 impl Kind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 4] = [Self::Still, Self::Measured, Self::Moving, Self::Cut];
 
-    /// Its name in results.
+    /// Name in results.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -32,7 +32,7 @@ impl Kind {
         }
     }
 
-    /// Its name in files.
+    /// Name in file names and on the command line.
     #[must_use]
     pub const fn slug(self) -> &'static str {
         match self {
@@ -44,34 +44,34 @@ impl Kind {
     }
 }
 
-/// Deviation of the sensor's noise, in levels.
+/// Standard deviation of the sensor's noise, in levels.
 pub const NOISE: f64 = 2.0;
-/// Disparity of the thing.
-const THING: f64 = 0.9;
-/// Its width and height, as shares of the picture's.
+/// Disparity of the object.
+const OBJECT: f64 = 0.9;
+/// The object's width and height, as fractions of the picture's.
 const SIZE: (f64, f64) = (0.26, 0.75);
-/// Frames in which it goes to and fro once.
+/// Frames per period of the object's motion.
 const PERIOD: f64 = 150.0;
-/// Disparity by which something lies behind something else.
+/// A surface is behind another if its disparity is smaller by this.
 pub const BEHIND: f32 = 0.05;
-/// Samples a side of a pixel, for the share of it that the thing covers.
+/// Samples per pixel along each axis, for the object's coverage.
 const SAMPLES: u32 = 4;
 
-/// A frame.
+/// A frame with its ground truth.
 #[derive(Clone, Debug)]
 pub struct Shot {
-    /// As the camera gives it.
+    /// The camera's picture.
     pub noisy: Photo,
-    /// Without noise.
+    /// The picture without noise.
     pub clean: Photo,
-    /// Exact.
+    /// Exact disparity.
     pub delta: DisparityMap,
-    /// What a camera beside it sees, without noise.
-    pub beside: Photo,
-    /// Pixels of that which the camera itself does not see.
+    /// Exact side view, without noise.
+    pub side_view: Photo,
+    /// Pixels of the side view that the camera itself does not see.
     pub uncovered: Vec<bool>,
-    /// Exact disparity of that view.
-    pub beside_delta: DisparityMap,
+    /// Exact disparity of the side view.
+    pub side_delta: DisparityMap,
 }
 
 /// A sequence of frames.
@@ -80,91 +80,91 @@ pub struct Sequence {
     kind: Kind,
     frames: u32,
     scenes: [Scene; 2],
-    /// Of each scene, seen from the camera and from beside.
+    /// Each scene without the object, from the camera and from the side.
     still: Vec<[Picture; 2]>,
-    /// What the thing is painted with.
+    /// Texture of the object.
     paint: Photo,
     camera: Camera,
-    /// How far the camera beside is to the right, in units of the nearest distance.
-    aside: f64,
+    /// Offset of the side view to the right, in units of the nearest distance.
+    side_offset: f64,
 }
 
 impl Sequence {
-    /// `frames` frames of `size`, of scenes by their seed.
+    /// A sequence of `frames` frames of this size, with scenes from `seed` on.
     #[must_use]
-    pub fn new(kind: Kind, seed: u64, (width, height): (u32, u32), frames: u32, aside: f64) -> Self {
+    pub fn new(kind: Kind, seed: u64, (width, height): (u32, u32), frames: u32, side_offset: f64) -> Self {
         let scenes = [Scene::framed(seed, width, height), Scene::framed(seed + 1, width, height)];
         let camera = scenes[0].camera();
         let paint = Scene::framed(seed + 2, width, height);
         let paint = paint.render(&paint.camera(), 2).photo;
-        let mut sequence = Self { kind, frames, scenes, still: Vec::new(), paint, camera, aside };
+        let mut sequence = Self { kind, frames, scenes, still: Vec::new(), paint, camera, side_offset };
         if kind != Kind::Moving {
             sequence.still = (0..2).map(|i| sequence.seen(i, 0.0)).collect();
         }
         sequence
     }
 
-    /// What a camera sees of frame `n`, without noise, from a place given against that frame's own.
+    /// View of frame `n` without noise, from a camera offset from that frame's camera.
     #[must_use]
     pub fn view(&self, n: u32, (tx, ty): (f64, f64)) -> Photo {
         let mut picture = self.picture_from(self.scene(n), (self.camera_at(n) + tx, ty));
         if self.kind != Kind::Moving {
-            self.put_thing(n, (tx, ty), &mut picture);
+            self.paint_object(n, (tx, ty), &mut picture);
         }
         picture.photo
     }
 
-    /// The camera.
+    /// Intrinsics of the camera.
     #[must_use]
     pub const fn intrinsics(&self) -> Intrinsics {
         self.camera.intrinsics
     }
 
-    /// The pose of the camera beside, against the frame's own.
+    /// Pose of the side view, relative to the frame's camera.
     #[must_use]
-    pub fn beside(&self) -> Pose {
-        Pose::at(self.aside, 0.0, 0.0)
+    pub fn side_pose(&self) -> Pose {
+        Pose::at(self.side_offset, 0.0, 0.0)
     }
 
-    /// A scene from a camera `at` to the right, and from the one beside it. Each scene has its own unit of length; that of the first
-    /// camera is used for both, so that the second scene is seen by the same camera.
+    /// Renders a scene from a camera `at` to the right, and its side view. Each scene has its own unit of length; both use that of the
+    /// first, so that the same camera sees the second scene.
     fn seen(&self, scene: usize, at: f64) -> [Picture; 2] {
-        [at, at + self.aside].map(|tx| self.picture_from(scene, (tx, 0.0)))
+        [at, at + self.side_offset].map(|tx| self.picture_from(scene, (tx, 0.0)))
     }
 
     fn picture_from(&self, scene: usize, (tx, ty): (f64, f64)) -> Picture {
         self.scenes[scene].render(&Camera { pose: Pose::at(tx, ty, 0.0), ..self.camera }, 2)
     }
 
-    /// How far to the right the camera is in frame `n`.
+    /// Position of the camera in frame `n`, to the right.
     fn camera_at(&self, n: u32) -> f64 {
         if self.kind == Kind::Moving { 0.15 * (f64::from(n) / PERIOD * std::f64::consts::TAU).sin() } else { 0.0 }
     }
 
-    /// Frame `n`.
+    /// Renders frame `n`.
     #[must_use]
     pub fn shot(&self, n: u32) -> Shot {
         let moved;
-        let [here, beside] = if self.kind == Kind::Moving {
+        let [here, side] = if self.kind == Kind::Moving {
             moved = self.seen(0, self.camera_at(n));
             &moved
         } else {
             &self.still[self.scene(n)]
         };
-        let (mut clean, mut view) = (here.clone(), beside.clone());
+        let (mut clean, mut view) = (here.clone(), side.clone());
         if self.kind != Kind::Moving {
-            self.put_thing(n, (0.0, 0.0), &mut clean);
-            self.put_thing(n, (self.aside, 0.0), &mut view);
+            self.paint_object(n, (0.0, 0.0), &mut clean);
+            self.paint_object(n, (self.side_offset, 0.0), &mut view);
         }
         let mut noise = Noise::new(n);
         let rgb =
             clean.photo.rgb.iter().map(|p| p.map(|v| (f64::from(v) + NOISE * noise.next()).round().clamp(0.0, 255.0) as u8)).collect();
         let uncovered = self.uncovered(&clean.disparity, &view.disparity);
-        let (clean, delta, beside, beside_delta) = (clean.photo, clean.disparity, view.photo, view.disparity);
-        Shot { noisy: Photo { rgb, ..clean }, clean, delta, beside, uncovered, beside_delta }
+        let (clean, delta, side_view, side_delta) = (clean.photo, clean.disparity, view.photo, view.disparity);
+        Shot { noisy: Photo { rgb, ..clean }, clean, delta, side_view, uncovered, side_delta }
     }
 
-    /// What a camera that stands still would see in frame `n` were the thing not there; none where it moves.
+    /// Frame `n` without the object; `None` if the camera moves.
     #[must_use]
     pub fn plate(&self, n: u32) -> Option<&Picture> {
         (self.kind != Kind::Moving).then(|| &self.still[self.scene(n)][0])
@@ -174,33 +174,33 @@ impl Sequence {
         usize::from(self.kind == Kind::Cut && n >= self.frames / 2)
     }
 
-    /// The camera stands still from frame to frame up to `n`: what it saw at a pixel it would see there again.
+    /// Whether frame `n` shows the same scene from the same camera as the previous one, so that colours seen at a pixel remain valid.
     #[must_use]
-    pub fn stands(&self, n: u32) -> bool {
+    pub fn is_still(&self, n: u32) -> bool {
         self.kind != Kind::Moving && !(self.kind == Kind::Cut && n == self.frames / 2)
     }
 
-    /// Pixels of the view from beside that lie behind something for the camera itself, by what it sees `here`.
+    /// Pixels of the side view that are hidden from the camera, whose disparity is `here`.
     #[must_use]
-    pub fn uncovered(&self, here: &DisparityMap, beside: &DisparityMap) -> Vec<bool> {
-        let (w, shift) = (beside.width as usize, self.camera.intrinsics.fx * self.aside);
+    pub fn uncovered(&self, here: &DisparityMap, side: &DisparityMap) -> Vec<bool> {
+        let (w, shift) = (side.width as usize, self.camera.intrinsics.fx * self.side_offset);
         let hidden = |(i, delta): (usize, &f32)| {
-            // where the same point lies in the frame; both of its neighbours, as it lies between two
+            // position of the same point in the frame; check both neighbours, because it lies between two pixels
             let x = (i % w) as f64 + shift * f64::from(*delta);
             let row = &here.delta[i / w * w..][..w];
             let seen = |x: f64| row.get(x as usize).is_none_or(|d| d - delta < BEHIND);
             !seen(x.floor()) && !seen(x.ceil())
         };
-        beside.delta.iter().enumerate().map(hidden).collect()
+        side.delta.iter().enumerate().map(hidden).collect()
     }
 
-    /// Paints the thing, as a camera so far to the right and down sees it, over what lies behind it.
-    fn put_thing(&self, n: u32, (tx, ty): (f64, f64), picture: &mut Picture) {
+    /// Paints the object over a picture, as seen by a camera with this offset.
+    fn paint_object(&self, n: u32, (tx, ty): (f64, f64), picture: &mut Picture) {
         let (w, h) = (f64::from(self.camera.width), f64::from(self.camera.height));
         let turn = f64::from(n) / PERIOD * std::f64::consts::TAU;
-        // it sways as it goes
-        let left = w * (0.5 + 0.22 * turn.sin() + 0.01 * (5.0 * turn).sin()) - w * SIZE.0 / 2.0 - self.camera.intrinsics.fx * tx * THING;
-        let top = h * (1.0 - SIZE.1) - self.camera.intrinsics.fy * ty * THING;
+        // the object sways as it moves
+        let left = w * (0.5 + 0.22 * turn.sin() + 0.01 * (5.0 * turn).sin()) - w * SIZE.0 / 2.0 - self.camera.intrinsics.fx * tx * OBJECT;
+        let top = h * (1.0 - SIZE.1) - self.camera.intrinsics.fy * ty * OBJECT;
         for y in 0..self.camera.height {
             for x in 0..self.camera.width {
                 let i = (y * self.camera.width + x) as usize;
@@ -209,23 +209,23 @@ impl Sequence {
                     ((f64::from(x) + step(sx) - left) / (w * SIZE.0), (f64::from(y) + step(sy) - top) / (h * SIZE.1))
                 };
                 let inside = (0..SAMPLES * SAMPLES).filter(|s| outline(place(s % SAMPLES, s / SAMPLES))).count();
-                if inside == 0 || f64::from(picture.disparity.delta[i]) > THING {
+                if inside == 0 || f64::from(picture.disparity.delta[i]) > OBJECT {
                     continue;
                 }
                 let share = inside as f64 / f64::from(SAMPLES * SAMPLES);
-                // its paint moves with it, between pixels too
+                // the texture moves with the object at subpixel accuracy
                 let paint = self.painted(f64::from(x) + 0.5 - left, f64::from(y) + 0.5 - top);
                 for (to, from) in picture.photo.rgb[i].iter_mut().zip(paint) {
                     *to = (f64::from(*to) * (1.0 - share) + from * share).round() as u8;
                 }
                 if share >= 0.5 {
-                    picture.disparity.delta[i] = THING as f32;
+                    picture.disparity.delta[i] = OBJECT as f32;
                 }
             }
         }
     }
 
-    /// Bilinear.
+    /// Samples the object's texture bilinearly.
     fn painted(&self, x: f64, y: f64) -> [f64; 3] {
         let p = &self.paint;
         let (x, y) = ((x - 0.5).clamp(0.0, f64::from(p.width - 1)), (y - 0.5).clamp(0.0, f64::from(p.height - 1)));
@@ -239,41 +239,41 @@ impl Sequence {
 
 /// What the camera has seen of a sequence so far.
 #[derive(Debug, Default)]
-pub struct Seen {
-    /// Disparity of the farthest surface that was seen at each pixel.
+pub struct SeenSurfaces {
+    /// Disparity of the farthest surface seen at each pixel.
     farthest: Option<DisparityMap>,
 }
 
-impl Seen {
-    /// Takes frame `n`; gives the pixels of the view from beside that the camera does not see in it, and has seen before.
+impl SeenSurfaces {
+    /// Adds frame `n`. Returns the pixels of the side view that the camera does not see in this frame, but has seen before.
     #[must_use]
-    pub fn take(&mut self, sequence: &Sequence, n: u32, shot: &Shot) -> Vec<bool> {
-        let Some(farthest) = self.farthest.as_mut().filter(|_| sequence.stands(n)) else {
+    pub fn add(&mut self, sequence: &Sequence, n: u32, shot: &Shot) -> Vec<bool> {
+        let Some(farthest) = self.farthest.as_mut().filter(|_| sequence.is_still(n)) else {
             self.farthest = Some(shot.delta.clone());
             return vec![false; shot.uncovered.len()];
         };
         farthest.delta.iter_mut().zip(&shot.delta.delta).for_each(|(far, now)| *far = far.min(*now));
-        let never = sequence.uncovered(farthest, &shot.beside_delta);
+        let never = sequence.uncovered(farthest, &shot.side_delta);
         shot.uncovered.iter().zip(never).map(|(uncovered, never)| *uncovered && !never).collect()
     }
 }
 
-/// A head on shoulders, in a square of side 1.
+/// Whether a point is inside the outline of a head and shoulders, in the unit square.
 fn outline((x, y): (f64, f64)) -> bool {
     let ellipse = |cx: f64, cy: f64, rx: f64, ry: f64| ((x - cx) / rx).powi(2) + ((y - cy) / ry).powi(2) <= 1.0;
     ellipse(0.5, 0.2, 0.24, 0.2) || ellipse(0.5, 0.95, 0.5, 0.58)
 }
 
-/// Gaussian noise, the same for a frame each time.
+/// Gaussian noise, reproducible for each frame.
 struct Noise {
     state: u64,
-    /// The second of a pair (Box and Muller 1958).
-    kept: Option<f64>,
+    /// Second value of a pair (Box and Muller 1958).
+    spare: Option<f64>,
 }
 
 impl Noise {
     const fn new(frame: u32) -> Self {
-        Self { state: 0x9E37_79B9_7F4A_7C15 ^ (frame as u64) << 17, kept: None }
+        Self { state: 0x9E37_79B9_7F4A_7C15 ^ (frame as u64) << 17, spare: None }
     }
 
     fn unit(&mut self) -> f64 {
@@ -282,11 +282,11 @@ impl Noise {
     }
 
     fn next(&mut self) -> f64 {
-        if let Some(kept) = self.kept.take() {
-            return kept;
+        if let Some(spare) = self.spare.take() {
+            return spare;
         }
         let (r, turn) = ((-2.0 * self.unit().ln()).sqrt(), std::f64::consts::TAU * self.unit());
-        self.kept = Some(r * turn.sin());
+        self.spare = Some(r * turn.sin());
         r * turn.cos()
     }
 }
@@ -296,7 +296,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_has_the_deviation_that_it_says() {
+    fn noise_has_unit_variance() {
         let mut noise = Noise::new(3);
         let values: Vec<f64> = (0..20_000).map(|_| noise.next()).collect();
         let mean = values.iter().sum::<f64>() / 2e4;
@@ -305,26 +305,26 @@ mod tests {
     }
 
     #[test]
-    fn the_thing_moves_before_a_scene_that_stands_still_and_more_from_beside() {
+    fn the_object_moves_in_front_of_a_still_scene() {
         let s = Sequence::new(Kind::Still, 900_101, (160, 120), 60, 0.05);
         let (a, b) = (s.shot(0), s.shot(20));
         let same = a.clean.rgb.iter().zip(&b.clean.rgb).filter(|(a, b)| a == b).count();
         assert!(same > 160 * 120 / 3 && same < 160 * 120, "{same}");
         let first = |p: &Photo, q: &Photo| (0..160 * 120).find(|i| p.rgb[*i] != q.rgb[*i]);
         assert!(first(&a.clean, &b.clean).is_some());
-        let near = a.delta.delta.iter().filter(|d| (**d - THING as f32).abs() < 1e-6).count() as f64 / (160.0 * 120.0);
+        let near = a.delta.delta.iter().filter(|d| (**d - OBJECT as f32).abs() < 1e-6).count() as f64 / (160.0 * 120.0);
         assert!((0.08..0.2).contains(&near), "{near}");
-        assert_ne!(a.clean, a.beside);
+        assert_ne!(a.clean, a.side_view);
     }
 
     #[test]
-    fn what_the_thing_uncovers_was_mostly_seen_before_and_what_stands_still_hides_never_was() {
+    fn only_uncovered_pixels_can_be_seen_before() {
         let s = Sequence::new(Kind::Still, 900_101, (160, 120), 150, 0.03);
-        let mut seen = Seen::default();
+        let mut seen = SeenSurfaces::default();
         let counts: Vec<[usize; 2]> = (0..150)
             .map(|n| {
                 let shot = s.shot(n);
-                let again = seen.take(&s, n, &shot);
+                let again = seen.add(&s, n, &shot);
                 assert!(again.iter().zip(&shot.uncovered).all(|(again, uncovered)| !again || *uncovered), "frame {n}");
                 [&again, &shot.uncovered].map(|of| of.iter().filter(|p| **p).count())
             })
@@ -333,12 +333,12 @@ mod tests {
         let last: [usize; 2] = std::array::from_fn(|i| counts[75..].iter().map(|c| c[i]).sum());
         assert!(last[0] > 0 && last[0] < last[1], "{last:?}");
         let moving = Sequence::new(Kind::Moving, 900_101, (64, 48), 4, 0.03);
-        let mut seen = Seen::default();
-        assert!((0..4).all(|n| !seen.take(&moving, n, &moving.shot(n)).contains(&true)));
+        let mut seen = SeenSurfaces::default();
+        assert!((0..4).all(|n| !seen.add(&moving, n, &moving.shot(n)).contains(&true)));
     }
 
     #[test]
-    fn a_cut_is_in_the_middle() {
+    fn the_cut_is_in_the_middle() {
         let s = Sequence::new(Kind::Cut, 900_101, (64, 48), 10, 0.05);
         let far = |a: &Photo, b: &Photo| a.rgb.iter().zip(&b.rgb).filter(|(a, b)| a != b).count();
         let clean = |n| s.shot(n).clean;

@@ -1,4 +1,4 @@
-//! Each sequence at several sizes, bit rates and budgets: error against run time, and against bytes.
+//! Measures each sequence at several sizes, bit rates and budgets: error against run time and bytes.
 
 use std::fmt::Write;
 
@@ -7,53 +7,53 @@ use serde::Serialize;
 use super::{Figures, LiveBenchError, Settings, run};
 use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
 
-/// What differs from point to point.
+/// Settings of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct OperatingPoint {
     /// Size of the frames.
     pub size: (u32, u32),
-    /// Bits a second of H.264; none: JPEG frames.
+    /// H.264 bits per second; `None`: JPEG frames.
     pub bitrate: Option<u32>,
-    /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
+    /// Milliseconds that the geometry of a frame may take; 0: no limit.
     pub budget_ms: f64,
 }
 
-/// A sequence at one of them.
+/// A sequence at one operating point.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
-    /// Where.
+    /// The operating point.
     #[serde(flatten)]
     pub at: OperatingPoint,
-    /// What was measured.
+    /// Results.
     #[serde(flatten)]
     pub figures: Figures,
 }
 
-/// All sequences at all of them.
+/// All sequences at all operating points.
 #[derive(Clone, Debug, Serialize)]
 pub struct Points {
-    /// Where it was measured.
+    /// The machine.
     pub machine: Machine,
-    /// Frames of each sequence.
+    /// Frames per sequence.
     pub frames: u32,
-    /// The points, in the order in which they were asked for; of each, all sequences.
+    /// Results of all sequences for each point, in the given order of points.
     pub points: Vec<Point>,
-    /// What was left out, and why.
+    /// Skipped sequences, each with the reason.
     pub skipped: Vec<String>,
-    /// Seconds that all of it took.
+    /// Total time in seconds.
     pub seconds: f64,
 }
 
-/// Measures all sequences at each of the points; `told` is told of each. Pictures and streams are not written.
+/// Measures all sequences at each point, and calls `progress` for each. Writes no pictures or streams.
 ///
 /// # Errors
 /// [`LiveBenchError`].
-pub fn measure(settings: &Settings, at: &[OperatingPoint], told: &dyn Fn(&str)) -> Result<Points, LiveBenchError> {
+pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&str)) -> Result<Points, LiveBenchError> {
     let start = std::time::Instant::now();
     let (mut points, mut skipped) = (Vec::new(), Vec::new());
     for &at in at {
         let settings = Settings { size: at.size, bitrate: at.bitrate, frame_ms: at.budget_ms, files: None, ..settings.clone() };
-        let results = run(&settings, &|what| told(&format!("{what}, {at}")))?;
+        let results = run(&settings, &|what| progress(&format!("{what}, {at}")))?;
         points.extend(results.rows.into_iter().map(|figures| Point { at, figures }));
         skipped = results.skipped;
     }
@@ -61,7 +61,7 @@ pub fn measure(settings: &Settings, at: &[OperatingPoint], told: &dyn Fn(&str)) 
 }
 
 impl std::fmt::Display for OperatingPoint {
-    /// As it is asked for on the command line.
+    /// Formats the point as command-line options.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "--size {}x{}", self.size.0, self.size.1)?;
         match self.bitrate {
@@ -72,12 +72,12 @@ impl std::fmt::Display for OperatingPoint {
     }
 }
 
-/// Columns of the table: name, width, and what is in them.
+/// Column of the table: name, width, and contents.
 type Column = (&'static str, usize, fn(&Point) -> String);
 const COLUMNS: [Column; 14] = [
     ("sequence", 20, |p| p.figures.sequence.into()),
     ("size", 11, |p| format!("{}x{}", p.at.size.0, p.at.size.1)),
-    ("asked kbit/s", 13, |p| p.at.bitrate.map_or_else(|| "jpeg".into(), |b| format!("{}", b / 1000))),
+    ("target kbit/s", 14, |p| p.at.bitrate.map_or_else(|| "jpeg".into(), |b| format!("{}", b / 1000))),
     ("budget ms", 10, |p| if p.at.budget_ms > 0.0 { p.at.budget_ms.to_string() } else { "none".into() }),
     ("server ms", 10, |p| format!("{:.1}", p.figures.server_ms)),
     ("p95", 7, |p| format!("{:.1}", p.figures.server_ms_p95)),
@@ -86,20 +86,20 @@ const COLUMNS: [Column; 14] = [
     ("flicker", 8, |p| format!("{:.3}", p.figures.flicker)),
     ("kbit/s", 7, |p| format!("{:.0}", p.figures.kbit_s)),
     ("geometry", 9, |p| format!("{:.1} %", 100.0 * p.figures.geometry_share)),
-    ("left out", 9, |p| format!("{:.1} %", 100.0 * p.figures.left_out)),
+    ("unsent", 9, |p| format!("{:.1} %", 100.0 * p.figures.left_out)),
     ("late", 7, |p| format!("{:.1} %", 100.0 * (p.figures.waiting + p.figures.coarse))),
     ("depth px", 9, |p| format!("{:.0}", p.figures.depth_pixels)),
 ];
 
 impl Points {
-    /// A line for each point and sequence.
+    /// The results as a text table, with a line for each point and sequence.
     #[must_use]
     pub fn table(&self) -> String {
-        let mut out = format!("{} frames of each sequence; PSNR in dB, SSIM and flicker (levels) of the view from beside\n", self.frames);
+        let mut out = format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view\n", self.frames);
         let mut line = |of: &dyn Fn(&Column) -> String| {
             for (i, column) in COLUMNS.iter().enumerate() {
                 let width = column.1;
-                // a String takes everything
+                // writing to a String cannot fail
                 let _ = if i == 0 { write!(out, "{:<width$}", of(column)) } else { write!(out, "{:>width$}", of(column)) };
             }
             out.push('\n');
@@ -111,11 +111,11 @@ impl Points {
         out
     }
 
-    /// The same as a page with drawings: error against run time, and against bytes.
+    /// The results as a page with plots of error against run time and bytes.
     #[must_use]
     pub fn page(&self) -> String {
-        let about = "Views from beside the camera against the truth; means over the frames of one run of each sequence.";
-        let time = Axis { label: "server, ms a frame", log: true, up: Some(false) };
+        let about = "Side views against the truth; means over the frames of one run of each sequence.";
+        let time = Axis { label: "server, ms per frame", log: true, up: Some(false) };
         let bytes = Axis { label: "video, geometry and sound, kbit/s", log: true, up: Some(false) };
         let plot = |id, title: &str, x, of: fn(&Figures) -> f64| {
             let y = Axis { label: "PSNR, dB", log: false, up: Some(true) };
@@ -139,7 +139,7 @@ impl Points {
     }
 
     /// A curve for each sequence and size.
-    fn curves(&self, x: fn(&Figures) -> f64) -> Vec<Curve> {
+    pub(super) fn curves(&self, x: fn(&Figures) -> f64) -> Vec<Curve> {
         let mut curves: Vec<Curve> = Vec::new();
         for Point { at, figures: f } in &self.points {
             let name = format!("{}, {}x{}", f.sequence, at.size.0, at.size.1);
@@ -151,9 +151,9 @@ impl Points {
                     ("SSIM", f.ssim),
                     ("flicker, levels", f.flicker),
                     ("server, p95, ms", f.server_ms_p95),
-                    ("all, kbit/s", f.kbit_s),
+                    ("total, kbit/s", f.kbit_s),
                     ("geometry, %", 100.0 * f.geometry_share),
-                    ("tiles left out, %", 100.0 * f.left_out),
+                    ("tiles not sent, %", 100.0 * f.left_out),
                     ("tiles late, %", 100.0 * (f.waiting + f.coarse)),
                 ],
                 ..Plotted::default()
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_has_a_line_for_each_point_and_its_columns_do_not_touch() {
+    fn the_table_has_separate_lines_and_columns() {
         let table = points().table();
         let lines: Vec<&str> = table.lines().skip(1).collect();
         assert_eq!(lines.len(), 4);
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_draws_time_and_bytes_with_a_curve_for_each_size() {
+    fn the_page_plots_time_and_bytes_by_size() {
         let page = points().page();
         assert_eq!(page.matches("<svg").count(), 2);
         assert!(page.contains("still camera, 320x240") && page.contains("still camera, 640x240") && page.contains("cut: a &lt; b"));
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn all_sequences_are_measured_at_each_point() {
+    fn every_point_measures_the_sequences() {
         let models = tmpi_pipeline::Models {
             depth: std::sync::Arc::new(crate::oracle::OracleDepth(tmpi_core::DisparityMap { width: 0, height: 0, delta: Vec::new() })),
             theta: None,
@@ -224,16 +224,16 @@ mod tests {
             true_scale: false,
             max_error: tmpi_live::MAX_ERROR,
             parallax: 0.25,
-            rest: tmpi_live::REST,
+            cooldown: tmpi_live::COOLDOWN,
             late: 0,
             follow: tmpi_core::live::FOLLOWS,
-            settles: tmpi_live::SETTLES,
+            recheck: tmpi_live::RECHECK,
             only: None,
             files: None,
         };
         let at = |width, budget_ms| OperatingPoint { size: (width, 64), bitrate: None, budget_ms };
         let found = measure(&settings, &[at(80, 0.0), at(96, 1e-3)], &|_| {}).unwrap();
-        // without a depth network the sequence with measured depth alone
+        // without a depth network, only the sequence with measured depth runs
         assert_eq!(
             found.points.iter().map(|p| (p.at.size.0, p.figures.sequence)).collect::<Vec<_>>(),
             [(80, "still camera, RGB-D"), (96, "still camera, RGB-D")]

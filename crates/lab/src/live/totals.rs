@@ -1,4 +1,4 @@
-//! What is counted over the frames of a sequence.
+//! Accumulates results over the frames of a sequence.
 
 use tmpi_core::live::wire;
 use tmpi_core::{DisparityMap, Geometry, Photo};
@@ -9,13 +9,13 @@ use super::baseline::{AsJpeg, sound_bytes};
 use super::reader::Mean;
 use super::sequence::BEHIND;
 
-/// Pixels to both sides of an edge of the thing within which it may be shown.
+/// Pixels on both sides of the object's edge in which its shown edge may be.
 const EDGE: isize = 14;
 
-/// What is counted over the frames.
+/// Sums and means over the frames.
 #[derive(Default)]
 pub(super) struct Totals {
-    /// All tiles, those that are truly unchanged, those of them that were found to be, and those of them that nothing was sent of.
+    /// All tiles; truly unchanged ones; unchanged ones that were detected; unchanged ones that were not sent.
     tiles: usize,
     still: usize,
     found: usize,
@@ -26,21 +26,21 @@ pub(super) struct Totals {
     coarse: usize,
     depth_pixels: Mean,
     pub snapshots: Mean,
-    /// Chunks of a frame of which any was sent.
+    /// Number of chunks in frames with any.
     pub chunks: Mean,
     pub video_psnr: Mean,
     jpeg: [Mean; 3],
-    /// What each frame took on the server, in milliseconds.
+    /// Milliseconds of each frame on the server.
     pub clocks: Vec<f64>,
-    /// What each took a reader.
+    /// Milliseconds of each frame in the reader's layers.
     pub layers: Vec<f64>,
-    /// Of each the pixels inside of an edge of the thing that are shown behind it, and those outside that are shown in front.
+    /// For each frame, the pixels inside the object's edge that are shown as background, and those outside that are shown as object.
     torn: Vec<f64>,
     fringe: Mean,
 }
 
 impl Totals {
-    /// Counts the tiles of a frame; `truth` is that of the frame before and its own.
+    /// Counts the tiles of a frame; `truth` is the true previous frame and the true current one.
     pub fn count(&mut self, g: &Geometry, update: &Update, truth: Option<(&Photo, &Photo)>) {
         self.tiles += g.tiles.len();
         self.left_out += g.tiles.len() - update.sent.len();
@@ -57,14 +57,15 @@ impl Totals {
         }
     }
 
-    /// Counts the pixels that `g` shows on the wrong side of the left and right edge of the thing, along each row that crosses it; `truth` is the disparity of
-    /// the frame, and that without the thing. What is shown well inside and well outside of the edge is taken as it is: only where it changes counts.
+    /// Counts the pixels that `g` shows on the wrong side of the object's left and right edges, in each row that crosses the object.
+    /// `truth` and `plate` are the disparity with and without the object. The levels on both sides come from the shown surface, so only the
+    /// position of the edge counts.
     pub fn edges(&mut self, g: &Geometry, (truth, plate): (&DisparityMap, &DisparityMap)) {
         let (surface, width) = (g.surface(), truth.width as usize);
         let (mut count, mut torn, mut fringe) = (0.0, 0.0, 0.0);
         for ((shown, truth), plate) in surface.all().chunks(width).zip(truth.delta.chunks(width)).zip(plate.delta.chunks(width)) {
-            let thing = |x: &usize| truth[*x] - plate[*x] > BEHIND;
-            let (Some(first), Some(last)) = ((0..width).find(thing), (0..width).rev().find(thing)) else { continue };
+            let is_object = |x: &usize| truth[*x] - plate[*x] > BEHIND;
+            let (Some(first), Some(last)) = ((0..width).find(is_object), (0..width).rev().find(is_object)) else { continue };
             for (edge, step) in [(first as isize, 1), (last as isize, -1)] {
                 let at = |steps: isize| usize::try_from(edge + step * steps).ok().filter(|x| *x < width).map(|x| shown[x]);
                 let Some((inside, outside)) = at(EDGE - 1).zip(at(-EDGE)).filter(|(i, o)| i - o > BEHIND) else { continue };
@@ -82,13 +83,13 @@ impl Totals {
         }
     }
 
-    /// Counts a frame as JPEG.
+    /// Adds a frame encoded as JPEG.
     pub fn jpeg(&mut self, jpeg: AsJpeg) {
         let AsJpeg { quality, psnr, bytes } = jpeg;
         self.jpeg.iter_mut().zip([quality, psnr, bytes]).for_each(|(mean, value)| mean.add(value));
     }
 
-    /// Makes means of the sums over the frames, each of which stands for `every` of 30 a second.
+    /// Computes the means over all frames. Each frame stands for `every` frames at 30 frames a second.
     pub fn finish(mut self, f: &mut Figures, frames: u32, every: u32) {
         self.clocks.sort_by(f64::total_cmp);
         f.server_ms_most = self.clocks.last().copied().unwrap_or_default();
@@ -127,7 +128,7 @@ impl Totals {
     }
 }
 
-/// Counts what a message of geometry has.
+/// Adds the bytes and chunks of a geometry message.
 pub(super) fn add_bytes(f: &mut Figures, chunks: &mut Mean, message: &wire::Geometry) {
     if !message.chunks.is_empty() {
         chunks.add(message.chunks.len() as f64);
@@ -137,7 +138,7 @@ pub(super) fn add_bytes(f: &mut Figures, chunks: &mut Mean, message: &wire::Geom
     }
 }
 
-/// Adds what a stage took.
+/// Adds the times of a stage.
 pub(super) fn add(sums: &mut Vec<(String, f64, f64)>, name: &str, (ms, cpu): (f64, f64)) {
     match sums.iter_mut().find(|(n, ..)| n == name) {
         Some((_, sum, cpus)) => (*sum, *cpus) = (*sum + ms, *cpus + cpu),
@@ -145,7 +146,7 @@ pub(super) fn add(sums: &mut Vec<(String, f64, f64)>, name: &str, (ms, cpu): (f6
     }
 }
 
-/// True where two pictures are the same within a rectangle.
+/// Whether two pictures are equal in a rectangle.
 fn same(a: &Photo, b: &Photo, r: tmpi_core::Rect) -> bool {
     (r.y..r.y + r.h).all(|y| {
         let row = y as usize * a.width as usize + r.x as usize;

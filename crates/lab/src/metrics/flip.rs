@@ -1,19 +1,19 @@
-//! ꟻLIP: how much of a difference somebody sees who flips between two pictures.
+//! ꟻLIP: the difference that a viewer perceives when flipping between two pictures.
 //!
-//! Written from Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, *ꟻLIP: A Difference Evaluator for Alternating
-//! Images* (HPG 2020), in `f64`; all numbers are the paper's. Colours are filtered by the eye's contrast sensitivity and compared by
-//! the `HyAB` distance in CIELAB; differences of edges and points weigh them up.
+//! Implements Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, *ꟻLIP: A Difference Evaluator for Alternating
+//! Images* (HPG 2020), in `f64`, with the paper's constants. Colours are filtered by the eye's contrast sensitivity and compared by the
+//! `HyAB` distance in CIELAB; differences of edges and points amplify the result.
 
 use std::f64::consts::PI;
 
-/// Pixels a degree of a screen of 0.7 m and 3840 pixels seen from 0.7 m, as in the paper.
+/// Pixels per degree of a screen 0.7 m and 3840 pixels wide, seen from 0.7 m, as in the paper.
 pub const PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_26;
 
 /// Exponent of the colour difference.
 const QC: f64 = 0.7;
-/// Share of the largest colour difference up to which the rest of the range is linear.
+/// End of the linear range, as a fraction of the largest colour difference.
 const PC: f64 = 0.4;
-/// What a difference of that share becomes.
+/// Output at the end of the linear range.
 const PT: f64 = 0.95;
 /// Exponent of the feature difference.
 const QF: f64 = 0.5;
@@ -21,9 +21,9 @@ const QF: f64 = 0.5;
 const FEATURE_DEGREES: f64 = 0.082;
 /// Contrast sensitivity, `(a, b)` of each Gaussian `a √(π/b) e^{−π² x²/b}` with `x` in degrees: light–dark, red–green, blue–yellow.
 const SENSITIVITY: [&[(f64, f64)]; 3] = [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, 0.04), (13.5, 0.025)]];
-/// The widest of them, which gives all filters their size.
+/// Widest Gaussian, which determines the size of all filters.
 const WIDEST: f64 = 0.04;
-/// White of D65, the sum of the rows below.
+/// D65 white: the row sums of [`XYZ`].
 const WHITE: [f64; 3] = [0.950_428_545_377_181, 1.0, 1.088_900_370_798_128];
 /// Linear sRGB to XYZ (IEC 61966-2-1).
 const XYZ: [[f64; 3]; 3] = [
@@ -32,31 +32,31 @@ const XYZ: [[f64; 3]; 3] = [
     [1_425_312.0 / 73_733_382.0, 8_788_810.0 / 73_733_382.0, 70_074_185.0 / 73_733_382.0],
 ];
 
-/// Channels of a picture, row-major.
+/// Channels of a picture, in row-major order.
 type Channels = [Vec<f64>; 3];
 
-/// ꟻLIP of two sRGB pictures of `width` pixels a row, pixel by pixel, 0 (the same) to 1, seen at [`PIXELS_PER_DEGREE`].
+/// ꟻLIP of two sRGB pictures with `width` pixels per row, for each pixel, 0 (equal) to 1, at [`PIXELS_PER_DEGREE`].
 ///
 /// # Panics
-/// The pictures differ in size, or `width` does not divide it.
+/// Panics if the pictures differ in size, or `width` does not divide their length.
 #[must_use]
 pub fn flip_map(reference: &[[u8; 3]], test: &[[u8; 3]], width: usize) -> Vec<f64> {
-    assert!(reference.len() == test.len(), "two pictures of one size");
-    assert!(width > 0 && reference.len().is_multiple_of(width), "whole rows");
-    let seen = [reference, test].map(|picture| Seen::new(picture, width));
+    assert!(reference.len() == test.len(), "the pictures must have the same size");
+    assert!(width > 0 && reference.len().is_multiple_of(width), "the width must divide the number of pixels");
+    let seen = [reference, test].map(|picture| Perceived::new(picture, width));
     let most = hyab(hunt(&[0.0, 1.0, 0.0]), hunt(&[0.0, 0.0, 1.0])).powf(QC);
     (0..reference.len())
         .map(|i| {
             let colour = redistributed(hyab(seen[0].lab[i], seen[1].lab[i]).powf(QC), most);
             let apart = |kind: usize| (seen[0].features[kind][i] - seen[1].features[kind][i]).abs();
             let feature = (apart(0).max(apart(1)) / std::f64::consts::SQRT_2).powf(QF);
-            // of features that are alike the exponent is 1
+            // for equal features the exponent is 1
             colour.powf(1.0 - feature)
         })
         .collect()
 }
 
-/// Mean of [`flip_map`]; 0 for pictures without a pixel.
+/// Mean of [`flip_map`]; 0 for empty pictures.
 ///
 /// # Panics
 /// As [`flip_map`].
@@ -66,25 +66,25 @@ pub fn flip(reference: &[[u8; 3]], test: &[[u8; 3]], width: usize) -> f64 {
     map.iter().sum::<f64>() / map.len().max(1) as f64
 }
 
-/// The linear part of the range goes to 0..[`PT`], what is beyond it to the rest.
+/// Maps the linear range to 0..[`PT`], and larger errors to the rest.
 fn redistributed(error: f64, most: f64) -> f64 {
     let knee = PC * most;
     if error < knee { PT / knee * error } else { PT + (error - knee) / (most - knee) * (1.0 - PT) }
 }
 
-/// A picture as it is seen.
-struct Seen {
+/// A picture as the eye perceives it.
+struct Perceived {
     /// CIELAB after the eye's filters, adjusted by Hunt's effect.
     lab: Vec<[f64; 3]>,
     /// Strength of edges and of points.
     features: [Vec<f64>; 2],
 }
 
-impl Seen {
+impl Perceived {
     fn new(picture: &[[u8; 3]], width: usize) -> Self {
         let opponent: Vec<[f64; 3]> = picture.iter().map(|rgb| opponent(&rgb.map(linear))).collect();
         let channels: Channels = std::array::from_fn(|c| opponent.iter().map(|p| p[c]).collect());
-        let filtered: Channels = std::array::from_fn(|c| seen_channel(&channels[c], width, SENSITIVITY[c]));
+        let filtered: Channels = std::array::from_fn(|c| filter_channel(&channels[c], width, SENSITIVITY[c]));
         let lab = (0..picture.len())
             .map(|i| {
                 let linear = of_opponent(&[filtered[0][i], filtered[1][i], filtered[2][i]]);
@@ -96,14 +96,14 @@ impl Seen {
     }
 }
 
-/// One channel through the eye's filter: a sum of Gaussians, each of which is separable.
-fn seen_channel(channel: &[f64], width: usize, gaussians: &[(f64, f64)]) -> Vec<f64> {
+/// Applies the eye's filter to a channel: a sum of separable Gaussians.
+fn filter_channel(channel: &[f64], width: usize, gaussians: &[(f64, f64)]) -> Vec<f64> {
     let sigma = (WIDEST / (2.0 * PI * PI)).sqrt();
     let radius = (3.0 * sigma * PIXELS_PER_DEGREE).ceil() as i32;
     let kernels: Vec<Vec<f64>> = (gaussians.iter())
         .map(|&(_, b)| (-radius..=radius).map(|i| (-(PI * f64::from(i) / PIXELS_PER_DEGREE).powi(2) / b).exp()).collect())
         .collect();
-    // what each Gaussian weighs in the plane
+    // integral of each Gaussian over the plane
     let weight = |i: usize| gaussians[i].0 * (PI / gaussians[i].1).sqrt() * kernels[i].iter().sum::<f64>().powi(2);
     let total: f64 = (0..gaussians.len()).map(weight).sum();
     let mut out = vec![0.0; channel.len()];
@@ -116,7 +116,7 @@ fn seen_channel(channel: &[f64], width: usize, gaussians: &[(f64, f64)]) -> Vec<
     out
 }
 
-/// Lengths of the responses to edges and to points.
+/// Magnitudes of the responses to edges and to points.
 fn features(light: &[f64], width: usize) -> [Vec<f64>; 2] {
     let sigma = 0.5 * FEATURE_DEGREES * PIXELS_PER_DEGREE;
     let radius = (3.0 * sigma).ceil() as i32;
@@ -125,7 +125,7 @@ fn features(light: &[f64], width: usize) -> [Vec<f64>; 2] {
     let blur = scaled(&bell, 1.0 / bell.iter().sum::<f64>());
     let edge = balanced(places.iter().zip(&bell).map(|(x, g)| -x * g).collect());
     let point = balanced(places.iter().zip(&bell).map(|(x, g)| (x * x / (sigma * sigma) - 1.0) * g).collect());
-    // across the direction in question it is the bell
+    // perpendicular to the detector's direction, blur with the Gaussian
     let (blurred_along, blurred_down) = (along(light, width, &blur), down(light, width, &blur));
     [edge, point].map(|kernel| {
         let (x, y) = (along(&blurred_down, width, &kernel), down(&blurred_along, width, &kernel));
@@ -147,7 +147,7 @@ fn balanced(mut kernel: Vec<f64>) -> Vec<f64> {
     kernel
 }
 
-/// Correlates rows with `kernel`; beyond a border the last value goes on.
+/// Correlates rows with `kernel`; repeats the border values.
 fn along(values: &[f64], width: usize, kernel: &[f64]) -> Vec<f64> {
     let radius = kernel.len() / 2;
     let mut padded = vec![0.0; width + 2 * radius];
@@ -161,7 +161,7 @@ fn along(values: &[f64], width: usize, kernel: &[f64]) -> Vec<f64> {
     out
 }
 
-/// The same for columns.
+/// Correlates columns with `kernel`; repeats the border values.
 fn down(values: &[f64], width: usize, kernel: &[f64]) -> Vec<f64> {
     let (rows, radius) = (values.len() / width, kernel.len() / 2);
     let mut out = vec![0.0; values.len()];
@@ -207,7 +207,7 @@ fn of_opponent(v: &[f64; 3]) -> [f64; 3] {
     })
 }
 
-/// CIELAB of a linear colour; what is dark is less colourful (Hunt's effect).
+/// CIELAB of a linear colour, with less saturation in dark colours (Hunt effect).
 fn hunt(rgb: &[f64; 3]) -> [f64; 3] {
     const KNEE: f64 = 6.0 / 29.0;
     let f = |t: f64| if t > KNEE.powi(3) { t.cbrt() } else { t / (3.0 * KNEE * KNEE) + 4.0 / 29.0 };
@@ -216,7 +216,7 @@ fn hunt(rgb: &[f64; 3]) -> [f64; 3] {
     [l, 0.01 * l * 500.0 * (x - y), 0.01 * l * 200.0 * (y - z)]
 }
 
-/// Difference in lightness plus distance in colour, which holds for large differences too.
+/// Difference in lightness plus distance in chromaticity, which is also valid for large differences.
 fn hyab(p: [f64; 3], q: [f64; 3]) -> f64 {
     (p[0] - q[0]).abs() + (p[1] - q[1]).hypot(p[2] - q[2])
 }
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn the_white_is_that_of_the_matrix() {
+    fn white_matches_the_matrix() {
         for i in 0..3 {
             assert!((XYZ[i].iter().sum::<f64>() - WHITE[i]).abs() < 1e-12);
         }
@@ -241,31 +241,31 @@ mod tests {
     }
 
     #[test]
-    fn green_and_blue_are_as_far_apart_as_can_be() {
+    fn green_and_blue_have_the_maximum_difference() {
         let map = flip_map(&plain([0, 255, 0]), &plain([0, 0, 255]), 30);
         assert!(map.iter().all(|v| (v - 1.0).abs() < 1e-9), "{}", map[0]);
     }
 
     #[test]
-    fn plain_pictures_differ_as_their_colours_do() {
-        // black to white is 100 of HyAB, which is beyond the knee
+    fn plain_pictures_differ_by_their_colours() {
+        // black and white have a HyAB distance of 100, beyond the linear range
         let most = hyab(hunt(&[0.0, 1.0, 0.0]), hunt(&[0.0, 0.0, 1.0])).powf(QC);
         let want = redistributed(100f64.powf(QC), most);
         let map = flip_map(&plain([0; 3]), &plain([255; 3]), 30);
         assert!(want > PT && map.iter().all(|v| (v - want).abs() < 1e-9), "{} {want}", map[0]);
-        // a level of grey is not seen
+        // a single grey level is invisible
         assert!(flip(&plain([128; 3]), &plain([129; 3]), 30) < 0.03);
         assert!((redistributed(PC * most, most) - PT).abs() < 1e-12 && (redistributed(most, most) - 1.0).abs() < 1e-12);
     }
 
     #[test]
-    fn a_moved_edge_counts_more_than_the_same_levels_of_noise_far_from_it() {
+    fn moved_edges_count_and_fine_patterns_blur() {
         let (w, h) = (64, 64);
         let edge = |at: usize| (0..w * h).map(|i| if i % w < at { [30; 3] } else { [220; 3] }).collect::<Vec<[u8; 3]>>();
         let map = flip_map(&edge(32), &edge(34), w);
         let [near, far] = [map[32 * w + 33], map[32 * w + 4]];
         assert!(near > 0.5 && far < 1e-6, "{near} {far}");
-        // a fine pattern blurs to its mean and is seen less than what is plain
+        // a fine pattern blurs to its mean and is less visible than a plain difference
         let checks = (0..w * h).map(|i| if (i % w + i / w) % 2 == 0 { [118; 3] } else { [138; 3] }).collect::<Vec<_>>();
         let fine = flip(&vec![[128; 3]; w * h], &checks, w);
         let plain = flip(&vec![[128; 3]; w * h], &vec![[138; 3]; w * h], w);
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_come_back_from_the_opponent_space() {
+    fn opponent_colours_can_be_inverted() {
         for rgb in [[0.0, 0.0, 0.0], [1.0, 0.2, 0.7], [0.01, 1.0, 0.5]] {
             let back = of_opponent(&opponent(&rgb));
             assert!((0..3).all(|c| (back[c] - rgb[c]).abs() < 1e-12), "{back:?}");
@@ -284,7 +284,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
         #[test]
-        fn it_is_a_symmetric_share_and_zero_for_equals(
+        fn flip_is_symmetric_bounded_and_zero_for_equals(
             (w, h) in (1usize..24, 1usize..24), seed in any::<u32>(), step in 1u32..2000,
         ) {
             let mut state = seed;

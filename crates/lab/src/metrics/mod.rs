@@ -1,4 +1,4 @@
-//! Measures of pictures.
+//! Picture metrics.
 
 mod flip;
 mod ssim;

@@ -1,14 +1,14 @@
 //! Structural similarity of two pictures.
 
-/// Half the window: 11×11 pixels.
+/// Radius of the window of 11×11 pixels.
 const RADIUS: usize = 5;
 const SIGMA: f64 = 1.5;
-/// Stabilisers for values in 0 to 1: 0.01² and 0.03².
+/// Stabilising constants for values from 0 to 1: 0.01² and 0.03².
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 
-/// SSIM per pixel (11×11 Gaussian window of σ 1.5), mean of the three channels; borders are mirrored. Both pictures hold
-/// `width` pixels a row; an empty one gives an empty map.
+/// SSIM of each pixel (11×11 Gaussian window, σ 1.5), averaged over the three channels. Borders are mirrored. Both pictures have `width`
+/// pixels per row; the map of an empty picture is empty.
 ///
 /// Source: Wang et al., Image Quality Assessment: From Error Visibility to Structural Similarity, 2004.
 #[must_use]
@@ -36,7 +36,7 @@ pub fn ssim_map(a: &[[u8; 3]], b: &[[u8; 3]], width: usize) -> Vec<f32> {
     sum
 }
 
-/// Separable Gaussian; rows and columns are mirrored about their last pixel's centre.
+/// Separable Gaussian blur. Rows and columns are mirrored about the centre of their last pixel.
 fn blur(p: &[f64], width: usize, height: usize) -> Vec<f64> {
     let mut kernel = [0f64; 2 * RADIUS + 1];
     for (i, k) in kernel.iter_mut().enumerate() {
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_pictures_have_1_and_noise_lowers_it() {
+    fn equal_pictures_have_ssim_1_and_noise_lowers_it() {
         let a: Vec<[u8; 3]> = (0..40 * 30).map(|i: u32| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 90]).collect();
         assert!(ssim_map(&a, &a, 40).iter().all(|s| (s - 1.0).abs() < 1e-6));
         let noisy: Vec<[u8; 3]> = a.iter().enumerate().map(|(i, p)| p.map(|v| v.wrapping_add((i * 37 % 23) as u8))).collect();
@@ -80,9 +80,9 @@ mod tests {
         assert!(ssim_map(&[], &[], 0).is_empty());
     }
 
-    /// Two flat pictures: variance is 0, and the value follows by hand.
+    /// Flat pictures have variance 0, so SSIM has a closed form.
     #[test]
-    fn flat_pictures_by_hand() {
+    fn flat_pictures_match_the_closed_form() {
         let (a, b) = (vec![[51u8; 3]; 300], vec![[102u8; 3]; 300]);
         let want = (2.0 * 0.2 * 0.4 + C1) / (0.04 + 0.16 + C1);
         assert!(ssim_map(&a, &b, 20).iter().all(|s| (f64::from(*s) - want).abs() < 1e-6));

@@ -1,4 +1,4 @@
-//! Tree of bounding boxes over the bounded objects of a scene.
+//! Bounding volume hierarchy over the bounded objects of a scene.
 
 use super::math::V3;
 
@@ -13,7 +13,7 @@ impl Aabb {
         Self { low: self.low.min(o.low), high: self.high.max(o.high) }
     }
 
-    /// Distance along the ray to the box if it is met before `far`; `inv` is 1/direction.
+    /// Distance along the ray to the box, if the ray enters it before `far`; `inv` is 1/direction.
     fn entry(&self, o: V3, inv: V3, far: f64) -> Option<f64> {
         let a = (self.low - o).mul(inv);
         let b = (self.high - o).mul(inv);
@@ -27,9 +27,9 @@ impl Aabb {
 #[derive(Debug)]
 struct Node {
     bounds: Aabb,
-    /// Leaf: first item; inner node: index of the right child (the left one follows its parent).
+    /// Leaf: first item. Inner node: index of the right child; the left child follows its parent.
     first: u32,
-    /// Count of items; 0 marks an inner node.
+    /// Number of items; 0 marks an inner node.
     count: u32,
 }
 
@@ -77,10 +77,10 @@ impl Bvh {
         self.nodes[at].count = 0;
     }
 
-    /// Calls `hit(item, far)` for items whose box the ray meets before `far`; it returns the new `far`.
-    /// Stops when `far` becomes negative.
+    /// Calls `hit(item, far)` for each item whose box the ray enters before `far`; `hit` returns the new `far`. A negative value stops the
+    /// walk.
     pub fn walk(&self, o: V3, d: V3, mut far: f64, mut hit: impl FnMut(u32, f64) -> f64) {
-        // 1/0 is infinite and 0·∞ would be NaN, so a direction is never exactly 0
+        // avoids exact zeros: 1/0 is infinite, and 0·∞ would be NaN
         let inv = d.map(|v| 1.0 / if v.abs() < 1e-12 { 1e-12_f64.copysign(v) } else { v });
         let mut stack = [0u32; 64];
         let mut top = usize::from(!self.nodes.is_empty());

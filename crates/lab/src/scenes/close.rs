@@ -1,4 +1,4 @@
-//! Families of close scenes: heap, close-up, drape, foliage.
+//! Families of close-range scenes: heap, close-up, drape, foliage.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use super::texture::{Pattern, Texture, colour, hsv};
 const RIGHT: V3 = v3(1.0, 0.0, 0.0);
 const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
-/// A wall across the view at distance `d`, turned a little, with a picture-like or strong pattern.
+/// A slightly rotated wall across the view at distance `d`, with a quiet or strong pattern.
 fn backdrop(b: &mut Build, d: f64) {
     let pattern = if b.rng.chance(0.6) { b.rng.pick(&Pattern::STRONG) } else { b.rng.pick(&Pattern::QUIET) };
     let (g, t) = (b.w.group(), Texture::new(b.rng, pattern, d * b.rng.log_range(0.05, 0.5)));
@@ -22,7 +22,7 @@ fn backdrop(b: &mut Build, d: f64) {
     b.w.card(g, v3(0.0, 0.0, d), v3(turn.cos(), 0.0, turn.sin()), DOWN, (d * 5.0, d * 5.0), Outline::Full, t);
 }
 
-/// Toys, cushions, books and cones heaped on steps before a wall: busy from top to bottom, each thing a little nearer than its neighbour.
+/// Toys, cushions, books and cones heaped on steps in front of a wall: busy everywhere, with small depth differences between neighbours.
 pub(super) fn heap(b: &mut Build) {
     let d = b.rng.range(0.8, 2.5);
     backdrop(b, d);
@@ -80,7 +80,7 @@ fn toy(b: &mut Build, at: V3, s: f64) {
     }
 }
 
-/// A dish, or a few, filling the frame, with food on it and things behind it.
+/// One or more dishes with food that fill the frame, with objects behind them.
 pub(super) fn closeup(b: &mut Build) {
     let h = b.rng.log_range(0.2, 0.8);
     let (g, top) = (b.w.group(), Texture::any(b.rng, h * b.rng.log_range(0.1, 0.8)));
@@ -124,7 +124,7 @@ fn dish(b: &mut Build, at: V3, r: f64) {
     let tall = r * b.rng.log_range(0.03, 0.5);
     b.w.add(g, Frame::at(at - DOWN * (0.04 * r)), Shape::Cylinder(0.04 * r, r, r * 0.8), t.clone());
     if tall > 0.12 * r {
-        // the wall of a bowl, open above
+        // the wall of an open bowl
         for i in 0..3 {
             let y = tall * (f64::from(i) + 1.0) / 3.0;
             let f = Frame::along(at - DOWN * y, AHEAD);
@@ -153,7 +153,7 @@ fn dish(b: &mut Build, at: V3, r: f64) {
     }
 }
 
-/// Cloth over steps, tilted boards and large curved bodies: no ground, no upright things, relief of every direction.
+/// Cloth over steps, tilted boards and large curved bodies: no ground, no upright objects, slopes in all directions.
 pub(super) fn drape(b: &mut Build) {
     let half = b.rng.range(0.8, 2.5);
     let (seed, folds, angle) = (b.rng.next() as u32, b.rng.range(2.0, 9.0), b.rng.range(-3.1, 3.1));
@@ -166,7 +166,7 @@ pub(super) fn drape(b: &mut Build) {
         let lump = fbm(p * 2.0, 3, 0.0, seed ^ 9);
         step * (0.6 * ledge + 0.8 * lump) + swing * (along * folds).sin() * fbm(p * 2.0, 2, 0.0, seed ^ 7)
     });
-    // from lying through sloping to hanging
+    // from lying flat to hanging
     let tilt: f64 = b.rng.range(0.0, 1.7);
     let d = half * b.rng.range(0.7, 1.3);
     let axes = [RIGHT, v3(0.0, tilt.cos(), tilt.sin()), v3(0.0, -tilt.sin(), tilt.cos())];
@@ -190,7 +190,7 @@ pub(super) fn drape(b: &mut Build) {
     indoor_light(b, v3(b.rng.range(-1.5, 1.5), -1.5, -0.3) * half);
 }
 
-/// Leaves, flowers and twigs close by, a subject among them, bushes or the sky behind.
+/// Nearby leaves, flowers and twigs, a subject among them, and bushes or sky behind.
 pub(super) fn foliage(b: &mut Build) {
     daylight(b);
     let d = b.rng.log_range(0.4, 4.0);
@@ -218,7 +218,7 @@ pub(super) fn foliage(b: &mut Build) {
     look(b, V3::default(), b.rng.range(-15.0, 15.0), b.rng.range(-25.0, 20.0), b.rng.range(-8.0, 8.0));
 }
 
-/// A plant of size `s` growing from `root`: stems with flat leaves all round, flowers at some tips.
+/// A plant of size `s` at `root`: stems with flat leaves in all directions, and flowers at some tips.
 fn plant(b: &mut Build, root: V3, s: f64) {
     let g = b.w.group();
     let green = |b: &Build| hsv(b.rng.range(0.17, 0.38), b.rng.range(0.3, 0.85), b.rng.range(0.2, 0.75)).map(|c| c.powf(2.2));

@@ -1,4 +1,4 @@
-//! Which kinds of scene there are, and how often each comes.
+//! The families of scenes and their frequencies.
 
 use super::math::{Frame, Rng, V3};
 use super::objects::Build;
@@ -8,11 +8,11 @@ use tmpi_core::Pose;
 
 type Make = fn(&mut Build);
 
-/// How many families there are.
+/// Number of families.
 pub const FAMILY_COUNT: usize = 18;
 
-/// Name, share and maker. A quarter of all scenes has no vertical trend or a reversed one: most shelves, heaps, drapes, figures
-/// and floating things, rooms and streets seen upwards.
+/// Name, frequency and builder. A quarter of all scenes has no vertical depth trend, or a reversed one: most shelves, heaps, drapes,
+/// figures and floating objects, and rooms and streets seen upwards.
 const FAMILIES: [(&str, f64, Make); FAMILY_COUNT] = [
     ("room", 0.13, indoor::room),
     ("corridor", 0.03, places::corridor),
@@ -34,7 +34,7 @@ const FAMILIES: [(&str, f64, Make); FAMILY_COUNT] = [
     ("floating", 0.04, indoor::floating),
 ];
 
-/// A scene of a family drawn by its share; the field of view is 30 to 100 degrees.
+/// Builds a scene of a random family, with a field of view of 30 to 100 degrees.
 pub(super) fn compose(rng: &Rng) -> (&'static str, World) {
     let mut u = rng.unit() * FAMILIES.iter().map(|f| f.1).sum::<f64>();
     let mut chosen = FAMILIES[0];

@@ -1,4 +1,4 @@
-//! Families of close and indoor scenes: room, shelf, table, figures, floating things.
+//! Families of close-range and indoor scenes: room, shelf, table, figures, floating objects.
 
 use super::families::look;
 use super::math::{Frame, V3, v3};
@@ -11,7 +11,7 @@ use super::world::Light;
 const RIGHT: V3 = v3(1.0, 0.0, 0.0);
 const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
-/// A room seen from anywhere inside, at any yaw.
+/// A room, seen from a random position inside at any yaw.
 pub(super) fn room(b: &mut Build) {
     let (hx, hz) = (b.rng.log_range(1.5, 6.0), b.rng.log_range(1.5, 6.0));
     let h = b.rng.log_range(2.2, 3.4) * if b.rng.chance(0.1) { 2.0 } else { 1.0 };
@@ -175,7 +175,7 @@ fn furnish(b: &mut Build, p: V3, h: f64, hx: f64, hz: f64) {
     }
 }
 
-/// Close-up of a shelf or a wall with things on it and strong patterns.
+/// Close-up of a shelf or a wall with objects and strong patterns.
 pub(super) fn shelf(b: &mut Build) {
     let d = b.rng.range(0.5, 2.0);
     let (g, wide) = (b.w.group(), d * 4.0);
@@ -191,7 +191,7 @@ pub(super) fn shelf(b: &mut Build) {
     look(b, v3(b.rng.range(-0.3, 0.3), 0.0, 0.0), yaw * 0.6, pitch * 0.6, roll);
     let rows = b.rng.int(1, 4);
     if b.rng.chance(0.55) {
-        // a board or a floor that the things stand on
+        // a board or a floor below the objects
         let (g, y) = (b.w.group(), b.rng.range(0.25, 0.55) * d);
         let board = Texture::any(b.rng, 0.15 * d);
         b.w.add(g, Frame::at(v3(0.0, y, 0.0)), Shape::Plane, board);
@@ -250,7 +250,7 @@ pub(super) fn indoor_light(b: &mut Build, at: V3) {
     b.w.ambient = warm * b.rng.range(0.25, 0.8);
 }
 
-/// A laid table seen steeply from above.
+/// A laid table, usually seen steeply from above.
 pub(super) fn table(b: &mut Build) {
     let h = b.rng.log_range(0.3, 1.2);
     let g = b.w.group();
@@ -314,7 +314,7 @@ pub(super) fn table(b: &mut Build) {
     indoor_light(b, v3(b.rng.range(-2.0, 2.0), -2.0, b.rng.range(-1.0, 2.0)));
 }
 
-/// One to four subjects before a background, floating or cut by the frame.
+/// One to four subjects in front of a background, floating or cut by the frame.
 pub(super) fn figures(b: &mut Build) {
     look(b, V3::default(), b.rng.range(-10.0, 10.0), b.rng.range(-14.0, 14.0), b.rng.range(-6.0, 6.0));
     let far = b.rng.log_range(2.5, 30.0);
@@ -331,7 +331,7 @@ pub(super) fn figures(b: &mut Build) {
     ]);
     let scale = far * b.rng.log_range(0.05, 1.0);
     let back = Texture::new(b.rng, pattern, scale);
-    // as wide as the view, or wider, at that distance
+    // at least as wide as the view at that distance
     let back = b.rng.backdrop().map_or(back, |picture| {
         let view = 2.0 * far * (b.w.fov.to_radians() * 0.5).tan();
         Texture::picture(b.rng, picture, view * b.rng.range(1.0, 1.6))
@@ -395,7 +395,7 @@ pub(super) fn body(b: &mut Build, at: V3, s: f64) {
     }
 }
 
-/// Primitives without gravity before a slanted background.
+/// Floating primitives in front of a slanted background.
 pub(super) fn floating(b: &mut Build) {
     look(b, V3::default(), 0.0, 0.0, 0.0);
     let far = b.rng.log_range(2.0, 10.0);

@@ -1,4 +1,4 @@
-//! Scenes within a furnished model: a house, a shop, a hall.
+//! Scenes inside a furnished model: a house, a shop, a hall.
 
 use super::families::look;
 use super::math::{Frame, V3, v3};
@@ -7,14 +7,14 @@ use super::shape::Shape;
 use super::texture::Texture;
 use super::world::Light;
 
-/// The family's name.
+/// Name of the family.
 pub(super) const NAME: &str = "inside";
-/// Share of scenes, where there are such models.
+/// Fraction of scenes, if there are furnished models.
 const SHARE: f64 = 0.12;
-/// Metres from the camera to the nearest thing, at least.
-const FREE: f64 = 0.5;
+/// Minimum distance from the camera to the nearest surface, in metres.
+const CLEARANCE: f64 = 0.5;
 
-/// Makes one, sometimes; false where it made nothing.
+/// Sometimes builds such a scene; returns whether it did.
 pub(super) fn inside(b: &mut Build) -> bool {
     let Some(model) = b.rng.models().furnished(b.rng, SHARE) else { return false };
     let [wide, tall, deep] = model.size();
@@ -26,10 +26,10 @@ pub(super) fn inside(b: &mut Build) -> bool {
         let within = |size: f64| b.rng.range(-0.4, 0.4) * size;
         v3(within(wide), -b.rng.range(low, high), within(deep))
     };
-    let stuck = |at: V3, d: V3| model.parts.iter().any(|p| p.hit(at, d, 0.0, FREE).is_some());
-    let ways = [v3(1.0, 0.0, 0.0), v3(0.0, 1.0, 0.0), v3(0.0, 0.0, 1.0)];
-    let is_free = |at: V3| ways.iter().all(|d| !stuck(at, *d) && !stuck(at, -*d));
-    // a place that is not free shows in the picture, which is then refused
+    let stuck = |at: V3, d: V3| model.parts.iter().any(|p| p.hit(at, d, 0.0, CLEARANCE).is_some());
+    let axes = [v3(1.0, 0.0, 0.0), v3(0.0, 1.0, 0.0), v3(0.0, 0.0, 1.0)];
+    let is_free = |at: V3| axes.iter().all(|d| !stuck(at, *d) && !stuck(at, -*d));
+    // if no position is free, the picture shows it, and the scene is rejected
     let eye = (0..32).map(|_| place(b, 0.9, 2.0)).find(|at| is_free(*at)).unwrap_or(v3(0.0, -1.5, 0.0));
     for _ in 0..b.rng.int(2, 4) {
         let lamp = eye + v3(b.rng.range(-4.0, 4.0), -b.rng.range(0.3, 1.2).min((tall - 2.0).max(0.3)), b.rng.range(-4.0, 4.0));

@@ -91,7 +91,7 @@ impl V3 {
     }
 }
 
-/// Orthonormal frame: local x, y, z axes in the world, and the origin.
+/// Orthonormal frame: origin, and local x, y and z axes in world coordinates.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame {
     pub origin: V3,
@@ -103,18 +103,18 @@ impl Frame {
         Self { origin, axes: [v3(1.0, 0.0, 0.0), v3(0.0, 1.0, 0.0), v3(0.0, 0.0, 1.0)] }
     }
 
-    /// Axes are the columns of `m`.
+    /// A frame whose axes are the columns of `m`.
     pub fn turned(origin: V3, m: &Mat3) -> Self {
         Self { origin, axes: std::array::from_fn(|j| v3(m[0][j], m[1][j], m[2][j])) }
     }
 
-    /// Turned about the vertical by `radians`.
+    /// A frame rotated about the vertical by `radians`.
     pub fn yaw(origin: V3, radians: f64) -> Self {
         let (s, c) = radians.sin_cos();
         Self { origin, axes: [v3(c, 0.0, -s), v3(0.0, 1.0, 0.0), v3(s, 0.0, c)] }
     }
 
-    /// Local y axis along `axis`, the others anyhow.
+    /// A frame whose y axis is along `axis`; the other axes are arbitrary.
     pub fn along(origin: V3, axis: V3) -> Self {
         let y = axis.unit();
         let helper = if y.x.abs() < 0.8 { v3(1.0, 0.0, 0.0) } else { v3(0.0, 0.0, 1.0) };
@@ -139,8 +139,8 @@ impl Frame {
     }
 }
 
-/// `SplitMix64`: small, and the same on every machine. A cell inside, so that draws may nest in the arguments of a call.
-/// Carries what a scene may be made of, because every draw of a texture or a thing needs both.
+/// `SplitMix64`: small, and the same on every machine. The state is a cell, so that calls may nest in arguments. The generator carries the
+/// assets, because most random choices of textures and objects need both.
 #[derive(Debug)]
 pub(super) struct Rng {
     state: Cell<u64>,
@@ -159,13 +159,13 @@ impl Rng {
         r
     }
 
-    /// A piece of a picture, where there are pictures.
+    /// A random piece of a picture, if there are pictures.
     pub fn patch(&self) -> Option<Patch> {
         let of = &self.assets.pictures.0;
         (!of.is_empty()).then(|| Patch::cut(&of[(self.next() % of.len() as u64) as usize], self))
     }
 
-    /// All of a picture, for every other of those who ask where there are pictures; who asks where there are none draws nothing.
+    /// A whole picture in every other call, if there are pictures. Without pictures, does not advance the generator.
     pub fn backdrop(&self) -> Option<Patch> {
         let of = &self.assets.pictures.0;
         (!of.is_empty() && self.chance(0.5)).then(|| Patch::whole(&of[(self.next() % of.len() as u64) as usize]))
@@ -180,7 +180,7 @@ impl Rng {
         mix(self.state.get())
     }
 
-    /// In [0, 1).
+    /// Uniform in [0, 1).
     pub fn unit(&self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
@@ -189,12 +189,12 @@ impl Rng {
         a + (b - a) * self.unit()
     }
 
-    /// Evenly in the logarithm; both positive.
+    /// Uniform in the logarithm; `a` and `b` are positive.
     pub fn log_range(&self, a: f64, b: f64) -> f64 {
         self.range(a.ln(), b.ln()).exp()
     }
 
-    /// In `a..=b`.
+    /// Uniform in `a..=b`.
     pub fn int(&self, a: u32, b: u32) -> u32 {
         a + (self.next() % u64::from(b - a + 1)) as u32
     }
@@ -203,7 +203,7 @@ impl Rng {
         self.unit() < p
     }
 
-    /// One of `items`, which is not empty.
+    /// A random element of `items`, which must not be empty.
     pub fn pick<T: Copy>(&self, items: &[T]) -> T {
         items[(self.next() % items.len() as u64) as usize]
     }
@@ -212,7 +212,7 @@ impl Rng {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// Uniform rotation-ish: yaw, pitch and roll all round.
+    /// A random rotation with uniform yaw, pitch and roll; not uniform over all rotations.
     pub fn rotation(&self) -> Mat3 {
         let angle = || self.range(-180.0, 180.0);
         tmpi_core::Pose { yaw: angle(), pitch: angle(), roll: angle(), ..Default::default() }.orientation()
@@ -251,7 +251,7 @@ pub(super) fn noise(p: V3, seed: u32) -> f64 {
     a + (b - a) * s.z
 }
 
-/// Sum of noise octaves, in [0, 1]; octaves finer than `width` are left at their mean, so far surfaces do not alias.
+/// Sum of noise octaves, in [0, 1]. Octaves finer than `width` are replaced by their mean, to avoid aliasing on far surfaces.
 pub(super) fn fbm(p: V3, octaves: u32, width: f64, seed: u32) -> f64 {
     let (mut sum, mut total, mut amplitude, mut frequency) = (0.0, 0.0, 0.5, 1.0);
     for o in 0..octaves {

@@ -1,7 +1,7 @@
-//! Rendered scenes with exact disparity, exact second views and the exact surface hidden behind the first.
+//! Rendered scenes with exact disparity, exact second views and the exact surface behind the visible one.
 //!
-//! A scene is a function of its seed alone. It is a small ray tracer over analytic primitives, so that disparity is exact to
-//! rounding, not to a mesh; training, benchmarks and the stability suite take their ground truth from here.
+//! A seed determines a scene completely. A small ray tracer renders analytic primitives, so that disparity is exact up to rounding, without
+//! the error of a mesh. Training, benchmarks and the stress tests take their ground truth from here.
 
 mod bvh;
 mod close;
@@ -30,15 +30,15 @@ pub use families::FAMILY_COUNT;
 pub use model::{FARTHEST, MAX_TEXELS, MAX_TRIANGLES, Model, ModelError, Models, Up};
 pub use picture::Pictures;
 
-/// Nothing nearer than this many metres is seen; families keep things farther away.
+/// Near plane in metres; families keep objects farther away.
 const NEAR: f64 = 1e-4;
 
-/// What scenes may be made of beside what is drawn for them; nothing by default.
+/// Optional pictures and models for scenes; none by default.
 #[derive(Clone, Debug, Default)]
 pub struct Assets {
-    /// About half of all textures are cut from these, and every other scene of figures is set before a whole one.
+    /// About half of all textures are cut from these, and half of the scenes of figures have a whole one as the backdrop.
     pub pictures: Pictures,
-    /// About half of the things that one of these is as large as are replaced by it, and now and then one is what the camera stands in.
+    /// About half of the objects of similar size are replaced by these, and some scenes take place inside one.
     pub models: Models,
 }
 
@@ -59,7 +59,7 @@ pub struct Scene {
 /// A picture of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
-    /// Colours, antialiased.
+    /// Antialiased colours.
     pub photo: Photo,
     /// Disparity at the pixel centres, in units of the reference camera's nearest distance; 0 is the sky.
     pub disparity: DisparityMap,
@@ -72,7 +72,7 @@ struct Rays {
 }
 
 impl Rays {
-    /// Direction of depth 1 through a point of the picture, so that the length along the ray is depth.
+    /// Direction through a point of the picture, with depth 1, so that the ray parameter is the depth.
     fn direction(&self, x: f64, y: f64) -> V3 {
         let k = &self.intrinsics;
         let [right, down, ahead] = self.axes;
@@ -94,7 +94,7 @@ impl Scene {
         Self::of(seed, width, height, &Assets::default())
     }
 
-    /// Like [`Self::framed`], made of pictures and models.
+    /// Like [`Self::framed`], with pictures and models.
     #[must_use]
     pub fn of(seed: u64, width: u32, height: u32, assets: &Assets) -> Self {
         let size = (width.max(1), height.max(1));
@@ -110,27 +110,27 @@ impl Scene {
             }
             last = Some(scene);
         }
-        // never seen in practice: every attempt was an empty or a flat picture
+        // does not happen in practice: all attempts gave empty or flat pictures
         let mut scene =
             last.unwrap_or_else(|| Self { seed, family: "empty", world: World::new(&Rng::with(seed, assets)), unit: 1.0, size });
         scene.unit = scene.nearest();
         scene
     }
 
-    /// The seed that it was made from.
+    /// The scene's seed.
     #[must_use]
     pub fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// The kind of scene: `room`, `corridor`, `lounge`, `kitchen`, `street`, `field`, `water`, `terrain`, `crowd`, `thin`, `foliage`, `shelf`, `heap`,
-    /// `table`, `closeup`, `drape`, `figures` or `floating`; with models also `inside`.
+    /// The scene's family: `room`, `corridor`, `lounge`, `kitchen`, `street`, `field`, `water`, `terrain`, `crowd`, `thin`, `foliage`,
+    /// `shelf`, `heap`, `table`, `closeup`, `drape`, `figures` or `floating`; with models also `inside`.
     #[must_use]
     pub fn family(&self) -> &'static str {
         self.family
     }
 
-    /// The reference camera at the size that the scene was made for.
+    /// The reference camera, at the size that the scene is scaled for.
     #[must_use]
     pub fn camera(&self) -> Camera {
         let (width, height) = self.size;
@@ -147,7 +147,7 @@ impl Scene {
         Rays { origin: eye.point_out(place), axes: [column(0), column(1), column(2)], intrinsics: camera.intrinsics }
     }
 
-    /// Least depth over all pixel centres of the reference picture.
+    /// Minimum depth over all pixel centres of the reference picture.
     fn nearest(&self) -> f64 {
         let camera = self.camera();
         let rays = self.rays(&camera);
@@ -164,7 +164,7 @@ impl Scene {
         if near.is_finite() { near } else { 1.0 }
     }
 
-    /// Sets the exposure from a coarse picture; false where the picture is nearly flat or one tip of a thing fills the range.
+    /// Sets the exposure from a coarse picture. Returns false if the picture is nearly flat, or if a single tip spans the range of depth.
     fn expose(&mut self, rng: &Rng) -> bool {
         const N: u32 = 36;
         let camera = self.camera();
@@ -186,23 +186,23 @@ impl Scene {
         let target = rng.range(0.12, 0.32);
         self.world.exposure = (target / middle.max(1e-4)).min(3.0 / bright.max(1e-4));
         let top = share(&delta, 1.0);
-        // most photographs show several things; a bare wall or field comes now and then
-        let things = seen.values().filter(|&&n| n >= 5).count();
-        if things < 4 && !rng.chance(if things < 3 { 0.02 } else { 0.3 }) {
+        // most photographs show several objects; a bare wall or field is rare
+        let objects = seen.values().filter(|&&n| n >= 5).count();
+        if objects < 4 && !rng.chance(if objects < 3 { 0.02 } else { 0.3 }) {
             return false;
         }
         top > 0.0 && 1.0 / top > 0.12 && share(&delta, 0.97) > 0.45 * top && share(&delta, 0.97) - share(&delta, 0.05) > 0.12 * top
     }
 
-    /// Renders the scene for a camera, with up to `supersampling`² colour samples in a pixel where it shows an edge.
+    /// Renders the scene for a camera, with up to `supersampling`² colour samples per pixel at edges.
     #[must_use]
     pub fn render(&self, camera: &Camera, supersampling: u32) -> Picture {
         self.draw(camera, supersampling, false, |o, d| self.world.trace(o, d, NEAR, 0))
     }
 
-    /// Renders what lies behind the first thing along each ray: the second surface that belongs to another thing.
-    /// Where the first ray meets the sky or nothing lies behind, colour and disparity are those of the sky. A pixel's colour is
-    /// that of the one thing at its centre: what lies behind a silhouette has nothing to do with what lies behind the pixel beside it.
+    /// Renders the surface behind the visible one: along each ray, the first surface of another object. If the ray hits the sky, or there
+    /// is nothing behind, colour and disparity are those of the sky. Only samples of the object at the pixel's centre count, because
+    /// surfaces behind both sides of a silhouette are unrelated.
     #[must_use]
     pub fn hidden(&self, camera: &Camera, supersampling: u32) -> Picture {
         self.draw(camera, supersampling, true, |o, d| {
@@ -211,7 +211,7 @@ impl Scene {
         })
     }
 
-    /// `apart`: samples of other things than the one at a pixel's centre do not count.
+    /// `apart`: ignores samples of objects other than the one at the pixel's centre.
     fn draw(&self, camera: &Camera, supersampling: u32, apart: bool, trace: impl Fn(V3, V3) -> Option<Hit> + Sync) -> Picture {
         let rays = self.rays(camera);
         let (w, h) = (camera.width as usize, camera.height as usize);

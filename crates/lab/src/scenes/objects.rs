@@ -1,4 +1,4 @@
-//! Compound things that families place: people, trees, furniture, vessels, cars, fences.
+//! Compound objects for scenes: people, trees, furniture, vessels, cars, fences.
 
 use super::math::{Frame, Rng, V3, v3};
 use super::outline::Outline;
@@ -18,16 +18,16 @@ impl Build<'_> {
         self.w.add(g, Frame::at(centre), Shape::Ellipsoid(r), t);
     }
 
-    /// Box in a frame whose origin is the middle of the thing's footprint.
+    /// A box in a frame whose origin is the centre of the object's footprint.
     fn slab(&mut self, g: u32, f: &Frame, at: V3, half: V3, t: &Texture) {
         let frame = Frame { origin: f.point_out(at), axes: f.axes };
         self.w.add(g, frame, Shape::Cuboid(half), t.clone());
     }
 
-    /// A model about as large as a thing of `size` metres in its place, standing at `at`: sometimes, where there are models. False where the thing
-    /// is to be made.
-    pub fn stand_in(&mut self, at: V3, size: f64, yaw: f64) -> bool {
-        let Some(model) = self.rng.models().like(self.rng, size) else { return false };
+    /// Sometimes places a model of similar size instead of an object of `size` metres at `at`, if there are models. Returns whether it did;
+    /// otherwise the caller builds the object.
+    pub fn place_model(&mut self, at: V3, size: f64, yaw: f64) -> bool {
+        let Some(model) = self.rng.models().similar(self.rng, size) else { return false };
         let (g, turned) = (self.w.group(), yaw + f64::from(self.rng.int(0, 3)) * std::f64::consts::FRAC_PI_2);
         let (scale, surface) = (self.rng.range(0.85, 1.15), Texture::plain(self.rng, v3(1.0, 1.0, 1.0)).glossy(0.1));
         for part in model.parts.iter() {
@@ -52,9 +52,9 @@ impl Build<'_> {
         }
     }
 
-    /// A person of ellipsoids and bars, feet at `at`.
+    /// A person made of ellipsoids and bars, with feet at `at`.
     pub fn person(&mut self, at: V3, height: f64, yaw: f64) {
-        if self.stand_in(at, height, yaw) {
+        if self.place_model(at, height, yaw) {
             return;
         }
         let g = self.w.group();
@@ -90,7 +90,7 @@ impl Build<'_> {
         }
     }
 
-    /// A flat figure standing at `at`, seen by `toward` (unit, horizontal), `height` metres high.
+    /// A flat figure at `at` that roughly faces the direction `toward` (unit, horizontal), `height` metres high.
     pub fn cutout(&mut self, at: V3, height: f64, toward: V3, outline: Outline, aspect: f64) {
         let g = self.w.group();
         let yaw = self.rng.range(-0.6, 0.6);
@@ -139,7 +139,7 @@ impl Build<'_> {
         }
     }
 
-    /// Bare twigs that fork `depth` times; `span` runs along the first one.
+    /// Bare twigs that fork `depth` times; `span` is the first one.
     pub fn twigs(&mut self, g: u32, from: V3, span: V3, radius: f64, depth: u32, bark: &Texture) {
         let to = from + span;
         let (length, along) = (span.norm(), span.unit());
@@ -156,7 +156,7 @@ impl Build<'_> {
     }
 
     pub fn table(&mut self, at: V3, yaw: f64) {
-        if self.stand_in(at, 1.2, yaw) {
+        if self.place_model(at, 1.2, yaw) {
             return;
         }
         let (f, g) = (Frame::yaw(at, yaw), self.w.group());
@@ -212,7 +212,7 @@ impl Build<'_> {
         }
     }
 
-    /// A cupboard or an open shelf with books, its back at `at` and its front towards local −z.
+    /// A cupboard or an open shelf with books; its back is at `at`, and its front faces local −z.
     pub fn shelf(&mut self, at: V3, yaw: f64, half_width: f64, height: f64, boards: u32) {
         let (f, g) = (Frame::yaw(at, yaw), self.w.group());
         let t = Texture::any(self.rng, 0.4);
@@ -251,9 +251,9 @@ impl Build<'_> {
         }
     }
 
-    /// A cup, bottle, plate, bowl, box, fruit or lamp standing at `at`.
+    /// A cup, bottle, plate, bowl, box, fruit or potted plant at `at`.
     pub fn vessel(&mut self, at: V3, s: f64) {
-        if self.stand_in(at, 0.2 * s, 0.0) {
+        if self.place_model(at, 0.2 * s, 0.0) {
             return;
         }
         let g = self.w.group();
@@ -310,7 +310,7 @@ impl Build<'_> {
     }
 
     pub fn car(&mut self, at: V3, yaw: f64) {
-        if self.stand_in(at, 4.4, yaw) {
+        if self.place_model(at, 4.4, yaw) {
             return;
         }
         let (f, g) = (Frame::yaw(at, yaw), self.w.group());

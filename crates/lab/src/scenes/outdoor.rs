@@ -13,7 +13,7 @@ use super::world::Light;
 
 const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
-/// Sun, sky and haze of a time of day.
+/// Sets sun, sky and haze for a random time of day.
 pub(super) fn daylight(b: &mut Build) {
     let low = b.rng.chance(0.25);
     let up = if low { b.rng.range(0.05, 0.35) } else { b.rng.range(0.4, 1.5) };
@@ -90,7 +90,7 @@ pub(super) fn street(b: &mut Build) {
                 continue;
             }
             let house = v3(side * (half + walk + 8.0 + deep), 0.0, z + long * 0.5);
-            if b.stand_in(house, long.max(tall), 0.0) {
+            if b.place_model(house, long.max(tall), 0.0) {
                 z += long + 4.0;
                 continue;
             }
@@ -109,7 +109,7 @@ pub(super) fn street(b: &mut Build) {
         }
     }
     if b.rng.chance(0.4) {
-        // the street ends at a building
+        // a building at the end of the street
         let (g, t) = (b.w.group(), Texture::new(b.rng, Pattern::Windows, 3.0));
         let tall = b.rng.range(6.0, 20.0);
         b.w.add(g, Frame::at(v3(0.0, -tall * 0.5, b.rng.range(30.0, 80.0))), Shape::Cuboid(v3(20.0, tall * 0.5, 4.0)), t);
@@ -135,7 +135,7 @@ pub(super) fn street(b: &mut Build) {
     }
 }
 
-/// A trees' line, hills, a wall or nothing at the end of a field.
+/// Trees, hills, a wall, buildings or nothing at the end of a field.
 fn horizon(b: &mut Build, far: f64) {
     match b.rng.int(0, 4) {
         0 => {}
@@ -171,7 +171,7 @@ fn horizon(b: &mut Build, far: f64) {
     }
 }
 
-/// Ground with people, animals and things on it.
+/// Ground with people, animals and objects.
 pub(super) fn field(b: &mut Build) {
     daylight(b);
     let (g, ground) = (b.w.group(), ground_texture(b));
@@ -221,7 +221,7 @@ pub(super) fn field(b: &mut Build) {
     }
 }
 
-/// Wires, fences, sticks, rings and branches before something else.
+/// Wires, fences, sticks, rings and branches in front of other objects.
 pub(super) fn thin(b: &mut Build) {
     daylight(b);
     let d = b.rng.log_range(1.0, 4.0);
@@ -279,7 +279,7 @@ pub(super) fn thin(b: &mut Build) {
     }
 }
 
-/// Hills and water under a sky, or a draped cloth seen close.
+/// Hills and water under a sky, or a close-up of draped cloth.
 pub(super) fn terrain(b: &mut Build) {
     daylight(b);
     let cloth = b.rng.chance(0.25);
@@ -290,7 +290,7 @@ pub(super) fn terrain(b: &mut Build) {
     let field = Field::new(half, 161, |x, z| {
         let f = fbm(v3(x / half * coarse, 0.0, z / half * coarse), if cloth { 2 } else { 5 }, 0.0, seed);
         let f = if ridge { 1.0 - (2.0 * f - 1.0).abs() } else { f };
-        // a valley where the camera stands
+        // a valley around the camera
         let calm = if cloth { 1.0 } else { (x.hypot(z + half * 0.9) / half).min(1.0) };
         relief * (f - 0.35) * (0.15 + 0.85 * calm)
     });

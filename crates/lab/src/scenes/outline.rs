@@ -1,10 +1,10 @@
-//! Outlines of flat cut-outs: the subset of the square [−1, 1]² that is there. y points down.
+//! Outlines of flat cut-outs: the opaque subset of the square [−1, 1]². y points down.
 
 use std::sync::Arc;
 
 use super::math::{Rng, fbm, v3};
 
-/// A limb: a line from `(x0, y0)` to `(x1, y1)` with radius `r0` at its start and `r1` at its end.
+/// A limb `(x0, y0, x1, y1, r0, r1)`: a line from `(x0, y0)` to `(x1, y1)` with radius `r0` at its start and `r1` at its end.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limb(pub f64, pub f64, pub f64, pub f64, pub f64, pub f64);
 
@@ -12,13 +12,13 @@ pub(super) struct Limb(pub f64, pub f64, pub f64, pub f64, pub f64, pub f64);
 pub(super) enum Outline {
     Full,
     Disc,
-    /// Between this radius and 1.
+    /// The ring between this radius and 1.
     Ring(f64),
-    /// Radius over the angle as a sum of waves `(amplitude, phase)` of 1, 2, 3 … periods about a mean.
+    /// Radius as a function of the angle: a mean plus waves `(amplitude, phase)` of 1, 2, 3 … periods.
     Blob(f64, Arc<[(f64, f64)]>),
-    /// Union of limbs whose rim is shaken by noise of the given amplitude.
+    /// Union of limbs, with noise of this amplitude and seed on the outline.
     Limbs(Arc<[Limb]>, f64, u32),
-    /// A crown of leaves: noise above a threshold that rises outwards.
+    /// A crown of leaves: noise above a threshold that increases outwards; grain and seed.
     Crown(f64, u32),
     /// A rectangular frame of this thickness.
     Window(f64),
@@ -55,7 +55,7 @@ impl Outline {
         Self::Blob(0.72, waves.into())
     }
 
-    /// A standing person, 1 wide to 2 high.
+    /// A standing person.
     pub fn person(rng: &Rng) -> Self {
         let mut limbs = vec![Limb(0.0, -0.85, 0.0, -0.8, 0.11, 0.12), Limb(0.0, -0.75, 0.0, -0.6, 0.06, 0.08)];
         let (shoulder, waist) = (rng.range(0.18, 0.3), rng.range(0.14, 0.28));
@@ -76,7 +76,7 @@ impl Outline {
         Self::Limbs(limbs.into(), rng.range(0.0, 0.03), rng.next() as u32)
     }
 
-    /// Head and shoulders, cut off below.
+    /// Head and shoulders.
     pub fn portrait(rng: &Rng) -> Self {
         let head = rng.range(0.3, 0.42);
         let (tilt, hair) = (rng.range(-0.12, 0.12), rng.range(0.0, 0.12));
@@ -89,7 +89,7 @@ impl Outline {
         Self::Limbs(limbs.into(), rng.range(0.0, 0.06), rng.next() as u32)
     }
 
-    /// A four-legged animal seen from the side, or a bird.
+    /// A four-legged animal seen from the side.
     pub fn animal(rng: &Rng) -> Self {
         let s = rng.sign();
         let body = rng.range(0.2, 0.36);
@@ -105,7 +105,7 @@ impl Outline {
         Self::Limbs(limbs.into(), rng.range(0.0, 0.04), rng.next() as u32)
     }
 
-    /// Any subject that may float or stand.
+    /// A random subject.
     pub fn subject(rng: &Rng) -> Self {
         match rng.int(0, 9) {
             0..=2 => Self::person(rng),

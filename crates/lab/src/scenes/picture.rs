@@ -1,17 +1,17 @@
-//! Pieces of photographs as textures.
+//! Textures cut from photographs.
 
 use std::sync::Arc;
 
 use super::math::{Rng, V3, v3};
 use tmpi_core::Photo;
 
-/// Photographs that textures may be cut from; empty by default.
+/// Photographs to cut textures from; empty by default.
 ///
-/// With them a scene is a function of its seed and of these pictures, in this order.
+/// With pictures, a scene depends on its seed and on these pictures in this order.
 #[derive(Clone, Debug, Default)]
 pub struct Pictures(pub(super) Arc<[Arc<Levels>]>);
 
-/// A picture in linear light, halved again and again.
+/// Mipmap of a picture, in linear light.
 #[derive(Debug)]
 pub(super) struct Levels {
     /// Width, height and texels, finest first.
@@ -19,7 +19,7 @@ pub(super) struct Levels {
 }
 
 impl Pictures {
-    /// Prepares photographs as textures; empty ones are left out.
+    /// Prepares photographs as textures; ignores empty ones.
     #[must_use]
     pub fn new(photos: &[Photo]) -> Self {
         Self(photos.iter().filter(|p| !p.rgb.is_empty()).map(|p| Arc::new(Levels::new(p))).collect())
@@ -42,7 +42,7 @@ impl Levels {
         Self { levels }
     }
 
-    /// Linear colour at `(u, v)`, where the picture spans 1 and repeats itself; `width` is what one pixel covers.
+    /// Linear colour at `(u, v)`. The picture spans 1 and repeats; `width` is the size of a pixel in these units.
     pub(super) fn repeated(&self, u: f64, v: f64, width: f64) -> V3 {
         let side = self.levels[0].0.max(self.levels[0].1) as f64;
         let (w, h, texels) = &self.levels[((width * side).max(1.0).log2() as usize).min(self.levels.len() - 1)];
@@ -59,7 +59,7 @@ impl Levels {
     }
 }
 
-/// A square piece of a picture, or all of one, repeated in mirrors.
+/// A square piece of a picture, or a whole picture, repeated with mirroring.
 #[derive(Clone, Debug)]
 pub(super) struct Patch {
     picture: Arc<Levels>,
@@ -71,7 +71,7 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// A piece of a quarter to two thirds of the shorter side: larger ones would show a scene of their own.
+    /// A random square with a side of a quarter to two thirds of the picture's shorter side; larger ones would show a recognisable scene.
     pub fn cut(picture: &Arc<Levels>, rng: &Rng) -> Self {
         let (w, h) = (picture.levels[0].0 as f64, picture.levels[0].1 as f64);
         let side = w.min(h) * rng.range(0.25, 0.66);
@@ -79,7 +79,7 @@ impl Patch {
         Self::of(picture, (x, y), (side, side))
     }
 
-    /// All of a picture.
+    /// A whole picture.
     pub fn whole(picture: &Arc<Levels>) -> Self {
         let (w, h) = (picture.levels[0].0 as f64, picture.levels[0].1 as f64);
         Self::of(picture, (0.0, 0.0), (w, h))
@@ -96,7 +96,7 @@ impl Patch {
         self.mean
     }
 
-    /// Its middle, as [`Self::at`] has it.
+    /// Its centre, in the coordinates of [`Self::at`].
     pub fn middle(&self) -> (f64, f64) {
         let side = self.side();
         (0.5 * self.extent.0 / side, 0.5 * self.extent.1 / side)
@@ -106,7 +106,7 @@ impl Patch {
         self.extent.0.max(self.extent.1)
     }
 
-    /// Linear colour at `(u, v)`, where the longer side of the piece spans 1; `width` is what one pixel covers.
+    /// Linear colour at `(u, v)`. The longer side of the piece spans 1; `width` is the size of a pixel in these units.
     pub fn at(&self, u: f64, v: f64, width: f64) -> V3 {
         let fold = |t: f64| 1.0 - (t.rem_euclid(2.0) - 1.0).abs();
         let side = self.side();

@@ -15,13 +15,13 @@ use super::world::Light;
 const RIGHT: V3 = v3(1.0, 0.0, 0.0);
 const AHEAD: V3 = v3(0.0, 0.0, 1.0);
 
-/// Box of half extents `half` whose footprint's middle is `at`.
+/// A box of half extents `half`; `at` is the centre of its footprint.
 fn block(b: &mut Build, at: V3, half: V3, yaw: f64, t: &Texture) {
     let g = b.w.group();
     b.w.add(g, Frame::yaw(at - DOWN * half.y, yaw), Shape::Cuboid(half), t.clone());
 }
 
-/// Floor, ceiling and four walls about the origin; half extents `hx`, `hz`, height `h`. Walls may carry murals.
+/// Floor, ceiling and four walls around the origin, with half extents `hx` and `hz` and height `h`. Walls may have large patterns.
 fn shell(b: &mut Build, hx: f64, hz: f64, h: f64) {
     let g = b.w.group();
     let (floor, pale) = (Texture::any(b.rng, b.rng.log_range(0.1, 0.8)), v3(0.75, 0.75, 0.72) * b.rng.range(0.3, 1.1));
@@ -40,7 +40,7 @@ fn shell(b: &mut Build, hx: f64, hz: f64, h: f64) {
     }
 }
 
-/// A passage with doors, lamps and things along its walls.
+/// A corridor with doors, lamps and objects along its walls.
 pub(super) fn corridor(b: &mut Build) {
     let (hx, hz, h) = (b.rng.range(0.6, 2.2), b.rng.range(4.0, 20.0), b.rng.range(2.1, 3.6));
     shell(b, hx, hz, h);
@@ -77,7 +77,7 @@ pub(super) fn corridor(b: &mut Build) {
     b.w.ambient = v3(1.0, 0.97, 0.9) * b.rng.range(0.15, 0.6);
 }
 
-/// A small room with low seats along its walls and large bright or dark panels, seen from close at any yaw.
+/// A small room with low seats along its walls and large bright or dark panels, seen at close range at any yaw.
 pub(super) fn lounge(b: &mut Build) {
     let (hx, hz, h) = (b.rng.range(1.3, 3.2), b.rng.range(1.3, 3.2), b.rng.range(2.2, 3.0));
     shell(b, hx, hz, h);
@@ -146,7 +146,7 @@ pub(super) fn lounge(b: &mut Build) {
     indoor_light(b, v3(b.rng.range(-0.5, 0.5) * hx, -h + 0.3, b.rng.range(-0.5, 0.5) * hz));
 }
 
-/// A kitchen or an office: a table close by that the frame cuts, seats around it, cupboards along the walls.
+/// A kitchen or an office: a nearby table that the frame cuts, seats around it, cupboards along the walls.
 pub(super) fn kitchen(b: &mut Build) {
     let (hx, hz, h) = (b.rng.range(1.8, 4.0), b.rng.range(2.0, 4.0), b.rng.range(2.3, 3.0));
     shell(b, hx, hz, h);
@@ -213,7 +213,7 @@ pub(super) fn kitchen(b: &mut Build) {
     indoor_light(b, v3(b.rng.range(-0.5, 0.5) * hx, -h + 0.3, 0.0));
 }
 
-/// Waves or still water to the horizon, a shore, boats, swimmers, mist.
+/// Waves or still water up to the horizon, with a shore, boats, swimmers and mist.
 pub(super) fn water(b: &mut Build) {
     daylight(b);
     let half = b.rng.log_range(15.0, 120.0);
@@ -268,7 +268,7 @@ pub(super) fn water(b: &mut Build) {
     look(b, v3(0.0, -h - if shore { swell } else { 0.0 }, 0.0), b.rng.range(-15.0, 15.0), b.rng.range(-28.0, 6.0), b.rng.range(-4.0, 4.0));
 }
 
-/// A hull with a cabin or a mast, `s` metres half its length.
+/// A boat with a cabin or a mast and a hull of half length `s` metres.
 fn boat(b: &mut Build, at: V3, s: f64) {
     let (g, yaw) = (b.w.group(), b.rng.range(-3.1, 3.1));
     let (f, t) = (Frame::yaw(at, yaw), Texture::any(b.rng, s * 0.5));
@@ -283,7 +283,7 @@ fn boat(b: &mut Build, at: V3, s: f64) {
     }
 }
 
-/// Rows of people, on the flat or on stands; the nearest are cut by the frame.
+/// Rows of people, on level ground or on stands; the frame cuts the nearest ones.
 pub(super) fn crowd(b: &mut Build) {
     let inside = b.rng.chance(0.45);
     let deep = b.rng.range(4.0, 16.0);

@@ -1,4 +1,4 @@
-//! Analytic primitives, intersected in their own frame.
+//! Analytic primitives, intersected in their local frame.
 
 use std::sync::Arc;
 
@@ -8,25 +8,25 @@ use super::outline::Outline;
 
 #[derive(Clone, Debug)]
 pub(super) enum Shape {
-    /// y = 0, all of it; solid below (y > 0).
+    /// The plane y = 0; solid below (y > 0).
     Plane,
-    /// z = 0 within ± these half extents, cut out by an outline.
+    /// A flat piece of z = 0 with these half extents, cut by an outline.
     Card(f64, f64, Outline),
-    /// Box of these half extents; seen from inside it is a room.
+    /// Box with these half extents; from inside, a room.
     Cuboid(V3),
-    /// Ellipsoid of these half axes.
+    /// Ellipsoid with these semi-axes.
     Ellipsoid(V3),
     /// Capped cone frustum along y: half height, radius at −y, radius at +y.
     Cylinder(f64, f64, f64),
-    /// Ring in the plane z = 0: radius of the ring, radius of its tube.
+    /// Torus around the z axis: radius of the ring, radius of the tube.
     Torus(f64, f64),
-    /// Hills over the plane y = 0, up is −y.
+    /// Height field over the plane y = 0; up is −y.
     Field(Arc<Field>),
-    /// Triangles, and how many times their size.
+    /// Triangle mesh with a scale factor.
     Mesh(Arc<Mesh>, f64),
 }
 
-/// Heights on a square lattice, bilinear between its points; flat nowhere.
+/// Heights on a square lattice, with bilinear interpolation.
 #[derive(Debug)]
 pub(super) struct Field {
     /// Half the side of the square in x and z.
@@ -99,7 +99,7 @@ impl Field {
     }
 }
 
-/// Entry and exit of a ray through a box of half extents `h` about the origin.
+/// Entry and exit of a ray through a box with half extents `h` around the origin.
 pub(super) fn slab(o: V3, d: V3, h: V3) -> Option<(f64, f64)> {
     let (mut t0, mut t1) = (f64::NEG_INFINITY, f64::INFINITY);
     for (o, d, h) in [(o.x, d.x, h.x), (o.y, d.y, h.y), (o.z, d.z, h.z)] {
@@ -129,25 +129,25 @@ fn quadratic(a: f64, half_b: f64, c: f64) -> Option<[f64; 2]> {
     if disc < 0.0 || a == 0.0 {
         return None;
     }
-    // the stable form: no difference of nearly equal numbers
+    // numerically stable: subtracts no nearly equal numbers
     let q = -(half_b + disc.sqrt().copysign(half_b));
     let other = if q == 0.0 { 0.0 } else { c / q };
     Some([q / a, other])
 }
 
 impl Shape {
-    /// First hit with `near < t < far`: `t`, the outward unit normal, and which triangle where it has any.
-    pub fn met(&self, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3, u32)> {
+    /// First hit with `near < t < far`: `t`, the outward unit normal, and the triangle's index in a mesh.
+    pub fn hit_triangle(&self, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3, u32)> {
         match self {
             Self::Mesh(mesh, scale) => mesh.hit(o * (1.0 / scale), d * (1.0 / scale), near, far).map(|m| (m.t, m.normal, m.triangle)),
             other => other.hit(o, d, near, far).map(|(t, n)| (t, n, 0)),
         }
     }
 
-    /// The same without the triangle.
+    /// Like [`Self::hit_triangle`], without the triangle.
     pub fn hit(&self, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3)> {
         match self {
-            Self::Mesh(..) => self.met(o, d, near, far).map(|(t, n, _)| (t, n)),
+            Self::Mesh(..) => self.hit_triangle(o, d, near, far).map(|(t, n, _)| (t, n)),
             Self::Plane => {
                 let t = -o.y / d.y;
                 (t > near && t < far).then_some((t, v3(0.0, -1.0, 0.0)))
@@ -192,7 +192,7 @@ impl Shape {
         }
     }
 
-    /// Half extents and centre of the local bounding box; none for an unbounded shape.
+    /// Half extents and centre of the local bounding box; `None` for an unbounded shape.
     pub fn bounds(&self) -> Option<(V3, V3)> {
         let zero = V3::default();
         match self {
@@ -226,7 +226,7 @@ fn cylinder(o: V3, d: V3, near: f64, far: f64, half: f64, r_up: f64, r_down: f64
     best
 }
 
-/// Sphere tracing: the distance to a torus is known, so every step is safe.
+/// Sphere tracing: every step is safe, because the distance to a torus has a closed form.
 fn torus(o: V3, d: V3, near: f64, far: f64, ring: f64, tube: f64) -> Option<(f64, V3)> {
     let (t0, t1) = slab(o, d, v3(ring + tube, ring + tube, tube))?;
     let speed = d.norm();

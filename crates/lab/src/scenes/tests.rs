@@ -9,7 +9,7 @@ fn camera(width: u32, height: u32) -> Camera {
     Camera { pose: Pose::default(), intrinsics: Intrinsics::from_fov_x(width, height, 60.0), width, height }
 }
 
-/// A scene of one object before nothing, in metres (`unit` 1).
+/// A scene with a single object, in metres (`unit` 1).
 fn single(shape: Shape, frame: Frame) -> Scene {
     let rng = Rng::new(1);
     let mut world = World::new(&rng);
@@ -20,7 +20,7 @@ fn single(shape: Shape, frame: Frame) -> Scene {
 }
 
 #[test]
-fn a_seed_is_a_scene() {
+fn seeds_determine_scenes() {
     let draw = |seed| {
         let s = Scene::framed(seed, 48, 32);
         s.render(&s.camera(), 2)
@@ -50,7 +50,7 @@ fn disparity_of_a_sphere_and_a_card_is_exact() {
     let cam = camera(65, 49);
     let s = single(Shape::Ellipsoid(v3(1.0, 1.0, 1.0)), Frame::at(v3(0.0, 0.0, 4.0)));
     let map = s.render(&cam, 1).disparity;
-    assert!((map.delta[24 * 65 + 32] - 1.0 / 3.0).abs() < 1e-6, "the pixel in the middle sees the pole");
+    assert!((map.delta[24 * 65 + 32] - 1.0 / 3.0).abs() < 1e-6, "the centre pixel shows the pole");
     let k = cam.intrinsics;
     for (i, &have) in map.delta.iter().enumerate() {
         let (dx, dy) = (((i % 65) as f64 + 0.5 - k.cx) / k.fx, ((i / 65) as f64 + 0.5 - k.cy) / k.fy);
@@ -62,7 +62,7 @@ fn disparity_of_a_sphere_and_a_card_is_exact() {
     let m = Pose { yaw: 30.0, ..Pose::default() }.orientation();
     let card = single(Shape::Card(1e3, 1e3, outline::Outline::Full), Frame::turned(v3(0.0, 0.0, 2.0), &m));
     let map = card.render(&cam, 1).disparity;
-    // (sin 30°, 0, cos 30°) · (X − (0, 0, 2)) = 0 is a plane: δ is affine in the picture
+    // the plane (sin 30°, 0, cos 30°) · (X − (0, 0, 2)) = 0: δ is affine in the picture
     let (sin, cos) = 30f64.to_radians().sin_cos();
     for (i, &have) in map.delta.iter().enumerate() {
         let dx = ((i % 65) as f64 + 0.5 - k.cx) / k.fx;
@@ -71,7 +71,7 @@ fn disparity_of_a_sphere_and_a_card_is_exact() {
 }
 
 #[test]
-fn every_primitive_is_hit_where_its_equation_says() {
+fn hits_satisfy_the_primitives_equations() {
     let rng = Rng::new(3);
     let on_surface = |shape: &Shape, p: V3| match shape {
         Shape::Cuboid(h) => (p.x.abs() / h.x).max(p.y.abs() / h.y).max(p.z.abs() / h.z) - 1.0,
@@ -112,7 +112,7 @@ fn every_primitive_is_hit_where_its_equation_says() {
 }
 
 #[test]
-fn the_nearest_surface_has_disparity_one_and_all_is_finite() {
+fn disparities_are_finite_with_maximum_one() {
     let mut families = std::collections::BTreeMap::<&str, u32>::new();
     for seed in 0..200 {
         let s = Scene::framed(seed, 48, 32);
@@ -130,9 +130,8 @@ fn the_nearest_surface_has_disparity_one_and_all_is_finite() {
     assert_eq!(families.len(), 18, "{families:?}");
 }
 
-/// Share of pixels without vertical trend, or with a reversed one, over many scenes.
 #[test]
-fn a_quarter_of_all_scenes_has_no_usual_vertical_trend() {
+fn a_quarter_of_scenes_lacks_the_usual_vertical_trend() {
     let odd = (0..120)
         .filter(|&seed| {
             let s = Scene::framed(seed, 48, 32);
@@ -144,9 +143,9 @@ fn a_quarter_of_all_scenes_has_no_usual_vertical_trend() {
     assert!(odd >= 30, "{odd} of 120");
 }
 
-/// Every pixel of the first view that the second view does not hide must be found there at its disparity.
+/// Every pixel of the first view that is visible in the second must appear there with its disparity.
 #[test]
-fn a_second_view_agrees_with_the_disparity() {
+fn second_views_agree_with_the_disparity() {
     let (mut seen, mut found) = (0, 0);
     for seed in 0..24 {
         let s = Scene::framed(seed, 96, 64);
@@ -178,7 +177,7 @@ fn a_second_view_agrees_with_the_disparity() {
 }
 
 #[test]
-fn noise_is_even_and_bounded() {
+fn noise_is_uniform_and_bounded() {
     let mean = (0..4000).map(|i| hash3(i, i * 7, -i, 5)).sum::<f64>() / 4000.0;
     assert!((mean - 0.5).abs() < 0.02);
     for i in 0..500 {
@@ -188,22 +187,22 @@ fn noise_is_even_and_bounded() {
 }
 
 #[test]
-fn a_picture_is_a_backdrop_as_a_whole() {
-    // four quarters of four colours, twice as wide as high
+fn whole_pictures_can_be_backdrops() {
+    // four quarters in four colours, twice as wide as high
     let colours = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]];
     let rgb = (0..64 * 32).map(|i| colours[i % 64 / 32 + 2 * (i / 64 / 16)]).collect();
     let pictures = Pictures::new(&[Photo { width: 64, height: 32, rgb }]);
     let rng = Rng::with(1, &Assets { pictures: pictures.clone(), ..Assets::default() });
     let texture = Texture::picture(&rng, Patch::whole(&pictures.0[0]), 10.0);
     let at = |x: f64, y: f64| texture.at(v3(x, y, 0.0), v3(0.0, 0.0, 1.0), 1e-3).map(|v| (v * 255.0).round()).array().map(|v| v as u8);
-    // it spans 10 by 5 about the middle
+    // it spans 10 by 5 around the centre
     let corners = [(-4.9, -2.4), (4.9, -2.4), (-4.9, 2.4), (4.9, 2.4)];
     assert_eq!(corners.map(|(x, y)| at(x, y)), colours);
     let inner = [(-0.2, -0.2), (0.2, -0.2), (-0.2, 0.2), (0.2, 0.2)];
     assert_eq!(inner.map(|(x, y)| at(x, y)), colours);
-    // and goes on in mirrors
+    // and repeats with mirroring
     assert_eq!([at(5.2, 0.3), at(14.0, 0.3), at(0.3, -2.7), at(0.3, -6.0)], [colours[3], colours[2], colours[1], colours[3]]);
-    // figures have one now and then; without pictures nothing was drawn for them
+    // sometimes there is a backdrop; without pictures, the generator does not advance
     assert!((0..40).any(|seed| Rng::with(seed, &Assets { pictures: pictures.clone(), ..Assets::default() }).backdrop().is_some()));
     let (with, without) = (Rng::new(3), Rng::new(3));
     assert!(with.backdrop().is_none());
@@ -211,7 +210,7 @@ fn a_picture_is_a_backdrop_as_a_whole() {
 }
 
 #[test]
-fn pictures_are_textures() {
+fn pictures_become_textures() {
     let ramp = |w: u32, h: u32| Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % w * 255 / w) as u8, 40, 200]).collect() };
     let pictures = Pictures::new(&[ramp(97, 61), ramp(1, 1), Photo { width: 0, height: 0, rgb: Vec::new() }]);
     let draw = |seed, p: &Pictures| {

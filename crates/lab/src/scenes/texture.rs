@@ -1,4 +1,4 @@
-//! Procedural textures: colours of a surface from its local place and normal.
+//! Procedural textures: the colour of a surface from local position and normal.
 
 use super::math::{Rng, V3, fbm, hash3, smoothstep, v3};
 use super::picture::Patch;
@@ -29,11 +29,11 @@ impl Pattern {
     pub const QUIET: [Self; 6] = [Self::Plain, Self::Plain, Self::Noise, Self::Noise, Self::Speckle, Self::Gradient];
 }
 
-/// Periods that a patch spans, so that its detail is as large as the pattern's.
+/// Periods that a patch spans, so that its details have the size of the pattern's.
 const PERIODS: f64 = 4.0;
 const LUMA: V3 = v3(0.2126, 0.7152, 0.0722);
 
-/// A surface's look. Lengths are those of the object's own frame.
+/// Appearance of a surface. Lengths are in the object's frame.
 #[derive(Clone, Debug)]
 pub(super) struct Texture {
     pub pattern: Pattern,
@@ -44,17 +44,17 @@ pub(super) struct Texture {
     turn: (f64, f64),
     shift: (f64, f64),
     seed: u32,
-    /// Share of slow dirt in the brightness.
+    /// Strength of low-frequency dirt in the brightness.
     dirt: f64,
-    /// Light of its own, as a factor on the colour.
+    /// Emitted light, as a factor on the colour.
     pub glow: f64,
-    /// Highlight strength.
+    /// Strength of highlights.
     pub gloss: f64,
-    /// A piece of a photograph instead of the pattern, and the share of its own hue.
+    /// A piece of a photograph instead of the pattern, and the weight of the photograph's own colours.
     patch: Option<(Patch, f64)>,
 }
 
-/// A colour of the kind that photographs are full of, in linear RGB.
+/// A random colour with the distribution of photographs, in linear RGB.
 pub(super) fn colour(rng: &Rng) -> V3 {
     let (h, s, v) = match rng.int(0, 9) {
         0..=2 => (rng.range(0.02, 0.13), rng.range(0.1, 0.65), rng.range(0.1, 0.85)), // wood, skin, earth, brick
@@ -108,7 +108,7 @@ impl Texture {
         Self::of(rng, p, 0.2, [c, c * 0.75, c * 0.5])
     }
 
-    /// A picture, upright about the middle of a card, whose longer side has the length `span`.
+    /// A picture, upright and centred on a card; its longer side has the length `span`.
     pub fn picture(rng: &Rng, picture: Patch, span: f64) -> Self {
         let plain = Self::of(rng, Pattern::Plain, span / PERIODS, [V3::default(); 3]);
         let (u, v) = picture.middle();
@@ -126,7 +126,7 @@ impl Texture {
         self
     }
 
-    /// Linear colour at local point `p` with local normal `n`; `width` is the length that one pixel covers there.
+    /// Linear colour at local point `p` with local normal `n`; `width` is the length of a pixel there.
     pub fn at(&self, p: V3, n: V3, width: f64) -> V3 {
         let (ax, ay, az) = (n.x.abs(), n.y.abs(), n.z.abs());
         let (u, v) = if ay >= ax && ay >= az {
@@ -157,7 +157,7 @@ impl Texture {
     fn pattern_at(&self, u: f64, v: f64, q: V3, w: f64) -> V3 {
         let [c0, c1, c2] = self.colours;
         let seed = self.seed;
-        // share of the pattern that one pixel still resolves, for detail of relative size `size`
+        // weight of details of relative size `size`: 0 if a pixel does not resolve them
         let keep = |size: f64| 1.0 - smoothstep(0.35, 1.1, w / size);
         let mean = |a: V3, b: V3, share: f64, k: f64, hit: bool| a.lerp(b, share).lerp(if hit { b } else { a }, k);
         let (iu, iv) = (u.floor() as i64, v.floor() as i64);
@@ -238,7 +238,7 @@ impl Texture {
         }
     }
 
-    /// Nested rectangles of changing hue, as on packaging and posters.
+    /// Nested rectangles of varying hue, as on packaging and posters.
     fn print(&self, u: f64, v: f64, w: f64) -> V3 {
         let (mut u, mut v, mut size) = (u, v, 1.0);
         let (mut a, mut b) = (u.floor() as i64, v.floor() as i64);

@@ -1,4 +1,4 @@
-//! A scene as objects, light and sky: tracing and shading of single rays.
+//! Objects, light and sky of a scene; traces and shades single rays.
 
 use super::bvh::{Aabb, Bvh};
 use super::math::{Frame, Rng, V3, fbm, smoothstep, v3};
@@ -11,15 +11,15 @@ pub(super) struct Object {
     shape: Shape,
     frame: Frame,
     texture: Texture,
-    /// Parts of one thing share a group: the hidden layer lies behind the whole thing.
+    /// Parts of a compound object share a group; the hidden surface is behind the whole group.
     group: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Light {
-    /// Direction towards the sun, unit length, and its colour.
+    /// Unit direction towards the sun, and its colour.
     Sun(V3, V3),
-    /// Place of a lamp, and its colour at one metre.
+    /// Position of a lamp, and its colour at one metre.
     Lamp(V3, V3),
 }
 
@@ -28,20 +28,20 @@ pub(super) struct Sky {
     pub zenith: V3,
     pub horizon: V3,
     pub cloud: V3,
-    /// Share of clouds in [0, 1].
+    /// Cloud cover in [0, 1].
     pub cover: f64,
     pub seed: u32,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hit {
-    /// Along the ray, in lengths of its direction.
+    /// Ray parameter, in lengths of the direction.
     pub t: f64,
     pub object: u32,
     pub group: u32,
     /// Local unit normal, outward.
     normal: V3,
-    /// Which triangle, of those that have some.
+    /// Index of the triangle, in a mesh.
     triangle: u32,
 }
 
@@ -52,7 +52,7 @@ pub(super) struct World {
     tree: Bvh,
     /// The reference camera.
     pub eye: Frame,
-    /// Field of view along the longer side of the picture, degrees.
+    /// Field of view along the longer side of the picture, in degrees.
     pub fov: f64,
     pub lights: Vec<Light>,
     pub ambient: V3,
@@ -82,7 +82,7 @@ impl World {
         }
     }
 
-    /// A number for a new thing.
+    /// A new group.
     pub fn group(&mut self) -> u32 {
         self.groups += 1;
         self.groups
@@ -92,21 +92,21 @@ impl World {
         self.objects.push(Object { shape, frame, texture, group });
     }
 
-    /// A flat piece about `centre`, spanned by two perpendicular unit vectors.
+    /// Adds a flat piece around `centre`, spanned by two perpendicular unit vectors.
     #[allow(clippy::too_many_arguments, reason = "each names one geometric quantity; a struct would only repeat them")]
     pub fn card(&mut self, group: u32, centre: V3, right: V3, down: V3, half: (f64, f64), outline: Outline, texture: Texture) {
         let frame = Frame { origin: centre, axes: [right, down, right.cross(down)] };
         self.add(group, frame, Shape::Card(half.0, half.1, outline), texture);
     }
 
-    /// A round bar from `a` to `b`.
+    /// Adds a round bar from `a` to `b`.
     pub fn bar(&mut self, group: u32, a: V3, b: V3, radii: (f64, f64), texture: Texture) {
         let d = b - a;
         let half = (d.norm() * 0.5).max(1e-6);
         self.add(group, Frame::along((a + b) * 0.5, d), Shape::Cylinder(half, radii.0, radii.1), texture);
     }
 
-    /// Builds the tree; to be called once, after the last object.
+    /// Builds the tree. Call this once, after the last object.
     pub fn finish(&mut self) {
         let mut boxes = Vec::with_capacity(self.objects.len());
         for (i, o) in self.objects.iter().enumerate() {
@@ -124,10 +124,10 @@ impl World {
 
     fn hit_object(&self, i: u32, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3, u32)> {
         let object = &self.objects[i as usize];
-        object.shape.met(object.frame.point_in(o), object.frame.dir_in(d), near, far)
+        object.shape.hit_triangle(object.frame.point_in(o), object.frame.dir_in(d), near, far)
     }
 
-    /// Nearest hit beyond `near`, of any group but `skip` (0 skips none).
+    /// Nearest hit beyond `near`, ignoring the group `skip` (0 ignores none).
     pub fn trace(&self, o: V3, d: V3, near: f64, skip: u32) -> Option<Hit> {
         let mut best: Option<Hit> = None;
         let mut test = |i: u32, far: f64| {
@@ -166,7 +166,7 @@ impl World {
         hit
     }
 
-    /// Linear colour seen along a ray; `pixel` is the width of a pixel per length of `d`.
+    /// Linear colour of a hit; `pixel` is the width of a pixel per length of `d`.
     pub fn shade(&self, o: V3, d: V3, hit: &Hit, pixel: f64) -> V3 {
         let object = &self.objects[hit.object as usize];
         let p = o + d * hit.t;
@@ -229,12 +229,12 @@ impl World {
         c
     }
 
-    /// Colour along a ray, hit or sky.
+    /// Linear colour along a ray, of the hit or the sky.
     pub fn colour(&self, o: V3, d: V3, hit: Option<&Hit>, pixel: f64) -> V3 {
         hit.map_or_else(|| self.sky_at(d), |h| self.shade(o, d, h, pixel))
     }
 
-    /// Display value in [0, 1] of a linear colour: exposure, a soft shoulder, gamma.
+    /// Converts a linear colour to display values in [0, 1]: exposure, highlight compression, gamma.
     pub fn display(&self, c: V3) -> V3 {
         c.map(|v| {
             let x = (v * self.exposure).max(0.0);

@@ -220,8 +220,7 @@ fn planes(pixels: &[Pixel], n: usize) -> Vec<Plane> {
 }
 
 /// Errors that the case's planes have beyond those of the reference, in δ; infinite where they are not planes and labels at all.
-fn excess(case: &Tiles, pixels: &[Pixel], method: Method, n: u32) -> f64 {
-    let tile = case.place(method, n);
+fn excess(tile: &Tile, pixels: &[Pixel], method: Method, n: u32) -> f64 {
     let sound = !tile.planes.is_empty()
         && tile.planes.len() <= n as usize
         && tile.planes.iter().all(Plane::is_finite)
@@ -251,6 +250,11 @@ fn excess(case: &Tiles, pixels: &[Pixel], method: Method, n: u32) -> f64 {
 }
 
 pub(super) fn run(checked: &mut Checked) {
+    clustering(checked, Tiles::place);
+}
+
+/// `kernel` places so many planes on a tile by a method.
+fn clustering(checked: &mut Checked, kernel: impl Fn(&Tiles, Method, u32) -> Tile) {
     for case in cases() {
         let pixels = case.pixels();
         let points = distinct(&pixels);
@@ -266,8 +270,30 @@ pub(super) fn run(checked: &mut Checked) {
                 };
             checked.case(FAMILY, case.name, name, "δ, rms", bound, || {
                 // as many planes as a tile can have is more than most of these have distinct values
-                [1, 2, 4, 64].map(|n| excess(&case, &pixels, method, n)).into_iter().fold(0.0, f64::max)
+                [1, 2, 4, 64].map(|n| excess(&kernel(&case, method, n), &pixels, method, n)).into_iter().fold(0.0, f64::max)
             });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::caught;
+    use super::*;
+
+    #[test]
+    fn a_fault_of_each_method_is_caught() {
+        for (method, name) in METHODS {
+            let shifted = |case: &Tiles, m: Method, n: u32| {
+                let mut tile = case.place(m, n);
+                if m == method {
+                    tile.planes[0].a += 0.01;
+                }
+                tile
+            };
+            assert_eq!(caught(|c| clustering(c, shifted)), [name]);
+            let fewer = |case: &Tiles, m: Method, n: u32| case.place(m, if m == method { n.div_ceil(2) } else { n });
+            assert_eq!(caught(|c| clustering(c, fewer)), [name]);
         }
     }
 }

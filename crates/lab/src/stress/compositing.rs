@@ -84,3 +84,29 @@ fn ties(checked: &mut Checked, host: &dyn Renderer, bound: f64) {
         checked.case(FAMILY, name, host.name(), "levels", bound, || levels(host, &scene, want));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Faulty, failed};
+    use super::*;
+
+    #[test]
+    fn a_fault_of_a_renderer_is_caught() {
+        let right = Faulty::hosts(Renderer::render);
+        assert_eq!(failed(|c| run(c, &right)), 0);
+        // of equals the first lies in front
+        let first = Faulty::hosts(|cpu, scene, camera| {
+            let mut scene = Scene::clone(scene);
+            scene.layers.reverse();
+            cpu.render(&Arc::new(scene), camera)
+        });
+        assert!(failed(|c| ties(c, first.all[0].as_ref(), 1.51)) > 0);
+        // three levels too bright
+        let bright = Faulty::hosts(|cpu, scene, camera| {
+            let mut view = cpu.render(scene, camera)?;
+            view.rgba.iter_mut().for_each(|p| p[1] = p[1].saturating_add(3));
+            Ok(view)
+        });
+        assert!(failed(|c| run(c, &bright)) > 0);
+    }
+}

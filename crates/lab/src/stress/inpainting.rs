@@ -17,9 +17,14 @@ const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
 
 pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
     let models = Models { depth: Arc::new(Brightness), theta: None, psi: None };
-    fill(checked, &models);
-    rounding(checked);
-    options(checked, &models, hosts);
+    let make = |file: &[u8], options: &Options| made(&models, file, options);
+    fill(checked, make);
+    rounding(checked, Plane::quantised);
+    sixteen_bits(checked, |map| {
+        let png = to_png(map).ok()?;
+        from_map(&png, DepthKind::Disparity, &Limits::default(), map.width, map.height).ok().map(|(back, _)| back)
+    });
+    options(checked, make, hosts);
 }
 
 type Paint = fn(u32, u32) -> [u8; 3];
@@ -27,8 +32,8 @@ type Paint = fn(u32, u32) -> [u8; 3];
 /// A photo by its pixels, the least and greatest colour that may lie hidden in it, and how it is made.
 type Hidden = (&'static str, Paint, [[u8; 3]; 2], Options);
 
-/// Bright things lie in front of dark ones: what is hidden behind them has the colours of the dark ones.
-fn fill(checked: &mut Checked, models: &Models) {
+/// Bright things lie in front of dark ones: what is hidden behind them has the colours of the dark ones. `kernel` makes a photo.
+fn fill(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>) {
     const SIDE: u32 = 96;
     const WALL: [u8; 3] = [40, 50, 30];
     let wide = || Options { quality: 100, view_box: ViewBox { x: 0.1, y: 0.1, z: 0.1 }, ..Options::default() };
@@ -62,7 +67,7 @@ fn fill(checked: &mut Checked, models: &Models) {
         // the photo is carried as a lossy picture, which the colours come from: beside a bright disc it is 3 levels off
         checked.case("filling", name, "pyramid", "levels off", 4.0, || {
             let file = super::photos::png(SIDE, SIDE, &rgb, image::ExtendedColorType::Rgb8);
-            let Some(scene) = made(models, &file, &options) else { return f64::INFINITY };
+            let Some(scene) = kernel(&file, &options) else { return f64::INFINITY };
             let off = |p: &[u8; 3]| (0..3).map(|c| least[c].saturating_sub(p[c]).max(p[c].saturating_sub(most[c]))).max().unwrap_or(0);
             // what is soft is the bright thing's foreground; where nothing is hidden, nothing is checked
             let hidden = scene.texels.class.iter().zip(&scene.texels.alpha).filter(|(c, _)| **c == Class::Hidden as u8).map(|(_, a)| *a);
@@ -72,12 +77,13 @@ fn fill(checked: &mut Checked, models: &Models) {
     }
 }
 
-fn rounding(checked: &mut Checked) {
+/// `kernel` brings a plane to the container's grid.
+fn rounding(checked: &mut Checked, kernel: impl Fn(&Plane) -> Plane) {
     let coefficients: Vec<f64> = (0..400).map(|i| (i as f64 - 200.0) / 200.0 * 1.999).chain([0.0, -0.0, 1e-300, 1e-8, 1.0]).collect();
     checked.case("quantisation", "planes on the container's grid, anywhere on the tile", "planes", "δ", 1.5 * Plane::STEP, || {
         let off = |(a, b, c): (f64, f64, f64)| {
             let (p, corners) = (Plane { a, b, c }, [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]);
-            let q = p.quantised();
+            let q = kernel(&p);
             corners.into_iter().map(|(u, v)| (p.disparity(u, v) - q.disparity(u, v)).abs()).fold(0.0, f64::max)
         };
         let n = coefficients.len();
@@ -85,13 +91,16 @@ fn rounding(checked: &mut Checked) {
     });
     checked.case("quantisation", "NaN, infinite and huge coefficients", "planes", "not finite", 0.0, || {
         let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300];
-        bad.into_iter().filter(|&v| !Plane { a: v, b: -v, c: v }.quantised().is_finite()).count() as f64
+        bad.into_iter().filter(|&v| !kernel(&Plane { a: v, b: -v, c: v }).is_finite()).count() as f64
     });
+}
+
+/// `kernel` writes a map as a file and reads it.
+fn sixteen_bits(checked: &mut Checked, kernel: impl Fn(&DisparityMap) -> Option<DisparityMap>) {
     checked.case("quantisation", "disparity as 16 bits and back", "depth map", "δ", 0.501 / 65_535.0, || {
         let delta: Vec<f32> = (0..4096).map(|i| (i as f32 / 4095.0).powi(3)).collect();
         let map = DisparityMap { width: 64, height: 64, delta };
-        let back = to_png(&map).ok().and_then(|png| from_map(&png, DepthKind::Disparity, &Limits::default(), 64, 64).ok());
-        back.map_or(f64::INFINITY, |(b, _)| b.delta.iter().zip(&map.delta).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max))
+        kernel(&map).map_or(f64::INFINITY, |b| b.delta.iter().zip(&map.delta).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max))
     });
 }
 
@@ -113,8 +122,8 @@ fn moved(scene: &Scene) -> [Camera; 2] {
     })
 }
 
-/// The way and the container at both ends of every option.
-fn options(checked: &mut Checked, models: &Models, hosts: &Hosts) {
+/// The way and the container at both ends of every option. `kernel` makes a photo.
+fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>, hosts: &Hosts) {
     let file = rgb_png(150, 100);
     let cpu = Cpu::default();
     let plain = Options::default;
@@ -136,9 +145,9 @@ fn options(checked: &mut Checked, models: &Models, hosts: &Hosts) {
     ];
     for (name, options) in all {
         checked.case("quantisation", &format!("identity view, {name}"), "container", "levels", 0.0, || {
-            identity(made(models, &file, &options).as_ref(), &cpu)
+            identity(kernel(&file, &options).as_ref(), &cpu)
         });
-        let scene = made(models, &file, &options);
+        let scene = kernel(&file, &options);
         for host in &hosts.all {
             checked.case(
                 "quantisation",
@@ -158,8 +167,39 @@ fn options(checked: &mut Checked, models: &Models, hosts: &Hosts) {
     }
     checked.case("quantisation", "layers a tile", "container", "more than there may be", 0.0, || {
         let options = Options { planes: PlaneCount::Fixed(64), plane_method: PlaneMethod::Linear, ..plain() };
-        let Some(scene) = made(models, &file, &options) else { return f64::INFINITY };
+        let Some(scene) = kernel(&file, &options) else { return f64::INFINITY };
         let most = (0..scene.grid.tiles()).map(|t| scene.layers.iter().filter(|l| l.tile == t).count()).max().unwrap_or(0);
         most.saturating_sub(LAYERS) as f64
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{caught, failed};
+    use super::*;
+
+    /// The way with a fault in the scene that a reader finds.
+    fn faulty(fault: impl Fn(&mut Scene)) -> impl Fn(&[u8], &Options) -> Option<Arc<Scene>> {
+        let models = Models { depth: Arc::new(Brightness), theta: None, psi: None };
+        move |file, options| {
+            let mut scene = Scene::clone(&*made(&models, file, options)?);
+            fault(&mut scene);
+            Some(Arc::new(scene))
+        }
+    }
+
+    #[test]
+    fn a_fault_of_each_kernel_is_caught() {
+        assert!(failed(|c| fill(c, faulty(|scene| scene.texels.hidden.iter_mut().for_each(|p| *p = [250; 3])))) > 0);
+        assert!(failed(|c| rounding(c, |p| Plane { a: p.a + 4.0 * Plane::STEP, ..*p }.quantised())) > 0);
+        assert!(failed(|c| rounding(c, |p| *p)) > 0);
+        let eight_bits =
+            |map: &DisparityMap| Some(DisparityMap { delta: map.delta.iter().map(|d| (d * 255.0).round() / 255.0).collect(), ..*map });
+        assert!(failed(|c| sixteen_bits(c, eight_bits)) > 0);
+        let none = Hosts { all: Vec::new() };
+        let hole = faulty(|scene| scene.layers.truncate(scene.layers.len() - 1));
+        assert_eq!(caught(|c| options(c, &hole, &none)), ["container"]);
+        let double = faulty(|scene| scene.layers.extend(scene.layers.clone()));
+        assert_eq!(caught(|c| options(c, &double, &none)), ["container"]);
+    }
 }

@@ -235,6 +235,10 @@ mod tests {
         assert!(failed(|c| snap(c, "snap", |p, m| shifted(edges::snap(p, m)))) > 0);
         assert!(failed(|c| snap(c, "snap", edges::clean)) > 0);
         assert!(failed(|c| enlarge(c, |p, m| shifted(upsample(p, m)))) > 0);
+        assert!(failed(|c| snap(c, "clean", |p, m| shifted(edges::clean(p, m)))) > 0);
+        let on_grey = |m: &DisparityMap| median_guided::denoise(&grey(m.width, m.height, |_, _| 128), m);
+        assert!(failed(|c| denoise(c, "median and guided filter", |m| shifted(on_grey(m)))) > 0);
+        assert!(failed(|c| denoise(c, "median and guided filter", DisparityMap::clone)) > 0);
         let one_more = |s: &Samples, p: &[Plane], l: &mut [u8], t: f64, n: f32| smooth_labels(s, p, l, t, 1.5 * n);
         assert!(failed(|c| labels(c, one_more)) > 0);
     }

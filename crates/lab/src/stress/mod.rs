@@ -19,12 +19,17 @@ mod views;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 use serde::Serialize;
 
 pub use raycast::{cast, cast_in_layer_order};
+#[cfg(test)]
+use tmpi_core::{Camera, Scene};
 use tmpi_pipeline::Models;
 use tmpi_render::{Cpu, Gpu, Reference, Renderer};
+#[cfg(test)]
+use tmpi_render::{RenderError, View};
 
 /// What became of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -53,6 +58,25 @@ pub struct Case {
     pub error: Option<f64>,
     /// Verdict.
     pub verdict: Verdict,
+    /// Milliseconds since the case before it, with what was prepared for it.
+    pub ms: f64,
+}
+
+/// All cases of one kernel.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Kernel {
+    /// Family of cases.
+    pub family: &'static str,
+    /// The kernel or the renderer under test.
+    pub subject: &'static str,
+    /// Count of cases.
+    pub cases: usize,
+    /// Count of those that failed.
+    pub failed: usize,
+    /// The error that came nearest to its bound, as a share of that; infinite where there is none.
+    pub nearest: f64,
+    /// Milliseconds that they took.
+    pub ms: f64,
 }
 
 /// Everything that was checked.
@@ -62,6 +86,9 @@ pub struct Checked {
     pub cases: Vec<Case>,
     /// What could not be checked, and why.
     pub skipped: Vec<String>,
+    /// When the last case ended.
+    #[serde(skip)]
+    last: Option<Instant>,
 }
 
 impl Checked {
@@ -69,6 +96,26 @@ impl Checked {
     #[must_use]
     pub fn failed(&self) -> usize {
         self.cases.iter().filter(|c| c.verdict == Verdict::Fail).count()
+    }
+
+    /// The cases by kernel, in the order in which they ran.
+    #[must_use]
+    pub fn kernels(&self) -> Vec<Kernel> {
+        let mut kernels: Vec<Kernel> = Vec::new();
+        for case in &self.cases {
+            let Case { family, subject, .. } = *case;
+            let at = kernels.iter().position(|k| (k.family, k.subject) == (family, subject)).unwrap_or(kernels.len());
+            if at == kernels.len() {
+                kernels.push(Kernel { family, subject, cases: 0, failed: 0, nearest: 0.0, ms: 0.0 });
+            }
+            let kernel = &mut kernels[at];
+            kernel.cases += 1;
+            kernel.failed += usize::from(case.verdict == Verdict::Fail);
+            kernel.ms += case.ms;
+            let share = case.error.map_or(f64::INFINITY, |e| if e > 0.0 { e / case.bound } else { 0.0 });
+            kernel.nearest = kernel.nearest.max(share);
+        }
+        kernels
     }
 
     /// Runs `work` for a case and notes its error; a panic is a failure.
@@ -81,9 +128,11 @@ impl Checked {
         bound: f64,
         work: impl FnOnce() -> f64,
     ) {
+        let start = Instant::now();
         let error = catch_unwind(AssertUnwindSafe(work)).ok().filter(|e| e.is_finite());
         let verdict = if error.is_some_and(|e| e <= bound) { Verdict::Ok } else { Verdict::Fail };
-        self.cases.push(Case { family, name: name.into(), subject, unit, bound, error, verdict });
+        let ms = self.last.replace(Instant::now()).unwrap_or(start).elapsed().as_secs_f64() * 1e3;
+        self.cases.push(Case { family, name: name.into(), subject, unit, bound, error, verdict, ms });
     }
 }
 
@@ -136,6 +185,40 @@ fn failed(cases: impl Fn(&mut Checked)) -> usize {
     checked.failed()
 }
 
+/// The kernels of which a case fails, for tests that plant faults in one of several.
+#[cfg(test)]
+fn caught(cases: impl Fn(&mut Checked)) -> Vec<&'static str> {
+    let mut checked = Checked::default();
+    cases(&mut checked);
+    checked.kernels().into_iter().filter(|k| k.failed > 0).map(|k| k.subject).collect()
+}
+
+/// A renderer with a fault: a picture that is changed.
+#[cfg(test)]
+struct Faulty {
+    cpu: Cpu,
+    fault: fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError>,
+}
+
+#[cfg(test)]
+impl Faulty {
+    fn hosts(fault: fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError>) -> Hosts {
+        Hosts { all: vec![Arc::new(Self { cpu: Cpu::default(), fault })] }
+    }
+}
+
+#[cfg(test)]
+impl Renderer for Faulty {
+    /// That with the widest bounds.
+    fn name(&self) -> &'static str {
+        "gpu"
+    }
+
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        (self.fault)(&self.cpu, scene, camera)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,5 +241,8 @@ mod tests {
         c.case("f", "panic", "s", "u", 1.0, || panic!("on purpose"));
         assert_eq!(c.cases.iter().map(|c| c.verdict == Verdict::Ok).collect::<Vec<_>>(), [true, false, false, false]);
         assert_eq!(c.failed(), 3);
+        let [kernel] = c.kernels().try_into().unwrap();
+        assert_eq!((kernel.cases, kernel.failed, kernel.nearest), (4, 3, f64::INFINITY));
+        assert!(kernel.ms >= 0.0 && kernel.ms < 1e3);
     }
 }

@@ -11,7 +11,7 @@ use tmpi_core::container;
 use tmpi_core::{Camera, DisparityMap, Photo, Pose, Scene};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::depth::{DepthError, Estimator};
-use tmpi_pipeline::photo::{Limits, PhotoError, decode};
+use tmpi_pipeline::photo::{Decoded, Limits, PhotoError, decode};
 use tmpi_pipeline::{self, Models, Options};
 use tmpi_render::Renderer;
 
@@ -181,14 +181,19 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
             checked.case(FAMILY, &name, host.name(), "levels", bound, || identity(scene.as_ref(), host.as_ref()));
         }
     }
-    refusals(checked);
+    decoder(checked, |file| decode(file, &Limits::default(), None));
+}
+
+/// `kernel` decodes a photo.
+fn decoder(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, PhotoError>) {
+    refusals(checked, &kernel);
     for focal in [0.0, f64::NAN, 1e9, -50.0, f64::INFINITY] {
         checked.case(FAMILY, &format!("EXIF focal length of {focal} mm"), "decoder", "px from default", 0.0, || {
-            decode(&with_focal(focal), &Limits::default(), None).map_or(f64::INFINITY, |d| (d.intrinsics.fx - 0.58 * 40.0).abs())
+            kernel(&with_focal(focal)).map_or(f64::INFINITY, |d| (d.intrinsics.fx - 0.58 * 40.0).abs())
         });
     }
     checked.case(FAMILY, "EXIF focal length of 27 mm", "decoder", "px", 1e-9, || {
-        decode(&with_focal(27.0), &Limits::default(), None).map_or(f64::INFINITY, |d| (d.intrinsics.fx - 30.0).abs())
+        kernel(&with_focal(27.0)).map_or(f64::INFINITY, |d| (d.intrinsics.fx - 30.0).abs())
     });
 }
 
@@ -212,7 +217,7 @@ pub(super) fn identity(scene: Option<&Arc<Scene>>, host: &dyn Renderer) -> f64 {
 type Wanted<'a> = &'a dyn Fn(&PhotoError) -> bool;
 
 /// Files that are no photo or too much of one.
-fn refusals(checked: &mut Checked) {
+fn refusals(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, PhotoError>) {
     let whole = rgb_png(33, 17);
     let photo = jpeg(33, 17, pixels(33, 17).as_flattened(), ExtendedColorType::Rgb8);
     let too_large = |e: &PhotoError| matches!(e, PhotoError::SideTooLong { .. } | PhotoError::TooManyPixels { .. });
@@ -229,7 +234,33 @@ fn refusals(checked: &mut Checked) {
     ];
     for (name, file, wanted) in files {
         checked.case(FAMILY, &format!("{name} is refused"), "decoder", "accepted", 0.0, || {
-            f64::from(u8::from(!decode(&file, &Limits::default(), None).is_err_and(|e| wanted(&e))))
+            f64::from(u8::from(!kernel(&file).is_err_and(|e| wanted(&e))))
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Faulty, caught, failed};
+    use super::*;
+    use tmpi_core::Intrinsics;
+
+    #[test]
+    fn a_fault_of_the_decoder_or_of_a_renderer_is_caught() {
+        let right = |file: &[u8]| decode(file, &Limits::default(), None);
+        assert_eq!(failed(|c| decoder(c, right)), 0);
+        let takes_all = |file: &[u8]| right(file).or_else(|_| right(&rgb_png(3, 3)));
+        assert!(failed(|c| refusals(c, takes_all)) > 0);
+        let believes = |file: &[u8]| {
+            let decoded = right(file)?;
+            Ok(Decoded { intrinsics: Intrinsics { fx: decoded.intrinsics.fx * 1.01, ..decoded.intrinsics }, ..decoded })
+        };
+        assert!(failed(|c| decoder(c, believes)) > 0);
+        let upside_down = Faulty::hosts(|cpu, scene, camera| {
+            let mut view = cpu.render(scene, camera)?;
+            view.rgba.reverse();
+            Ok(view)
+        });
+        assert_eq!(caught(|c| run(c, &upside_down)), ["gpu"]);
     }
 }

@@ -124,7 +124,9 @@ fn sheets(scene: &Scene, index: usize, margin: [u32; 2], blur: &Blur) -> Vec<She
             if scene.texels.class[l.first_texel + at] != Class::Photo as u8 {
                 return own;
             }
-            let beyond = [(mx, x), (my, y)].map(|(mirror, at)| mirror.map_or(0.0, |twice| (f64::from(at) + 0.5 - twice / 2.0).abs()));
+            // from the nearer border, also where the photo is so narrow that the image of the other one reaches past its middle
+            let beyond = [(mx, x, grid.width), (my, y, grid.height)]
+                .map(|(mirror, at, size)| mirror.map_or(0.0, |_| f64::from(at.min(size - 1 - at)) + 0.5));
             let [r, g, b] = if mx.or(my).is_some() { blur.colour(x, y, beyond[0].max(beyond[1])) } else { [own[0], own[1], own[2]] };
             [r, g, b, own[3]]
         };

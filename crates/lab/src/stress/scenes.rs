@@ -93,6 +93,22 @@ pub fn close(deltas: &[f64]) -> Scene {
     b.0
 }
 
+/// Pixels that lie on either of two disparities by chance; hidden texels behind the near ones.
+fn noise([far, near]: [f64; 2]) -> Scene {
+    let mut b = Builder::new(Grid::new(200, 120, 64));
+    let is_near = |x: u32, y: u32| {
+        let i = (x * 71 + y).wrapping_mul(2_654_435_761);
+        (i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 31 == 1
+    };
+    for tile in 0..b.0.grid.tiles() {
+        let behind = |x, y| if is_near(x, y) { Texel::Hidden([90, 60, 30], 255) } else { Texel::Photo(255) };
+        b.layer(tile, Plane::fronto_parallel(far), (1.0, 1.0), behind);
+        let before = |x, y| if is_near(x, y) { Texel::Photo(255) } else { Texel::Empty };
+        b.layer(tile, Plane::fronto_parallel(near), (1.0, 1.0), before);
+    }
+    b.0
+}
+
 /// Layers of one colour each over the whole photo.
 #[must_use]
 pub fn stack(width: u32, height: u32, colours: &[[u8; 4]], delta: &[f64]) -> Scene {
@@ -235,6 +251,15 @@ pub fn all() -> Vec<(&'static str, Scene)> {
         });
     }
     out.push(("holes", b.0));
+
+    // far wider than high, and sides of one pixel
+    out.extend([("panorama", ground(1200, 40, 64)), ("one row", ground(300, 1, 64)), ("one column", ground(1, 300, 64))]);
+    let step = 1.0 / 65_535.0;
+    out.extend([
+        ("two values, noise", noise([0.0, 1.0])),
+        ("near the horizon, noise", noise([0.0, 2.0 * step])),
+        ("a step of 16 bits, noise", noise([0.5, 0.5 + step])),
+    ]);
     out
 }
 

@@ -1,4 +1,5 @@
-//! Planes and cameras: every scene for every camera on every renderer, against rays cast in `f64`.
+//! Planes and cameras: every scene for every camera on every renderer, against rays cast in `f64`. A scene is one case, named after the camera
+//! whose view is worst.
 
 use std::sync::Arc;
 
@@ -57,20 +58,22 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
                 (0..names.len()).map(one).collect()
             })
             .collect();
-        let pairs = || (0..scenes.len()).flat_map(|s| (0..names.len()).map(move |c| (s, c)));
-        let worst =
-            |wanted: &dyn Fn(usize, usize) -> bool| pairs().filter(|&(s, c)| wanted(s, c)).map(|(s, c)| shares[s][c]).fold(0.0, f64::max);
-        let unit = "% of pixels";
-        for (s, (name, _)) in scenes.iter().enumerate() {
-            checked.case("planes", name, host.name(), unit, bound(host), || worst(&|a, c| a == s && !excused(a, c)));
-        }
-        for (c, name) in names.iter().enumerate() {
-            checked.case("cameras", name, host.name(), unit, bound(host), || worst(&|s, a| a == c && !excused(s, a)));
-        }
-        if gpu {
-            checked.case("planes", "translucent stack from beside, in the order of layers", host.name(), unit, bound(host), || {
-                worst(&excused)
-            });
+        let worst = |s: usize, wanted: &dyn Fn(usize) -> bool| {
+            let share = |c: usize| shares[s][c];
+            (0..names.len())
+                .filter(|&c| wanted(c))
+                .max_by(|a, b| share(*a).total_cmp(&share(*b)))
+                .map_or(("no camera", 0.0), |c| (names[c], share(c)))
+        };
+        let mut told = |s: usize, order: &str, (camera, share): (&str, f64)| {
+            let name = format!("{}{order}, worst of {}: {camera}", scenes[s].0, names.len());
+            checked.case("planes", &name, host.name(), "% of pixels", bound(host), || share);
+        };
+        for s in 0..scenes.len() {
+            told(s, "", worst(s, &|c| !excused(s, c)));
+            if (0..names.len()).any(|c| excused(s, c)) {
+                told(s, " in the order of layers", worst(s, &|c| excused(s, c)));
+            }
         }
         near(checked, host);
         refusals(checked, host);
@@ -121,4 +124,39 @@ fn refusals(checked: &mut Checked, host: &dyn Renderer) {
         };
         pairs.as_flattened().iter().filter(|p| !drawn(p)).count() as f64
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Faulty, failed};
+    use super::*;
+    use tmpi_render::{Cpu, View};
+
+    /// Whether a renderer with this fault fails in the cases.
+    fn noticed(cases: fn(&mut Checked, &dyn Renderer), fault: fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError>) -> bool {
+        let hosts = Faulty::hosts(fault);
+        failed(|c| cases(c, hosts.all[0].as_ref())) > 0
+    }
+
+    #[test]
+    fn a_fault_of_a_renderer_is_caught() {
+        assert!(!noticed(near, Renderer::render) && !noticed(refusals, Renderer::render));
+        // a surface is lost where it comes near
+        assert!(noticed(near, |cpu, scene, camera| {
+            let mut view = cpu.render(scene, camera)?;
+            view.rgba.iter_mut().filter(|_| camera.pose.tz > 0.9985).for_each(|p| *p = [0; 4]);
+            Ok(view)
+        }));
+        // what cannot be drawn is a black picture
+        assert!(noticed(refusals, |cpu, scene, camera| {
+            let black = View { width: camera.width, height: camera.height, rgba: vec![[0; 4]; 640] };
+            Ok(cpu.render(scene, camera).unwrap_or(black))
+        }));
+        // half a degree of turn
+        let hosts = Faulty::hosts(|cpu, scene, camera| {
+            let pose = Pose { yaw: camera.pose.yaw + 0.5, ..camera.pose };
+            cpu.render(scene, &Camera { pose, ..*camera })
+        });
+        assert!(failed(|c| run(c, &hosts)) > 0);
+    }
 }

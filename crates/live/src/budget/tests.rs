@@ -8,7 +8,7 @@ fn pixels(i: usize) -> f64 {
     f64::from(SIZES[i].0) * f64::from(SIZES[i].1)
 }
 
-/// A machine on which everything takes `load` times as long as it should.
+/// A simulated machine that takes `load` times as long for everything.
 #[derive(Clone, Copy)]
 struct Machine {
     load: f64,
@@ -23,7 +23,7 @@ impl Machine {
         self.network(i) + self.load * 4.0
     }
 
-    /// Each tile needs one plane, every third three, every ninth six.
+    /// Tiles divisible by nine need six planes, the others divisible by three need three, the rest one.
     fn planes(tile: usize, most: Option<u32>) -> usize {
         let needs = if tile.is_multiple_of(9) {
             6
@@ -39,8 +39,8 @@ impl Machine {
         self.load * 0.2 * planes.iter().map(|p| 1 + p).sum::<usize>() as f64
     }
 
-    /// One frame of which `waiting` tiles wait; what was chosen, and the milliseconds of depth and of tiles.
-    fn frame(self, budget: &mut Budget, waiting: usize) -> (Option<usize>, Share, f64, f64) {
+    /// Simulates a frame with `waiting` tiles. Returns the choices, and the milliseconds of depth and of tiles.
+    fn frame(self, budget: &mut Budget, waiting: usize) -> (Option<usize>, TileBudget, f64, f64) {
         let size = budget.depth(&SIZES, false);
         if let Some(i) = size {
             budget.depth_took(self.depth(i), self.network(i));
@@ -53,8 +53,8 @@ impl Machine {
     }
 }
 
-/// A budget that knows a machine.
-fn learnt(frame_ms: f64, load: f64, frames: usize) -> Budget {
+/// A budget that has measured a machine.
+fn measured(frame_ms: f64, load: f64, frames: usize) -> Budget {
     let mut budget = Budget::new(frame_ms);
     (0..frames).for_each(|_| {
         Machine { load }.frame(&mut budget, 36);
@@ -63,43 +63,43 @@ fn learnt(frame_ms: f64, load: f64, frames: usize) -> Budget {
 }
 
 #[test]
-fn with_ample_time_everything_is_done_at_once() {
-    let all = Share { tiles: usize::MAX, planes: None };
+fn with_enough_time_nothing_is_limited() {
+    let all = TileBudget { tiles: usize::MAX, planes: None };
     for frame_ms in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let mut budget = learnt(frame_ms, 100.0, 20);
+        let mut budget = measured(frame_ms, 100.0, 20);
         assert_eq!((budget.depth(&SIZES, false), budget.tiles(1_000_000, Some(6))), (Some(0), all), "{frame_ms}");
     }
-    let mut budget = learnt(1e4, 1.0, 20);
+    let mut budget = measured(1e4, 1.0, 20);
     assert_eq!(budget.depth(&SIZES, false), Some(0));
     assert!(budget.tiles(500, Some(6)).tiles > 500 && budget.tiles(500, Some(6)).planes.is_none());
-    // nothing is known of the first frame
+    // before the first frame there are no measurements
     let mut first = Budget::new(1.0);
     assert_eq!((first.depth(&SIZES, false), first.tiles(1_000_000, Some(6))), (Some(0), all));
 }
 
 #[test]
-fn what_is_chosen_keeps_to_the_budget() {
+fn choices_keep_to_the_budget() {
     for frame_ms in [8.0, 10.0, 16.0, 21.0, 30.0, 45.0, 80.0] {
-        let (mut budget, machine) = (learnt(frame_ms, 1.0, 40), Machine { load: 1.0 });
+        let (mut budget, machine) = (measured(frame_ms, 1.0, 40), Machine { load: 1.0 });
         for _ in 0..20 {
             let (_, share, depth, tiles) = machine.frame(&mut budget, 36);
-            // a tile that needs six planes may be among the few that fit
-            let left = frame_ms - depth.min(DEPTH * frame_ms);
-            assert!(depth < EACH * DEPTH * frame_ms && tiles <= left + 1.5, "{frame_ms}: {depth} and {tiles}, {share:?}");
+            // one of the few tiles that fit may need six planes
+            let left = frame_ms - depth.min(DEPTH_SHARE * frame_ms);
+            assert!(depth < SIZE_OVERRUN * DEPTH_SHARE * frame_ms && tiles <= left + 1.5, "{frame_ms}: {depth} and {tiles}, {share:?}");
         }
     }
 }
 
 #[test]
-fn depth_that_does_not_fit_at_any_size_keeps_to_its_share_by_waiting() {
-    let (mut budget, machine) = (learnt(5.0, 1.0, 40), Machine { load: 1.0 });
-    // 3 ms a frame are its share; the smallest size takes 9
+fn depth_that_fits_at_no_size_skips_frames() {
+    let (mut budget, machine) = (measured(5.0, 1.0, 40), Machine { load: 1.0 });
+    // depth's share is 3 ms a frame; the smallest size takes 9
     assert!(machine.depth(3) > 8.9 && machine.depth(3) < 9.1);
     let sizes: Vec<usize> = (0..30).filter_map(|_| machine.frame(&mut budget, 36).0).collect();
     assert!(sizes.iter().all(|i| *i == 3) && (10..=15).contains(&sizes.len()), "{sizes:?}");
     // a new scene does not wait
     assert!((0..10).all(|_| budget.depth(&SIZES, true) == Some(3)));
-    // as an estimator without a choice does
+    // an estimator without a choice of sizes skips frames too
     let mut single = Budget::new(30.0);
     single.depth_took(0.0, 0.0);
     single.depth_took(60.0, 0.0);
@@ -107,8 +107,8 @@ fn depth_that_does_not_fit_at_any_size_keeps_to_its_share_by_waiting() {
 }
 
 #[test]
-fn load_makes_depth_small_and_planes_few_and_all_comes_back_with_the_time() {
-    let mut budget = learnt(50.0, 1.0, 40);
+fn load_reduces_depth_size_and_planes_until_it_ends() {
+    let mut budget = measured(50.0, 1.0, 40);
     let run = |budget: &mut Budget, load: f64| {
         let mut last = None;
         (0..60).for_each(|_| last = Some(Machine { load }.frame(budget, 36)));
@@ -122,9 +122,9 @@ fn load_makes_depth_small_and_planes_few_and_all_comes_back_with_the_time() {
 }
 
 #[test]
-fn a_size_near_the_edge_does_not_go_to_and_fro() {
-    // 24 ms of depth beside 24.1 of its share: taken where it is what there is, not gone over to
-    let mut budget = learnt(24.1 / (EACH * DEPTH), 1.0, 30);
+fn a_size_near_the_limit_does_not_oscillate() {
+    // depth takes 24 ms of the allowed 24.1: kept if it is the current size, but not switched to
+    let mut budget = measured(24.1 / (SIZE_OVERRUN * DEPTH_SHARE), 1.0, 30);
     let sizes = |budget: &mut Budget, load: f64| -> Vec<Option<usize>> {
         (0..20).map(|n| Machine { load: load * if n % 2 == 0 { 1.002 } else { 0.998 } }.frame(budget, 4).0).collect()
     };
@@ -136,8 +136,8 @@ fn a_size_near_the_edge_does_not_go_to_and_fro() {
 }
 
 #[test]
-fn what_is_no_time_is_not_learnt() {
-    let mut budget = learnt(30.0, 1.0, 30);
+fn invalid_times_are_ignored() {
+    let mut budget = measured(30.0, 1.0, 30);
     let before = (budget.depth(&SIZES, false), budget.tiles(36, Some(6)));
     for wild in [f64::NAN, f64::INFINITY, -5.0] {
         budget.depth_took(wild, 1.0);
@@ -146,31 +146,31 @@ fn what_is_no_time_is_not_learnt() {
     }
     budget.tiles_took(&[], true, 9.0);
     assert_eq!((budget.depth(&SIZES, false), budget.tiles(36, Some(6))), before);
-    // what takes no time at all always fits
+    // a cost of zero always fits
     let mut free = Budget::new(1e-9);
     (0..5).for_each(|_| {
         free.depth_took(0.0, 0.0);
         free.tiles_took(&[6; 9], true, 0.0);
     });
-    assert_eq!((free.depth(&SIZES, false), free.tiles(1000, Some(6))), (Some(0), Share { tiles: usize::MAX, planes: None }));
-    // and one tile is placed whatever it takes
-    let mut slow = learnt(1e-6, 1e6, 5);
-    assert_eq!(slow.tiles(36, Some(6)), Share { tiles: 1, planes: Some(2) });
+    assert_eq!((free.depth(&SIZES, false), free.tiles(1000, Some(6))), (Some(0), TileBudget { tiles: usize::MAX, planes: None }));
+    // one tile is always placed
+    let mut slow = measured(1e-6, 1e6, 5);
+    assert_eq!(slow.tiles(36, Some(6)), TileBudget { tiles: 1, planes: Some(2) });
     assert!((0..3).all(|_| slow.depth(&SIZES, true) == Some(3)));
 }
 
 #[test]
-fn planes_that_are_asked_for_by_number_are_all_given() {
-    let budget = learnt(12.0, 1.0, 30);
+fn a_fixed_number_of_planes_is_never_reduced() {
+    let budget = measured(12.0, 1.0, 30);
     assert_eq!(budget.tiles(1000, None).planes, None);
     assert_eq!(budget.tiles(1000, Some(6)).planes, Some(2));
 }
 
 proptest! {
-    /// At the same costs, more time never gives a smaller size, fewer planes or, with as many, fewer tiles.
+    /// At the same costs, more time never yields a smaller size, fewer planes or fewer tiles.
     #[test]
-    fn more_time_never_gives_less(load in 0.05f64..20.0, less in 0.5f64..200.0, more in 0.0f64..200.0, waiting in 1usize..300, at in 0usize..4) {
-        let mut known = learnt(f64::INFINITY, load, 20);
+    fn more_time_never_yields_less(load in 0.05f64..20.0, less in 0.5f64..200.0, more in 0.0f64..200.0, waiting in 1usize..300, at in 0usize..4) {
+        let mut known = measured(f64::INFINITY, load, 20);
         known.size = (pixels(at), at > 0);
         let chosen = |frame_ms: f64| {
             let mut budget = Budget { frame_ms, ..known.clone() };
@@ -179,7 +179,7 @@ proptest! {
         };
         let (a, b) = (chosen(less), chosen(less + more));
         prop_assert!(b.0 <= a.0, "{a:?} {b:?}");
-        let rank = |s: Share| (s.planes.unwrap_or(6), s.tiles.min(waiting));
+        let rank = |s: TileBudget| (s.planes.unwrap_or(6), s.tiles.min(waiting));
         prop_assert!(rank(b.1).0 >= rank(a.1).0 && rank(b.1).1 >= rank(a.1).1, "{a:?} {b:?}");
         prop_assert!(a.1.tiles > 0);
     }

@@ -1,4 +1,4 @@
-//! Depth of a frame.
+//! Estimates a frame's depth.
 
 use tmpi_core::{DisparityMap, Photo, Rect};
 use tmpi_pipeline::MakeError;
@@ -7,11 +7,11 @@ use tmpi_pipeline::run::stages::{Denoise, Depth, Estimated, Snap, Source};
 
 use super::Frame;
 
-/// Pixels about a pixel that snapping looks at, over its three passes.
+/// Radius in pixels that snapping reads, over its three passes.
 const SNAP_REACH: u32 = 8;
 
-/// Disparity of a frame: measured and denoised, or estimated by the network at a size of its own; its ramps snapped, of an estimate those in a `part`
-/// alone. And the milliseconds that the network took by itself.
+/// Returns a frame's disparity, and the milliseconds that the network took. The disparity is measured and denoised, or estimated by the
+/// network at `size`. Its ramps are snapped; in an estimate only those in `part`, if there is one.
 pub(super) fn estimate(
     job: &mut Context,
     frame: &Frame,
@@ -32,7 +32,7 @@ pub(super) fn estimate(
     Ok((map, depth.network_ms()))
 }
 
-/// Snaps the ramps of a part of a map to what they would be snapped to with all of it.
+/// Snaps the ramps in a part of a map, with the same result there as snapping all of it.
 pub(super) fn snap_part(job: &mut Context, photo: &Photo, mut map: Estimated, part: Rect) -> Result<Estimated, MakeError> {
     let width = photo.width as usize;
     let (x0, y0) = (part.x.saturating_sub(SNAP_REACH), part.y.saturating_sub(SNAP_REACH));

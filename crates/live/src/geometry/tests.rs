@@ -10,7 +10,7 @@ use tmpi_pipeline::run::stages::Snap;
 use super::estimate::snap_part;
 use super::*;
 
-/// Disparity from brightness, by another scale and shift each time, as networks do.
+/// Derives disparity from brightness, with another scale and shift in each run, like networks.
 #[derive(Default)]
 struct Bright {
     runs: AtomicU32,
@@ -29,9 +29,9 @@ impl Estimator for Bright {
     }
 }
 
-/// Frames never rest.
-fn restless() -> Settings {
-    Settings { rest: Duration::ZERO, ..Settings::default() }
+/// Settings without a cooldown.
+fn without_cooldown() -> Settings {
+    Settings { cooldown: Duration::ZERO, ..Settings::default() }
 }
 
 fn room(settings: Settings) -> (Arc<Bright>, Geometry) {
@@ -39,7 +39,7 @@ fn room(settings: Settings) -> (Arc<Bright>, Geometry) {
     (Arc::clone(&depth), Geometry::new(Models { depth, theta: None, psi: None }, settings))
 }
 
-/// A square at `x` before a wall that rises to the right.
+/// A square at `x` in front of a wall that gets nearer to the right.
 fn frame(number: u64, x: u32) -> Frame {
     let (width, height) = (240, 136);
     let pixel =
@@ -49,21 +49,21 @@ fn frame(number: u64, x: u32) -> Frame {
 }
 
 #[test]
-fn what_stands_still_costs_nothing() {
+fn a_still_scene_costs_nothing() {
     let (depth, mut room) = room(Settings::default());
     let first = room.next(&frame(0, 60)).unwrap();
     assert!(first.cut && first.sent.len() == 15 && first.chunks.len() == 1 && first.waiting == 0);
     for n in 1..5 {
         let update = room.next(&frame(n, 60)).unwrap();
         assert!(update.changed.is_empty() && update.chunks.is_empty());
-        assert_eq!(update.stages.len(), 1, "the comparison alone");
+        assert_eq!(update.stages.len(), 1, "only the comparison runs");
     }
     assert_eq!(depth.runs.load(Ordering::Relaxed), 1);
 }
 
 #[test]
-fn a_reader_of_all_chunks_has_the_room_and_unchanged_tiles_are_as_they_were() {
-    let (_, mut room) = room(restless());
+fn a_reader_of_all_chunks_matches_the_room() {
+    let (_, mut room) = room(without_cooldown());
     room.next(&frame(0, 20)).unwrap();
     let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
     reader.take(&wire::Geometry { frame: 0, chunks: room.snapshot(0).unwrap().into_iter().collect() }).unwrap();
@@ -81,8 +81,8 @@ fn a_reader_of_all_chunks_has_the_room_and_unchanged_tiles_are_as_they_were() {
 }
 
 #[test]
-fn another_scale_of_the_network_does_not_move_what_moves_over_the_picture() {
-    let (_, mut room) = room(restless());
+fn a_change_of_the_networks_scale_does_not_move_depth() {
+    let (_, mut room) = room(without_cooldown());
     let shown = |room: &Geometry, x: u32| {
         let g = room.geometry().unwrap();
         // tile 6 has its upper left corner at (56, 56)
@@ -93,20 +93,20 @@ fn another_scale_of_the_network_does_not_move_what_moves_over_the_picture() {
     for n in 1..8 {
         room.next(&frame(n, 70 - n as u32)).unwrap();
         let now = shown(&room, 75);
-        // planes are kept while they are within 1.5 × .064; the network's own scale would take it .23 away
-        assert!((now - first).abs() < 0.1, "frame {n}: {now}, not {first}");
+        // planes are kept within 1.5 × 0.064; the network's own scale would move them by 0.23
+        assert!((now - first).abs() < 0.1, "frame {n}: {now}, expected {first}");
     }
 }
 
 #[test]
-fn after_a_cut_a_room_is_as_a_fresh_one() {
+fn after_a_cut_a_room_equals_a_new_one() {
     let (_, mut room) = self::room(Settings::default());
     room.next(&frame(0, 60)).unwrap();
     let mut other = frame(1, 60);
     other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
     let update = room.next(&other).unwrap();
     assert!(update.cut && update.sent.len() == 15);
-    // by the same run of the network
+    // with the network's scale and shift of the second run
     let (depth, mut fresh) = self::room(Settings::default());
     depth.runs.store(1, Ordering::Relaxed);
     fresh.next(&other).unwrap();
@@ -114,9 +114,9 @@ fn after_a_cut_a_room_is_as_a_fresh_one() {
 }
 
 #[test]
-fn after_a_cut_that_does_not_fit_the_budget_readers_get_every_tile_and_what_is_told_is_what_they_have() {
+fn readers_get_every_tile_after_a_cut_over_budget() {
     let (_, mut room) = room(Settings { frame_ms: 1e-3, ..Settings::default() });
-    // a corner, which is all of a tile, is the same in both scenes
+    // one corner tile is the same in both scenes
     let scene = |number: u64, by: u8| {
         let mut frame = frame(number, 60);
         let width = frame.photo.width as usize;
@@ -136,17 +136,17 @@ fn after_a_cut_that_does_not_fit_the_budget_readers_get_every_tile_and_what_is_t
         reader.take(&wire::Geometry { frame: n, chunks: update.chunks }).unwrap();
         assert_eq!(reader.geometry(), room.geometry(), "frame {n}");
         if n == 1 {
-            assert!(sent.len() < 15, "the budget holds none back");
+            assert!(sent.len() < 15, "the budget delays no tile");
         }
     }
     assert_eq!(sent, (0..15).collect());
 }
 
 #[test]
-fn tiles_that_do_not_fit_the_budget_follow_one_by_one() {
+fn tiles_over_budget_follow_one_by_one() {
     let (_, mut room) = room(Settings { frame_ms: 1e-3, ..Settings::default() });
     room.next(&walls(0, 0.0)).unwrap();
-    // measured depth is looked at with each frame, however long it takes
+    // measured depth is processed in each frame, however long it takes
     let moved = walls(1, 0.3);
     let first = room.next(&moved).unwrap();
     assert!(first.waiting > 1 && first.sent.len() <= 1, "{} wait, {:?} sent", first.waiting, first.sent);
@@ -161,9 +161,9 @@ fn tiles_that_do_not_fit_the_budget_follow_one_by_one() {
 }
 
 #[test]
-fn with_ample_time_a_room_is_what_it_is_without_a_bound() {
-    let (_, mut free) = room(restless());
-    let (_, mut ample) = room(Settings { frame_ms: 1e12, ..restless() });
+fn an_ample_budget_equals_no_budget() {
+    let (_, mut free) = room(without_cooldown());
+    let (_, mut ample) = room(Settings { frame_ms: 1e12, ..without_cooldown() });
     for n in 0..8 {
         let frame = frame(n, 60 + 9 * n as u32);
         let (a, b) = (free.next(&frame).unwrap(), ample.next(&frame).unwrap());
@@ -173,7 +173,7 @@ fn with_ample_time_a_room_is_what_it_is_without_a_bound() {
     }
 }
 
-/// As [`Bright`], by a network with a choice of sizes, which it notes.
+/// [`Bright`] with a choice of input sizes, which it records.
 #[derive(Default)]
 struct Choice {
     bright: Bright,
@@ -200,21 +200,21 @@ impl Estimator for Choice {
 }
 
 #[test]
-fn depth_that_was_late_runs_at_a_smaller_size_and_at_its_own_where_there_is_time() {
+fn late_depth_runs_at_a_smaller_size() {
     let mut other = frame(1, 60);
     other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
     for (frame_ms, then) in [(1e-6, (60, 34)), (0.0, (240, 136))] {
         let depth = Arc::new(Choice::default());
         let models = Models { depth: Arc::<Choice>::clone(&depth), theta: None, psi: None };
         let mut room = Geometry::new(models, Settings { frame_ms, ..Settings::default() });
-        assert_eq!(room.next(&frame(0, 60)).unwrap().depth_size, Some((240, 136)), "nothing is known of what it takes");
+        assert_eq!(room.next(&frame(0, 60)).unwrap().depth_size, Some((240, 136)), "no cost has been measured yet");
         assert_eq!(room.next(&other).unwrap().depth_size, Some(then), "a new scene does not wait");
         assert_eq!(*depth.ran.lock().unwrap(), [(240, 136), then]);
     }
 }
 
 #[test]
-fn tiles_that_were_held_to_few_planes_get_the_others_when_there_is_time() {
+fn coarse_tiles_get_more_planes_when_there_is_time() {
     let (_, mut room) = room(Settings::default());
     // two planes for each of 15 tiles take 45e6 ms, three 60e6
     room.budget = Budget::new(59e6);
@@ -228,7 +228,7 @@ fn tiles_that_were_held_to_few_planes_get_the_others_when_there_is_time() {
     let planes = |room: &Geometry| room.geometry().unwrap().tiles[0].planes.len();
     let first = room.next(&with(0)).unwrap();
     assert!(first.waiting == 0 && first.coarse > 0 && planes(&room) == 2, "{} wait, {} coarse", first.waiting, first.coarse);
-    // what is measured brings the costs down
+    // real measurements lower the costs
     let second = room.next(&with(1)).unwrap();
     assert!(second.changed.is_empty() && second.coarse == 0 && second.sent.contains(&0), "{:?}", second.sent);
     assert!(planes(&room) > 2);
@@ -236,7 +236,7 @@ fn tiles_that_were_held_to_few_planes_get_the_others_when_there_is_time() {
 }
 
 #[test]
-fn measured_depth_that_changes_alone_is_taken() {
+fn a_change_of_measured_depth_alone_is_sent() {
     let (depth, mut room) = room(Settings::default());
     let with = |number, near: f32| {
         let mut f = frame(number, 60);
@@ -255,10 +255,10 @@ fn measured_depth_that_changes_alone_is_taken() {
 }
 
 #[test]
-fn a_part_is_snapped_as_the_whole_is() {
+fn snapping_a_part_equals_snapping_the_whole() {
     let frame = frame(0, 60);
     let (width, height) = (frame.photo.width, frame.photo.height);
-    // ramps of seven pixels where the photo has edges
+    // ramps of seven pixels at the photo's edges
     let near = |x: u32| (f64::from(x.clamp(56, 63) - 56) / 7.0) as f32;
     let delta: Vec<f32> = (0..width * height).map(|i| 0.2 + 0.6 * near(i % width)).collect();
     let map = || Estimated { delta: DisparityMap { width, height, delta: delta.clone() }, confidence: None, given: false };
@@ -281,16 +281,16 @@ fn a_part_is_snapped_as_the_whole_is() {
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(12))]
 
-    /// Measured depth that creeps, jumps and trembles: at each frame a reader of the chunks has what the room has, and of no tile is that
-    /// off by more than the tolerance from what was placed for this frame: what is left out never adds up.
+    /// Measured depth drifts, jumps and flickers. At each frame, a reader of the chunks has the room's geometry, and no tile differs by
+    /// more than the tolerance from the planes fitted to this frame: omitted changes do not accumulate.
     #[test]
-    fn what_is_not_sent_is_within_the_tolerance(steps in proptest::collection::vec((-0.02f32..0.02, -0.02f32..0.02, 0u32..4), 2..14)) {
-        let (_, mut room) = room(restless());
+    fn unsent_changes_stay_within_the_tolerance(steps in proptest::collection::vec((-0.02f32..0.02, -0.02f32..0.02, 0u32..4), 2..14)) {
+        let (_, mut room) = room(without_cooldown());
         let (mut wall, mut slope, mut reader) = (0.3f32, 0.1f32, None::<Model>);
         let mut before = None::<core::Geometry>;
         for (n, (dw, ds, edge)) in (0u64..).zip(steps) {
             (wall, slope) = (wall + dw, slope + ds);
-            // the picture changes with it, so that all tiles are placed anew
+            // the picture changes too, so that all tiles get new planes
             let mut frame = frame(n, 60);
             frame.photo.rgb.iter_mut().for_each(|p| *p = [(n * 90 % 200) as u8; 3]);
             let delta = |x: u32| if x < 100 + edge { wall } else { 0.6 + slope * x as f32 / 240.0 };
@@ -300,14 +300,14 @@ proptest::proptest! {
             let model = reader.get_or_insert_with(|| Model::new(&Model::hello(now)).unwrap());
             model.take(&wire::Geometry { frame: n, chunks: update.chunks.clone() }).unwrap();
             proptest::prop_assert_eq!(model.geometry(), Some(now));
-            proptest::prop_assert!(update.kept_off <= PARALLAX, "{} px", update.kept_off);
+            proptest::prop_assert!(update.kept_error <= PARALLAX, "{} px", update.kept_error);
             if let Some(before) = before.take().filter(|_| !update.cut) {
                 for t in 0..now.tiles.len() as u32 {
                     let same = now.tiles[t as usize] == before.tiles[t as usize];
                     proptest::prop_assert_eq!(same, !update.sent.contains(&t), "tile {}", t);
                 }
-                // in pixels at the border of the view box, what is shown against the depth that was measured: planes may be off by half
-                // a pixel and are kept up to one and a half times that, what is left out adds a quarter
+                // error against the measured depth, in pixels at the border of the view box: planes may be off by half a pixel and are
+                // kept up to one and a half times that; omitted changes add a quarter
                 let all = Rect { x: 0, y: 0, w: 240, h: 136 };
                 let (x, y) = now.view_box.parallax(&now.intrinsics, all);
                 let off = (0..now.grid.tiles()).flat_map(|t| {
@@ -315,7 +315,7 @@ proptest::proptest! {
                     let shown = now.tiles[t as usize].shown(&now.grid, t);
                     (0..r.area()).map(move |i| (r.x + i as u32 % r.w, shown[i])).collect::<Vec<_>>()
                 });
-                // beside the edge smoothing has its say
+                // skip the edge, where labels are smoothed
                 let flat = off.filter(|(x, _)| !(92..112).contains(x)).map(|(x, d)| f64::from((d - delta(x)).abs()));
                 let most = flat.fold(0.0, f64::max) * x.max(y);
                 proptest::prop_assert!(most <= 0.75 + PARALLAX + 0.05, "{} px", most);
@@ -325,10 +325,10 @@ proptest::proptest! {
     }
 }
 
-/// A wall before another, which is `by` nearer, and a picture that is another than that of the number before.
+/// A near wall in front of a far one, which is `by` nearer than at first. The picture changes with each number.
 fn walls(number: u64, by: f32) -> Frame {
     let mut f = frame(number, 60);
-    // of the same colours, so that it is no cut
+    // the same colours, so that it is not a cut
     (0..).zip(&mut f.photo.rgb).for_each(|(i, p)| *p = [60 + 30 * ((i / 240 + i % 240 + number) % 2) as u8; 3]);
     let delta = |x: u32| if (50..120).contains(&x) { 0.8 } else { 0.3 + by };
     f.depth = Some(DisparityMap { width: 240, height: 136, delta: (0..240 * 136).map(|i| delta(i % 240)).collect() });
@@ -336,41 +336,41 @@ fn walls(number: u64, by: f32) -> Frame {
 }
 
 #[test]
-fn what_moves_by_less_than_a_quarter_of_a_pixel_is_kept_until_it_adds_up() {
-    let (_, mut room) = room(restless());
+fn small_moves_are_kept_until_they_add_up() {
+    let (_, mut room) = room(without_cooldown());
     room.next(&walls(0, 0.0)).unwrap();
     let first = room.geometry().unwrap().clone();
     let update = room.next(&walls(1, 0.004)).unwrap();
-    // the background behind the near wall follows at once, by a tenth of a pixel
+    // the background behind the near wall moves by a tenth of a pixel
     assert!(update.sent.is_empty() && !update.kept.is_empty(), "{:?} sent, {:?} kept", update.sent, update.kept);
-    assert!(update.kept_off > 0.0 && update.kept_off <= PARALLAX && update.chunks.is_empty());
+    assert!(update.kept_error > 0.0 && update.kept_error <= PARALLAX && update.chunks.is_empty());
     assert_eq!(room.geometry(), Some(&first));
     let sent: usize = (2..40).map(|n| room.next(&walls(n, 0.004 * n as f32)).unwrap().sent.len()).sum();
-    assert!(sent > 0, "what creeps is sent in the end");
-    // without a tolerance it goes at once
-    let (_, mut room) = self::room(Settings { parallax: 0.0, ..restless() });
+    assert!(sent > 0, "slow motion is eventually sent");
+    // without a tolerance it is sent at once
+    let (_, mut room) = self::room(Settings { parallax: 0.0, ..without_cooldown() });
     room.next(&walls(0, 0.0)).unwrap();
     let update = room.next(&walls(1, 0.004)).unwrap();
     assert!(!update.sent.is_empty() && update.kept.is_empty());
 }
 
 #[test]
-fn where_depth_is_measured_no_frame_rests() {
+fn measured_depth_has_no_cooldown() {
     let (_, mut room) = room(Settings::default());
     let sent: Vec<usize> = (0..4).map(|n| room.next(&walls(n, 0.1 * n as f32)).unwrap().sent.len()).collect();
     assert!(sent.iter().all(|s| *s > 0), "{sent:?}");
 }
 
 #[test]
-fn a_frame_rests_after_one_whose_tiles_were_sent_and_is_caught_up_with() {
+fn changes_during_the_cooldown_are_sent_after_it() {
     let (depth, mut room) = room(Settings::default());
     room.next(&frame(0, 60)).unwrap();
     let runs = || depth.runs.load(Ordering::Relaxed);
     assert_eq!(runs(), 1);
-    // 33 and 66 ms after it
+    // 33 and 66 ms after the first frame
     for n in [1, 2] {
-        let rests = room.next(&frame(n, 90)).unwrap();
-        assert!(rests.sent.is_empty() && rests.waiting == 6 && runs() == 1, "frame {n}: {} wait", rests.waiting);
+        let update = room.next(&frame(n, 90)).unwrap();
+        assert!(update.sent.is_empty() && update.waiting == 6 && runs() == 1, "frame {n}: {} wait", update.waiting);
     }
     let now = room.next(&frame(3, 90)).unwrap();
     assert!(now.changed.is_empty() && !now.sent.is_empty() && now.waiting == 0 && runs() == 2);
@@ -381,7 +381,7 @@ fn a_frame_rests_after_one_whose_tiles_were_sent_and_is_caught_up_with() {
 }
 
 #[test]
-fn of_frames_that_come_seldom_none_rests_nor_after_a_clock_was_put_back() {
+fn slow_frames_and_clock_steps_cause_no_cooldown() {
     let (_, mut room) = room(Settings::default());
     for (n, ms) in [1_000, 1_080, 500, 590].into_iter().enumerate() {
         let update = room.next(&Frame { at: Duration::from_millis(ms), ..frame(n as u64, 60 + 10 * n as u32) }).unwrap();

@@ -1,24 +1,24 @@
-//! VP9 of profile 0, one frame a message.
+//! VP9 of profile 0, one frame per message.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use rusty_vp9::{BitReader, DecodedFrame, Error, Vp9Decoder, parse_uncompressed_header};
 
-use super::{Colour, Decoder, FAILED, I420, Photo, VideoError, key_frame, sized, to_rgb};
+use super::{Colour, Decoder, FAILED, I420, Photo, VideoError, expect_size, key_frame, to_rgb};
 
-/// Marks the last byte of a superframe, several frames in one (VP9 bitstream specification, annex B).
+/// Marker in the last byte of a superframe, which contains several frames (VP9 bitstream specification, annex B).
 const SUPERFRAME: u8 = 0xC0;
 
 /// The decoder.
 pub struct Vp9 {
     decoder: Vp9Decoder,
     size: (u32, u32),
-    /// As the last key frame said.
+    /// Colour of the last key frame.
     colour: Colour,
 }
 
 impl Vp9 {
-    /// Of frames of that size.
+    /// A decoder for frames of this size.
     pub fn new(size: (u32, u32)) -> Self {
         Self { decoder: Vp9Decoder::new(), size, colour: Colour::default() }
     }
@@ -29,16 +29,16 @@ impl Vp9 {
         self.decoder.push(data, None).map_err(broken)?;
         match self.decoder.next_frame() {
             Ok(frame) => Ok(Some(frame)),
-            // it is not to be shown
+            // the frame is hidden
             Err(Error::Again) => Ok(None),
             Err(error) => Err(broken(error)),
         }
     }
 
-    /// Refuses frames of another size before the decoder takes memory for them. All that a frame refers to were of this one.
+    /// Refuses frames of another size before the decoder allocates memory for them. All reference frames have `self.size`.
     fn check(&mut self, data: &[u8]) -> Result<(), VideoError> {
         if data.last().is_none_or(|last| last & 0xE0 == SUPERFRAME) {
-            return Err(VideoError::Broken("no frame, or several in one".into()));
+            return Err(VideoError::Broken("the message is empty or contains several frames".into()));
         }
         if let Some(key) = key_frame("vp09.", data)? {
             self.colour = key.colour;
@@ -57,11 +57,11 @@ impl Decoder for Vp9 {
     fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
         let decoded = catch_unwind(AssertUnwindSafe(|| self.frame(data)));
         let decoded = decoded.unwrap_or_else(|_| Err(VideoError::Broken(FAILED.into())));
-        // as with H.264, the next key frame brings all that is needed
+        // as with H.264, a new decoder continues at the next key frame
         let Some(frame) = decoded.inspect_err(|_| self.decoder = Vp9Decoder::new())? else { return Ok(None) };
-        let [y, u, v] = frame.planes.as_slice() else { return Err(VideoError::Broken("not three planes".into())) };
+        let [y, u, v] = frame.planes.as_slice() else { return Err(VideoError::Broken("the frame does not have three planes".into())) };
         let planes = I420 { width: frame.width, height: frame.height, y, u, v };
-        sized(to_rgb(&planes, self.colour).ok_or_else(|| VideoError::Broken("a plane that is too short".into()))?, self.size)
+        expect_size(to_rgb(&planes, self.colour).ok_or_else(|| VideoError::Broken("a plane is too short".into()))?, self.size)
     }
 }
 
@@ -87,7 +87,7 @@ mod tests {
     const SIZE: (u32, u32) = (174, 142);
 
     #[test]
-    fn planes_are_bit_by_bit_those_of_another_decoder() {
+    fn planes_equal_those_of_another_decoder() {
         let table = include_str!("../../tests/video/testsrc-vp9.framehash");
         let hashes: Vec<_> = table.lines().filter(|l| !l.starts_with('#')).filter_map(|l| l.rsplit(", ").next()).collect();
         let mut vp9 = Vp9::new(SIZE);
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_damaged_or_of_another_size_is_refused_and_a_key_frame_is_decoded_after_it() {
+    fn a_key_frame_decodes_after_a_refused_frame() {
         let frames = frames(FILM);
         let mut vp9 = Vp9::new(SIZE);
         assert!(vp9.decode(frames[0]).unwrap().is_some_and(|photo| (photo.width, photo.height) == SIZE));
@@ -112,7 +112,7 @@ mod tests {
         for broken in [&[][..], &[0xFF; 9], &frames[1][..1], &[frames[1], &[0xC1, 9, 0xC1]].concat()] {
             assert!(vp9.decode(broken).is_err());
         }
-        // what refers to frames that it has no more
+        // refers to frames that the new decoder does not have
         assert!(vp9.decode(frames[1]).is_err());
         assert!(vp9.decode(frames[20]).unwrap().is_some());
     }

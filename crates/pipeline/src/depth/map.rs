@@ -3,7 +3,7 @@
 use image::{ColorType, ImageDecoder};
 use rayon::prelude::*;
 
-use super::{DepthError, DepthKind, Read};
+use super::{DepthError, DepthKind, Read, pfm};
 use tmpi_core::container::PhotoFormat;
 
 use crate::photo::{self, Head, Limits, PhotoError, png};
@@ -26,6 +26,9 @@ const STRETCHED: f64 = 0.03;
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
 pub fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthError> {
+    if pfm::is_pfm(bytes) {
+        return pfm::check(bytes, limits);
+    }
     photo::check(bytes, limits).map(|(_, size)| size).map_err(|e| not_a_map(&e))
 }
 
@@ -34,6 +37,9 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthError> {
 /// # Errors
 /// [`DepthError::Map`], as [`check`] of the whole would.
 pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
+    if pfm::is_pfm(bytes) {
+        return pfm::head(bytes, limits);
+    }
     photo::head(bytes, limits).map_err(|e| not_a_map(&e))
 }
 
@@ -134,11 +140,15 @@ pub fn from_map_beside(
     (width, height): (u32, u32),
     orientation: u8,
 ) -> Result<Read, DepthError> {
-    let Grey { width: w, height: h, values } = grey(bytes, limits)?;
+    let Grey { width: w, height: h, values } = if pfm::is_pfm(bytes) { pfm::read(bytes, limits)? } else { grey(bytes, limits)? };
     let lies = orientation >= 5 && fits((w, h), (height, width)) && !fits((w, h), (width, height));
     let (values, (w, h)) = photo::pixels::turned(values, (w, h), if lies { orientation } else { 1 });
     Ok(match kind {
-        DepthKind::Disparity => Read::new(values, (w, h), (width, height)),
+        DepthKind::Disparity | DepthKind::Inverted => {
+            let (delta, unknown) = from_disparity(values, w as usize, kind == DepthKind::Inverted)?;
+            let filled = (unknown > 0).then(|| unknown as f64 / delta.len() as f64);
+            Read { filled, ..Read::new(delta, (w, h), (width, height)) }
+        }
         DepthKind::Metric => {
             let all = values.len().max(1) as f64;
             let Metric { delta, unknown, clipped } = from_metric(values, w as usize)?;
@@ -163,6 +173,27 @@ pub fn fits(map: (u32, u32), photo: (u32, u32)) -> bool {
     (shape - 1.0).abs() <= STRETCHED
 }
 
+/// Disparity of 0 to 1, with the count of unknown values. Only floats are beyond that range: larger ones are in pixels, and are scaled by the
+/// largest; those that are not finite are unknown, and take the farther known neighbour.
+fn from_disparity(mut values: Vec<f32>, w: usize, is_inverted: bool) -> Result<(Vec<f32>, usize), DepthError> {
+    let most = values.iter().copied().filter(|v| v.is_finite()).reduce(f32::max);
+    let most = most.ok_or_else(|| DepthError::Map("it has no known depth: no value is finite".into()))?.max(1.0);
+    let mut unknown = 0;
+    for v in &mut values {
+        if v.is_finite() {
+            *v = (*v / most).max(0.0);
+            *v = if is_inverted { 1.0 - *v } else { *v };
+        } else {
+            *v = f32::NAN;
+            unknown += 1;
+        }
+    }
+    if unknown > 0 {
+        fill_unknown(&mut values, w);
+    }
+    Ok((values, unknown))
+}
+
 /// `δ = z_near / z`, at most 1, where `z_near` is the nearest depth but for [`OUTLIERS`]; an unknown value (0) takes the farther of its known neighbours in the row, a row of unknowns the row above or below.
 fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Metric, DepthError> {
     let mut sorted: Vec<f32> = z.iter().copied().filter(|&v| v > 0.0).collect();
@@ -175,6 +206,12 @@ fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Metric, DepthError> {
     for v in &mut z {
         *v = if *v > 0.0 { (near / *v).min(1.0) } else { f32::NAN };
     }
+    fill_unknown(&mut z, w);
+    Ok(Metric { delta: z, unknown, clipped })
+}
+
+/// Gives each unknown value (NaN) the farther of its known neighbours in the row, and a row of unknown ones the row above or below.
+fn fill_unknown(z: &mut [f32], w: usize) {
     let mut known = Vec::new();
     for (y, row) in z.chunks_exact_mut(w).enumerate() {
         let mut left = None;
@@ -206,7 +243,6 @@ fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Metric, DepthError> {
             z.copy_within(nearest * w..(nearest + 1) * w, y * w);
         }
     }
-    Ok(Metric { delta: z, unknown, clipped })
 }
 
 /// Another size: linear within a surface, the nearest sample where the four around a place belong to two surfaces;
@@ -291,6 +327,13 @@ mod tests {
         assert!((got.delta[7] - 3007.0 / 65_535.0).abs() < 1e-7);
         let eight = from_map(&png(ImageBuffer::from_fn(2, 1, |x, _| Luma([(x * 51) as u8]))), DepthKind::Disparity, 2, 1).unwrap();
         assert!((eight.delta[1] - 0.2).abs() < 1e-7);
+    }
+
+    #[test]
+    fn an_inverted_map_has_white_far() {
+        let map = wide(3, 1, |x, _| [0, 13_107, 65_535][x as usize]);
+        let got = from_map(&map, DepthKind::Inverted, 3, 1).unwrap();
+        assert!(got.delta.iter().zip([1.0, 0.8, 0.0]).all(|(got, want)| (got - want).abs() < 1e-6), "{:?}", got.delta);
     }
 
     #[test]

@@ -1,22 +1,23 @@
 //! Disparity of a photo: by a monocular depth network, or a map that the user gives.
 
 mod adapter;
-mod carried;
 mod detect;
+mod embedded;
 
 mod map;
 mod monocular;
+mod onnx_io;
+mod pfm;
 mod png;
 pub mod points;
-mod ports;
 mod smooth;
 mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Outputs, Sampling, SizeRule, Sky, adapter, margin};
-pub(crate) use carried::multi::second_eye;
-pub(crate) use carried::xmp;
-pub use carried::{Carried, carried};
 pub use detect::detect;
+pub(crate) use embedded::multi::second_eye;
+pub(crate) use embedded::xmp;
+pub use embedded::{Carried, carried};
 pub(crate) use map::fits;
 pub use map::{check, from_map, from_map_beside, head, resized};
 pub use monocular::Monocular;
@@ -32,6 +33,8 @@ pub enum DepthKind {
     /// `δ = v / 65535`, taken as it is.
     #[default]
     Disparity,
+    /// `δ = 1 − v / 65535`: white is far.
+    Inverted,
     /// Depth; `δ = z_min / z`, 0 marks unknown.
     Metric,
 }
@@ -54,8 +57,8 @@ pub enum DepthError {
     /// A picture of the second eye was promised, and there is none.
     #[error("stereo is beside, and there is no picture of the second eye beside the photo")]
     NoSecond,
-    /// The eyes' pictures are of all directions.
-    #[error("this is a 360° picture of two eyes, which no flat photo can show; stereo none takes it as it is, as one flat photo")]
+    /// The picture is of all directions.
+    #[error("this is a 360° picture, which no flat photo can show; stereo none takes it as it is, as one flat photo")]
     Sphere,
     /// The map cannot be written as a file.
     #[error("the depth map cannot be written: {0}")]

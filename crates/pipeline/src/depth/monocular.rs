@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::ports::{Ports, Values};
+use super::onnx_io::{Ports, Values};
 use super::smooth::smooth;
 use super::{Adapter, DepthError, Estimate, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
 use crate::clock::Clock;

@@ -11,15 +11,16 @@ use tmpi_render::difference::psnr_of;
 pub struct Reduction {
     /// Longest side of the scene against that of the file.
     pub scale: f64,
-    /// PSNR in dB of the photo enlarged again against what it was reduced from, over every sixteenth row; none where the file was decoded at
+    /// PSNR in dB of the photo enlarged again against what it was reduced from, over every seventeenth row; none where the file was decoded at
     /// a reduced size, and there was nothing to compare with.
     pub psnr: Option<f64>,
 }
 
-/// Every so many rows one is compared: all of them would take longer than reducing.
-const STEP: usize = 16;
+/// Every so many rows one is compared: all of them would take longer than reducing. Not the height of a JPEG file's blocks, of which it would always be
+/// the same row.
+const STEP: usize = 17;
 
-/// PSNR in dB of a smaller photo, enlarged again by linear interpolation, against what it was; over every sixteenth row.
+/// PSNR in dB of a smaller photo, enlarged again by linear interpolation, against what it was; over every seventeenth row.
 #[must_use]
 pub(super) fn psnr(small: &Photo, whole: &Photo) -> f64 {
     let (width, height) = (whole.width as usize, whole.height as usize);

@@ -1,6 +1,5 @@
 //! Per-tile planes: weighted clustering of disparity into the fewest planes that meet an error target (paper, section 3.2).
 
-mod carried;
 mod kernel;
 mod linear;
 mod lloyd;
@@ -9,10 +8,10 @@ mod potts;
 mod readable;
 mod sample;
 mod slanted;
+mod warm_start;
 
 use rayon::prelude::*;
 
-pub use carried::{place_again, place_tile_from};
 use lloyd::Histogram;
 use optimal::Table;
 pub use potts::{NEIGHBOUR, smooth_labels};
@@ -20,6 +19,7 @@ pub use sample::Samples;
 pub(crate) use sample::percentile_99;
 pub(crate) use slanted::fit_points;
 use tmpi_core::{DisparityMap, Grid, Plane, Rect, Tile};
+pub use warm_start::{place_again, place_tile_from};
 
 /// Most planes a tile can have; labels are bytes and renderers sort few layers a tile.
 pub const MAX_PLANES: u32 = 64;

@@ -6,6 +6,8 @@ use crate::depth::{DepthError, xmp};
 use crate::photo::{self, Limits, PhotoError};
 
 const PANO: &str = "http://ns.google.com/photos/1.0/panorama/";
+/// Share of all directions, from left to right, that a wide photo may show: 120°.
+const PANORAMA: f64 = 1.0 / 3.0;
 /// What names of files call two eyes beside one another, and one above the other, each between other signs than letters and digits.
 const BESIDE: [&str; 4] = ["left-right", "side-by-side", "sbs", "lr"];
 const ABOVE: [&str; 5] = ["top-bottom", "over-under", "ou", "tb", "tab"];
@@ -69,7 +71,7 @@ impl Stereo {
         }
     }
 
-    /// Refuses halves of a file that says that it is of all directions, and a second picture that is promised and not given.
+    /// Refuses a 360° picture, which no flat photo can show, and a second picture that is promised and not given.
     ///
     /// # Errors
     /// [`DepthError::Sphere`], [`DepthError::NoSecond`].
@@ -77,11 +79,19 @@ impl Stereo {
         if self == Self::Beside && !given {
             return Err(DepthError::NoSecond);
         }
-        let packets = if self.halves().is_some() { xmp::packets(photo) } else { Vec::new() };
-        let mut documents = packets.iter().filter_map(|p| xmp::document(p));
-        let sphere = documents.any(|d| xmp::anywhere(&d, PANO, "ProjectionType").is_some_and(|p| p.trim() == "equirectangular"));
-        if sphere { Err(DepthError::Sphere) } else { Ok(()) }
+        if self != Self::None && is_panorama(photo) { Err(DepthError::Sphere) } else { Ok(()) }
     }
+}
+
+/// Whether a file's metadata says that it is an equirectangular picture of more than [`PANORAMA`] of all directions
+/// (<https://developers.google.com/streetview/spherical-metadata>).
+fn is_panorama(photo: &[u8]) -> bool {
+    let packets = xmp::packets(photo);
+    let Some(document) = packets.first().and_then(|p| xmp::document(p)) else { return false };
+    let property = |name| xmp::anywhere(&document, PANO, name).map(str::trim);
+    let width = |name| property(name).and_then(|v| v.parse::<f64>().ok());
+    let share = width("CroppedAreaImageWidthPixels").zip(width("FullPanoWidthPixels")).map_or(1.0, |(own, full)| own / full);
+    property("ProjectionType") == Some("equirectangular") && share > PANORAMA
 }
 
 impl Halves {

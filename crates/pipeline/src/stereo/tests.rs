@@ -4,6 +4,7 @@ use super::census::{Grey, census};
 use super::rectify::{Model, rectify};
 use super::sgm::{self, Range, Views};
 use super::*;
+use crate::depth::DepthError;
 use crate::photo::resize;
 
 fn noise(x: u32, y: u32, seed: u32) -> u8 {
@@ -184,6 +185,35 @@ fn names_of_files_say_where_the_eyes_are() {
         assert_eq!(Stereo::of_name(name).unwrap(), want, "{name}");
     }
     assert!(Stereo::of_name("walrus-360.top-bottom.jpg").is_err());
+}
+
+#[test]
+fn panoramas_are_refused_unless_they_are_taken_as_flat() {
+    let with = |properties: &str| {
+        let xmp = format!(
+            "<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description \
+             xmlns:GPano='http://ns.google.com/photos/1.0/panorama/' {properties}/></rdf:RDF></x:xmpmeta>"
+        );
+        let body = [b"http://ns.adobe.com/xap/1.0/\0".as_slice(), xmp.as_bytes()].concat();
+        [b"\xff\xd8\xff\xe1".as_slice(), &(body.len() as u16 + 2).to_be_bytes(), &body, b"\xff\xd9"].concat()
+    };
+    let sphere = "GPano:ProjectionType='equirectangular'";
+    let cropped = |own: u32| format!("{sphere} GPano:CroppedAreaImageWidthPixels='{own}' GPano:FullPanoWidthPixels='3600'");
+    for (properties, refused) in [
+        (sphere.to_owned(), true),
+        (cropped(3600), true),
+        (cropped(1800), true),
+        (cropped(1200), false),
+        (format!("{sphere} GPano:CroppedAreaImageWidthPixels='x' GPano:FullPanoWidthPixels='0'"), true),
+        ("GPano:ProjectionType='cylindrical'".to_owned(), false),
+        (String::new(), false),
+    ] {
+        let photo = with(&properties);
+        for stereo in [Stereo::Auto, Stereo::TopBottom] {
+            assert_eq!(matches!(stereo.check(&photo, false), Err(DepthError::Sphere)), refused, "{properties}");
+        }
+        assert!(Stereo::None.check(&photo, false).is_ok(), "{properties}");
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use self::band::Band;
 pub(super) use self::reference_view::ReferenceView;
 use self::span::Draw;
-use super::prepared::{Prepared, SceneCache};
+use super::scene_cache::{Prepared, SceneCache};
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene, SceneError};
 

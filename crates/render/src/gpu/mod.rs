@@ -11,7 +11,7 @@ use std::sync::{Arc, mpsc};
 use self::device::Device;
 use self::frame::Target;
 use self::scene::{Loaded, Plan};
-use super::prepared::SceneCache;
+use super::scene_cache::SceneCache;
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene};
 

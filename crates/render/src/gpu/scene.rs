@@ -7,7 +7,7 @@ use wgpu::util::DeviceExt;
 use super::device::{COLOUR, Device, WIDE};
 use super::pack::{Packing, pack};
 use crate::border::{Expander, Piece, border_blur, pieces};
-use crate::prepared::{Content, back_to_front};
+use crate::scene_cache::{Content, back_to_front};
 use crate::{OPAQUE, RenderError};
 use tmpi_core::Scene;
 

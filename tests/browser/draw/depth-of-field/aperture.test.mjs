@@ -1,18 +1,18 @@
-// Depth of field: a lens instead of a pinhole.
+// Depth of field from a lens aperture.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { apertureAt } from '../../../../static/draw/depth-of-field/aperture.js';
-import { openPage, pixelsAt, takeGraphics, waitForMode } from '../../support/browser.mjs';
+import { disableGraphics, openPage, pixelsAt, waitForMode } from '../../support/browser.mjs';
 import { BOX, inBox } from '../../support/pictures.mjs';
-import { boxSuite, STILL } from '../../support/suite.mjs';
+import { boxSuite, REDUCED_MOTION } from '../../support/suite.mjs';
 
 const WIDTH = 400;
 const HEIGHT = 240;
-/** A page on which a software rasteriser is soon done. */
-const SMALL = { ...STILL, viewport: { width: 480, height: 460 } };
+/** A small page, for fast software rendering. */
+const SMALL = { ...REDUCED_MOTION, viewport: { width: 480, height: 460 } };
 
-/** How steep the box's left and right edges are: the largest step between neighbours near them, in the mean over rows. */
-function steepness(pixels) {
+/** Sharpness of the box's left and right edges: the largest step between neighbours near them, averaged over rows. */
+function sharpness(pixels) {
   let [sum, rows] = [0, 0];
   for (let y = 0; y < HEIGHT; y++) {
     for (let x = 4; x < WIDTH - 4; x++) {
@@ -25,7 +25,7 @@ function steepness(pixels) {
   return sum / rows;
 }
 
-/** Pixels of a picture file in the photo's size. */
+/** Pixels of a picture file, resized to the photo. */
 function decoded(page, bytes) {
   return page.evaluate(
     async ([file, w, h]) => {
@@ -42,13 +42,13 @@ function decoded(page, bytes) {
 describe('depth of field', () => {
   const suite = boxSuite({ width: WIDTH, height: HEIGHT });
 
-  test('every even number of the aperture’s places is spread about its middle', () => {
+  test('aperture samples are centred for any even count', () => {
     for (const n of [8, 16, 64]) {
       const places = Array.from({ length: n }, (_, i) => apertureAt(i));
       const mean = (f) => places.reduce((sum, p) => sum + f(p), 0) / n;
       for (const axis of [0, 1]) {
         assert.ok(Math.abs(mean((p) => p[axis])) < 1e-12);
-        // a quarter of the radius squared, as for the whole disc
+        // a quarter of the squared radius, as for the whole disc
         assert.ok(Math.abs(mean((p) => p[axis] ** 2) - 0.25) < 0.12, `${n}: ${mean((p) => p[axis] ** 2)}`);
       }
       assert.ok(places.every(([x, y]) => Math.hypot(x, y) <= 1));
@@ -56,11 +56,11 @@ describe('depth of field', () => {
   });
 
   for (const mode of ['gpu', 'webgl']) {
-    test(`what is out of focus blurs, what is in focus stays as it is (${mode})`, async (t) => {
+    test(`only things out of focus blur (${mode})`, async (t) => {
       const { page, context, errors } = await openPage(suite.browser, SMALL);
-      // the hint of a first visit would lie over the picture
+      // hides the hint of a first visit, which covers the picture
       await page.addInitScript(() => localStorage.setItem('tmpi-hinted', '1'));
-      if (mode === 'webgl') await takeGraphics(page, { webgl: true });
+      if (mode === 'webgl') await disableGraphics(page, { webgl: true });
       await page.goto(`${suite.server.url}/view/box`);
       await waitForMode(page, mode);
       const sharp = await pixelsAt(page, {}, WIDTH, HEIGHT);
@@ -69,9 +69,9 @@ describe('depth of field', () => {
       await page.keyboard.press('Escape');
       assert.equal(await page.evaluate(() => window.viewer.blur), 1);
       const settled = () => page.waitForFunction(() => !window.viewer.moving);
-      /** The picture that is saved, and how far the canvas is from it, levels in the mean. */
+      /** The saved picture, and its mean difference to the canvas in levels. */
       const picture = async () => {
-        // the pointer has moved the camera
+        // the pointer moved the camera
         await page.evaluate(() => window.viewer.setPose({}));
         await settled();
         const saved = await decoded(
@@ -97,15 +97,15 @@ describe('depth of field', () => {
         const focus = await page.evaluate(() => window.viewer.focus);
         assert.ok(Math.abs(focus - (near ? BOX.near : BOX.far)) < 0.02, `focus ${focus}`);
         const { pixels, off } = await picture();
-        const kept = steepness(pixels) / steepness(sharp);
+        const kept = sharpness(pixels) / sharpness(sharp);
         assert.ok(
           near ? kept > 0.7 : kept < 0.4,
-          `with the ${near ? 'box' : 'wall'} in focus the box's edges keep ${kept} of their steepness`,
+          `with the ${near ? 'box' : 'wall'} in focus the box's edges keep ${kept} of their sharpness`,
         );
         t.diagnostic(
           `${near ? 'box' : 'wall'} in focus: ${kept.toFixed(2)} of the edges, canvas ${off.toFixed(2)} levels from the file, focus ${focus.toFixed(3)}`,
         );
-        assert.ok(off < 3, `the canvas shows the picture that is saved: ${off} levels apart`);
+        assert.ok(off < 3, `the canvas differs from the saved picture by ${off} levels`);
       }
       await page.locator('#show').click();
       await page.locator('#blur').fill('0');

@@ -1,16 +1,16 @@
-// The mean of many pictures keeps what the last of them change.
+// The mean of many pictures includes the last ones.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage } from '../../support/browser.mjs';
 import { boxSuite } from '../../support/suite.mjs';
 
-/** Levels of the pictures, sorted, which is the hardest: 16-bit floats would keep the first half's. */
+/** Sorted levels are the hardest case: 16-bit floats would ignore the second half. */
 const LEVELS = [...Array(32).fill(153), ...Array(32).fill(155)];
 
-describe('mean of pictures', () => {
+describe('mean of many pictures', () => {
   const suite = boxSuite();
 
-  test('with WebGPU', async (t) => {
+  test('is exact with WebGPU', async (t) => {
     const { page, context, errors } = await openPage(suite.browser);
     await page.goto(`${suite.server.url}/embed/blank`);
     const got = await page.evaluate(async (levels) => {
@@ -43,13 +43,13 @@ describe('mean of pictures', () => {
       return { level, fine };
     }, LEVELS);
     t.diagnostic(JSON.stringify(got));
-    assert.ok(got.fine, 'the test’s browser blends 32-bit floats');
+    assert.ok(got.fine, 'the browser must blend 32-bit floats');
     assert.equal(got.level, 154);
     assert.deepEqual(errors, []);
     await context.close();
   });
 
-  test('with WebGL2', async (t) => {
+  test('is exact with WebGL2', async (t) => {
     const { page, context, errors } = await openPage(suite.browser);
     await page.goto(`${suite.server.url}/embed/blank`);
     const got = await page.evaluate(async (levels) => {
@@ -74,7 +74,7 @@ describe('mean of pictures', () => {
       return { level: pixel[0], fine: gl.getSupportedExtensions().includes('EXT_float_blend'), error: gl.getError() };
     }, LEVELS);
     t.diagnostic(JSON.stringify(got));
-    assert.ok(got.fine, 'the test’s browser blends 32-bit floats');
+    assert.ok(got.fine, 'the browser must blend 32-bit floats');
     assert.deepEqual([got.level, got.error], [154, 0]);
     assert.deepEqual(errors, []);
     await context.close();

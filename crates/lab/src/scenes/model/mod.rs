@@ -1,4 +1,4 @@
-//! Textured triangle models that scenes may be furnished with.
+//! Textured triangle models for scenes.
 
 mod mesh;
 mod read;
@@ -11,73 +11,73 @@ use super::math::{Rng, V3, v3};
 
 pub(super) use mesh::Mesh;
 
-/// Triangles of a model, at most.
+/// Maximum number of triangles in a model.
 pub const MAX_TRIANGLES: usize = 2_000_000;
-/// Pixels of all its textures, at most.
+/// Maximum number of pixels in all textures of a model.
 pub const MAX_TEXELS: u64 = 64 << 20;
-/// Metres from the middle to a corner, along each axis, at most.
+/// Maximum coordinate of a vertex along each axis, in metres.
 pub const FARTHEST: f64 = 10_000.0;
-/// A thing is replaced by models of up to so many times its size, or its size over that.
-const LIKE: f64 = 1.6;
-/// Share of things that are replaced where a model is of their size.
-const OFTEN: f64 = 0.5;
-/// Metres of a model's sides from which on one may stand within it.
-const WIDE: f64 = 8.0;
-/// Parts that a model has at least for one to stand within it: a house of one piece is empty.
-const FURNISHED: usize = 20;
+/// Models of up to this times an object's size, or its size divided by this, may replace the object.
+const SIZE_RATIO: f64 = 1.6;
+/// Fraction of objects that are replaced if a model of similar size exists.
+const REPLACED: f64 = 0.5;
+/// Minimum sides of a model for a camera inside it, in metres.
+const MIN_SIDE: f64 = 8.0;
+/// Minimum number of parts of a model for a camera inside it: a house of one piece is empty.
+const MIN_PARTS: usize = 20;
 
-/// Why a file is no model that scenes can have.
+/// Why a file cannot be used as a model.
 #[derive(Debug, Error)]
 pub enum ModelError {
-    /// It is no glTF, breaks its rules, or needs an extension that is not known.
-    #[error("no glTF that can be read: {0}")]
+    /// The file is not valid glTF, or needs an unsupported extension.
+    #[error("invalid glTF: {0}")]
     Format(#[from] gltf::Error),
-    /// Something in it lies outside of the file, or outside of what it has.
-    #[error("{0} is not in the file itself, or not whole")]
+    /// Data is outside the file, or out of range.
+    #[error("{0} is missing from the file or incomplete")]
     Missing(&'static str),
-    /// More of something than is allowed.
+    /// The file exceeds a limit.
     #[error("more than {most} {what}")]
     TooMuch {
-        /// What there is too much of.
+        /// The limited quantity.
         what: &'static str,
-        /// How much is allowed.
+        /// The limit.
         most: u64,
     },
     /// A texture cannot be decoded.
     #[error("a texture cannot be decoded: {0}")]
     Texture(#[from] image::ImageError),
-    /// It shows nothing.
+    /// The model has no triangles.
     #[error("no triangles")]
     Nothing,
-    /// A corner is no number, or farther than [`FARTHEST`].
-    #[error("a corner is no number, or farther than {FARTHEST} m")]
+    /// A vertex is not finite, or beyond [`FARTHEST`].
+    #[error("a vertex is not finite, or farther than {FARTHEST} m")]
     Far,
 }
 
-/// Which axis of a file points up.
+/// The axis of a file that points up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Up {
-    /// As glTF has it.
+    /// As in the glTF specification.
     #[default]
     Y,
-    /// As many exporters leave it.
+    /// As many exporters write it.
     Z,
 }
 
-/// A model in metres, standing on the ground about the middle of its footprint.
+/// A model in metres. The origin is on the ground, at the centre of its footprint.
 #[derive(Clone, Debug)]
 pub struct Model {
-    /// One for each of its meshes, in a frame of their own: x right, y down, z ahead, the ground at 0.
+    /// Meshes of the model; x right, y down, z ahead.
     pub(super) parts: Arc<[Arc<Mesh>]>,
     low: V3,
     high: V3,
 }
 
 impl Model {
-    /// Reads a binary glTF file (`.glb`) that holds all that it needs.
+    /// Reads a self-contained binary glTF file (`.glb`).
     ///
     /// # Errors
-    /// As [`ModelError`] has them.
+    /// [`ModelError`].
     pub fn read(bytes: &[u8], up: Up) -> Result<Self, ModelError> {
         let mut parts = read::parts(bytes, up)?;
         let low = parts.iter().map(Mesh::low).reduce(V3::min).ok_or(ModelError::Nothing)?;
@@ -89,7 +89,7 @@ impl Model {
         Ok(Self { parts: parts.into_iter().map(Arc::new).collect(), low: low - foot, high: high - foot })
     }
 
-    /// Metres that it measures to the right, up and ahead.
+    /// Width, height and depth in metres.
     #[must_use]
     pub fn size(&self) -> [f64; 3] {
         (self.high - self.low).array()
@@ -101,31 +101,31 @@ impl Model {
 
     fn is_furnished(&self) -> bool {
         let [x, _, z] = self.size();
-        x.min(z) > WIDE && self.parts.len() >= FURNISHED
+        x.min(z) > MIN_SIDE && self.parts.len() >= MIN_PARTS
     }
 }
 
-/// Models that things of scenes may be replaced by; none by default.
+/// Models that may replace objects of scenes; none by default.
 ///
-/// With them a scene is a function of its seed and of these models, in this order.
+/// With models, a scene depends on its seed and on these models in this order.
 #[derive(Clone, Debug, Default)]
 pub struct Models(Arc<[Model]>);
 
 impl Models {
-    /// These models.
+    /// Creates the collection.
     #[must_use]
     pub fn new(models: Vec<Model>) -> Self {
         Self(models.into())
     }
 
-    /// One about as large as a thing of `size` metres, sometimes; nothing is drawn where there are no models.
-    pub(super) fn like(&self, rng: &Rng, size: f64) -> Option<Model> {
-        let alike = |m: &&Model| (size / LIKE..size * LIKE).contains(&m.largest());
-        let count = self.0.iter().filter(alike).count();
-        (count > 0 && rng.chance(OFTEN)).then(|| self.0.iter().filter(alike).nth(rng.int(0, count as u32 - 1) as usize).cloned())?
+    /// Sometimes returns a model of similar size to an object of `size` metres. Without such models, does not advance the generator.
+    pub(super) fn similar(&self, rng: &Rng, size: f64) -> Option<Model> {
+        let is_similar = |m: &&Model| (size / SIZE_RATIO..size * SIZE_RATIO).contains(&m.largest());
+        let count = self.0.iter().filter(is_similar).count();
+        (count > 0 && rng.chance(REPLACED)).then(|| self.0.iter().filter(is_similar).nth(rng.int(0, count as u32 - 1) as usize).cloned())?
     }
 
-    /// One to stand within, sometimes.
+    /// Sometimes returns a model for a camera inside it.
     pub(super) fn furnished(&self, rng: &Rng, share: f64) -> Option<Model> {
         let count = self.0.iter().filter(|m| m.is_furnished()).count();
         let nth = |n: u32| self.0.iter().filter(|m| m.is_furnished()).nth(n as usize).cloned();

@@ -1,7 +1,8 @@
 use super::*;
 use crate::scenes::shape::Shape;
 
-/// A binary glTF file: a square of 2 × 2 m, its lower edge on the ground, its left half red and its right half green; `json` may be changed.
+/// A binary glTF file of a square of 2 × 2 m that stands on the ground; its left half is red and its right half green. `change` edits the
+/// JSON.
 fn square(up: Up, change: impl Fn(String) -> String) -> Vec<u8> {
     let corner = |x: f32, y: f32| if up == Up::Y { [x, y, 0.5] } else { [x, -0.5, y] };
     let places = [corner(-1.0, 0.0), corner(1.0, 0.0), corner(1.0, 2.0), corner(-1.0, 2.0)];
@@ -34,14 +35,14 @@ fn square(up: Up, change: impl Fn(String) -> String) -> Vec<u8> {
 }
 
 #[test]
-fn a_model_stands_on_the_ground_and_is_met_where_it_is() {
+fn models_stand_on_the_ground_and_can_be_hit() {
     for up in [Up::Y, Up::Z] {
         let model = Model::read(&square(up, |j| j), up).unwrap();
         assert_eq!(model.size().map(|m| (m * 1e6).round() as u32), [2_000_000, 2_000_000, 0], "{up:?}");
         let shape = Shape::Mesh(model.parts[0].clone(), 2.0);
-        // twice its size: 4 × 4 m, from x −2 to 2 and up to y −4, at z 0; seen from 5 m before it
+        // at scale 2: 4 × 4 m, x from −2 to 2, y from −4 to 0, at z = 0; seen from 5 m in front
         let colour = |x: f64, y: f64| {
-            let (t, n, triangle) = shape.met(v3(x, y, -5.0), v3(0.0, 0.0, 2.0), 1e-4, 10.0)?;
+            let (t, n, triangle) = shape.hit_triangle(v3(x, y, -5.0), v3(0.0, 0.0, 2.0), 1e-4, 10.0)?;
             assert!((t - 2.5).abs() < 1e-12 && (n.z.abs() - 1.0).abs() < 1e-12, "{t} {n:?}");
             Some(model.parts[0].colour(triangle, v3(x, y, 0.0) * 0.5, 1e-3).array().map(|c| (c * 10.0).round()))
         };
@@ -52,12 +53,12 @@ fn a_model_stands_on_the_ground_and_is_met_where_it_is() {
 }
 
 #[test]
-fn what_a_texture_cuts_out_is_not_there() {
+fn transparent_texels_are_not_hit() {
     let cut = |mode: &str| {
         let with = |j: String| j.replace(r#""materials":[{"#, &format!(r#""materials":[{{"alphaMode":"{mode}","#));
         let model = Model::read(&square(Up::Y, with), Up::Y).unwrap();
-        let met = |x: f64| model.parts[0].hit(v3(x, -1.0, -1.0), v3(0.0, 0.0, 1.0), 0.0, 9.0).is_some();
-        [met(-0.5), met(0.5)]
+        let hit = |x: f64| model.parts[0].hit(v3(x, -1.0, -1.0), v3(0.0, 0.0, 1.0), 0.0, 9.0).is_some();
+        [hit(-0.5), hit(0.5)]
     };
     assert_eq!(cut("OPAQUE"), [true, true]);
     assert_eq!(cut("MASK"), [true, false]);
@@ -68,13 +69,13 @@ fn what_a_texture_cuts_out_is_not_there() {
 fn broken_files_say_what_is_wrong() {
     let error = |change: &dyn Fn(String) -> String| Model::read(&square(Up::Y, change), Up::Y).unwrap_err().to_string();
     for (change, expected) in [
-        (("\"scene\":0", "\"scene\":7"), "no glTF that can be read"),
-        (("\"asset\"", "\"extensionsRequired\":[\"EXT_meshopt_compression\"],\"asset\""), "no glTF that can be read"),
-        (("\"byteOffset\":0,\"byteLength\":48", "\"byteOffset\":99999,\"byteLength\":48"), "places of corners"),
-        (("\"byteOffset\":80", "\"byteOffset\":81"), "a corner"),
-        (("\"componentType\":5123", "\"componentType\":5126"), "an index of corners"),
+        (("\"scene\":0", "\"scene\":7"), "invalid glTF"),
+        (("\"asset\"", "\"extensionsRequired\":[\"EXT_meshopt_compression\"],\"asset\""), "invalid glTF"),
+        (("\"byteOffset\":0,\"byteLength\":48", "\"byteOffset\":99999,\"byteLength\":48"), "the position data"),
+        (("\"byteOffset\":80", "\"byteOffset\":81"), "a vertex"),
+        (("\"componentType\":5123", "\"componentType\":5126"), "the index data"),
         (("\"byteOffset\":92", "\"byteOffset\":90"), "a texture cannot be decoded"),
-        (("\"bufferView\":3,\"mimeType\":\"image/png\"", "\"uri\":\"secret.png\""), "a texture is not in the file itself"),
+        (("\"bufferView\":3,\"mimeType\":\"image/png\"", "\"uri\":\"secret.png\""), "a texture is missing from the file"),
         (("\"translation\":[3,0,0]", "\"scale\":[1e38,1e38,1e38],\"translation\":[1e38,0,0]"), "farther than 10000 m"),
         (("\"count\":6", "\"count\":2"), "no triangles"),
     ] {
@@ -90,20 +91,22 @@ fn broken_files_say_what_is_wrong() {
 }
 
 #[test]
-fn things_are_replaced_by_models_of_their_size_alone() {
+fn models_replace_only_objects_of_similar_size() {
     let models = Models::new(vec![Model::read(&square(Up::Y, |j| j), Up::Y).unwrap()]);
     let rng = Rng::new(1);
-    let share = |size: f64| (0..400).filter(|_| models.like(&rng, size).is_some()).count();
+    let share = |size: f64| (0..400).filter(|_| models.similar(&rng, size).is_some()).count();
     assert!((150..250).contains(&share(2.0)) && (150..250).contains(&share(1.4)));
     assert_eq!([share(0.5), share(8.0)], [0, 0]);
-    // without models nothing is drawn, and a scene stays what it was
+    // without models, the generator does not advance, so scenes do not change
     let (a, b) = (Rng::new(7), Rng::new(7));
-    assert!(Models::default().like(&a, 2.0).is_none() && Models::default().furnished(&a, 1.0).is_none() && models.like(&a, 9.0).is_none());
+    assert!(
+        Models::default().similar(&a, 2.0).is_none() && Models::default().furnished(&a, 1.0).is_none() && models.similar(&a, 9.0).is_none()
+    );
     assert_eq!(a.next(), b.next());
 }
 
 #[test]
-fn a_scene_with_models_has_them_in_its_truth() {
+fn scenes_show_their_models() {
     use crate::scenes::{Assets, Scene};
     let models = Models::new(vec![Model::read(&square(Up::Y, |j| j), Up::Y).unwrap()]);
     let assets = Assets { models, ..Assets::default() };
@@ -113,8 +116,8 @@ fn a_scene_with_models_has_them_in_its_truth() {
         let (plain, with) = (plain.render(&plain.camera(), 1), with.render(&with.camera(), 1));
         assert!(with.disparity.delta.iter().all(|d| d.is_finite() && (0.0..=1.0 + 1e-6).contains(d)), "seed {seed}");
         other += usize::from(plain != with);
-        // of all that families show nothing is as red or green
+        // nothing else in scenes is as red or green
         shown += usize::from(with.photo.rgb.iter().filter(|[r, g, b]| *b < 20 && r.max(g) > &120 && r.min(g) < &20).count() > 8);
     }
-    assert!(other >= 8 && shown >= 4, "{other} others, {shown} show it");
+    assert!(other >= 8 && shown >= 4, "{other} scenes differ, {shown} show a model");
 }

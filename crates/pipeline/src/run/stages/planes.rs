@@ -152,7 +152,8 @@ fn summed(tiles: &[TileError], bound_px: Option<f64>) -> PlaneError {
         mean_px: mean(|t| t.mean),
         bound_px,
         missed_tiles: over.len(),
-        missed_mean_px: over.iter().sum::<f64>() / over.len().max(1) as f64,
+        // a sum of nothing is -0
+        missed_mean_px: over.iter().fold(0.0, |sum, o| sum + o) / over.len().max(1) as f64,
         missed_most_px: over.iter().copied().fold(0.0, f64::max),
         smoothing_px: mean(|t| t.smoothing),
         ..PlaneError::default()

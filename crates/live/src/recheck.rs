@@ -1,0 +1,115 @@
+//! Schedules a second depth estimate for blocks near past motion.
+//!
+//! Networks see few pixels and blur, so the depth estimated beside a moving object contains some of the object's depth. Because unchanged
+//! blocks keep their depth, the object's outline would otherwise remain forever as steps in the background.
+
+use crate::change::Change;
+
+/// Default settings. `tmpi-lab live-bench --only still --settle N --settle-blocks M` compares others: with 6 frames, views lose 0.04 dB and
+/// 1 % more of the unchanged tiles are sent; with 24 frames, geometry has 6 % fewer bytes but outlines remain twice as long; fewer blocks
+/// save 9 % and lose 0.02 dB; without rechecks, outlines stay.
+pub const RECHECK: RecheckSettings = RecheckSettings { frames: 12, blocks: 2 };
+
+/// When to recheck blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecheckSettings {
+    /// Frames between the last change near a block and its recheck; 0: never.
+    pub frames: u8,
+    /// Radius around a changed block, in blocks, that counts as near.
+    pub blocks: u8,
+}
+
+/// Countdowns of all blocks.
+#[derive(Clone, Debug)]
+pub struct Rechecks {
+    settings: RecheckSettings,
+    /// Frames until each block's recheck; 0: none is due.
+    countdown: Vec<u8>,
+}
+
+impl Rechecks {
+    /// Starts with no recheck due, for this many blocks.
+    #[must_use]
+    pub fn new(blocks: usize, settings: RecheckSettings) -> Self {
+        Self { settings, countdown: vec![0; blocks] }
+    }
+
+    /// Records a frame's changes. Returns the blocks to recheck with this frame, each as a change by 1.
+    pub fn next(&mut self, change: &Change) -> Change {
+        let mut due = vec![0; self.countdown.len()];
+        for (left, due) in self.countdown.iter_mut().zip(&mut due) {
+            *due = u32::from(*left == 1);
+            *left = left.saturating_sub(1);
+        }
+        let (across, down) = (change.across, change.blocks.len() / change.across.max(1));
+        let radius = usize::from(self.settings.blocks);
+        for (i, _) in change.blocks.iter().enumerate().filter(|(_, by)| **by > 0) {
+            let (x, y) = (i % across, i / across);
+            let columns = x.saturating_sub(radius)..(x + radius + 1).min(across);
+            for row in y.saturating_sub(radius)..(y + radius + 1).min(down) {
+                let blocks = row * across + columns.start..row * across + columns.end;
+                self.countdown[blocks.clone()].fill(self.settings.frames);
+                due[blocks].fill(0);
+            }
+        }
+        Change { blocks: due, across, cut: false }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ACROSS: usize = 9;
+
+    fn changed(blocks: &[usize]) -> Change {
+        let mut all = vec![0; ACROSS * 7];
+        for i in blocks {
+            all[*i] = 5;
+        }
+        Change { blocks: all, across: ACROSS, cut: false }
+    }
+
+    fn due(rechecks: &mut Rechecks, blocks: &[usize]) -> Vec<usize> {
+        rechecks.next(&changed(blocks)).blocks.iter().enumerate().filter(|(_, by)| **by > 0).map(|(i, _)| i).collect()
+    }
+
+    #[test]
+    fn blocks_near_a_change_are_rechecked_once() {
+        let mut rechecks = Rechecks::new(ACROSS * 7, RECHECK);
+        let at = 3 * ACROSS + 4;
+        assert!(due(&mut rechecks, &[at]).is_empty());
+        for _ in 1..RECHECK.frames {
+            assert!(due(&mut rechecks, &[]).is_empty());
+        }
+        let near: Vec<usize> = (1..=5).flat_map(|y| (2..=6).map(move |x| y * ACROSS + x)).collect();
+        assert_eq!(due(&mut rechecks, &[]), near);
+        assert!(due(&mut rechecks, &[]).is_empty(), "only once");
+    }
+
+    #[test]
+    fn another_change_restarts_the_countdown() {
+        let mut rechecks = Rechecks::new(ACROSS * 7, RECHECK);
+        let corner = ACROSS * 7 - 1;
+        for _ in 0..3 * RECHECK.frames {
+            assert!(due(&mut rechecks, &[0, corner]).is_empty());
+        }
+        for _ in 1..RECHECK.frames {
+            assert!(due(&mut rechecks, &[0]).is_empty());
+        }
+        // the first corner still changes
+        let near: Vec<usize> = (4..7).flat_map(|y| (6..9).map(move |x| y * ACROSS + x)).collect();
+        assert_eq!(due(&mut rechecks, &[0]), near);
+    }
+
+    #[test]
+    fn zero_frames_disable_rechecks() {
+        let mut rechecks = Rechecks::new(ACROSS * 7, RecheckSettings { frames: 0, ..RECHECK });
+        assert!((0..40).all(|n| due(&mut rechecks, if n == 0 { &[30] } else { &[] }).is_empty()));
+    }
+
+    #[test]
+    fn an_empty_picture_has_no_blocks() {
+        assert!(Rechecks::new(0, RECHECK).next(&Change { blocks: Vec::new(), across: 0, cut: true }).blocks.is_empty());
+    }
+}

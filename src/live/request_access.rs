@@ -1,0 +1,84 @@
+//! Access checks of the rooms' handlers.
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use axum::http::{HeaderMap, StatusCode, Uri};
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+
+use super::access::{Role, check_origin, end_of, token_of};
+use super::{Rooms, is_name};
+use crate::server::{Pairs, Problem};
+
+/// State of the handlers.
+#[derive(Clone)]
+pub struct RoomsContext {
+    /// The rooms.
+    pub rooms: Arc<Rooms>,
+    /// Set when the server stops.
+    pub stop: CancellationToken,
+    /// Whether a request comes from this machine's own user.
+    pub own: Arc<dyn Fn(&HeaderMap) -> bool + Send + Sync>,
+}
+
+impl RoomsContext {
+    /// Checks query, access and name. Pages of other sites may watch only with a token, because a browser sends requests for any page; they
+    /// never publish.
+    pub(super) async fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<RoomAccess, Problem> {
+        let asked = Pairs::read(uri, &["token"])?;
+        let same_site = check_origin(headers);
+        if role == Role::Publish {
+            same_site.clone()?;
+        }
+        let token = asked.get("token").or_else(|| token_of(headers));
+        let leave = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
+            (_, Some(token), Some(nodes)) if role == Role::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
+            (Some(key), Some(token), _) => end_of(key, role, room, token, seconds()).map(|ends| RoomAccess::Until(deadline(ends))),
+            _ => (same_site.is_ok() && (self.own)(headers)).then_some(RoomAccess::Until(None)),
+        };
+        let leave = leave.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "this room requires a token").field("token"))?;
+        if !is_name(room) {
+            return Err(Problem::not_found("a room's name has letters, digits, - and _"));
+        }
+        Ok(leave)
+    }
+}
+
+/// Granted access.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum RoomAccess {
+    /// Until a token ends; `None` for this machine's own user.
+    Until(Option<Instant>),
+    /// For another node.
+    Node,
+}
+
+/// Seconds since 1970.
+pub(super) fn seconds() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
+}
+
+/// The instant at which a token ends; `None` if it is too far in the future.
+fn deadline(ends: u64) -> Option<Instant> {
+    Instant::now().checked_add(Duration::from_secs(ends.saturating_sub(seconds())))
+}
+
+/// Reason for closing a socket whose token has ended.
+pub(super) const ENDED: &str = "the invitation has ended";
+
+/// Completes at `at`; never without one.
+pub(super) async fn ended(at: Option<Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at).await,
+        None => std::future::pending().await,
+    }
+}
+
+pub(super) fn none_publishes() -> Problem {
+    Problem::not_found("the room has no publisher")
+}
+
+pub(super) fn busy() -> Problem {
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "the limit of rooms is reached").retry_after(5)
+}

@@ -1,0 +1,91 @@
+//! Writes files within limits: memory, time, and as many tries as for a photo.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::http::StatusCode;
+use tokio_util::sync::CancellationToken;
+
+use super::recipe::Recipe;
+use super::write::{Work, late};
+use crate::server::app::Shared;
+use crate::server::finished_photo::FinishedPhoto;
+use crate::server::maker::Fault;
+use crate::server::memory::Priority;
+use crate::server::problem::Problem;
+use tmpi_pipeline::{Progress, Sink};
+
+/// Whether a file is still wanted, and how urgently.
+pub struct WriteRequest<'a> {
+    /// Returns true once it is unwanted.
+    pub unwanted: &'a (dyn Fn() -> bool + Sync),
+    /// Whether it waits behind all others for memory, in a low-priority process.
+    pub is_low_priority: bool,
+}
+
+struct Until<'a>(&'a WriteRequest<'a>, Instant);
+
+impl Sink for Until<'_> {
+    fn progress(&self, _: &Progress) {}
+
+    fn cancelled(&self) -> bool {
+        (self.0.unwanted)()
+    }
+
+    fn deadline(&self) -> Option<Instant> {
+        Some(self.1)
+    }
+}
+
+impl Shared {
+    /// Writes a file for a waiting client until it is `gone`, in a child process if the maker has those; blocks.
+    ///
+    /// # Errors
+    /// As [`written`].
+    pub fn written(&self, recipe: &Recipe, of: (&[u8], &FinishedPhoto), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
+        let unwanted = || gone.is_cancelled();
+        written(self, recipe, of, &WriteRequest { unwanted: &unwanted, is_low_priority: false })
+    }
+}
+
+/// Writes a file of `container`, in a child process if the maker has those; blocks.
+///
+/// # Errors
+/// 503 if it is unwanted or takes too long, 422 after too many crashes, and the errors of writing.
+pub fn written(
+    app: &Shared,
+    recipe: &Recipe,
+    (container, done): (&[u8], &FinishedPhoto),
+    wanted: &WriteRequest<'_>,
+) -> Result<Vec<u8>, Problem> {
+    let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export is not wanted any more").retry_after(1);
+    let sink = Until(wanted, Instant::now() + app.limits.exports.timeout);
+    let over = || sink.cancelled() || Instant::now() >= sink.1;
+    let way = if wanted.is_low_priority { Priority::Low } else { Priority::Normal };
+    let Some(_memory) = app.memory.wait_for(recipe.memory(done), way, over) else {
+        let busy = "there was no memory for this file in the time that it may take (limits.job-memory, exports.timeout)";
+        let busy = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", busy).retry_after(10);
+        return Err(if sink.cancelled() { cancelled() } else { busy() });
+    };
+    let drawing = || Ok(Arc::clone(&app.renderer));
+    let work = Work { recipe, container, drawing: &drawing, is_low_priority: wanted.is_low_priority };
+    let mut crashed = 0;
+    loop {
+        match app.maker.export(&work, &sink) {
+            Ok(bytes) => return Ok(bytes),
+            Err(Fault::Cancelled) if sink.cancelled() => return Err(cancelled()),
+            // only its time limit cancelled it
+            Err(Fault::Cancelled) => return Err(late()),
+            Err(Fault::Photo(problem)) => return Err(problem),
+            Err(Fault::Server(reason)) => return Err(Problem::internal("exporting a photo", &reason)),
+            Err(Fault::Crashed(reason)) => {
+                crashed += 1;
+                tracing::warn!(crashed, reason, recipe = recipe.text(), "a file crashed the process that wrote it");
+                if crashed >= app.limits.attempts {
+                    let detail = format!("writing this file crashed its process {crashed} times");
+                    return Err(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Time limit of a request. It starts when the body has arrived, so that slow links do not count, and long work may extend it.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::Notify;
+use tokio::time::Instant;
+
+/// A request's time.
+#[derive(Clone, Debug)]
+pub struct TimeLimit {
+    state: Arc<(Mutex<State>, Notify)>,
+}
+
+#[derive(Debug)]
+struct State {
+    limit: Duration,
+    started: Option<Instant>,
+}
+
+impl TimeLimit {
+    /// A clock of `limit` that is not started.
+    #[must_use]
+    pub fn new(limit: Duration) -> Self {
+        Self { state: Arc::new((Mutex::new(State { limit, started: None }), Notify::new())) }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Starts it, if it is not running.
+    pub fn start(&self) {
+        self.lock().started.get_or_insert_with(Instant::now);
+        self.state.1.notify_waiters();
+    }
+
+    /// Extends the limit to `limit` in all, if that is more.
+    pub fn allow(&self, limit: Duration) {
+        let mut state = self.lock();
+        state.limit = state.limit.max(limit);
+    }
+
+    /// When the time is over; `None` before it starts.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Instant> {
+        let state = self.lock();
+        state.started.map(|at| at + state.limit)
+    }
+
+    /// Waits until the time is over; returns the limit.
+    pub async fn expired(&self) -> Duration {
+        loop {
+            let started = self.state.1.notified();
+            match self.deadline() {
+                None => started.await,
+                Some(deadline) if deadline <= Instant::now() => return self.lock().limit,
+                Some(deadline) => tokio::time::sleep_until(deadline).await,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn it_runs_from_its_start_and_may_be_given_more() {
+        let short = Duration::from_millis(20);
+        let expires = async |clock: &TimeLimit| tokio::time::timeout(Duration::from_millis(60), clock.expired()).await.is_ok();
+        let clock = TimeLimit::new(short);
+        assert!(!expires(&clock).await, "stands still");
+        let (late, ()) = tokio::join!(expires(&clock), async { clock.start() });
+        assert!(late && clock.deadline().is_some());
+        let clock = TimeLimit::new(short);
+        clock.start();
+        clock.allow(Duration::from_mins(1));
+        assert!(!expires(&clock).await);
+    }
+}

@@ -1,0 +1,403 @@
+//! Workers: tasks that take jobs from the queue and run them on blocking threads.
+
+use std::any::Any;
+use std::convert::Infallible;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use axum::http::StatusCode;
+use bytes::Bytes;
+use tmpi_library::{Content, Contents, Event, Kind, Lease, LibraryError, Made, Part, Retry};
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+
+use super::app::App;
+use super::exports::{Recipe, WriteRequest, written};
+use super::finished_photo::FinishedPhoto;
+use super::maker::{Fault, Product};
+use super::memory::Priority;
+use super::options;
+use super::problem::Problem;
+use super::routes::Stage;
+use super::traces::{Job, Parent};
+use tmpi_pipeline::{Options, Progress, Sink};
+
+/// Kinds of jobs of workers that make photos, and of those that write files.
+const MAKES: &[Kind] = &[Kind::Make];
+const WRITES: &[Kind] = &[Kind::Export, Kind::Film];
+/// Renewals within the term of a lease, of which some may fail.
+const RENEWALS: u32 = 4;
+/// Pause before a retry if the library is unreachable.
+const PAUSE: Duration = Duration::from_millis(500);
+/// Time for jobs to end after they are cancelled.
+const END: Duration = Duration::from_secs(2);
+
+/// All workers of a server.
+pub struct Workers {
+    tasks: Vec<JoinHandle<()>>,
+    abort: Arc<AtomicBool>,
+}
+
+impl Workers {
+    /// Starts the workers.
+    pub fn start(app: &App) -> Self {
+        let abort = Arc::<AtomicBool>::default();
+        let of = |count: usize, kinds| (0..count).map(move |_| kinds);
+        let all = of(app.limits.workers, MAKES).chain(of(app.limits.exports.workers, WRITES));
+        let tasks = all.map(|kinds| tokio::spawn(work(Arc::clone(app), kinds, Arc::clone(&abort)))).collect();
+        Self { tasks, abort }
+    }
+
+    /// Waits for running jobs until `deadline`; unfinished ones return to the queue.
+    pub async fn drain(self, deadline: Instant) {
+        let mut all = std::pin::pin!(futures_util::future::join_all(self.tasks));
+        if tokio::time::timeout_at(deadline.into(), &mut all).await.is_err() {
+            self.abort.store(true, Ordering::Release);
+            let _ = tokio::time::timeout(END, all).await;
+        }
+    }
+}
+
+/// Signals to and from the thread of a job.
+#[derive(Clone)]
+struct Doing {
+    app: App,
+    /// Set if the job is deleted or another worker has it.
+    lost: Arc<AtomicBool>,
+    /// Set to abort jobs.
+    abort: Arc<AtomicBool>,
+    tell: UnboundedSender<Progress>,
+}
+
+impl Doing {
+    fn is_over(&self) -> bool {
+        self.lost.load(Ordering::Acquire) || self.abort.load(Ordering::Acquire)
+    }
+}
+
+/// Takes jobs until the server stops.
+async fn work(app: App, kinds: &'static [Kind], abort: Arc<AtomicBool>) {
+    loop {
+        match Box::pin(app.library.next(kinds, app.limits.lease, app.stop.cancelled())).await {
+            Ok(Some(lease)) => Box::pin(one(&app, &lease, &abort)).await,
+            Ok(None) => return,
+            Err(error) => {
+                tracing::warn!(%error, "no job can be taken now");
+                tokio::select! {
+                    () = app.stop.cancelled() => return,
+                    () = tokio::time::sleep(PAUSE) => {}
+                }
+            }
+        }
+    }
+}
+
+/// Runs one job.
+async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
+    let (start, photo, kind) = (Instant::now(), lease.job.photo, lease.job.kind);
+    let (tell, told) = unbounded_channel();
+    let doing = Doing { app: Arc::clone(app), lost: Arc::default(), abort: Arc::clone(abort), tell };
+    let job = async {
+        match kind {
+            Kind::Make => make(lease, &doing, told).await,
+            Kind::Export | Kind::Film => write(lease, &doing, told).await,
+        }
+    };
+    let outcome = tokio::select! {
+        outcome = job => outcome,
+        never = renew(lease, &doing) => match never {},
+    };
+    if matches!(outcome, "done" | "failed") {
+        app.set_trouble(None);
+    }
+    let took = start.elapsed();
+    match kind {
+        Kind::Make => {
+            app.telemetry.job(outcome, took);
+            app.telemetry.class_job(lease.job.class.name(), outcome, took);
+        }
+        Kind::Export | Kind::Film => app.telemetry.class_job("export", outcome, took),
+    }
+    tracing::info!(%photo, kind = kind.name(), outcome, ms = took.as_millis() as u64, "job");
+}
+
+/// Renews a lease while it is polled: from reading the inputs until the result is stored.
+async fn renew(lease: &Lease, doing: &Doing) -> Infallible {
+    let period = lease.lasts() / RENEWALS;
+    loop {
+        tokio::time::sleep(period).await;
+        match tokio::time::timeout(period, doing.app.library.renew(lease, None)).await {
+            Ok(Ok(())) => {}
+            Ok(Err(LibraryError::LeaseLost)) => {
+                doing.lost.store(true, Ordering::Release);
+                std::future::pending::<()>().await;
+            }
+            Ok(Err(error)) => tracing::warn!(%error, "cannot renew a lease"),
+            Err(_) => tracing::warn!("cannot renew a lease: the database does not answer"),
+        }
+    }
+}
+
+/// Runs `work` on a blocking thread and publishes its progress. `None` if the thread ended without a result.
+async fn hold<T: Send + 'static>(
+    lease: &Lease,
+    doing: &Doing,
+    mut told: UnboundedReceiver<Progress>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, End> {
+    let library = &doing.app.library;
+    let (send, mut done) = oneshot::channel();
+    let mut events = library.subscribe();
+    let started = std::thread::Builder::new().name("tmpi-job".into()).spawn(move || drop(send.send(work())));
+    if let Err(error) = started {
+        return Err(End::Again(Retry::Fault(format!("cannot start a thread: {error}"))));
+    }
+    let mut said = None;
+    loop {
+        tokio::select! {
+            done = &mut done => {
+                while let Ok(progress) = told.try_recv() {
+                    tell(lease, doing, &progress).await;
+                }
+                return done.map_err(|_| End::Failed(Problem::internal("the job panicked", &"see above")));
+            }
+            Some(progress) = told.recv() => said = tell(lease, doing, &progress).await,
+            event = events.next() => match event {
+                Some(Event::Photo(id) | Event::Deleted(id)) if id == lease.job.photo => {
+                    if let Some(said) = &said {
+                        // the event made listeners forget the progress
+                        tell_again(lease, doing, said).await;
+                    }
+                }
+                Some(Event::Gap) => {}
+                _ => continue,
+            },
+        }
+        // it may be deleted or cancelled
+        match library.renew(lease, said.as_ref()).await {
+            Ok(()) => {}
+            Err(LibraryError::LeaseLost) => doing.lost.store(true, Ordering::Release),
+            Err(error) => tracing::warn!(%error, "cannot renew a lease"),
+        }
+    }
+}
+
+async fn tell_again(lease: &Lease, doing: &Doing, said: &serde_json::Value) {
+    if let Err(error) = doing.app.library.tell_progress(lease, said.clone()).await {
+        tracing::debug!(%error, "progress");
+    }
+}
+
+/// Publishes progress.
+async fn tell(lease: &Lease, doing: &Doing, progress: &Progress) -> Option<serde_json::Value> {
+    let said = serde_json::to_value(Stage::from(progress)).ok()?;
+    tell_again(lease, doing, &said).await;
+    Some(said)
+}
+
+/// End of a job without a result.
+enum End {
+    Failed(Problem),
+    Again(Retry),
+}
+
+/// Records the end, however long that takes; otherwise a database outage would count as a crash of the worker.
+async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
+    let library = &doing.app.library;
+    loop {
+        let told = match &end {
+            End::Failed(problem) => library.fail(lease, &problem.to_library()).await,
+            End::Again(retry) => library.retry(lease, retry).await,
+        };
+        match told {
+            Ok(()) => break,
+            Err(LibraryError::LeaseLost) => return "deleted",
+            Err(error) => {
+                tracing::warn!(%error, "cannot record the end of a job");
+                if doing.abort.load(Ordering::Acquire) {
+                    break;
+                }
+                tokio::time::sleep(PAUSE).await;
+            }
+        }
+    }
+    match end {
+        End::Failed(problem) => {
+            tracing::warn!(photo = %lease.job.photo, kind = problem.kind, detail = problem.detail, "a job failed");
+            "failed"
+        }
+        End::Again(Retry::Died(reason)) => {
+            tracing::warn!(photo = %lease.job.photo, reason, "a job crashed its process");
+            "crashed"
+        }
+        End::Again(Retry::Fault(reason)) => {
+            tracing::error!(photo = %lease.job.photo, reason, "a fault of the server; the job is retried");
+            doing.app.set_trouble(Some(reason));
+            "put-back"
+        }
+        End::Again(Retry::Stopping) => "cancelled",
+    }
+}
+
+/// Progress and cancellation of a running job.
+struct JobSink<'a> {
+    doing: &'a Doing,
+    deadline: Instant,
+    job: &'a Job,
+}
+
+impl Sink for JobSink<'_> {
+    fn progress(&self, message: &Progress) {
+        self.job.stage(message.stage);
+        // fails only if the job has ended
+        let _ = self.doing.tell.send(message.clone());
+    }
+
+    fn cancelled(&self) -> bool {
+        self.doing.is_over()
+    }
+
+    fn deadline(&self) -> Option<Instant> {
+        Some(self.deadline)
+    }
+}
+
+/// Inputs of a photo.
+struct Inputs {
+    photo: Bytes,
+    depth: Option<Bytes>,
+    options: Options,
+}
+
+async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
+    let (photo, blobs) = (&lease.photo, doing.app.library.blobs());
+    let read = async |part: Part| match photo.blobs.get(&part) {
+        None => Ok(None),
+        Some(blob) => blobs.read(part, blob).await.map(Some).map_err(|error| match error {
+            LibraryError::Damaged { .. } => {
+                End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", format!("{error}: upload the photo again")))
+            }
+            error => End::Again(Retry::Fault(error.to_string())),
+        }),
+    };
+    let mut options = options::from_text(&photo.options).map_err(End::Failed)?;
+    options.strokes = match read(Part::Strokes).await {
+        Ok(strokes) => super::app::strokes_of(strokes.as_deref()),
+        // the photo can be made without strokes
+        Err(End::Failed(_)) => Vec::new(),
+        Err(again) => return Err(again),
+    };
+    let lost = || End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
+    Ok(Inputs { photo: read(Part::Upload).await?.ok_or_else(lost)?, depth: read(Part::Depth).await?, options })
+}
+
+async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
+    let parent = lease.job.payload.as_str().map(Parent::read);
+    let job = doing.app.telemetry.begin_job(parent.as_ref(), lease.job.photo, lease.job.attempts as u32 + 1);
+    let Inputs { photo, depth, options } = match inputs(lease, doing).await {
+        Ok(inputs) => inputs,
+        Err(why) => return end(lease, doing, why).await,
+    };
+    let here = doing.clone();
+    let made = hold(lease, doing, told, move || {
+        let app = &here.app;
+        let memory = app.maker.memory(&photo, depth.as_deref(), &options);
+        let unwanted = || here.is_over() || app.stop.is_cancelled();
+        let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, unwanted) else { return (Err(Fault::Cancelled), job) };
+        let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo), job: &job };
+        let made = caught(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
+        job.made();
+        (made, job)
+    });
+    let (made, job) = match made.await {
+        Ok(made) => made,
+        Err(why) => return end(lease, doing, why).await,
+    };
+    let outcome = match made {
+        Ok(product) => keep(lease, doing, product).await,
+        Err(Fault::Photo(problem)) => end(lease, doing, End::Failed(problem)).await,
+        Err(Fault::Server(reason)) => end(lease, doing, End::Again(Retry::Fault(reason))).await,
+        Err(Fault::Cancelled) if doing.lost.load(Ordering::Acquire) => "deleted",
+        // the process may have ended with the server
+        Err(Fault::Crashed(_)) if doing.app.stop.is_cancelled() => end(lease, doing, End::Again(Retry::Stopping)).await,
+        Err(Fault::Crashed(reason)) => end(lease, doing, End::Again(Retry::Died(reason))).await,
+        Err(Fault::Cancelled) => end(lease, doing, End::Again(Retry::Stopping)).await,
+    };
+    job.end(outcome);
+    outcome
+}
+
+async fn keep(lease: &Lease, doing: &Doing, product: Product) -> &'static str {
+    let Product { container, report, disparity, thumbnail } = product;
+    let text = match serde_json::to_vec(&report) {
+        Ok(text) => text,
+        Err(error) => return end(lease, doing, End::Failed(Problem::internal("writing a report", &error))).await,
+    };
+    let parts = [(Part::Container, container), (Part::Disparity, disparity), (Part::Thumbnail, thumbnail), (Part::Report, text)];
+    let digested = move || parts.into_iter().map(|(part, bytes)| (part, Content::of_bytes(bytes))).collect();
+    let contents: Contents = match tokio::task::spawn_blocking(digested).await {
+        Ok(contents) => contents,
+        Err(error) => return end(lease, doing, End::Failed(Problem::internal("taking digests", &error))).await,
+    };
+    match doing.app.library.finish(lease, Made { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
+        Ok(_) => "done",
+        Err(LibraryError::LeaseLost) => "deleted",
+        Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("cannot store the results: {error}")))).await,
+    }
+}
+
+async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
+    let app = &doing.app;
+    let gone = || Problem::not_found("the photo was made again, or was deleted");
+    let recipe = lease.job.payload.as_str().ok_or_else(gone).and_then(|text| Recipe::parse(text, &app.limits));
+    let (recipe, done) = match recipe.and_then(|recipe| FinishedPhoto::of(&lease.photo).map(|done| (recipe, done)).ok_or_else(gone)) {
+        Ok(wanted) => wanted,
+        Err(problem) => return end(lease, doing, End::Failed(problem)).await,
+    };
+    let container = match app.container_of(&lease.photo).await {
+        Ok(container) => container,
+        Err(problem) if problem.status == StatusCode::SERVICE_UNAVAILABLE => {
+            return end(lease, doing, End::Again(Retry::Fault(problem.detail.into()))).await;
+        }
+        Err(problem) => return end(lease, doing, End::Failed(problem)).await,
+    };
+    let here = doing.clone();
+    let bytes = hold(lease, doing, told, move || {
+        let unwanted = || here.is_over() || here.app.stop.is_cancelled();
+        written(&here.app, &recipe, (&container, &done), &WriteRequest { unwanted: &unwanted, is_low_priority: true })
+    });
+    let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
+    let file = match bytes.await {
+        Ok(Ok(bytes)) => Content::of_bytes(bytes),
+        Ok(Err(_)) if doing.lost.load(Ordering::Acquire) => return "cancelled",
+        Ok(Err(_)) if stops() => return end(lease, doing, End::Again(Retry::Stopping)).await,
+        Ok(Err(problem)) => return end(lease, doing, End::Failed(problem)).await,
+        Err(why) => return end(lease, doing, why).await,
+    };
+    match app.library.finish_export(lease, file).await {
+        Ok(_) => "done",
+        Err(LibraryError::LeaseLost) => "cancelled",
+        Err(LibraryError::Invalid(detail)) => {
+            let detail = format!("{detail} (exports.disk)");
+            end(lease, doing, End::Failed(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", detail))).await
+        }
+        Err(error @ LibraryError::StorageFull) => end(lease, doing, End::Failed(error.into())).await,
+        Err(error) => end(lease, doing, End::Again(Retry::Fault(error.to_string()))).await,
+    }
+}
+
+/// Turns a panic into a failure of the photo. The maker borrows none of the server's state mutably, so a panic cannot leave it
+/// inconsistent.
+pub(super) fn caught(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
+    catch_unwind(AssertUnwindSafe(make))
+        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &said(panic.as_ref())))))
+}
+
+/// The message of a panic.
+pub(super) fn said(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
+}
