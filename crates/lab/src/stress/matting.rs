@@ -166,7 +166,7 @@ mod tests {
         // a foreground that is a little too bright, a share that is a little too large, a background that is not seen through to
         assert!(
             failed(|c| cases(c, |p, g| spoilt(p, g, |l| if near(l) {
-                l.hidden.iter_mut().for_each(|h| h[0] = h[0].saturating_add(9))
+                l.hidden.iter_mut().for_each(|h| h[0] = h[0].saturating_add(9));
             }))) > 0
         );
         let more = |l: &mut TexturedLayer| l.shape.alpha.iter_mut().filter(|a| (1..200).contains(*a)).for_each(|a| *a += 30);
