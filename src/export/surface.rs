@@ -14,7 +14,8 @@ pub(super) fn visible_disparity(scene: &Scene) -> DisparityMap {
         for i in 0..l.rect.area() {
             let (x, y) = (l.rect.x + i as u32 % l.rect.w, l.rect.y + i as u32 / l.rect.w);
             let at = l.first_texel + i;
-            if scene.texels.class[at] == Class::Photo as u8 && scene.texels.alpha[at] == u8::MAX {
+            // what is hidden lies behind, but for the background of mixed pixels
+            if scene.texels.alpha[at] == u8::MAX {
                 let d = l.plane.disparity((f64::from(x) + 0.5 - centre.0) / half, (f64::from(y) + 0.5 - centre.1) / half);
                 let best = &mut delta[y as usize * g.width as usize + x as usize];
                 *best = best.max(d as f32);
@@ -32,7 +33,7 @@ pub(super) fn inpainted(photo: &Photo, delta: &[f32], limit: f32, hidden: impl F
     let labels = delta.iter().map(|d| (d / most * STEPS).round() as u8).collect();
     let planes = (0..=STEPS as u8).map(|i| Plane::fronto_parallel(f64::from(f32::from(i) / STEPS * most))).collect();
     let (intrinsics, view_box) = (Intrinsics::from_fov_x(photo.width, photo.height, 60.0), ViewBox::default());
-    let geometry = Geometry { grid, intrinsics, view_box, tiles: vec![Tile { planes, labels, background: None }] };
+    let geometry = Geometry { grid, intrinsics, view_box, tiles: vec![Tile { planes, labels, background: None }], matted: false };
     let class: Vec<u8> = (0..delta.len()).map(|i| if hidden(i) { Class::Hidden } else { Class::Photo } as u8).collect();
     let plane = Plane::fronto_parallel(f64::from(limit));
     let colours = Inpainter::new(photo, &geometry).fill(0, &plane, grid.rect(0), &class, &mut Pyramid::default());

@@ -3,7 +3,7 @@
 use prost::Message as _;
 use tmpi_core::container::wire::Index;
 use tmpi_core::container::{Carried, Carries, HiddenAs, MAGIC, PhotoFormat, encode_in, encode_lossless, readable};
-use tmpi_core::{Photo, Plane, compose, texture};
+use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 
 use super::script::{Script, geometry};
 
@@ -70,7 +70,8 @@ pub fn build(data: &[u8]) -> Option<Vec<u8>> {
         }
     };
     let hidden = [None, None, Some(HiddenAs::Png), Some(HiddenAs::Jpeg(80))][usize::from(how >> 2 & 3)];
-    let carries = Carries { alpha: how >> 4 & 1 == 1, hidden };
+    let geometry = Geometry { matted: how >> 6 & 1 == 1, ..geometry };
+    let carries = if geometry.matted { Carries::default() } else { Carries { alpha: how >> 4 & 1 == 1, hidden } };
     let mut scene = compose(photo.clone(), &geometry, texture(&photo, &geometry, geometry.masks()));
     if carries.alpha {
         scene.texels.alpha.iter_mut().filter(|a| (1..255).contains(*a)).step_by(3).for_each(|a| *a = 17);

@@ -95,5 +95,11 @@ pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
         Tile { planes: planes.clone(), labels, background: *background }
     };
     let tiles = (0..grid.tiles()).map(tile).collect();
-    Geometry { grid, intrinsics: Intrinsics::centred(width, height, 0.75 * f64::from(width)), view_box: ViewBox::default(), tiles }
+    Geometry {
+        grid,
+        intrinsics: Intrinsics::centred(width, height, 0.75 * f64::from(width)),
+        view_box: ViewBox::default(),
+        tiles,
+        matted: false,
+    }
 }

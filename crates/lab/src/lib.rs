@@ -5,6 +5,7 @@
 
 pub mod bench;
 pub mod eval;
+pub mod ghosts;
 pub mod live;
 pub mod metrics;
 pub mod oracle;

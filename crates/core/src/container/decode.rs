@@ -7,9 +7,9 @@ use prost::Message;
 use super::part::Part;
 use super::wire::{Codec, Index, Kind, Section};
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bands, bounds, columns, hidden, labels, planes, select};
-use crate::layers::Surface;
+use crate::layers::{Surface, texture_tiles};
 use crate::parallel;
-use crate::{Class, Geometry, Grid, Inpainter, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
+use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, Texels, TexturedLayer, ViewBox};
 
 /// All rows of tiles.
 const ALL_ROWS: Range<u32> = 0..u32::MAX;
@@ -152,21 +152,23 @@ pub(super) fn unfold(
     let (mut layers, mut texels) = (Vec::new(), Texels::default());
     let shapes = geometry.masks_of(tiles.clone(), &surface, false);
     let carried = find(index, Kind::Hidden).is_some();
-    if !carried {
-        let colours = Inpainter::on(geometry.grid, surface, rgb).fill_tiles(tiles.start, &shapes);
-        texels.hidden.reserve_exact(colours.iter().flatten().map(Vec::len).sum());
-        for colours in colours.iter().flatten() {
-            texels.hidden.extend_from_slice(colours);
-        }
-    }
-    let count = shapes.iter().flat_map(|s| &s.layers).map(|l| l.class.len()).sum();
+    let textured = if carried {
+        let tile = |s: LayerMasks| s.layers.into_iter().map(|shape| TexturedLayer { shape, hidden: Vec::new() }).collect();
+        shapes.into_iter().map(tile).collect()
+    } else {
+        texture_tiles(geometry, surface, rgb, tiles.start, shapes)
+    };
+    let all = || textured.iter().flatten();
+    texels.hidden.reserve_exact(all().map(|l| l.hidden.len()).sum());
+    let count = all().map(|l| l.shape.class.len()).sum();
     texels.class.reserve_exact(count);
     texels.alpha.reserve_exact(count);
-    for (tile, shapes) in tiles.zip(shapes) {
-        for s in shapes.layers {
+    for (tile, textured) in tiles.zip(textured) {
+        for TexturedLayer { shape: s, hidden } in textured {
             layers.push(Layer { tile, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
             texels.class.extend_from_slice(&s.class);
             texels.alpha.extend_from_slice(&s.alpha);
+            texels.hidden.extend_from_slice(&hidden);
         }
     }
     refine_alpha(index, body, &mut texels.alpha)?;
@@ -284,6 +286,9 @@ pub(super) fn layer_geometry(
     (intrinsics, view_box): (Intrinsics, ViewBox),
     rows: &Range<u32>,
 ) -> Result<Geometry, ContainerError> {
+    if index.matted && [Kind::Alpha, Kind::Hidden].into_iter().any(|kind| find(index, kind).is_some()) {
+        return Err(ContainerError::broken("matted layers follow from the photo; none of them is carried"));
+    }
     let count = index.planes as usize;
     bounds::planes(&grid, count)?;
     let mut tiles = columns::read(&grid, count, &laid_out(index, body, &grid, count)?)?;
@@ -304,7 +309,7 @@ pub(super) fn layer_geometry(
             t.labels = own.to_vec();
         }
     }
-    Ok(Geometry { grid, intrinsics, view_box, tiles })
+    Ok(Geometry { grid, intrinsics, view_box, tiles, matted: index.matted })
 }
 
 /// Adds the refinement to the soft alphas, where there is one.

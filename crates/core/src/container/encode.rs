@@ -71,6 +71,9 @@ pub fn encode_in(
     carries: Carries,
 ) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
     bounds::geometry(geometry)?;
+    if geometry.matted && carries != Carries::default() {
+        return Err(ContainerError::Encode("matted layers follow from the photo; none of them is carried".into()));
+    }
     let mut file = File::default();
     file.add(Kind::Photo, carried.format.codec(), carried.bytes.clone(), 0);
     let planes = columns::write(&geometry.tiles);
@@ -118,6 +121,7 @@ pub fn encode_in(
         planes: layout.planes as u32,
         hidden_blocks: blocks as u32,
         hidden_columns: per_row as u32,
+        matted: geometry.matted,
         sections: file.sections.clone(),
     };
     Ok(file.finish(&index))

@@ -25,7 +25,8 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
             }
         })
         .collect();
-    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles };
+    let geometry =
+        Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles, matted: false };
     let coloured = geometry
         .masks()
         .into_iter()
@@ -39,6 +40,22 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
         *a = 17;
     }
     assert_eq!(scene.validate(), Ok(()));
+    (geometry, scene)
+}
+
+/// The same scene matted, of a photo in which the discs are red with a soft outline; only planes, labels and photo are of use.
+#[must_use]
+pub fn matted((mut geometry, mut scene): (Geometry, Scene)) -> (Geometry, Scene) {
+    geometry.matted = true;
+    let width = scene.photo.width;
+    for (i, colour) in (0..).zip(&mut scene.photo.rgb) {
+        let off = |at: u32, period: u32, middle: u32| f64::from(at % period) - f64::from(middle);
+        let from_middle = off(i % width, 41, 20).hypot(off(i / width, 37, 18));
+        let share = (12.25 + 1.5 - from_middle).clamp(0.0, 3.0) / 3.0;
+        for (c, disc) in colour.iter_mut().zip([230.0, 40.0, 30.0]) {
+            *c = (disc * share + f64::from(*c) * (1.0 - share)).round() as u8;
+        }
+    }
     (geometry, scene)
 }
 

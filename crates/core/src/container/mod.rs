@@ -59,7 +59,7 @@ pub const MAGIC: [u8; 4] = *b"TMPI";
 /// Major version written, and the newest that is read.
 pub const MAJOR: u16 = 1;
 /// Minor version written.
-pub const MINOR: u16 = 3;
+pub const MINOR: u16 = 4;
 /// Media type of a container.
 pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
 

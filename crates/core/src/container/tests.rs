@@ -1,7 +1,7 @@
 #![allow(clippy::unwrap_used, reason = "test")]
 use proptest::prelude::*;
 
-use super::fixtures::{bare_in, discs as scene, rough};
+use super::fixtures::{bare_in, discs as scene, matted, rough};
 use super::*;
 use crate::{Geometry, Grid, Inpainter, Scene};
 
@@ -85,7 +85,8 @@ fn golden_containers_stay_readable() {
     golden("v1", older, false);
     golden("v1_1", older, true);
     golden("v1_2", older, true);
-    golden("v1_3", || bare_in(Some(1), &rough(scene(150, 100))), true);
+    golden("v1_3", older, true);
+    golden("v1_4", || bare_in(Some(1), &matted(rough(scene(150, 100)))), true);
 }
 
 /// Seeds of the fuzzer: small containers of every kind, and what lies in them. `TMPI_BLESS=1` writes them anew.
@@ -97,6 +98,7 @@ fn seeds_of_the_fuzzer_are_readable() {
         ("derived", bare(&scene(66, 40))),
         ("pixel", bare(&scene(1, 1))),
         ("bands", bare_in(Some(1), &rough(scene(70, 130)))),
+        ("matted", bare(&matted(scene(70, 40)))),
     ];
     if std::env::var_os("TMPI_BLESS").is_some() {
         let write = |kind: &str, name: &str, data: &[u8]| {
@@ -262,6 +264,65 @@ fn bands_hold_the_same_labels_as_one_stream() {
 }
 
 #[test]
+fn a_matted_container_says_so_and_carries_nothing_for_it() {
+    let (plain, made) = (scene(150, 100), matted(scene(150, 100)));
+    let bytes = bare(&made);
+    let read = decode::read(&bytes).unwrap();
+    assert_eq!((&read.0, &read.1), (&made.1.photo, &made.0));
+    assert_eq!(sections(&bytes).unwrap().iter().map(|s| s.kind).collect::<Vec<_>>(), ["photo", "planes", "labels"]);
+    let [got, unmatted] = [&made.0, &Geometry { matted: false, ..made.0.clone() }].map(|g| crate::texture(&made.1.photo, g, g.masks()));
+    let same = |a: &[Vec<crate::TexturedLayer>], s: &Scene| {
+        let all = || a.iter().flatten();
+        let alpha: Vec<u8> = all().flat_map(|l| l.shape.alpha.clone()).collect();
+        let hidden: Vec<[u8; 3]> = all().flat_map(|l| l.hidden.clone()).collect();
+        (alpha, hidden) == (s.texels.alpha.clone(), s.texels.hidden.clone())
+    };
+    let scene = decode(&bytes).unwrap();
+    assert!(same(&got, &scene) && !same(&unmatted, &scene));
+    // levels and regions of it are matted, too
+    let parts = [level(&bytes, 1).unwrap(), region(&bytes, &Tiles { columns: 1..3, rows: 0..1 }, 0, RegionPhoto::Lossless).unwrap()];
+    assert!(parts.iter().all(|part| decode::read_geometry(part).unwrap().matted));
+    assert!(!decode::read_geometry(&bare(&plain)).unwrap().matted);
+}
+
+#[test]
+fn what_follows_from_the_photo_is_not_carried_beside_it() {
+    use prost::Message;
+    let (geometry, s) = matted(scene(70, 40));
+    let photo = Carried::from_photo(&s.photo, 90).unwrap();
+    for carries in [Carries { alpha: true, hidden: None }, Carries { alpha: false, hidden: Some(HiddenAs::Png) }] {
+        assert!(matches!(encode(&geometry, &s, &photo, carries), Err(ContainerError::Encode(_))));
+    }
+    let carried = container(&scene(70, 40));
+    let (mut index, body) = decode::split(&carried).unwrap();
+    index.matted = true;
+    let both = [select::header(&carried[4..8], &index.encode_to_vec()), body.to_vec()].concat();
+    assert!(decode(&both).unwrap_err().to_string().contains("matted"));
+}
+
+#[test]
+fn rows_of_tiles_of_a_matted_container_are_those_of_the_whole() {
+    for made in [matted(scene(150, 300)), matted(rough(scene(150, 300)))] {
+        let bytes = bare(&made);
+        let whole = decode(&bytes).unwrap();
+        let grid = whole.grid;
+        for row in 0..grid.rows() {
+            let reach = reach(&grid, &(row..row + 1));
+            let own = reach.start as usize * 150..reach.end as usize * 150;
+            let photo = PhotoRows { width: 150, height: 300, top: reach.start, rgb: whole.photo.rgb[own].to_vec() };
+            let part = decode_rows(&bytes, &(row..row + 1), &photo, None).unwrap();
+            let of_row = |l: &&crate::Layer| l.tile / grid.columns() == row;
+            let all: Vec<_> = whole.layers.iter().filter(of_row).collect();
+            let texels: usize = all.iter().map(|l| l.rect.area()).sum();
+            let first = all[0].first_texel;
+            assert_eq!(part.texels.class, whole.texels.class[first..first + texels]);
+            assert_eq!(part.texels.alpha, whole.texels.alpha[first..first + texels]);
+            assert_eq!(part.texels.hidden, whole.texels.hidden[all[0].first_hidden..][..part.texels.hidden.len()]);
+        }
+    }
+}
+
+#[test]
 fn a_newer_major_version_is_refused_by_number() {
     let mut b = container(&scene(70, 70));
     b[4] = 2;
@@ -282,9 +343,10 @@ proptest! {
     #[test]
     fn damage_never_panics(at in prop::collection::vec((0usize..4000, any::<u8>()), 1..6)) {
         use std::sync::OnceLock;
-        static CLEAN: OnceLock<[Vec<u8>; 3]> = OnceLock::new();
-        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40)), bare_in(Some(1), &rough(scene(70, 130)))]);
-        let mut b = clean[at.len() % 3].clone();
+        static CLEAN: OnceLock<[Vec<u8>; 4]> = OnceLock::new();
+        let bands = || bare_in(Some(1), &rough(scene(70, 130)));
+        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40)), bands(), bare(&matted(scene(70, 40)))]);
+        let mut b = clean[at.len() % 4].clone();
         for (i, v) in at { let n = b.len(); b[i % n] = v; }
         if let Ok(s) = decode(&b) { prop_assert_eq!(s.validate(), Ok(())); }
     }

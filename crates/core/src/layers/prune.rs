@@ -149,6 +149,7 @@ mod tests {
             intrinsics: Intrinsics::centred(64, 64, 100.0),
             view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
             tiles: vec![tile],
+            matted: false,
         };
         let shapes = &b.masks()[0];
         let far = &shapes.layers[0];

@@ -39,6 +39,11 @@ impl Surface {
         surface
     }
 
+    /// The first row.
+    pub(super) const fn top(&self) -> u32 {
+        self.top
+    }
+
     /// Place of a pixel among those of its rows.
     pub(super) fn at(&self, x: u32, y: u32) -> usize {
         (y - self.top) as usize * self.width + x as usize

@@ -1,6 +1,6 @@
 //! Layers with colours, and the scene that they make up (paper, section 3.2).
 
-use super::{Geometry, Inpainter, LayerMask, LayerMasks};
+use super::{Geometry, Inpainter, LayerMask, LayerMasks, Rows, Surface, matte};
 use crate::scene::{Layer, Photo, Scene, Texels};
 
 /// A layer with the colours of its hidden texels, in the order of its classes.
@@ -12,12 +12,28 @@ pub struct TexturedLayer {
     pub hidden: Vec<[u8; 3]>,
 }
 
-/// Colours the hidden texels of all layers; sources are the photo's pixels at or behind each layer.
+/// Colours the hidden texels of all layers; sources are the photo's pixels at or behind each layer. Mattes them where `geometry` says so.
 #[must_use]
 pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
-    let colours = Inpainter::new(photo, geometry).fill_all(&shapes);
+    texture_tiles(geometry, geometry.surface(), &photo.rgb, 0, shapes)
+}
+
+/// The same of some tiles, the first of which is number `first`; `surface` and `rgb` have the rows that these follow from, the same ones.
+pub(crate) fn texture_tiles(
+    geometry: &Geometry,
+    surface: Surface,
+    rgb: &[[u8; 3]],
+    first: u32,
+    shapes: Vec<LayerMasks>,
+) -> Vec<Vec<TexturedLayer>> {
+    let photo = Rows { top: surface.top(), rgb };
+    let colours = Inpainter::on(geometry.grid, surface, rgb).fill_tiles(first, &shapes);
     let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();
-    shapes.into_iter().zip(colours).map(tile).collect()
+    let mut tiles: Vec<Vec<TexturedLayer>> = shapes.into_iter().zip(colours).map(tile).collect();
+    if geometry.matted {
+        matte(geometry, first, &mut tiles, photo);
+    }
+    tiles
 }
 
 /// Joins textured layers into a scene.

@@ -58,6 +58,8 @@ pub struct Geometry {
     pub view_box: ViewBox,
     /// One entry a tile of the grid.
     pub tiles: Vec<Tile>,
+    /// Pixels beside depth borders are taken apart into foreground and background.
+    pub matted: bool,
 }
 
 /// Which texels one layer has, and how opaque they are.
@@ -340,6 +342,7 @@ mod tests {
                 intrinsics: Intrinsics::centred(64, 64, 100.0),
                 view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
                 tiles: vec![Tile { planes, labels, background: None }],
+                matted: false,
             };
             let shapes = b.masks().remove(0);
             let row = |s: &LayerMask| {

@@ -14,7 +14,13 @@ pub fn message(data: &[u8]) {
         Kind::Hello(hello) => drop(Model::new(&hello)),
         Kind::Geometry(g) | Kind::Snapshot(g) => {
             let grid = Grid::new(130, 100, 64);
-            let empty = Geometry { grid, intrinsics: Intrinsics::centred(130, 100, 75.0), view_box: ViewBox::default(), tiles: Vec::new() };
+            let empty = Geometry {
+                grid,
+                intrinsics: Intrinsics::centred(130, 100, 75.0),
+                view_box: ViewBox::default(),
+                tiles: Vec::new(),
+                matted: false,
+            };
             let Ok(mut model) = Model::new(&Model::hello(&empty)) else { return };
             if model.take(&g).is_err() {
                 return;

@@ -33,7 +33,7 @@ impl Model {
             return Err(LiveError::broken(format!("tiles of {} pixels, below {LEAST_TILE}", grid.size)));
         }
         let tiles = vec![Tile::default(); grid.tiles() as usize];
-        Ok(Self { versions: vec![None; tiles.len()], geometry: Geometry { grid, intrinsics, view_box, tiles } })
+        Ok(Self { versions: vec![None; tiles.len()], geometry: Geometry { grid, intrinsics, view_box, tiles, matted: false } })
     }
 
     /// What is said of a room whose tiles are those of `geometry`.

@@ -4,6 +4,7 @@ mod bench;
 mod check;
 mod compare;
 mod eval;
+mod ghosts;
 mod live_bench;
 mod psi_layers;
 mod synth;
@@ -30,6 +31,7 @@ enum Command {
     Check(check::CheckArgs),
     Bench(bench::BenchArgs),
     Eval(eval::EvalArgs),
+    Ghosts(ghosts::GhostArgs),
     LiveBench(Box<live_bench::LiveBenchArgs>),
     Synth(synth::SynthArgs),
 }
@@ -50,6 +52,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Ghosts(args) => ghosts::run(&args),
         Command::LiveBench(args) => live_bench::run(&args),
         Command::Synth(args) => synth::run(&args),
     };

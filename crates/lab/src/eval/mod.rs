@@ -83,6 +83,9 @@ impl EvalError {
     }
 }
 
+/// The way that leaves all mixed colours on the far side of depth borders.
+const UNMATTED: &str = "ours-unmatted";
+
 /// Ways by name; none: the photo as a mesh.
 fn ways() -> Vec<(&'static str, Option<Options>)> {
     let with = |change: fn(&mut Options)| {
@@ -98,6 +101,7 @@ fn ways() -> Vec<(&'static str, Option<Options>)> {
         ("tmpi-lloyd", with(|o| (o.planes, o.plane_method) = (PlaneCount::Fixed(4), PlaneMethod::Lloyd))),
         ("ours-plain", with(|o| (o.denoise, o.refine, o.snap) = (Denoise::Off, Switch::Off, Switch::Off))),
         ("ours-refined", with(|o| o.refine = Switch::On)),
+        (UNMATTED, with(|_| {})),
         ("ours", with(|_| {})),
     ]
 }
@@ -209,7 +213,7 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
             let mut own: Vec<Vec<Score>> = vec![Vec::new(); all.len()];
             for (view, truth) in case.views.iter().enumerate() {
                 let warp = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST);
-                let mask = Mask::new(truth.camera.width as usize, &warp.covered);
+                let mask = Mask::new(truth.camera.width as usize, &warp.depth);
                 let parts = Parts::new(&warp, &truth.camera);
                 let folder = files.as_ref().map(|folder| folder.join(&case.name).join(view.to_string()));
                 if let Some(folder) = &folder {
@@ -289,7 +293,8 @@ fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Option
         row.planes = 0.0;
         return Ok(Made { model: Model::Mesh(Box::new((photo(case)?, done.disparity.clone()))), row, disparity: done.disparity });
     }
-    let scene = Arc::new(tmpi_core::container::decode(&done.container)?);
+    let scene = if way == UNMATTED { crate::ghosts::unmatted(&done.container) } else { tmpi_core::container::decode(&done.container) };
+    let scene = Arc::new(scene?);
     row.make_ms = done.report.total_ms;
     row.bytes = done.container.len() as f64;
     row.texels_m = scene.texels.class.len() as f64 / 1e6;
@@ -375,17 +380,19 @@ impl Results {
         let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
         let _ = writeln!(
             out,
-            "{:<14}{:>7}{:>8}{:>8}{:>8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
-            "way", "PSNR", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
+            "{:<14}{:>7}{:>9}{:>10}{:>8}{:>8}{:>8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
+            "way", "PSNR", "borders", "uncovered", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
         );
         for r in &self.rows {
             let s = r.score;
             let lpips = s.lpips.map_or("-".into(), |v| format!("{v:.4}"));
             let _ = writeln!(
                 out,
-                "{:<14}{:>7.2}{:>8.4}{:>8.4}{:>8.4}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
+                "{:<14}{:>7.2}{:>9.2}{:>10.2}{:>8.4}{:>8.4}{:>8.4}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
                 r.way,
                 s.psnr,
+                s.borders,
+                s.uncovered,
                 s.ssim,
                 s.l1,
                 s.flip,

@@ -24,7 +24,16 @@ pub struct Score {
     pub flip: f64,
     /// LPIPS of the cropped view; none without a network for it.
     pub lpips: Option<f64>,
+    /// dB within [`BESIDE`] pixels of depth borders; where there is none, of all.
+    pub borders: f64,
+    /// dB where the photo shows nothing; where there is no such pixel, of all.
+    pub uncovered: f64,
 }
+
+/// Pixels from a depth border up to which a pixel lies beside it.
+const BESIDE: usize = 3;
+/// Neighbouring pixels that differ by so much in δ have a depth border between them.
+const BORDER: f64 = 0.03;
 
 impl Score {
     /// The mean over views.
@@ -32,7 +41,8 @@ impl Score {
         let n = all.len().max(1) as f64;
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / n;
         let lpips = all.iter().map(|s| s.lpips).sum::<Option<f64>>().map(|s| s / n);
-        Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim), l1: of(|s| s.l1), flip: of(|s| s.flip), lpips }
+        let (borders, uncovered) = (of(|s| s.borders), of(|s| s.uncovered));
+        Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim), l1: of(|s| s.l1), flip: of(|s| s.flip), lpips, borders, uncovered }
     }
 }
 
@@ -40,12 +50,16 @@ impl Score {
 pub(super) struct Mask {
     pub width: usize,
     inside: Vec<bool>,
+    /// What of it lies beside a depth border, and what the photo does not show.
+    beside: Vec<bool>,
+    uncovered: Vec<bool>,
 }
 
 impl Mask {
     /// The middle of a view, without what the photo does not show: gaps in `covered` (by the photo at its true depth) that reach the
-    /// view's border.
-    pub fn new(width: usize, covered: &[bool]) -> Self {
+    /// view's border. `depth`: δ of what covers each pixel, minus infinity where nothing does.
+    pub fn new(width: usize, depth: &[f64]) -> Self {
+        let covered: Vec<bool> = depth.iter().map(|d| *d > f64::NEG_INFINITY).collect();
         let height = covered.len() / width.max(1);
         let mut outside = vec![false; covered.len()];
         let border = (0..covered.len()).filter(|i| i % width == 0 || i % width == width - 1 || i / width == 0 || i / width == height - 1);
@@ -69,7 +83,10 @@ impl Mask {
         }
         let (cx, cy) = ((width as f64 * CROP) as usize, (height as f64 * CROP) as usize);
         let middle = |i: usize| (cx..width - cx).contains(&(i % width)) && (cy..height - cy).contains(&(i / width));
-        Self { width, inside: (0..covered.len()).map(|i| middle(i) && !outside[i]).collect() }
+        let inside: Vec<bool> = (0..covered.len()).map(|i| middle(i) && !outside[i]).collect();
+        let near = beside(width, depth);
+        let among = |of: &dyn Fn(usize) -> bool| (0..covered.len()).map(|i| inside[i] && of(i)).collect();
+        Self { width, beside: among(&|i| near[i]), uncovered: among(&|i| !covered[i]), inside }
     }
 
     /// Whether each pixel is scored.
@@ -84,25 +101,24 @@ impl Mask {
     }
 
     fn mean(&self, map: impl Iterator<Item = f64>) -> f64 {
-        let (mut sum, mut n) = (0.0, 0usize);
-        for (v, _) in map.zip(&self.inside).filter(|(_, inside)| **inside) {
-            sum += v;
-            n += 1;
-        }
-        sum / n.max(1) as f64
+        mean(map, &self.inside).unwrap_or(0.0)
     }
 
     /// Scores `view` against `truth`.
     pub fn score(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Score {
-        let difference = |power: i32| {
+        let difference = |power: i32, of: &[bool]| {
             let pixels = view.iter().zip(truth);
-            self.mean(pixels.map(|(a, b)| a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(*b)) / 255.0).powi(power)).sum::<f64>() / 3.0))
+            let off =
+                |(a, b): (&[u8; 3], &[u8; 3])| a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(*b)) / 255.0).powi(power)).sum::<f64>();
+            mean(pixels.map(|both| off(both) / 3.0), of)
         };
-        let mse = difference(2);
-        let psnr = if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::EQUAL) } else { metrics::EQUAL };
+        let decibels = |mse: f64| if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::EQUAL) } else { metrics::EQUAL };
+        let psnr = decibels(difference(2, &self.inside).unwrap_or(0.0));
+        let of = |mask: &[bool]| difference(2, mask).map_or(psnr, decibels);
+        let (borders, uncovered, l1) = (of(&self.beside), of(&self.uncovered), difference(1, &self.inside).unwrap_or(0.0));
         let ssim = self.mean(metrics::ssim_map(view, truth, self.width).iter().map(|v| f64::from(*v)));
         let flip = self.mean(metrics::flip_map(truth, view, self.width).into_iter());
-        Score { psnr, ssim, l1: difference(1), flip, lpips: None }
+        Score { psnr, ssim, l1, flip, lpips: None, borders, uncovered }
     }
 
     /// The middle of a view and of the truth; what is not scored is taken from the truth in both.
@@ -137,6 +153,33 @@ impl Mask {
         let values = &out.first().filter(|o| !o.data.is_empty()).ok_or_else(fail)?.data;
         Ok(values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64)
     }
+}
+
+/// Mean over the pixels of a mask; none where that is empty.
+fn mean(map: impl Iterator<Item = f64>, mask: &[bool]) -> Option<f64> {
+    let (mut sum, mut n) = (0.0, 0usize);
+    for (v, _) in map.zip(mask).filter(|(_, wanted)| **wanted) {
+        sum += v;
+        n += 1;
+    }
+    (n > 0).then(|| sum / n as f64)
+}
+
+/// Pixels beside depth borders.
+fn beside(width: usize, depth: &[f64]) -> Vec<bool> {
+    // what nothing covers has a border, too
+    let apart = |a: f64, b: f64| (a.max(-1.0) - b.max(-1.0)).abs() > BORDER;
+    let mut out = vec![false; depth.len()];
+    for (i, &d) in depth.iter().enumerate() {
+        let (x, y) = (i % width, i / width);
+        let right = x + 1 < width && apart(d, depth[i + 1]);
+        if right || depth.get(i + width).is_some_and(|&below| apart(d, below)) {
+            for v in y.saturating_sub(BESIDE - 1)..(y + BESIDE + 1).min(depth.len() / width) {
+                out[v * width..][x.saturating_sub(BESIDE - 1)..(x + BESIDE + 1).min(width)].fill(true);
+            }
+        }
+    }
+    out
 }
 
 /// How near a disparity map comes to the truth once it is scaled and shifted to fit it best.
@@ -273,7 +316,8 @@ mod tests {
         let (w, h) = (20, 20);
         // nothing is known right of column 12 of the lower half, and in a hole in the middle of the upper half
         let covered: Vec<bool> = (0..w * h).map(|i| !(i % w > 12 && i / w >= 10 || i % w == 8 && i / w == 6)).collect();
-        let mask = Mask::new(w, &covered);
+        let depth: Vec<f64> = covered.iter().map(|c| if *c { 0.5 } else { f64::NEG_INFINITY }).collect();
+        let mask = Mask::new(w, &depth);
         let inside = |x: usize, y: usize| mask.inside[y * w + x];
         assert!(inside(3, 3) && inside(16, 3) && inside(12, 15) && inside(8, 6), "a hole is to be filled");
         assert!(!inside(2, 5) && !inside(17, 5) && !inside(5, 17) && !inside(13, 15));

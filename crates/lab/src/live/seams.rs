@@ -49,7 +49,7 @@ mod tests {
         let of = |deltas: [f64; 2]| {
             let tiles = vec![tile(deltas[0], 0), tile(deltas[1], 1)];
             let view_box = ViewBox { x: 0.03, y: 0.03, z: 0.0 };
-            seams(&Geometry { grid, intrinsics: Intrinsics::centred(120, 64, 100.0), view_box, tiles })
+            seams(&Geometry { grid, intrinsics: Intrinsics::centred(120, 64, 100.0), view_box, tiles, matted: false })
         };
         assert_eq!(of([0.5, 0.5]), (0.0, 0.0));
         let (mean, wide) = of([0.2, 0.7]);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::photos::{Brightness, identity, made, rgb_png};
 use super::views::{bound, wrong};
 use super::{Checked, Hosts, cast, cast_in_layer_order};
-use tmpi_core::{Camera, DisparityMap, Plane, Pose, Scene, ViewBox};
+use tmpi_core::{Camera, Class, DisparityMap, Plane, Pose, Scene, ViewBox};
 use tmpi_pipeline;
 use tmpi_pipeline::depth::{DepthKind, from_map, to_png};
 use tmpi_pipeline::photo::Limits;
@@ -69,8 +69,10 @@ fn fill(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Sc
             let file = super::photos::png(SIDE, SIDE, &rgb, image::ExtendedColorType::Rgb8);
             let Some(scene) = kernel(&file, &options) else { return f64::INFINITY };
             let off = |p: &[u8; 3]| (0..3).map(|c| least[c].saturating_sub(p[c]).max(p[c].saturating_sub(most[c]))).max().unwrap_or(0);
-            // where nothing is hidden, nothing is checked
-            scene.texels.hidden.iter().map(off).max().map_or(f64::INFINITY, f64::from)
+            // what is soft is the bright thing's foreground; where nothing is hidden, nothing is checked
+            let hidden = scene.texels.class.iter().zip(&scene.texels.alpha).filter(|(c, _)| **c == Class::Hidden as u8).map(|(_, a)| *a);
+            let behind = scene.texels.hidden.iter().zip(hidden).filter(|(_, alpha)| *alpha == u8::MAX).map(|(colour, _)| colour);
+            behind.map(off).max().map_or(f64::INFINITY, f64::from)
         });
     }
 }

@@ -8,6 +8,7 @@ mod compositing;
 mod inpainting;
 mod layers;
 mod maps;
+mod matting;
 mod photos;
 mod raycast;
 mod reference;
@@ -159,6 +160,7 @@ pub fn run() -> Checked {
     clustering::run(&mut checked);
     maps::run(&mut checked);
     layers::run(&mut checked);
+    matting::run(&mut checked);
     rooms::run(&mut checked);
     views::run(&mut checked, &hosts);
     compositing::run(&mut checked, &hosts);

@@ -88,7 +88,7 @@ fn frame((x, y): (u32, u32), (far, near): (f64, f64)) -> (Geometry, Vec<u32>) {
         Tile { planes: [far, near].map(Plane::fronto_parallel).to_vec(), labels, background: None }
     };
     let tiles = (0..grid.tiles()).map(tile).collect();
-    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(w, h, 50.0), view_box: ViewBox::default(), tiles };
+    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(w, h, 50.0), view_box: ViewBox::default(), tiles, matted: false };
     (geometry, (0..w * h).map(|i| u32::from_le_bytes(rgb(i))).collect())
 }
 

@@ -226,7 +226,7 @@ mod tests {
         let plane = Plane::fronto_parallel;
         // the second is labelled wrongly at every second pixel
         let tiles = vec![tile(0, vec![plane(0.5)], |_| 0), tile(1, vec![plane(0.4), plane(0.5)], |i| (i % 2) as u8)];
-        let geometry = Geometry { grid, intrinsics: movement().intrinsics, view_box: BOX, tiles };
+        let geometry = Geometry { grid, intrinsics: movement().intrinsics, view_box: BOX, tiles, matted: false };
         let got = movement().of_planes(&delta, &geometry);
         assert_eq!((got[0].mean, got[0].p99, got[0].smoothing), (0.0, 0.0, 0.0));
         let r = grid.rect(1);

@@ -17,12 +17,12 @@ const SIDE: u32 = 512;
 const LEVELS: u8 = 8;
 
 /// Compares views with all texels and with those that are kept, over the corners of the view box and the middles of its sides.
-/// Both take the same colours, so that nothing but the leaving out is compared.
+/// Both take the same colours and nothing is matted, so that nothing but the leaving out is compared.
 ///
 /// # Errors
 /// [`RenderError`] where a view cannot be drawn.
 pub fn verify(photo: &Photo, geometry: &Geometry) -> Result<PruneError, RenderError> {
-    compare(photo, geometry, cameras)
+    compare(photo, &Geometry { matted: false, ..geometry.clone() }, cameras)
 }
 
 /// Tiles of a grid for each sample of [`sample`]: 4 tiles, a sixteenth, of which the layers are made anew, with and without.
@@ -56,14 +56,14 @@ pub fn sample(photo: &Photo, geometry: &Geometry) -> Result<Option<PruneError>, 
 
 /// 2×2 tiles from a column and a row on, as a photo of their own.
 fn part(photo: &Photo, geometry: &Geometry, (column, row): (u32, u32)) -> (Photo, Geometry) {
-    let Geometry { grid, intrinsics: k, view_box, tiles } = geometry;
+    let Geometry { grid, intrinsics: k, view_box, tiles, .. } = geometry;
     let (rect, own) = grid.part(column..column + 2, row..row + 2);
     let line = |y: u32| &photo.rgb[y as usize * photo.width as usize + rect.x as usize..][..rect.w as usize];
     let rgb = (rect.y..rect.y + rect.h).flat_map(line).copied().collect();
     let tiles = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| tiles[((row + y) * grid.columns() + column + x) as usize].clone());
     let intrinsics = Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..*k };
     let Rect { w: width, h: height, .. } = rect;
-    (Photo { width, height, rgb }, Geometry { grid: own, intrinsics, view_box: *view_box, tiles: tiles.into() })
+    (Photo { width, height, rgb }, Geometry { grid: own, intrinsics, view_box: *view_box, tiles: tiles.into(), matted: false })
 }
 
 /// Two opposite corners of the view box, at the photo's own size.
@@ -138,8 +138,13 @@ mod tests {
             labels: (0..4096).map(|i| u8::from(near(i))).collect(),
             background: None,
         };
-        let geometry =
-            Geometry { grid: Grid::new(64, 64, 64), intrinsics: Intrinsics::centred(64, 64, 100.0), view_box, tiles: vec![tile] };
+        let geometry = Geometry {
+            grid: Grid::new(64, 64, 64),
+            intrinsics: Intrinsics::centred(64, 64, 100.0),
+            view_box,
+            tiles: vec![tile],
+            matted: false,
+        };
         (photo, geometry)
     }
 

@@ -37,6 +37,8 @@ impl Stage for Layers {
     fn run(&mut self, input: (&mut Prepared, Placed, &DisparityMap), context: &mut Context) -> Result<Layered, MakeError> {
         let (prepared, Placed { mut geometry, placement }, delta) = input;
         layers::add_backgrounds(&mut geometry, delta);
+        // what Ψ gives is carried, what matting gives follows from the photo
+        geometry.matted = !refined(context);
         let masks = geometry.masks();
         count(&mut context.report, &geometry, &masks, &placement);
         // the file for the container takes one core; beside the layers, which take all there are, it costs no time of its own
@@ -59,14 +61,21 @@ impl Stage for Refine {
     fn run(&mut self, (photo, mut layered): (&Photo, Layered), context: &mut Context) -> Result<Layered, MakeError> {
         let options = context.options;
         context.report.left_out.tiles_not_refined = layered.tiles.len();
-        let wanted = options.refine == Switch::On || (options.refine == Switch::Auto && REFINEMENT_HELPS);
-        if wanted && let Some(psi) = &context.models.psi {
+        if refined(context)
+            && let Some(psi) = &context.models.psi
+        {
             let refined = refine::run(psi.as_ref(), photo, &layered.geometry, &mut layered.tiles)?;
             context.report.left_out.tiles_not_refined = refined.skipped;
             layered.carries = Carries { alpha: true, hidden: refined.colours.then_some(HiddenAs::Jpeg(options.quality)) };
         }
         Ok(layered)
     }
+}
+
+/// Whether Ψ refines the layers.
+fn refined(context: &Context) -> bool {
+    let refine = context.options.refine;
+    (refine == Switch::On || (refine == Switch::Auto && REFINEMENT_HELPS)) && context.models.psi.is_some()
 }
 
 /// Counts what there is and what was left out: planes against the most that a tile may have, texels against layers as large as their tile.

@@ -101,7 +101,7 @@ impl Stage for Planes {
             context.report.budget = Some(budget);
         }
         let mut placement = options.placement(max_error, most_px);
-        let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles };
+        let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
         if let Some(carried) = &mut self.carried {
             placement.most = placement.most.min(most_planes(&grid)).min(carried.most.unwrap_or(u32::MAX));
             return Ok(Placed { geometry: scene(carried.place(map, &grid, &placement)), placement });

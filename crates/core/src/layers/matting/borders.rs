@@ -1,0 +1,286 @@
+//! Pixels beside depth borders, and what they are mixed of.
+
+use std::ops::Range;
+
+use super::super::rows::Columns;
+use super::super::{Geometry, TileFrame};
+use super::matte::{Matte, Side};
+use crate::scene::{Grid, Plane, Rect};
+use crate::simd::dispatch;
+
+/// Pixels on the far side of a border whose colours are mixed.
+pub(super) const BAND: usize = 2;
+/// How far about a pixel the colours on either side are looked for, in pixels.
+const WINDOW: usize = 4;
+/// A border is matted where its sides are apart by more than this in δ, and move against each other by more than so many pixels over the view
+/// box: less is part of one thing, or uncovers nothing.
+const STEP: f64 = 0.05;
+const MOVES: f64 = 1.0;
+
+/// A pixel beside a border.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Place {
+    /// In the photo.
+    pub x: u32,
+    pub y: u32,
+    /// Label of what is in front, in the tile that owns the pixel.
+    pub near: u8,
+    pub matte: Matte,
+}
+
+/// Some rows of the photo.
+#[derive(Clone, Copy)]
+pub(crate) struct Rows<'a> {
+    /// The first row.
+    pub top: u32,
+    /// Pixels of whole rows.
+    pub rgb: &'a [[u8; 3]],
+}
+
+/// Used again from tile to tile.
+#[derive(Default)]
+pub(super) struct Scratch {
+    us: Vec<f64>,
+    planes: Vec<[f64; 2]>,
+    /// δ of the visible surface; the most within [`BAND`] pixels of each, and the least within one.
+    visible: Vec<f32>,
+    most: Vec<f32>,
+    least: Vec<f32>,
+    column: Vec<f32>,
+}
+
+/// Of tiles that overlap, the pixels that a tile owns: it has what lies about them.
+pub(super) fn owned(grid: &Grid, index: u32) -> Rect {
+    let (tile, columns) = (grid.rect(index), grid.columns());
+    let by = grid.size.saturating_sub(grid.stride) / 2;
+    let side = |from: u32, length: u32, number: u32, count: u32| {
+        let first = if number == 0 { 0 } else { (from + by).min(from + length) };
+        let end = if number + 1 == count { from + length } else { (from + grid.stride + by).min(from + length) };
+        first..end.max(first)
+    };
+    let (x, y) = (side(tile.x, tile.w, index % columns, columns), side(tile.y, tile.h, index / columns, grid.rows()));
+    Rect { x: x.start, y: y.start, w: x.end - x.start, h: y.end - y.start }
+}
+
+/// One tile in which borders are looked for.
+struct Tile<'a> {
+    geometry: &'a Geometry,
+    r: Rect,
+    frame: TileFrame,
+    labels: &'a [u8],
+    planes: &'a [Plane],
+    index: u32,
+}
+
+/// The pixels that tile `index` owns, among `wanted` rows, beside a border; row by row.
+#[inline(never)]
+pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, photo: Rows, s: &mut Scratch) -> Vec<Place> {
+    let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
+    let r = grid.rect(index);
+    let mut out = Vec::new();
+    if tile.planes.len() < 2 || tile.labels.len() != r.area() {
+        return out;
+    }
+    let (right, down) = geometry.view_box.parallax(&geometry.intrinsics, r);
+    let step = (MOVES / right.max(down)).max(STEP) as f32;
+    let tile = Tile { geometry, r, frame: TileFrame::of(grid, index), labels: &tile.labels, planes: &tile.planes, index };
+    tile.look(s);
+    let own = owned(grid, index);
+    let rows = own.y.max(wanted.start)..(own.y + own.h).min(wanted.end);
+    let w = r.w as usize;
+    for y in rows {
+        let first = (y - r.y) as usize * w + (own.x - r.x) as usize;
+        let (visible, most) = (&s.visible[first..][..own.w as usize], &s.most[first..][..own.w as usize]);
+        if !steps(visible, most, step) {
+            continue;
+        }
+        for (i, (d, m)) in visible.iter().zip(most).enumerate() {
+            if m - d > step
+                && let Some(place) = tile.place(own.x as usize - r.x as usize + i, (y - r.y) as usize, photo, s)
+            {
+                out.push(place);
+            }
+        }
+    }
+    out
+}
+
+/// The nearest pixel in front of another.
+#[derive(Clone, Copy)]
+struct Nearest {
+    label: u8,
+    /// Pixels right and down to it.
+    off: [isize; 2],
+}
+
+impl Tile<'_> {
+    /// Finds the visible surface, and the most and the least about each pixel.
+    fn look(&self, s: &mut Scratch) {
+        let (w, h) = (self.r.w as usize, self.r.h as usize);
+        for all in [&mut s.visible, &mut s.most, &mut s.least, &mut s.column] {
+            all.resize(w * h, 0.0);
+        }
+        self.frame.columns(self.r.x, self.r.w, &mut s.us);
+        let columns = Columns { us: &s.us, labels: self.labels, planes: self.planes };
+        for (y, row) in s.visible.chunks_mut(w).enumerate() {
+            columns.visible(y, self.frame.v(self.r.y + y as u32), &mut s.planes, row);
+        }
+        extreme(&s.visible, w, &mut s.column, &mut s.most, BAND, larger_of);
+        extreme(&s.visible, w, &mut s.column, &mut s.least, 1, smaller_of);
+    }
+
+    /// What pixel `(x, y)` of the tile is, which lies beside something nearer; none where it cannot be told or tiles disagree.
+    fn place(&self, x: usize, y: usize, photo: Rows, s: &Scratch) -> Option<Place> {
+        let w = self.r.w as usize;
+        let at = y * w + x;
+        let (far, most) = (s.visible[at], s.most[at]);
+        let middle = far + 0.5 * (most - far);
+        let (px, py) = (self.r.x + x as u32, self.r.y + y as u32);
+        let Nearest { label: near, off } = self.nearest(x, y, middle, s)?;
+        if !self.others_agree(px, py, middle) {
+            return None;
+        }
+        let matte = self.matte(x, y, middle, photo, s)?;
+        if off != off.map(isize::signum) {
+            // on the way to the border a pixel is mixed even more
+            let beside = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
+            let (u, v) = (beside(x, off[0]), beside(y, off[1]));
+            if s.visible[v * w + u] < middle && self.matte(u, v, middle, photo, s)?.alpha < matte.alpha {
+                return None;
+            }
+        }
+        Some(Place { x: px, y: py, near, matte })
+    }
+
+    /// What pixel `(x, y)` is mixed of, which lies behind `middle`.
+    fn matte(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Option<Matte> {
+        let far = s.visible[y * self.r.w as usize + x];
+        let (front, back) = self.sides(x, y, [far, middle], photo, s);
+        let (px, py) = (self.r.x as usize + x, self.r.y as usize + y - photo.top as usize);
+        Matte::of(photo.rgb[py * self.geometry.grid.width as usize + px], &front, &back)
+    }
+
+    /// Label of the nearest pixel that lies in front of `middle`, and whose plane does so at `(x, y)`, too.
+    fn nearest(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Option<Nearest> {
+        let (w, h) = (self.r.w as usize, self.r.h as usize);
+        let mut best: Option<(usize, Nearest)> = None;
+        for v in y.saturating_sub(BAND)..(y + BAND + 1).min(h) {
+            for u in x.saturating_sub(BAND)..(x + BAND + 1).min(w) {
+                let off = u.abs_diff(x).pow(2) + v.abs_diff(y).pow(2);
+                if s.visible[v * w + u] < middle || best.is_some_and(|(least, _)| least <= off) {
+                    continue;
+                }
+                let label = self.labels[v * w + u];
+                let plane = &self.planes[usize::from(label)];
+                if self.frame.disparity(plane, self.r.x + x as u32, self.r.y + y as u32) > middle {
+                    best = Some((off, Nearest { label, off: [u as isize - x as isize, v as isize - y as isize] }));
+                }
+            }
+        }
+        best.map(|(_, nearest)| nearest)
+    }
+
+    /// Whether all other tiles that have the pixel show the far side there, too.
+    fn others_agree(&self, x: u32, y: u32, middle: f32) -> bool {
+        let (g, tiles) = (&self.geometry.grid, &self.geometry.tiles);
+        let side = |at: u32, count: u32| {
+            let first = if at < g.size { 0 } else { (at - g.size) / g.stride + 1 };
+            first..(at / g.stride + 1).min(count)
+        };
+        let columns = side(x, g.columns());
+        side(y, g.rows()).all(|row| {
+            columns.clone().all(|column| {
+                let index = row * g.columns() + column;
+                let (r, tile) = (g.rect(index), &tiles[index as usize]);
+                if index == self.index {
+                    return true;
+                }
+                let label = tile.labels.get(((y - r.y) * r.w + x - r.x) as usize);
+                let plane = label.and_then(|l| tile.planes.get(usize::from(*l)));
+                plane.is_some_and(|p| TileFrame::of(g, index).disparity(p, x, y) < middle)
+            })
+        })
+    }
+
+    /// Colours beyond the mixed ones about pixel `(x, y)`: of what is nearer than `middle`, and of what lies where `far` does.
+    fn sides(&self, x: usize, y: usize, [far, middle]: [f32; 2], photo: Rows, s: &Scratch) -> (Side, Side) {
+        let (w, h) = (self.r.w as usize, self.r.h as usize);
+        let (mut front, mut back, mut thin) = (Side::default(), Side::default(), Side::default());
+        let columns = x.saturating_sub(WINDOW)..(x + WINDOW + 1).min(w);
+        let farthest = far - (middle - far);
+        for v in y.saturating_sub(WINDOW)..(y + WINDOW + 1).min(h) {
+            let row = v * w;
+            let first = (self.r.y as usize + v - photo.top as usize) * self.geometry.grid.width as usize + self.r.x as usize;
+            let down = v.abs_diff(y);
+            for u in columns.clone() {
+                let weight = WEIGHTS[down][u.abs_diff(x)];
+                let (d, most) = (s.visible[row + u], s.most[row + u]);
+                if most < middle {
+                    if d > farthest {
+                        back.add(photo.rgb[first + u], weight);
+                    }
+                } else if d >= middle {
+                    let side = if s.least[row + u] >= middle { &mut front } else { &mut thin };
+                    side.add(photo.rgb[first + u], weight);
+                }
+            }
+        }
+        // of what is thin all is beside the border
+        (if front.weight > 0 { front } else { thin }, back)
+    }
+}
+
+/// Weights of the colours in a window, by their distance down and right.
+const WEIGHTS: [[u32; WINDOW + 1]; WINDOW + 1] =
+    [[16, 15, 12, 9, 6], [15, 14, 11, 8, 5], [12, 11, 9, 7, 4], [9, 8, 7, 5, 3], [6, 5, 4, 3, 2]];
+
+dispatch!(
+    /// Whether anywhere along a row what is nearer lies in front by more than `step`.
+    steps, steps_body, (visible: &[f32], most: &[f32], step: f32) -> bool
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn steps_body(visible: &[f32], most: &[f32], step: f32) -> bool {
+    visible.iter().zip(most).fold(0, |any, (d, m)| any | u8::from(m - d > step)) != 0
+}
+
+/// Keeps of each value and another the one that is wanted.
+type Pick = fn(&mut [f32], &[f32]);
+
+dispatch!(larger_of, larger_of_body, (values: &mut [f32], others: &[f32]));
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn larger_of_body(values: &mut [f32], others: &[f32]) {
+    for (v, &o) in values.iter_mut().zip(others) {
+        *v = if o > *v { o } else { *v };
+    }
+}
+
+dispatch!(smaller_of, smaller_of_body, (values: &mut [f32], others: &[f32]));
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn smaller_of_body(values: &mut [f32], others: &[f32]) {
+    for (v, &o) in values.iter_mut().zip(others) {
+        *v = if o < *v { o } else { *v };
+    }
+}
+
+/// The picked one of the values within `by` rows and columns of each, `w` to a row.
+fn extreme(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32], by: usize, pick: Pick) {
+    let all = values.len();
+    column.copy_from_slice(values);
+    for off in (1..=by).map(|n| (n * w).min(all)) {
+        pick(&mut column[off..], &values[..all - off]);
+        pick(&mut column[..all - off], &values[off..]);
+    }
+    out.copy_from_slice(column);
+    for (out, row) in out.chunks_mut(w).zip(column.chunks(w)) {
+        for off in (1..=by).map(|n| n.min(w)) {
+            pick(&mut out[off..], &row[..w - off]);
+            pick(&mut out[..w - off], &row[off..]);
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Matting at depth borders, so that no outline of a thing stays on the background when the view moves.
+//!
+//! The photo's colours beside a silhouette are mixed, `C = α F + (1 − α) B`. On the far side of a border, where the far layer would show them
+//! as they are, it gets B, and the near layer goes on over it with F and α. From the photo's own place that is C again. All of it follows
+//! from photo, planes and labels, so a container carries none of it.
+
+mod borders;
+mod matte;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+pub(crate) use self::borders::Rows;
+use self::borders::{Place, Scratch};
+use super::{Geometry, LayerMask, TexturedLayer};
+use crate::parallel;
+use crate::scene::{Class, Grid, Rect};
+
+/// Mattes the layers of some tiles, the first of which is number `first`; `photo` has the rows of pixels that these lie in, and those within
+/// the reach of the tiles.
+pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLayer>], photo: Rows) {
+    let (grid, count) = (&geometry.grid, tiles.len() as u32);
+    if count == 0 {
+        return;
+    }
+    let rects = [grid.rect(first), grid.rect(first + count - 1)];
+    let wanted = rects[0].y..rects[1].y + rects[1].h;
+    let around = around(grid, first..first + count);
+    let places =
+        parallel::map_init(around.len(), Scratch::default, |s, i| borders::of_tile(geometry, around.start + i as u32, &wanted, photo, s));
+    let near = Near { geometry, first: around.start, places: &places };
+    let work: Vec<(u32, &mut Vec<TexturedLayer>)> = (first..).zip(tiles).collect();
+    let done = parallel::try_each(work, |(index, layers)| {
+        near.apply(index, layers);
+        Ok::<(), std::convert::Infallible>(())
+    });
+    let Ok(()) = done;
+}
+
+/// All whole rows of tiles that lie over pixels of some tiles.
+fn around(grid: &Grid, tiles: Range<u32>) -> Range<u32> {
+    let columns = grid.columns();
+    let more = reach(grid);
+    let rows = (tiles.start / columns).saturating_sub(more)..((tiles.end - 1) / columns + 1 + more).min(grid.rows());
+    rows.start * columns..rows.end * columns
+}
+
+/// How many tiles to either side lie over pixels of a tile.
+fn reach(grid: &Grid) -> u32 {
+    (grid.size - 1) / grid.stride
+}
+
+/// Pixels beside borders, tile by tile.
+struct Near<'a> {
+    geometry: &'a Geometry,
+    /// Tile of the first places.
+    first: u32,
+    places: &'a [Vec<Place>],
+}
+
+/// One pixel of a tile, beside a border.
+#[derive(Clone, Copy)]
+struct Mixed {
+    /// Among the tile's pixels.
+    at: usize,
+    place: Place,
+    /// Whether the tile owns it.
+    own: bool,
+}
+
+/// What becomes of a texel of a layer.
+struct Change {
+    /// Among the texels of the layer.
+    at: usize,
+    class: Class,
+    alpha: u8,
+    colour: [u8; 3],
+}
+
+impl Near<'_> {
+    /// Mattes the layers of tile `index`.
+    fn apply(&self, index: u32, layers: &mut [TexturedLayer]) {
+        let grid = &self.geometry.grid;
+        let r = grid.rect(index);
+        let mixed = self.within(index, r);
+        if mixed.is_empty() {
+            return;
+        }
+        let labels = &self.geometry.tiles[index as usize].labels;
+        for layer in layers {
+            let Some(label) = layer.shape.label else { continue };
+            let in_front = |m: &Mixed| m.own && m.place.near == label;
+            widen(&mut layer.shape, r, mixed.iter().filter(|m| in_front(m)).map(|m| m.at));
+            let shape = &layer.shape;
+            let change = |m: &Mixed| {
+                let at = within(shape.rect, m.place.x, m.place.y)?;
+                let matte = m.place.matte;
+                let (class, alpha, colour) = if labels[m.at] == label {
+                    (Class::Hidden, u8::MAX, matte.background)
+                } else if in_front(m) {
+                    // all of the pixel is the photo's
+                    let class = if matte.alpha == u8::MAX { Class::Photo } else { Class::Hidden };
+                    (class, matte.alpha, matte.foreground)
+                } else if shape.class[at] == Class::Photo as u8 {
+                    (Class::Empty, 0, [0; 3])
+                } else {
+                    return None;
+                };
+                Some(Change { at, class, alpha, colour })
+            };
+            let changes: Vec<Change> = mixed.iter().filter_map(change).collect();
+            alter(layer, &changes);
+        }
+    }
+
+    /// Pixels of a tile that lie beside a border, row by row, whichever tile owns them.
+    fn within(&self, index: u32, r: Rect) -> Vec<Mixed> {
+        let grid = &self.geometry.grid;
+        let (columns, more) = (grid.columns(), reach(grid));
+        let side = |at: u32, count: u32| at.saturating_sub(more)..(at + more + 1).min(count);
+        let mut out = Vec::new();
+        for row in side(index / columns, grid.rows()) {
+            for owner in side(index % columns, columns).map(|column| row * columns + column) {
+                let Some(places) = owner.checked_sub(self.first).and_then(|i| self.places.get(i as usize)) else { continue };
+                out.extend(places.iter().filter_map(|&place| Some(Mixed { at: within(r, place.x, place.y)?, place, own: owner == index })));
+            }
+        }
+        out.sort_unstable_by_key(|m| m.at);
+        out
+    }
+}
+
+/// Place of a pixel among those of a rectangle, where it lies in it.
+fn within(r: Rect, x: u32, y: u32) -> Option<usize> {
+    let (x, y) = (x.checked_sub(r.x)?, y.checked_sub(r.y)?);
+    (x < r.w && y < r.h).then(|| y as usize * r.w as usize + x as usize)
+}
+
+/// Makes room in a layer for texels at these places of its tile, and for an empty one around them.
+fn widen(shape: &mut LayerMask, tile: Rect, places: impl Iterator<Item = usize>) {
+    let old = shape.rect;
+    let (mut x0, mut y0, mut x1, mut y1) = (old.x, old.y, old.x + old.w, old.y + old.h);
+    for at in places {
+        let (x, y) = (tile.x + (at % tile.w as usize) as u32, tile.y + (at / tile.w as usize) as u32);
+        x0 = x0.min(x.saturating_sub(1).max(tile.x));
+        y0 = y0.min(y.saturating_sub(1).max(tile.y));
+        x1 = x1.max((x + 2).min(tile.x + tile.w));
+        y1 = y1.max((y + 2).min(tile.y + tile.h));
+    }
+    let new = Rect { x: x0, y: y0, w: x1 - x0, h: y1 - y0 };
+    if new == old {
+        return;
+    }
+    for texels in [&mut shape.class, &mut shape.alpha] {
+        let mut wide = vec![0; new.area()];
+        for (y, row) in (old.y - new.y..).zip(texels.chunks(old.w as usize)) {
+            let first = y as usize * new.w as usize + (old.x - new.x) as usize;
+            wide[first..first + row.len()].copy_from_slice(row);
+        }
+        *texels = wide;
+    }
+    shape.rect = new;
+}
+
+/// Makes changes to a layer, which come in the order of its texels.
+fn alter(TexturedLayer { shape, hidden }: &mut TexturedLayer, changes: &[Change]) {
+    if changes.is_empty() {
+        return;
+    }
+    let old = std::mem::take(hidden);
+    hidden.reserve_exact(old.len() + changes.len());
+    let is_hidden = |c: &&u8| **c == Class::Hidden as u8;
+    // texels, and old hidden colours, that are done
+    let (mut done, mut used) = (0, 0);
+    for change in changes {
+        let kept = used + shape.class[done..change.at].iter().filter(is_hidden).count();
+        hidden.extend_from_slice(&old[used..kept]);
+        used = kept + usize::from(is_hidden(&&shape.class[change.at]));
+        if change.class == Class::Hidden {
+            hidden.push(change.colour);
+        }
+        (shape.class[change.at], shape.alpha[change.at]) = (change.class as u8, change.alpha);
+        done = change.at + 1;
+    }
+    hidden.extend_from_slice(&old[used..]);
+}

@@ -1,0 +1,47 @@
+//! `tmpi-lab ghosts`.
+
+use std::path::PathBuf;
+
+use super::{note, read, result};
+use tmpi_lab::ghosts::{self, Pair};
+use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::models;
+
+/// Measure the outlines of things that stay on the background when the view moves, without matting and with it
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct GhostArgs {
+    /// Photos; none: those of `crates/lab/lists/ghosts.txt` below the folder that `TMPI_DATA` names
+    #[arg(value_name = "PHOTO")]
+    photos: Vec<PathBuf>,
+    /// The figures as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    models: ModelFlags,
+}
+
+pub(super) fn run(args: &GhostArgs) -> anyhow::Result<()> {
+    let models = models::load(&args.models.settings())?;
+    let data = std::env::var_os("TMPI_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from);
+    let listed = || ghosts::listed(include_str!("../../lists/ghosts.txt")).map(|name| data.join(name)).collect();
+    let photos: Vec<PathBuf> = if args.photos.is_empty() { listed() } else { args.photos.clone() };
+    let (mut rows, mut all) = (Vec::new(), Pair::default());
+    for photo in photos {
+        let name = photo.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        note(&format!("tmpi-lab ghosts: {name}"));
+        let pair = ghosts::of_photo(&models, &read(&photo)?)?;
+        all.unmatted.add(pair.unmatted);
+        all.made.add(pair.made);
+        rows.push((name, pair));
+    }
+    rows.push(("all".into(), all));
+    if args.json {
+        return result(&serde_json::to_string_pretty(&rows)?);
+    }
+    result(&format!("{:<28}{:>8}{:>22}{:>18}", "", "places", "without matting", "with"))?;
+    for (name, Pair { unmatted, made }) in rows {
+        let of = |g: ghosts::Ghosts| format!("{:>7.1} %{:>8.2}", 100.0 * g.share(), g.mean());
+        result(&format!("{name:<28}{:>8}    {} {}", unmatted.places, of(unmatted), of(made)))?;
+    }
+    result("seen, % of the places; residue, levels")
+}
