@@ -85,7 +85,7 @@ class Socket:
             answer += some
         head, _, rest = answer.partition(b"\r\n\r\n")
         self.status = int(head.split(b" ")[1]) if head else 0
-        self.buffer, self.part = bytearray(rest), b""
+        self.buffer, self.closed = bytearray(rest), False
 
     def raw(self, opcode, payload, length=None):
         """Sends one frame masked with zeros; `length` may differ from the payload's."""
@@ -123,24 +123,28 @@ class Socket:
         while True:
             for message in self.messages():
                 if message is None:
+                    self.closed = True
                     return
                 yield message
             self.socket.settimeout(max(0.01, deadline - time.monotonic()))
             try:
                 some = self.socket.recv(1 << 16)
-            except OSError:
+            except TimeoutError:
                 return
+            except OSError:
+                some = b""
             if not some:
+                self.closed = True
                 return
             self.buffer += some
 
     def bye_reason(self, seconds=30):
-        """The reason in the server's BYE."""
+        """The reason in the server's BYE; empty if the server closes without one, None if it does not close."""
         for message in self.receive(seconds):
             kinds = fields(message)
             if BYE in kinds:
                 return fields(kinds[BYE]).get(1, b"").decode()
-        return ""
+        return "" if self.closed else None
 
     def close(self):
         self.socket.close()
@@ -296,7 +300,7 @@ def audience(server, stream, count, stalled, seconds, table):
                 asleep[id(viewer)] = None
                 threading.Thread(target=wake, args=(viewer, viewers[-1], readers, back), daemon=True).start()
         if all(v is None for v in asleep.values()) and len(back) == len(pausing) and now + naps[1] + 3 < seconds:
-            asleep, done = {}, back
+            asleep = {}
         resident = server.resident_mib()
         samples.append(resident)
         highest, most = max(highest, resident), max(most, unsent(server))
@@ -467,7 +471,6 @@ def hostile(server, stream, table, full):
     readers.add(watcher)
     for name, play, words in cases:
         frames, began = watcher.frames, time.monotonic()
-        reason = ""
         try:
             client = play()
             reason = client.bye_reason(20)
@@ -475,6 +478,8 @@ def hostile(server, stream, table, full):
         except OSError as error:
             reason = f"connection lost ({error})" if not words or "credit" in words else f"no reason: {error}"
         took = time.monotonic() - began
+        check(reason is not None, f"{name}: disconnected within 20 s")
+        reason = reason or ""
         check(words in reason or reason.startswith("connection lost"), f"{name}: disconnected with {words!r}: {reason!r}")
         rate = (watcher.frames - frames) / max(took, 0.1)
         table.row(name, reason[:70], f"{took:.1f} s", f"{server.resident_mib():.0f} MiB", f"{rate:.0f}" if took > 1 else "", watcher.lost)
@@ -482,7 +487,7 @@ def hostile(server, stream, table, full):
     sender = Socket(server, "/v1/live/attic/subscribe")
     sender.send(hello())
     reason = sender.bye_reason(20)
-    check("viewers" in reason, f"a viewer that sends is disconnected: {reason!r}")
+    check("viewers" in (reason or ""), f"a viewer that sends is disconnected: {reason!r}")
     readers.stop()
     publishing.kill()
     publishing.wait()
