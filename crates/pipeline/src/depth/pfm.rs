@@ -74,8 +74,12 @@ impl Header {
             return Err(DepthError::Map("it is in colour: a depth map is grey (Pf)".into()));
         }
         let start = &bytes[..bytes.len().min(HEADER)];
+        let magic = b"Pf".len();
+        if start.len() < magic {
+            return Err(wrong());
+        }
         let mut words = [""; 3];
-        let mut at = 2;
+        let mut at = magic;
         for word in &mut words {
             at += start[at..].iter().take_while(|b| b.is_ascii_whitespace()).count();
             let end = at + start[at..].iter().take_while(|b| !b.is_ascii_whitespace()).count();
@@ -144,6 +148,7 @@ mod tests {
             ("Pf\n1 1\n0\n", "header"),
             ("Pf\n1 1\nnan\n", "header"),
             ("Pf\n1 1", "header"),
+            ("Pf", "header"),
             ("Pf\n2 1\n-1\n", "cut short"),
         ] {
             let error = check(&file(header, &[1.0]), &Limits::default()).unwrap_err().to_string();
