@@ -1,13 +1,13 @@
-//! Lists the pages to embed, and names the program by its sources.
+//! Generates the table of embedded pages, and digests of the sources that identify the program.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use sha2::{Digest, Sha256};
 
-/// What decides which bytes are made of a photo.
+/// Sources that determine the bytes of a container.
 const PIPELINE: [&str; 6] = ["Cargo.lock", "crates/core", "crates/pipeline", "models", "proto", "build.rs"];
-/// The same and what decides which bytes are drawn and exported of it.
+/// Further sources that determine the bytes of views and exports.
 const PROGRAM: [&str; 5] = ["crates/render", "src/export", "src/server", "static", "Cargo.toml"];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -26,10 +26,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// SHA-256 of all files below `roots` and of their names.
+/// SHA-256 of the names and contents of all files below `roots`, as hexadecimal digits.
 fn digest(roots: &[&str]) -> std::io::Result<String> {
     let mut hash = Sha256::new();
-    // floating-point code differs between targets
+    // floating-point results differ between targets
     hash.update(std::env::var("TARGET").unwrap_or_default());
     for root in roots {
         println!("cargo:rerun-if-changed={root}");
@@ -51,7 +51,7 @@ fn digest(roots: &[&str]) -> std::io::Result<String> {
     Ok(hash.finalize().iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}")))
 }
 
-/// Names of all files below `dir`, with `/` between folders; hidden ones are left out.
+/// Appends the names of all files below `dir`, with `/` between folders; skips hidden files.
 fn list(dir: &Path, prefix: &str, names: &mut Vec<String>) -> std::io::Result<()> {
     for entry in std::fs::read_dir(dir)? {
         let entry = entry?;

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Checks docker/ with the tools that read it: one line for each of them, `passed`, `FAILED` or `skipped` with the reason.
+"""Checks docker/ with external tools and prints a line for each check: `passed`, `FAILED` or `skipped` with the reason.
 
     python3 docker/check.py             exits with status 1 if a check fails
     python3 docker/check.py --require   also if a check is skipped
 
 Needs only Python's standard library. Tools come from PATH, or from a variable with their name: PROMTOOL=/opt/prometheus/promtool.
 pip install -r docker/requirements.txt installs most of them; promtool is part of Prometheus. Without docker compose, COMPOSE_SCHEMA
-may name compose-spec.json, the schema of compositions (pip install jsonschema pyyaml). The names of all metrics come from the program:
-target/release/tmpi, or the one that TMPI names."""
+may name compose-spec.json, the schema of Compose files (pip install jsonschema pyyaml). The names of all metrics come from the program:
+target/release/tmpi, or the path in TMPI."""
 import argparse, json, os, re, shutil, subprocess, sys, tempfile, urllib.request
 from pathlib import Path
 
@@ -48,14 +48,14 @@ def run(*command, cwd=HERE):
     except OSError as error:
         raise Failed(f"{command[0]}: {error.strerror}") from error
     except subprocess.TimeoutExpired as error:
-        raise Failed(f"{command[0]}: nothing after {SECONDS} s") from error
+        raise Failed(f"{command[0]}: no result after {SECONDS} s") from error
     if done.returncode:
         raise Failed(f"{Path(command[0]).name} {' '.join(map(str, command[1:]))}\n{done.stdout}{done.stderr}".strip())
     return done.stdout
 
 
 def composer():
-    """A command that reads compositions, with or without a daemon."""
+    """A command that parses Compose files, with or without a daemon."""
     try:
         docker = tool("docker")
         run(docker, "compose", "version")
@@ -85,7 +85,7 @@ def compositions():
 
 
 def compositions_by_schema(none):
-    """Only the syntax, if no tool can read them."""
+    """Checks only the syntax, if there is no tool for Compose files."""
     schema = os.environ.get("COMPOSE_SCHEMA")
     if not schema:
         raise Skipped(f"{none}, and COMPOSE_SCHEMA names no compose-spec.json")
@@ -148,9 +148,9 @@ def unit():
         run(analyze, "verify", copy)
 
 
-def asked(path):
-    """The program's name of a metric: without the suffix that Prometheus adds."""
-    return [path, *(path.removesuffix(end) for end in ENDS if path.endswith(end))]
+def base_names(name):
+    """Possible names of a metric in the program, without a suffix that Prometheus adds."""
+    return [name, *(name.removesuffix(end) for end in ENDS if name.endswith(end))]
 
 
 def metrics():
@@ -170,24 +170,24 @@ def metrics():
         finally:
             server.terminate()
             server.wait(SECONDS)
-    told = set(re.findall(r"^# TYPE (\w+)", text, re.MULTILINE))
-    if "tmpi_uptime_seconds" not in told and len(told) < 20:
-        raise Failed(f"few metrics: {sorted(told)}")
-    # metrics without any count yet are missing
-    return told.union(*(re.findall(r'"(tmpi_[a-z_]+)"', file.read_text()) for file in (ROOT / "src").rglob("*.rs")))
+    exported = set(re.findall(r"^# TYPE (\w+)", text, re.MULTILINE))
+    if "tmpi_uptime_seconds" not in exported and len(exported) < 20:
+        raise Failed(f"few metrics: {sorted(exported)}")
+    # the output lacks metrics that have no value yet
+    return exported.union(*(re.findall(r'"(tmpi_[a-z_]+)"', file.read_text()) for file in (ROOT / "src").rglob("*.rs")))
 
 
 def dashboard():
     known = metrics()
     for file in sorted((HERE / "grafana").glob("*.json")):
         board = json.loads(file.read_text())
-        asks = [target["expr"] for panel in board["panels"] for target in panel.get("targets", [])]
-        named = set(re.findall(r"\btmpi_\w+", " ".join(asks)))
+        queries = [target["expr"] for panel in board["panels"] for target in panel.get("targets", [])]
+        named = set(re.findall(r"\btmpi_\w+", " ".join(queries)))
         if not named:
-            raise Failed(f"{file.name} asks for nothing")
-        unknown = sorted(name for name in named if not known.intersection(asked(name)))
+            raise Failed(f"{file.name} has no queries of metrics")
+        unknown = sorted(name for name in named if not known.intersection(base_names(name)))
         if unknown:
-            raise Failed(f"{file.name}: no metrics of the program: {', '.join(unknown)}")
+            raise Failed(f"{file.name}: unknown metrics: {', '.join(unknown)}")
 
 
 CHECKS = {
@@ -195,10 +195,10 @@ CHECKS = {
     "Dockerfile": image,
     "Caddyfiles": proxies,
     "alerts": alerts,
-    "manifests of Kubernetes": manifests,
+    "Kubernetes manifests": manifests,
     "kustomizations": kustomizations,
-    "unit of systemd": unit,
-    "metrics of the dashboard": dashboard,
+    "systemd unit": unit,
+    "dashboard metrics": dashboard,
 }
 
 

@@ -9,8 +9,8 @@ use tmpi::fuzzing::{Run, TARGETS};
 #[path = "memory.rs"]
 mod memory;
 
-/// Callers of video decoders catch their panics, but the hook of libFuzzer's crate would abort first.
-fn pass_over_decoders() {
+/// Callers of the video decoders catch their panics, but the panic hook of libFuzzer's crate would abort first.
+fn ignore_panics_of_decoders() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
         if !info.location().is_some_and(|l| ["rusty_h264", "rusty_vp9"].iter().any(|c| l.file().contains(c))) {
@@ -22,7 +22,7 @@ fn pass_over_decoders() {
 fn target() -> Run {
     static NAMED: OnceLock<Run> = OnceLock::new();
     *NAMED.get_or_init(|| {
-        pass_over_decoders();
+        ignore_panics_of_decoders();
         let name = std::env::var("TMPI_FUZZ").unwrap_or_default();
         let found = TARGETS.iter().find(|(n, _)| *n == name);
         found.unwrap_or_else(|| panic!("TMPI_FUZZ must be one of {:?}", TARGETS.map(|(n, _)| n))).1

@@ -8,7 +8,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for schema in &schemas {
         println!("cargo:rerun-if-changed={}", schema.display());
     }
-    // shared, not copied: a frame goes to many viewers
+    // `Bytes` share memory instead of copying it: one frame goes to many viewers
     prost_build::Config::new().bytes(["."]).compile_fds(protox::compile(schemas, [folder])?)?;
     Ok(())
 }

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Builds the decoder for wasm32-unknown-unknown on a Debian machine where rustup has no such target: with Debian's own compiler (package
-# rustc-web), its library sources (rust-web-src) and -Zbuild-std; rustup's cargo and linker are used as they are. Nothing is installed:
-# the packages are unpacked below ~/.cache/wasm32-std, or $WASM32_STD. Called by `cargo xtask wasm`, with cargo's arguments.
+# Builds the decoder for wasm32-unknown-unknown on a Debian machine without that rustup target: uses Debian's compiler (package rustc-web),
+# its library sources (rust-web-src) and -Zbuild-std, with rustup's cargo and linker. Installs nothing: unpacks the packages below
+# ~/.cache/wasm32-std, or $WASM32_STD. `cargo xtask wasm` calls it with the arguments of cargo.
 set -euo pipefail
 root=${WASM32_STD:-$HOME/.cache/wasm32-std}
 if [ ! -x "$root/usr/bin/rustc" ]; then
@@ -9,7 +9,7 @@ if [ ! -x "$root/usr/bin/rustc" ]; then
   (
     cd "$root"
     fetch() { apt-get -qq download "$@"; for d in *.deb; do dpkg -x "$d" .; done; rm -f ./*.deb; }
-    # the newest compiler is among the security updates
+    # only the security updates have the newest compiler
     apt-get -qq update || true
     needs() { apt-cache depends "$1" | sed -n "s/.*Depends: *\($2[0-9.]*\).*/\1/p" | sort -V | tail -1; }
     std=$(needs libstd-rust-web-dev libstd-rust-web-)

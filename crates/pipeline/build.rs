@@ -1,4 +1,4 @@
-//! Tells the code whether there is a depth network to embed.
+//! Sets `cfg(embedded = "depth")` if there is a depth network to embed.
 
 use std::path::Path;
 

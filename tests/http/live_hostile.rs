@@ -53,7 +53,7 @@ fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
     };
     let hello_of = |hello: Hello| Message::Binary(write(Kind::Hello(hello)));
     says(refused(Message::Text("hello".into())), "binary");
-    says(refused(Message::Binary(vec![0xFF; 40].into())), "not a message");
+    says(refused(Message::Binary(vec![0xFF; 40].into())), "not a readable message");
     says(refused(Message::Binary(write(video(0, true, vec![])))), "HELLO");
     says(refused(hello_of(Hello { version: VERSION + 1, ..hello() })), "version");
     says(refused(hello_of(Hello { width: 5000, ..hello() })), "5000");

@@ -447,7 +447,7 @@ def hostile(server, stream, table, full):
     many = 200_000 if full else 3_000
     cases = [
         ("a text message", on_connect(lambda c: c.raw(0x81, b"hello")), "binary"),
-        ("bytes that are no message", on_connect(lambda c: c.send(b"\xff" * 60)), "not a message"),
+        ("bytes that are no message", on_connect(lambda c: c.send(b"\xff" * 60)), "not a readable message"),
         ("an empty message", on_connect(lambda c: c.send(b"")), "no known kind"),
         ("video before HELLO", on_connect(lambda c: c.send(video(0, b"x", True))), "HELLO"),
         ("unknown version", on_connect(lambda c: c.send(hello(version=9))), "version"),

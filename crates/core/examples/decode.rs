@@ -1,5 +1,5 @@
-//! Decodes containers over and over, picture apart, on one thread: `decode FILE... [ROUNDS]`. For timing, and for callgrind with
-//! `--toggle-collect='*decode_with*'`.
+//! Decodes containers repeatedly on one thread, with the photo decoded in advance: `decode FILE... [ROUNDS]`. Use it for timing, and for
+//! callgrind with `--toggle-collect='*decode_with*'`.
 
 use std::time::Instant;
 

@@ -1,8 +1,8 @@
-//! Tiled multiplane images: what one is ([`scene`]), which texels its layers have and what colour hides behind them ([`layers`]), how
-//! it is written and read ([`container`]), and how one that moves is sent ([`live`]).
+//! Tiled multiplane images: the data types ([`scene`]), the texels of layers and the colours of hidden texels ([`layers`]), the file format
+//! ([`container`]), and the messages of live rooms ([`live`]).
 //!
-//! The core knows no thread, no picture codec and no C library unless a feature asks for them, so that one decoder serves the server,
-//! native clients and, as wasm, the browser. Paper: Khan, Lanman, Xiao, *Tiled Multiplane Images for Practical 3D Photography*, ICCV 2023.
+//! Without features, the core uses no threads, no picture codecs and no C libraries, so the same decoder serves the server, native clients
+//! and, as WebAssembly, the browser. Paper: Khan, Lanman, Xiao, *Tiled Multiplane Images for Practical 3D Photography*, ICCV 2023.
 
 pub mod container;
 pub mod layers;

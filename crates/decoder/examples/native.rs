@@ -1,8 +1,8 @@
-//! What the native decoder comes to, for tests/browser/decode/photos.test.mjs to hold the built one against.
+//! Prints the results of the native decoder; tests/browser/decode/photos.test.mjs compares the wasm decoder with them.
 //!
-//! `native pixels FILE` writes the photo as the native decoder has it, RGBA row by row. `native digests FILE < STRIPS` writes the digest
-//! of the layers, `Scene::digest`, and SHA-256 over all strips of texture pages; STRIPS has for each: width, height, count of pieces, and
-//! so many times the numbers of a piece (`Decoder::strip`), u32 little-endian.
+//! `native pixels FILE` writes the decoded photo as RGBA, row by row. `native digests FILE < STRIPS` writes the digest of the layers
+//! (`Scene::digest`) and SHA-256 over all strips of texture pages. For each strip, STRIPS has its width, height and number of pieces,
+//! followed by the integers of each piece (`Decoder::strip`), all u32 little-endian.
 
 use std::error::Error;
 use std::io::{Read, Write};
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use tmpi_core::container::decode;
 use tmpi_decoder::{Decoder, Output};
 
-/// Numbers of a piece.
+/// Number of integers per piece.
 const PIECE: usize = 7;
 
 fn main() -> Result<(), Box<dyn Error>> {

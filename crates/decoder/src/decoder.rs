@@ -1,11 +1,11 @@
-//! What an instance holds, and what its functions do.
+//! The state of an instance, and its functions.
 
 use std::ops::Range;
 
 use tmpi_core::container::{Part, PhotoRows, Piece, decode_rows, strip};
 use tmpi_core::{BorderBlur, Class, Photo, Texels};
 
-/// What can be read out.
+/// Results that can be read.
 #[derive(Clone, Copy, Debug)]
 #[repr(u32)]
 pub enum Output {
@@ -13,19 +13,19 @@ pub enum Output {
     Text = 0,
     /// Text of a panic.
     Panic = 1,
-    /// Numbers of the layers (see `Decoder::decode`), 64-bit floats, low byte first.
+    /// Numbers of the layers (see `Decoder::decode`), 64-bit floats, little-endian.
     Numbers = 2,
     /// Classes of all texels.
     Class = 3,
-    /// Their alphas.
+    /// Alphas of all texels.
     Alpha = 4,
-    /// Colours of the hidden ones, three bytes each.
+    /// Colours of the hidden texels, three bytes each.
     Hidden = 5,
-    /// The last strip, four bytes a texel.
+    /// The last strip, four bytes per texel.
     Strip = 6,
 }
 
-/// Numbers of a layer.
+/// Number of columns in [`Output::Numbers`].
 const COLUMNS: usize = 10;
 
 /// One container, or one band of its tiles.
@@ -33,7 +33,7 @@ pub struct Decoder {
     input: Vec<u8>,
     container: Vec<u8>,
     photo: PhotoRows,
-    /// Of the photo, once a piece beyond its borders is asked for.
+    /// Blur of the photo, created when a piece beyond its borders is first requested.
     blur: Option<BorderBlur>,
     hidden: Option<Photo>,
     part: Part,
@@ -44,7 +44,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// Without a container.
+    /// A decoder without a container.
     #[must_use]
     pub const fn new() -> Self {
         let photo = PhotoRows { width: 0, height: 0, top: 0, rgb: Vec::new() };
@@ -62,18 +62,18 @@ impl Decoder {
         }
     }
 
-    /// A buffer of so many bytes for the next call.
+    /// The input buffer of the next call, resized to `length` bytes.
     pub fn room(&mut self, length: usize) -> &mut [u8] {
         self.input.resize(length, 0);
         &mut self.input
     }
 
-    /// Takes over what was handed over as the container.
+    /// Takes the input buffer as the container.
     pub fn open(&mut self) {
         self.container = std::mem::take(&mut self.input);
     }
 
-    /// Takes over rows of a picture, RGBA.
+    /// Takes the input buffer as the next rows of a picture, RGBA.
     pub fn picture(&mut self, hidden: bool, (width, height): (u32, u32), top: u32) {
         let rgb = self.input.as_chunks::<4>().0.iter().map(|&[r, g, b, _]| [r, g, b]);
         if hidden {
@@ -87,13 +87,13 @@ impl Decoder {
         self.input = Vec::new();
     }
 
-    /// Decodes rows of tiles; leaves ten columns of numbers, one value each for every layer: a, b, c of the plane, x, y, w, h of the
-    /// rectangle, tile, count of visible texels, whether any texel is soft.
+    /// Decodes rows of tiles. Stores ten columns of numbers, with one value per layer: a, b, c of the plane, x, y, w, h of the rectangle,
+    /// tile, number of visible texels, and whether any texel is soft.
     ///
     /// # Errors
-    /// Where the container is damaged.
+    /// The container is damaged, or rows of the photo are missing.
     pub fn decode(&mut self, rows: Range<u32>) -> Result<i32, String> {
-        // what is not finished is no picture
+        // ignores an incomplete picture
         let hidden = self.hidden.as_ref().filter(|p| p.rgb.len() == p.width as usize * p.height as usize);
         self.part = decode_rows(&self.container, &rows, &self.photo, hidden).map_err(|e| e.to_string())?;
         (self.container, self.input, self.hidden) = (Vec::new(), Vec::new(), None);
@@ -114,10 +114,10 @@ impl Decoder {
         Ok(1)
     }
 
-    /// Fills a strip with the pieces that were handed over, colours straight or premultiplied.
+    /// Renders the pieces in the input buffer into a strip of `size` (width, height), with straight or premultiplied alpha.
     ///
     /// # Errors
-    /// Where a piece does not lie in its layer or in the strip.
+    /// A piece does not fit into its layer or the strip.
     pub fn strip(&mut self, size: (usize, usize), straight: bool) -> Result<i32, String> {
         let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
         let pieces = numbers.as_chunks().0.iter().map(Piece::of);
@@ -127,7 +127,7 @@ impl Decoder {
         Ok(1)
     }
 
-    /// The bytes of a result, by the number of an [`Output`].
+    /// The bytes of the result with the number of an [`Output`].
     #[must_use]
     pub fn output(&self, what: u32) -> &[u8] {
         const OUTPUTS: [Output; 6] = [Output::Text, Output::Numbers, Output::Class, Output::Alpha, Output::Hidden, Output::Strip];

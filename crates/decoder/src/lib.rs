@@ -1,8 +1,8 @@
 //! The decoder of a page: `tmpi-core` as WebAssembly, behind a few C functions that `static/decode/decoder.js` calls.
 //!
-//! An instance decodes one container, or one band of its tiles. What is handed over lies in a buffer that [`tmpi_room`] makes; what
-//! comes out is read from the places that [`tmpi_output`] and [`tmpi_output_length`] name. No call takes a pointer, so nothing here
-//! is unsafe but the names. A call that fails gives −1 and leaves a text; so does a panic, which ends the instance.
+//! An instance decodes one container, or one band of its tiles. The caller writes the input of a call to the buffer at [`tmpi_room`], and
+//! reads results at [`tmpi_output`], of length [`tmpi_output_length`]. No function takes a pointer, so only their exported names are
+//! unsafe. A failed call returns −1 and leaves an error text; a panic does the same, and ends the instance.
 
 mod decoder;
 
@@ -14,15 +14,15 @@ thread_local! {
     static DECODER: RefCell<Decoder> = const { RefCell::new(Decoder::new()) };
 }
 
-/// What a call gives where it failed.
+/// The return value of a failed call.
 const FAILED: i32 = -1;
 
-/// Makes room for so many bytes to be handed to the next call; gives where they are to be written.
-#[allow(unsafe_code, reason = "a C name")]
+/// Allocates the input buffer of the next call; returns its address.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
     std::panic::set_hook(Box::new(|panic| {
-        // a panic within a call holds the decoder, so its text lies apart
+        // a panic in a call holds the borrow of the decoder, so its text is stored separately
         PANIC.set(panic.to_string());
     }));
     DECODER.with_borrow_mut(|decoder| decoder.room(length).as_mut_ptr())
@@ -32,8 +32,8 @@ thread_local! {
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
-/// Takes over a container; its pictures need not be in it, but zeros in their place.
-#[allow(unsafe_code, reason = "a C name")]
+/// Takes the input buffer as the container. The bytes of its pictures may be replaced by zeros.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_open() -> i32 {
     call(|decoder| {
@@ -42,9 +42,9 @@ pub extern "C" fn tmpi_open() -> i32 {
     })
 }
 
-/// Takes over rows of a picture of so many pixels as RGBA, the next ones or the first, which is row `top`. `kind` 0: the photo, 1: the
-/// picture of hidden colours.
-#[allow(unsafe_code, reason = "a C name")]
+/// Takes the input buffer as rows of a picture of `width` × `height` pixels, RGBA. The first call starts at row `top`; later calls
+/// continue. `kind` is 0 for the photo, 1 for the picture of hidden colours.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_picture(kind: u32, width: u32, height: u32, top: u32) -> i32 {
     call(|decoder| {
@@ -53,30 +53,30 @@ pub extern "C" fn tmpi_picture(kind: u32, width: u32, height: u32, top: u32) -> 
     })
 }
 
-/// Decodes rows of tiles.
-#[allow(unsafe_code, reason = "a C name")]
+/// Decodes rows of tiles from `first` to before `end`.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_decode(first: u32, end: u32) -> i32 {
     call(|decoder| decoder.decode(first..end))
 }
 
-/// Fills a strip of a texture page with the pieces that were handed over, seven numbers each (see [`tmpi_core::container::Piece`]): premultiplied RGBA, or
-/// straight where that is 1.
-#[allow(unsafe_code, reason = "a C name")]
+/// Renders the pieces in the input buffer, seven integers each (see [`tmpi_core::container::Piece`]), into a strip of a texture page: RGBA
+/// with straight alpha if `straight` is 1, otherwise premultiplied.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_strip(width: u32, height: u32, straight: u32) -> i32 {
     call(|decoder| decoder.strip((width as usize, height as usize), straight == 1))
 }
 
-/// Where a result lies, by the number of an [`Output`]. It stays until the next call that makes or changes it.
-#[allow(unsafe_code, reason = "a C name")]
+/// Address of a result, by the number of an [`Output`]. It is valid until the next call that changes the result.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output(what: u32) -> *const u8 {
     output(what, <[u8]>::as_ptr)
 }
 
-/// Its length in bytes.
-#[allow(unsafe_code, reason = "a C name")]
+/// Length of a result in bytes.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output_length(what: u32) -> usize {
     output(what, <[u8]>::len)

@@ -1,12 +1,12 @@
-//! The built modules are those of these sources: `crates/decoder/built.txt` has their hash and the modules'. `cargo xtask wasm` writes
-//! all of them.
+//! Checks that the wasm modules are built from the current sources: `crates/decoder/built.txt` has the hashes of sources and modules.
+//! `cargo xtask wasm` writes both.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-/// What the modules are built from, but for what only tests have.
+/// Sources of the modules, without files that only tests use.
 const SOURCES: [&str; 12] = [
     "crates/core/Cargo.toml",
     "crates/core/build.rs",
@@ -22,7 +22,7 @@ const SOURCES: [&str; 12] = [
     "proto/tmpi.proto",
 ];
 const TESTS: [&str; 3] = ["tests.rs", "fixtures.rs", "fuzzing.rs"];
-/// Packages whose code is in them.
+/// Packages whose code is part of the modules.
 const PACKAGES: [&str; 4] = ["h264-reader", "prost", "ruzstd", "thiserror"];
 
 fn files(path: &Path, found: &mut Vec<PathBuf>) {
@@ -35,7 +35,7 @@ fn files(path: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// A source without the unit tests at its end, of which nothing is in a module.
+/// A source without the unit tests at its end, which are not part of a module.
 fn shipped(source: &str) -> &str {
     source.split_once("\n#[cfg(test)]\nmod tests {").map_or(source, |(code, _)| code)
 }
@@ -45,7 +45,7 @@ fn hex(hash: Sha256) -> String {
 }
 
 #[test]
-fn the_built_modules_are_of_these_sources() {
+fn the_modules_are_built_from_the_current_sources() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut found = Vec::new();
     for name in SOURCES {

@@ -1,5 +1,5 @@
-//! What the decoder comes to on the containers below `tests/golden`, and on damaged ones: `tests/golden/digests.txt` has it, and
-//! `tests/browser/decode/wasm.test.mjs` holds the built module to the same file. `TMPI_BLESS=digests` writes it anew.
+//! Checks the decoder on the containers below `tests/golden`, and on damaged variants of them. `tests/golden/digests.txt` has the expected
+//! digests; `tests/browser/decode/wasm.test.mjs` checks the wasm decoder against the same file. `TMPI_BLESS=digests` writes it.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use std::fmt::Write as _;
@@ -9,21 +9,21 @@ use sha2::{Digest, Sha256};
 use tmpi_core::Photo;
 use tmpi_core::container::{PhotoFormat, decode_with};
 
-/// Damaged variants of each container.
+/// Number of damaged variants of each container.
 const VARIANTS: u32 = 200;
-/// Pixels of a picture that is still made: damage may ask for any size.
-const MOST_PIXELS: u32 = 200_000;
+/// Maximum number of pixels of a picture, because damaged containers can declare any size.
+const MAX_PIXELS: u32 = 200_000;
 
-/// A picture that every decoder has without a codec.
+/// A picture that every decoder can compute without a codec.
 fn pattern(width: u32, height: u32) -> Photo {
     let at = |x: u32, y: u32| [(x * 7 + y * 3) as u8, ((x * 5) ^ (y * 11)) as u8, (x * y + 13) as u8];
     Photo { width, height, rgb: (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect() }
 }
 
-/// Digest of a container decoded with the pattern for its pictures, or `refused`.
+/// Digest of a container, decoded with the pattern as its pictures, or `refused`.
 fn outcome(bytes: &[u8]) -> String {
     let pictures = |_: PhotoFormat, _: &[u8], (width, height): (u32, u32)| {
-        if u64::from(width) * u64::from(height) > u64::from(MOST_PIXELS) {
+        if u64::from(width) * u64::from(height) > u64::from(MAX_PIXELS) {
             return Err(tmpi_core::container::ContainerError::Broken("too large for a test".into()));
         }
         Ok(pattern(width, height))
@@ -31,7 +31,7 @@ fn outcome(bytes: &[u8]) -> String {
     decode_with(bytes, &pictures).map_or_else(|_| "refused".into(), |scene| scene.digest())
 }
 
-/// Numbers that are the same in every language: xorshift of 32 bits.
+/// A pseudorandom sequence that is easy to repeat in other languages: 32-bit xorshift.
 struct Random(u32);
 
 impl Random {
@@ -43,7 +43,7 @@ impl Random {
     }
 }
 
-/// The container with one to four bytes changed, half of them among the first 300, or with its end cut off.
+/// The container with one to four changes of a byte, half of them in the first 300 bytes; some cut off the end.
 fn damaged(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     let mut out = bytes.to_vec();
     for _ in 0..=random.below(4) {
@@ -70,7 +70,7 @@ fn containers(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn golden_containers_and_damaged_ones_come_to_what_they_came_to() {
+fn golden_and_damaged_containers_decode_as_recorded() {
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden");
     let mut files = Vec::new();
     containers(&golden, &mut files);
@@ -96,7 +96,7 @@ fn golden_containers_and_damaged_ones_come_to_what_they_came_to() {
         let all = all.finalize().iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
         writeln!(lines, "{name} {whole} {all}").unwrap();
     }
-    assert!(refused > 100 && read > 100, "{refused} refused, {read} read: the damage tells nothing");
+    assert!(refused > 100 && read > 100, "{refused} refused, {read} read: the damage tests too little");
     let kept = golden.join("digests.txt");
     if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "digests") {
         std::fs::write(&kept, &lines).unwrap();

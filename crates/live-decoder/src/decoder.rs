@@ -17,17 +17,17 @@ pub enum Output {
     Text = 0,
     /// Text of a panic.
     Panic = 1,
-    /// Numbers of the last message, 64-bit floats, low byte first (see `Decoder::message`).
+    /// Numbers of the last message, 64-bit floats, little-endian (see `Decoder::message`).
     Numbers = 2,
-    /// Its bytes: of a frame or sound, or text.
+    /// Bytes of the last message: video, sound or text.
     Data = 3,
-    /// Tiles that changed last, 32-bit numbers: the tile, and how many layers it has now, or 2³² − 1 where it has those of before.
+    /// The tiles that changed last, as pairs of 32-bit numbers: the tile, and its number of layers, or 2³² − 1 if it keeps its layers.
     Tiles = 4,
-    /// Numbers of the layers of those that have others now, 64-bit floats, row by row (see `Decoder::layers`).
+    /// Numbers of the layers of tiles whose layers changed, 64-bit floats, row by row (see `Decoder::layers`).
     Layers = 5,
-    /// The last layers, premultiplied RGBA, row by row, one after the other.
+    /// Texels of the layers requested last, premultiplied RGBA, row by row, layer after layer.
     Cells = 6,
-    /// The last message that was written.
+    /// The last message written.
     Message = 7,
 }
 
@@ -35,41 +35,41 @@ pub enum Output {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Pixels {
-    /// Luma, then two planes of chroma of half the size.
+    /// Luma, then two planes of chroma at half the width and height.
     I420 = 0,
-    /// Luma, then pairs of chroma.
+    /// Luma, then interleaved pairs of chroma.
     Nv12 = 1,
-    /// Four bytes a pixel.
+    /// Four bytes per pixel.
     Rgba = 2,
 }
 
-/// Changes of what key frames say that are remembered: frames are shown later than they come.
-const REMEMBERED: usize = 8;
+/// Number of format changes that are kept, because frames are shown later than they arrive.
+const KEPT_FORMATS: usize = 8;
 
-/// Properties from a key frame: colours, and the columns and rows cropped at the left and the top.
+/// Properties from a key frame: colours, and the columns and rows cropped at the left and at the top.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Said {
+struct Format {
     colour: Colour,
     left: u32,
     top: u32,
 }
 
-/// A tile that has the layers of before.
-const AS_BEFORE: u32 = u32::MAX;
+/// Number of layers that marks a tile that keeps its layers.
+const UNCHANGED: u32 = u32::MAX;
 
-/// The messages of one connection, and the layers of one room.
+/// Reads and writes the messages of one connection, and holds the layers of one room.
 #[derive(Default)]
 pub struct Decoder {
     input: Vec<u8>,
     model: Option<Model>,
-    /// Size of the room's frames, and their codec.
+    /// Frame size of the room in pixels, and its codec.
     size: (u32, u32),
     codec: String,
-    /// What key frames said of those from a frame on, by its number; the last that changed it.
-    said_by: VecDeque<(u64, Said)>,
-    /// Bits of the sizes, camera and view box that HELLO said.
-    said: [u64; 11],
-    /// Tiles that came since the layers were made last.
+    /// Changes of the format: number of the first frame, and format.
+    formats: VecDeque<(u64, Format)>,
+    /// Bits of the sizes, camera and view box in HELLO.
+    hello_bits: [u64; 11],
+    /// Tiles received since the last update of the layers.
     changed: Vec<bool>,
     frame: Option<Photo>,
     layers: Layers,
@@ -79,25 +79,25 @@ pub struct Decoder {
     rows: Vec<u8>,
     cells: Vec<[u8; 4]>,
     message: Bytes,
-    /// When the last frame was taken, by the publisher's clock, and the one that was the last as layers were brought up.
+    /// Capture time of the last frame, by the publisher's clock, and of the last frame at which the layers were updated.
     taken: Duration,
     shown: Duration,
-    /// Number of the last frame that was handed over.
+    /// Number of the last frame.
     number: u64,
-    /// The newest frame whose tiles came since.
+    /// Newest frame with tiles since the last update of the layers.
     tiles_of: Option<u64>,
     /// Why the last call failed.
     pub text: String,
 }
 
 impl Decoder {
-    /// A buffer of so many bytes for the next call.
+    /// The input buffer of the next call, resized to `length` bytes.
     pub fn room(&mut self, length: usize) -> &mut [u8] {
         self.input.resize(length, 0);
         &mut self.input
     }
 
-    /// Reads a message, and updates the state of the room; returns the number of its kind.
+    /// Reads a message and updates the state of the room; returns the number of its kind.
     ///
     /// # Errors
     /// The message is invalid, or tiles come before HELLO.
@@ -111,73 +111,74 @@ impl Decoder {
                     self.key(frame, &data);
                 }
                 self.data = data;
-                let Said { colour: Colour { matrix, full_range }, left, top } = self.said_of(frame);
+                let Format { colour: Colour { matrix, full_range }, left, top } = self.format_of(frame);
                 let (width, height) = self.size;
-                let said = [matrix.number().into(), u8::from(full_range).into(), left.into(), top.into(), width.into(), height.into()];
-                Ok(self.told(2, &[&[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)][..], &said].concat()))
+                let format = [matrix.number().into(), u8::from(full_range).into(), left.into(), top.into(), width.into(), height.into()];
+                Ok(self.store_numbers(2, &[&[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)][..], &format].concat()))
             }
             Kind::Geometry(tiles) => self.take(3, &tiles),
             Kind::Snapshot(tiles) => self.take(4, &tiles),
             Kind::Sound(Sound { time, data }) => {
                 self.data = data;
-                Ok(self.told(5, &[time as f64]))
+                Ok(self.store_numbers(5, &[time as f64]))
             }
             Kind::Statistics(s) => {
                 let Statistics { frame, viewers, frames, video_bytes, geometry_bytes, tiles, tiles_left_out, .. } = s;
                 let counts = [frame, u64::from(viewers), frames, video_bytes, geometry_bytes, tiles, tiles_left_out, s.skipped];
                 let [a, b, c, d, e, f, g, h] = counts.map(|n| n as f64);
-                Ok(self.told(6, &[a, b, c, d, e, f, g, h, s.forward_ms, s.geometry_ms]))
+                Ok(self.store_numbers(6, &[a, b, c, d, e, f, g, h, s.forward_ms, s.geometry_ms]))
             }
             Kind::Bye(Bye { reason, again, cause }) => {
                 self.data = reason.into_bytes().into();
-                Ok(self.told(7, &[f64::from(u8::from(again)), f64::from(cause)]))
+                Ok(self.store_numbers(7, &[f64::from(u8::from(again)), f64::from(cause)]))
             }
-            Kind::Credit(c) => Ok(self.told(8, &[f64::from(c.frames), f64::from(u8::from(c.key))])),
+            Kind::Credit(c) => Ok(self.store_numbers(8, &[f64::from(c.frames), f64::from(u8::from(c.key))])),
             // only the server uses measured depth
-            Kind::Depth(_) => Ok(self.told(9, &[])),
+            Kind::Depth(_) => Ok(self.store_numbers(9, &[])),
         }
     }
 
-    /// Reads the properties of a key frame; the video decoder reports invalid ones.
+    /// Reads the properties of a key frame. Ignores invalid ones, which the video decoder reports.
     fn key(&mut self, frame: u64, data: &[u8]) {
         let Ok(Some(KeyFrame { colour, left, top, .. })) = key_frame(&self.codec, data) else { return };
-        let said = Said { colour, left, top };
-        if self.said_by.back().is_none_or(|&(_, before)| before != said) {
-            self.said_by.push_back((frame, said));
+        let format = Format { colour, left, top };
+        if self.formats.back().is_none_or(|&(_, before)| before != format) {
+            self.formats.push_back((frame, format));
         }
-        if self.said_by.len() > REMEMBERED {
-            self.said_by.pop_front();
+        if self.formats.len() > KEPT_FORMATS {
+            self.formats.pop_front();
         }
     }
 
-    /// The properties of a frame.
-    fn said_of(&self, frame: u64) -> Said {
-        let since = self.said_by.iter().rev().find(|(first, _)| *first <= frame);
-        since.map(|(_, said)| *said).unwrap_or_default()
+    /// The format of a frame.
+    fn format_of(&self, frame: u64) -> Format {
+        let since = self.formats.iter().rev().find(|(first, _)| *first <= frame);
+        since.map(|(_, format)| *format).unwrap_or_default()
     }
 
-    fn told(&mut self, kind: i32, numbers: &[f64]) -> i32 {
+    /// Stores the numbers of a message; returns its `kind`.
+    fn store_numbers(&mut self, kind: i32, numbers: &[f64]) -> i32 {
         self.numbers = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
         kind
     }
 
-    /// Resets the tiles; the current layers stay until all tiles have come.
+    /// Resets the tiles; the current layers stay until all tiles have arrived.
     fn hello(&mut self, h: &Hello) -> Result<i32, String> {
         let model = Model::new(h).map_err(|e| e.to_string())?;
         self.changed = vec![false; model.tiles() as usize];
         let [width, height, size, stride] = [h.width, h.height, h.tile_size, h.tile_stride].map(f64::from);
-        let said = [width, height, size, stride, h.fx, h.fy, h.cx, h.cy, h.view_x, h.view_y, h.view_z];
-        let bits = said.map(f64::to_bits);
-        if self.said != bits {
-            (self.size, self.said) = ((h.width, h.height), bits);
+        let numbers = [width, height, size, stride, h.fx, h.fy, h.cx, h.cy, h.view_x, h.view_y, h.view_z];
+        let bits = numbers.map(f64::to_bits);
+        if self.hello_bits != bits {
+            (self.size, self.hello_bits) = ((h.width, h.height), bits);
             (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
-        self.said_by.clear();
+        self.formats.clear();
         self.codec.clone_from(&h.codec);
         self.tiles_of = None;
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
-        Ok(self.told(1, &[&said[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
+        Ok(self.store_numbers(1, &[&numbers[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
     }
 
     fn take(&mut self, kind: i32, tiles: &wire::Geometry) -> Result<i32, String> {
@@ -187,13 +188,13 @@ impl Decoder {
             self.changed[*t as usize] = true;
         }
         self.tiles_of = self.tiles_of.max(Some(tiles.frame));
-        Ok(self.told(kind, &[tiles.frame as f64, taken.len() as f64]))
+        Ok(self.store_numbers(kind, &[tiles.frame as f64, taken.len() as f64]))
     }
 
-    /// Takes over a frame by its number, taken at a time, µs by the publisher's clock.
+    /// Takes the input buffer as the next frame: its pixel format, number, and capture time in µs by the publisher's clock.
     ///
     /// # Errors
-    /// Where its bytes are not as many as the room's size asks for.
+    /// The input has a wrong length for the room's frame size.
     pub fn frame(&mut self, format: u32, number: u64, time: u64) -> Result<i32, String> {
         let (width, height) = self.size;
         let area = width as usize * height as usize;
@@ -201,10 +202,10 @@ impl Decoder {
         let bytes = std::mem::take(&mut self.input);
         let want = if format == Pixels::Rgba as u32 { 4 * area } else { area + 2 * chroma };
         if bytes.len() != want {
-            return Err(format!("a frame of {} bytes where {want} make one", bytes.len()));
+            return Err(format!("a frame of {} bytes; expected {want}", bytes.len()));
         }
         let (y, rest) = bytes.split_at(area);
-        let colour = self.said_of(number).colour;
+        let colour = self.format_of(number).colour;
         let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v }, colour);
         self.taken = Duration::from_micros(time);
         self.number = number;
@@ -219,8 +220,9 @@ impl Decoder {
         Ok(1)
     }
 
-    /// Brings the layers up to the last frame and tiles; leaves the tiles that changed, and of those that have other layers a row for each
-    /// layer: a, b, c of the plane, x, y, w, h of the rectangle, count of visible texels, whether any texel is soft.
+    /// Updates the layers to the last frame and tiles; returns the number of changed tiles. Stores these tiles, and a row for each layer of
+    /// those whose layers changed: a, b, c of the plane, x, y, w, h of the rectangle, number of visible texels, and whether any texel is
+    /// soft.
     pub fn layers(&mut self) -> i32 {
         (self.tiles, self.rows) = (Vec::new(), Vec::new());
         let Some(geometry) = self.model.as_ref().and_then(Model::geometry) else { return 0 };
@@ -234,7 +236,7 @@ impl Decoder {
         for t in &texels {
             let other = layers.binary_search(t).is_ok();
             let part = self.layers.tile(*t).filter(|_| other);
-            let count = part.map_or(AS_BEFORE, |part| part.layers.len() as u32);
+            let count = part.map_or(UNCHANGED, |part| part.layers.len() as u32);
             self.tiles.extend([*t, count].map(u32::to_le_bytes).as_flattened());
             for l in part.map_or(&[][..], |part| &part.layers) {
                 let own = l.first_texel..l.first_texel + l.rect.area();
@@ -249,7 +251,7 @@ impl Decoder {
         texels.len() as i32
     }
 
-    /// Texels of each layer that was handed over.
+    /// Stores the texels of the layers in the input buffer, each a pair of 32-bit numbers: the tile, and the layer's index in it.
     ///
     /// # Errors
     /// A layer does not exist.
@@ -264,7 +266,7 @@ impl Decoder {
         Ok(1)
     }
 
-    /// Writes HELLO of a publisher.
+    /// Writes HELLO of a publisher. The input buffer has the codec strings of video and sound, one per line.
     ///
     /// # Errors
     /// The codec strings are not UTF-8.
@@ -279,28 +281,28 @@ impl Decoder {
         Ok(1)
     }
 
-    /// Writes VIDEO of a temporal layer.
+    /// Writes VIDEO of a temporal layer with the input buffer as data; returns 1.
     pub fn write_video(&mut self, frame: u64, time: u64, key: bool, layer: u32) -> i32 {
         let data = std::mem::take(&mut self.input).into();
         self.message = write(Kind::Video(Video { frame, time, key, layer, data }));
         1
     }
 
-    /// Writes SOUND.
+    /// Writes SOUND with the input buffer as data; returns 1.
     pub fn write_sound(&mut self, time: u64) -> i32 {
         let data = std::mem::take(&mut self.input).into();
         self.message = write(Kind::Sound(Sound { time, data }));
         1
     }
 
-    /// Writes BYE.
+    /// Writes BYE with the input buffer as reason; returns 1.
     pub fn write_bye(&mut self) -> i32 {
         let reason = String::from_utf8_lossy(&std::mem::take(&mut self.input)).into_owned();
         self.message = write(Kind::Bye(Bye { reason, ..Bye::default() }));
         1
     }
 
-    /// The bytes of a result, by the number of an [`Output`].
+    /// The bytes of the result with the number of an [`Output`].
     #[must_use]
     pub fn output(&self, what: u32) -> &[u8] {
         const OUTPUTS: [Output; 7] =

@@ -1,10 +1,9 @@
-//! The decoder of a room's page: `tmpi-core` as WebAssembly, behind a few C functions that `static/live/decoder.js` calls. A module of its
-//! own, so that pages of photos need not load it.
+//! The decoder of a room's page: `tmpi-core` as WebAssembly, behind a few C functions that `static/live/decoder.js` calls. A separate
+//! module, so that pages of photos need not load it.
 //!
-//! An instance reads and writes the messages of one connection and has the layers of one room. What is handed over lies in a buffer that
-//! [`tmpi_room`] makes; what comes out is read from the places that [`tmpi_output`] and [`tmpi_output_length`] name. No call takes a
-//! pointer, so nothing here is unsafe but the names. A call that fails gives −1 and leaves a text; so does a panic, which ends the
-//! instance.
+//! An instance reads and writes the messages of one connection and holds the layers of one room. The caller writes the input of a call to
+//! the buffer at [`tmpi_room`], and reads results at [`tmpi_output`], of length [`tmpi_output_length`]. No function takes a pointer, so
+//! only their exported names are unsafe. A failed call returns −1 and leaves an error text; a panic does the same, and ends the instance.
 
 mod decoder;
 
@@ -21,82 +20,82 @@ thread_local! {
 const FAILED: i32 = -1;
 
 /// Allocates the input buffer of the next call; returns its address.
-#[allow(unsafe_code, reason = "a C name")]
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
     std::panic::set_hook(Box::new(|panic| {
-        // a panic within a call holds the decoder, so its text lies apart
+        // a panic in a call holds the borrow of the decoder, so its text is stored separately
         PANIC.set(panic.to_string());
     }));
     DECODER.with_borrow_mut(|decoder| decoder.room(length).as_mut_ptr())
 }
 
 /// Reads the message in the input buffer; returns the number of its kind in `proto/live.proto`. Its numbers and bytes are outputs.
-#[allow(unsafe_code, reason = "a C name")]
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_message() -> i32 {
     call(Decoder::message)
 }
 
-/// Takes the picture that was handed over, of the size that HELLO said, as the next frame, by its number; `format` is one of [`Pixels`],
-/// `time` when it was taken, µs by the publisher's clock.
-#[allow(unsafe_code, reason = "a C name")]
+/// Takes the input buffer as the next frame, a picture of the size in HELLO. `format` is one of [`Pixels`], `number` the frame's number,
+/// and `time` its capture time in µs by the publisher's clock.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_frame(format: u32, number: f64, time: f64) -> i32 {
     call(|decoder| decoder.frame(format, number as u64, time as u64))
 }
 
 /// Updates the layers to the last frame and tiles; returns the number of changed tiles, or 0 before the first frame and all tiles.
-#[allow(unsafe_code, reason = "a C name")]
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_layers() -> i32 {
     call(|decoder| Ok(decoder.layers()))
 }
 
-/// Texels of the layers that were handed over, two numbers each: the tile, and the layer among the tile's.
-#[allow(unsafe_code, reason = "a C name")]
+/// Stores the texels of the layers in the input buffer, two 32-bit numbers each: the tile, and the layer's index in it.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_cells() -> i32 {
     call(Decoder::cells)
 }
 
-/// Writes HELLO of a publisher: codec strings of video and sound, a line each, were handed over.
-#[allow(unsafe_code, reason = "a C name")]
+/// Writes HELLO of a publisher. The input buffer has the codec strings of video and sound, one per line.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_write_hello(width: u32, height: u32, fov_x: f64, sound_rate: u32, sound_channels: u32) -> i32 {
     call(|decoder| decoder.write_hello((width, height), fov_x, (sound_rate, sound_channels)))
 }
 
-/// Writes VIDEO of a temporal layer with the bytes that were handed over.
-#[allow(unsafe_code, reason = "a C name")]
+/// Writes VIDEO of a temporal layer with the input buffer as data.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_write_video(frame: f64, time: f64, key: u32, layer: u32) -> i32 {
     call(|decoder| Ok(decoder.write_video(frame as u64, time as u64, key == 1, layer)))
 }
 
-/// Writes SOUND with the bytes that were handed over.
-#[allow(unsafe_code, reason = "a C name")]
+/// Writes SOUND with the input buffer as data.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_write_sound(time: f64) -> i32 {
     call(|decoder| Ok(decoder.write_sound(time as u64)))
 }
 
-/// Writes BYE with the reason that was handed over.
-#[allow(unsafe_code, reason = "a C name")]
+/// Writes BYE with the input buffer as reason.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_write_bye() -> i32 {
     call(|decoder| Ok(decoder.write_bye()))
 }
 
 /// Address of a result, by the number of an [`Output`]. It is valid until the next call that changes the result.
-#[allow(unsafe_code, reason = "a C name")]
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output(what: u32) -> *const u8 {
     output(what, <[u8]>::as_ptr)
 }
 
-/// Its length in bytes.
-#[allow(unsafe_code, reason = "a C name")]
+/// Length of a result in bytes.
+#[allow(unsafe_code, reason = "exports a C symbol")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_output_length(what: u32) -> usize {
     output(what, <[u8]>::len)

@@ -1,8 +1,9 @@
-//! Photos of every format and feature, and what the program decodes them to, for tests/browser/decode/formats.test.mjs to hold them against
-//! a browser.
+//! Writes photos of every format and feature, and what the program decodes them to, so that tests/browser/decode/formats.test.mjs can
+//! compare them with a browser.
 //!
-//! `decoded FOLDER` writes each photo, and beside it a file `NAME.rgb` of its upright pixels, three bytes each, row by row; and
-//! `index.json`: of each its `name`, and its `width`, `height` and whether it is `damaged`, or why it is `refused`.
+//! `decoded FOLDER` writes each photo, a file `NAME.rgb` beside it with its upright pixels (three bytes each, row by row), and
+//! `index.json` with, for each photo, its `name` and either its `width`, its `height` and whether it is `damaged`, or why it is
+//! `refused`.
 
 use std::error::Error;
 use std::io::Cursor;
@@ -36,7 +37,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(std::fs::write(folder.join("index.json"), serde_json::to_vec(&index)?)?)
 }
 
-/// Sampling, order of scans, ends of files.
+/// Samplings, orders of scans, ends of files.
 fn jpegs() -> Result<Files, Box<dyn Error>> {
     let mut files = Files::new();
     let all = [("interleaved", Scans::Interleaved), ("separate", Scans::Separate), ("progressive", Scans::Progressive)];
@@ -109,7 +110,7 @@ fn without_tables(file: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Markers, names, profiles, orientations.
+/// Markers, component names, profiles, orientations.
 fn jpeg_colours() -> Result<Files, Box<dyn Error>> {
     let mut files = Files::new();
     let write = |names: &[u8], segments: Vec<(u8, Vec<u8>)>| {
@@ -167,7 +168,7 @@ fn profiles() -> Result<Profiles, Box<dyn Error>> {
     ])
 }
 
-/// A sample of a PNG, 0 to 1: the smooth picture, and alpha from clear to opaque.
+/// A sample of a PNG, 0 to 1: the smooth picture, and alpha from transparent to opaque.
 fn sample(colour: u8) -> impl Fn(usize, u32, u32) -> f64 {
     move |channel, x, y| {
         let alpha = matches!((colour, channel), (4, 1) | (6, 3));
@@ -180,7 +181,7 @@ fn png(colour: u8, depth: u8, interlaced: bool, chunks: Vec<Vec<u8>>) -> Vec<u8>
     Png { width: W, height: H, depth, colour, interlaced, chunks }.write(sample(colour))
 }
 
-/// Kinds of PNG: kind of colour and depth.
+/// Kinds of PNG: colour type and depth.
 const KINDS: [(u8, u8); 15] =
     [(0, 1), (0, 2), (0, 4), (0, 8), (0, 16), (2, 8), (2, 16), (3, 1), (3, 2), (3, 4), (3, 8), (4, 8), (4, 16), (6, 8), (6, 16)];
 
@@ -195,7 +196,7 @@ fn pngs() -> Files {
         let whole = png(2, 8, interlaced, vec![]);
         let [no_end, half_end] = [12, 5].map(|bytes| whole[..whole.len() - bytes].to_vec());
         let mut checksum = whole.clone();
-        // of the picture, before the end
+        // of the picture data, before the end chunk
         checksum[whole.len() - 13] ^= 1;
         let files_of = [("no-end", no_end), ("half-end", half_end), ("checksum", checksum), ("behind", [&whole[..], b"behind"].concat())];
         files.extend(files_of.map(|(name, file)| (format!("{name}-{interlaced}.png"), file)));
@@ -208,7 +209,7 @@ fn pngs() -> Files {
     }
     for orientation in 1..=8 {
         files.push((format!("orientation-{orientation}.png"), png(2, 8, false, vec![chunk(b"eXIf", &tiff(orientation))])));
-        // behind the picture, where browsers do not look
+        // after the picture, where browsers do not look
         let mut late = png(2, 8, false, vec![]);
         late.truncate(late.len() - 12);
         late.extend([chunk(b"eXIf", &tiff(orientation)), chunk(b"IEND", &[])].concat());
@@ -276,7 +277,7 @@ fn webp_of(chunks: &[u8]) -> Vec<u8> {
     [b"RIFF", &(chunks.len() as u32 + 4).to_le_bytes()[..], b"WEBP", chunks].concat()
 }
 
-/// The chunks of a picture, without the file around them and without a header of flags.
+/// The chunks of a picture, without the file around them and without a `VP8X` header.
 fn bitstreams(picture: &DynamicImage, lossy: bool) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut lossless = Cursor::new(Vec::new());
     let file = if lossy {

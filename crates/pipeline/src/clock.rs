@@ -1,4 +1,5 @@
-//! Wall time, processor time and memory of this process; programs that it ran and waited for count as a [`Clock`]'s processor time.
+//! Wall time, processor time and memory of this process. A [`Clock`]'s processor time includes child processes that have ended and been
+//! waited for.
 
 use std::time::Instant;
 
@@ -22,8 +23,8 @@ impl Clock {
         self.wall.elapsed().as_secs_f64() * 1e3
     }
 
-    /// Processor milliseconds of all threads of the process since the start, and of programs that ended since; 0 where the system
-    /// does not tell.
+    /// Processor milliseconds since the start: all threads of this process, plus child processes that have ended since. 0 if the system
+    /// does not report them.
     #[must_use]
     pub fn cpu_ms(&self) -> f64 {
         cpu_ms() - self.cpu
@@ -31,9 +32,9 @@ impl Clock {
 }
 
 #[cfg(unix)]
-#[allow(unsafe_code, reason = "two calls of libc that only write the struct they are handed")]
+#[allow(unsafe_code, reason = "two libc calls that only write the struct passed to them")]
 mod system {
-    /// Processor seconds of all threads of this process, without programs that it ran; none where the system does not tell.
+    /// Processor seconds of all threads of this process, without child processes; `None` if the system does not report them.
     #[must_use]
     pub fn cpu_seconds() -> Option<f64> {
         let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };
@@ -59,24 +60,24 @@ mod system {
         unsafe { (libc::getrusage(of, usage.as_mut_ptr()) == 0).then(|| usage.assume_init()) }
     }
 
-    /// Peak resident memory of this process in bytes; 0 where the system does not tell.
+    /// Peak resident memory of this process in bytes; 0 if the system does not report it.
     #[must_use]
     pub fn peak_rss_bytes() -> u64 {
-        // `getrusage` on Linux also counts what the parent held when it started this process
+        // on Linux, `getrusage` also counts what the parent process held when it started this one
         super::status_bytes("self", "VmHWM:").unwrap_or_else(|| {
-            // kilobytes everywhere but on macOS
+            // kilobytes, except on macOS
             usage(libc::RUSAGE_SELF).map_or(0, |u| u.ru_maxrss as u64) * if cfg!(target_os = "macos") { 1 } else { 1024 }
         })
     }
 }
 
-/// Resident memory in bytes of a process by its number, or of this one; none where the system does not tell.
+/// Resident memory in bytes of the process with this id, or of this process for `None`. Returns `None` if the system does not report it.
 #[must_use]
 pub fn resident_bytes(process: Option<u32>) -> Option<u64> {
     status_bytes(&process.map_or_else(|| "self".to_owned(), |id| id.to_string()), "VmRSS:")
 }
 
-/// A figure of memory out of a process' `/proc/ID/status`, in bytes.
+/// One memory figure of `/proc/ID/status`, in bytes.
 fn status_bytes(process: &str, name: &str) -> Option<u64> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let kilobytes = status.lines().find_map(|line| line.strip_prefix(name)?.trim().strip_suffix(" kB"))?;
@@ -109,22 +110,22 @@ mod tests {
     fn a_clock_counts_from_its_own_start() {
         let first = Clock::start();
         let mut turns = 0u64;
-        let is_told = cpu_ms() > 0.0;
-        while if is_told { first.cpu_ms() < 5.0 } else { first.ms() < 5.0 } {
+        let has_cpu_time = cpu_ms() > 0.0;
+        while if has_cpu_time { first.cpu_ms() < 5.0 } else { first.ms() < 5.0 } {
             turns = std::hint::black_box(turns + 1);
         }
         let second = Clock::start();
-        // what other threads take in between makes the first one larger
+        // the second clock is read first: time that other threads take between the two readings then only makes the first clock larger
         let (later, later_cpu) = (second.ms(), second.cpu_ms());
         let (earlier, earlier_cpu) = (first.ms(), first.cpu_ms());
         assert!(later >= 0.0 && earlier >= later, "{earlier} {later}");
-        assert!(!is_told || earlier_cpu >= later_cpu + 5.0, "{earlier_cpu} {later_cpu}");
-        assert!(is_told || !cfg!(unix), "this system tells the processor's time");
+        assert!(!has_cpu_time || earlier_cpu >= later_cpu + 5.0, "{earlier_cpu} {later_cpu}");
+        assert!(has_cpu_time || !cfg!(unix), "Unix reports processor time");
     }
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn peak_memory_counts_what_is_held_now() {
+    fn peak_memory_covers_memory_in_use() {
         let held = std::hint::black_box(vec![1u8; 64 << 20]);
         let now = resident_bytes(None).unwrap();
         assert!(now >= held.len() as u64 && peak_rss_bytes() >= now, "{now} {}", peak_rss_bytes());

@@ -1,35 +1,35 @@
 //! Errors of the stages.
 
-/// Why a scene could not be made.
+/// Why a stage failed.
 #[derive(Debug, thiserror::Error)]
 pub enum StageError {
-    /// An option is out of its range; the text names it and the range.
+    /// An option is out of its range.
     #[error("{field} must be {range}, not {value}")]
     Option {
         /// Name of the option.
         field: &'static str,
-        /// What is allowed.
+        /// Allowed range.
         range: &'static str,
-        /// What was given.
+        /// Given value.
         value: String,
     },
-    /// A stroke is not as strokes are; the text names its field.
+    /// A stroke is invalid; the text names its field.
     #[error(transparent)]
     Stroke(#[from] crate::strokes::StrokeError),
-    /// An option asks for more than readers of a container take of a photo of this size; the text names the bound.
+    /// An option needs more than a container's readers accept for a photo of this size; the text names the bound.
     #[error("{field}: {detail}")]
     Bound {
         /// Name of the option.
         field: &'static str,
-        /// What is asked for, and the most that can be.
+        /// What the option needs, and the largest allowed.
         detail: String,
     },
-    /// An option wants a network whose file is not there; the text names both.
-    #[error("{field} {value} wants the network {file}, which is not in the folder of networks (TMPI_MODELS)")]
+    /// An option needs a network whose file is missing; the text names both.
+    #[error("{field} {value} needs the network {file}, which is missing from the folder of networks (TMPI_MODELS)")]
     Network {
         /// Name of the option.
         field: &'static str,
-        /// What was given.
+        /// Given value.
         value: &'static str,
         /// Name of the file.
         file: &'static str,
@@ -37,14 +37,14 @@ pub enum StageError {
     /// A network failed.
     #[error(transparent)]
     Onnx(#[from] crate::networks::OnnxError),
-    /// A network gave something other than what its card says.
-    #[error("{network} gave {got}, not {want}")]
+    /// A network returned an output of another shape than its card states.
+    #[error("{network} returned {got}, expected {want}")]
     Shape {
         /// The network.
         network: &'static str,
-        /// Shape given.
+        /// Returned shape.
         got: String,
-        /// Shape expected.
+        /// Expected shape.
         want: String,
     },
 }

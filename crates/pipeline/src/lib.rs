@@ -1,5 +1,5 @@
-//! The way of a photo to the container of a tiled multiplane image (paper, sections 3 and 4):
-//! [`photo`] → [`depth`] → [`denoise`] → [`edges`] → [`planes`] → [`layers`] → container; [`run`] drives these stages.
+//! Turns a photo into the container of a tiled multiplane image (paper, sections 3 and 4):
+//! [`photo`] → [`depth`] → [`denoise`] → [`edges`] → [`planes`] → [`layers`] → container. [`run`] drives these stages.
 
 pub mod clock;
 pub mod denoise;

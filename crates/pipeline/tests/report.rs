@@ -1,7 +1,7 @@
-//! Six photos whose reports tell errors of every kind, and each figure against the same one computed in `f64` by its definition: from the files, the
-//! maps between the steps, and what a reader of the container gets.
+//! Makes six photos whose reports contain errors of every kind. Compares each figure with its definition, computed in `f64` from the files,
+//! the maps between the steps, and what a reader of the container gets.
 //!
-//! `cargo test -p tmpi-pipeline --test report -- --nocapture` prints the reports as they are told and as they are computed.
+//! `cargo test -p tmpi-pipeline --test report -- --nocapture` prints the reported and the computed figures.
 #![allow(clippy::unwrap_used, reason = "test")]
 
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use tmpi_pipeline::{Denoise, Made, Models, Options, Silent, Switch, make};
 use tmpi_render::{Reference, Renderer};
 use tmpi_testing::pictures::{noise, png, waves as photo};
 
-/// Depth is given with every photo.
+/// Stand-in for the network: every photo comes with a depth map.
 struct NoNetwork;
 
 impl Estimator for NoNetwork {
@@ -29,7 +29,7 @@ impl Estimator for NoNetwork {
     }
 }
 
-/// A photo, its map as a file, and what that holds by its definition.
+/// A photo, the file of its depth map, and the disparities that the file holds by definition.
 struct Subject {
     name: &'static str,
     photo: Vec<u8>,
@@ -53,7 +53,8 @@ fn subject(name: &'static str, (width, height): (u32, u32), values: &DisparityMa
     Subject { name, photo: photo(width, height), map, values: DisparityMap { delta, ..*values }, options }
 }
 
-/// Depth in metres, of which a twentieth is unknown and some lie before the nearest distance.
+/// Depth in metres: a twentieth of the values is unknown, and some are nearer than the nearest distance. Also returns the shares of unknown
+/// and of clipped values.
 fn holes() -> (Subject, [f64; 2]) {
     let (width, height) = (100u32, 60u32);
     let known = |i: u32| if i == 11 { 100 } else { 1000 + (i % width) as u16 * 30 };
@@ -61,18 +62,18 @@ fn holes() -> (Subject, [f64; 2]) {
     let file = png(width, height, bytemuck::cast_slice(&metric), ExtendedColorType::L16);
     let mut sorted: Vec<u16> = metric.iter().copied().filter(|v| *v > 0).collect();
     sorted.sort_unstable();
-    // but for a thousandth
+    // the nearest distance ignores a thousandth of the values
     let nearest = sorted[sorted.len() / 1000];
     let share = |of: &dyn Fn(u16) -> bool| metric.iter().filter(|v| of(**v)).count() as f64 / metric.len() as f64;
     let shares = [share(&|v| v == 0), share(&|v| v > 0 && v < nearest)];
-    // single unknown values take the farther neighbour
+    // a single unknown value takes the disparity of its farther neighbour
     let at = |i: usize| if metric[i] > 0 { (f32::from(nearest) / f32::from(metric[i])).min(1.0) } else { f32::NAN };
     let delta = (0..metric.len()).map(|i| if at(i).is_nan() { at(i - 1).min(at(i + 1)) } else { at(i) }).collect();
     let options = Options { depth_kind: DepthKind::Metric, verify_prune: true, ..Options::default() };
     (Subject { name: "holes", photo: photo(200, 120), map: file, values: DisparityMap { width, height, delta }, options }, shares)
 }
 
-/// Makes the photo with its options changed.
+/// Makes the photo with changed options.
 fn made(s: &Subject, change: impl FnOnce(&mut Options)) -> Made {
     let mut options = s.options.clone();
     change(&mut options);
@@ -80,8 +81,8 @@ fn made(s: &Subject, change: impl FnOnce(&mut Options)) -> Made {
     make(&models, &Limits::default(), &s.photo, Some(&s.map), &options, &Silent).unwrap()
 }
 
-/// Pixels between where two disparities are shown: largest of right and down over all corners of the view box.
-fn shown_apart(k: &Intrinsics, v: &ViewBox, (x, y): (f64, f64), [a, b]: [f64; 2]) -> f64 {
+/// Distance in pixels between a point at two disparities: the larger of horizontal and vertical, over all corners of the view box.
+fn distance_px(k: &Intrinsics, v: &ViewBox, (x, y): (f64, f64), [a, b]: [f64; 2]) -> f64 {
     let corner = |i: u32| {
         let side = |bit: u32, e: f64| if i >> bit & 1 == 0 { e } else { -e };
         let at = |d: f64| {
@@ -94,7 +95,7 @@ fn shown_apart(k: &Intrinsics, v: &ViewBox, (x, y): (f64, f64), [a, b]: [f64; 2]
     (0..8).map(corner).fold(0.0, f64::max)
 }
 
-/// A value between others, by linear interpolation of samples at half-integers.
+/// A value by bilinear interpolation of samples at half-integers.
 fn between(size: (u32, u32), (x, y): (f64, f64), value: impl Fn(usize, usize) -> f64) -> f64 {
     let place = |p: f64, n: u32| {
         let p = (p - 0.5).clamp(0.0, f64::from(n - 1));
@@ -115,30 +116,30 @@ fn psnr_of(a: &[[u8; 3]], b: &[[u8; 3]]) -> f64 {
     psnr(squares, 3 * a.len())
 }
 
-/// What a step did to a map; none where it did nothing.
+/// How far a step shifted a map; `None` if it changed nothing.
 fn moved(k: &Intrinsics, v: &ViewBox, before: &DisparityMap, after: &DisparityMap) -> Option<Moved> {
     let width = before.width as usize;
     let place = |i: usize| ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
     let each = before.delta.iter().zip(&after.delta).enumerate();
-    let px = each.map(|(i, (a, b))| shown_apart(k, v, place(i), [f64::from(*a), f64::from(*b)]));
+    let px = each.map(|(i, (a, b))| distance_px(k, v, place(i), [f64::from(*a), f64::from(*b)]));
     let (sum, most) = px.fold((0.0, 0.0), |(sum, most): (f64, f64), px| (sum + px, most.max(px)));
     (before != after).then(|| Moved { mean_px: sum / before.delta.len() as f64, most_px: most, sampled: false })
 }
 
-/// How far a map at the photo's size is from the file's at the centres of the file's pixels; none where it has the photo's size.
+/// Distance of a map at the photo's size from the file's map, at the centres of the file's pixels; `None` if both have the same size.
 fn resampled(k: &Intrinsics, v: &ViewBox, own: &DisparityMap, delta: &DisparityMap) -> Option<Moved> {
     let (w, size) = (own.width as usize, (delta.width, delta.height));
     let scale = (f64::from(size.0) / f64::from(own.width), f64::from(size.1) / f64::from(own.height));
     let px = own.delta.iter().enumerate().map(|(i, known)| {
         let place = (((i % w) as f64 + 0.5) * scale.0, ((i / w) as f64 + 0.5) * scale.1);
         let shown = between(size, place, |x, y| f64::from(delta.delta[y * size.0 as usize + x]));
-        shown_apart(k, v, place, [f64::from(*known), shown])
+        distance_px(k, v, place, [f64::from(*known), shown])
     });
     let (sum, most) = px.fold((0.0, 0.0), |(sum, most): (f64, f64), px| (sum + px, most.max(px)));
     ((own.width, own.height) != size).then(|| Moved { mean_px: sum / own.delta.len() as f64, most_px: most, sampled: false })
 }
 
-/// Figures of planes: those of all tiles into `e`.
+/// Computes the figures of the planes of all tiles and writes them to `e`.
 fn planes(e: &mut ErrorFigures, geometry: &Geometry, delta: &DisparityMap) {
     let (mut disparity, mut px, mut least, mut over) = (Vec::new(), 0.0, 0.0, Vec::new());
     for (i, tile) in geometry.tiles.iter().enumerate() {
@@ -151,7 +152,7 @@ fn planes(e: &mut ErrorFigures, geometry: &Geometry, delta: &DisparityMap) {
             let shown = tile.planes[usize::from(tile.labels[p])].disparity(u, v);
             let nearest =
                 tile.planes.iter().map(|q| q.disparity(u, v)).min_by(|a, b| (a - known).abs().total_cmp(&(b - known).abs())).unwrap();
-            let apart = |d: f64| shown_apart(&geometry.intrinsics, &geometry.view_box, place, [d, known]);
+            let apart = |d: f64| distance_px(&geometry.intrinsics, &geometry.view_box, place, [d, known]);
             [(shown - known).abs(), apart(shown), apart(nearest)]
         };
         let all: Vec<[f64; 3]> = (0..r.area()).map(one).collect();
@@ -174,15 +175,15 @@ fn planes(e: &mut ErrorFigures, geometry: &Geometry, delta: &DisparityMap) {
     e.planes.missed_most_px = over.iter().copied().fold(0.0, f64::max);
 }
 
-/// The view from the photo's own place, in `f64`.
+/// The reference view, in `f64`.
 fn identity(scene: &Arc<Scene>) -> Vec<[u8; 3]> {
     let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height };
     Reference.render(scene, &camera).unwrap().rgba.iter().map(|p| [p[0], p[1], p[2]]).collect()
 }
 
-/// What leaving out changes in the views from the corners of the view box, in `f64`: largest difference in levels, and share of pixels that
-/// differ by more than 8.
-fn left_out(photo: &Photo, geometry: &Geometry) -> (u8, f64) {
+/// Effect of pruning on the views from the corners of the view box, in `f64`: largest difference in levels, and share of pixels that differ
+/// by more than 8 levels.
+fn pruning(photo: &Photo, geometry: &Geometry) -> (u8, f64) {
     let scene = |masks| Arc::new(compose(photo.clone(), geometry, texture(photo, geometry, masks)));
     let (all, kept) = (scene(geometry.masks_unpruned()), scene(geometry.masks()));
     let v = geometry.view_box;
@@ -199,7 +200,7 @@ fn left_out(photo: &Photo, geometry: &Geometry) -> (u8, f64) {
     worst
 }
 
-/// The photo enlarged again against what it was, over rows from `first` on, `step` apart.
+/// PSNR in dB of the reduced photo, enlarged again, against the original, over rows from `first` on, `step` apart.
 fn reduced(small: &Photo, whole: &Photo, (first, step): (usize, usize)) -> f64 {
     let size = (small.width, small.height);
     let scale = (f64::from(small.width) / f64::from(whole.width), f64::from(small.height) / f64::from(whole.height));
@@ -217,35 +218,35 @@ fn reduced(small: &Photo, whole: &Photo, (first, step): (usize, usize)) -> f64 {
     psnr(squares, values)
 }
 
-/// Names of figures, what the report says of them, what they are, and how far these may lie apart.
+/// For each figure: its name, the reported value, the computed value, and the tolerance.
 type Figures = Vec<(&'static str, f64, f64, f64)>;
 
-/// A step that the report tells of where it did something.
-fn of_step(all: &mut Figures, name: [&'static str; 2], told: Option<Moved>, is: Option<Moved>) {
-    assert_eq!(told.is_some(), is.is_some(), "{}: told {told:?}, is {is:?}", name[0]);
-    let (Some(told), Some(is)) = (told, is) else { return };
-    // of samples a mean is near, and the largest at most as large
-    let slack = if told.sampled { 0.05 * is.mean_px } else { 1e-6 };
-    all.push((name[0], told.mean_px, is.mean_px, slack));
-    if told.sampled {
-        assert!(told.most_px <= is.most_px + 1e-6, "{}", name[1]);
+/// Adds the figures of a step, which the report holds only if the step changed something.
+fn add_step(all: &mut Figures, name: [&'static str; 2], reported: Option<Moved>, computed: Option<Moved>) {
+    assert_eq!(reported.is_some(), computed.is_some(), "{}: reported {reported:?}, computed {computed:?}", name[0]);
+    let (Some(reported), Some(computed)) = (reported, computed) else { return };
+    // from a sample, the mean is close and the maximum is at most the true one
+    let slack = if reported.sampled { 0.05 * computed.mean_px } else { 1e-6 };
+    all.push((name[0], reported.mean_px, computed.mean_px, slack));
+    if reported.sampled {
+        assert!(reported.most_px <= computed.most_px + 1e-6, "{}", name[1]);
     } else {
-        all.push((name[1], told.most_px, is.most_px, 1e-6));
+        all.push((name[1], reported.most_px, computed.most_px, 1e-6));
     }
 }
 
-/// All figures of a photo's report beside those by definition.
+/// All figures of a photo's report, beside those computed by definition.
 fn figures(s: &Subject) -> Figures {
     let full = made(s, |_| {});
-    let told = &full.report.error;
+    let reported = &full.report.error;
     let size = full.report.width.max(full.report.height);
-    // the same as without a budget, at what that chose
+    // the same without a budget, with the settings that the budget chose
     let chosen = |o: &mut Options| {
         (o.budget_ms, o.max_size) = (None, Some(size));
-        o.max_error = told.planes.bound_px.unwrap_or(o.max_error);
+        o.max_error = reported.planes.bound_px.unwrap_or(o.max_error);
     };
     let again = made(s, chosen);
-    assert!(again.container == full.container, "{}: a budget does nothing but choose", s.name);
+    assert!(again.container == full.container, "{}: a budget only chooses settings", s.name);
     let raw = made(s, |o| {
         chosen(o);
         (o.denoise, o.snap) = (Denoise::Off, Switch::Off);
@@ -261,102 +262,106 @@ fn figures(s: &Subject) -> Figures {
 
     let whole = decode(&s.photo, &Limits::default(), None).unwrap().photo;
     let small = decode(&s.photo, &Limits::default(), Some(size)).unwrap().photo;
-    assert_eq!(told.reduction.is_some(), small.width < whole.width);
-    if let Some(reduction) = told.reduction {
+    assert_eq!(reported.reduction.is_some(), small.width < whole.width);
+    if let Some(reduction) = reported.reduction {
         all.push(("reduction.scale", reduction.scale, f64::from(size) / f64::from(whole.width.max(whole.height)), 1e-12));
         let psnr = reduction.psnr.unwrap();
         all.push(("reduction.psnr", psnr, reduced(&small, &whole, (8, 17)), 1e-3));
         all.push(("reduction.psnr, all rows", psnr, reduced(&small, &whole, (0, 1)), 0.3));
     }
-    of_step(&mut all, ["resampling.mean_px", "resampling.most_px"], told.resampling, resampled(&k, &v, &s.values, &raw.disparity));
-    if told.resampling.is_none() {
+    add_step(&mut all, ["resampling.mean_px", "resampling.most_px"], reported.resampling, resampled(&k, &v, &s.values, &raw.disparity));
+    if reported.resampling.is_none() {
         let off = raw.disparity.delta.iter().zip(&s.values.delta).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
-        all.push(("the map as the file has it", off, 0.0, 1e-6));
+        all.push(("map against file, largest difference", off, 0.0, 1e-6));
     }
-    of_step(&mut all, ["denoise.mean_px", "denoise.most_px"], told.denoise, moved(&k, &v, &raw.disparity, &clean.disparity));
-    of_step(&mut all, ["snap.mean_px", "snap.most_px"], told.snap, moved(&k, &v, &clean.disparity, &full.disparity));
+    add_step(&mut all, ["denoise.mean_px", "denoise.most_px"], reported.denoise, moved(&k, &v, &raw.disparity, &clean.disparity));
+    add_step(&mut all, ["snap.mean_px", "snap.most_px"], reported.snap, moved(&k, &v, &clean.disparity, &full.disparity));
 
-    let mut is = ErrorFigures { planes: told.planes, ..ErrorFigures::default() };
-    planes(&mut is, &geometry, &full.disparity);
-    assert_eq!(told.tile_px.len(), is.tile_px.len());
-    let tile = told.tile_px.iter().zip(&is.tile_px).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    // errors are added up in `f32`, and the quartile is that of a histogram; tiles are told to a thousandth
-    all.push(("depth_mae", told.depth_mae, is.depth_mae, 1e-6 + 1e-4 * is.depth_mae));
-    all.push(("depth_mse", told.depth_mse, is.depth_mse, 1e-6 + 1e-4 * is.depth_mse));
-    all.push(("depth_q25", told.depth_q25, is.depth_q25, 1e-6 + 3e-3 * is.depth_q25));
+    let mut computed = ErrorFigures { planes: reported.planes, ..ErrorFigures::default() };
+    planes(&mut computed, &geometry, &full.disparity);
+    assert_eq!(reported.tile_px.len(), computed.tile_px.len());
+    let tile = reported.tile_px.iter().zip(&computed.tile_px).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    // errors are summed in `f32`, the quartile comes from a histogram, and tiles are rounded to a thousandth
+    all.push(("depth_mae", reported.depth_mae, computed.depth_mae, 1e-6 + 1e-4 * computed.depth_mae));
+    all.push(("depth_mse", reported.depth_mse, computed.depth_mse, 1e-6 + 1e-4 * computed.depth_mse));
+    all.push(("depth_q25", reported.depth_q25, computed.depth_q25, 1e-6 + 3e-3 * computed.depth_q25));
     all.push(("tile_px, largest difference", tile, 0.0, 1e-3));
-    all.push(("planes.mean_px", told.planes.mean_px, is.planes.mean_px, 1e-6));
-    all.push(("planes.smoothing_px", told.planes.smoothing_px, is.planes.smoothing_px, 1e-6));
-    all.push(("planes.missed_tiles", told.planes.missed_tiles as f64, is.planes.missed_tiles as f64, 0.0));
-    all.push(("planes.missed_mean_px", told.planes.missed_mean_px, is.planes.missed_mean_px, 1e-4));
-    all.push(("planes.missed_most_px", told.planes.missed_most_px, is.planes.missed_most_px, 1e-4));
+    all.push(("planes.mean_px", reported.planes.mean_px, computed.planes.mean_px, 1e-6));
+    all.push(("planes.smoothing_px", reported.planes.smoothing_px, computed.planes.smoothing_px, 1e-6));
+    all.push(("planes.missed_tiles", reported.planes.missed_tiles as f64, computed.planes.missed_tiles as f64, 0.0));
+    all.push(("planes.missed_mean_px", reported.planes.missed_mean_px, computed.planes.missed_mean_px, 1e-4));
+    all.push(("planes.missed_most_px", reported.planes.missed_most_px, computed.planes.missed_most_px, 1e-4));
     let most = geometry.tiles.iter().map(|t| t.planes.len()).max().unwrap();
-    assert!(most <= told.planes.most_planes as usize);
-    // half a step of the container's grid for each of three coefficients, where a view shows most of it
+    assert!(most <= reported.planes.most_planes as usize);
+    // half a step of the container's grid for each of three coefficients, at the point where it shifts a view most
     let corners = [(0.0, 0.0), (f64::from(full.report.width), 0.0), (0.0, f64::from(full.report.height))];
     let step = 1.5 * tmpi_core::Plane::STEP;
-    let rounding = corners.map(|c| shown_apart(&k, &v, c, [1.0, 1.0 - step])).into_iter().fold(0.0, f64::max);
-    assert!(told.planes.rounding_px > 0.0 && told.planes.rounding_px <= 1.01 * rounding, "{} of {rounding}", told.planes.rounding_px);
+    let rounding = corners.map(|c| distance_px(&k, &v, c, [1.0, 1.0 - step])).into_iter().fold(0.0, f64::max);
+    assert!(
+        reported.planes.rounding_px > 0.0 && reported.planes.rounding_px <= 1.01 * rounding,
+        "{} of {rounding}",
+        reported.planes.rounding_px
+    );
 
     let scene = Arc::new(container::decode(&full.container).unwrap());
-    all.push(("codec_psnr", told.codec_psnr, psnr_of(&scene.photo.rgb, &small.rgb), 1e-9));
-    assert_eq!(told.hidden_psnr, None, "hidden colours follow from the rest");
+    all.push(("codec_psnr", reported.codec_psnr, psnr_of(&scene.photo.rgb, &small.rgb), 1e-9));
+    assert_eq!(reported.hidden_psnr, None, "readers derive hidden colours");
     if small.rgb.len() < 1_000_000 {
-        // of some rows of tiles the report tells nearly what all have
-        let slack = if told.identity_tiles == full.report.tiles { 1e-6 } else { 0.7 };
-        all.push(("identity_psnr", told.identity_psnr, psnr_of(&identity(&scene), &small.rgb), slack));
+        // if the report covers only some rows of tiles, its figure is close to that of all
+        let slack = if reported.identity_tiles == full.report.tiles { 1e-6 } else { 0.7 };
+        all.push(("identity_psnr", reported.identity_psnr, psnr_of(&identity(&scene), &small.rgb), slack));
     }
-    if let Some(prune) = told.prune.filter(|_| s.options.verify_prune) {
+    if let Some(prune) = reported.prune.filter(|_| s.options.verify_prune) {
         assert_eq!(prune.tiles, full.report.tiles);
-        let (levels, share) = left_out(&small, &geometry);
-        // borders of quads differ between the two renderers
+        let (levels, share) = pruning(&small, &geometry);
+        // the two renderers differ at the borders of quads
         all.push(("prune.max_abs", f64::from(prune.max_abs), f64::from(levels), 8.0));
         all.push(("prune.share_off", prune.share_off, share, 1e-3));
     }
     all
 }
 
-fn hold(s: &Subject) {
+fn check(s: &Subject) {
     let all = figures(s);
-    println!("{:<16}{:<32}{:>14}{:>14}", s.name, "figure", "told", "computed");
-    for (name, told, is, _) in &all {
-        println!("{:<16}{name:<32}{told:>14.6}{is:>14.6}", "");
+    println!("{:<16}{:<40}{:>14}{:>14}", s.name, "figure", "reported", "computed");
+    for (name, reported, computed, _) in &all {
+        println!("{:<16}{name:<40}{reported:>14.6}{computed:>14.6}", "");
     }
-    for (name, told, is, slack) in all {
-        assert!((told - is).abs() <= slack, "{}: {name} is told as {told}, and is {is}", s.name);
+    for (name, reported, computed, slack) in all {
+        assert!((reported - computed).abs() <= slack, "{}: {name} is reported as {reported}, but computed as {computed}", s.name);
     }
 }
 
 #[test]
 fn a_flat_photo() {
-    hold(&subject("flat", (200, 150), &map(200, 150, |_, _| 0.5), Options::default()));
+    check(&subject("flat", (200, 150), &map(200, 150, |_, _| 0.5), Options::default()));
 }
 
 #[test]
 fn a_noisy_depth_map() {
     let noisy = map(200, 150, |x, y| (0.4 + 0.1 * (noise(x, y) - 0.5)).clamp(0.0, 1.0));
     let options = Options { view_box: ViewBox { x: 0.119, y: 0.05, z: 0.2 }, verify_prune: true, ..Options::default() };
-    hold(&subject("noisy depth", (200, 150), &noisy, options));
+    check(&subject("noisy depth", (200, 150), &noisy, options));
 }
 
 #[test]
 fn a_zigzag() {
     let zigzag = map(300, 200, |x, y| ((x + y) as i32 % 10 - 5).unsigned_abs() as f32 / 5.0);
-    hold(&subject("zigzag", (300, 200), &zigzag, Options { max_error: 0.2, verify_prune: true, ..Options::default() }));
+    check(&subject("zigzag", (300, 200), &zigzag, Options { max_error: 0.2, verify_prune: true, ..Options::default() }));
 }
 
 #[test]
 fn a_map_with_holes() {
     let (s, [filled, clipped]) = holes();
-    let told = made(&s, |_| {}).report.error;
-    assert_eq!((told.depth_filled, told.depth_clipped), (Some(filled), Some(clipped)));
+    let reported = made(&s, |_| {}).report.error;
+    assert_eq!((reported.depth_filled, reported.depth_clipped), (Some(filled), Some(clipped)));
     assert!(filled > 0.04 && clipped > 0.0);
-    hold(&s);
+    check(&s);
 }
 
 #[test]
 fn twelve_megapixels() {
-    hold(&subject("12 MP", (4000, 3000), &map(1000, 750, |x, y| stairs(x / 2, y / 2)), Options::default()));
+    check(&subject("12 MP", (4000, 3000), &map(1000, 750, |x, y| stairs(x / 2, y / 2)), Options::default()));
 }
 
 #[test]
@@ -366,5 +371,5 @@ fn a_budget() {
     let budget = report.budget.unwrap();
     assert!(budget.chose.contains(&format!("--max-error {}", report.error.planes.bound_px.unwrap())), "{budget:?}");
     assert!(report.error.reduction.is_some() && budget.outcome_ms > 0.0 && budget.predicted_ms > 0.0);
-    hold(&s);
+    check(&s);
 }

@@ -1,4 +1,4 @@
-//! The networks as they are shipped, through the pipeline's own stages: what they do to a scene of which everything is known.
+//! Tests of the shipped networks in the pipeline's own stages, on synthetic scenes with known disparity and colours.
 #![allow(clippy::unwrap_used, clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "test")]
 
 use std::path::Path;
@@ -12,32 +12,32 @@ use tmpi_pipeline::{Models, Options, Silent};
 use tmpi_render::draw_reference_view;
 
 const SIZE: (u32, u32) = (256, 192);
-/// Deviation of the noise that Θ is there for: a variance of 1e-3.
+/// Standard deviation of the noise that Θ is meant to remove: a variance of 1e-3.
 const NOISE: f32 = 0.0316;
 
-/// The networks beside this workspace's models; none where ONNX Runtime is missing.
+/// The networks in the workspace's `models` folder; `None` without ONNX Runtime.
 fn models() -> Option<Models> {
     tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available())?;
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
     let models = load(&Settings { folder, ..Settings::default() }).unwrap();
-    assert!(models.theta.is_some() && models.psi.is_some(), "both files are shipped");
+    assert!(models.theta.is_some() && models.psi.is_some(), "the workspace ships both files");
     Some(models)
 }
 
-/// Even numbers of 0 to 1, the same everywhere (`SplitMix64`).
-fn even(seed: u64) -> f32 {
+/// A uniform number in [0, 1), the same on every machine (`SplitMix64`).
+fn uniform(seed: u64) -> f32 {
     let z = seed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
 }
 
-/// Normal deviates by sums of twelve even numbers.
+/// A normal deviate, as the sum of twelve uniform numbers.
 fn normal(i: usize) -> f32 {
-    (0..12).map(|k| even(i as u64 * 12 + k)).sum::<f32>() - 6.0
+    (0..12).map(|k| uniform(i as u64 * 12 + k)).sum::<f32>() - 6.0
 }
 
-/// A wall that recedes to the right, and two boxes before it.
+/// A wall that recedes to the right, and two boxes in front of it.
 struct Scene {
     photo: Photo,
     delta: DisparityMap,
@@ -48,10 +48,10 @@ struct Scene {
 fn scene(seed: u64) -> Scene {
     let (width, height) = SIZE;
     let boxes = [(60..120, 50..130, 0.6), (150..200, 80..160, 0.85)];
-    let pick = |k: u64, from: f32, to: f32| from + even(seed * 1000 + k) * (to - from);
+    let pick = |k: u64, from: f32, to: f32| from + uniform(seed * 1000 + k) * (to - from);
     let (angle, period) = (pick(1, 0.0, 3.0), pick(2, 12.0, 40.0));
     let colours = [0, 1].map(|c| [3, 4, 5].map(|k| pick(10 * c + k, 40.0, 210.0)));
-    // stripes of two colours with soft light over them
+    // stripes of two colours in soft light
     let wall = |x: u32, y: u32| {
         let along = (x as f32 * angle.cos() + y as f32 * angle.sin()) / period;
         let light = 0.8 + 0.2 * (x as f32 / 60.0).sin();
@@ -78,7 +78,7 @@ fn mean(values: &[f32]) -> f32 {
     values.iter().sum::<f32>() / values.len() as f32
 }
 
-/// A map through the stage that takes noise away, by Θ.
+/// Runs the denoising stage with Θ.
 fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> Estimated {
     let (limits, options) = (Limits::default(), Options { denoise: Denoise::Theta, ..Options::default() });
     let mut job = Context::new(models, &limits, &options, &Silent);
@@ -86,7 +86,7 @@ fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> Estimated {
 }
 
 #[test]
-fn theta_takes_noise_away_and_knows_where_it_is_wrong() {
+fn theta_removes_noise_and_its_confidence_predicts_errors() {
     let Some(models) = models() else { return };
     let Scene { photo, delta: clean, .. } = scene(1);
     let noisy =
@@ -97,25 +97,25 @@ fn theta_takes_noise_away_and_knows_where_it_is_wrong() {
     // a box stays a box
     let row = &got.delta.delta[90 * SIZE.0 as usize..][..SIZE.0 as usize];
     assert!(row[62] - row[57] > 0.2, "{} {}", row[57], row[62]);
-    // the least certain tenth of the pixels errs more than the most certain half
+    // the least confident tenth of the pixels has larger errors than the most confident half
     let confidence = got.confidence.unwrap();
     assert!(confidence.iter().all(|c| *c > 0.0 && *c <= 1.0));
     let mut order: Vec<usize> = (0..confidence.len()).collect();
     order.sort_by(|a, b| confidence[*a].total_cmp(&confidence[*b]));
     let of = |pixels: &[usize]| mean(&pixels.iter().map(|i| after[*i]).collect::<Vec<_>>());
     let (least, most) = (of(&order[..order.len() / 10]), of(&order[order.len() / 2..]));
-    assert!(least > 1.5 * most, "{least} where it is uncertain, {most} where it is not");
+    assert!(least > 1.5 * most, "{least} at low confidence, {most} at high confidence");
 }
 
 #[test]
-fn theta_leaves_a_clean_map_alone() {
+fn theta_leaves_a_clean_map_unchanged() {
     let Some(models) = models() else { return };
     let Scene { photo, delta: clean, .. } = scene(1);
     let got = denoised(&models, &photo, &clean);
     assert_eq!((got.delta, got.confidence), (clean, None));
 }
 
-/// A scene's layers, and what refining makes of them.
+/// The layers of a scene before and after refinement.
 fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let (limits, options) = (Limits::default(), Options { refine, ..Options::default() });
     let mut job = Context::new(models, &limits, &options, &Silent);
@@ -133,13 +133,13 @@ fn shapes(layered: &Layered) -> Vec<&LayerMask> {
     layered.tiles.iter().flatten().map(|l| &l.shape).collect()
 }
 
-/// Mean difference, in levels, between the colours of hidden texels on the wall and the wall that is behind the boxes.
-fn off_the_wall(layered: &Layered, scene: &Scene) -> f64 {
+/// Mean difference, in levels, between the colours of hidden texels on the wall and the true wall behind the boxes.
+fn wall_error(layered: &Layered, scene: &Scene) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for layer in layered.tiles.iter().flatten() {
         let shape = &layer.shape;
         let hidden = (0..shape.class.len() as u32).filter(|i| shape.class[*i as usize] == Class::Hidden as u8);
-        // the wall is farther than .36 everywhere, the boxes nearer
+        // δ of the wall is below 0.36 everywhere, that of the boxes above
         let on_wall = shape.plane.a < 0.45;
         for (i, colour) in hidden.zip(&layer.hidden).filter(|_| on_wall) {
             let at = (shape.rect.y + i / shape.rect.w) * SIZE.0 + shape.rect.x + i % shape.rect.w;
@@ -153,7 +153,7 @@ fn off_the_wall(layered: &Layered, scene: &Scene) -> f64 {
 }
 
 #[test]
-fn psi_repaints_hidden_texels_alone_and_no_worse() {
+fn psi_changes_only_hidden_texels_and_keeps_their_quality() {
     let Some(models) = models() else { return };
     let (mut before, mut after) = (0.0, 0.0);
     for seed in 0..8 {
@@ -162,12 +162,12 @@ fn psi_repaints_hidden_texels_alone_and_no_worse() {
         assert_eq!(shapes(&then), shapes(&first));
         let counts = |l: &Layered| l.tiles.iter().flatten().map(|l| l.hidden.len()).collect::<Vec<_>>();
         assert_eq!(counts(&then), counts(&first));
-        assert!(then.carries.alpha && then.carries.hidden.is_some(), "what does not follow from the photo is sent");
-        // a camera that does not move sees the photo
+        assert!(then.carries.alpha && then.carries.hidden.is_some(), "the container stores what does not follow from the photo");
+        // the reference view is the photo
         let made = compose(scene.photo.clone(), &then.geometry, then.tiles.clone());
         let view = draw_reference_view(&made).unwrap();
         assert!(view.rgba.iter().zip(&scene.photo.rgb).all(|(v, p)| v[..3] == *p));
-        let (was, is) = (off_the_wall(&first, &scene), off_the_wall(&then, &scene));
+        let (was, is) = (wall_error(&first, &scene), wall_error(&then, &scene));
         before += was / 8.0;
         after += is / 8.0;
     }
@@ -175,7 +175,7 @@ fn psi_repaints_hidden_texels_alone_and_no_worse() {
 }
 
 #[test]
-fn without_being_asked_psi_does_not_run() {
+fn psi_runs_only_if_switched_on() {
     let Some(models) = models() else { return };
     let scene = scene(1);
     for refine in [Switch::Auto, Switch::Off] {

@@ -1,4 +1,4 @@
-//! Labels of large photos: bands of whole rows of tiles, each a stream with models of its own, to be read side by side.
+//! Labels of large photos: bands of whole rows of tiles. Each band is a stream with its own models, so bands can be decoded in parallel.
 
 use std::ops::Range;
 
@@ -8,18 +8,18 @@ use super::{ContainerError, labels};
 use crate::parallel;
 use crate::scene::Grid;
 
-/// Pixels that are worth a band: smaller ones cost bytes, as each learns anew, larger ones leave processors
-/// idle. Photos below twice as many stay one stream.
+/// Minimum number of pixels per band: smaller bands cost bytes, because each trains its own models; larger ones leave processors idle. A
+/// photo with less than twice as many stays a single stream.
 #[cfg(feature = "write")]
 const PIXELS: u64 = 1_000_000;
 
-/// Rows of tiles a band for a photo of this grid; none where it stays one stream.
+/// Rows of tiles per band for a photo of this grid; `None` for a single stream.
 #[cfg(feature = "write")]
 pub fn rows(grid: &Grid) -> Option<u32> {
     rows_for(grid, PIXELS)
 }
 
-/// The same for about equal bands of at least so many pixels.
+/// Rows of tiles per band for bands of about equal size and at least `pixels` pixels; `None` for a single stream.
 #[must_use]
 pub fn rows_for(grid: &Grid, pixels: u64) -> Option<u32> {
     let most = u64::from(grid.width) * u64::from(grid.height) / pixels.max(1);
@@ -31,11 +31,11 @@ pub fn rows_for(grid: &Grid, pixels: u64) -> Option<u32> {
 struct Part<'a> {
     grid: Grid,
     counts: &'a [u8],
-    /// Pixels of its tiles.
+    /// Number of pixels in its tiles.
     labels: usize,
 }
 
-/// Cuts a grid into bands of so many rows, which come to its own.
+/// Cuts a grid into bands with these numbers of rows, which add up to the grid's.
 fn parts<'a>(grid: &Grid, counts: &'a [u8], rows: impl Iterator<Item = u32>) -> Vec<Part<'a>> {
     let columns = grid.columns();
     let cut = rows.scan(0, |first, rows| {
@@ -48,7 +48,7 @@ fn parts<'a>(grid: &Grid, counts: &'a [u8], rows: impl Iterator<Item = u32>) -> 
     cut.collect()
 }
 
-/// Labels of all tiles, as [`labels::encode`] takes them, in bands of `rows` rows of tiles, at least 1.
+/// Encodes the labels of all tiles, in the order of [`labels::encode`], in bands of `rows` rows of tiles, at least 1.
 #[cfg(feature = "write")]
 pub fn encode(grid: &Grid, counts: &[u8], all: &[u8], rows: u32) -> (Vec<u8>, Vec<Band>) {
     let each = (0..grid.rows()).step_by(rows.max(1) as usize).map(|first| rows.max(1).min(grid.rows() - first));
@@ -64,14 +64,14 @@ pub fn encode(grid: &Grid, counts: &[u8], all: &[u8], rows: u32) -> (Vec<u8>, Ve
     (streams.concat(), bands)
 }
 
-/// Reads the labels of all tiles, as [`labels::decode`]; those of bands without a row in `wanted` stay 0.
+/// Decodes the labels of all tiles, in the order of [`labels::decode`]. Labels of bands without a row in `wanted` stay 0.
 pub fn decode(grid: &Grid, counts: &[u8], bands: &[Band], data: &[u8], wanted: &Range<u32>) -> Result<Vec<u8>, ContainerError> {
     let sum = |of: fn(&Band) -> u32| bands.iter().map(|b| u64::from(of(b))).sum::<u64>();
     if bands.iter().any(|b| b.rows == 0) || sum(|b| b.rows) != u64::from(grid.rows()) || counts.len() != grid.tiles() as usize {
-        return Err(ContainerError::broken("labels: the bands have other rows of tiles than the grid"));
+        return Err(ContainerError::broken("labels: the bands do not match the grid's rows of tiles"));
     }
     if sum(|b| b.length) != data.len() as u64 {
-        return Err(ContainerError::broken("labels: the bands have another length than the section"));
+        return Err(ContainerError::broken("labels: the lengths of the bands do not add up to the section"));
     }
     let parts = parts(grid, counts, bands.iter().map(|b| b.rows));
     let mut labels = vec![0; parts.iter().map(|p| p.labels).sum()];
@@ -107,7 +107,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(40))]
 
         #[test]
-        fn labels_come_back_band_by_band(w in 1u32..150, h in 1u32..150, size in 8u32..70, seed in 0u32..100, rows in 1u32..6) {
+        fn labels_round_trip_in_bands(w in 1u32..150, h in 1u32..150, size in 8u32..70, seed in 0u32..100, rows in 1u32..6) {
             let grid = Grid::new(w, h, size);
             let (counts, labels) = maps(&grid, seed);
             let (data, bands) = encode(&grid, &counts, &labels, rows);
@@ -116,7 +116,7 @@ mod tests {
         }
 
         #[test]
-        fn a_damaged_band_is_told_by_its_number(seed in 0u32..100, at in any::<u16>(), flip in 1u8..) {
+        fn an_error_names_the_damaged_band(seed in 0u32..100, at in any::<u16>(), flip in 1u8..) {
             let grid = Grid::new(130, 200, 32);
             let (counts, labels) = maps(&grid, seed);
             let (mut data, bands) = encode(&grid, &counts, &labels, 2);
@@ -129,7 +129,7 @@ mod tests {
         }
 
         #[test]
-        fn what_is_not_wanted_is_not_read(seed in 0u32..100, first in 0u32..8, count in 1u32..4) {
+        fn unwanted_bands_are_not_decoded(seed in 0u32..100, first in 0u32..8, count in 1u32..4) {
             let grid = Grid::new(130, 200, 32);
             let (counts, labels) = maps(&grid, seed);
             let (mut data, bands) = encode(&grid, &counts, &labels, 2);
@@ -153,7 +153,7 @@ mod tests {
         }
 
         #[test]
-        fn bands_that_do_not_fit_are_errors(rows in prop::collection::vec(0u32..5, 0..6), lengths in prop::collection::vec(any::<u32>(), 6)) {
+        fn inconsistent_bands_are_rejected(rows in prop::collection::vec(0u32..5, 0..6), lengths in prop::collection::vec(any::<u32>(), 6)) {
             let grid = Grid::new(130, 200, 32);
             let (counts, labels) = maps(&grid, 3);
             let (data, good) = encode(&grid, &counts, &labels, 2);

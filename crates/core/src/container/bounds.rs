@@ -1,70 +1,70 @@
-//! Bounds that readers hold a container to, whatever it says of itself; writers hold themselves to the same.
+//! Limits that readers enforce, whatever a container claims; writers enforce the same limits.
 
 use super::{ContainerError, columns};
 use crate::layers::work_of;
 use crate::{Grid, Intrinsics, Tile, ViewBox};
 
-/// Pixels of the photo.
+/// Maximum number of pixels in the photo.
 pub const PIXELS: u64 = super::MAX_PIXELS;
-/// Pixels a side.
+/// Maximum width and height of the photo.
 pub const SIDE: u32 = super::MAX_SIDE;
-/// Planes in all.
+/// Maximum number of planes in all tiles.
 pub const PLANES: usize = 4_000_000;
-/// Pixels that deriving the texels may look at: a 50-megapixel photo of four planes a tile looks at about 5e9.
+/// Maximum number of pixels read to derive the texels. A 50-megapixel photo with four planes per tile reads about 5e9.
 const WORK: u64 = 8_000_000_000;
-/// The same for each pixel of the photo: tiles of 8 pixels, the smallest level's, with 20 planes each look at 17 000.
+/// The same per pixel of the photo. Tiles of 8 pixels, as in the smallest level, with 20 planes each read 17 000.
 const WORK_PER_PIXEL: u64 = 20_000;
-/// What even the smallest photo may look at.
-const WORK_LEAST: u64 = 50_000_000;
-/// Bytes of the index.
+/// Number of pixels that even the smallest photo may read.
+const MIN_WORK: u64 = 50_000_000;
+/// Maximum size of the index in bytes.
 pub const INDEX: usize = 1 << 20;
-/// Sections.
+/// Maximum number of sections.
 pub const SECTIONS: usize = 64;
 
-/// Pixels that deriving the texels of a grid may look at.
-fn most_work(grid: &Grid) -> u64 {
-    WORK.min(WORK_LEAST + u64::from(grid.width) * u64::from(grid.height) * WORK_PER_PIXEL)
+/// Maximum number of pixels read to derive the texels of a grid.
+fn max_work(grid: &Grid) -> u64 {
+    WORK.min(MIN_WORK + u64::from(grid.width) * u64::from(grid.height) * WORK_PER_PIXEL)
 }
 
-/// Checks a grid and its cameras.
+/// Checks a grid, intrinsics and view box.
 pub fn frame(grid: &Grid, k: &Intrinsics, v: &ViewBox) -> Result<(), ContainerError> {
     let sides = 1..=SIDE;
     if !sides.contains(&grid.width) || !sides.contains(&grid.height) || u64::from(grid.width) * u64::from(grid.height) > PIXELS {
         return Err(ContainerError::Bound(format!("a photo of {}×{}, over {PIXELS} pixels or {SIDE} a side", grid.width, grid.height)));
     }
-    // tiles that overlap by more than half would make the labels many times as large as the photo
+    // with tiles that overlap by more than half, labels would be many times as large as the photo
     if !sides.contains(&grid.size) || grid.stride < grid.size.div_ceil(2) || grid.stride > grid.size {
         return Err(ContainerError::Bound(format!("tiles of {} pixels every {}", grid.size, grid.stride)));
     }
     if !k.is_valid() || ![v.x, v.y, v.z].iter().all(|e| e.is_finite() && *e >= 0.0) {
-        return Err(ContainerError::Bound("a camera that is no camera".into()));
+        return Err(ContainerError::Bound("an invalid camera".into()));
     }
     Ok(())
 }
 
-/// Checks the count of planes, backgrounds included.
+/// Checks the number of planes in all tiles, including background planes.
 pub fn planes(grid: &Grid, count: usize) -> Result<(), ContainerError> {
     let least = grid.tiles() as usize;
-    let most = PLANES.min(least * columns::MOST_PLANES);
+    let most = PLANES.min(least * columns::MAX_PLANES);
     if (least..=most).contains(&count) {
         Ok(())
     } else {
-        Err(ContainerError::Bound(format!("{count} planes, where {least} to {most} can be")))
+        Err(ContainerError::Bound(format!("{count} planes; the grid allows {least} to {most}")))
     }
 }
 
-/// Checks what deriving the texels looks at. Labels need not be there yet.
+/// Checks how many pixels deriving the texels reads. Needs no labels.
 pub fn work(grid: &Grid, tiles: &[Tile]) -> Result<(), ContainerError> {
-    let (found, most) = (work_of(grid, (0..).map(|i: usize| tiles.get(i).map_or(0, |t| t.planes.len() as u64))), most_work(grid));
+    let (found, most) = (work_of(grid, (0..).map(|i: usize| tiles.get(i).map_or(0, |t| t.planes.len() as u64))), max_work(grid));
     if found > most {
         return Err(ContainerError::Bound(format!(
-            "more planes than a photo of this size can have: its layers look at {found} pixels, over {most}"
+            "too many planes for a photo of this size: deriving its layers reads {found} pixels, over {most}"
         )));
     }
     Ok(())
 }
 
-/// Checks what is to be written.
+/// Checks a geometry before it is written.
 #[cfg(feature = "write")]
 pub fn geometry(g: &crate::Geometry) -> Result<(), ContainerError> {
     frame(&g.grid, &g.intrinsics, &g.view_box)?;
@@ -72,22 +72,23 @@ pub fn geometry(g: &crate::Geometry) -> Result<(), ContainerError> {
     work(&g.grid, &g.tiles)
 }
 
-/// Whether readers take so many planes of this grid, backgrounds for all of its tiles included.
+/// True if readers accept these planes for this grid, even with a background plane in each tile.
 #[must_use]
 pub fn readable(grid: &Grid, tiles: &[Tile]) -> bool {
     let count = tiles.iter().map(|t| t.planes.len() + 1).sum();
     planes(grid, count).is_ok() && work(grid, tiles).is_ok()
 }
 
-/// Most planes a tile, without backgrounds, that readers take of any photo of this grid; 0 where its tiles are too small for its size.
+/// Maximum number of planes per tile, without background planes, that readers accept for every photo of this grid; 0 if the tiles are too
+/// small for the photo's size.
 #[must_use]
 pub fn most_planes(grid: &Grid) -> u32 {
-    let (one, most) = (work_of(grid, std::iter::repeat(0)), most_work(grid));
+    let (one, most) = (work_of(grid, std::iter::repeat(0)), max_work(grid));
     let tiles = grid.tiles().max(1) as usize;
-    // a tile's background is a plane, too
+    // a background plane counts, too
     let by_count = (PLANES / tiles).saturating_sub(1);
     let by_work = (most / one.max(1)).saturating_sub(1) as usize;
-    by_count.min(by_work).min(columns::MOST_PLANES - 1) as u32
+    by_count.min(by_work).min(columns::MAX_PLANES - 1) as u32
 }
 
 #[cfg(test)]
@@ -101,22 +102,22 @@ mod tests {
     }
 
     #[test]
-    fn the_most_planes_are_readable_and_one_more_are_not() {
+    fn most_planes_are_readable_and_one_more_is_not() {
         for (w, h, size) in [(600, 400, 8), (300, 200, 8), (4000, 3000, 64), (4000, 3000, 16), (8192, 6000, 64)] {
             let grid = Grid::new(w, h, size);
             let most = most_planes(&grid);
             assert!(most > 0, "{w}×{h} in tiles of {size}");
             assert!(work(&grid, &tiles(&grid, most)).is_ok());
-            if most < columns::MOST_PLANES as u32 - 1 {
+            if most < columns::MAX_PLANES as u32 - 1 {
                 assert!(work(&grid, &tiles(&grid, most + 1)).is_err(), "{w}×{h} in tiles of {size}: {most}");
             }
         }
         assert_eq!(most_planes(&Grid::new(8192, 6000, 8)), 0);
-        assert_eq!(most_planes(&Grid::full(4000, 3000)) as usize, columns::MOST_PLANES - 1);
+        assert_eq!(most_planes(&Grid::full(4000, 3000)) as usize, columns::MAX_PLANES - 1);
     }
 
     #[test]
-    fn the_largest_photo_is_taken_and_one_pixel_more_is_not() {
+    fn the_largest_photo_is_accepted_and_one_pixel_more_is_not() {
         let at = |width, height, size, stride| {
             let grid = Grid { width, height, size, stride };
             frame(&grid, &Intrinsics::centred(width.max(1), height.max(1), 50.0), &ViewBox::default()).is_ok()
@@ -131,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_that_are_none_are_refused() {
+    fn invalid_cameras_are_rejected() {
         let grid = Grid::new(100, 80, 64);
         let k = Intrinsics::centred(100, 80, 50.0);
         let seen = |k: Intrinsics, v: ViewBox| frame(&grid, &k, &v).is_ok();

@@ -1,23 +1,23 @@
-//! The section of planes: a count per tile, then columns of 16-bit values, low bytes before high bytes.
+//! The section of planes before entropy coding: a count per tile, then columns of 16-bit values, all low bytes before all high bytes.
 
 use super::ContainerError;
 use crate::{Grid, Plane, Tile};
 
-/// Set in a tile's count where its last plane is a background.
+/// Flag in a tile's count: the last plane is a background plane.
 pub const BACKGROUND: u8 = 0x80;
-/// Most labelled planes a tile.
-const MOST: u8 = 64;
-/// Most planes a tile, its background included.
-pub const MOST_PLANES: usize = MOST as usize + 1;
-/// Columns: a, b, c.
+/// Maximum number of labelled planes per tile.
+const MAX_LABELLED: u8 = 64;
+/// Maximum number of planes per tile, including the background plane.
+pub const MAX_PLANES: usize = MAX_LABELLED as usize + 1;
+/// Number of columns: a, b, c.
 const COLUMNS: usize = 3;
 
-/// Bytes of the section.
+/// Length of the section in bytes.
 pub fn bytes(tiles: usize, planes: usize) -> usize {
     tiles + planes * COLUMNS * 2
 }
 
-/// Planes that the count of a tile stands for.
+/// Number of planes from the count byte of a tile.
 pub fn planes_of(count: u8) -> usize {
     usize::from(count & !BACKGROUND) + usize::from(count >> 7)
 }
@@ -27,7 +27,7 @@ fn planes(tile: &Tile) -> impl Iterator<Item = &Plane> {
     tile.planes.iter().chain(&tile.background)
 }
 
-/// Writes the planes of all tiles.
+/// Encodes the planes of all tiles.
 pub fn write(tiles: &[Tile]) -> Vec<u8> {
     let mut out: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8 | if t.background.is_some() { BACKGROUND } else { 0 }).collect();
     for column in [|p: &Plane| p.a, |p: &Plane| p.b, |p: &Plane| p.c] {
@@ -38,7 +38,7 @@ pub fn write(tiles: &[Tile]) -> Vec<u8> {
     out
 }
 
-/// Reads the planes of all tiles of a grid, `count` planes in all; labels are left empty.
+/// Decodes the planes of all tiles of a grid, `count` in total; leaves the labels empty.
 pub fn read(grid: &Grid, count: usize, data: &[u8]) -> Result<Vec<Tile>, ContainerError> {
     let tiles = grid.tiles() as usize;
     if data.len() != bytes(tiles, count) {
@@ -46,7 +46,7 @@ pub fn read(grid: &Grid, count: usize, data: &[u8]) -> Result<Vec<Tile>, Contain
     }
     let (counts, columns) = data.split_at(tiles);
     let total: usize = counts.iter().map(|&c| planes_of(c)).sum();
-    if total != count || counts.iter().any(|c| !(1..=MOST).contains(&(c & !BACKGROUND))) {
+    if total != count || counts.iter().any(|c| !(1..=MAX_LABELLED).contains(&(c & !BACKGROUND))) {
         return Err(ContainerError::broken("planes: wrong count in a tile"));
     }
     let value = |column: usize, i: usize| {
@@ -68,21 +68,25 @@ pub fn read(grid: &Grid, count: usize, data: &[u8]) -> Result<Vec<Tile>, Contain
 mod tests {
     use super::*;
 
-    /// Two tiles with these counts, and as many planes as `count` says.
+    /// A section of two tiles with these count bytes, and of `count` planes.
     fn section(counts: [u8; 2], count: usize) -> Vec<u8> {
         [counts.to_vec(), vec![0; count * COLUMNS * 2]].concat()
     }
 
     #[test]
-    fn counts_of_tiles_make_up_the_count_of_planes_and_each_is_in_bounds() {
+    fn counts_add_up_to_the_planes_and_each_is_in_range() {
         let grid = Grid { width: 16, height: 8, size: 8, stride: 8 };
         let read = |counts, count| read(&grid, count, &section(counts, count));
         assert_eq!(read([1, 2 | BACKGROUND], 4).unwrap().iter().map(|t| t.planes.len()).collect::<Vec<_>>(), [1, 2]);
-        assert!(read([MOST, MOST | BACKGROUND], 2 * MOST as usize + 1).is_ok());
-        // each in bounds, and too many or too few together
+        assert!(read([MAX_LABELLED, MAX_LABELLED | BACKGROUND], 2 * MAX_LABELLED as usize + 1).is_ok());
+        // each count is in range, but the total is not
         assert!(read([1, 2], 4).is_err() && read([1, 2], 2).is_err());
-        // as many together as there should be, and one of them out of bounds
-        assert!(read([0, 2], 2).is_err() && read([BACKGROUND, 2], 3).is_err() && read([MOST + 1, 1], MOST as usize + 2).is_err());
+        // the total is right, but one count is out of range
+        assert!(
+            read([0, 2], 2).is_err()
+                && read([BACKGROUND, 2], 3).is_err()
+                && read([MAX_LABELLED + 1, 1], MAX_LABELLED as usize + 2).is_err()
+        );
         assert!(super::read(&grid, 2, &section([1, 1], 3)).is_err());
     }
 }

@@ -1,6 +1,6 @@
-//! The checksum of label bands: CRC-32 of IEEE 802.3, four bits at a time. Crates for it are quicker and, as wasm, many times as large.
+//! The checksum of label bands: CRC-32 of IEEE 802.3, four bits at a time. Crates are faster, but many times as large in wasm.
 
-/// What four bits come to.
+/// Remainders of all four-bit values.
 const TABLE: [u32; 16] = table();
 
 const fn table() -> [u32; 16] {
@@ -18,7 +18,7 @@ const fn table() -> [u32; 16] {
     table
 }
 
-/// Checksum of some bytes.
+/// CRC-32 of `bytes`.
 pub fn crc32(bytes: &[u8]) -> u32 {
     let half = |crc: u32| TABLE[(crc & 15) as usize] ^ crc >> 4;
     !bytes.iter().fold(!0, |crc, &byte| half(half(crc ^ u32::from(byte))))
@@ -27,7 +27,7 @@ pub fn crc32(bytes: &[u8]) -> u32 {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn the_check_value_of_the_standard() {
+    fn crc_matches_the_check_value_of_the_standard() {
         assert_eq!(super::crc32(b"123456789"), 0xCBF4_3926);
     }
 }

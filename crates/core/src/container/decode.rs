@@ -1,4 +1,4 @@
-//! Reading a container. Nothing in it is trusted: counts are bounded before anything is allocated for them.
+//! Decodes containers. Trusts nothing in them: checks counts before allocating memory for them.
 
 use std::ops::Range;
 
@@ -13,26 +13,26 @@ use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, 
 
 /// All rows of tiles.
 const ALL_ROWS: Range<u32> = 0..u32::MAX;
-/// Decodes a picture of at most so many pixels right and down.
+/// Decodes a picture section: format, file, and maximum width and height in pixels.
 pub type Pictures<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Photo, ContainerError> + Sync);
 
-/// One section as the index names it.
+/// A section, as described by the index.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct SectionInfo {
-    /// `photo planes labels alpha hidden`, or `unknown`.
+    /// One of `photo planes labels alpha hidden`, or `unknown`.
     pub kind: &'static str,
-    /// `raw zstd jpeg png webp range range-bands`.
+    /// One of `raw zstd jpeg png webp range range-bands`.
     pub codec: &'static str,
-    /// First byte in the file.
+    /// Offset of the first byte in the file.
     pub offset: u64,
-    /// Bytes in the file.
+    /// Length in the file, in bytes.
     pub length: u64,
-    /// Bytes after decompression, 0 for pictures.
+    /// Length after decompression, in bytes; 0 for pictures.
     pub raw_length: u64,
 }
 
-/// The sections of a container, in file order, without decoding them.
+/// Lists the sections of a container in file order, without decoding them.
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
@@ -64,7 +64,7 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, ContainerError> {
         .collect()
 }
 
-/// Photo and geometry of a container.
+/// Decodes photo and geometry of a container.
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
@@ -73,14 +73,14 @@ pub fn read(bytes: &[u8]) -> Result<(Photo, Geometry), ContainerError> {
     read_rows(bytes, ALL_ROWS)
 }
 
-/// The same, where nobody looks at labels but those of some rows of tiles; other tiles may have none.
+/// Like [`read`] for callers that need labels only in some rows of tiles; labels of other tiles may be missing.
 #[cfg(feature = "pictures")]
 pub(super) fn read_rows(bytes: &[u8], rows: Range<u32>) -> Result<(Photo, Geometry), ContainerError> {
     let (index, body) = split(bytes)?;
     parts(&index, body, &rows, &super::picture::decode)
 }
 
-/// Geometry of a container alone; its photo is not looked at.
+/// Decodes the geometry of a container; ignores its photo.
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
@@ -90,14 +90,14 @@ pub fn read_geometry(bytes: &[u8]) -> Result<Geometry, ContainerError> {
     layer_geometry(&index, body, grid, (intrinsics, view_box), &ALL_ROWS)
 }
 
-/// Header and index of a container, and its planes as its section lays them out before coding.
+/// Returns the header and index of a container, and its section of planes before entropy coding.
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 pub fn read_plain(bytes: &[u8]) -> Result<(&[u8], Vec<u8>), ContainerError> {
     let (index, body) = split(bytes)?;
     let (grid, ..) = cameras(&index)?;
-    Ok((&bytes[..bytes.len() - body.len()], laid_out(&index, body, &grid, index.planes as usize)?))
+    Ok((&bytes[..bytes.len() - body.len()], plane_section(&index, body, &grid, index.planes as usize)?))
 }
 
 fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: Pictures) -> Result<(Photo, Geometry), ContainerError> {
@@ -110,12 +110,12 @@ fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: Pictures) -> R
     );
     let (photo, geometry) = (photo?, geometry?);
     if (photo.width, photo.height) != (grid.width, grid.height) {
-        return Err(ContainerError::broken("photo: its size is not the index's"));
+        return Err(ContainerError::broken("photo: its size differs from the index"));
     }
     Ok((photo, geometry))
 }
 
-/// Reads a container; trusts nothing in it. The scene returned passes [`Scene::validate`].
+/// Decodes a container; trusts nothing in it. The returned scene passes [`Scene::validate`].
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
@@ -124,23 +124,23 @@ pub fn decode(bytes: &[u8]) -> Result<Scene, ContainerError> {
     decode_with(bytes, &super::picture::decode)
 }
 
-/// The same where the caller decodes picture sections.
+/// Like `decode`, but `pictures` decodes the picture sections.
 ///
 /// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`], or what `pictures` gives.
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`], or the error of `pictures`.
 pub fn decode_with(bytes: &[u8], pictures: Pictures) -> Result<Scene, ContainerError> {
     let (index, body) = split(bytes)?;
     let (photo, geometry) = parts(&index, body, &ALL_ROWS, pictures)?;
     let Geometry { grid, intrinsics, view_box, .. } = geometry;
     let tiles = 0..geometry.tiles.len() as u32;
-    let Part { layers, texels, .. } = unfold(&index, body, &geometry, tiles, geometry.surface(), &photo.rgb, pictures)?;
+    let Part { layers, texels, .. } = derive_layers(&index, body, &geometry, tiles, geometry.surface(), &photo.rgb, pictures)?;
     let scene = Scene { grid, intrinsics, view_box, photo, layers, texels };
     scene.validate().map_err(|e| ContainerError::broken(e.to_string()))?;
     Ok(scene)
 }
 
-/// Layers and texels of some tiles. `surface` and `rgb` have the rows that these follow from, the same ones.
-pub(super) fn unfold(
+/// Layers and texels of some tiles. `surface` and `rgb` cover the same rows, all that these tiles depend on.
+pub(super) fn derive_layers(
     index: &Index,
     body: &[u8],
     geometry: &Geometry,
@@ -179,7 +179,7 @@ pub(super) fn unfold(
     Ok(Part { layers, texels })
 }
 
-/// Header and index checked; gives the index and the bytes after it.
+/// Checks header and sections; returns the index and the bytes after it.
 pub(super) fn split(bytes: &[u8]) -> Result<(Index, &[u8]), ContainerError> {
     let head: [u8; 12] = bytes.first_chunk().copied().ok_or_else(|| ContainerError::broken("shorter than its header"))?;
     if head[..4] != MAGIC {
@@ -202,12 +202,12 @@ pub(super) fn split(bytes: &[u8]) -> Result<(Index, &[u8]), ContainerError> {
     if index.sections.len() > bounds::SECTIONS {
         return Err(ContainerError::broken("too many sections"));
     }
-    // also those that nobody asks for
+    // also checks sections that no reader uses
     index.sections.iter().try_for_each(|s| range(s, body).map(drop))?;
     Ok((index, body))
 }
 
-/// Index and grid, checked.
+/// Index and grid, both checked.
 pub(super) fn declared(bytes: &[u8]) -> Result<(Index, Grid), ContainerError> {
     let (index, _) = split(bytes)?;
     let (grid, ..) = cameras(&index)?;
@@ -234,7 +234,7 @@ pub(super) fn range<'a>(s: &Section, body: &'a [u8]) -> Result<&'a [u8], Contain
     }
 }
 
-/// Format of a picture section.
+/// Picture format of a section.
 fn format(s: &Section) -> Result<PhotoFormat, ContainerError> {
     match s.codec() {
         Codec::Jpeg => Ok(PhotoFormat::Jpeg),
@@ -244,41 +244,41 @@ fn format(s: &Section) -> Result<PhotoFormat, ContainerError> {
     }
 }
 
-/// A compressed section of exactly `want` bytes; absent where that is 0.
+/// Unpacks a section of exactly `want` bytes; it may be missing if that is 0.
 fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>, ContainerError> {
     let Some(s) = find(index, kind) else {
         return if want == 0 { Ok(Vec::new()) } else { Err(ContainerError::broken(format!("section {} is missing", kind as i32))) };
     };
     let data = range(s, body)?;
     if s.raw_length != want as u64 {
-        return Err(ContainerError::broken(format!("section {} is of the wrong length", s.kind)));
+        return Err(ContainerError::broken(format!("section {} has the wrong length", s.kind)));
     }
     let raw = match s.codec() {
         Codec::Raw => data.to_vec(),
         #[cfg(feature = "unpack")]
         Codec::Zstd => super::unpack::section(s, data, want)?,
         #[cfg(not(feature = "unpack"))]
-        Codec::Zstd => return Err(ContainerError::broken(format!("section {} is packed", s.kind))),
+        Codec::Zstd => return Err(ContainerError::broken(format!("section {} is packed with zstd", s.kind))),
         _ => return Err(ContainerError::broken(format!("section {} has a picture codec", s.kind))),
     };
     if raw.len() != want {
-        return Err(ContainerError::broken(format!("section {} is of the wrong length", s.kind)));
+        return Err(ContainerError::broken(format!("section {} has the wrong length", s.kind)));
     }
     Ok(raw)
 }
 
-/// Bytes of the section of `count` planes as [`columns`] lays them out.
-fn laid_out(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Result<Vec<u8>, ContainerError> {
+/// The section of `count` planes in the layout of [`columns`].
+fn plane_section(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Result<Vec<u8>, ContainerError> {
     let want = columns::bytes(grid.tiles() as usize, count);
     match find(index, Kind::Planes).filter(|s| s.codec() == Codec::Range) {
         Some(s) if s.raw_length != want as u64 => Err(ContainerError::broken("planes: wrong length")),
         Some(s) => planes::decode(planes::Layout::of(grid, count), range(s, body)?),
-        // before minor version 3
+        // packed with zstd: repetitive planes, and all planes until minor version 2
         None => unpack(index, body, Kind::Planes, want),
     }
 }
 
-/// Planes of all tiles, and labels of those in `rows`.
+/// Planes of all tiles, and labels of the tiles in `rows`.
 pub(super) fn layer_geometry(
     index: &Index,
     body: &[u8],
@@ -287,11 +287,11 @@ pub(super) fn layer_geometry(
     rows: &Range<u32>,
 ) -> Result<Geometry, ContainerError> {
     if index.matted && [Kind::Alpha, Kind::Hidden].into_iter().any(|kind| find(index, kind).is_some()) {
-        return Err(ContainerError::broken("matted layers follow from the photo; none of them is carried"));
+        return Err(ContainerError::broken("a matted container must not carry alphas or hidden colours"));
     }
     let count = index.planes as usize;
     bounds::planes(&grid, count)?;
-    let mut tiles = columns::read(&grid, count, &laid_out(index, body, &grid, count)?)?;
+    let mut tiles = columns::read(&grid, count, &plane_section(index, body, &grid, count)?)?;
     let section = find(index, Kind::Labels)
         .filter(|s| matches!(s.codec(), Codec::Range | Codec::RangeBands))
         .ok_or_else(|| ContainerError::broken("there is no section of labels"))?;
@@ -312,7 +312,7 @@ pub(super) fn layer_geometry(
     Ok(Geometry { grid, intrinsics, view_box, tiles, matted: index.matted })
 }
 
-/// Adds the refinement to the soft alphas, where there is one.
+/// Applies the section of refined alphas to the soft texels, if there is one.
 fn refine_alpha(index: &Index, body: &[u8], alpha: &mut [u8]) -> Result<(), ContainerError> {
     if find(index, Kind::Alpha).is_none() {
         return Ok(());
@@ -328,7 +328,7 @@ fn refine_alpha(index: &Index, body: &[u8], alpha: &mut [u8]) -> Result<(), Cont
     Ok(())
 }
 
-/// Sets where each layer's hidden texels begin; gives their count.
+/// Sets the index of each layer's first hidden texel; returns the number of hidden texels.
 fn count_hidden(layers: &mut [Layer], class: &[u8]) -> usize {
     let mut hidden = 0;
     for l in layers {

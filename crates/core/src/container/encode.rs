@@ -1,4 +1,4 @@
-//! Writing a container.
+//! Encodes containers.
 
 use image::ImageFormat;
 use prost::Message;
@@ -8,61 +8,61 @@ use super::wire::{Codec, Index, Kind, Section};
 use super::{Carried, ContainerError, MAJOR, MINOR, bands, bounds, columns, encode_jpeg, encode_lossless, hidden, labels, planes};
 use crate::{Geometry, Grid, Scene};
 
-/// Level of zstd; sections are small, so the highest of the ordinary levels costs little.
+/// zstd level; sections are small, so the highest ordinary level costs little time.
 const LEVEL: i32 = 19;
-/// Above this many bytes a section takes a quicker level: level 19 does about 3 MB/s.
+/// Sections longer than this, in bytes, use a faster level: level 19 compresses about 3 MB/s.
 const LARGE: usize = 2 << 20;
 const LARGE_LEVEL: i32 = 9;
 
-/// What a container carries beyond photo, planes and labels, from which all else follows.
+/// What a container carries in addition to photo, planes and labels, which determine everything else.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Carries {
-    /// Soft alphas, because a network refined them.
+    /// Soft alphas, if a network has refined them.
     pub alpha: bool,
-    /// Hidden colours, because they are others than [`crate::Inpainter`] gives.
+    /// Hidden colours, if they differ from those of [`crate::Inpainter`].
     pub hidden: Option<HiddenAs>,
 }
 
-/// Sections of a container in bytes.
+/// Sizes of a container's sections in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SectionBytes {
-    /// Everything.
+    /// The whole container.
     pub total: usize,
-    /// Index and planes.
+    /// Header, index and planes.
     pub index: usize,
-    /// Photo.
+    /// The photo.
     pub photo: usize,
-    /// Classes and alpha.
+    /// Labels and refined alphas.
     pub alpha: usize,
     /// Hidden colours.
     pub hidden: usize,
 }
 
-/// How hidden colours are carried.
+/// Codec for hidden colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HiddenAs {
-    /// JPEG of quality 1 to 100.
+    /// JPEG with a quality from 1 to 100.
     Jpeg(u8),
-    /// PNG, without loss.
+    /// Lossless PNG.
     Png,
-    /// WebP without loss.
+    /// Lossless WebP.
     Webp,
 }
 
-/// Writes a container of a scene that follows from `geometry`, but for what `carries` names. `carried` is the photo's file.
+/// Encodes a container of `geometry`, with the parts of `scene` that `carries` selects. `carried` is the photo's file. Returns the
+/// container and the sizes of its sections.
 ///
 /// # Errors
-/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit; [`ContainerError::Bound`] where no reader would
-/// take it.
+/// [`ContainerError::Encode`] if a codec fails, or if a matted geometry is to carry alphas or hidden colours;
+/// [`ContainerError::Bound`] if the geometry exceeds a limit of readers; [`ContainerError::Broken`] if the planes are inconsistent.
 pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
     encode_in(bands::rows(&geometry.grid), geometry, scene, carried, carries)
 }
 
-/// The same with labels in bands of so many rows of tiles, or in one stream.
+/// Like [`encode`] with labels in bands of `rows` rows of tiles, or in a single stream for `None`.
 ///
 /// # Errors
-/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit; [`ContainerError::Bound`] where no reader would
-/// take it.
+/// As in [`encode`].
 pub fn encode_in(
     rows: Option<u32>,
     geometry: &Geometry,
@@ -72,14 +72,14 @@ pub fn encode_in(
 ) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
     bounds::geometry(geometry)?;
     if geometry.matted && carries != Carries::default() {
-        return Err(ContainerError::Encode("matted layers follow from the photo; none of them is carried".into()));
+        return Err(ContainerError::Encode("a matted container must not carry alphas or hidden colours".into()));
     }
     let mut file = File::default();
     file.add(Kind::Photo, carried.format.codec(), carried.bytes.clone(), 0);
     let planes = columns::write(&geometry.tiles);
     let layout = planes::Layout::of(&geometry.grid, geometry.planes());
     let coded = planes::encode(layout, &planes)?;
-    // planes that repeat from tile to tile, as in drawings
+    // zstd wins if planes repeat from tile to tile, as in drawings
     if packed(&planes)?.len() < coded.len() {
         file.add_packed(Kind::Planes, &planes)?;
     } else {
@@ -127,7 +127,7 @@ pub fn encode_in(
     Ok(file.finish(&index))
 }
 
-/// Difference (mod 256) of every soft texel's alpha to the one that follows from the geometry; empty where there is none.
+/// For each soft texel, the difference (mod 256) between its alpha and the alpha derived from the geometry; empty if all are 0.
 fn refined_alpha(geometry: &Geometry, scene: &Scene) -> Vec<u8> {
     let derived = geometry.masks().into_iter().flat_map(|s| s.layers).flat_map(|l| l.alpha);
     let soft =
@@ -159,7 +159,7 @@ impl File {
         self.body.extend(data);
     }
 
-    /// Labels of all tiles in bands of `rows` rows of tiles, or in one stream.
+    /// Adds the labels of all tiles in bands of `rows` rows of tiles, or in a single stream.
     fn add_labels(&mut self, grid: &Grid, counts: &[u8], all: &[u8], rows: Option<u32>) {
         let Some(rows) = rows else { return self.add(Kind::Labels, Codec::Range, labels::encode(grid, counts, all), 0) };
         let (data, bands) = bands::encode(grid, counts, all, rows);

@@ -1,10 +1,10 @@
-//! Scenes that tests of several crates write and read.
+//! Scenes for the tests of several crates.
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, reason = "for tests alone")]
 
 use super::{Carried, Carries, PhotoFormat, encode_in, encode_lossless};
 use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Scene, TexturedLayer, Tile, ViewBox, compose};
 
-/// Near discs before a slanted wall, with backgrounds and refined alphas here and there; hidden colours that JPEG keeps well.
+/// Near discs in front of a slanted wall; some tiles have background planes, some alphas are refined, and hidden colours survive JPEG well.
 #[must_use]
 pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
     let grid = Grid::new(width, height, 64);
@@ -43,7 +43,7 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
     (geometry, scene)
 }
 
-/// The same scene matted, of a photo in which the discs are red with a soft outline; only planes, labels and photo are of use.
+/// The same scene matted, with a photo in which the discs are red with soft outlines. Use only its planes, labels and photo.
 #[must_use]
 pub fn matted((mut geometry, mut scene): (Geometry, Scene)) -> (Geometry, Scene) {
     geometry.matted = true;
@@ -59,7 +59,7 @@ pub fn matted((mut geometry, mut scene): (Geometry, Scene)) -> (Geometry, Scene)
     (geometry, scene)
 }
 
-/// The same scene with planes that differ from tile to tile, as in photos; only planes and labels are of use.
+/// The same scene with planes that differ from tile to tile, as in photos. Use only its planes and labels.
 #[must_use]
 pub fn rough((mut geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
     let planes = geometry.tiles.iter_mut().flat_map(|t| t.planes.iter_mut().chain(&mut t.background));
@@ -71,7 +71,7 @@ pub fn rough((mut geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
     (geometry, scene)
 }
 
-/// A container of nothing but photo (without loss), planes, and labels in bands of so many rows of tiles or in one stream.
+/// A container with only photo (lossless PNG), planes, and labels in bands of `rows` rows of tiles or in a single stream.
 #[must_use]
 pub fn bare_in(rows: Option<u32>, (geometry, s): &(Geometry, Scene)) -> Vec<u8> {
     let png = encode_lossless(image::ImageFormat::Png, s.photo.width, s.photo.height, s.photo.rgb.as_flattened()).unwrap();

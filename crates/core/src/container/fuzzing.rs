@@ -1,31 +1,31 @@
-//! Doors to what lies within a container, for [`crate::fuzzing`].
+//! Entry points into the container's codecs for the fuzz targets of `tmpi`.
 
 use super::{ContainerError, bounds, columns, decode, labels, planes as coded};
 use crate::Grid;
 
-/// What the index says that a container holds.
+/// Sizes that the index declares.
 pub struct Size {
-    /// Pixels of the photo.
+    /// Number of pixels in the photo.
     pub pixels: u64,
-    /// Texels of all layers at most.
+    /// Maximum number of texels in all layers.
     pub texels: u64,
 }
 
-/// Size by the index alone.
+/// Reads the declared sizes from the index.
 pub fn size(bytes: &[u8]) -> Result<Size, ContainerError> {
     let (index, grid) = decode::declared(bytes)?;
-    let planes = u64::from(index.planes).min(u64::from(grid.tiles()) * columns::MOST_PLANES as u64).min(bounds::PLANES as u64);
+    let planes = u64::from(index.planes).min(u64::from(grid.tiles()) * columns::MAX_PLANES as u64).min(bounds::PLANES as u64);
     let tile = u64::from(grid.size.min(grid.width)) * u64::from(grid.size.min(grid.height));
     Ok(Size { pixels: u64::from(grid.width) * u64::from(grid.height), texels: planes * tile })
 }
 
-/// A grid as photos have it.
+/// A grid like that of photos.
 #[must_use]
 pub fn grid(width: u32, height: u32, size: u32) -> Grid {
     Grid::new(width, height, size)
 }
 
-/// Reads labels, and what is written of them.
+/// Decodes labels, then encodes and decodes them again.
 pub fn labels(grid: &Grid, counts: &[u8], stream: &[u8]) {
     let Ok(read) = labels::decode(grid, counts, stream) else { return };
     let mut rest = read.as_slice();
@@ -36,20 +36,20 @@ pub fn labels(grid: &Grid, counts: &[u8], stream: &[u8]) {
     }
     assert!(rest.is_empty());
     let again = labels::decode(grid, counts, &labels::encode(grid, counts, &read));
-    assert!(again.is_ok_and(|a| a == read), "labels that were written are not read");
+    assert!(again.is_ok_and(|a| a == read), "encoded labels decode differently");
 }
 
-/// Reads planes, and writes them again.
+/// Decodes planes, and encodes them again.
 pub fn planes(grid: &Grid, count: usize, data: &[u8]) {
     if let Ok(tiles) = columns::read(grid, count, data) {
         assert!(tiles.iter().flat_map(|t| t.planes.iter().chain(&t.background)).all(crate::Plane::is_finite));
-        assert_eq!(columns::write(&tiles), data, "planes that were read are written otherwise");
+        assert_eq!(columns::write(&tiles), data, "decoded planes encode differently");
     }
     let layout = coded::Layout::of(grid, count);
-    // the same bytes as a stream
+    // the same bytes as an entropy-coded stream
     if let Ok(raw) = coded::decode(layout, data) {
-        assert!(columns::read(grid, count, &raw).is_ok(), "planes that were decoded cannot be read");
+        assert!(columns::read(grid, count, &raw).is_ok(), "decoded planes cannot be parsed");
         let again = coded::encode(layout, &raw).and_then(|data| coded::decode(layout, &data));
-        assert!(again.is_ok_and(|a| a == raw), "planes that were coded are decoded otherwise");
+        assert!(again.is_ok_and(|a| a == raw), "encoded planes decode differently");
     }
 }

@@ -2,10 +2,11 @@
 
 use crate::{Class, Layer};
 
-/// Side of a block in pixels; also the codec's.
+/// Side of a block in pixels, the same as in JPEG.
 pub const BLOCK: u32 = 8;
 
-/// Calls `cell(x, y)` for every 8×8 cell of the photo's pixel grid that a layer touches, row by row; cell corners in photo pixels.
+/// Calls `cell(x, y)` for every 8×8 cell of the photo's pixel grid that a layer overlaps, row by row, with the cell's corner in photo
+/// pixels.
 fn cells(l: &Layer, mut cell: impl FnMut(u32, u32)) {
     let r = l.rect;
     for y in (r.y / BLOCK * BLOCK..r.y + r.h).step_by(BLOCK as usize) {
@@ -15,7 +16,7 @@ fn cells(l: &Layer, mut cell: impl FnMut(u32, u32)) {
     }
 }
 
-/// Calls `texel(index in the layer, place in the block)` for the hidden texels of a cell.
+/// Calls `texel(index in the layer, index in the block)` for each hidden texel in a cell.
 fn hidden_in(l: &Layer, class: &[u8], (x, y): (u32, u32), mut texel: impl FnMut(usize, usize)) {
     let r = l.rect;
     for py in y.max(r.y)..(y + BLOCK).min(r.y + r.h) {
@@ -28,7 +29,8 @@ fn hidden_in(l: &Layer, class: &[u8], (x, y): (u32, u32), mut texel: impl FnMut(
     }
 }
 
-/// Blocks of all layers in the schema's order; `place(block, place in block, hidden index)` is told of every hidden texel.
+/// Visits the blocks of all layers in the schema's order and calls `place(block, index in the block, index of the hidden texel)` for each
+/// hidden texel. Returns the number of blocks.
 pub fn walk(layers: &[Layer], class: &[u8], mut place: impl FnMut(usize, usize, usize)) -> usize {
     let mut blocks = 0;
     let mut rank: Vec<u32> = Vec::new();
@@ -52,13 +54,13 @@ pub fn walk(layers: &[Layer], class: &[u8], mut place: impl FnMut(usize, usize, 
     blocks
 }
 
-/// Blocks a row for a picture that is about square.
+/// Number of blocks per row for an approximately square picture.
 #[cfg(feature = "write")]
 pub fn columns_for(blocks: usize) -> usize {
     (blocks as f64).sqrt().ceil() as usize
 }
 
-/// Paints the blocks. What no hidden texel claims continues the texels that do, smoothly: that costs a codec least.
+/// Paints the blocks. Pixels without a hidden texel smoothly continue those with one, which is cheapest for a codec.
 #[cfg(feature = "write")]
 pub fn paint(layers: &[Layer], class: &[u8], hidden: &[[u8; 3]], blocks: usize, columns: usize) -> (u32, u32, Vec<u8>) {
     let (w, h) = (columns * BLOCK as usize, blocks.div_ceil(columns.max(1)) * BLOCK as usize);
@@ -86,11 +88,11 @@ pub fn paint(layers: &[Layer], class: &[u8], hidden: &[[u8; 3]], blocks: usize, 
     (w as u32, h as u32, rgb)
 }
 
-/// One block while it is painted.
+/// A block while it is painted.
 #[cfg(feature = "write")]
 struct Patch {
     texels: [[f32; 3]; 64],
-    /// A bit for every texel that has a colour.
+    /// One bit for each texel that has a colour.
     known: u64,
 }
 
@@ -103,10 +105,10 @@ impl Default for Patch {
 
 #[cfg(feature = "write")]
 impl Patch {
-    /// Sweeps of the relaxation that smooths what was continued.
+    /// Number of relaxation sweeps that smooth the filled texels.
     const SWEEPS: usize = 6;
 
-    /// Continues the known texels over the others, ring by ring, then relaxes those towards the mean of their neighbours.
+    /// Extends the known texels over the others, ring by ring, then relaxes the filled ones towards the mean of their neighbours.
     fn complete(&mut self) {
         let fixed = self.known;
         while self.known != 0 && self.known != u64::MAX {
@@ -141,7 +143,7 @@ impl Patch {
     }
 }
 
-/// Takes the hidden colours back out of a picture `width` pixels wide that holds all blocks (checked by the caller).
+/// Extracts the hidden colours from a picture that is `width` pixels wide. The caller checks that it holds all blocks.
 pub fn read(layers: &[Layer], class: &[u8], count: usize, columns: usize, width: usize, rgb: &[[u8; 3]]) -> Vec<[u8; 3]> {
     let mut hidden = vec![[0; 3]; count];
     walk(layers, class, |block, place, index| {

@@ -1,18 +1,18 @@
-//! Label maps, entropy coded: which layer is visible at each pixel of each tile.
+//! Entropy-coded label maps: the plane that each pixel of each tile lies on.
 //!
-//! A pixel is coded as a series of questions (is it the label to the left? the one above? …), each with a context of which
-//! neighbours agree, and of whether the tile decoded before has an edge there where tiles overlap.
+//! A pixel is coded as a series of binary decisions (is it the label to the left? the one above? …). Their contexts are which neighbours
+//! agree, and whether an earlier, overlapping tile has an edge there.
 
 use super::ContainerError;
 use super::range::{Bit, Coder, Decoder, Encoder};
 use crate::Grid;
 
-/// Contexts of a question: five bits of agreement, three states of the overlapping tile.
+/// Contexts per decision: five bits of agreement, and three states of the overlapping tile.
 const CONTEXTS: usize = 32 * 3;
-/// Most labels a tile: the depth of the tree that a label without a neighbour is spelled with.
+/// Maximum number of labels per tile, and of leaves in the tree that codes a label without a matching neighbour.
 const TREE: usize = 64;
 
-/// What a coder knows of labels.
+/// Adaptive models of a label coder.
 pub struct Models {
     left: [Bit; CONTEXTS],
     above: [Bit; CONTEXTS],
@@ -21,12 +21,12 @@ pub struct Models {
 }
 
 impl Models {
-    /// All of them, in one order.
+    /// All bits in a fixed order.
     pub fn bits(&mut self) -> impl Iterator<Item = &mut Bit> {
         self.left.iter_mut().chain(&mut self.above).chain(&mut self.diagonal).chain(&mut self.tree)
     }
 
-    /// Models that know nothing.
+    /// Untrained models.
     pub fn new() -> Box<Self> {
         Box::new(Self {
             left: [Bit::default(); CONTEXTS],
@@ -37,7 +37,7 @@ impl Models {
     }
 }
 
-/// What earlier tiles said of each pixel: tile number plus one, and label.
+/// What earlier tiles say about each pixel: tile index plus one, and label.
 struct Seen {
     width: usize,
     tile: Vec<u32>,
@@ -45,18 +45,19 @@ struct Seen {
 }
 
 impl Seen {
-    /// 0 unknown, 1 the same label at both pixels, 2 an edge between them.
+    /// 0 if unknown, 1 if both pixels have the same label, 2 if there is an edge between them.
     fn edge(&self, p: usize, q: usize) -> usize {
         if self.tile[p] == 0 || self.tile[p] != self.tile[q] { 0 } else { 1 + usize::from(self.label[p] != self.label[q]) }
     }
 }
 
-/// Labels of all tiles (row-major within each tile, each below its tile's count) as bytes; a tile of one label takes none.
+/// Encodes the labels of all tiles, row-major within each tile. Each label is below its tile's count. A tile with a single label takes no
+/// bits.
 pub fn encode(grid: &Grid, counts: &[u8], labels: &[u8]) -> Vec<u8> {
     encode_by(&mut Models::new(), grid, counts, labels)
 }
 
-/// The same by models that go on learning.
+/// Like [`encode`], with models that keep learning.
 pub fn encode_by(models: &mut Models, grid: &Grid, counts: &[u8], labels: &[u8]) -> Vec<u8> {
     let mut coder = Encoder::new();
     let mut labels = labels.to_vec();
@@ -64,7 +65,7 @@ pub fn encode_by(models: &mut Models, grid: &Grid, counts: &[u8], labels: &[u8])
     coder.finish()
 }
 
-/// Reads the labels of all tiles; `counts` has one entry a tile of the grid, each 1 to 64.
+/// Decodes the labels of all tiles; `counts` has an entry from 1 to 64 for each tile of the grid.
 pub fn decode(grid: &Grid, counts: &[u8], data: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let total = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum();
     let mut labels = vec![0; total];
@@ -72,12 +73,12 @@ pub fn decode(grid: &Grid, counts: &[u8], data: &[u8]) -> Result<Vec<u8>, Contai
     Ok(labels)
 }
 
-/// The same into zeros, one for each pixel of each tile.
+/// Like [`decode`], into a slice of zeros with one entry for each pixel of each tile.
 pub fn decode_into(grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), ContainerError> {
     decode_by(&mut Models::new(), grid, counts, data, labels)
 }
 
-/// The same by models that go on learning.
+/// Like [`decode_into`], with models that keep learning.
 pub fn decode_by(models: &mut Models, grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), ContainerError> {
     if counts.len() != grid.tiles() as usize || counts.iter().any(|c| !(1..=TREE as u8).contains(c)) {
         return Err(ContainerError::broken("labels: a tile must have 1 to 64 of them"));
@@ -146,7 +147,7 @@ fn tile_labels(grid: &Grid, tile: u32, count: u8, own: &mut [u8], seen: &mut See
     }
 }
 
-/// A label from scratch, bit by bit from the highest; what a damaged stream spells beyond the count becomes the last label.
+/// Codes a label without a matching neighbour, from the highest bit. If a damaged stream exceeds the count, returns the last label.
 fn spell(models: &mut Models, count: u8, label: u8, coder: &mut impl Coder) -> u8 {
     let bits = u8::BITS - (count - 1).leading_zeros();
     let (mut node, mut value) = (1usize, 0u8);
@@ -162,7 +163,7 @@ fn spell(models: &mut Models, count: u8, label: u8, coder: &mut impl Coder) -> u
 pub(super) mod testing {
     use crate::Grid;
 
-    /// Counts and labels in stripes that go on from tile to tile.
+    /// Counts and labels in stripes that continue from tile to tile.
     pub fn maps(grid: &Grid, seed: u32) -> (Vec<u8>, Vec<u8>) {
         let (mut counts, mut labels) = (Vec::new(), Vec::new());
         for t in 0..grid.tiles() {
@@ -187,7 +188,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(40))]
 
         #[test]
-        fn labels_come_back(w in 1u32..150, h in 1u32..150, size in 8u32..70, seed in 0u32..100) {
+        fn labels_round_trip(w in 1u32..150, h in 1u32..150, size in 8u32..70, seed in 0u32..100) {
             let grid = Grid::new(w, h, size);
             let (counts, labels) = maps(&grid, seed);
             prop_assert_eq!(decode(&grid, &counts, &encode(&grid, &counts, &labels)).unwrap(), labels);

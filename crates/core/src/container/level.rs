@@ -1,20 +1,20 @@
-//! Smaller levels of a container, for slow links and small screens: photo and labels at half, a quarter, an eighth of the size.
+//! Smaller levels of a container, for slow connections and small screens: photo and labels at half, a quarter or an eighth of the size.
 //!
-//! Planes stay as they are, since δ is affine in units of half a tile and tiles shrink with the photo. Nothing is estimated anew.
+//! Planes do not change, because δ is affine in units of half a tile, and tiles shrink with the photo. Nothing is estimated again.
 
 use super::{Carried, Carries, ContainerError, bounds, decode, encode};
 use crate::{Geometry, Grid, Intrinsics, Photo, Scene, Texels, Tile};
 
 /// The smallest level: an eighth of the size.
 pub const LEVELS: u8 = 3;
-/// Quality of a level's photo.
+/// JPEG quality of a level's photo.
 const QUALITY: u8 = 90;
 
-/// A container of `1 / 2^level` of the size; levels above [`LEVELS`], or above what the tiles allow (size and stride must be
-/// divisible, and readers must take their count of planes for the size), give the smallest there is. Level 0 is the container itself.
+/// Makes a container of `1 / 2^level` of the size. Stops at the smallest possible level: [`LEVELS`], or less if a tile's size or stride is
+/// odd, or if readers would reject so many planes for the size. Level 0 is the container itself.
 ///
 /// # Errors
-/// [`ContainerError::Broken`], [`ContainerError::Newer`], [`ContainerError::Encode`].
+/// [`ContainerError::Broken`], [`ContainerError::Bound`], [`ContainerError::Newer`] or [`ContainerError::Encode`].
 pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, ContainerError> {
     let (photo, geometry) = decode::read(container)?;
     let (photo, geometry, done) = smaller(photo, geometry, level);
@@ -22,10 +22,10 @@ pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, ContainerError> {
         return Ok(container.to_vec());
     }
     let carried = carried(&photo)?;
-    written(photo, &geometry, &carried)
+    encode_geometry(photo, &geometry, &carried)
 }
 
-/// Photo and geometry at `1 / 2^level` of their size, or the smallest there is, and how many times they were halved.
+/// Photo and geometry at `1 / 2^level` of their size, or at the smallest possible level, and the number of halvings.
 pub(super) fn smaller(mut photo: Photo, mut geometry: Geometry, level: u8) -> (Photo, Geometry, u8) {
     let mut done = 0;
     while done < level.min(LEVELS)
@@ -38,19 +38,19 @@ pub(super) fn smaller(mut photo: Photo, mut geometry: Geometry, level: u8) -> (P
     (photo, geometry, done)
 }
 
-/// The photo as levels carry it.
+/// Encodes the photo of a level.
 pub(super) fn carried(photo: &Photo) -> Result<Carried, ContainerError> {
     Carried::from_photo(photo, QUALITY)
 }
 
-/// A container of photo and geometry, from which all texels follow; none is written.
-pub(super) fn written(photo: Photo, geometry: &Geometry, carried: &Carried) -> Result<Vec<u8>, ContainerError> {
+/// Encodes a container with only photo and geometry, which determine all texels.
+pub(super) fn encode_geometry(photo: Photo, geometry: &Geometry, carried: &Carried) -> Result<Vec<u8>, ContainerError> {
     let Geometry { grid, intrinsics, view_box, .. } = *geometry;
     let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
     Ok(encode(geometry, &scene, carried, Carries::default())?.0)
 }
 
-/// The same planes over tiles of half the size; none where a tile's size or stride is odd.
+/// The same planes over tiles of half the size; `None` if a tile's size or stride is odd.
 fn halved(b: &Geometry) -> Option<Geometry> {
     let (g, k) = (b.grid, b.intrinsics);
     if !g.size.is_multiple_of(2) || !g.stride.is_multiple_of(2) {
@@ -62,7 +62,7 @@ fn halved(b: &Geometry) -> Option<Geometry> {
     Some(Geometry { grid, intrinsics, view_box: b.view_box, tiles, matted: b.matted })
 }
 
-/// Each label by the vote of the four pixels under it; of equals the nearer plane, so that thin things stay.
+/// Chooses each label by majority of the four pixels that it replaces; ties go to the nearer plane, so that thin objects survive.
 fn halved_tile(tile: &Tile, from: &Grid, to: &Grid, index: u32) -> Tile {
     let (r, half) = (from.rect(index), to.rect(index));
     let mut labels = Vec::with_capacity(half.area());
@@ -96,7 +96,7 @@ fn halved_tile(tile: &Tile, from: &Grid, to: &Grid, index: u32) -> Tile {
     Tile { planes, labels, background: tile.background }
 }
 
-/// Means of 2×2 pixels; the last row and column stand twice where there is no other.
+/// Means of 2×2 pixels; an odd last row or column counts twice.
 fn halved_photo(p: &Photo) -> Photo {
     let (width, height) = (p.width.div_ceil(2), p.height.div_ceil(2));
     let mut rgb = Vec::with_capacity(width as usize * height as usize);
@@ -117,9 +117,9 @@ mod tests {
     use crate::{Plane, ViewBox};
 
     #[test]
-    fn a_level_has_half_the_camera_and_the_planes_that_are_left_in_their_order() {
+    fn a_level_halves_the_intrinsics_and_keeps_the_order_of_planes() {
         let planes: Vec<Plane> = [0.1, 0.4, 0.6, 0.9].map(Plane::fronto_parallel).to_vec();
-        // the second plane is one pixel of four everywhere: it goes; two pixels each: the nearer stays
+        // the second plane covers one pixel of four and disappears; of two planes with two pixels each, the nearer one stays
         let labels = (0..64u8).map(|i| match (i % 8 / 4, i % 2 + i / 8 % 2 * 2) {
             (0, 0) => 1,
             (0, _) => 0,
@@ -142,11 +142,11 @@ mod tests {
     }
 
     #[test]
-    fn a_photo_is_halved_by_means_and_its_odd_border_stands_twice() {
+    fn halving_a_photo_averages_pixels_and_repeats_an_odd_border() {
         let photo = Photo { width: 3, height: 3, rgb: (0..9).map(|i| [i * 10, 255, i]).collect() };
         let half = halved_photo(&photo);
         assert_eq!((half.width, half.height), (2, 2));
-        // the mean of 0, 1, 3 and 4 is 2, that of 2, 2, 5 and 5 3.5, rounded up
+        // the mean of 0, 1, 3 and 4 is 2; that of 2, 2, 5 and 5 is 3.5, rounded up
         assert_eq!(half.rgb, [[20, 255, 2], [35, 255, 4], [65, 255, 7], [80, 255, 8]]);
     }
 }

@@ -1,4 +1,4 @@
-//! The container: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
+//! The container format: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
 
 mod bands;
 pub(crate) mod bounds;
@@ -56,36 +56,36 @@ pub use unpack::unpacked;
 
 /// First bytes of a container.
 pub const MAGIC: [u8; 4] = *b"TMPI";
-/// Major version written, and the newest that is read.
+/// Major version that is written, and the newest that can be read.
 pub const MAJOR: u16 = 1;
-/// Minor version written.
+/// Minor version that is written.
 pub const MINOR: u16 = 4;
 /// Media type of a container.
 pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
 
-/// Pixels of the photo of a container, at most: 50 megapixels.
+/// Maximum number of pixels in a container's photo: 50 megapixels.
 pub const MAX_PIXELS: u64 = 50_000_000;
-/// Pixels a side of the photo of a container, at most.
+/// Maximum width and height of a container's photo, in pixels.
 pub const MAX_SIDE: u32 = 16_384;
 
-/// Why a container could not be written or read.
+/// Why a container cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ContainerError {
-    /// The bytes are no container, damaged, or exceed a bound; the text names what and where.
+    /// The bytes are not a container, or are damaged, or exceed a limit; the text says what and where.
     #[error("not a readable TMPI container: {0}")]
     Broken(String),
     /// The container is of a newer major version.
     #[error("the container is of version {found}; this program reads up to version {known}")]
     Newer {
-        /// Major version found.
+        /// Its major version.
         found: u16,
-        /// Major version known.
+        /// The newest known major version.
         known: u16,
     },
-    /// It holds more than a reader takes; the text names what and the bound.
-    #[error("not a container that readers take: {0}")]
+    /// The container exceeds a limit of readers; the text names it.
+    #[error("unsupported container: {0}")]
     Bound(String),
-    /// A picture codec failed while writing.
+    /// A picture cannot be encoded, or the container cannot hold what was requested.
     #[error("encoding a picture: {0}")]
     Encode(String),
 }

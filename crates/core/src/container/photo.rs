@@ -1,9 +1,9 @@
-//! The photo's file as a container carries it.
+//! The photo's file in a container.
 
 #[cfg(feature = "write")]
 use super::wire::Codec;
 
-/// Container format of an uploaded photo.
+/// File format of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PhotoFormat {
     /// JPEG.
@@ -15,7 +15,7 @@ pub enum PhotoFormat {
 }
 
 impl PhotoFormat {
-    /// Format of a file, by its first bytes.
+    /// The format of a file, from its first bytes; `None` if it is another format.
     #[must_use]
     pub fn sniff(bytes: &[u8]) -> Option<Self> {
         match bytes {
@@ -38,7 +38,7 @@ impl PhotoFormat {
 }
 
 impl PhotoFormat {
-    /// How the index names it.
+    /// The codec's name in the index.
     #[cfg(feature = "write")]
     pub(super) fn codec(self) -> Codec {
         match self {
@@ -49,11 +49,11 @@ impl PhotoFormat {
     }
 }
 
-/// The photo as it is carried in a container.
+/// The photo's file, as a container carries it.
 #[derive(Clone, Debug)]
 pub struct Carried {
-    /// Picture file.
+    /// Contents of the picture file.
     pub bytes: Vec<u8>,
-    /// Its format.
+    /// Format of the file.
     pub format: PhotoFormat,
 }

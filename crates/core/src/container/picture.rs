@@ -6,10 +6,10 @@ use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 use super::{Carried, ContainerError, PhotoFormat, bounds};
 use crate::scene::Photo;
 
-/// Encodes 8-bit RGB as JPEG of `quality` 1 to 100.
+/// Encodes 8-bit RGB as JPEG with a quality from 1 to 100.
 ///
 /// # Errors
-/// [`ContainerError::Encode`] where a side is over 65 535 pixels.
+/// [`ContainerError::Encode`] if a side is over 65 535 pixels.
 pub fn encode_jpeg(width: u32, height: u32, rgb: &[u8], quality: u8) -> Result<Vec<u8>, ContainerError> {
     let mut out = Vec::new();
     JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
@@ -18,10 +18,10 @@ pub fn encode_jpeg(width: u32, height: u32, rgb: &[u8], quality: u8) -> Result<V
     Ok(out)
 }
 
-/// Encodes 8-bit RGB (three bytes a pixel) or RGBA (four) without loss as PNG or WebP.
+/// Encodes 8-bit RGB (three bytes per pixel) or RGBA (four) as lossless PNG or WebP.
 ///
 /// # Errors
-/// [`ContainerError::Encode`] where the format cannot hold the size.
+/// [`ContainerError::Encode`] if the format cannot hold the size.
 pub fn encode_lossless(format: ImageFormat, width: u32, height: u32, pixels: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let rgb = pixels.len() == width as usize * height as usize * 3;
     let mut out = std::io::Cursor::new(Vec::new());
@@ -31,42 +31,42 @@ pub fn encode_lossless(format: ImageFormat, width: u32, height: u32, pixels: &[u
 }
 
 impl Carried {
-    /// Encodes a photo anew as JPEG of `quality` 1 to 100.
+    /// Encodes a photo as JPEG with a quality from 1 to 100.
     ///
     /// # Errors
-    /// [`ContainerError::Encode`].
+    /// [`ContainerError::Encode`] if a side is over 65 535 pixels.
     pub fn from_photo(photo: &Photo, quality: u8) -> Result<Self, ContainerError> {
         let bytes = encode_jpeg(photo.width, photo.height, photo.rgb.as_flattened(), quality)?;
         Ok(Self { bytes, format: PhotoFormat::Jpeg })
     }
 
-    /// Encodes a photo anew without loss, as WebP.
+    /// Encodes a photo as lossless WebP.
     ///
     /// # Errors
-    /// [`ContainerError`] where a side is over 16 383 pixels.
+    /// [`ContainerError::Encode`] if a side is over 16 383 pixels.
     pub fn lossless(photo: &Photo) -> Result<Self, ContainerError> {
         let bytes = encode_lossless(ImageFormat::WebP, photo.width, photo.height, photo.rgb.as_flattened())?;
         Ok(Self { bytes, format: PhotoFormat::WebP })
     }
 
-    /// Decodes the photo as a reader of the container sees it.
+    /// Decodes the photo as readers of the container do.
     ///
     /// # Errors
-    /// [`ContainerError::Broken`].
+    /// [`ContainerError::Broken`] if the file is damaged or exceeds a limit.
     pub fn decode(&self) -> Result<Photo, ContainerError> {
         decode(self.format, &self.bytes, (bounds::SIDE, bounds::SIDE))
     }
 }
 
-/// Most bytes a pixel that decoding takes: 16-bit RGBA, and what a progressive JPEG keeps of its coefficients.
+/// Maximum memory per pixel for decoding, in bytes: 16-bit RGBA, and the coefficients of a progressive JPEG.
 const DECODING: u64 = 16;
-/// What even the smallest picture may take.
-const DECODING_LEAST: u64 = 1 << 20;
+/// Memory that even the smallest picture may use, in bytes.
+const MIN_DECODING: u64 = 1 << 20;
 
-/// Decodes a picture of at most `most` pixels right and down.
+/// Decodes a picture of at most `most` pixels (width, height).
 ///
 /// # Errors
-/// [`ContainerError::Broken`] where it is damaged or larger.
+/// [`ContainerError::Broken`] if it is damaged or larger.
 pub fn decode(format: PhotoFormat, bytes: &[u8], most: (u32, u32)) -> Result<Photo, ContainerError> {
     let format = match format {
         PhotoFormat::Jpeg => ImageFormat::Jpeg,
@@ -79,7 +79,7 @@ pub fn decode(format: PhotoFormat, bytes: &[u8], most: (u32, u32)) -> Result<Pho
     limits.max_image_width = Some(most.0);
     limits.max_image_height = Some(most.1);
     let pixels = (u64::from(most.0) * u64::from(most.1)).min(bounds::PIXELS);
-    limits.max_alloc = Some(DECODING_LEAST + pixels * DECODING);
+    limits.max_alloc = Some(MIN_DECODING + pixels * DECODING);
     reader.limits(limits);
     let rgb = reader.decode().map_err(broken)?.into_rgb8();
     let (width, height) = rgb.dimensions();

@@ -1,8 +1,9 @@
-//! Adaptive binary range coder: 12-bit probabilities as mean of a quick and a slow estimate, 32-bit range, carry by counting.
+//! Adaptive binary range coder: 12-bit probabilities from the mean of a quick and a slow estimate, 32-bit range, carry propagation by
+//! counting.
 //!
-//! All arithmetic is on integers, so that writer and reader agree bit for bit on every machine, in browsers too.
+//! All arithmetic is in integers, so writers and readers agree bit for bit on every machine, including browsers.
 
-/// An adaptive bit: probability of a 1 in 1/65 536, learnt at two speeds.
+/// An adaptive model of one bit: the probability of a 1 in 1/65 536, estimated at two speeds.
 #[derive(Clone, Copy, Debug)]
 pub struct Bit {
     quick: u16,
@@ -17,11 +18,11 @@ impl Default for Bit {
 
 const QUICK: u32 = 4;
 const SLOW: u32 = 7;
-/// Below this range the coder shifts out a byte.
+/// Below this range, the coder shifts out a byte.
 const BOTTOM: u32 = 1 << 24;
 
 impl Bit {
-    /// A bit that is 1 with a probability of `p` in 65 536.
+    /// A model that starts with a probability of `p` in 65 536 for a 1.
     #[must_use]
     pub const fn of(p: u16) -> Self {
         Self { quick: p, slow: p }
@@ -33,7 +34,7 @@ impl Bit {
         self.slow
     }
 
-    /// Share of the range that a 1 takes, in 1/4096, never 0 and never all.
+    /// Share of the range for a 1, in 1/4096: 1 to 4095.
     fn share(self) -> u32 {
         ((u32::from(self.quick) + u32::from(self.slow)) >> 5).clamp(1, 4095)
     }
@@ -45,11 +46,11 @@ impl Bit {
     }
 }
 
-/// Writes bits.
+/// Writes bits to a stream.
 pub struct Encoder {
     low: u64,
     range: u32,
-    /// The last byte, held back as a carry may still raise it, and the count of 0xFF bytes after it.
+    /// The last byte, held back because a carry may still increment it, and the number of 0xFF bytes after it.
     held: u8,
     ones: usize,
     started: bool,
@@ -96,7 +97,7 @@ impl Encoder {
         self.low = (self.low & 0x00ff_ffff) << 8;
     }
 
-    /// The stream; zero bytes at its end are left out, the decoder reads zeros there.
+    /// Ends the stream. Omits trailing zero bytes; the decoder reads zeros there.
     #[must_use]
     pub fn finish(mut self) -> Vec<u8> {
         for _ in 0..5 {
@@ -108,7 +109,7 @@ impl Encoder {
     }
 }
 
-/// Reads bits.
+/// Reads bits from a stream.
 pub struct Decoder<'a> {
     code: u32,
     range: u32,
@@ -116,7 +117,7 @@ pub struct Decoder<'a> {
 }
 
 impl<'a> Decoder<'a> {
-    /// Starts at the first byte of a stream.
+    /// Starts at the beginning of a stream.
     #[must_use]
     pub fn new(data: &'a [u8]) -> Self {
         let mut d = Self { code: 0, range: u32::MAX, data };
@@ -151,9 +152,9 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// Writes bits or reads them: the walk over what is coded is the same both ways.
+/// Writes or reads bits, so that one function can do both.
 pub trait Coder {
-    /// Writes `bit` and gives it, or gives the bit that is read.
+    /// Writes `bit` and returns it, or ignores it and returns the bit read.
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
 }
 
@@ -177,7 +178,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(bits in prop::collection::vec((0usize..4, prop::bool::weighted(0.03)), 0..4000), flip in any::<bool>()) {
+        fn bits_round_trip(bits in prop::collection::vec((0usize..4, prop::bool::weighted(0.03)), 0..4000), flip in any::<bool>()) {
             let mut models = [Bit::default(); 4];
             let mut e = Encoder::new();
             for (m, b) in &bits { e.put(&mut models[*m], *b ^ flip); }
@@ -188,7 +189,7 @@ mod tests {
             for (m, b) in &bits { prop_assert_eq!(d.get(&mut models[*m]), *b ^ flip); }
         }
 
-        /// Any bytes are bits, and what an encoder makes of these bits is read as the same ones.
+        /// Any bytes decode to bits, and encoding these bits gives a stream that decodes to the same bits.
         #[test]
         fn any_bytes_can_be_read(data in prop::collection::vec(any::<u8>(), 0..200)) {
             let read = |data: &[u8]| {

@@ -1,14 +1,14 @@
-//! A part of a container: the tiles over a rectangle of the photo, as a container of their own.
+//! Regions of a container: the tiles over a rectangle of the photo, as a container of their own.
 //!
-//! Planes and labels stay bit for bit, and with them the shape of every layer but near a cut border: there what lies behind a thing
-//! is guessed without the tiles that were left out, as it is at a photo's own border.
+//! Planes and labels are the same bit for bit, and so is the shape of every layer, except near a cut border: there, hidden texels are
+//! derived without the tiles that were cut off, as at the photo's own border.
 
 use std::ops::Range;
 
 use super::{ContainerError, decode, level};
 use crate::{Geometry, Grid, Intrinsics, Photo, Rect};
 
-/// Some whole tiles of a grid; no range is empty.
+/// A rectangle of whole tiles in a grid; neither range is empty.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Tiles {
     /// Columns of tiles.
@@ -18,7 +18,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// The fewest whole tiles that cover `region`; none where it is empty or reaches out of the photo.
+    /// The fewest whole tiles that cover `region`; `None` if it is empty or extends beyond the photo.
     #[must_use]
     pub fn over(grid: &Grid, region: Rect) -> Option<Self> {
         let within = |from: u32, length: u32, side: u32| length > 0 && u64::from(from) + u64::from(length) <= u64::from(side);
@@ -27,44 +27,45 @@ impl Tiles {
         }
         let range = |from: u32, length: u32, tiles: u32| {
             let first = (from / grid.stride).min(tiles - 1);
-            // tiles overlap: the one before may reach to the end already
+            // tiles overlap, so the tile before may already reach the end
             let last = (from + length).saturating_sub(grid.size).div_ceil(grid.stride).max(first);
             first..last + 1
         };
         Some(Self { columns: range(region.x, region.w, grid.columns()), rows: range(region.y, region.h, grid.rows()) })
     }
 
-    /// As [`Tiles::over`], of the grid of a container.
+    /// [`Tiles::over`] for the grid of a container.
     ///
     /// # Errors
-    /// [`ContainerError::Broken`], [`ContainerError::Newer`].
+    /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
     pub fn over_region(container: &[u8], region: Rect) -> Result<Option<Self>, ContainerError> {
         let (_, grid) = decode::declared(container)?;
         Ok(Self::over(&grid, region))
     }
 }
 
-/// How the photo of a region is carried.
+/// Codec for the photo of a region.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RegionPhoto {
-    /// As JPEG of the quality that smaller levels have.
+    /// JPEG with the quality of smaller levels.
     #[default]
     Jpeg,
-    /// As WebP without loss.
+    /// Lossless WebP.
     Lossless,
 }
 
-/// A container of some tiles alone, at `1 / 2^level` of their size as [`super::level`] has it. The grid begins at a corner of a tile;
-/// the principal point moves with it, so that poses mean the same. All tiles are the container itself, or its level. Refined alphas and hidden colours are not carried: they follow
-/// from the rest.
+/// Makes a container of some tiles at `1 / 2^level` of their size, as in [`super::level`]. The grid starts at the corner of a tile, and the
+/// principal point moves with it, so poses keep their meaning. If `tiles` has all tiles, the result is the container itself, or its level.
+/// Does not carry refined alphas and hidden colours, which are derived again.
 ///
 /// # Errors
-/// [`ContainerError::Broken`] also where `tiles` are not all there, [`ContainerError::Newer`], [`ContainerError::Encode`].
+/// [`ContainerError::Broken`], also if `tiles` is empty or out of range; [`ContainerError::Bound`], [`ContainerError::Newer`] or
+/// [`ContainerError::Encode`].
 pub fn region(container: &[u8], tiles: &Tiles, level: u8, as_: RegionPhoto) -> Result<Vec<u8>, ContainerError> {
     let (_, grid) = decode::declared(container)?;
     let within = |range: &Range<u32>, count: u32| range.start < range.end && range.end <= count;
     if !within(&tiles.columns, grid.columns()) || !within(&tiles.rows, grid.rows()) {
-        return Err(ContainerError::broken("there are no such tiles"));
+        return Err(ContainerError::broken("tiles out of range"));
     }
     if (tiles.columns.end - tiles.columns.start, tiles.rows.end - tiles.rows.start) == (grid.columns(), grid.rows()) {
         return level::level(container, level);
@@ -77,10 +78,10 @@ pub fn region(container: &[u8], tiles: &Tiles, level: u8, as_: RegionPhoto) -> R
         RegionPhoto::Jpeg => level::carried(&photo)?,
         RegionPhoto::Lossless => super::Carried::lossless(&photo)?,
     };
-    level::written(photo, &geometry, &carried)
+    level::encode_geometry(photo, &geometry, &carried)
 }
 
-/// The tiles alone, and where their pixels lie.
+/// The rectangle of the tiles in pixels, and the geometry of these tiles.
 fn cut(geometry: Geometry, tiles: &Tiles) -> (Rect, Geometry) {
     let Geometry { grid, intrinsics: k, view_box, tiles: all, matted } = geometry;
     let (rect, part) = grid.part(tiles.columns.clone(), tiles.rows.clone());
@@ -121,7 +122,7 @@ mod tests {
             let tiles = Tiles::over_region(one, wanted).unwrap().unwrap();
             let (rect, _) = grid.part(tiles.columns.clone(), tiles.rows.clone());
             prop_assert!(rect.contains(&wanted));
-            // one tile less on any side does not cover it
+            // with one tile less on any side, the region is not covered
             for less in [
                 Tiles { columns: tiles.columns.start + 1..tiles.columns.end, ..tiles.clone() },
                 Tiles { columns: tiles.columns.start..tiles.columns.end - 1, ..tiles.clone() },
@@ -152,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_part_of_the_photo_has_no_tiles() {
+    fn rectangles_outside_the_photo_have_no_tiles() {
         let grid = Grid::new(200, 100, 64);
         for (x, y, w, h) in
             [(0, 0, 0, 1), (0, 0, 1, 0), (199, 0, 2, 1), (0, 99, 1, 2), (200, 0, 1, 1), (u32::MAX, 0, 1, 1), (0, 0, u32::MAX, 1)]
@@ -163,7 +164,7 @@ mod tests {
             Tiles::over(&grid, Rect { x: 0, y: 0, w: 200, h: 100 }),
             Some(Tiles { columns: 0..grid.columns(), rows: 0..grid.rows() })
         );
-        // within the strip where tiles overlap either would do
+        // inside an overlap, either tile would do
         assert_eq!(Tiles::over(&grid, Rect { x: 57, y: 0, w: 3, h: 9 }), Some(Tiles { columns: 1..2, rows: 0..1 }));
         let whole = bare_in(None, &scene(70, 40));
         for columns in [0..3, 1..1, 5..6] {

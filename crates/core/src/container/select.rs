@@ -1,18 +1,18 @@
-//! Some sections of a container, as a container of its own.
+//! Makes a container from some sections of another one.
 
 use prost::Message;
 
 use super::wire::{Kind, Section};
 use super::{ContainerError, MAGIC, decode};
 
-/// Names of the sections, in file order; `index` stands for the header and the index, which are always there.
+/// Names of the sections in file order. `index` stands for header and index, which every container has.
 pub const SECTIONS: [&str; 6] = ["index", "photo", "planes", "labels", "alpha", "hidden"];
 
-/// A container of those sections alone that `names` holds; its index lists no other. What the container does not have is left out.
-/// The bytes of a section stay as they are.
+/// Makes a container of the sections in `names`, without changing their bytes. Its index lists only these sections. Ignores names of
+/// sections that the container does not have.
 ///
 /// # Errors
-/// [`ContainerError::Broken`], [`ContainerError::Newer`].
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
 pub fn select(container: &[u8], names: &[&str]) -> Result<Vec<u8>, ContainerError> {
     let (mut index, body) = decode::split(container)?;
     let mut kept = Vec::new();
@@ -30,10 +30,10 @@ pub fn select(container: &[u8], names: &[&str]) -> Result<Vec<u8>, ContainerErro
     Ok(out)
 }
 
-/// The container with one section more.
+/// Appends a section to a container.
 ///
 /// # Errors
-/// [`ContainerError::Broken`], [`ContainerError::Newer`].
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
 pub fn with_section(container: &[u8], kind: Kind, codec: super::wire::Codec, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let (mut index, body) = decode::split(container)?;
     let (offset, length) = (body.len() as u64, data.len() as u64);
@@ -44,12 +44,12 @@ pub fn with_section(container: &[u8], kind: Kind, codec: super::wire::Codec, dat
     Ok(out)
 }
 
-/// Header of a container, with its index.
+/// Header and index of a container; `version` is the major and minor version, little-endian.
 pub(super) fn header(version: &[u8], index: &[u8]) -> Vec<u8> {
     [&MAGIC[..], version, &(index.len() as u32).to_le_bytes(), index].concat()
 }
 
-/// Name of a kind of section.
+/// Name of a section.
 pub fn name(kind: Kind) -> &'static str {
     match kind {
         Kind::Photo => "photo",

@@ -1,36 +1,37 @@
-//! Texels as the graphics device takes them: strips of texture pages.
+//! Texels in the layout for GPU textures: strips of texture pages.
 
 use super::{Part, PhotoRows};
 use crate::scene::colour;
 use crate::{BorderBlur, Class, Layer};
 
-/// A part of a layer in a strip.
+/// A rectangle of a layer, and its position in a strip.
 #[derive(Clone, Copy, Debug)]
 pub struct Piece {
-    /// Number of the layer.
+    /// Index of the layer.
     pub layer: usize,
-    /// First column and row taken of it.
+    /// First column and row in the layer.
     pub from: (usize, usize),
-    /// Columns and rows taken.
+    /// Number of columns and rows.
     pub size: (usize, usize),
-    /// Whether columns and rows run backward.
+    /// True if columns, rows are reversed.
     pub mirrored: (bool, bool),
-    /// First column in the strip.
+    /// First column in the strip; the first row is 0.
     pub x: usize,
 }
 
 impl Piece {
-    /// Numbers of a piece: layer, first column, first row, columns, rows, mirrored (1: columns, 2: rows), column in the strip.
+    /// Number of integers that encode a piece: layer, first column, first row, columns, rows, mirrored (1: columns, 2: rows), column in the
+    /// strip.
     pub const NUMBERS: usize = 7;
 
-    /// Takes a piece out of its numbers.
+    /// Decodes a piece from [`Self::NUMBERS`] integers.
     #[must_use]
     pub fn of(n: &[u32; Self::NUMBERS]) -> Self {
         let [layer, u, v, w, h, flags, x] = n.map(|n| n as usize);
         Self { layer, from: (u, v), size: (w, h), mirrored: (flags & 1 != 0, flags & 2 != 0), x }
     }
 
-    /// Whether it lies within its layer and within a strip.
+    /// True if the piece lies within its layer and within a strip.
     fn fits(&self, layer: &Layer, (width, height): (usize, usize)) -> bool {
         let within = |from: usize, size: usize, most: usize| from.checked_add(size).is_some_and(|end| end <= most);
         within(self.from.0, self.size.0, layer.rect.w as usize)
@@ -40,7 +41,8 @@ impl Piece {
     }
 }
 
-/// Premultiplied or straight RGBA of a strip of `size`, row by row; none where a piece does not fit. `blur` is of the same rows as `photo`.
+/// Renders pieces into a strip of `size` (width, height): RGBA, row by row, straight or premultiplied. `blur` must have the same rows as
+/// `photo`. `None` if a piece does not fit.
 #[must_use]
 pub fn strip(
     part: &Part,
@@ -66,26 +68,26 @@ pub fn strip(
     Some(out)
 }
 
-/// Adds the texels of a layer to `out`, row by row, premultiplied. `photo` has the colours of the whole photo, `width` to a row.
+/// Appends the texels of a layer to `out`, row by row, as premultiplied RGBA. `photo` has the colours of the whole photo, `width` to a row.
 pub(crate) fn texels(part: &Part, layer: &Layer, (photo, width): (&[u32], usize), out: &mut Vec<[u8; 4]>) {
     let (from, size) = (out.len(), (layer.rect.w as usize, layer.rect.h as usize));
     out.resize(from + size.0 * size.1, [0; 4]);
     let piece = Piece { layer: 0, from: (0, 0), size, mirrored: (false, false), x: 0 };
     expand(part, layer, &piece, &mut Words { photo, width }, &mut out[from..], size.0);
     let own = layer.first_texel..layer.first_texel + layer.rect.area();
-    // what is not there is 0 already
+    // empty texels are 0 already
     if part.texels.alpha[own].iter().any(|a| (1..u8::MAX).contains(a)) {
         out[from..].iter_mut().for_each(premultiply);
     }
 }
 
-/// Colours of the photo, as words.
+/// Colours of photo pixels, as words.
 trait Colours {
-    /// `count` pixels of row `y` from column `x` on.
+    /// Colours of `count` pixels of row `y` from column `x` on.
     fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32];
 }
 
-/// Some rows of the photo, each made words when it is asked for.
+/// Some rows of the photo; converts pixels to words on demand.
 struct Rows<'a> {
     photo: &'a PhotoRows,
     words: Vec<u32>,
@@ -107,7 +109,7 @@ impl Colours for Rows<'_> {
     }
 }
 
-/// What continues the photo beyond its borders.
+/// Colours that continue the photo beyond its borders.
 struct Blurred<'a> {
     rows: Rows<'a>,
     blur: &'a BorderBlur,
@@ -125,7 +127,7 @@ impl Colours for Blurred<'_> {
     }
 }
 
-/// All of the photo, as words.
+/// The whole photo, as words.
 struct Words<'a> {
     photo: &'a [u32],
     width: usize,
@@ -141,7 +143,7 @@ fn expand(part: &Part, l: &Layer, piece: &Piece, photo: &mut dyn Colours, out: &
     let (w, h) = piece.size;
     let hidden_of = |class: &[u8]| class.iter().filter(|&&c| c == Class::Hidden as u8).count();
     let texel = |v: usize| l.first_texel + v * l.rect.w as usize;
-    // hidden colours lie in a row, so those before the piece are counted too
+    // hidden colours of a layer are contiguous, so count those before the piece
     let mut hidden = l.first_hidden + hidden_of(&part.texels.class[texel(0)..texel(piece.from.1)]);
     for v in 0..h {
         let y = piece.from.1 + v;
@@ -161,9 +163,9 @@ fn expand(part: &Part, l: &Layer, piece: &Piece, photo: &mut dyn Colours, out: &
     }
 }
 
-/// Writes a row; gives the count of hidden colours that it took. Empty texels become 0.
+/// Writes a row and returns the number of hidden colours used. Empty texels become 0.
 fn fill(class: &[u8], alpha: &[u8], photo: &[u32], hidden: &[[u8; 3]], to: &mut [[u8; 4]]) -> usize {
-    // without a branch: most rows have none that is hidden
+    // without a branch: most rows have no hidden texels
     for (((to, &class), &a), word) in to.iter_mut().zip(class).zip(alpha).zip(photo) {
         let all = if class == Class::Photo as u8 { u32::MAX } else { 0 };
         *to = ((word | u32::from(a) << 24) & all).to_le_bytes();
@@ -175,11 +177,11 @@ fn fill(class: &[u8], alpha: &[u8], photo: &[u32], hidden: &[[u8; 3]], to: &mut 
     texels.zip(hidden).map(|(((to, a), _), [r, g, b])| *to = [*r, *g, *b, *a]).count()
 }
 
-/// Colour times alpha, rounded to nearest, without a branch: red and blue at once, then green.
+/// Multiplies the colour by alpha, rounded to nearest, without a branch: red and blue together, then green.
 fn premultiply(texel: &mut [u8; 4]) {
     let word = u32::from_le_bytes(*texel);
     let a = word >> 24;
-    // of two products of 16 bits each, plus 127, the quotient by 255
+    // divides two products of 16 bits each by 255, rounded
     let times = |two: u32| {
         let sum = two * a + 0x007f_007f;
         (sum + 0x0001_0001 + (sum >> 8 & 0x00ff_00ff)) >> 8 & 0x00ff_00ff
@@ -192,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_times_alpha_are_rounded_to_the_nearest_whatever_they_are() {
+    fn premultiplication_rounds_every_value_to_nearest() {
         for (v, a) in (0..=255u8).flat_map(|v| (0..=255u8).map(move |a| (v, a))) {
             let mut texel = [v, 255 - v, v / 2, a];
             premultiply(&mut texel);

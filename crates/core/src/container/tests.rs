@@ -13,13 +13,13 @@ fn container((geometry, s): &(Geometry, Scene)) -> Vec<u8> {
     bytes
 }
 
-/// The same with nothing but photo (without loss), planes and labels.
+/// A container with only photo (lossless), planes and labels.
 fn bare(made: &(Geometry, Scene)) -> Vec<u8> {
     bare_in(None, made)
 }
 
 #[test]
-fn hidden_colours_that_are_not_carried_come_back_exactly() {
+fn derived_hidden_colours_are_exact() {
     for (w, h) in [(150, 100), (1, 1), (65, 63)] {
         let (geometry, scene) = scene(w, h);
         let filled: Vec<_> = Inpainter::new(&scene.photo, &geometry).fill_all(&geometry.masks()).into_iter().flatten().flatten().collect();
@@ -30,7 +30,7 @@ fn hidden_colours_that_are_not_carried_come_back_exactly() {
 }
 
 #[test]
-fn all_but_the_pictures_comes_back_exactly() {
+fn everything_but_lossy_pictures_round_trips_exactly() {
     for (w, h) in [(150, 100), (64, 64), (1, 1), (65, 63), (1, 200)] {
         let made = scene(w, h);
         let (s, d) = (&made.1, decode(&container(&made)).unwrap());
@@ -48,7 +48,7 @@ fn all_but_the_pictures_comes_back_exactly() {
     }
 }
 
-/// Containers and what must come out of them are shared with the browser's decoder; `TMPI_BLESS=1` writes that of this version anew.
+/// Checks a golden container, which the tests of the browser's decoder share. `TMPI_BLESS=1` writes that of the current version.
 fn golden(name: &str, write: impl Fn() -> Vec<u8>, exact: bool) {
     use sha2::Digest;
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden");
@@ -89,7 +89,7 @@ fn golden_containers_stay_readable() {
     golden("v1_4", || bare_in(Some(1), &matted(rough(scene(150, 100)))), true);
 }
 
-/// Seeds of the fuzzer: small containers of every kind, and what lies in them. `TMPI_BLESS=1` writes them anew.
+/// Seeds of the fuzzer: small containers of every kind, and their contents. `TMPI_BLESS=1` writes them.
 #[test]
 fn seeds_of_the_fuzzer_are_readable() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds");
@@ -144,7 +144,7 @@ fn a_smaller_level_shows_only_surfaces_of_the_larger() {
     }
 }
 
-/// Each pixel of each tile lies on one of the planes that the two by two pixels below it lie on.
+/// Asserts that each pixel of each tile lies on one of the planes of the 2×2 pixels that it replaces.
 fn shows_a_surface_below(small: &Geometry, large: &Geometry) {
     for (t, (tile, below)) in (0..).zip(small.tiles.iter().zip(&large.tiles)) {
         let (r, under) = (small.grid.rect(t), large.grid.rect(t));
@@ -158,7 +158,7 @@ fn shows_a_surface_below(small: &Geometry, large: &Geometry) {
 }
 
 #[test]
-fn some_sections_are_a_container_of_their_own() {
+fn selected_sections_form_a_container() {
     let whole = container(&scene(70, 40));
     assert_eq!(select(&whole, &SECTIONS).unwrap(), whole);
     let all = sections(&whole).unwrap();
@@ -180,7 +180,7 @@ fn some_sections_are_a_container_of_their_own() {
 }
 
 #[test]
-fn a_section_past_the_end_is_an_error_though_nobody_reads_it() {
+fn an_unused_section_past_the_end_is_an_error() {
     use prost::Message;
     let whole = bare(&scene(70, 40));
     let (mut index, body) = decode::split(&whole).unwrap();
@@ -190,12 +190,12 @@ fn a_section_past_the_end_is_an_error_though_nobody_reads_it() {
 }
 
 #[test]
-fn an_index_has_a_longest_length() {
+fn an_index_has_a_maximum_length() {
     use prost::Message;
     let whole = bare(&scene(70, 40));
     let (index, body) = decode::split(&whole).unwrap();
     let index = index.encode_to_vec();
-    // filled up with a field that no reader knows: number 2 047, bytes
+    // padded with an unknown field: number 2 047, of type bytes
     let of_length = |length: usize| {
         let mut filled = index.clone();
         let room = length - index.len() - 2 - 3;
@@ -209,11 +209,11 @@ fn an_index_has_a_longest_length() {
 }
 
 #[test]
-fn planes_take_the_codec_that_makes_less_of_them() {
+fn planes_use_the_smaller_of_two_codecs() {
     let codec = |made: &(Geometry, Scene)| sections(&bare(made)).unwrap().iter().find(|s| s.kind == "planes").unwrap().codec;
     let made = scene(150, 300);
     assert_eq!(codec(&made), "zstd");
-    // the second is the golden one
+    // the second is the golden scene
     for made in [rough(made), rough(scene(150, 100))] {
         assert_eq!(codec(&made), "range");
         assert_eq!(decode::read(&bare(&made)).unwrap().1, made.0);
@@ -228,13 +228,13 @@ fn a_container_with_its_sections_unpacked_is_the_same_scene() {
     let plain = unpacked(&packed).unwrap();
     assert!(codecs(&plain).iter().all(|(_, codec)| *codec != "zstd"), "{:?}", codecs(&plain));
     assert_eq!(decode(&plain).unwrap(), decode(&packed).unwrap());
-    // where nothing is packed
+    // a container without zstd sections does not change
     let range = bare(&rough(scene(150, 100)));
     assert_eq!(unpacked(&range).unwrap(), range);
 }
 
 #[test]
-fn what_a_section_unpacks_to_is_bounded_by_the_planes() {
+fn the_number_of_planes_bounds_unpacked_sections() {
     use prost::Message;
     let packed = container(&scene(150, 300));
     let (index, body) = decode::split(&packed).unwrap();
@@ -246,7 +246,7 @@ fn what_a_section_unpacks_to_is_bounded_by_the_planes() {
             unpacked(&[select::header(&packed[4..8], &index.encode_to_vec()), body.to_vec()].concat()).map(drop)
         };
         assert!(with_length(most).is_ok(), "{kind:?}");
-        assert!(with_length(most + 1).unwrap_err().to_string().ends_with("is of the wrong length"), "{kind:?}");
+        assert!(with_length(most + 1).unwrap_err().to_string().ends_with("has the wrong length"), "{kind:?}");
     }
 }
 
@@ -264,7 +264,7 @@ fn bands_hold_the_same_labels_as_one_stream() {
 }
 
 #[test]
-fn a_matted_container_says_so_and_carries_nothing_for_it() {
+fn matting_is_a_flag_and_needs_no_section() {
     let (plain, made) = (scene(150, 100), matted(scene(150, 100)));
     let bytes = bare(&made);
     let read = decode::read(&bytes).unwrap();
@@ -279,14 +279,14 @@ fn a_matted_container_says_so_and_carries_nothing_for_it() {
     };
     let scene = decode(&bytes).unwrap();
     assert!(same(&got, &scene) && !same(&unmatted, &scene));
-    // levels and regions of it are matted, too
+    // its levels and regions are matted, too
     let parts = [level(&bytes, 1).unwrap(), region(&bytes, &Tiles { columns: 1..3, rows: 0..1 }, 0, RegionPhoto::Lossless).unwrap()];
     assert!(parts.iter().all(|part| decode::read_geometry(part).unwrap().matted));
     assert!(!decode::read_geometry(&bare(&plain)).unwrap().matted);
 }
 
 #[test]
-fn what_follows_from_the_photo_is_not_carried_beside_it() {
+fn a_matted_container_carries_no_derived_sections() {
     use prost::Message;
     let (geometry, s) = matted(scene(70, 40));
     let photo = Carried::from_photo(&s.photo, 90).unwrap();
@@ -301,7 +301,7 @@ fn what_follows_from_the_photo_is_not_carried_beside_it() {
 }
 
 #[test]
-fn rows_of_tiles_of_a_matted_container_are_those_of_the_whole() {
+fn rows_of_a_matted_container_match_the_whole() {
     for made in [matted(scene(150, 300)), matted(rough(scene(150, 300)))] {
         let bytes = bare(&made);
         let whole = decode(&bytes).unwrap();

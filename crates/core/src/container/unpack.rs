@@ -1,4 +1,4 @@
-//! Sections packed by zstd: planes that repeat from tile to tile, alpha that a network refined, all planes before minor version 3.
+//! Sections packed with zstd: planes that repeat from tile to tile, refined alphas, and all planes until minor version 2.
 
 use prost::Message;
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
@@ -8,13 +8,13 @@ use super::wire::{Codec, Kind, Section};
 use super::{ContainerError, bounds, columns, decode};
 
 /// A zstd block has at least 4 bytes and holds at most 128 KiB.
-const LEAST_BLOCK: usize = 4;
-const MOST_CONTENT: usize = 128 << 10;
-/// A frame's window may be larger than its content by this: writers round it up.
+const MIN_BLOCK: usize = 4;
+const MAX_CONTENT: usize = 128 << 10;
+/// A frame's window may exceed its content by this many bytes, because writers round it up.
 const SLACK: usize = 1 << 20;
 
-/// The container with its zstd sections unpacked, for a reader that was built without zstd: their bytes lie at its end, and what its
-/// readers do not look at stays packed.
+/// Unpacks the zstd sections of a container, for readers without zstd. Appends the unpacked sections at the end; sections that such readers
+/// ignore stay packed.
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
@@ -24,14 +24,14 @@ pub fn unpacked(container: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let planes = index.planes as usize;
     bounds::planes(&grid, planes)?;
     let tile = u64::from(grid.size.min(grid.width)) * u64::from(grid.size.min(grid.height));
-    // of alpha, a byte for each texel that can be
+    // for alphas, one byte for each possible texel
     let most = |kind| if kind == Kind::Planes { columns::bytes(grid.tiles() as usize, planes) as u64 } else { planes as u64 * tile };
     let mut added = Vec::new();
     for kind in [Kind::Planes, Kind::Alpha] {
-        // readers take the first of a kind
+        // readers use the first section of a kind
         let Some(s) = index.sections.iter_mut().find(|s| s.kind() == kind).filter(|s| s.codec() == Codec::Zstd) else { continue };
         if s.raw_length > most(kind) {
-            return Err(ContainerError::broken(format!("section {} is of the wrong length", s.kind)));
+            return Err(ContainerError::broken(format!("section {} has the wrong length", s.kind)));
         }
         let raw = section(s, decode::range(s, body)?, s.raw_length as usize)?;
         s.set_codec(Codec::Raw);
@@ -44,33 +44,33 @@ pub fn unpacked(container: &[u8]) -> Result<Vec<u8>, ContainerError> {
     Ok(out)
 }
 
-/// The `want` bytes of a section, or fewer, from its packed ones.
+/// Unpacks a section to at most `want` bytes.
 pub(super) fn section(s: &Section, data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
-    if want > (data.len() / LEAST_BLOCK).saturating_mul(MOST_CONTENT) {
+    if want > (data.len() / MIN_BLOCK).saturating_mul(MAX_CONTENT) {
         return Err(ContainerError::broken(format!("section {} cannot unpack to {want} bytes", s.kind)));
     }
     decompress(data, want)
 }
 
-/// A single zstd frame of at most `want` bytes. Its window is bounded before it is reserved, what comes out while it is unpacked.
+/// Decompresses a single zstd frame of at most `want` bytes. Checks its window before allocating it, and the output while decompressing.
 fn decompress(mut data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
-    // its own errors' texts would be a tenth of the wasm
+    // the texts of its own errors would be a tenth of the wasm
     let damaged = || ContainerError::broken("a zstd frame is damaged");
     if window(data).is_some_and(|window| window > (want + SLACK) as u64) {
-        return Err(ContainerError::broken("a zstd frame has a window larger than what it holds"));
+        return Err(ContainerError::broken("a zstd frame has a window larger than its content"));
     }
     let mut decoder = FrameDecoder::new();
     decoder.init(&mut data).map_err(|_| damaged())?;
     while !decoder.is_finished() {
         decoder.decode_blocks(&mut data, BlockDecodingStrategy::UptoBlocks(1)).map_err(|_| damaged())?;
         if decoder.can_collect() > want {
-            return Err(ContainerError::broken("a zstd frame holds more than it says"));
+            return Err(ContainerError::broken("a zstd frame is longer than declared"));
         }
     }
     Ok(decoder.collect().unwrap_or_default())
 }
 
-/// Window that a zstd frame names; none where it is a single segment, as large as its content.
+/// The window size that a zstd frame declares; `None` for a single segment, whose window is its content.
 fn window(frame: &[u8]) -> Option<u64> {
     let (flags, window) = (frame.get(4)?, u64::from(*frame.get(5)?));
     let base = 1u64 << (10 + (window >> 3));
@@ -82,10 +82,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_window_of_a_frame_is_read_before_it_is_reserved() {
+    fn the_window_of_a_frame_is_checked_before_it_is_allocated() {
         let frame = |flags: u8, window: u8| [0x28, 0xb5, 0x2f, 0xfd, flags, window];
         assert_eq!(window(&frame(0, 0)), Some(1024));
-        // 2¹⁰⁺³ and five eighths of it
+        // 2¹⁰⁺³ bytes, plus five eighths
         assert_eq!(window(&frame(0, 3 << 3 | 5)), Some(13_312));
         assert_eq!(window(&frame(0x20, 3 << 3 | 5)), None);
         assert_eq!(window(&frame(0, 0)[..5]), None);

@@ -1,4 +1,4 @@
-//! What inpainting does along rows of pixels, in forms that vectorise; the same bits come out on every processor.
+//! Inpainting kernels over rows of pixels, in forms that vectorise; every processor returns the same bits.
 #![allow(clippy::float_cmp, reason = "weights that are exactly 0 or 1 take a shorter way")]
 
 use std::ops::Range;
@@ -8,29 +8,29 @@ use crate::simd::dispatch;
 
 /// How far in front of the layer a source may lie, in δ.
 const IN_FRONT: f64 = 0.015;
-/// Distance behind the layer, in δ, at which a source's weight has fallen to a half.
+/// Distance behind the layer, in δ, at which the weight of a source is one half.
 const BEHIND: f64 = 0.06;
 
-/// Pixels of a row that may be sources of hidden colour.
+/// One row of pixels that can be sources of hidden colour.
 #[derive(Clone, Copy)]
 pub struct Sources<'a> {
-    /// Place of the row.
+    /// The row's `v` in the tile, in half tiles.
     pub v: f64,
-    /// δ of the visible surface, infinite where a pixel is no source.
+    /// δ of the visible surface, infinite where the pixel is not a source.
     pub surface: &'a [f32],
-    /// The photo's colours.
+    /// Colours of the photo.
     pub rgb: &'a [[u8; 3]],
 }
 
 impl Sources<'_> {
-    /// No pixel.
+    /// An empty row.
     pub const NONE: Self = Self { v: 0.0, surface: &[], rgb: &[] };
 }
 
-/// Columns whose weights are found at once; even.
+/// Number of columns whose weights are computed together; even.
 const BLOCK: usize = 32;
 
-/// Weight of a source that lies `behind` the layer by so much in δ.
+/// Weight of a source that lies behind the layer by `behind`, in δ.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn weight(behind: f64) -> f64 {
@@ -39,18 +39,18 @@ fn weight(behind: f64) -> f64 {
     if behind < -IN_FRONT { 0.0 } else { weight }
 }
 
-/// Weights of a block of sources.
+/// Summary of the weights of a block of sources.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Weights {
-    /// All are 0.
+    /// All weights are 0.
     Zero,
-    /// A whole block, and all are 1.
+    /// The block is full, and all weights are 1.
     One,
-    /// Each is one of its own.
+    /// The weights differ, or the block is not full.
     Each,
 }
 
-/// Weights of the sources in a row, at most a block of them, for a layer on `plane`; 0 where there is none.
+/// Computes the weights of at most one block of sources in a row, for a layer on `plane`. Weights past the end of the row are 0.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn weigh(us: &[f64], v: f64, plane: &Plane, surface: &[f32], weights: &mut [f64; BLOCK]) -> Weights {
@@ -73,7 +73,7 @@ fn weigh(us: &[f64], v: f64, plane: &Plane, surface: &[f32], weights: &mut [f64;
             *w = weight(*w);
         }
     } else if any_in_front || !past.is_empty() {
-        // nothing lies behind: no division
+        // nothing lies behind, so no division is needed
         for w in weights {
             *w = if *w < -IN_FRONT { 0.0 } else { 1.0 };
         }
@@ -92,15 +92,15 @@ fn weighted(c: [u8; 3], w: f64) -> [f32; 4] {
 }
 
 dispatch!(
-    /// Sums of 2×2 sources of one or two rows for a layer on `plane`, as [`pull`] has them: colour times weight, and weight.
+    /// Sums 2×2 sources of one or two rows for a layer on `plane`: colour times weight, and weight, in the form that [`pull`] takes.
     pub gather, gather_body, (us: &[f64], plane: &Plane, rows: [Sources; 2], out: &mut [[f32; 4]])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn gather_body(us: &[f64], plane: &Plane, [first, second]: [Sources; 2], out: &mut [[f32; 4]]) {
     let (mut upper, mut lower) = ([0f64; BLOCK], [0f64; BLOCK]);
-    // a block of each row, so that its length is known
+    // fixed-size copies, so that the compiler knows the length
     let (mut colours, mut below) = ([[0u8; 3]; BLOCK], [[0u8; 3]; BLOCK]);
     let part = |row: Sources, at: usize| -> Range<usize> { at.min(row.surface.len())..(at + BLOCK).min(row.surface.len()) };
     for (i, (out, us)) in out.chunks_mut(BLOCK / 2).zip(us.chunks(BLOCK)).enumerate() {
@@ -137,7 +137,7 @@ fn gather_body(us: &[f64], plane: &Plane, [first, second]: [Sources; 2], out: &m
     }
 }
 
-/// Mean of four sources whose weight is 1.
+/// Mean of four sources of weight 1.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn mean([a, b, c, d]: [&[u8; 3]; 4]) -> [f32; 4] {
@@ -152,7 +152,7 @@ fn add(a: &[f32; 4], b: &[f32; 4]) -> [f32; 4] {
     std::array::from_fn(|i| a[i] + b[i])
 }
 
-/// A texel of weight at most 1, so that one source suffices where there is no other.
+/// Scales a texel to a weight of at most 1, so that one source suffices where there are no others.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn saturated(t: [f32; 4]) -> [f32; 4] {
@@ -165,12 +165,12 @@ fn saturated(t: [f32; 4]) -> [f32; 4] {
 }
 
 dispatch!(
-    /// Sums of 2×2 texels of one or two rows of a finer level; weights beyond 1 are saturated.
+    /// Sums 2×2 texels of one or two rows of a finer level; weights above 1 are scaled to 1.
     pub pull, pull_body, (first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn pull_body(first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]]) {
     let (firsts, last) = first.as_chunks::<2>();
     if let Some(second) = second {
@@ -182,24 +182,23 @@ fn pull_body(first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4
             *o = saturated(add(a, b));
         }
     }
-    // of an odd count the last stands alone
+    // the last texel of an odd number has no neighbour
     if let ([t], Some(o)) = (last, out.get_mut(firsts.len())) {
         *o = saturated(second.and_then(<[_]>::last).map_or(*t, |below| add(t, below)));
     }
 }
 
-/// Two rows of the next coarser level: the one that a texel lies in, and the one beside it that is nearer; empty where there is no
+/// Two rows of the next coarser level: the row that contains a texel, and the nearer of the rows beside it. Both are empty if there is no
 /// coarser level.
 #[derive(Clone, Copy)]
 pub struct Coarser<'a> {
-    /// Three quarters of the colour.
+    /// The row that contains the texel; contributes three quarters.
     pub near: &'a [[f32; 4]],
-    /// One quarter.
+    /// The row beside it; contributes one quarter.
     pub other: &'a [[f32; 4]],
 }
 
-/// Full colour of texel `x` of a row: its own where the weight is 1, the coarser level's, bilinear between texel centres, where it
-/// is 0.
+/// Full colour of texel `x` of a row: its own at weight 1, the coarser level's at weight 0, interpolated bilinearly between texel centres.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn full(t: &[f32; 4], x: usize, Coarser { near, other }: Coarser) -> [f32; 4] {
@@ -223,15 +222,15 @@ fn full(t: &[f32; 4], x: usize, Coarser { near, other }: Coarser) -> [f32; 4] {
 }
 
 dispatch!(
-    /// Full colours of the texels of a row from column `x` on.
+    /// Computes the full colours of a row's texels from column `x` on.
     pub push, push_body, (coarser: Coarser, x: usize, texels: &mut [[f32; 4]])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn push_body(coarser: Coarser, x: usize, texels: &mut [[f32; 4]]) {
     for (x, t) in (x..).zip(texels) {
-        // a colour of weight 1 is full
+        // a colour of weight 1 is already full
         if t[3] != 1.0 {
             *t = full(t, x, coarser);
         }
@@ -239,26 +238,26 @@ fn push_body(coarser: Coarser, x: usize, texels: &mut [[f32; 4]]) {
 }
 
 dispatch!(
-    /// Appends the colours of the hidden texels of a row, whose classes are `class`, to `out`. `us` and `row` begin with the first of
-    /// them, which lies in column `x` of the window that `coarser` is of.
+    /// Appends to `out` the colours of the hidden texels of a row with the classes `class`. `us` and `row` start at the first texel, which
+    /// is in column `x` of the window of `coarser`.
     pub colours, colours_body,
     (us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: usize, class: &[u8], out: &mut Vec<[u8; 3]>)
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn colours_body(us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
     let (a, b, cv) = (plane.a, plane.b, plane.c * row.v);
     let pixels = class.iter().zip(us).zip(row.surface).zip(row.rgb);
     for (x, (((_, u), &d), rgb)) in (x..).zip(pixels).filter(|(_, (((c, _), _), _))| **c == Class::Hidden as u8) {
         let behind = f64::from((a + b * u + cv) as f32) - f64::from(d);
-        // most are in front: no division
+        // most sources are in front, so no division is needed
         let weight = if behind < -IN_FRONT { 0.0 } else { weight(behind) };
         out.push(if weight == 1.0 {
             *rgb
         } else {
             let [r, g, b, _] = full(&weighted(*rgb, weight), x, coarser);
-            // rounded; the cast takes what lies outside to 0 and 255
+            // rounds to nearest; the cast clamps to 0..=255
             [r, g, b].map(|v| (f64::from(v) + 0.5) as u8)
         });
     }

@@ -1,24 +1,24 @@
-//! Box dilation of masks of bytes.
+//! Box dilation of byte masks.
 
 use crate::scene::Rect;
 use crate::simd::dispatch;
 
-/// A dilated mask, and what is needed to come to it.
+/// A dilated mask, and scratch memory.
 #[derive(Clone, Debug, Default)]
 pub struct Dilation {
     line: Vec<u8>,
     column: Vec<u8>,
-    /// The part that was asked for.
+    /// The dilated part, row-major.
     pub out: Vec<u8>,
 }
 
-/// Box dilation of the mask `open`, `width` pixels wide, by `radius` pixels to the right and left, up and down; what comes out is
-/// the part `inner` of it.
+/// Dilates the mask `open` (0 or 1, `width` pixels wide) with a box of `radius` pixels: `radius.0` to the left and right, `radius.1` up and
+/// down. Writes the part `inner` of the result.
 pub fn dilate(open: &[u8], width: u32, inner: Rect, radius: (u32, u32), Dilation { line, column, out }: &mut Dilation) {
     let (width, rx, ry) = (width as usize, radius.0 as usize, radius.1 as usize);
     let (x0, y0, w, h) = (inner.x as usize, inner.y as usize, inner.w as usize, inner.h as usize);
     let height = open.len() / width.max(1);
-    // rows that any row of the part looks at, each dilated sideways
+    // dilate horizontally each row that the result depends on
     let first = y0.saturating_sub(ry);
     let last = (y0 + h + ry).min(height);
     let above = ry.saturating_sub(y0);
@@ -27,12 +27,12 @@ pub fn dilate(open: &[u8], width: u32, inner: Rect, radius: (u32, u32), Dilation
     for (from, to) in open[first * width..last * width].chunks(width).zip(column[above * w..].chunks_mut(w)) {
         line.clear();
         line.resize(w + 2 * rx, 0);
-        // column `x0 − rx` of the mask is the line's first
+        // the line starts at column `x0 − rx` of the mask
         let (skip, start) = ((rx).saturating_sub(x0), x0.saturating_sub(rx));
         let count = (width - start).min(line.len() - skip);
         let (any, all) = from[start..start + count].iter().fold((0, 1), |(any, all), v| (any | v, all & v));
         if any == all {
-            // of one value, as most rows are; beyond the mask's sides there is none to come from
+            // the row is uniform, as most are; outside the mask all is 0
             to.fill(any);
             continue;
         }
@@ -40,13 +40,13 @@ pub fn dilate(open: &[u8], width: u32, inner: Rect, radius: (u32, u32), Dilation
         spread(line, 1, 2 * rx + 1);
         to.copy_from_slice(&line[..w]);
     }
-    // the same downwards, whole rows at a time
+    // dilate vertically, whole rows at a time
     spread(column, w, 2 * ry + 1);
     out.clear();
     out.extend_from_slice(&column[..h * w]);
 }
 
-/// Every value becomes that of any of the `count` values that follow in steps of `stride`, itself the first: by doubling.
+/// ORs into every value the values at the next `count - 1` steps of `stride`. Doubles the distance each time.
 fn spread(values: &mut [u8], stride: usize, count: usize) {
     let mut reached = 1;
     while reached < count {
@@ -58,15 +58,15 @@ fn spread(values: &mut [u8], stride: usize, count: usize) {
 }
 
 dispatch!(
-    /// Adds to each of the first `n` values the one `by` places later.
+    /// ORs into each of the first `n` values the value `by` places later.
     or_from, or_from_body, (values: &mut [u8], by: usize, n: usize)
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn or_from_body(values: &mut [u8], by: usize, n: usize) {
     const BLOCK: usize = 32;
-    // values that come later are read before they change, also where a block meets the one it reads
+    // reads a block's later values before it changes them, even if the blocks overlap
     let mut at = 0;
     while at + BLOCK <= n {
         let mut later = [0u8; BLOCK];

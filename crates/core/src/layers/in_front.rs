@@ -1,17 +1,18 @@
-//! What stands in front of what is remembered, though its labels do not say so.
+//! Pixels in front of the remembered surface whose labels do not show it.
 //!
-//! Labels follow a thing that moves late, and parts of one without texture get those of the wall behind it. Its colours tell: they are not those
-//! that were seen there. What opens between such a part and the rest, seen from beside, must not show what lies behind both.
+//! The labels of a moving object come late, and its textureless parts get the labels of the wall behind it. Colours reveal such parts: they
+//! differ from those seen there before. A side view opens a gap between such a part and the rest of the object; this gap must not show the
+//! background behind both.
 
 use super::dilation::{Dilation, dilate};
 use crate::scene::Rect;
 
-/// Pixels about such a part in which nothing is recalled.
+/// Margin, in pixels, around such a part in which nothing is recalled.
 pub(super) const GAP: u32 = 3;
-/// Pixels from its border up to which a part at the edge of a thing is no more than mixed colours.
+/// Radius, in pixels, of the opening that removes thin parts: at an object's edge these are only mixed colours.
 const THIN: u32 = 1;
 
-/// Pixels at which nothing is recalled.
+/// Mask of the pixels at which nothing is recalled.
 #[derive(Clone, Debug, Default)]
 pub(super) struct InFront {
     mask: Vec<u8>,
@@ -19,32 +20,32 @@ pub(super) struct InFront {
 }
 
 impl InFront {
-    /// Nothing is in front, before the first frame.
+    /// Clears the mask, as before the first frame.
     pub fn clear(&mut self) {
         self.dilation.out.clear();
     }
 
-    /// Of `count` pixels from one on: 1 where nothing is to be recalled, else 0; none before the first frame.
+    /// The mask of `count` pixels from index `from` on: 1 where nothing is recalled, otherwise 0. `None` before the first frame.
     pub fn row(&self, from: usize, count: usize) -> Option<&[u8]> {
         self.dilation.out.get(from..from + count)
     }
 
-    /// Room for what is known of as many pixels: 0 for one that lies no nearer than what is remembered there, is not mixed with anything nearer,
-    /// and looks otherwise; else 1. [`InFront::look`] follows.
+    /// The mask of `count` pixels, which the caller fills before [`InFront::update`]: 0 if the pixel is not nearer than the remembered
+    /// surface, is not mixed with a nearer one, and has another colour; otherwise 1.
     pub fn pixels(&mut self, count: usize) -> &mut [u8] {
         self.mask.resize(count, 1);
         &mut self.mask
     }
 
-    /// Looks at these pixels, `width` to a row.
-    pub fn look(&mut self, width: u32) {
+    /// Updates the mask from these pixels, `width` to a row.
+    pub fn update(&mut self, width: u32) {
         let Self { mask, dilation } = self;
         let mut grow = |mask: &mut Vec<u8>, by: u32| {
             let all = Rect { x: 0, y: 0, w: width, h: mask.len() as u32 / width.max(1) };
             dilate(mask, width, all, (by, by), dilation);
             mask.copy_from_slice(&dilation.out);
         };
-        // opened, that seams go: what looks as it did grows over them
+        // an opening removes seams: unchanged pixels grow over them
         grow(mask, THIN);
         for open in mask.iter_mut() {
             *open = 1 - *open;
@@ -63,21 +64,21 @@ mod tests {
         front.row(pixel, 1).is_some_and(|v| v != [0])
     }
 
-    /// Of a picture of `W` columns, others at `o`: what is in front in its middle row.
+    /// The middle row of the result for a picture of `W` columns whose pixels have changed at `o`.
     fn in_front(row: &str) -> String {
         let mut front = InFront::default();
         let others = (0..W).flat_map(|_| row.chars().map(|c| c == 'o'));
         front.pixels(W * W).iter_mut().zip(others).for_each(|(p, other)| *p = u8::from(!other));
-        front.look(W as u32);
+        front.update(W as u32);
         (0..W).map(|x| if at(&front, W / 2 * W + x) { 'x' } else { '.' }).collect()
     }
 
     #[test]
-    fn a_part_that_looks_otherwise_is_in_front_with_what_is_about_it() {
+    fn a_changed_part_is_in_front_with_a_margin_around_it() {
         assert_eq!(in_front("........................"), "........................");
         assert_eq!(in_front("........oooo............"), ".....xxxxxxxxxx.........");
         assert_eq!(in_front("oooo...................."), "xxxxxxx.................");
-        // a seam is no part
+        // a seam is too thin to count
         assert_eq!(in_front("......oo......o........."), "........................");
     }
 
@@ -86,7 +87,7 @@ mod tests {
         let mut front = InFront::default();
         assert!(!at(&front, 0));
         front.pixels(9).fill(0);
-        front.look(3);
+        front.update(3);
         assert!(at(&front, 8) && !at(&front, 9));
         front.clear();
         assert!(!at(&front, 8));

@@ -1,7 +1,7 @@
-//! Colour of hidden texels: push-pull pyramid over the neighbourhood, sources at or behind the layer only (RECIPE, step 5).
+//! Colours of hidden texels: a push-pull pyramid over the neighbourhood, whose sources lie at or behind the layer (RECIPE, step 5).
 //!
-//! It follows from the photo and the [`Geometry`] alone, so a container need not carry it. Writer and readers run the same steps in
-//! `f64`, rounded to `f32` at the same places: from the same photo come the same colours.
+//! The colours follow from the photo and the [`Geometry`], so a container need not carry them. Writer and readers compute in `f64` and
+//! round to `f32` at the same places, so the same photo gives the same colours.
 
 use std::ops::Range;
 
@@ -10,26 +10,27 @@ use super::{Geometry, LayerMasks, Surface, TileFrame};
 use crate::parallel;
 use crate::scene::{Class, Grid, Photo, Plane, Rect};
 
-/// Context around the hidden texels of a layer in pixels.
+/// Context around the hidden texels of a layer, in pixels.
 pub(crate) const CONTEXT: u32 = 32;
 
-/// Sources of hidden colour, found once a photo.
+/// Finds the colours of hidden texels. Create one per photo.
 pub struct Inpainter<'a> {
-    /// Pixels of as many rows as the surface has.
+    /// Pixels of the rows that the surface covers.
     rgb: &'a [[u8; 3]],
     grid: Grid,
-    /// δ of the visible surface, infinite where a pixel touches something nearer.
+    /// δ of the visible surface, infinite where a pixel touches a nearer surface.
     sources: Surface,
 }
 
-/// Pyramid that is used again for the next layer. The finest level, that of the photo's own pixels, is not kept: it follows from them.
+/// Scratch memory for the pyramid of one layer, reusable for the next. Does not store the finest level, the photo's own pixels, because it
+/// can be recomputed.
 #[derive(Default)]
 pub struct Pyramid {
-    /// Horizontal places of the columns of the window.
+    /// `u` of the window's columns.
     us: Vec<f64>,
-    /// From half the size of the window on.
+    /// The levels, starting at half the window's size.
     levels: Vec<Level>,
-    /// Levels of the layer at hand; more may be kept from before.
+    /// Number of levels for the current layer; there may be more from earlier layers.
     used: usize,
 }
 
@@ -37,32 +38,32 @@ pub struct Pyramid {
 type Region = (Range<usize>, Range<usize>);
 
 impl<'a> Inpainter<'a> {
-    /// Finds the visible surface, and the pixels on it that touch something nearer.
+    /// Computes the visible surface, and excludes pixels that touch a nearer surface.
     #[must_use]
     pub fn new(photo: &'a Photo, geometry: &Geometry) -> Self {
         Self::on(geometry.grid, geometry.surface(), &photo.rgb)
     }
 
-    /// The same where the surface is known already, of some rows of the photo; `rgb` has the pixels of the same rows.
+    /// Like [`Inpainter::new`] for some rows of the photo whose visible `surface` is known; `rgb` has the pixels of the same rows.
     #[must_use]
     pub fn on(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
-        surface.put_away_mixed();
-        Self::among(grid, surface, rgb)
+        surface.exclude_mixed();
+        Self::with_sources(grid, surface, rgb)
     }
 
-    /// The same where `sources` is that surface without what is mixed.
+    /// Like [`Inpainter::on`] for a surface from which mixed pixels are already excluded.
     #[must_use]
-    pub(crate) const fn among(grid: Grid, sources: Surface, rgb: &'a [[u8; 3]]) -> Self {
+    pub(crate) const fn with_sources(grid: Grid, sources: Surface, rgb: &'a [[u8; 3]]) -> Self {
         Self { rgb, grid, sources }
     }
 
-    /// Colours of the hidden texels of a layer with [`Class`]es `class` over `rect`, in their order.
+    /// Colours of the hidden texels of a layer on `plane`, in their order. `class` has the [`Class`] of each texel in `rect`.
     #[must_use]
     pub fn fill(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
         self.fill_some(tile, plane, rect, (class, class), pyramid)
     }
 
-    /// The same of those texels alone that are hidden in `wanted`, too.
+    /// Like [`Inpainter::fill`], but returns only colours of texels that are also hidden in `wanted`.
     #[must_use]
     #[inline(never)]
     pub(crate) fn fill_some(
@@ -80,7 +81,7 @@ impl<'a> Inpainter<'a> {
         self.gather(place, plane, win, pyramid);
         let count = wanted.iter().filter(|&&c| c == Class::Hidden as u8).count();
         if !pyramid.pull() {
-            // nothing lies behind anywhere near: the layer's own surroundings are all there is
+            // nothing nearby lies behind the layer, so use the mean of its own surroundings
             return vec![self.mean(rect); count];
         }
         let (x, y) = ((hidden.x - win.x) as usize, (hidden.y - win.y) as usize);
@@ -95,13 +96,13 @@ impl<'a> Inpainter<'a> {
         out
     }
 
-    /// Colours of the hidden texels of all layers: tile by tile, layer by layer.
+    /// Colours of the hidden texels of all layers, tile by tile and layer by layer.
     #[must_use]
     pub fn fill_all(&self, masks: &[LayerMasks]) -> Vec<Vec<Vec<[u8; 3]>>> {
         self.fill_tiles(0, masks)
     }
 
-    /// The same where the first tile is not the grid's first.
+    /// Like [`Inpainter::fill_all`] for tiles from index `first` on.
     pub(crate) fn fill_tiles(&self, first: u32, masks: &[LayerMasks]) -> Vec<Vec<Vec<[u8; 3]>>> {
         parallel::map_init(masks.len(), Pyramid::default, |pyramid, i| {
             masks[i].layers.iter().map(|l| self.fill(first + i as u32, &l.plane, l.rect, &l.class, pyramid)).collect()
@@ -115,7 +116,7 @@ impl<'a> Inpainter<'a> {
         Sources { v: place.v(y), surface, rgb: &self.rgb[at..at + surface.len()] }
     }
 
-    /// Sums the sources in `win` by 2×2 into the first level that is kept.
+    /// Sums 2×2 sources in `win` into the finest stored level.
     fn gather(&self, place: TileFrame, plane: &Plane, win: Rect, pyramid: &mut Pyramid) {
         pyramid.resize(win.w as usize, win.h as usize);
         let Pyramid { us, levels, .. } = pyramid;
@@ -139,7 +140,7 @@ impl<'a> Inpainter<'a> {
     }
 }
 
-/// Bounds of the hidden texels in photo pixels, none where there is none.
+/// Bounds of the hidden texels in photo pixels; `None` if there are none.
 fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
     let (mut x0, mut y0, mut x1, mut y1) = (u32::MAX, u32::MAX, 0, 0);
     let is_hidden = |c: &u8| *c == Class::Hidden as u8;
@@ -152,7 +153,7 @@ fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
 }
 
 impl Pyramid {
-    /// Sizes of the levels over a window, from half of its size down to 1×1; what they hold is still to be written.
+    /// Sets the sizes of the levels over a window, from half its size down to 1×1; their contents are undefined until written.
     fn resize(&mut self, width: usize, height: usize) {
         let (mut w, mut h, mut n) = (width, height, 0);
         while n == 0 || w > 1 || h > 1 {
@@ -166,7 +167,7 @@ impl Pyramid {
         self.used = n;
     }
 
-    /// Sums the sources upwards; false where there is none.
+    /// Sums the sources from fine to coarse; returns false if there are none.
     fn pull(&mut self) -> bool {
         for n in 1..self.used {
             let (fine, coarse) = self.levels.split_at_mut(n);
@@ -175,13 +176,13 @@ impl Pyramid {
         self.levels[self.used - 1].texels[0][3] > 0.0
     }
 
-    /// Full colours downwards, of those texels that the pixels of a region of the window are mixed from.
+    /// Fills in full colours from coarse to fine, for the texels that a region of the window depends on.
     fn push(&mut self, region: Region) {
         self.push_level(0, region);
     }
 
     fn push_level(&mut self, n: usize, (xs, ys): Region) {
-        // each texel is mixed from the four coarser ones nearest to it
+        // each texel is interpolated from the four nearest coarser ones
         let coarser = |r: Range<usize>, most: usize| (r.start / 2).saturating_sub(1)..((r.end - 1) / 2 + 2).min(most);
         let level = &self.levels[n];
         let (xs, ys) = (coarser(xs, level.width), coarser(ys, level.height));
@@ -197,7 +198,7 @@ impl Pyramid {
     }
 }
 
-/// One level of the pyramid: colour times weight, and weight in 0..=1.
+/// One level of the pyramid. A texel is colour times weight, and the weight in 0..=1.
 #[derive(Default)]
 struct Level {
     width: usize,
@@ -211,7 +212,7 @@ impl Level {
         self.texels.resize(width * height, [0.0; 4]);
     }
 
-    /// From the level of twice the size: sums of 2×2 texels, weight saturated at 1.
+    /// Sums 2×2 texels of the next finer level, and scales weights above 1 to 1.
     fn pull(&mut self, fine: &Self) {
         for (y, to) in self.texels.chunks_mut(self.width).enumerate() {
             let row = |y: usize| &fine.texels[y * fine.width..][..fine.width];
@@ -219,7 +220,7 @@ impl Level {
         }
     }
 
-    /// Its rows about row `y` of the next finer level.
+    /// The rows of this level around row `y` of the next finer level.
     fn about(&self, y: usize) -> colour_rows::Coarser<'_> {
         let last = self.height - 1;
         let beside = if y.is_multiple_of(2) { (y / 2).saturating_sub(1) } else { y / 2 + 1 };

@@ -1,31 +1,36 @@
-//! What was seen of a surface before something came in front of it.
+//! Memory of surfaces that were visible before something moved in front of them.
 //!
-//! A reader of a room keeps it, and shows it in place of the colours that [`super::Inpainter`] makes up. Nothing is sent for it: who came
-//! later has seen less and makes up more. What a texel is, and where, does not depend on it; its colour alone does.
+//! A viewer of a room keeps it, and shows remembered colours instead of those that [`super::Inpainter`] makes up. It needs no data from the
+//! server: a viewer that joins later has seen less and makes up more. The memory changes only colours of texels, never their classes or
+//! positions.
 
 use super::in_front::InFront;
 use super::{LayerMasks, Surface, TileFrame, rows};
-use crate::scene::colour::{apart, of_word};
+use crate::scene::colour::{difference, of_word};
 use crate::scene::{Class, Grid, Plane, Rect};
 use crate::simd::dispatch;
 
-/// δ by which something lies in front of what is remembered, or a layer apart from it: the noise of depth from frame to frame is less.
-const APART: f32 = 0.05;
-/// Levels, summed over the channels, by which a surface that is seen all the time has become another.
-const OTHER: u32 = 48;
-/// Share of such pixels from which on the camera has moved, or the light has changed: nothing that was seen holds any more.
-const MOVED: f64 = 0.3;
-/// Pixels in a row of which one is looked at for that.
-const EVERY: usize = 7;
-/// Frames, at 30 a second, in which a pixel must go on as it was before it is kept: what moves is seen at its new place some frames before its labels say that it
-/// is there, and would be taken for what lies behind it, the longer the slower it turns round. `tmpi-lab live-bench --files DIR` compares: with 6 frames light
-/// and dark lines of the thing stand where it turned, at the borders of labels of the floor, with 15 none, at .02 dB of what is uncovered.
+/// Difference in δ from which a surface lies in front of the remembered one, or a layer does not match it; larger than the noise of depth
+/// between frames.
+const DEPTH_STEP: f32 = 0.05;
+/// Difference in levels, summed over the channels, from which a visible surface has changed.
+const COLOUR_STEP: u32 = 48;
+/// If more than this share of the sampled pixels has changed, the camera has moved or the light has changed, and the whole memory is
+/// invalid.
+const MOVED_SHARE: f64 = 0.3;
+/// One pixel in this many of a row is sampled for that.
+const SAMPLE_STEP: usize = 7;
+/// Frames, at 30 a second, for which a pixel must stay the same before it is remembered. A moving object appears at its new position some
+/// frames before its labels do, and would be remembered as background, longest where it reverses slowly. `tmpi-lab live-bench --files DIR`
+/// compares: with 6 frames, light and dark lines of the object remain where it reversed, at label borders of the floor; with 15 none
+/// remain, which costs 0.02 dB on uncovered pixels.
 pub(crate) const STEADY: u8 = 15;
-/// For how many of these one frame may count where frames are shown more seldom: labels are then a frame late at the most, and three frames tell.
-/// `tmpi-lab live-bench --only measured --every 15` compares: where each counts for one, nothing is remembered within the sequence, and what is uncovered is 1.9 dB worse.
-pub(crate) const MOST: u8 = 5;
+/// Maximum number of these frames that one frame counts for if frames are less frequent: labels are then at most one frame late, so three
+/// frames suffice. `tmpi-lab live-bench --only measured --every 15` compares: if each frame counts as one, nothing is remembered within the
+/// sequence, and uncovered pixels are 1.9 dB worse.
+pub(crate) const MAX_FRAMES: u8 = 5;
 
-/// For each pixel of the frames the farthest surface that was seen there, and stayed for some frames.
+/// For each pixel, the farthest surface that was visible there and stayed for some frames.
 #[derive(Clone, Debug)]
 pub struct Memory {
     grid: Grid,
@@ -33,24 +38,24 @@ pub struct Memory {
     in_front: InFront,
 }
 
-/// What is known of each pixel, a list of each so that vectors take them.
+/// State of each pixel, as a structure of arrays for vectorisation.
 #[derive(Clone, Debug)]
 struct Pixels {
-    /// Colour of what is remembered, as words.
+    /// Remembered colours, as words.
     colour: Vec<u32>,
-    /// δ of what is remembered, NaN where there is nothing.
+    /// δ of the remembered surface, NaN where nothing is remembered.
     delta: Vec<f32>,
-    /// Colour that was shown in the frame before.
+    /// Colours of the previous frame.
     last: Vec<u32>,
-    /// Frames for which a pixel has shown that, up to [`STEADY`].
+    /// Number of frames for which the pixel has stayed the same, up to [`STEADY`].
     steady: Vec<u8>,
-    /// δ in the frame before: NaN before the first, infinite where it is mixed with something nearer.
+    /// δ in the previous frame: NaN before the first frame, infinite where the pixel is mixed with a nearer surface.
     last_delta: Vec<f32>,
-    /// The same, also where it is mixed.
+    /// The same, but finite also where the pixel is mixed.
     last_shown: Vec<f32>,
 }
 
-/// A frame, of as many pixels: colours as words, δ of its visible surface without what is mixed.
+/// A frame: colours as words, and δ of its visible surface, infinite at mixed pixels.
 #[derive(Clone, Copy)]
 struct Frame<'a> {
     colour: &'a [u32],
@@ -58,53 +63,54 @@ struct Frame<'a> {
 }
 
 dispatch!(
-    /// Frames for which each pixel has gone on as it was before, `frames` more than until now, from its colour and δ before, which become those of now.
+    /// Adds `frames` to the count of each pixel that has stayed the same, and resets the others; then replaces the last colour and δ by the
+    /// current ones.
     stay, stay_body, (last: &mut [u32], last_delta: &mut [f32], steady: &mut [u8], now: &[u32], delta: &[f32], frames: u8)
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn stay_body(last: &mut [u32], last_delta: &mut [f32], steady: &mut [u8], now: &[u32], delta: &[f32], frames: u8) {
     for ((((last, last_delta), steady), now), delta) in last.iter_mut().zip(last_delta).zip(steady).zip(now).zip(delta) {
-        // infinite where it is mixed with something nearer, and then never within anything
-        let same = ((delta - *last_delta).abs() <= APART) & (apart(*now, *last) <= OTHER);
+        // δ is infinite at mixed pixels, which therefore never stay the same
+        let same = ((delta - *last_delta).abs() <= DEPTH_STEP) & (difference(*now, *last) <= COLOUR_STEP);
         *steady = if same { (*steady + frames).min(STEADY) } else { 0 };
         (*last, *last_delta) = (*now, *delta);
     }
 }
 
 dispatch!(
-    /// Keeps the colour and δ of what is steady and no nearer than what is `known`.
+    /// Remembers the colour and δ of pixels that are steady and not nearer than the remembered surface.
     keep, keep_body, (known: &mut [u32], known_delta: &mut [f32], steady: &[u8], now: &[u32], delta: &[f32])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 #[allow(clippy::needless_bitwise_bool, clippy::neg_cmp_op_on_partial_ord, reason = "without a branch, and NaN is nearer than nothing")]
 fn keep_body(known: &mut [u32], known_delta: &mut [f32], steady: &[u8], now: &[u32], delta: &[f32]) {
     for ((((known, known_delta), steady), now), delta) in known.iter_mut().zip(known_delta).zip(steady).zip(now).zip(delta) {
-        // what is not known is NaN, and nothing is nearer than that
-        let keeps = (*steady == STEADY) & !(*delta > *known_delta + APART);
+        // an unknown δ is NaN, and nothing compares nearer than that
+        let keeps = (*steady == STEADY) & !(*delta > *known_delta + DEPTH_STEP);
         *known = if keeps { *now } else { *known };
         *known_delta = if keeps { *delta } else { *known_delta };
     }
 }
 
 dispatch!(
-    /// Marks pixels as [`InFront::pixels`] has it.
+    /// Fills the mask of [`InFront::pixels`].
     mark, mark_body, (in_front: &mut [u8], known: &[u32], known_delta: &[f32], now: &[u32], delta: &[f32])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn mark_body(in_front: &mut [u8], known: &[u32], known_delta: &[f32], now: &[u32], delta: &[f32]) {
     for ((((in_front, known), known_delta), now), delta) in in_front.iter_mut().zip(known).zip(known_delta).zip(now).zip(delta) {
-        *in_front = u8::from(!((*delta <= *known_delta + APART) & (apart(*now, *known) > OTHER)));
+        *in_front = u8::from(!((*delta <= *known_delta + DEPTH_STEP) & (difference(*now, *known) > COLOUR_STEP)));
     }
 }
 
 impl Memory {
-    /// Knows nothing yet.
+    /// An empty memory.
     #[must_use]
     pub fn new(grid: Grid) -> Self {
         let count = grid.width as usize * grid.height as usize;
@@ -119,22 +125,23 @@ impl Memory {
         Self { grid, pixels, in_front: InFront::default() }
     }
 
-    /// Forgets everything: a new scene.
+    /// Forgets everything, for a new scene.
     pub fn forget(&mut self) {
         self.pixels.delta.fill(f32::NAN);
         self.in_front.clear();
         self.pixels.steady.fill(0);
     }
 
-    /// Pixels of which something is remembered.
+    /// Number of pixels at which something is remembered.
     #[must_use]
     pub fn known(&self) -> usize {
         self.pixels.delta.iter().filter(|d| !d.is_nan()).count()
     }
 
-    /// Looks at the next frame: what is as far as what is remembered, or farther, and has stayed as it is for some frames, is kept; what is nearer
-    /// stands in front of it. `colour` has the frame's colours as words, `shown` is its visible surface, over all rows, and `surface` the same without
-    /// what is mixed. It comes `frames` thirtieths of a second after the one before, 0 where it is that one once more. A frame of another size is left alone.
+    /// Takes the next frame. Remembers surfaces that are at least as far as the remembered ones and have stayed the same for some frames;
+    /// nearer surfaces are in front of them. `colour` has the frame's colours as words, `shown` is the visible surface of all rows, and
+    /// `surface` is the same without mixed pixels. The frame is `frames` thirtieths of a second later than the previous one, 0 if it is the
+    /// same frame again. Ignores a frame of another size.
     pub(crate) fn take(&mut self, colour: &[u32], shown: &Surface, surface: &Surface, frames: u8) {
         if colour.len() != self.pixels.last.len() {
             return;
@@ -144,45 +151,45 @@ impl Memory {
             self.forget();
         }
         let Pixels { colour: known, delta, last, steady, last_delta, .. } = &mut self.pixels;
-        stay(last, last_delta, steady, frame.colour, frame.delta, frames.min(MOST));
+        stay(last, last_delta, steady, frame.colour, frame.delta, frames.min(MAX_FRAMES));
         keep(known, delta, steady, frame.colour, frame.delta);
         mark(self.in_front.pixels(colour.len()), known, delta, frame.colour, frame.delta);
         self.pixels.last_shown.copy_from_slice(shown.all());
-        self.in_front.look(self.grid.width);
+        self.in_front.update(self.grid.width);
     }
 
-    /// Whether much of what is in sight as it was before looks otherwise.
+    /// True if a large share of the remembered surface that is visible now has changed colour.
     fn has_moved(&self, now: &Frame) -> bool {
         let (mut seen, mut other) = (0usize, 0usize);
         let width = self.grid.width as usize;
         for (y, new) in now.colour.chunks(width).enumerate() {
             let from = y * width;
-            let row = now.delta[from..from + width].iter().zip(new).enumerate().skip(y % EVERY).step_by(EVERY);
+            let row = now.delta[from..from + width].iter().zip(new).enumerate().skip(y % SAMPLE_STEP).step_by(SAMPLE_STEP);
             for (x, (delta, rgb)) in row {
-                if (delta - self.pixels.delta[from + x]).abs() <= APART {
+                if (delta - self.pixels.delta[from + x]).abs() <= DEPTH_STEP {
                     seen += 1;
-                    other += usize::from(apart(*rgb, self.pixels.colour[from + x]) > OTHER);
+                    other += usize::from(difference(*rgb, self.pixels.colour[from + x]) > COLOUR_STEP);
                 }
             }
         }
-        other as f64 > MOVED * seen as f64
+        other as f64 > MOVED_SHARE * seen as f64
     }
 
-    /// Puts what is remembered in place of the made-up `colours` of hidden texels: of all layers of the tiles from `first` on, in the order
-    /// of their classes. Gives how many it knew.
+    /// Replaces made-up `colours` of hidden texels by remembered ones, for all layers of the tiles from index `first` on, in the order of
+    /// their classes. Returns the number of colours replaced.
     pub fn recall(&self, first: u32, masks: &[LayerMasks], colours: &mut [Vec<Vec<[u8; 3]>>]) -> usize {
         let layers =
             masks.iter().zip(colours).zip(first..).flat_map(|((m, c), tile)| m.layers.iter().zip(c).map(move |(l, c)| (tile, l, c)));
         layers.map(|(tile, l, colours)| self.recall_layer(tile, &l.plane, l.rect, &l.class, colours)).sum()
     }
 
-    /// The same of one layer.
+    /// Like [`Memory::recall`] for one layer.
     fn recall_layer(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], colours: &mut [[u8; 3]]) -> usize {
         let seen = self.seen_of(tile, plane, rect, class).into_iter();
         seen.zip(colours).filter_map(|(seen, colour)| seen.map(|seen| *colour = seen)).count()
     }
 
-    /// What is remembered of each of a layer's hidden texels, in their order; none where it has to be made up.
+    /// The remembered colour of each hidden texel of a layer, in their order; `None` where the colour has to be made up.
     pub(crate) fn seen_of(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8]) -> Vec<Option<[u8; 3]>> {
         let (place, width) = (TileFrame::of(&self.grid, tile), rect.w as usize);
         let (mut us, mut delta, mut holds, mut out) = (Vec::new(), vec![0.0; width], vec![0; width], Vec::new());
@@ -205,17 +212,18 @@ impl Memory {
 }
 
 dispatch!(
-    /// Marks with 1 the pixels of a row where a layer of disparity `delta` shows what is remembered, of disparity `known`, behind what is `shown`.
+    /// Marks with 1 the pixels of a row where a layer of disparity `delta` shows the remembered surface of disparity `known`, behind the
+    /// visible surface `shown`.
     hold, hold_body, (delta: &[f32], known: &[f32], shown: &[f32], holds: &mut [u8])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn hold_body(delta: &[f32], known: &[f32], shown: &[f32], holds: &mut [u8]) {
     for (((delta, known), shown), holds) in delta.iter().zip(known).zip(shown).zip(holds) {
-        // a layer may lie nearer than what was seen there, as its plane was guessed from beside; what was seen nearer is another one's, and
-        // what lies nearer to the thing that stands there is a part of it
-        *holds = u8::from((*known <= *delta + APART) & ((*delta - *known).abs() <= (*delta - *shown).abs()));
+        // a layer's plane is extrapolated from the side, so it may be nearer than the remembered surface; a remembered surface that is
+        // nearer belongs to another layer, and a layer closer to the visible object than to the remembered surface belongs to that object
+        *holds = u8::from((*known <= *delta + DEPTH_STEP) & ((*delta - *known).abs() <= (*delta - *shown).abs()));
     }
 }
 
@@ -228,7 +236,7 @@ mod tests {
 
     const SIDE: u32 = 64;
 
-    /// A wall with stripes, and before it a red thing from column `from` to `to`.
+    /// A striped wall, and in front of it a red object from column `from` to `to`.
     fn frame(from: u32, to: u32, wall: impl Fn(u32) -> [u8; 3]) -> (Photo, Geometry) {
         let inside = |i: u32| (from..to).contains(&(i % SIDE));
         let rgb = (0..SIDE * SIDE).map(|i| if inside(i) { [200, 0, 0] } else { wall(i) }).collect();
@@ -254,13 +262,13 @@ mod tests {
         memory.take(&colours, &shown, &shown.without_mixed(), frames);
     }
 
-    /// Looks at a frame for as long as it takes to keep it.
-    fn look(memory: &mut Memory, (photo, geometry): &(Photo, Geometry)) {
+    /// Repeats a frame until it is remembered.
+    fn repeat(memory: &mut Memory, (photo, geometry): &(Photo, Geometry)) {
         (0..=STEADY).for_each(|_| take(memory, photo, geometry));
     }
 
     #[test]
-    fn what_few_frames_a_second_show_is_remembered_as_soon() {
+    fn low_frame_rates_remember_as_soon() {
         for (frames, after) in [(1, 15), (3, 5), (5, 3), (200, 3)] {
             let (photo, geometry) = frame(0, 12, stripes);
             let mut memory = Memory::new(geometry.grid);
@@ -274,7 +282,7 @@ mod tests {
         }
     }
 
-    /// Hidden texels of the wall, with the column of each, and how many were remembered.
+    /// Hidden texels of the wall with their columns, and the number of remembered ones.
     fn hidden(memory: &Memory, (photo, geometry): &(Photo, Geometry)) -> (Vec<(u32, [u8; 3])>, usize) {
         let masks = geometry.masks();
         let mut colours = Inpainter::new(photo, geometry).fill_all(&masks);
@@ -285,44 +293,44 @@ mod tests {
     }
 
     #[test]
-    fn what_was_seen_is_shown_where_something_stands_now_and_the_rest_is_made_up() {
+    fn hidden_texels_show_what_was_seen_and_the_rest_is_made_up() {
         let (before, now) = (frame(0, 12, stripes), frame(20, 50, stripes));
         let mut memory = Memory::new(now.1.grid);
         assert_eq!((hidden(&memory, &now).1, memory.known()), (0, 0));
-        look(&mut memory, &before);
-        look(&mut memory, &now);
+        repeat(&mut memory, &before);
+        repeat(&mut memory, &now);
         let (texels, known) = hidden(&memory, &now);
         assert!(!texels.is_empty() && known == texels.len(), "{known} of {}", texels.len());
         assert!(texels.iter().all(|(x, c)| c[..2] == stripes(*x)[..2]));
-        // behind where the thing was all the time nothing was ever seen
+        // the wall behind an object that never moves was never visible
         let stays = frame(0, 30, stripes);
         let mut memory = Memory::new(stays.1.grid);
-        look(&mut memory, &stays);
+        repeat(&mut memory, &stays);
         assert_eq!(hidden(&memory, &stays).1, 0);
     }
 
     #[test]
-    fn what_moves_ahead_of_its_labels_is_not_taken_for_what_lies_behind_it() {
+    fn an_object_ahead_of_its_labels_is_not_remembered_as_background() {
         let thing = |step: u32| frame(2 * step, 12 + 2 * step, stripes);
         let mut memory = Memory::new(thing(0).1.grid);
-        look(&mut memory, &thing(0));
+        repeat(&mut memory, &thing(0));
         for step in 1..=10 {
             take(&mut memory, &thing(step).0, &thing(step.saturating_sub(3)).1);
         }
         let (texels, known) = hidden(&memory, &thing(10));
-        // its foremost six columns were shown without labels: what opens about these, but for the first, must not show what lies behind both
+        // the object's foremost six columns had no labels: the gap around all but the first must not show the wall behind both
         let behind: Vec<_> = texels.iter().filter(|(x, _)| *x < 27 - GAP).collect();
         assert!(known == behind.len() && known > 0 && known < texels.len(), "{known} of {}", texels.len());
         assert!(behind.iter().all(|(x, c)| c[..2] == stripes(*x)[..2]), "{texels:?}");
     }
 
     #[test]
-    fn what_lies_near_the_thing_in_front_is_a_part_of_it() {
+    fn a_layer_near_the_object_in_front_belongs_to_it() {
         let (before, now) = (frame(0, 12, stripes), frame(20, 50, stripes));
         let mut memory = Memory::new(now.1.grid);
-        look(&mut memory, &before);
-        look(&mut memory, &now);
-        // the wall is at .2, the thing at .8
+        repeat(&mut memory, &before);
+        repeat(&mut memory, &now);
+        // the wall is at 0.2, the object at 0.8
         for (delta, expected) in [(0.1, 0), (0.2, 4), (0.45, 4), (0.55, 0), (0.75, 0)] {
             let plane = Plane::fronto_parallel(delta);
             let mut colours = [[1, 2, 3]; 4];
@@ -341,15 +349,15 @@ mod tests {
         }
         let now = frame(20, 50, plain(76));
         take(&mut memory, &now.0, &now.1);
-        // what is remembered must say so: a wall of one colour is made up just so
+        // only the count shows that the colours are remembered: inpainting gives the same ones for a wall of one colour
         let (texels, known) = hidden(&memory, &now);
         assert!(known > 0 && texels.iter().all(|(_, c)| *c == [76; 3]), "{known} of {}", texels.len());
     }
 
     #[test]
-    fn nothing_holds_once_the_camera_has_moved() {
+    fn a_moving_camera_clears_the_memory() {
         let mut memory = Memory::new(frame(0, 1, stripes).1.grid);
-        look(&mut memory, &frame(0, 12, stripes));
+        repeat(&mut memory, &frame(0, 12, stripes));
         assert!(memory.known() > 0);
         let moved = frame(20, 50, |i| stripes(i + 1));
         take(&mut memory, &moved.0, &moved.1);

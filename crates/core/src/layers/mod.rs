@@ -1,5 +1,5 @@
-//! Layers from planes and labels: which texels each has ([`Geometry::masks`]), and the colours of those that something hides
-//! ([`Inpainter`]). Writer and readers run the same steps on the same values, so a container need not carry them.
+//! Layers from planes and labels: the texels of each layer ([`Geometry::masks`]), and the colours of hidden texels ([`Inpainter`]). Writer
+//! and readers run the same steps on the same values, so a container need not carry the results.
 
 mod colour_rows;
 mod dilation;
@@ -18,7 +18,7 @@ pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
 pub(crate) use matting::{Rows, matte};
 pub use memory::Memory;
-pub(crate) use memory::{MOST, STEADY};
+pub(crate) use memory::{MAX_FRAMES, STEADY};
 pub use prune::work_of;
 pub use surface::Surface;
 pub(crate) use texture::texture_tiles;

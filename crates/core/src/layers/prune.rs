@@ -1,7 +1,8 @@
-//! Pruning: of the texels behind something, those stay that a camera of the view box can look at.
+//! Pruning: keeps only the hidden texels that a camera in the view box can see.
 //!
-//! A camera looks past an edge by as many pixels as the parallax between both sides of it. A texel can therefore be seen where within
-//! so many pixels around it the visible surface covers the layer's plane nowhere: a box dilation of the open pixels.
+//! A camera looks past an edge by the parallax between the two sides of the edge, in pixels. A hidden texel can therefore be seen only if,
+//! within that distance, there is a pixel where the visible surface does not cover the layer's plane. The test is a box dilation of such
+//! open pixels.
 
 use std::ops::Range;
 
@@ -9,46 +10,47 @@ use super::dilation::{Dilation, dilate};
 use super::{Geometry, Surface, TileFrame, grown, rows};
 use crate::scene::{Grid, Intrinsics, Plane, Rect, ViewBox};
 
-/// Widest search for the edge that uncovers a hidden texel, in pixels.
+/// Maximum search distance for an edge that uncovers a hidden texel, in pixels.
 const MAX_REACH: f64 = 96.0;
-/// Pixels added to the parallax: bilinear footprint and rounding.
+/// Pixels added to the parallax, for the bilinear footprint and rounding.
 const MARGIN: f64 = 1.5;
-/// A surface counts as open for a layer that lies at most this far in front of it, in δ.
+/// A visible surface at most this far in front of a layer, in δ, does not cover it.
 const UNOCCLUDED: f64 = 0.004;
 
 impl ViewBox {
-    /// Parallax in pixels, right and down, that a unit of disparity has within `rect` between the photo and the farthest
-    /// camera of the box.
+    /// Parallax in pixels (horizontal, vertical) of one unit of disparity within `rect`, between the reference view and the farthest camera
+    /// of the box.
     #[must_use]
     pub fn parallax(&self, k: &Intrinsics, rect: Rect) -> (f64, f64) {
-        // forward motion moves a pixel by its distance from the principal point
+        // forward motion moves a pixel in proportion to its distance from the principal point
         let reach = |from: u32, len: u32, c: f64| (f64::from(from) - c).abs().max((f64::from(from + len) - c).abs());
         (k.fx * self.x + reach(rect.x, rect.w, k.cx) * self.z, k.fy * self.y + reach(rect.y, rect.h, k.cy) * self.z)
     }
 }
 
-/// A layer of a tile that has texels behind the visible surface.
+/// A layer of a tile with texels behind the visible surface.
 pub(super) struct Behind<'a> {
-    /// The tile's pixels.
+    /// Pixels of the tile.
     pub r: Rect,
     pub place: TileFrame,
     pub plane: &'a Plane,
-    /// How far its farthest texel lies behind the surface, in δ.
+    /// Maximum distance of its texels behind the surface, in δ.
     pub depth: f64,
 }
 
-/// Used again from layer to layer.
+/// Scratch memory, reused from layer to layer.
 #[derive(Default)]
 pub(super) struct Pruning {
-    /// Horizontal places of the columns of the window around the texels.
+    /// `u` of the columns of the window around the texels.
     us: Vec<f64>,
-    /// Pixels of the window that nothing covers: 0 or 1.
+    /// 1 for the pixels of the window that nothing covers, otherwise 0.
     open: Vec<u8>,
-    /// What these reach within the tile.
+    /// Dilation of the open pixels within the tile.
     reach: Dilation,
 }
 
-/// Pixels that [`Geometry::masks`] looks at, at most, where the tiles of a grid have so many planes: a reader's bound on its work.
+/// Maximum number of pixels that [`Geometry::masks`] reads for a grid whose tiles have these numbers of `planes`. Readers use it to bound
+/// their work.
 pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
     let reach = MAX_REACH as u32;
     let window = |i: u32| grown(grid.rect(i), reach, reach, grid).area() as u64;
@@ -56,14 +58,14 @@ pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
 }
 
 impl Geometry {
-    /// Rows of pixels that the texels of some rows of tiles, and their colours, follow from.
+    /// Rows of pixels that determine the texels, and their colours, in some rows of tiles.
     pub(crate) fn reach(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
         let last = grid.rect((rows.end - 1) * grid.columns());
         let reach = MAX_REACH as u32;
         (rows.start * grid.stride).saturating_sub(reach)..(last.y + last.h + reach).min(grid.height)
     }
 
-    /// Pixels whose surface the masks of a tile follow from.
+    /// Pixels whose surface determines the masks of a tile.
     pub(crate) fn window(&self, index: u32) -> Rect {
         let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), TileFrame::of(&self.grid, index));
         let (right, lower) = (r.x + r.w - 1, r.y + r.h - 1);
@@ -71,13 +73,13 @@ impl Geometry {
         let all = tile.planes.iter().chain(&tile.background).flat_map(|p| corners.map(|(x, y)| f64::from(place.disparity(p, x, y))));
         let (least, most) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), d| (l.min(d), m.max(d)));
         let parallax = self.view_box.parallax(&self.intrinsics, r);
-        // one more: between the corners it is rounded elsewhere
+        // one more pixel, because rounding between the corners can differ
         let reach = |parallax: f64| ((most - least) * parallax + MARGIN).min(MAX_REACH).ceil() as u32 + 1;
         grown(r, reach(parallax.0), reach(parallax.1), &self.grid)
     }
 
-    /// Clears those texels of a layer in `hidden`, a mask of 0 and 1 over the tile, that no camera of the view box can look at; gives
-    /// the count of those that stay.
+    /// Clears the texels of a layer in `hidden`, a mask of 0 and 1 over the tile, that no camera of the view box can see. Returns the
+    /// number of remaining texels.
     #[inline(never)]
     pub(super) fn keep_seen(&self, layer: &Behind, surface: &Surface, hidden: &mut [u8], scratch: &mut Pruning) -> usize {
         let (Behind { r, place, plane, depth }, Pruning { us, open, reach: dilation }) = (layer, scratch);
@@ -85,15 +87,15 @@ impl Geometry {
         let parallax = self.view_box.parallax(&self.intrinsics, *r);
         let reach = |parallax: f64, step: f64| (step * parallax + MARGIN).min(MAX_REACH).ceil() as u32;
         let win = grown(*r, reach(parallax.0, *depth), reach(parallax.1, *depth), &self.grid);
-        // an occluder of the neighbourhood may be nearer still, and its edge uncovers more
+        // an occluder in the neighbourhood can be nearer still, and its edge uncovers more
         let nearest = (win.y..win.y + win.h).map(|y| rows::nearest(surface.row(win.x, y, win.w))).fold(0.0, f32::max);
-        // the plane is nowhere farther than at a corner
+        // an affine plane is farthest at a corner
         let corner = |x: u32, y: u32| place.disparity(plane, x, y);
         let (right, lower) = (win.x + win.w - 1, win.y + win.h - 1);
         let least = corner(win.x, win.y).min(corner(right, win.y)).min(corner(win.x, lower)).min(corner(right, lower));
         let step = (f64::from(nearest) - f64::from(least).max(0.0)).max(*depth);
         let radius = (reach(parallax.0, step), reach(parallax.1, step));
-        // what lies farther from every hidden texel uncovers none
+        // pixels farther than that from all hidden texels cannot uncover any
         let inner = Rect { x: r.x + bounds.x, y: r.y + bounds.y, ..bounds };
         let near = common(win, grown(inner, radius.0, radius.1, &self.grid));
         place.columns(near.x, near.w, us);
@@ -113,20 +115,20 @@ impl Geometry {
     }
 }
 
-/// The rectangle that both have in common, where they overlap.
+/// The intersection of two overlapping rectangles.
 fn common(a: Rect, b: Rect) -> Rect {
     let (x, y) = (a.x.max(b.x), a.y.max(b.y));
     Rect { x, y, w: (a.x + a.w).min(b.x + b.w) - x, h: (a.y + a.h).min(b.y + b.h) - y }
 }
 
-/// Bounds of what is not 0 in a mask `w` pixels wide; none where all is.
+/// Bounds of the non-zero entries in a mask that is `w` pixels wide; `None` if there are none.
 pub(super) fn extent(mask: &[u8], w: usize) -> Option<Rect> {
     let full = |c: &u8| *c != 0;
     let y0 = mask.iter().position(full)? / w;
     let y1 = mask.iter().rposition(full)? / w + 1;
     let (mut x0, mut x1) = (w, 0);
     for row in mask[y0 * w..y1 * w].chunks(w) {
-        // only what lies outside of the bounds so far can widen them
+        // only entries outside the current bounds can widen them
         x0 = row[..x0].iter().position(full).unwrap_or(x0);
         x1 = row[x1..].iter().rposition(full).map_or(x1, |x| x1 + x + 1);
     }
@@ -139,7 +141,7 @@ mod tests {
     use crate::{Class, Tile};
 
     #[test]
-    fn background_is_hidden_only_near_the_edge_that_uncovers_it() {
+    fn background_has_hidden_texels_only_near_the_edge_that_uncovers_them() {
         // a near square in the middle of a far wall
         let grid = Grid::new(64, 64, 64);
         let labels = (0..4096u32).map(|i| u8::from((16..48).contains(&(i % 64)) && (16..48).contains(&(i / 64)))).collect();
@@ -154,7 +156,7 @@ mod tests {
         let shapes = &b.masks()[0];
         let far = &shapes.layers[0];
         let hidden = |x: u32, y: u32| far.class[((y - far.rect.y) * far.rect.w + x - far.rect.x) as usize] == Class::Hidden as u8;
-        // parallax 4 px times a step of 0.75, and the margin: 5 px from the left and right edges, 2 from the others
+        // a parallax of 4 px times a step of 0.75, plus the margin: 5 px from the left and right edges, 2 px from the others
         assert!(hidden(20, 32) && !hidden(21, 32) && hidden(43, 32) && !hidden(42, 32));
         assert!(hidden(32, 17) && !hidden(32, 18));
         assert_eq!(shapes.never_seen, 22 * 28);
@@ -163,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_tiles_follow_from_the_rows_of_pixels_within_the_farthest_reach() {
+    fn rows_of_tiles_depend_on_pixels_within_the_maximum_reach() {
         let grid = Grid { width: 100, height: 3000, size: 64, stride: 56 };
         let reach = MAX_REACH as u32;
         assert_eq!(Geometry::reach(&grid, &(20..22)), 20 * 56 - reach..21 * 56 + 64 + reach);

@@ -1,21 +1,21 @@
-//! What visibility and pruning do along rows of pixels, in forms that vectorise; the same bits come out on every processor.
+//! Visibility and pruning kernels over rows of pixels, in forms that vectorise; every processor returns the same bits.
 
 use crate::scene::{Class, Plane};
 use crate::simd::dispatch;
 
-/// The visible surface of a tile: places of its columns, labels of all pixels, planes.
+/// The visible surface of a tile: coordinates of its columns, labels of all pixels, and planes.
 #[derive(Clone, Copy)]
 pub struct Columns<'a> {
-    /// Horizontal places of the columns in half tiles.
+    /// `u` of the columns, in half tiles.
     pub us: &'a [f64],
-    /// Plane that each pixel lies on, row-major.
+    /// Label of each pixel, row-major.
     pub labels: &'a [u8],
-    /// The planes.
+    /// Planes of the tile.
     pub planes: &'a [Plane],
 }
 
 impl Columns<'_> {
-    /// δ of the visible surface along row `y` of the tile, whose place is `v`; `planes` is scratch.
+    /// Computes δ of the visible surface along row `y` of the tile, whose coordinate is `v`; `planes` is scratch memory.
     pub fn visible(&self, y: usize, v: f64, planes: &mut Vec<[f64; 2]>, out: &mut [f32]) {
         let labels = &self.labels[y * self.us.len()..][..self.us.len()];
         match labels.first() {
@@ -34,12 +34,12 @@ impl Columns<'_> {
 }
 
 dispatch!(
-    /// δ of `plane` at places `us` of the row `v`.
+    /// Computes δ of `plane` at the columns `us` of row `v`.
     pub disparities, disparities_body, (us: &[f64], v: f64, plane: &Plane, out: &mut [f32])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn disparities_body(us: &[f64], v: f64, plane: &Plane, out: &mut [f32]) {
     let (a, b, cv) = (plane.a, plane.b, plane.c * v);
     for (o, u) in out.iter_mut().zip(us) {
@@ -47,19 +47,19 @@ fn disparities_body(us: &[f64], v: f64, plane: &Plane, out: &mut [f32]) {
     }
 }
 
-/// Lanes of the reductions.
+/// Number of lanes in the reductions.
 const LANES: usize = 8;
 
 dispatch!(
-    /// Marks with 1 what lies behind the visible surface: δ of a layer `own`, of the surface `visible`, the labels of the pixels
-    /// and the layer's. Gives the count of marks and the greatest distance in δ.
+    /// Marks with 1 the pixels where a layer lies behind the visible surface. `own` is δ of the layer and `visible` that of the surface;
+    /// pixels with the layer's own `label` are not marked. Returns the number of marks and the greatest distance in δ.
     pub behind, behind_body, (own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> (usize, f64)
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> (usize, f64) {
-    // labels end at 63, so 255 is no pixel's
+    // labels end at 63, so no pixel has 255
     let label = label.unwrap_or(u8::MAX);
     for (((m, &d), &v), &l) in mask.iter_mut().zip(own).zip(visible).zip(labels) {
         *m = u8::from(l != label) & u8::from(d < v) & u8::from(d >= 0.0);
@@ -80,25 +80,25 @@ fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, m
 }
 
 dispatch!(
-    /// Classes and alpha of texels: the photo's where a pixel's label is the layer's, else hidden or empty by the mask.
+    /// Sets class and alpha of the texels: visible where a pixel has the layer's label, otherwise hidden or empty as in the mask.
     pub classify, classify_body, (labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u8], alpha: &mut [u8])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 #[allow(clippy::needless_bitwise_bool, reason = "without a branch")]
 fn classify_body(labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u8], alpha: &mut [u8]) {
-    // labels end at 63, so 255 is no pixel's
+    // labels end at 63, so no pixel has 255
     let label = label.unwrap_or(u8::MAX);
     for (((c, a), &l), &hidden) in class.iter_mut().zip(alpha).zip(labels).zip(hidden) {
-        // no product: not every processor has one of so small numbers
+        // no multiplication: not every processor has one for vectors of bytes
         let behind = if hidden == 0 { Class::Empty as u8 } else { Class::Hidden as u8 };
         *c = if l == label { Class::Photo as u8 } else { behind };
         *a = if (l == label) | (hidden != 0) { u8::MAX } else { 0 };
     }
 }
 
-/// Opaque texels among each one of a row and its neighbours.
+/// For each texel of a row, counts the opaque ones among it and its two neighbours.
 #[inline(never)]
 pub fn sums_of_three(alpha: &[u8], sums: &mut [u8]) {
     for (s, a) in sums.iter_mut().zip(alpha) {
@@ -112,8 +112,8 @@ pub fn sums_of_three(alpha: &[u8], sums: &mut [u8]) {
     }
 }
 
-/// For each empty texel of a row the count of opaque ones among itself and its neighbours, by the sums of up to three rows; false
-/// where all are 0.
+/// For each empty texel of a row, counts the opaque texels in its 3×3 neighbourhood, from the sums of up to three rows. Returns false if
+/// all counts are 0.
 #[inline(never)]
 pub fn ring(class: &[u8], sums: [&[u8]; 3], ring: &mut [u8]) -> bool {
     ring.fill(0);
@@ -136,7 +136,7 @@ dispatch!(
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mask: &mut [u8]) {
     let (a, b, cv) = (plane.a, plane.b, plane.c * v);
     for ((m, &d), u) in mask.iter_mut().zip(surface).zip(us) {
@@ -145,12 +145,12 @@ fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mas
 }
 
 dispatch!(
-    /// The greatest of some values, at least 0.
+    /// The maximum of the values, at least 0.
     pub nearest, nearest_body, (surface: &[f32]) -> f32
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn nearest_body(surface: &[f32]) -> f32 {
     let mut most = [0f32; LANES];
     let (chunks, rest) = surface.as_chunks::<LANES>();
@@ -170,7 +170,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(256))]
 
-        /// Rows of any length against a pixel at a time.
+        /// Compares rows of any length with one pixel at a time.
         #[test]
         fn rows_agree_with_single_pixels(
             n in 1usize..40, seed in prop::collection::vec(0f32..1.0, 40), label in prop::option::of(0u8..3),

@@ -1,18 +1,18 @@
-//! The visible surface: δ of what each pixel of the photo shows.
+//! The visible surface: δ at each pixel of the photo.
 
 use std::ops::Range;
 
 use super::rows::Columns;
 use super::{Geometry, TileFrame};
 
-/// A pixel that touches a surface nearer by this much is mixed with it.
+/// Difference in δ from which a pixel's colour is mixed with that of a nearer neighbour.
 const TOUCH: f64 = 0.03;
 
-/// δ of the visible surface per pixel, of some rows of the photo; where tiles overlap, of the tile that comes last.
+/// δ of the visible surface for some rows of the photo, row-major. Where tiles overlap, the last tile counts.
 #[derive(Clone)]
 pub struct Surface {
     width: usize,
-    /// The first row.
+    /// Index of the first row.
     top: u32,
     delta: Vec<f32>,
 }
@@ -39,39 +39,39 @@ impl Surface {
         surface
     }
 
-    /// The first row.
+    /// Index of the first row.
     pub(super) const fn top(&self) -> u32 {
         self.top
     }
 
-    /// Place of a pixel among those of its rows.
+    /// Index of a pixel of the photo in this surface.
     pub(super) fn at(&self, x: u32, y: u32) -> usize {
         (y - self.top) as usize * self.width + x as usize
     }
 
-    /// `count` pixels of row `y` from column `x` on.
+    /// δ of `count` pixels of row `y` from column `x` on.
     pub(super) fn row(&self, x: u32, y: u32, count: u32) -> &[f32] {
         &self.delta[self.at(x, y)..][..count as usize]
     }
 
-    /// δ of all pixels of its rows, row by row.
+    /// δ of all pixels, row by row.
     #[must_use]
     pub fn all(&self) -> &[f32] {
         &self.delta
     }
 
-    /// The same, infinite where a pixel touches something nearer by more than [`TOUCH`]: its colour is mixed.
+    /// A copy that is infinite at mixed pixels: those that touch a surface nearer by more than [`TOUCH`].
     pub(crate) fn without_mixed(&self) -> Self {
         let mut surface = self.clone();
-        surface.put_away_mixed();
+        surface.exclude_mixed();
         surface
     }
 
-    /// Makes infinite what touches something nearer: such a pixel's colour is mixed.
-    pub(super) fn put_away_mixed(&mut self) {
+    /// Sets mixed pixels, those that touch a nearer surface, to infinity.
+    pub(super) fn exclude_mixed(&mut self) {
         let width = self.width;
         let mut above = vec![f32::NEG_INFINITY; width];
-        // with one more at either end
+        // padded by one pixel at both ends
         let (mut here, mut nearest) = (above.clone(), vec![f32::NEG_INFINITY; width + 2]);
         let rows = self.delta.len() / width;
         for y in 0..rows {

@@ -1,24 +1,24 @@
-//! Layers with colours, and the scene that they make up (paper, section 3.2).
+//! Layers with colours, and their composition into a scene (paper, section 3.2).
 
 use super::{Geometry, Inpainter, LayerMask, LayerMasks, Rows, Surface, matte};
 use crate::scene::{Layer, Photo, Scene, Texels};
 
-/// A layer with the colours of its hidden texels, in the order of its classes.
+/// A layer with the colours of its hidden texels.
 #[derive(Clone, Debug)]
 pub struct TexturedLayer {
-    /// Plane, rectangle, class and alpha.
+    /// Plane, rectangle, classes and alphas.
     pub shape: LayerMask,
-    /// A colour for every hidden texel.
+    /// Colour of each hidden texel, in the order of the classes.
     pub hidden: Vec<[u8; 3]>,
 }
 
-/// Colours the hidden texels of all layers; sources are the photo's pixels at or behind each layer. Mattes them where `geometry` says so.
+/// Colours the hidden texels of all layers from the photo's pixels at or behind each layer. Mattes depth borders if `geometry.matted`.
 #[must_use]
 pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
     texture_tiles(geometry, geometry.surface(), &photo.rgb, 0, shapes)
 }
 
-/// The same of some tiles, the first of which is number `first`; `surface` and `rgb` have the rows that these follow from, the same ones.
+/// Like [`texture`] for some tiles from index `first` on. `surface` and `rgb` cover the same rows, all that these tiles depend on.
 pub(crate) fn texture_tiles(
     geometry: &Geometry,
     surface: Surface,
@@ -36,7 +36,7 @@ pub(crate) fn texture_tiles(
     tiles
 }
 
-/// Joins textured layers into a scene.
+/// Joins the textured layers of all tiles into a scene.
 #[must_use]
 pub fn compose(photo: Photo, geometry: &Geometry, tiles: Vec<Vec<TexturedLayer>>) -> Scene {
     let mut texels = Texels::default();

@@ -1,7 +1,6 @@
-//! Which texels each layer has: derived from planes and labels alone, so that a container need not carry it.
+//! Texels of each layer, derived from planes and labels alone, so that a container need not carry them.
 //!
-//! Writer and readers run the same steps in `f64` on values rounded to `f32` at the same places, and so come to the same texels bit
-//! for bit.
+//! Writer and readers compute in `f64` and round to `f32` at the same places, so their texels match bit for bit.
 
 use std::ops::Range;
 
@@ -11,29 +10,29 @@ use super::rows::{self, Columns};
 use crate::parallel;
 use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
 
-/// A layer whose rim lies in front of its neighbour by at most this many pixels of parallax over [`ViewBox::default`] is one surface with
-/// it, however far cameras go.
+/// A layer whose edge lies in front of its neighbour by at most this many pixels of parallax over [`ViewBox::default`] is one surface with
+/// it, however large the scene's view box is.
 const SEAM: f64 = 1.0;
 
-/// The planes of one tile and which of them each pixel lies on.
+/// The planes of one tile, and the label of each pixel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tile {
-    /// Planes on the container's grid, from far to near at the tile's centre; 1 to 64.
+    /// Planes, quantised as in the container, from far to near at the tile's centre; 1 to 64.
     pub planes: Vec<Plane>,
-    /// Plane that each pixel of the tile's rectangle lies on, row-major.
+    /// Index of the plane of each pixel in the tile's rectangle, row-major.
     pub labels: Vec<u8>,
-    /// A plane behind all that the tile shows, known from its neighbourhood: hidden texels only.
+    /// A plane behind everything that the tile shows, known from its neighbourhood. It has hidden texels only.
     pub background: Option<Plane>,
 }
 
 impl Tile {
-    /// The least δ that it shows, of tile `index` of the grid.
+    /// The smallest δ that this tile shows; `index` is its index in the grid.
     #[must_use]
     pub fn farthest(&self, grid: &Grid, index: u32) -> f32 {
         self.shown(grid, index).iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least })
     }
 
-    /// δ of each of its pixels, row-major, of tile `index` of the grid.
+    /// δ of each pixel, row-major; `index` is the tile's index in the grid.
     #[must_use]
     pub fn shown(&self, grid: &Grid, index: u32) -> Vec<f32> {
         let (r, place) = (grid.rect(index), TileFrame::of(grid, index));
@@ -47,68 +46,68 @@ impl Tile {
     }
 }
 
-/// Everything that the texels of a scene follow from, but their colours.
+/// Everything that determines the texels of a scene, except for colours.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geometry {
-    /// The tiles.
+    /// The grid of tiles.
     pub grid: Grid,
     /// The reference camera.
     pub intrinsics: Intrinsics,
     /// Camera positions that the scene is made for.
     pub view_box: ViewBox,
-    /// One entry a tile of the grid.
+    /// One entry for each tile of the grid.
     pub tiles: Vec<Tile>,
-    /// Pixels beside depth borders are taken apart into foreground and background.
+    /// True if pixels beside depth borders are decomposed into foreground and background.
     pub matted: bool,
 }
 
-/// Which texels one layer has, and how opaque they are.
+/// Classes and alphas of one layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerMask {
-    /// Its plane.
+    /// Plane of the layer.
     pub plane: Plane,
-    /// Its label, none for a background.
+    /// Label of the layer; `None` for a background plane.
     pub label: Option<u8>,
-    /// Photo pixels that its texels stand for.
+    /// Pixels of the photo that the texels cover.
     pub rect: Rect,
-    /// [`Class`] per texel.
+    /// The [`Class`] of each texel, as a byte.
     pub class: Vec<u8>,
-    /// Straight alpha per texel.
+    /// Straight alpha of each texel.
     pub alpha: Vec<u8>,
 }
 
-/// Masks of the layers of a tile, from far to near at its centre.
+/// Masks of the layers of a tile, from far to near at the tile's centre.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LayerMasks {
-    /// The layers that have any texel.
+    /// The layers that have any texels.
     pub layers: Vec<LayerMask>,
-    /// Texels behind something that no camera of the view box looks past, and that were therefore left out.
+    /// Number of hidden texels left out because no camera of the view box can see them.
     pub never_seen: usize,
 }
 
-/// Where `(u, v)` of a tile lies in the photo.
+/// Maps photo pixels to the `(u, v)` of a tile.
 #[derive(Clone, Copy, Debug)]
 pub struct TileFrame {
-    /// Tile centre in pixels.
+    /// Centre of the tile in pixels.
     pub centre: (f64, f64),
-    /// Half a tile in pixels.
+    /// Half the tile's size in pixels.
     pub half: f64,
 }
 
 impl TileFrame {
-    /// Of tile `index`.
+    /// The frame of tile `index`.
     #[must_use]
     pub fn of(grid: &Grid, index: u32) -> Self {
         Self { centre: grid.centre(index), half: grid.half() }
     }
 
-    /// Vertical place of a row of pixels, in units of half a tile.
+    /// `v` of the centre of pixel row `y`.
     #[must_use]
     pub fn v(&self, y: u32) -> f64 {
         (f64::from(y) + 0.5 - self.centre.1) / self.half
     }
 
-    /// Horizontal places of `count` columns of pixels from `x` on, into `us`.
+    /// Writes `u` of the centres of `count` pixel columns from `x` on into `us`.
     pub fn columns(&self, x: u32, count: u32, us: &mut Vec<f64>) {
         us.clear();
         us.extend((x..x + count).map(|x| (f64::from(x) + 0.5 - self.centre.0) / self.half));
@@ -121,7 +120,7 @@ impl TileFrame {
     }
 }
 
-/// The rectangle grown by `x`, `y` pixels and clipped to the photo.
+/// The rectangle enlarged by `x` and `y` pixels on each side and clipped to the photo.
 #[must_use]
 pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
     let (x0, y0) = (r.x.saturating_sub(x), r.y.saturating_sub(y));
@@ -129,7 +128,7 @@ pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
 }
 
 impl Geometry {
-    /// Count of all planes, backgrounds included.
+    /// Number of planes in all tiles, including background planes.
     #[must_use]
     pub fn planes(&self) -> usize {
         self.tiles.iter().map(|t| t.planes.len() + usize::from(t.background.is_some())).sum()
@@ -141,7 +140,7 @@ impl Geometry {
         self.extract(false)
     }
 
-    /// The same with every texel behind something, seen or not: what leaving them out is measured against.
+    /// Like [`Geometry::masks`], but with all hidden texels, including those that no camera can see. A baseline to evaluate pruning.
     #[must_use]
     pub fn masks_unpruned(&self) -> Vec<LayerMasks> {
         self.extract(true)
@@ -151,7 +150,8 @@ impl Geometry {
         self.masks_of(0..self.tiles.len() as u32, &self.surface(), all)
     }
 
-    /// Masks of some tiles; the surface has at least the [`Geometry::reach`] of them. `all`: with every texel behind something.
+    /// Masks of some tiles. The surface must cover at least their [`Geometry::reach`]. With `all`, keeps hidden texels that no camera can
+    /// see.
     pub(crate) fn masks_of(&self, tiles: Range<u32>, surface: &Surface, all: bool) -> Vec<LayerMasks> {
         let scratch = || Scratch { all, ..Scratch::default() };
         parallel::map_init(tiles.len(), scratch, |s, i| self.masks_of_tile(tiles.start + i as u32, surface, s))
@@ -163,7 +163,7 @@ impl Geometry {
         Surface::of(self, 0..self.grid.height)
     }
 
-    /// The same of some rows of pixels alone.
+    /// δ of the visible surface of some rows of pixels.
     pub(crate) fn surface_of(&self, rows: Range<u32>) -> Surface {
         Surface::of(self, rows)
     }
@@ -172,7 +172,7 @@ impl Geometry {
     fn masks_of_tile(&self, index: u32, surface: &Surface, s: &mut Scratch) -> LayerMasks {
         let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), TileFrame::of(&self.grid, index));
         if let ([plane], None) = (tile.planes.as_slice(), tile.background) {
-            // the one plane of a tile is all visible
+            // a tile with a single plane is all visible
             let (class, alpha) = (vec![Class::Photo as u8; r.area()], vec![u8::MAX; r.area()]);
             return LayerMasks { layers: vec![LayerMask { plane: *plane, label: Some(0), rect: r, class, alpha }], never_seen: 0 };
         }
@@ -205,8 +205,8 @@ impl Geometry {
                 out.never_seen += behind - self.keep_seen(&layer, surface, &mut s.hidden, &mut s.pruning);
             }
             let Some(layer) = mask(r, place, tile, label, plane, [parallax, usual], s) else { continue };
-            // a background is the farthest at most places, but the order is by the tile's centre for all alike; a sort of so few would
-            // be a twentieth of the wasm
+            // a background plane is usually the farthest, but the order is by δ at the tile's centre; inserting is enough for so few
+            // layers, and a sort would be a twentieth of the wasm
             let farther = out.layers.partition_point(|l| l.plane.a.total_cmp(&layer.plane.a).is_le());
             out.layers.insert(farther, layer);
         }
@@ -217,28 +217,28 @@ impl Geometry {
 
 #[derive(Default)]
 struct Scratch {
-    /// Nothing is left out.
+    /// Skips pruning.
     all: bool,
-    /// Horizontal places of the tile's columns.
+    /// `u` of the tile's columns.
     us: Vec<f64>,
-    /// δ of each plane in the row at hand but for its share in `u`.
+    /// Coefficients of each plane in the current row: `b`, and `c · v`.
     planes: Vec<[f64; 2]>,
-    /// δ of the visible surface and of the layer at hand.
+    /// δ of the visible surface and of the current layer.
     visible: Vec<f32>,
     own: Vec<f32>,
-    /// Mask of 0 and 1: hidden texels of the tile.
+    /// 1 for the hidden texels of the current layer, otherwise 0.
     hidden: Vec<u8>,
-    /// The layer at hand: classes and alpha over the whole tile.
+    /// Classes and alphas of the current layer over the whole tile.
     class: Vec<u8>,
     alpha: Vec<u8>,
     pruning: Pruning,
-    /// Opaque texels among three of a row.
+    /// For each texel, the number of opaque ones among it and its neighbours in the row.
     sums: Vec<u8>,
-    /// Empty texels of a row that touch an opaque one.
+    /// For each empty texel of a row, the number of opaque texels around it.
     ring: Vec<u8>,
 }
 
-/// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
+/// Joins visible, hidden and soft texels into a layer cropped to its bounds; `None` if it has no texels.
 #[inline(never)]
 fn mask(r: Rect, place: TileFrame, tile: &Tile, label: Option<u8>, plane: Plane, parallax: [f64; 2], s: &mut Scratch) -> Option<LayerMask> {
     rows::classify(&tile.labels, label, &s.hidden, &mut s.class, &mut s.alpha);
@@ -256,19 +256,19 @@ fn mask(r: Rect, place: TileFrame, tile: &Tile, label: Option<u8>, plane: Plane,
     Some(LayerMask { plane, label, rect: Rect { x: r.x + b.x, y: r.y + b.y, w: b.w, h: b.h }, class: cut(&s.class), alpha: cut(&s.alpha) })
 }
 
-/// A layer whose rim is softened.
+/// A layer whose edge is softened.
 struct SoftEdge<'a> {
     r: Rect,
     place: TileFrame,
     tile: &'a Tile,
     label: u8,
-    /// Pixels that a unit of disparity has over the scene's view box, and over the usual one.
+    /// Parallax, in pixels, of one unit of disparity over the scene's view box, and over the default one.
     parallax: [f64; 2],
 }
 
 impl SoftEdge<'_> {
-    /// True where the surface is bent so that each side lies in front of the other's continuation: the layer that shows at pixel
-    /// `(x, y)` of the ring has no texel under one of this layer's own pixels beside it. `own`: δ of this layer.
+    /// True if the surface is creased so that each side lies in front of the other's extension: the layer visible at pixel `(x, y)` of the
+    /// ring has no texel behind one of this layer's adjacent pixels. `own` is δ of this layer.
     fn folds(&self, x: usize, y: usize, own: &[f32]) -> bool {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
         let other = &self.tile.planes[self.tile.labels[y * w + x] as usize];
@@ -280,9 +280,10 @@ impl SoftEdge<'_> {
     }
 }
 
-/// One ring of soft texels outside: alpha is the 3×3 box of the opaque mask, colour the photo's, so that the identity view
-/// stays exact. Only where the layer lies in front: elsewhere the photo's colour belongs to something else. Where it lies
-/// hardly in front and the surface is bent by a crease, the ring is opaque, or a hairline would open along the crease.
+/// Adds a ring of soft texels around the layer. Alpha is the 3×3 box filter of the opaque mask and the colour is the photo's, so the
+/// reference view stays exact. The ring exists only where the layer lies in front: elsewhere, the photo's colour belongs to another
+/// surface. Where the layer lies only slightly in front and the surface has a crease, the ring is opaque; otherwise a hairline gap would
+/// open along the crease.
 #[inline(never)]
 fn soften(edge: &SoftEdge, s: &mut Scratch) {
     let (w, h) = (edge.r.w as usize, edge.r.h as usize);
@@ -316,8 +317,8 @@ fn soften(edge: &SoftEdge, s: &mut Scratch) {
     }
 }
 
-/// Bounds of what is not empty, with one empty pixel around where the tile has it, so that bilinear samples fade out; none where
-/// all is empty.
+/// Bounds of the non-empty texels, plus one empty texel on each side if the tile has it, so that bilinear samples fade out; `None` if all
+/// texels are empty.
 fn bounds(class: &[u8], w: u32, h: u32) -> Option<Rect> {
     let b = extent(class, w as usize)?;
     let (x, y) = (b.x.saturating_sub(1), b.y.saturating_sub(1));
@@ -330,7 +331,7 @@ mod tests {
     use crate::{Intrinsics, ViewBox};
 
     #[test]
-    fn rims_are_opaque_where_the_surface_is_bent_and_soft_at_a_small_step() {
+    fn edges_are_opaque_at_a_crease_and_soft_at_a_small_step() {
         let grid = Grid::new(64, 64, 64);
         let rims = |left: Plane, right: Plane| {
             let mut planes = vec![left, right];
@@ -351,10 +352,10 @@ mod tests {
             let soft = |s: &LayerMask| s.alpha.iter().any(|a| (1..255).contains(a));
             (shapes.layers.iter().map(row).sum::<usize>(), shapes.layers.iter().any(soft))
         };
-        // both sides rise towards the middle and go on rising beyond it: neither has a texel under the other
+        // both sides rise towards the middle, and their extensions rise further: neither has a texel below the other
         let valley = rims(Plane { a: 0.52, b: 0.3, c: 0.0 }, Plane { a: 0.521, b: -0.3, c: 0.0 });
         assert_eq!(valley, (64 + 2, false));
-        // a step of half a pixel: the far side goes on under the near one
+        // a step of half a pixel: the far side continues below the near one
         let (_, soft) = rims(Plane::fronto_parallel(0.4), Plane::fronto_parallel(0.5));
         assert!(soft);
     }

@@ -1,20 +1,20 @@
-//! Where a frame is another than the one before.
+//! Finds where a frame differs from the previous one.
 
 use crate::Rect;
 
 /// Side of a block in pixels.
 const SIDE: usize = 8;
 
-/// Blocks of pixels in which any value is another than before.
+/// The blocks of pixels in which any value differs.
 pub(super) struct Blocks {
     across: usize,
     down: usize,
-    /// How many such blocks lie above and to the left of each corner of a block, row by row.
+    /// Summed-area table, row by row: for each corner of a block, the number of differing blocks above and to the left.
     sums: Vec<u32>,
 }
 
 impl Blocks {
-    /// Of the values of frames whose rows have `width` pixels; all blocks where there was no frame of that size.
+    /// Compares the values of two frames with `width` pixels to a row. All blocks differ if the old frame has another size.
     #[allow(clippy::needless_bitwise_bool, reason = "without a branch")]
     pub fn that_differ<T: PartialEq>(width: u32, old: &[T], new: &[T]) -> Self {
         let width = (width as usize).max(1);
@@ -28,7 +28,7 @@ impl Blocks {
                 for (old, new) in old.chunks(width).zip(new[rows].chunks(width)) {
                     let blocks = old.chunks(SIDE).zip(new.chunks(SIDE));
                     for (differs, (old, new)) in differs.iter_mut().zip(blocks) {
-                        // all of them: to stop at the first takes longer
+                        // no early exit: stopping at the first difference takes longer
                         *differs |= old.iter().zip(new).fold(false, |differs, (old, new)| differs | (old != new));
                     }
                 }
@@ -42,7 +42,7 @@ impl Blocks {
         Self { across, down, sums }
     }
 
-    /// Whether any block differs that has pixels in common with a rectangle within the frame.
+    /// True if a differing block overlaps a rectangle within the frame.
     pub fn any(&self, r: &Rect) -> bool {
         if r.area() == 0 {
             return false;
@@ -63,7 +63,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_differs_is_found_wherever_it_is(
+        fn differing_pixels_are_found_anywhere(
             width in 1u32..40, height in 1u32..40, at in prop::collection::vec(any::<prop::sample::Index>(), 0..4),
             x in 0u32..40, y in 0u32..40, w in 0u32..30, h in 0u32..30,
         ) {
@@ -75,7 +75,7 @@ mod tests {
             let blocks = Blocks::that_differ(width, &old, &new);
             let (x, y) = (x.min(width), y.min(height));
             let r = Rect { x, y, w: w.min(width - x), h: h.min(height - y) };
-            // the rectangle of whole blocks about it
+            // the rectangle, extended to whole blocks
             let about = |from: u32, len: u32, i: u32| len > 0 && (from / 8..(from + len).div_ceil(8)).contains(&(i / 8));
             let want = (0..).zip(&new).any(|(i, v)| *v == 1 && about(r.x, r.w, i % width) && about(r.y, r.h, i / width));
             prop_assert_eq!(blocks.any(&r), want);

@@ -1,5 +1,5 @@
-//! A chunk: planes and labels of a rectangle of tiles, coded as if they were a picture of their own, by the coders of the container's
-//! sections that begin with what was learnt beforehand ([`super::prior`]).
+//! Chunks: planes and labels of a rectangle of tiles, coded like a small picture by the coders of the container's sections, which start
+//! from a trained prior ([`super::prior`]).
 
 use super::prior::Coders;
 use super::wire::Chunk;
@@ -14,9 +14,9 @@ pub struct Area {
     pub column: u32,
     /// First row.
     pub row: u32,
-    /// Columns, at least 1.
+    /// Number of columns, at least 1.
     pub columns: u32,
-    /// Rows, at least 1.
+    /// Number of rows, at least 1.
     pub rows: u32,
 }
 
@@ -27,7 +27,8 @@ impl Area {
         Self { column: 0, row: 0, columns: grid.columns(), rows: grid.rows() }
     }
 
-    /// Rectangles that hold all tiles for which `wanted` is true and no other: runs of rows, those of equal ends under each other as one.
+    /// Rectangles that cover exactly the tiles for which `wanted` is true: runs within a row, merged with runs of the same columns in
+    /// adjacent rows.
     #[must_use]
     pub fn covering(grid: &Grid, wanted: impl Fn(u32) -> bool) -> Vec<Self> {
         let (mut areas, columns) = (Vec::<Self>::new(), grid.columns());
@@ -48,13 +49,13 @@ impl Area {
         areas
     }
 
-    /// Its tiles, row by row.
+    /// Indices of its tiles, row by row.
     pub fn tiles(self, grid: &Grid) -> impl Iterator<Item = u32> {
         let across = grid.columns();
         (self.row..self.row + self.rows).flat_map(move |row| (self.column..self.column + self.columns).map(move |c| row * across + c))
     }
 
-    /// The rectangle as a grid of its own; none where it is not within the grid.
+    /// The rectangle as a grid of its own; `None` if it is not within `grid`.
     fn part(self, grid: &Grid) -> Option<Grid> {
         let ends = |from: u32, count: u32, all: u32| count > 0 && from.checked_add(count).is_some_and(|end| end <= all);
         let inside = ends(self.column, self.columns, grid.columns()) && ends(self.row, self.rows, grid.rows());
@@ -62,16 +63,17 @@ impl Area {
     }
 }
 
-/// Where the chunk lies.
+/// The rectangle of tiles that a chunk covers.
 #[must_use]
 pub fn area(chunk: &Chunk) -> Area {
     Area { column: chunk.column, row: chunk.row, columns: chunk.columns, rows: chunk.rows }
 }
 
-/// Codes the tiles of an area, as of frame `version`; `tiles` are those of the whole grid.
+/// Encodes the tiles of an area, as of frame `version`; `tiles` has all tiles of the grid.
 ///
 /// # Errors
-/// [`LiveError::Broken`] where the area is not within the grid, or a tile has no plane or more than [`MAX_PLANES`].
+/// [`LiveError::Broken`] if the area is not within the grid, `tiles` does not match the grid, or a tile has no planes, more than
+/// [`MAX_PLANES`], or a wrong number of labels.
 pub fn encode(grid: &Grid, area: Area, tiles: &[Tile], version: u64) -> Result<Chunk, LiveError> {
     let (planes, plane_data, label_data) = streams(&mut Coders::learned(), grid, area, tiles)?;
     let Area { column, row, columns, rows } = area;
@@ -81,16 +83,16 @@ pub fn encode(grid: &Grid, area: Area, tiles: &[Tile], version: u64) -> Result<C
     Ok(chunk)
 }
 
-/// Count of planes, and the streams of planes and labels.
+/// Number of planes, and the coded streams of planes and labels.
 pub(super) fn streams(coders: &mut Coders, grid: &Grid, area: Area, tiles: &[Tile]) -> Result<(u32, Vec<u8>, Vec<u8>), LiveError> {
-    let part = area.part(grid).ok_or_else(|| LiveError::broken("a chunk that is not within the grid"))?;
+    let part = area.part(grid).ok_or_else(|| LiveError::broken("a chunk lies outside the grid"))?;
     if tiles.len() != grid.tiles() as usize {
-        return Err(LiveError::broken("not the tiles of the grid"));
+        return Err(LiveError::broken("the number of tiles does not match the grid"));
     }
     let own: Vec<Tile> = area.tiles(grid).map(|t| tiles[t as usize].clone()).collect();
     let fits = |(i, t): (u32, &Tile)| (1..=MAX_PLANES).contains(&t.planes.len()) && t.labels.len() == part.rect(i).area();
     if !(0..).zip(&own).all(fits) {
-        return Err(LiveError::broken(format!("a tile without planes or labels, or with more than {MAX_PLANES} planes")));
+        return Err(LiveError::broken(format!("a tile has no planes, more than {MAX_PLANES}, or a wrong number of labels")));
     }
     let planes = own.iter().map(|t| t.planes.len() + usize::from(t.background.is_some())).sum();
     let plane_data = planes::encode_by(&mut coders.planes, planes::Layout::of(&part, planes), &columns::write(&own))?;
@@ -100,15 +102,15 @@ pub(super) fn streams(coders: &mut Coders, grid: &Grid, area: Area, tiles: &[Til
     Ok((planes as u32, plane_data, label_data))
 }
 
-/// Reads the tiles of a chunk, with their numbers in the grid.
+/// Decodes the tiles of a chunk, with their indices in the grid.
 ///
 /// # Errors
-/// [`LiveError`] where it is damaged, not within the grid, or a tile has more than [`MAX_PLANES`] planes.
+/// [`LiveError`] if the chunk is damaged or not within the grid, or a tile has more than [`MAX_PLANES`] planes.
 pub fn decode(grid: &Grid, chunk: &Chunk) -> Result<Vec<(u32, Tile)>, LiveError> {
     let area = area(chunk);
-    let part = area.part(grid).ok_or_else(|| LiveError::broken("a chunk that is not within the grid"))?;
+    let part = area.part(grid).ok_or_else(|| LiveError::broken("a chunk lies outside the grid"))?;
     if chunk.check != check(chunk) {
-        return Err(LiveError::broken("a chunk that is damaged"));
+        return Err(LiveError::broken("a chunk is damaged"));
     }
     let (planes, tiles) = (chunk.planes as usize, part.tiles() as usize);
     if !(tiles..=tiles * (MAX_PLANES + 1)).contains(&planes) {
@@ -118,7 +120,7 @@ pub fn decode(grid: &Grid, chunk: &Chunk) -> Result<Vec<(u32, Tile)>, LiveError>
     let raw = planes::decode_by(&mut coders.planes, planes::Layout::of(&part, planes), &chunk.plane_data)?;
     let mut own = columns::read(&part, planes, &raw)?;
     if own.iter().any(|t| t.planes.len() > MAX_PLANES) {
-        return Err(LiveError::broken(format!("a tile with more than {MAX_PLANES} planes")));
+        return Err(LiveError::broken(format!("a tile has more than {MAX_PLANES} planes")));
     }
     let counts: Vec<u8> = own.iter().map(|t| t.planes.len() as u8).collect();
     let mut all = vec![0; (0..part.tiles()).map(|t| part.rect(t).area()).sum()];
@@ -130,7 +132,7 @@ pub fn decode(grid: &Grid, chunk: &Chunk) -> Result<Vec<(u32, Tile)>, LiveError>
     Ok(area.tiles(grid).zip(own).collect())
 }
 
-/// The checksum that a chunk should have.
+/// The checksum over all other fields of a chunk.
 fn check(c: &Chunk) -> u32 {
     let Area { column, row, columns, rows } = area(c);
     let head = [column.into(), row.into(), columns.into(), rows.into(), c.version, c.planes.into()].map(u64::to_le_bytes);

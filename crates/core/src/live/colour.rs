@@ -1,8 +1,8 @@
-//! From the planes of a decoded video frame to RGB, for every reader of a room alike.
+//! Converts decoded video frames to RGB, in the same way for every viewer of a room.
 
 use crate::Photo;
 
-/// Planes of a picture whose chroma has half the width and half the height, rounded up; 8 bits, rows without gaps.
+/// Planes of a 4:2:0 picture: chroma has half the width and half the height, rounded up. 8 bits, rows without padding.
 #[derive(Clone, Copy, Debug)]
 pub struct I420<'a> {
     /// Width in pixels.
@@ -11,13 +11,13 @@ pub struct I420<'a> {
     pub height: u32,
     /// Luma.
     pub y: &'a [u8],
-    /// Blue less luma.
+    /// Blue-difference chroma.
     pub u: &'a [u8],
-    /// Red less luma.
+    /// Red-difference chroma.
     pub v: &'a [u8],
 }
 
-/// By which weights of red, green and blue the luma of a video is made.
+/// Weights of red, green and blue in the luma of a video.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Matrix {
     /// Standard definition, and JPEG.
@@ -32,12 +32,12 @@ pub enum Matrix {
 }
 
 impl Matrix {
-    /// By its number in ITU-T H.273, table 4; none where it is not specified, or another one.
+    /// The matrix of a code point in ITU-T H.273, table 4; `None` if it is unspecified or unsupported.
     #[must_use]
     pub const fn numbered(code: u8) -> Option<Self> {
         match code {
             1 => Some(Self::Bt709),
-            // FCC's differ from these by less than a level
+            // FCC's weights differ from these by less than a level
             4..=6 => Some(Self::Bt601),
             7 => Some(Self::Smpte240),
             9 | 10 => Some(Self::Bt2020),
@@ -45,7 +45,7 @@ impl Matrix {
         }
     }
 
-    /// Its number there.
+    /// Its code point in ITU-T H.273, table 4.
     #[must_use]
     pub const fn number(self) -> u8 {
         match self {
@@ -67,24 +67,25 @@ impl Matrix {
     }
 }
 
-/// How the samples of a video are to be read.
+/// How to interpret the samples of a video.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Colour {
-    /// The matrix.
+    /// Luma weights.
     pub matrix: Matrix,
-    /// Luma from 0 to 255 rather than from 16 to 235.
+    /// True if luma ranges from 0 to 255 instead of 16 to 235.
     pub full_range: bool,
 }
 
 impl Colour {
-    /// As a stream says. Where it names no matrix it is BT.709, as browsers take it, but for full range, which is JPEG's with its matrix.
+    /// The colours that a stream signals. Without a matrix, full-range video uses JPEG's matrix, and other video BT.709, as in browsers.
     #[must_use]
     pub fn said(matrix: Option<Matrix>, full_range: bool) -> Self {
         let silent = if full_range { Matrix::Bt601 } else { Matrix::Bt709 };
         Self { matrix: matrix.unwrap_or(silent), full_range }
     }
 
-    /// Luma's factor and zero, then the factors of `v` for red, `u` and `v` for green, `u` for blue; in whole numbers of [`BITS`] bits.
+    /// Scale and zero of luma; then the factors of `v` for red, of `u` and `v` for green, and of `u` for blue. Integers with [`BITS`]
+    /// fraction bits.
     fn factors(self) -> (i32, i32, [i32; 4]) {
         let (red, blue) = self.matrix.weights();
         let green = 1.0 - red - blue;
@@ -95,11 +96,11 @@ impl Colour {
     }
 }
 
-/// Fraction bits of the conversion.
+/// Number of fraction bits in the conversion.
 const BITS: u32 = 14;
 
-/// Converts in whole numbers, each chroma value for its four pixels. Server and page convert by this, so that hidden
-/// colours that a reader derives agree with what the server saw. None where a plane is too short.
+/// Converts a picture to RGB in integer arithmetic; each chroma value applies to its four pixels. Server and pages share this conversion,
+/// so hidden colours that a viewer derives match what the server saw. `None` if a plane is too short.
 #[must_use]
 pub fn to_rgb(i: &I420, colour: Colour) -> Option<Photo> {
     let (w, h) = (i.width as usize, i.height as usize);
@@ -128,9 +129,9 @@ mod tests {
 
     use super::*;
 
-    /// A grey ramp and corners of each matrix and range, against the definition in `f64`.
+    /// Compares a grey ramp and extreme colours of each matrix and range with the definition in `f64`.
     #[test]
-    fn the_conversion_is_that_of_the_standard_to_a_level() {
+    fn the_conversion_matches_the_standard_to_one_level() {
         let samples = || (0..=255).step_by(3).flat_map(|y| [(y, 128, 128), (y, 100, 150), (y, 160, 90), (y, 16, 240)]);
         for matrix in [Matrix::Bt601, Matrix::Bt709, Matrix::Smpte240, Matrix::Bt2020] {
             assert_eq!(Matrix::numbered(matrix.number()), Some(matrix));
@@ -151,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_that_are_too_short_are_no_picture() {
+    fn short_planes_are_rejected() {
         let y = [0; 15];
         assert!(to_rgb(&I420 { width: 5, height: 3, y: &y, u: &[0; 6], v: &[0; 6] }, Colour::default()).is_some());
         assert!(to_rgb(&I420 { width: 5, height: 3, y: &y, u: &[0; 6], v: &[0; 5] }, Colour::default()).is_none());

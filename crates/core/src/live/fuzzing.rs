@@ -1,13 +1,13 @@
-//! A door for fuzzing.
+//! Entry point for fuzzing.
 
 use super::wire::message::Kind;
 use super::{Model, chunk, read};
 use crate::{Geometry, Grid, Intrinsics, ViewBox};
 
-/// Reads a message, and its tiles into a small room; what is read is written and read again.
+/// Reads a message, and applies its tiles to a small room; then encodes and decodes the tiles again.
 ///
 /// # Panics
-/// It is not: a promise is broken.
+/// If the tiles change when they are encoded and decoded again.
 pub fn message(data: &[u8]) {
     let Ok(kind) = read(data.to_vec().into()) else { return };
     match kind {
@@ -29,7 +29,7 @@ pub fn message(data: &[u8]) {
             for c in &g.chunks {
                 let again = chunk::encode(&grid, chunk::area(c), &geometry.tiles, 1).and_then(|c| chunk::decode(&grid, &c));
                 let same = |tiles: &Vec<_>| tiles.iter().all(|(i, t)| *t == geometry.tiles[*i as usize]);
-                assert!(again.as_ref().is_ok_and(same), "tiles that were read are written otherwise");
+                assert!(again.as_ref().is_ok_and(same), "decoded tiles encode differently");
             }
         }
         _ => {}

@@ -1,33 +1,34 @@
-//! The last frames that were shown, for tiles that come after theirs.
+//! The last shown frames, for tiles that arrive after their frame.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Frames that are kept: tiles that are later than that are taken for as late.
+/// Number of frames kept. Tiles that are later count as this late.
 pub(super) const KEPT: usize = 6;
 
-/// A frame as it comes to be shown, and the tiles that come with it.
+/// Number and time of a frame that is to be shown, and the frame of its tiles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct When {
-    /// Its number; those of one publisher grow.
+    /// Number of the frame; increases while the publisher is the same.
     pub frame: u64,
-    /// The newest frame that tiles which came since the frame before are of; none, or this one's number or more: they are this frame's.
+    /// Newest frame to which tiles belong that arrived since the previous frame. `None`, or a number not below `frame`, if they belong to
+    /// this frame.
     pub tiles: Option<u64>,
-    /// How long after the frame before it was taken; none where it is that one once more.
+    /// Time since the previous frame was captured; `None` if this is the same frame again.
     pub gone: Option<Duration>,
 }
 
-/// A frame that was shown.
+/// A shown frame.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shown {
     pub number: u64,
-    /// When it was taken, by a clock that starts with the first one.
+    /// Capture time, by a clock that starts with the first frame.
     pub at: Duration,
     /// Colours, as words.
     pub words: Vec<u32>,
 }
 
-/// The last frames, the newest first.
+/// The last frames, newest first.
 #[derive(Debug, Default)]
 pub(super) struct History(VecDeque<Shown>);
 
@@ -36,7 +37,7 @@ impl History {
         self.0.clear();
     }
 
-    /// Takes a frame in; one of a number that is not above the last one's is another publisher's, and what was is forgotten.
+    /// Adds a frame. If its number is not above the last one's, the publisher is another one, and the earlier frames are dropped.
     pub fn add(&mut self, frame: Shown) {
         if self.0.front().is_some_and(|last| last.number >= frame.number) {
             self.0.clear();
@@ -45,8 +46,8 @@ impl History {
         self.0.push_front(frame);
     }
 
-    /// The frame of a number, or the first after it where it was never shown, and how many before the next one it was; none where nothing was shown
-    /// since.
+    /// The frame with this number, or the first after it if it was never shown, and its distance in frames from the next frame to come.
+    /// `None` if nothing was shown since.
     pub fn since(&self, number: u64) -> Option<(&Shown, u32)> {
         let count = self.0.iter().take_while(|shown| shown.number >= number).count();
         Some((self.0.get(count.checked_sub(1)?)?, count as u32))
@@ -58,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_frame_that_was_never_shown_has_the_first_after_it_in_its_place() {
+    fn the_next_shown_frame_replaces_one_that_was_never_shown() {
         let mut history = History::default();
         assert!(history.since(0).is_none());
         for number in [3, 4, 6, 9] {
@@ -70,13 +71,13 @@ mod tests {
         {
             assert_eq!(of(&history, number), expected, "{number}");
         }
-        // older than any: the oldest
+        // older than all: the oldest frame
         assert_eq!(of(&history, 1), Some((3, 4)));
         for number in 10..10 + KEPT as u64 {
             history.add(Shown { number, ..Shown::default() });
         }
         assert_eq!(of(&history, 9), Some((10, KEPT as u32)));
-        // another publisher counts anew
+        // another publisher starts its own numbering
         history.add(Shown { number: 2, ..Shown::default() });
         assert_eq!((of(&history, 1), of(&history, 9)), (Some((2, 1)), None));
     }

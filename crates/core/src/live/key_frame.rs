@@ -1,4 +1,4 @@
-//! What the head of a key frame says of the pictures from it on: their size, what is cut off them, their colours. And what rooms do not take.
+//! Reads the headers of key frames: size, cropping and colours of the following pictures. Rejects video that rooms do not support.
 
 use h264_reader::nal::sps::{ChromaFormat, FrameCropping, FrameMbsFlags, SeqParameterSet};
 use h264_reader::rbsp::{BitReader, decode_nal};
@@ -8,43 +8,43 @@ use super::{Colour, Matrix};
 /// Type of a NAL unit that is a sequence parameter set (ITU-T H.264, table 7-1).
 const PARAMETERS: u8 = 7;
 
-/// What a key frame says.
+/// Properties that a key frame signals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KeyFrame {
-    /// Width of what is shown, in pixels.
+    /// Width of the visible picture, in pixels.
     pub width: u32,
-    /// Height of what is shown.
+    /// Height of the visible picture, in pixels.
     pub height: u32,
-    /// Columns of the coded picture to the left of that.
+    /// Columns of the coded picture that are cropped at the left.
     pub left: u32,
-    /// Rows of the coded picture above that.
+    /// Rows of the coded picture that are cropped at the top.
     pub top: u32,
-    /// Width and height of the coded picture.
+    /// Width and height of the coded picture, in pixels.
     pub coded: (u32, u32),
-    /// Its colours.
+    /// Colours of the picture.
     pub colour: Colour,
 }
 
-/// Why a key frame is none that rooms take.
+/// Why a room rejects a key frame.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KeyFrameError {
-    /// It cannot be read.
-    #[error("the head of a key frame cannot be read: {0}")]
+    /// The header is damaged.
+    #[error("cannot read the header of a key frame: {0}")]
     Broken(String),
-    /// It uses what the server does not decode.
+    /// The video uses a feature that the server cannot decode.
     #[error("{0}")]
     Unsupported(&'static str),
 }
 
-const DEPTH: &str = "the video has more than 8 bits a sample: encode it with ffmpeg -pix_fmt yuv420p";
-const CHROMA: &str = "the video has other chroma than 4:2:0: encode it with ffmpeg -pix_fmt yuv420p";
+const DEPTH: &str = "the video has more than 8 bits per sample: encode it with ffmpeg -pix_fmt yuv420p";
+const CHROMA: &str = "the video does not have 4:2:0 chroma: encode it with ffmpeg -pix_fmt yuv420p";
 const INTERLACED: &str = "the video is coded as interlaced: encode it with ffmpeg -vf yadif and without -flags +ildct+ilme";
-const PROFILE: &str = "the video is VP9 of another profile than 0: encode it with ffmpeg -pix_fmt yuv420p";
+const PROFILE: &str = "the video uses a VP9 profile other than 0: encode it with ffmpeg -pix_fmt yuv420p";
 
-/// What a frame in H.264 or VP9 says; none where it has no such head, as it is no key frame, or where the codec is another.
+/// Properties of a frame in H.264 or VP9. `None` if the frame has no header of a key frame, or the codec is another one.
 ///
 /// # Errors
-/// [`KeyFrameError`].
+/// [`KeyFrameError`] if the header is damaged, or the video is not progressive 4:2:0 with 8 bits.
 pub fn key_frame(codec: &str, data: &[u8]) -> Result<Option<KeyFrame>, KeyFrameError> {
     if codec.starts_with("avc1.") {
         parameters(data).map(h264).last().transpose()
@@ -94,7 +94,7 @@ fn h264(nal: &[u8]) -> Result<KeyFrame, KeyFrameError> {
 /// The uncompressed header of a key frame (VP9 bitstream specification, 6.2).
 fn vp9(data: &[u8]) -> Result<Option<KeyFrame>, KeyFrameError> {
     let Some(&[first, a, b, c, colour, d, e, f, g]) = data.first_chunk() else { return Ok(None) };
-    // marker, profile, whether a frame of before is shown, whether it is no key frame, then two flags; the synchronising code
+    // bits of `first`: marker, profile, show-existing-frame flag, not-a-key-frame flag, two more flags; then the sync code
     if first >> 6 != 2 {
         return Ok(None);
     }

@@ -1,7 +1,8 @@
-//! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. Without a memory
-//! what comes out is what would come of tiles and frame alone, without those before: at once but for hidden colours, which
-//! follow within a quarter of a second where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
-//! came.
+//! Layers of a room's tiles, updated incrementally: tiles stay unchanged unless their own data or nearby pixels change.
+//!
+//! Without a memory, the result depends only on the current tiles and frame, as if computed from scratch. It is immediate except for hidden
+//! colours, which follow within a quarter of a second if only the picture changed. With a memory, labels also follow motion in frames
+//! without new tiles.
 
 use std::time::Duration;
 
@@ -9,109 +10,111 @@ use super::blocks::Blocks;
 use super::history::{self, History, Shown, When};
 use super::motion::{Motion, Way};
 use crate::container::{Part, texels};
-use crate::layers::{CONTEXT, MOST, STEADY, Surface};
+use crate::layers::{CONTEXT, MAX_FRAMES, STEADY, Surface};
 use crate::scene::colour;
 use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Scene, Texels, grown};
 
-/// A hidden colour follows from pixels so far off, and these from the surface beside them.
+/// Distance, in pixels, that a hidden colour depends on: the inpainting context, plus one pixel of the surface around it.
 const AROUND: u32 = CONTEXT + 1;
-/// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one each [`TURN`]: they show little, and cost the most.
+/// Tiles with nothing but stale hidden colours are recomputed in this many groups, one per [`TURN`], because they show little and cost
+/// most.
 pub(super) const TURNS: u32 = 8;
-/// A frame's time at 30 a second. Where frames are shown more seldom several parts have their turn, so that none waits longer.
+/// Duration of a frame at 30 a second. If frames are less frequent, several groups have their turn at once, so that none waits longer.
 pub(super) const TURN: Duration = Duration::from_micros(33_333);
-/// Frames after one for which tiles came up to which labels follow what moves.
+/// Maximum number of frames, after the frame of the last tiles, in which labels follow motion.
 pub const FOLLOWS: u32 = history::KEPT as u32;
 
-/// Layers and texels of all tiles.
+/// Layers and texels of all tiles, updated from frame to frame.
 #[derive(Default)]
 pub struct Layers {
     photo: Photo,
-    /// Its colours as words.
+    /// Colours of the photo as words.
     words: Vec<u32>,
-    /// The tiles' visible surface as they came.
+    /// Visible surface of the tiles as received.
     surface: Option<Surface>,
-    /// The same with labels that have followed what moved, where there are such.
+    /// Visible surface with labels that have followed motion, if there are any.
     moved_surface: Option<Surface>,
     parts: Vec<Part>,
-    /// Whose hidden colours are out of date.
+    /// Tiles whose hidden colours are out of date.
     stale: Vec<bool>,
-    /// Frames, at 30 a second, since anything changed that the hidden colours of a tile depend on.
+    /// Frames, at 30 a second, since the last change to what a tile's hidden colours depend on.
     since: Vec<u8>,
-    /// Which of the [`TURNS`] is next.
+    /// The next of the [`TURNS`] groups.
     turn: u32,
     pyramid: Pyramid,
     remembers: bool,
-    /// Frames up to which labels follow what moves.
+    /// Number of frames in which labels follow motion.
     follows: u32,
     memory: Option<Memory>,
-    /// The frame that the tiles which came last are of, and how many came since.
-    told: (Shown, u32),
-    /// The frames before, for tiles that come late.
+    /// The frame of the tiles received last, and the number of frames since.
+    received: (Shown, u32),
+    /// The previous frames, for tiles that arrive late.
     history: History,
-    /// Number of the frame that is shown, and when it was taken.
+    /// Number and capture time of the shown frame.
     now: (u64, Duration),
-    /// Where the things in each tile were last found to go.
+    /// Last known motion of the objects in each tile.
     ways: Vec<Option<Way>>,
-    /// Tiles whose labels have followed what moved.
+    /// Tiles whose labels have followed motion.
     moved: Vec<bool>,
-    /// All tiles with these labels, where there are such.
+    /// All tiles with these labels, if there are any.
     with_moved: Option<Geometry>,
 }
 
-/// Numbers of the tiles that are others than before, in order.
+/// Indices of changed tiles, in ascending order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Changes {
-    /// Any of whose texels may be another.
+    /// Tiles with any changed texels.
     pub texels: Vec<u32>,
-    /// Those of them that have other layers, or layers of another shape.
+    /// Those of them whose layers changed in number, plane or shape.
     pub layers: Vec<u32>,
 }
 
 impl Layers {
-    /// The same that show what was seen before something came in front of it.
+    /// Layers with a memory: they show what was visible before something moved in front of it, and their labels follow motion.
     #[must_use]
     pub fn remembering() -> Self {
         Self { remembers: true, follows: FOLLOWS, ..Self::default() }
     }
 
-    /// The same whose labels follow what moves in so many frames after one that tiles came of, [`FOLLOWS`] at most; 0: they stay where they were.
+    /// Limits the number of frames, after the frame of the last tiles, in which labels follow motion: at most [`FOLLOWS`]. With 0, labels
+    /// do not move.
     #[must_use]
     pub fn following(self, frames: u32) -> Self {
         Self { follows: frames.min(FOLLOWS), ..self }
     }
 
-    /// The frame that is shown.
+    /// The shown frame.
     #[must_use]
     pub const fn photo(&self) -> &Photo {
         &self.photo
     }
 
-    /// Adds the texels of a layer of a tile to `out`, row by row, premultiplied; false where there is no such layer.
+    /// Appends the texels of a layer of a tile to `out`, row by row, as premultiplied RGBA. Returns false if there is no such layer.
     pub fn texels(&self, tile: u32, layer: usize, out: &mut Vec<[u8; 4]>) -> bool {
         let Some((part, layer)) = self.tile(tile).and_then(|part| Some((part, part.layers.get(layer)?))) else { return false };
         texels(part, layer, (&self.words, self.photo.width as usize), out);
         true
     }
 
-    /// What is remembered, where anything is.
+    /// The memory, if these layers have one.
     #[must_use]
     pub const fn memory(&self) -> Option<&Memory> {
         self.memory.as_ref()
     }
 
-    /// The tiles as they are shown, where labels of some have followed what moved; none where all are as they came.
+    /// The shown tiles, if labels of some have followed motion; `None` if all are as received.
     #[must_use]
     pub const fn with_moved(&self) -> Option<&Geometry> {
         self.with_moved.as_ref()
     }
 
-    /// Layers of a tile, and their texels.
+    /// Layers and texels of a tile.
     #[must_use]
     pub fn tile(&self, index: u32) -> Option<&Part> {
         self.parts.get(index as usize)
     }
 
-    /// All that is shown, of a room whose grid and camera are those of `geometry`; nothing before the first frame.
+    /// Everything that is shown, as a scene with the grid and camera of `geometry`; empty before the first frame.
     #[must_use]
     pub fn scene(&self, geometry: &Geometry) -> Scene {
         let (mut layers, mut texels) = (Vec::new(), Texels::default());
@@ -127,8 +130,8 @@ impl Layers {
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
-    /// Takes the next frame, and the tiles, of which those are others for which `changed` is true. Where these are of a frame before, their labels
-    /// follow what has moved since. A frame that is not of the grid's size changes nothing.
+    /// Updates to the next frame and tiles; `changed` is true for the tiles that differ from the previous call. If the tiles belong to an
+    /// earlier frame, their labels follow the motion since then. Ignores a frame whose size is not the grid's.
     pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, when: When) -> Changes {
         let grid = &geometry.grid;
         if (photo.width, photo.height) != (grid.width, grid.height) || photo.rgb.len() != grid.width as usize * grid.height as usize {
@@ -165,30 +168,30 @@ impl Layers {
             memory.take(&self.words, shown, &unmixed, frames(when.gone));
         }
         self.photo = photo;
-        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth), frames(when.gone));
+        let changes = self.update_tiles(geometry, (shown, unmixed), &changed, (&pixels, &depth), frames(when.gone));
         (self.surface, self.moved_surface, self.with_moved) = (Some(surface), of_moved, with_moved);
         changes
     }
 
-    /// The tiles with labels that have followed what moved since the frame that they are of, none where none have; adds those to `changed` that
-    /// have, or had in the frame before.
+    /// The tiles with labels that have followed the motion since the frame of the tiles; `None` if no label moved. Sets `changed` for tiles
+    /// whose labels moved now or in the previous frame.
     fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, when: When, changed: &mut [bool]) -> Option<Geometry> {
-        let told = changed.contains(&true);
+        let received = changed.contains(&true);
         for (changed, moved) in changed.iter_mut().zip(&mut self.moved) {
             *changed |= std::mem::take(moved);
         }
-        if told {
+        if received {
             let late = when.tiles.filter(|of| *of < when.frame).and_then(|of| self.history.since(of));
             let now = || (Shown { number: self.now.0, at: self.now.1, words: self.words.clone() }, 0);
-            self.told = late.map_or_else(now, |(shown, late)| (shown.clone(), late));
+            self.received = late.map_or_else(now, |(shown, late)| (shown.clone(), late));
         } else {
-            self.told.1 += u32::from(when.gone.is_some());
+            self.received.1 += u32::from(when.gone.is_some());
         }
-        let (told, since) = &self.told;
+        let (received, since) = &self.received;
         if *since == 0 || *since > self.follows {
             return None;
         }
-        let motion = Motion::new(geometry, surface, (&told.words, &self.words), self.now.1.saturating_sub(told.at));
+        let motion = Motion::new(geometry, surface, (&received.words, &self.words), self.now.1.saturating_sub(received.at));
         let mut out = None;
         let before = self.ways.clone();
         for t in 0..geometry.grid.tiles() {
@@ -201,9 +204,9 @@ impl Layers {
         out
     }
 
-    /// Brings the tiles up to what is others than before: `changed` tiles, `pixels`, and `depth` of the visible surface, which is given with and without what
-    /// is mixed.
-    fn follow(
+    /// Updates the tiles that depend on a change: in the tiles `changed`, in `pixels`, or in the `depth` of the visible surface, which is
+    /// passed with and without mixed pixels.
+    fn update_tiles(
         &mut self,
         geometry: &Geometry,
         (surface, unmixed): (&Surface, Surface),
@@ -212,7 +215,7 @@ impl Layers {
         frames: u8,
     ) -> Changes {
         let grid = &geometry.grid;
-        let inpainter = Inpainter::among(*grid, unmixed, &self.photo.rgb);
+        let inpainter = Inpainter::with_sources(*grid, unmixed, &self.photo.rgb);
         let mut out = Changes::default();
         let (first, turns) = (self.turn, u32::from(frames).min(TURNS));
         self.turn = (first + turns) % TURNS;
@@ -223,18 +226,18 @@ impl Layers {
             let mut other = pixels.any(&rect);
             let (since, changes) = (&mut self.since[t as usize], pixels.any(&around) || depth.any(&around));
             *stale |= changes;
-            *since = if changes { 0 } else { since.saturating_add(frames.min(MOST)) };
+            *since = if changes { 0 } else { since.saturating_add(frames.min(MAX_FRAMES)) };
             let new = (changed[t as usize] || depth.any(&geometry.window(t)))
-                .then(|| shaped(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
-                .filter(|new| !alike(new, part));
+                .then(|| part_of(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
+                .filter(|new| !same_texels(new, part));
             let (reshaped, turn) = (new.is_some(), *stale && its_turn);
             if reshaped || turn {
                 let of = new.as_ref().unwrap_or(part);
-                // a layer that is what it was waits for its turn
+                // unchanged layers wait for their turn
                 let before = if turn { &Part::default() } else { &*part };
-                let (hidden, all_anew) = coloured(&inpainter, self.memory.as_ref(), (of, before), &mut self.pyramid);
+                let (hidden, all_anew) = hidden_colours(&inpainter, self.memory.as_ref(), (of, before), &mut self.pyramid);
                 other |= reshaped || hidden != part.texels.hidden;
-                // what is seen since then is remembered only later
+                // pixels seen since then are remembered only later
                 *stale &= !all_anew || (self.memory.is_some() && *since <= STEADY);
                 *part = new.unwrap_or_else(|| std::mem::take(part));
                 part.texels.hidden = hidden;
@@ -251,18 +254,18 @@ impl Layers {
     }
 }
 
-/// Frames of 30 a second that a time is as long as, at least one, also where a publisher's clock stands still.
+/// A duration in frames at 30 a second, rounded, at least 1 even if the publisher's clock stands still; 0 for `None`.
 fn frames(gone: Option<Duration>) -> u8 {
     gone.map_or(0, |gone| ((gone.as_secs_f64() / TURN.as_secs_f64()).round() as u8).max(1))
 }
 
-/// Whether two parts have the same layers and texels, whatever colours these have.
-fn alike(a: &Part, b: &Part) -> bool {
+/// True if two parts have the same layers, classes and alphas; ignores colours.
+fn same_texels(a: &Part, b: &Part) -> bool {
     a.layers == b.layers && a.texels.class == b.texels.class && a.texels.alpha == b.texels.alpha
 }
 
-/// Layers of a tile without their hidden colours.
-fn shaped(tile: u32, masks: LayerMasks) -> Part {
+/// Layers of a tile, without hidden colours.
+fn part_of(tile: u32, masks: LayerMasks) -> Part {
     let (mut layers, mut texels, mut hidden) = (Vec::new(), Texels::default(), 0);
     for mask in masks.layers {
         layers.push(Layer { tile, plane: mask.plane, rect: mask.rect, first_texel: texels.class.len(), first_hidden: hidden });
@@ -273,9 +276,14 @@ fn shaped(tile: u32, masks: LayerMasks) -> Part {
     Part { layers, texels }
 }
 
-/// Hidden colours of a tile: those of `before` of layers that it has, too; those that were seen; and for the rest such as are made up, which costs
-/// the most by far. And whether all are made anew.
-fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, (part, before): (&Part, &Part), pyramid: &mut Pyramid) -> (Vec<[u8; 3]>, bool) {
+/// Hidden colours of a tile: those of `before` for layers that it shares, then remembered ones, and the rest inpainted, which costs by far
+/// the most. Also returns whether all colours are new.
+fn hidden_colours(
+    inpainter: &Inpainter,
+    memory: Option<&Memory>,
+    (part, before): (&Part, &Part),
+    pyramid: &mut Pyramid,
+) -> (Vec<[u8; 3]>, bool) {
     let (mut out, mut all_anew) = (Vec::with_capacity(part.texels.hidden.len()), true);
     for l in &part.layers {
         let class = classes(part, l);

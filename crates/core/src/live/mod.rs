@@ -1,8 +1,8 @@
-//! Messages of a room, in which a tiled multiplane image moves (schema in `proto/live.proto`).
+//! Messages of a room, a live tiled multiplane image (schema in `proto/live.proto`).
 //!
-//! The picture travels as video, and its planes and labels beside it in [`chunk`]s of a few tiles. A chunk needs no other one, so that a
-//! reader may miss any; what it is sent is the chunks of tiles that it has not got. [`Model`] is what a reader knows of all tiles, and
-//! [`Layers`] what it shows of them.
+//! The picture is sent as video, and its planes and labels beside it in [`chunk`]s of a few tiles. Each chunk is independent, so a viewer
+//! may miss any; it gets the chunks of tiles that it does not have yet. [`Model`] is a viewer's knowledge of all tiles, and [`Layers`] are
+//! what it shows of them.
 
 mod blocks;
 pub mod chunk;
@@ -32,35 +32,35 @@ use prost::{DecodeError, Message as _};
 use wire::Message;
 use wire::message::Kind;
 
-/// Version of the messages.
+/// Version of the protocol.
 pub const VERSION: u32 = 1;
-/// Bytes of a message, at most.
+/// Maximum length of a message in bytes.
 pub const MAX_MESSAGE: usize = 4 << 20;
-/// Pixels of a frame, at most: 1920×1088.
+/// Maximum number of pixels of a frame: 1920×1088.
 pub const MAX_PIXELS: u64 = 1920 * 1088;
-/// Labelled planes a tile, at most.
+/// Maximum number of labelled planes per tile.
 pub const MAX_PLANES: usize = 16;
-/// Chunks of a message, at most.
+/// Maximum number of chunks per message.
 const MAX_CHUNKS: usize = 4096;
-/// Smallest tile in pixels.
-const LEAST_TILE: u32 = 16;
+/// Minimum tile size in pixels.
+const MIN_TILE: u32 = 16;
 /// Fields of a message that hold chunks.
 const GEOMETRY: u32 = 3;
 const SNAPSHOT: u32 = 4;
 
-/// Why a message cannot be taken.
+/// Why a message is rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// It is malformed or exceeds a bound; the text names what.
-    #[error("not a message that can be read: {0}")]
+    /// The message is malformed or exceeds a limit; the text says which.
+    #[error("not a readable message: {0}")]
     Broken(String),
-    /// It is of a newer version.
+    /// The message is of a newer version.
     #[error("messages of version {found}; this program reads up to version {VERSION}")]
     Newer {
         /// Version found.
         found: u32,
     },
-    /// Planes or labels do not fit together.
+    /// Planes or labels are invalid.
     #[error(transparent)]
     Container(#[from] crate::container::ContainerError),
 }
@@ -71,16 +71,16 @@ impl LiveError {
     }
 }
 
-/// The bytes of a message.
+/// Encodes a message.
 #[must_use]
 pub fn write(kind: Kind) -> prost::bytes::Bytes {
     Message { kind: Some(kind) }.encode_to_vec().into()
 }
 
-/// Reads a message. What it holds of video shares the memory of `bytes`.
+/// Decodes a message. Video data shares the memory of `bytes`.
 ///
 /// # Errors
-/// [`LiveError::Broken`] where it is too long, none, or of no kind that is known.
+/// [`LiveError::Broken`] if the message is longer than [`MAX_MESSAGE`], malformed, has too many chunks, or is of an unknown kind.
 pub fn read(bytes: prost::bytes::Bytes) -> Result<Kind, LiveError> {
     if bytes.len() > MAX_MESSAGE {
         return Err(LiveError::broken(format!("{} bytes, over {MAX_MESSAGE}", bytes.len())));
@@ -90,10 +90,11 @@ pub fn read(bytes: prost::bytes::Bytes) -> Result<Kind, LiveError> {
     if chunks > MAX_CHUNKS {
         return Err(LiveError::broken(format!("{chunks} chunks, over {MAX_CHUNKS}")));
     }
-    Message::decode(bytes).map_err(wrong)?.kind.ok_or_else(|| LiveError::broken("of no known kind"))
+    Message::decode(bytes).map_err(wrong)?.kind.ok_or_else(|| LiveError::broken("unknown kind"))
 }
 
-/// Parts of a message that can be chunks, counted before any memory is taken for them: an empty one has two bytes, and takes a hundred.
+/// Counts the fields of a message that can be chunks, before decoding allocates memory for them: an empty chunk has two bytes, but takes a
+/// hundred in memory.
 fn chunks(mut message: &[u8]) -> Result<usize, DecodeError> {
     let mut count = 0;
     while !message.is_empty() {
@@ -103,7 +104,7 @@ fn chunks(mut message: &[u8]) -> Result<usize, DecodeError> {
             continue;
         }
         let length = usize::try_from(decode_varint(&mut message)?).unwrap_or(usize::MAX);
-        // what is cut off is told by the decoder
+        // the decoder reports truncation
         let mut inner = message.split_off(..length.min(message.len())).unwrap_or_default();
         while matches!(field, GEOMETRY | SNAPSHOT) && !inner.is_empty() {
             let (field, wire) = decode_key(&mut inner)?;

@@ -1,23 +1,24 @@
-//! What a reader of a room knows of its tiles.
+//! A viewer's knowledge of the tiles of a room.
 
 use super::wire::{self, Chunk, Hello};
-use super::{LEAST_TILE, LiveError, MAX_PIXELS, VERSION, chunk};
+use super::{LiveError, MAX_PIXELS, MIN_TILE, VERSION, chunk};
 use crate::container::bounds;
 use crate::{Geometry, Grid, Intrinsics, Tile, ViewBox};
 
-/// Planes and labels of all tiles, each as of the newest chunk that was taken.
+/// Planes and labels of all tiles, each from the newest chunk received.
 #[derive(Clone, Debug)]
 pub struct Model {
     geometry: Geometry,
-    /// Number of the frame that each tile is as of; none: nothing is known of it yet.
+    /// Number of the frame that each tile comes from; `None` before the first chunk with it.
     versions: Vec<Option<u64>>,
 }
 
 impl Model {
-    /// Knows nothing of any tile.
+    /// A model of a room without any tiles yet.
     ///
     /// # Errors
-    /// [`LiveError::Newer`]; [`LiveError::Broken`] where grid or camera are none that readers take.
+    /// [`LiveError::Newer`] if the version is newer; [`LiveError::Broken`] or [`LiveError::Container`] if grid or camera are invalid or
+    /// exceed a limit.
     pub fn new(hello: &Hello) -> Result<Self, LiveError> {
         if hello.version > VERSION {
             return Err(LiveError::Newer { found: hello.version });
@@ -29,14 +30,14 @@ impl Model {
         if u64::from(grid.width) * u64::from(grid.height) > MAX_PIXELS {
             return Err(LiveError::broken(format!("frames of {}×{}, over {MAX_PIXELS} pixels", grid.width, grid.height)));
         }
-        if grid.size < LEAST_TILE {
-            return Err(LiveError::broken(format!("tiles of {} pixels, below {LEAST_TILE}", grid.size)));
+        if grid.size < MIN_TILE {
+            return Err(LiveError::broken(format!("tiles of {} pixels, below {MIN_TILE}", grid.size)));
         }
         let tiles = vec![Tile::default(); grid.tiles() as usize];
         Ok(Self { versions: vec![None; tiles.len()], geometry: Geometry { grid, intrinsics, view_box, tiles, matted: false } })
     }
 
-    /// What is said of a room whose tiles are those of `geometry`.
+    /// The HELLO message of a room whose tiles are those of `geometry`.
     #[must_use]
     pub fn hello(geometry: &Geometry) -> Hello {
         let Geometry { grid, intrinsics: k, view_box: v, .. } = geometry;
@@ -57,23 +58,23 @@ impl Model {
         }
     }
 
-    /// Count of the tiles.
+    /// Number of tiles.
     #[must_use]
     pub fn tiles(&self) -> u32 {
         self.geometry.grid.tiles()
     }
 
-    /// All tiles, once something is known of each.
+    /// All tiles; `None` until each is known.
     #[must_use]
     pub fn geometry(&self) -> Option<&Geometry> {
         self.versions.iter().all(Option::is_some).then_some(&self.geometry)
     }
 
-    /// Takes the chunks of a message; gives the numbers of the tiles that are others now. A tile that is known from the same or a newer
-    /// frame stays as it is.
+    /// Applies the chunks of a message and returns the indices of the tiles that it replaced. Keeps a tile that is from the same or a newer
+    /// frame.
     ///
     /// # Errors
-    /// [`LiveError`] at the first chunk that cannot be read; those before it are taken.
+    /// [`LiveError`] of the first invalid chunk; the chunks before it are applied.
     pub fn take(&mut self, message: &wire::Geometry) -> Result<Vec<u32>, LiveError> {
         let mut changed = Vec::new();
         for chunk in &message.chunks {

@@ -1,92 +1,92 @@
-//! Labels that follow what moves, in the frames for which none came.
+//! Motion compensation of labels, in frames without new tiles.
 //!
-//! A room sends tiles every third frame or so; in those between, a thing would have left its labels behind, and a view from beside would show its
-//! foremost edge at the depth of what lies behind it, torn off the rest. A reader looks for where the thing went, also where it would be had it gone on as
-//! it did, and moves its labels along, into tiles beside it as well. `tmpi-lab live-bench --only measured --late N` measures what that is worth.
-//! Nothing is sent for it, and nothing stays of it: labels that come are shown as they are.
+//! A room sends tiles about every third frame. In between, a moving object would leave its labels behind, and a side view would show its
+//! leading edge at the depth of the background, torn off the rest. A viewer therefore estimates where the object went, also around the
+//! position predicted from its last motion, and moves its labels along, into neighbouring tiles as well. `tmpi-lab live-bench --only
+//! measured --late N` measures the benefit. This needs no data from the server and leaves no trace: received labels are shown as they are.
 
 use std::time::Duration;
 
 use super::MAX_PLANES;
 use crate::layers::{Dilation, Surface, dilate};
-use crate::scene::colour::apart;
+use crate::scene::colour::difference;
 use crate::simd::dispatch;
 use crate::{Geometry, Plane, Rect, Tile, TileFrame, grown};
 
-/// Pixels that a thing is looked for at, to each side.
+/// Search range for the motion of an object, in pixels to each side.
 const REACH: i32 = 12;
-/// The same around where it would be had it gone on as it did before.
-const NEAR: i32 = 3;
-/// Pixels that it is looked for at there, at most.
-const FARTHEST: i32 = 48;
-/// Levels, summed over the channels, by which a pixel is another; more than the noise of video.
-const OTHER: u32 = 30;
-/// Such a difference counts for no more than this: what is covered or comes in sight has no counterpart.
-const MOST: u32 = 120;
-/// δ by which one thing lies in front of another.
-const APART: f32 = 0.05;
-/// Pixels of a thing that say where it went, at most.
+/// Range of the dense search around no motion and around each predicted motion. The rest of the range is searched at every second pixel.
+const DENSE_REACH: i32 = 3;
+/// Maximum predicted motion along each axis, in pixels.
+const MAX_PREDICTED: i32 = 48;
+/// Difference in levels, summed over the channels, above which a pixel has changed; more than the noise of video.
+const COLOUR_STEP: u32 = 30;
+/// Cap on the difference of one pixel, because covered and uncovered pixels have no counterpart.
+const MAX_DIFFERENCE: u32 = 120;
+/// Difference in δ from which one object lies in front of another.
+const DEPTH_STEP: f32 = 0.05;
+/// Maximum number of an object's pixels that vote on its motion.
 const VOTERS: usize = 300;
-/// So many of them for all ways that it may have gone.
+/// Maximum number of voters in the first pass, over all candidate motions.
 const FIRST_VOTERS: usize = 60;
-/// Of them so many are asked before it is looked whether that is enough.
+/// Number of voters counted between two checks for an early exit.
 const VOTERS_AT_ONCE: usize = 12;
-/// Changed pixels of a thing below which it is left where it is.
-const LEAST: usize = 12;
-/// Share of what is left of the difference, by moving, from which on it did not move so.
-const BETTER: f64 = 0.7;
-/// Pixels that lie on no plane of their tile, from which on they get one: fewer are the noise of depth as often.
-const LEAST_UNPLACED: usize = 40;
+/// Minimum number of changed pixels of an object; with fewer, it stays where it is.
+const MIN_CHANGED: usize = 12;
+/// A motion is accepted only if it reduces the difference to less than this share.
+const MAX_REMAINING: f64 = 0.7;
+/// Minimum number of pixels on none of their tile's planes for which the tile gets a new plane; fewer are as often noise of depth.
+const MIN_UNPLACED: usize = 40;
 
-/// How a thing goes.
+/// Motion of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Way {
     /// Pixels to the right and down.
     x: i32,
     y: i32,
-    /// In so long a time.
+    /// Duration of the motion.
     time: Duration,
 }
 
 impl Way {
-    /// Pixels to the right and down in another time.
+    /// The motion scaled to another duration: pixels to the right and down.
     fn within(&self, time: Duration) -> (i32, i32) {
         let share = if self.time.is_zero() { 1.0 } else { time.as_secs_f64() / self.time.as_secs_f64() };
-        let far = |pixels: i32| (f64::from(pixels) * share).round().clamp(f64::from(-FARTHEST), f64::from(FARTHEST)) as i32;
+        let far = |pixels: i32| (f64::from(pixels) * share).round().clamp(f64::from(-MAX_PREDICTED), f64::from(MAX_PREDICTED)) as i32;
         (far(self.x), far(self.y))
     }
 }
 
-/// Two frames, of which the tiles are as of the first.
+/// Two frames; the tiles belong to the first.
 pub struct Motion<'a> {
     geometry: &'a Geometry,
-    /// From the first frame to the second.
+    /// Time from the first frame to the second.
     time: Duration,
-    /// Of the visible surface, all pixels.
+    /// δ of the visible surface at each pixel.
     delta: &'a [f32],
-    /// Colours, as words.
+    /// Colours of the first and the second frame, as words.
     was: &'a [u32],
     now: &'a [u32],
-    /// 1 where a pixel is another, else 0.
+    /// 1 where a pixel has changed, otherwise 0.
     changed: Vec<u8>,
-    /// The same of it and those that touch it.
+    /// `changed`, dilated by one pixel.
     near_change: Dilation,
 }
 
 impl<'a> Motion<'a> {
-    /// Both frames, the second so much later, are of the geometry's size, and so is its visible `surface`.
+    /// Compares two frames that are `time` apart. Both frames, and the visible `surface`, have the size of the geometry's grid.
     #[must_use]
     pub fn new(geometry: &'a Geometry, surface: &'a Surface, (was, now): (&'a [u32], &'a [u32]), time: Duration) -> Self {
         let mut changed = vec![0; now.len()];
-        mark_others(was, now, &mut changed);
+        mark_changed(was, now, &mut changed);
         let (width, height) = (geometry.grid.width, geometry.grid.height);
         let mut near_change = Dilation::default();
         dilate(&changed, width, Rect { x: 0, y: 0, w: width, h: height }, (1, 1), &mut near_change);
         Self { geometry, time, delta: surface.all(), was, now, changed, near_change }
     }
 
-    /// How the nearer things of a tile have gone, where they have; they are looked for also where those of it and the tiles beside it would be by
-    /// the ways they went `before`.
+    /// Motion of the nearer objects of a tile; `None` if they did not move. Also searches around the positions predicted from the motions
+    /// `before` of this tile and its neighbours.
     #[must_use]
     pub fn way(&self, index: u32, before: &[Option<Way>]) -> Option<Way> {
         let grid = &self.geometry.grid;
@@ -96,26 +96,26 @@ impl<'a> Motion<'a> {
         for row in around(index / columns, rows) {
             for way in around(index % columns, columns).filter_map(|column| before.get((row * columns + column) as usize)?.as_ref()) {
                 let guess = way.within(self.time);
-                // one beside it is looked for there, too
+                // adjacent positions are within its search range
                 if guesses.iter().all(|g: &(i32, i32)| (g.0 - guess.0).abs().max((g.1 - guess.1).abs()) > 1) {
                     guesses.push(guess);
                 }
             }
         }
-        let reach = |of: fn(&(i32, i32)) -> i32| guesses.iter().map(|g| of(g).abs() + NEAR).fold(REACH, i32::max) as u32;
+        let reach = |of: fn(&(i32, i32)) -> i32| guesses.iter().map(|g| of(g).abs() + DENSE_REACH).fold(REACH, i32::max) as u32;
         let part = grown(grid.rect(index), reach(|g| g.0), reach(|g| g.1), grid);
         self.way_in(part, &guesses).map(|(x, y)| Way { x, y, time: self.time })
     }
 
-    /// A tile in the second frame, by the way that its nearer things went; none where it is as before. What comes into it from a tile beside it and
-    /// lies on no plane of its own gets one, without a slant.
+    /// The tile in the second frame, from the motion of its nearer objects; `None` if it does not change. If something enters from a
+    /// neighbouring tile and lies on none of this tile's planes, the tile gets a fronto-parallel plane for it.
     #[must_use]
     pub fn moved(&self, index: u32, Way { x: dx, y: dy, .. }: Way) -> Option<Tile> {
         let (grid, tile) = (&self.geometry.grid, self.geometry.tiles.get(index as usize)?);
         let rect = grid.rect(index);
         let place = TileFrame::of(grid, index);
         let mut moved = tile.clone();
-        // places, and δ that comes there: of what is nearer, and farther, than the tile's planes near it
+        // pixels that match no plane, and the δ that moves there: nearer and farther than what the tile shows there
         let mut unplaced = [Vec::new(), Vec::new()];
         let pixels = (rect.y..rect.y + rect.h).flat_map(|y| (rect.x..rect.x + rect.w).map(move |x| (x, y)));
         for (i, (x, y)) in pixels.enumerate() {
@@ -123,11 +123,11 @@ impl<'a> Motion<'a> {
             if self.near_change.out[here] == 0 {
                 continue;
             }
-            // what comes in from beside the frame is as what is seen there at its border
+            // what enters from outside the frame continues the frame's border
             let side = |at: u32, d: i32, most: u32| (at as i32 - d).clamp(0, most as i32 - 1) as u32;
             let from = (side(y, dy, grid.height) * grid.width + side(x, dx, grid.width)) as usize;
             let (shown, comes) = (self.delta[here], self.delta[from]);
-            if (comes - shown).abs() <= APART {
+            if (comes - shown).abs() <= DEPTH_STEP {
                 continue;
             }
             let off = |l: usize| (place.disparity(&tile.planes[l], x, y) - comes).abs();
@@ -138,19 +138,19 @@ impl<'a> Motion<'a> {
                 unplaced[usize::from(comes < shown)].push((i, comes));
             }
         }
-        for unplaced in unplaced.iter().filter(|h| h.len() >= LEAST_UNPLACED) {
+        for unplaced in unplaced.iter().filter(|h| h.len() >= MIN_UNPLACED) {
             add_plane(&mut moved, unplaced);
         }
         (moved != *tile).then_some(moved)
     }
 
-    /// Place of a pixel in the frames; none beside them.
+    /// Index of a pixel in the frames; `None` outside.
     fn at(&self, x: i32, y: i32) -> Option<usize> {
         let (w, h) = (self.geometry.grid.width as i32, self.geometry.grid.height as i32);
         ((0..w).contains(&x) && (0..h).contains(&y)).then_some((y * w + x) as usize)
     }
 
-    /// Pixels to the right and down by which the nearer things of a part of the frame have moved; none where they did not, or were not found.
+    /// Motion of the nearer objects in a part of the frame, in pixels to the right and down. `None` if they did not move or were not found.
     fn way_in(&self, part: Rect, guesses: &[(i32, i32)]) -> Option<(i32, i32)> {
         let width = self.geometry.grid.width;
         let mut changed = Vec::new();
@@ -164,16 +164,18 @@ impl<'a> Motion<'a> {
             changed.extend(row.map(|(x, _)| (x as i32, y as i32, self.delta[(y * width + x) as usize])));
         }
         let far = changed.iter().map(|p| p.2).fold(f32::INFINITY, f32::min);
-        changed.retain(|p| p.2 > far + APART);
-        if changed.len() < LEAST {
+        changed.retain(|p| p.2 > far + DEPTH_STEP);
+        if changed.len() < MIN_CHANGED {
             return None;
         }
         let some = |most: usize| changed.iter().step_by(changed.len().div_ceil(most)).copied().collect::<Vec<_>>();
-        // of two that are alike the shorter way; from `enough` on it is not told by how much more
+        // prefers the shorter of equally good motions; stops counting once the cost reaches `enough`
         let cost = |voters: &[(i32, i32, f32)], (dx, dy): (i32, i32), enough: u32| -> u32 {
             let left = |&(x, y, _): &(i32, i32, f32)| {
                 let to = self.at(x + dx, y + dy);
-                to.map_or(MOST, |to| apart(self.was[y as usize * width as usize + x as usize], self.now[to]).min(MOST))
+                to.map_or(MAX_DIFFERENCE, |to| {
+                    difference(self.was[y as usize * width as usize + x as usize], self.now[to]).min(MAX_DIFFERENCE)
+                })
             };
             let mut sum = (dx * dx + dy * dy) as u32;
             for some in voters.chunks(VOTERS_AT_ONCE) {
@@ -189,31 +191,32 @@ impl<'a> Motion<'a> {
             side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
         };
         let least = |voters: &[(i32, i32, f32)], ways: &mut dyn Iterator<Item = (i32, i32)>| {
-            let (mut best, mut of_best) = ((0, 0), u32::MAX);
+            let (mut best, mut best_cost) = ((0, 0), u32::MAX);
             for way in ways {
-                let of_it = cost(voters, way, of_best);
-                if of_it < of_best {
-                    (best, of_best) = (way, of_it);
+                let way_cost = cost(voters, way, best_cost);
+                if way_cost < best_cost {
+                    (best, best_cost) = (way, way_cost);
                 }
             }
             best
         };
-        let guessed = guesses.iter().flat_map(|guess| square(*guess, NEAR, 1));
-        let about = least(&some(FIRST_VOTERS), &mut guessed.chain(square((0, 0), REACH, 2)).chain(square((0, 0), NEAR, 1)));
+        let guessed = guesses.iter().flat_map(|guess| square(*guess, DENSE_REACH, 1));
+        let about = least(&some(FIRST_VOTERS), &mut guessed.chain(square((0, 0), REACH, 2)).chain(square((0, 0), DENSE_REACH, 1)));
         let voters = some(VOTERS);
         let way = least(&voters, &mut square(about, 1, 1));
-        (way != (0, 0) && f64::from(cost(&voters, way, u32::MAX)) < BETTER * f64::from(cost(&voters, (0, 0), u32::MAX))).then_some(way)
+        (way != (0, 0) && f64::from(cost(&voters, way, u32::MAX)) < MAX_REMAINING * f64::from(cost(&voters, (0, 0), u32::MAX)))
+            .then_some(way)
     }
 }
 
-/// Gives some pixels of a tile a plane, at the mean of the δ that come with their places.
+/// Adds a plane to a tile for some pixels, at the mean of their δ.
 fn add_plane(tile: &mut Tile, unplaced: &[(usize, f32)]) {
     if tile.planes.len() >= MAX_PLANES {
         return;
     }
     let mean = unplaced.iter().map(|(_, delta)| f64::from(*delta)).sum::<f64>() / unplaced.len() as f64;
     let plane = Plane::fronto_parallel(mean).quantised();
-    // planes go from far to near
+    // planes are sorted from far to near
     let at = tile.planes.iter().take_while(|p| p.a <= plane.a).count();
     tile.planes.insert(at, plane);
     tile.labels.iter_mut().filter(|label| usize::from(**label) >= at).for_each(|label| *label += 1);
@@ -223,15 +226,15 @@ fn add_plane(tile: &mut Tile, unplaced: &[(usize, f32)]) {
 }
 
 dispatch!(
-    /// Marks with 1 the pixels that are others by more than [`OTHER`], with 0 the rest.
-    mark_others, mark_others_body, (was: &[u32], now: &[u32], changed: &mut [u8])
+    /// Marks with 1 the pixels that differ by more than [`COLOUR_STEP`], and with 0 the others.
+    mark_changed, mark_changed_body, (was: &[u32], now: &[u32], changed: &mut [u8])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn mark_others_body(was: &[u32], now: &[u32], changed: &mut [u8]) {
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
+fn mark_changed_body(was: &[u32], now: &[u32], changed: &mut [u8]) {
     for (changed, (was, now)) in changed.iter_mut().zip(was.iter().zip(now)) {
-        *changed = u8::from(apart(*was, *now) > OTHER);
+        *changed = u8::from(difference(*was, *now) > COLOUR_STEP);
     }
 }
 
@@ -245,7 +248,7 @@ mod tests {
     const W: u32 = 96;
     const H: u32 = 64;
 
-    /// A wall, and before it a thing of 24 × 30 pixels whose corner is at `(x, y)`; labels as of there.
+    /// A wall, and in front of it an object of 24 × 30 pixels with its corner at `(x, y)`; labels match.
     fn frame(x: u32, y: u32) -> (Geometry, Vec<u32>) {
         let inside = |i: u32| (x..x + 24).contains(&(i % W)) && (y..y + 30).contains(&(i / W));
         let wave = |a: u32, b: u32| (127.0 + 100.0 * (f64::from(a) / 3.0).sin() * (f64::from(b) / 4.0).cos()) as u8;
@@ -263,8 +266,8 @@ mod tests {
     }
 
     #[test]
-    fn labels_go_where_the_thing_went() {
-        // up to the border of two tiles
+    fn labels_follow_an_object() {
+        // adjacent to the border between two tiles
         let (geometry, was) = frame(40, 16);
         let surface = geometry.surface();
         for (x, y) in [(45, 16), (36, 19), (48, 8), (40, 27)] {
@@ -279,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thing_that_goes_on_as_before_is_found_farther_off_than_it_is_looked_for() {
+    fn an_object_with_steady_motion_is_found_beyond_the_search_range() {
         let (geometry, was) = frame(10, 16);
         let surface = geometry.surface();
         let (thirtieth, tiles) = (Duration::from_micros(33_333), geometry.grid.tiles());
@@ -294,13 +297,13 @@ mod tests {
         let (other, third) = frame(40, 22);
         let motion = Motion::new(&geometry, &surface, (&was, &third), 3 * thirtieth);
         let expected: Vec<_> = other.tiles.into_iter().map(|t| t.labels).collect();
-        assert!(labels(&motion, &[]) != expected, "without those before it is not found");
-        assert!(labels(&motion, &ways) == expected, "by those before it is");
+        assert!(labels(&motion, &[]) != expected, "not found without the previous motions");
+        assert!(labels(&motion, &ways) == expected, "found with the previous motions");
     }
 
     #[test]
-    fn a_tile_gets_a_plane_for_what_comes_into_it() {
-        // to a tile that has the wall alone
+    fn a_tile_gets_a_plane_for_an_object_that_enters_it() {
+        // into a tile that has only the wall
         let border = Grid::new(W, H, 64).rect(1).x;
         let (mut geometry, was) = frame(border - 25, 16);
         let (other, now) = frame(border - 14, 18);
@@ -312,7 +315,7 @@ mod tests {
         assert_eq!(moved.labels, other.tiles[1].labels);
         let off = |i: usize| (moved.planes[i].a - other.tiles[1].planes[i].a).abs();
         assert!(moved.planes.len() == 2 && off(0) < 1e-3 && off(1) < 1e-3, "{:?}", moved.planes);
-        // and what the thing leaves behind, in a tile that has the thing's alone
+        // and what the object uncovers, in a tile that has only the object's plane
         let mut tile = geometry.tiles[0].clone();
         tile.planes.remove(0);
         tile.labels.fill(0);
@@ -322,11 +325,11 @@ mod tests {
         tile.planes = vec![tile.planes[0]; MAX_PLANES];
         let full = tile.clone();
         add_plane(&mut tile, &[(3, 0.7)]);
-        assert!(tile == full, "no more than there may be");
+        assert!(tile == full, "no more than MAX_PLANES");
     }
 
     #[test]
-    fn labels_of_tiles_that_come_late_go_where_the_thing_is_by_then() {
+    fn labels_of_late_tiles_catch_up_with_an_object() {
         let photo = |colours: &[u32]| Photo { width: W, height: H, rgb: colours.iter().map(|c| of_word(*c)).collect() };
         let frames: Vec<_> = [40, 44, 48, 52].map(|x| frame(x, 16)).into();
         let time = Some(Duration::from_millis(33));
@@ -345,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_stay_where_nothing_moved_or_nothing_is_found() {
+    fn labels_stay_without_a_recognisable_motion() {
         let (geometry, was) = frame(30, 16);
         let surface = geometry.surface();
         let of = |now: &[u32]| {
@@ -353,7 +356,7 @@ mod tests {
             (0..geometry.grid.tiles()).filter_map(|t| motion.moved(t, motion.way(t, &[])?)).count()
         };
         assert_eq!(of(&was), 0);
-        // noise, the light, and another picture
+        // noise, a change of light, and an unrelated picture
         let each = |f: &dyn Fn(usize, [u8; 3]) -> [u8; 3]| -> Vec<u32> {
             let other = |(i, word): (usize, &u32)| f(i, of_word(*word));
             was.iter().enumerate().map(other).map(|[r, g, b]| u32::from_le_bytes([r, g, b, 0])).collect()

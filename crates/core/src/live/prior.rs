@@ -1,28 +1,28 @@
-//! What the coders of a chunk know before its first tile. A chunk holds few tiles and refers to no other: models that knew nothing would
-//! have learnt the most of it at its end.
+//! The trained state in which the coders of a chunk start. A chunk has few tiles and refers to no other chunk, so untrained models would
+//! have learnt most of it only at its end.
 
 use crate::container::range::Bit;
 use crate::container::{labels, planes};
 
-/// Probabilities of a 1 in 65 536, in the order of [`Coders::bits`]; learnt from rendered sequences by `tmpi-lab live-bench --learn`.
+/// Probabilities of a 1, in 1/65 536, in the order of [`Coders::bits`]; trained on rendered sequences by `tmpi-lab live-bench --learn`.
 const PRIOR: &[u16] = &include!("prior.in");
 
-/// Probabilities in a line of the file.
+/// Number of probabilities per line of the file.
 const ACROSS: usize = 16;
 
-/// The models of a chunk's planes and labels.
+/// Models for the planes and labels of a chunk.
 pub(super) struct Coders {
     pub labels: Box<labels::Models>,
     pub planes: Box<planes::Models>,
 }
 
 impl Coders {
-    /// Models that know nothing.
+    /// Untrained models.
     pub fn unlearned() -> Self {
         Self { labels: labels::Models::new(), planes: planes::Models::new() }
     }
 
-    /// Models that know what was learnt beforehand.
+    /// Models that start from the trained prior.
     pub fn learned() -> Self {
         let mut coders = Self::unlearned();
         for (bit, p) in coders.bits().zip(PRIOR) {
@@ -36,10 +36,10 @@ impl Coders {
     }
 }
 
-/// Learns from chunks what the coders of others begin with.
+/// Trains the prior on chunks.
 pub struct Learning {
     coders: Coders,
-    /// Sums of the probabilities after each chunk, and the count of chunks.
+    /// Sums of the probabilities after each chunk, and number of chunks.
     sums: Vec<u64>,
     chunks: u64,
 }
@@ -53,10 +53,10 @@ impl Default for Learning {
 }
 
 impl Learning {
-    /// Lets the coders go on with the tiles of a chunk.
+    /// Trains on the tiles of a chunk.
     ///
     /// # Errors
-    /// [`super::LiveError`] as [`super::chunk::encode`] gives it.
+    /// [`super::LiveError`], as in [`super::chunk::encode`].
     pub fn take(&mut self, grid: &crate::Grid, area: super::chunk::Area, tiles: &[crate::Tile]) -> Result<(), super::LiveError> {
         super::chunk::streams(&mut self.coders, grid, area, tiles)?;
         self.chunks += 1;
@@ -66,7 +66,7 @@ impl Learning {
         Ok(())
     }
 
-    /// The probabilities as `prior.in` has them.
+    /// The mean probabilities in the format of `prior.in`.
     #[must_use]
     pub fn finish(&self) -> String {
         let mean = |sum: &u64| sum.checked_div(self.chunks).unwrap_or(1 << 15).to_string();
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_learnt_of_nothing_is_that_all_is_as_likely() {
+    fn an_untrained_prior_is_uniform() {
         let text = Learning::default().finish();
         let found = text.trim_matches(['[', ']', '\n']).split([',', '\n']).filter(|n| !n.trim().is_empty());
         let values: Vec<u16> = found.map(|n| n.trim().parse().unwrap()).collect();

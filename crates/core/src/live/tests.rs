@@ -9,7 +9,7 @@ use super::*;
 use crate::layers::STEADY;
 use crate::{Geometry, Grid, Inpainter, Intrinsics, Photo, Plane, Tile, ViewBox};
 
-/// Tiles that differ, with labels in patches; a background here and there.
+/// Tiles that differ, with labels in patches; every third tile has a background plane.
 fn geometry(width: u32, height: u32, size: u32, seed: u32) -> Geometry {
     let grid = Grid::new(width, height, size);
     let share = |i: u32| f64::from(i.wrapping_mul(0x9E37_79B1) >> 16) / 65_536.0;
@@ -26,7 +26,7 @@ fn geometry(width: u32, height: u32, size: u32, seed: u32) -> Geometry {
     Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles, matted: false }
 }
 
-/// A frame that comes so much after the one before, with its own tiles.
+/// A frame `gone` after the previous one, with its own tiles.
 fn after(gone: Option<std::time::Duration>) -> When {
     When { gone, ..When::default() }
 }
@@ -35,7 +35,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
-    fn areas_cover_what_is_wanted_and_nothing_else(w in 1u32..300, h in 1u32..300, bits in any::<u64>()) {
+    fn areas_cover_exactly_the_wanted_tiles(w in 1u32..300, h in 1u32..300, bits in any::<u64>()) {
         let grid = Grid::new(w, h, 64);
         let wanted = |t: u32| bits >> (t % 64) & 1 == 1;
         let mut found: Vec<u32> = Area::covering(&grid, wanted).into_iter().flat_map(|a| a.tiles(&grid)).collect();
@@ -44,7 +44,7 @@ proptest! {
     }
 
     #[test]
-    fn tiles_come_back_by_any_chunks(w in 1u32..200, h in 1u32..200, size in 16u32..70, seed in 0u32..100, bits in any::<u64>()) {
+    fn tiles_round_trip_in_any_chunks(w in 1u32..200, h in 1u32..200, size in 16u32..70, seed in 0u32..100, bits in any::<u64>()) {
         let whole = geometry(w, h, size, seed);
         let grid = whole.grid;
         let chunks = |wanted: &dyn Fn(u32) -> bool, version| -> Vec<_> {
@@ -59,14 +59,14 @@ proptest! {
         let Kind::Geometry(rest) = read(bytes).unwrap() else { panic!("another kind") };
         model.take(&rest).unwrap();
         prop_assert_eq!(model.geometry(), Some(&whole));
-        // older ones, and the same once more
+        // older chunks, and the same ones again
         prop_assert_eq!(model.take(&wire::Geometry { frame: 1, chunks: chunks(&|_| true, 1) }).unwrap(), Vec::<u32>::new());
     }
 
-    /// Whatever changes of tiles and pixels, one after the other: what is kept is what comes of the last tiles and frame alone, and what
-    /// is said to be as before is.
+    /// After any sequence of changes, the incremental layers are those of the last tiles and frame alone, and tiles reported as unchanged
+    /// are unchanged.
     #[test]
-    fn layers_that_are_kept_are_those_of_a_fresh_start(
+    fn incremental_layers_equal_a_fresh_start(
         w in 40u32..260, h in 40u32..200,
         steps in prop::collection::vec((any::<u64>(), any::<[u16; 4]>()), 1..5),
     ) {
@@ -88,7 +88,7 @@ proptest! {
             }
             let before: Vec<_> = (0..grid.tiles()).map(|t| kept.tile(t).cloned()).collect();
             let mut changes = kept.update(&now, changed, photo.clone(), after(Some(TURN)));
-            // hidden colours follow, turn by turn or all at once after as long a time
+            // hidden colours follow, one group at a time, or all at once after the same total time
             let (frames, gone) = if seed % 2 == 0 { (TURNS, TURN) } else { (1, TURN * TURNS) };
             for _ in 0..frames {
                 changes.texels.extend(kept.update(&now, |_| false, photo.clone(), after(Some(gone))).texels);
@@ -101,12 +101,12 @@ proptest! {
                 prop_assert!(changes.texels.contains(&t) || is.texels == was.texels, "tile {}", t);
                 prop_assert!(changes.layers.contains(&t) || is.layers == was.layers, "tile {}", t);
             }
-            // nothing changes twice
+            // a repeated frame changes nothing
             prop_assert_eq!(kept.update(&now, |_| false, photo.clone(), after(Some(TURN))), Changes::default());
         }
     }
 
-    /// What was seen is shown, and all else is as it is made up, whatever changed before.
+    /// After any changes, hidden texels show remembered colours, and inpainted ones otherwise.
     #[test]
     fn layers_with_a_memory_show_what_is_remembered(
         w in 40u32..200, h in 40u32..140,
@@ -119,7 +119,7 @@ proptest! {
         let mut kept = Layers::remembering();
         kept.update(&now, |_| false, photo.clone(), after(gone));
         for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
-            // long enough for all that stays to be remembered
+            // long enough to remember everything that stays
             for _ in 0..=STEADY + 1 {
                 kept.update(&now, |_| false, photo.clone(), after(gone));
             }
@@ -133,7 +133,7 @@ proptest! {
                 photo.rgb[at as usize] = [colour as u8, (colour >> 8) as u8, at as u8];
             }
             kept.update(&now, changed, photo.clone(), after(gone));
-            // until it is remembered, and every hidden colour has had its turn since
+            // until everything is remembered, and every hidden colour has had its turn since
             for _ in 0..=u32::from(STEADY) + 1 + TURNS {
                 kept.update(&now, |_| false, photo.clone(), after(gone));
             }
@@ -187,12 +187,12 @@ fn chunks_are_counted_before_they_take_memory() {
     let of = |count: usize| write(Kind::Snapshot(wire::Geometry { frame: 1, chunks: vec![wire::Chunk::default(); count] }));
     assert!(read(of(MAX_CHUNKS)).is_ok());
     assert!(read(of(MAX_CHUNKS + 1)).is_err());
-    // a message may come in parts
+    // a field may be split into parts
     let twice = [of(MAX_CHUNKS), of(1)].concat();
     assert!(read(twice.into()).is_err());
 }
 
-/// `TMPI_BLESS=live` writes them.
+/// Set `TMPI_BLESS=live` to write the seeds.
 #[test]
 fn seeds_of_the_fuzzer_are_messages() {
     let whole = geometry(130, 100, 64, 3);
@@ -212,7 +212,7 @@ fn seeds_of_the_fuzzer_are_messages() {
             std::fs::create_dir_all(&folder).unwrap();
             std::fs::write(&file, &bytes).unwrap();
         }
-        // models that have learnt otherwise write otherwise; what was written stays a message
+        // retrained models write other bytes; old seeds must stay readable
         assert!(read(std::fs::read(&file).unwrap().into()).is_ok(), "{name}");
         fuzz_message(&bytes);
     }

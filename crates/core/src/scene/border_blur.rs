@@ -1,35 +1,35 @@
-//! Colours that continue a photo beyond its borders: its mirror image, blurred the more the farther out.
+//! Colours that continue a photo beyond its borders: its mirror image, blurred more with the distance from the border.
 //!
-//! A sharp mirror image shows a second face beside one that the frame cuts. The blur takes from a pyramid of means, so its cost does
-//! not depend on its width.
+//! A sharp mirror image would show a second face beside one that the frame cuts. The blur samples a pyramid of means, so its cost does not
+//! depend on its radius.
 
-/// Coarsest level: means of 64 × 64 pixels. A blurred pixel follows from pixels within 96 of it in each axis, which is what a band of
-/// rows has beside its tiles.
+/// Number of pyramid levels: the coarsest has means of 64 × 64 pixels. A blurred pixel depends only on pixels within 96 of it along each
+/// axis, the margin that a band of rows has around its tiles.
 const COARSEST: usize = 6;
 
-/// How fast the blur grows: its half-width is one pixel more for each so many pixels beyond the border.
+/// Pixels beyond the border per pixel of blur radius.
 const PIXELS_PER_RADIUS: f32 = 2.0;
 
-/// Blurs rows of a photo for their mirror images, each pixel by its distance from the border at which it is mirrored.
+/// Blurs the rows of a photo's mirror image, each pixel by its distance from the border at which the photo is mirrored.
 #[derive(Clone, Debug, Default)]
 pub struct BorderBlur {
-    /// Size of the whole photo.
+    /// Width and height of the whole photo.
     size: [usize; 2],
-    /// From means of 2 × 2 pixels on.
+    /// The pyramid, starting with means of 2 × 2 pixels.
     levels: Vec<Level<Vec<[u8; 3]>>>,
 }
 
-/// Some rows of a level of the pyramid.
+/// Some rows of one level of the pyramid.
 #[derive(Clone, Debug)]
 struct Level<T> {
-    /// Number of the first row in the whole picture's level.
+    /// Index of the first row in the level of the whole photo.
     top: usize,
     width: usize,
     texels: T,
 }
 
 impl BorderBlur {
-    /// Of a photo of `size` (width, height), of which `rgb` has the rows from `top` on.
+    /// Builds the pyramid for a photo of `size` (width, height); `rgb` holds whole rows from row `top` on.
     #[must_use]
     pub fn new(rgb: &[[u8; 3]], size: [u32; 2], top: u32) -> Self {
         let size = size.map(|v| v as usize);
@@ -41,20 +41,20 @@ impl BorderBlur {
         Self { size, levels }
     }
 
-    /// Appends the blurred colours of pixels from column `x` on of row `y`, which are `mirrored` in x, in y, at the nearer border; `sharp` are
-    /// their own colours.
+    /// Appends the blurred colours of row `y` from column `x` on, one for each pixel of `sharp`, their unblurred colours. `mirrored`
+    /// selects the axes (x, y) along which the nearer border mirrors the row.
     pub fn row(&self, x: usize, y: usize, sharp: &[[u8; 3]], mirrored: [bool; 2], out: &mut Vec<[u8; 3]>) {
         let Some(last) = (x + sharp.len()).checked_sub(1) else { return };
         let beyond = |at: usize, axis: usize| if mirrored[axis] { at.min(self.size[axis] - 1 - at) as f32 + 0.5 } else { 0.0 };
         let down = beyond(y, 1);
         let radius = |x: usize| (1.0 + beyond(x, 0).max(down) / PIXELS_PER_RADIUS).min((1 << COARSEST) as f32);
-        // the farthest pixel of the row may be one between its ends, where the photo is narrow
+        // in a narrow photo, the pixel farthest from a border can lie between the ends of the row
         let farthest = (self.size[0] / 2).clamp(x, last);
         let coarsest = (1 + radius(farthest).max(radius(x)).max(radius(last)) as usize).ilog2() as usize + 1;
         let lines: Vec<Line> = self.levels.iter().zip(1..).take(coarsest).map(|(level, n)| level.line(x..last + 1, y, n)).collect();
         out.extend(sharp.iter().zip(x..).map(|(own, x)| {
             let radius = radius(x);
-            // the logarithm, but straight between powers of two
+            // log2 of the radius, interpolated linearly between powers of two
             let fine = (radius as usize).ilog2() as usize;
             let share = radius / (1 << fine) as f32 - 1.0;
             let a = if fine == 0 { own.map(f32::from) } else { lines[fine - 1].at(x) };
@@ -64,23 +64,23 @@ impl BorderBlur {
     }
 }
 
-/// A level's colours along a row of pixels.
+/// Colours of a level along one row of pixels.
 struct Line {
-    /// Size of a texel in pixels, as its inverse.
+    /// Texels per pixel.
     scale: f32,
-    /// Number of the first texel.
+    /// Index of the first texel.
     first: usize,
     texels: Vec<[f32; 3]>,
 }
 
-/// The texel whose centre lies at or before the centre of a pixel, and the share of the next one.
+/// Index of the last texel whose centre is not beyond the pixel's centre, and the weight of the next texel.
 fn place(pixel: usize, scale: f32) -> (usize, f32) {
     let at = ((pixel as f32 + 0.5) * scale - 0.5).max(0.0);
     (at as usize, at.fract())
 }
 
 impl Line {
-    /// The colour at the centre of a pixel, between the centres of two texels.
+    /// The colour at the centre of a pixel, interpolated linearly between two texels.
     fn at(&self, x: usize) -> [f32; 3] {
         let (i, share) = place(x, self.scale);
         let (a, b) = (self.texels[i - self.first], self.texels[i + 1 - self.first]);
@@ -89,7 +89,7 @@ impl Line {
 }
 
 impl<T: AsRef<[[u8; 3]]>> Level<T> {
-    /// A texel of the whole level, or the nearest one that is kept.
+    /// A texel by its position in the whole level, clamped to the rows that are present.
     fn texel(&self, x: usize, y: usize) -> [u8; 3] {
         let texels = self.texels.as_ref();
         let rows = texels.len() / self.width.max(1);
@@ -97,7 +97,7 @@ impl<T: AsRef<[[u8; 3]]>> Level<T> {
         texels.get(row * self.width + x.min(self.width.saturating_sub(1))).copied().unwrap_or_default()
     }
 
-    /// Means of 2 × 2 texels.
+    /// The next coarser level: means of 2 × 2 texels.
     fn halved(&self) -> Level<Vec<[u8; 3]>> {
         let rows = self.texels.as_ref().len() / self.width.max(1);
         let (top, width) = (self.top / 2, self.width.div_ceil(2));
@@ -109,7 +109,7 @@ impl<T: AsRef<[[u8; 3]]>> Level<T> {
         Level { top, width, texels: places.map(mean).collect() }
     }
 
-    /// Colours about columns `xs` of row `y` of the photo's pixels, between the centres of texels of this level, of 2ⁿ × 2ⁿ pixels.
+    /// Colours of this level around columns `xs` in row `y` of the photo, interpolated between texel rows. A texel covers 2ⁿ × 2ⁿ pixels.
     fn line(&self, xs: std::ops::Range<usize>, y: usize, n: usize) -> Line {
         let scale = 1.0 / (1 << n) as f32;
         let (first, last) = (place(xs.start, scale).0, place(xs.end - 1, scale).0 + 1);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_photo_stays_as_it_is() {
+    fn a_uniform_photo_is_unchanged() {
         let plain = vec![[9, 200, 77]; 300 * 260];
         assert!((0..260).all(|y| blurred(&plain, 0, y).iter().all(|c| *c == [9, 200, 77])));
     }
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn stripes_fade_with_the_distance_from_the_border() {
         let row = blurred(&photo(), 0, 130);
-        // red alternates between 0 and 200 each 8 pixels: how far a period reaches
+        // red alternates between 0 and 200 every 8 pixels; returns the range over one period
         let contrast = |from: usize| {
             let reds: Vec<i32> = row[from..from + 16].iter().map(|c| i32::from(c[0])).collect();
             reds.iter().max().unwrap() - reds.iter().min().unwrap()

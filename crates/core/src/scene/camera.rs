@@ -17,45 +17,45 @@ pub fn mat3_vec(a: &Mat3, x: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|i| (0..3).map(|k| a[i][k] * x[k]).sum())
 }
 
-/// Pinhole intrinsics in pixels; pixel centres at half-integers, so the centre of a `w`-pixel row is `w/2`.
+/// Pinhole intrinsics in pixels. Pixel centres are at half-integers, so the centre of a `w`-pixel row is `w/2`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Intrinsics {
-    /// Focal length in pixels, horizontal.
+    /// Horizontal focal length in pixels.
     pub fx: f64,
-    /// Focal length in pixels, vertical.
+    /// Vertical focal length in pixels.
     pub fy: f64,
-    /// Principal point, pixels from the left border.
+    /// Principal point, in pixels from the left border.
     pub cx: f64,
-    /// Principal point, pixels from the upper border.
+    /// Principal point, in pixels from the upper border.
     pub cy: f64,
 }
 
 impl Intrinsics {
-    /// Focal length over width where neither EXIF nor the user knows better (DESIGN: 0.58 × width).
+    /// Focal length divided by width, used if neither EXIF nor the user gives one (DESIGN: 0.58 × width).
     pub const DEFAULT_FOCAL_PER_WIDTH: f64 = 0.58;
 
-    /// Square pixels, principal point in the centre, focal length `focal` pixels.
+    /// Square pixels, principal point at the centre, focal length `focal` in pixels.
     #[must_use]
     pub fn centred(width: u32, height: u32, focal: f64) -> Self {
         Self { fx: focal, fy: focal, cx: f64::from(width) / 2.0, cy: f64::from(height) / 2.0 }
     }
 
-    /// Square pixels with a horizontal field of view of `degrees` in (0, 180).
+    /// Square pixels and a horizontal field of view of `degrees`, in (0, 180).
     #[must_use]
     pub fn from_fov_x(width: u32, height: u32, degrees: f64) -> Self {
         let half = f64::from(width) / 2.0;
         Self::centred(width, height, half / (degrees.to_radians() / 2.0).tan())
     }
 
-    /// Horizontal field of view in degrees of a picture `width` pixels wide.
+    /// Horizontal field of view, in degrees, of a picture that is `width` pixels wide.
     #[must_use]
     pub fn fov_x(&self, width: u32) -> f64 {
         2.0 * (f64::from(width) / 2.0 / self.fx).atan().to_degrees()
     }
 
-    /// The same camera drawn at another picture size: the horizontal field of view stays, pixels are square
-    /// when they were, the picture's centre stays its centre.
+    /// The intrinsics for another picture size `(width, height)`: keeps the horizontal field of view, the pixel aspect ratio, and the
+    /// principal point's position relative to the centre.
     #[must_use]
     pub fn resized(&self, from: (u32, u32), to: (u32, u32)) -> Self {
         let s = f64::from(to.0) / f64::from(from.0);
@@ -63,44 +63,44 @@ impl Intrinsics {
         Self { fx: self.fx * s, fy: self.fy * s, cx: off(self.cx, from.0, to.0), cy: off(self.cy, from.1, to.1) }
     }
 
-    /// `K`.
+    /// The matrix `K`.
     #[must_use]
     pub fn matrix(&self) -> Mat3 {
         [[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
     }
 
-    /// `K⁻¹`.
+    /// The matrix `K⁻¹`.
     #[must_use]
     pub fn inverse(&self) -> Mat3 {
         [[1.0 / self.fx, 0.0, -self.cx / self.fx], [0.0, 1.0 / self.fy, -self.cy / self.fy], [0.0, 0.0, 1.0]]
     }
 
-    /// True where every entry is finite and the focal lengths are positive.
+    /// True if all entries are finite and both focal lengths are positive.
     #[must_use]
     pub fn is_valid(&self) -> bool {
         [self.fx, self.fy, self.cx, self.cy].iter().all(|v| v.is_finite()) && self.fx > 0.0 && self.fy > 0.0
     }
 }
 
-/// Position and orientation of a camera in the reference frame; `tx > 0` moves the camera right, so the scene moves left.
+/// Position and orientation of a camera in the reference frame. `tx > 0` moves the camera right, so the scene moves left.
 ///
-/// Lengths in units of the nearest distance of the photo, angles in degrees about y, x, z:
-/// `yaw > 0` looks right, `pitch > 0` looks up, `roll > 0` turns the camera clockwise.
+/// Lengths are in units of the photo's nearest distance, angles in degrees about y, x and z: `yaw > 0` looks right, `pitch > 0` looks up,
+/// `roll > 0` turns the camera clockwise.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(default))]
 pub struct Pose {
-    /// Right.
+    /// Translation to the right.
     pub tx: f64,
-    /// Down.
+    /// Translation downwards.
     pub ty: f64,
-    /// Forward.
+    /// Translation forwards.
     pub tz: f64,
-    /// Degrees about y.
+    /// Rotation about y, in degrees.
     pub yaw: f64,
-    /// Degrees about x.
+    /// Rotation about x, in degrees.
     pub pitch: f64,
-    /// Degrees about z.
+    /// Rotation about z, in degrees.
     pub roll: f64,
 }
 
@@ -111,7 +111,7 @@ impl Pose {
         Self { tx, ty, tz, ..Self::default() }
     }
 
-    /// Orientation `R_c = R_y(yaw) · R_x(pitch) · R_z(roll)`, columns are the camera's axes in the reference frame.
+    /// Orientation `R_c = R_y(yaw) · R_x(pitch) · R_z(roll)`; its columns are the camera's axes in the reference frame.
     #[must_use]
     pub fn orientation(&self) -> Mat3 {
         let (sy, cy) = self.yaw.to_radians().sin_cos();
@@ -132,21 +132,21 @@ impl Pose {
         (r, t)
     }
 
-    /// The pose shifted by `by`: right, down and forward as the camera sees it.
+    /// The pose translated by `by`: right, down and forward along the camera's own axes.
     #[must_use]
     pub fn shifted(&self, by: [f64; 3]) -> Self {
         let [x, y, z] = mat3_vec(&self.orientation(), by);
         Self { tx: self.tx + x, ty: self.ty + y, tz: self.tz + z, ..*self }
     }
 
-    /// True where every entry is finite.
+    /// True if all entries are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         [self.tx, self.ty, self.tz, self.yaw, self.pitch, self.roll].iter().all(|v| v.is_finite())
     }
 }
 
-/// Half extents of the box of camera positions a photo is made for, in units of the nearest distance.
+/// Half extents of the box of camera positions that a photo is made for, in units of the nearest distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ViewBox {
@@ -167,9 +167,9 @@ impl Default for ViewBox {
 /// A target camera: pose, intrinsics and picture size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// Where the camera is and looks.
+    /// Position and orientation.
     pub pose: Pose,
-    /// Its intrinsics.
+    /// Intrinsics in pixels of the picture.
     pub intrinsics: Intrinsics,
     /// Picture width in pixels, at least 1.
     pub width: u32,
@@ -179,8 +179,8 @@ pub struct Camera {
 
 /// Homography of a plane from reference pixels to target pixels, `H = K_t (R + t mᵀ) K⁻¹` (no division by depth).
 ///
-/// For a reference pixel `(x, y)` in front of the reference camera, `H (x, y, 1)ᵀ = (x_t w, y_t w, w)`; the point lies in
-/// front of the target camera exactly where `w > 0`, and its disparity there is `δ / w`.
+/// For a reference pixel `(x, y)` in front of the reference camera, `H (x, y, 1)ᵀ = (x_t w, y_t w, w)`. The point is in front of the target
+/// camera if and only if `w > 0`; its disparity there is `δ / w`.
 #[must_use]
 pub fn homography(m: [f64; 3], reference: &Intrinsics, camera: &Camera) -> Mat3 {
     let (r, t) = camera.pose.extrinsics();
@@ -189,7 +189,7 @@ pub fn homography(m: [f64; 3], reference: &Intrinsics, camera: &Camera) -> Mat3 
 }
 
 impl Camera {
-    /// [`homography`] of a plane of the tile whose centre is `centre` (reference pixels) and half size `half`.
+    /// [`homography`] of a plane of a tile with the centre `centre` and half the size `half`, both in reference pixels.
     #[must_use]
     pub fn homography_of(&self, plane: &Plane, centre: (f64, f64), half: f64, reference: &Intrinsics) -> Mat3 {
         homography(plane.normal(centre, half, reference), reference, self)
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scene_moves_against_the_camera() {
+    fn the_scene_moves_opposite_to_the_camera() {
         let moved = project(&Pose::at(0.1, 0.2, 0.3), [0.0, 0.0, 1.0]);
         assert!(moved.iter().zip([-0.1, -0.2, 0.7]).all(|(is, should)| (is - should).abs() < 1e-12), "{moved:?}");
         let yaw = project(&Pose { yaw: 10.0, ..Pose::default() }, [0.0, 0.0, 1.0]);
@@ -219,24 +219,24 @@ mod tests {
     }
 
     #[test]
-    fn each_angle_turns_the_axes_as_its_matrix_says() {
+    fn each_angle_rotates_about_its_axis() {
         let (s, c) = 30f64.to_radians().sin_cos();
         let turned = |pose: Pose| pose.orientation();
         let close = |a: Mat3, b: Mat3| a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-12);
         assert!(close(turned(Pose { yaw: 30.0, ..Pose::default() }), [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]));
         assert!(close(turned(Pose { pitch: 30.0, ..Pose::default() }), [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]));
         assert!(close(turned(Pose { roll: 30.0, ..Pose::default() }), [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]));
-        // a turn in any order keeps lengths and angles
+        // a rotation preserves lengths and angles
         let r = turned(Pose { yaw: 20.0, pitch: -50.0, roll: 70.0, ..Pose::default() });
         let transposed: Mat3 = std::array::from_fn(|i| std::array::from_fn(|j| r[j][i]));
         assert!(close(mat3_mul(&r, &transposed), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]));
     }
 
     #[test]
-    fn a_resized_camera_sees_as_wide_and_keeps_its_centre_off_the_middle() {
+    fn a_resized_camera_keeps_its_field_of_view_and_the_offset_of_its_centre() {
         let k = Intrinsics { fx: 400.0, fy: 390.0, cx: 330.0, cy: 170.0 };
         assert_eq!(k.resized((640, 350), (320, 175)), Intrinsics { fx: 200.0, fy: 195.0, cx: 165.0, cy: 85.0 });
-        // another shape: as wide, and the middle stays the middle
+        // another aspect ratio: the field of view stays, and so does the centre
         assert_eq!(k.resized((640, 350), (960, 200)), Intrinsics { fx: 600.0, fy: 585.0, cx: 495.0, cy: 92.5 });
         assert!((k.fov_x(640) - k.resized((640, 350), (960, 200)).fov_x(960)).abs() < 1e-12);
     }

@@ -1,19 +1,19 @@
-//! Colours as 32-bit words, which vectors take where they don't take three bytes.
+//! Colours as 32-bit words, because vector code handles words where it cannot handle three bytes.
 
 use crate::simd::dispatch;
 
 dispatch!(
-    /// Colours as words, red in the lowest byte, 0 in the highest. Of the shorter of both.
+    /// Converts colours to words, with red in the lowest byte and 0 in the highest. Converts as many as the shorter slice holds.
     pub words, words_body, (rgb: &[[u8; 3]], out: &mut [u32])
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn words_body(rgb: &[[u8; 3]], out: &mut [u32]) {
     let count = rgb.len().min(out.len());
     let ((fours, rest), (words, last)) = (rgb[..count].as_chunks::<4>(), out[..count].as_chunks_mut::<4>());
     for (four, out) in fours.iter().zip(words) {
-        // three words of four bytes have four of three
+        // three words of four bytes hold four colours of three bytes
         let b = four.as_flattened();
         let word = |i: usize| u32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]);
         let (x, y, z) = (word(0), word(4), word(8));
@@ -24,18 +24,18 @@ fn words_body(rgb: &[[u8; 3]], out: &mut [u32]) {
     }
 }
 
-/// The colour of a word.
+/// Converts a word back to a colour.
 #[must_use]
 pub const fn of_word(word: u32) -> [u8; 3] {
     let [r, g, b, _] = word.to_le_bytes();
     [r, g, b]
 }
 
-/// Difference of two colours in levels, summed over the channels, 0 to 765.
+/// Absolute difference of two colours in levels, summed over the channels: 0 to 765.
 #[must_use]
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
-pub fn apart(a: u32, b: u32) -> u32 {
+pub fn difference(a: u32, b: u32) -> u32 {
     let channel = |shift: u32| ((a >> shift & 0xff) as i32 - (b >> shift & 0xff) as i32).unsigned_abs();
     channel(0) + channel(8) + channel(16)
 }
@@ -55,7 +55,7 @@ mod tests {
             for (word_of, colour) in out.iter().zip(&rgb) {
                 prop_assert_eq!((of_word(*word_of), word_of >> 24), (*colour, 0));
                 let want: u32 = colour.iter().zip(other).map(|(a, b)| u32::from(a.abs_diff(b))).sum();
-                prop_assert_eq!(apart(*word_of, word[0]), want);
+                prop_assert_eq!(difference(*word_of, word[0]), want);
             }
         }
     }

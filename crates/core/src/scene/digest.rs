@@ -1,12 +1,12 @@
-//! A scene as one number, to hold decoders against each other.
+//! A digest of a scene, to compare decoders.
 
 use sha2::{Digest, Sha256};
 
 use super::Scene;
 
 impl Scene {
-    /// SHA-256 over what a decoder comes to, as hexadecimal digits: of each layer tile (u32), plane (three f64) and rectangle (four
-    /// u32), little-endian; then classes, alphas, hidden colours.
+    /// SHA-256 of a decoded scene, as hexadecimal digits. Hashes, little-endian, each layer's tile (u32), plane (three f64) and rectangle
+    /// (four u32); then all classes, alphas and hidden colours.
     #[must_use]
     pub fn digest(&self) -> String {
         let mut hash = Sha256::new();

@@ -7,9 +7,9 @@ use std::str::FromStr;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Rect {
-    /// Left border.
+    /// Left edge.
     pub x: u32,
-    /// Upper border.
+    /// Upper edge.
     pub y: u32,
     /// Width.
     pub w: u32,
@@ -18,13 +18,13 @@ pub struct Rect {
 }
 
 impl Rect {
-    /// Count of pixels.
+    /// Number of pixels.
     #[must_use]
     pub fn area(&self) -> usize {
         self.w as usize * self.h as usize
     }
 
-    /// True where `other` lies within this rectangle.
+    /// True if `other` lies within this rectangle.
     #[must_use]
     pub fn contains(&self, other: &Rect) -> bool {
         let end = |a: u32, b: u32| u64::from(a) + u64::from(b);
@@ -35,7 +35,7 @@ impl Rect {
     }
 }
 
-/// Four whole numbers that could not be read as a rectangle.
+/// The text is not four whole numbers.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("must be four whole numbers X,Y,W,H, not {0:?}")]
 pub struct NoRect(String);
@@ -43,7 +43,10 @@ pub struct NoRect(String);
 impl FromStr for Rect {
     type Err = NoRect;
 
-    /// Reads `x,y,w,h`.
+    /// Parses `x,y,w,h`.
+    ///
+    /// # Errors
+    /// [`NoRect`] unless the text is four whole numbers separated by commas.
     fn from_str(text: &str) -> Result<Self, NoRect> {
         let wrong = |_| NoRect(text.to_owned());
         let all: Vec<u32> =
@@ -63,12 +66,12 @@ pub struct Grid {
     pub height: u32,
     /// Tile size `h`, at least 1.
     pub size: u32,
-    /// Distance of neighbouring tiles `r ≤ h`, at least 1.
+    /// Distance between neighbouring tiles `r ≤ h`, at least 1.
     pub stride: u32,
 }
 
 impl Grid {
-    /// Tile size of the paper.
+    /// The paper's tile size.
     pub const DEFAULT_SIZE: u32 = 64;
 
     /// Tiles of `size` pixels with the paper's stride `r = h − h/8`.
@@ -84,31 +87,31 @@ impl Grid {
         Self { width, height, size, stride: size }
     }
 
-    /// Tiles in a row.
+    /// Number of tiles in a row.
     #[must_use]
     pub fn columns(&self) -> u32 {
         Self::count(self.width, self.size, self.stride)
     }
 
-    /// Tiles in a column.
+    /// Number of tiles in a column.
     #[must_use]
     pub fn rows(&self) -> u32 {
         Self::count(self.height, self.size, self.stride)
     }
 
-    /// Count of all tiles.
+    /// Number of all tiles.
     #[must_use]
     pub fn tiles(&self) -> u32 {
         self.columns() * self.rows()
     }
 
-    /// Some columns and rows of tiles as a grid of their own, and where its pixels lie in this one's photo. Neither range is empty
-    /// or reaches past the last tile.
+    /// The grid of some columns and rows of tiles, and the rectangle of the photo that it covers. Neither range may be empty or extend past
+    /// the last tile.
     #[must_use]
     pub fn part(&self, columns: Range<u32>, rows: Range<u32>) -> (Rect, Self) {
         let side = |tiles: &Range<u32>, length: u32| {
             let from = tiles.start * self.stride;
-            // in 64 bits: the last tile may reach past the photo
+            // in 64 bits: the last tile may extend past the photo
             let most = u64::from(tiles.end - tiles.start - 1) * u64::from(self.stride) + u64::from(self.size);
             (from, most.min(u64::from(length - from)) as u32)
         };
@@ -134,21 +137,22 @@ impl Grid {
         ((index % columns) * self.stride, (index / columns) * self.stride)
     }
 
-    /// Centre of tile `index` before clipping, in photo pixels; the origin of `(u, v)` of its planes.
+    /// Centre of tile `index` before clipping, in photo pixels: the origin of `(u, v)` for its planes.
     #[must_use]
     pub fn centre(&self, index: u32) -> (f64, f64) {
         let (x, y) = self.origin(index);
         (f64::from(x) + self.half(), f64::from(y) + self.half())
     }
 
-    /// Pixels along a border that a tile shares with others within which its layers are sampled, but not drawn: the next tile has the
-    /// same pixels.
+    /// Width, in pixels, of the margin along a shared border of a tile in which its layers are sampled but not drawn, because the next tile
+    /// has the same pixels.
     ///
-    /// A tile's last half texel could only be repeated, which shows as a column out of place; and where two tiles overlap the nearer
-    /// one hides the truer one, and soft rims lie over each other twice. What is left of the overlap keeps neighbours from coming apart.
+    /// Beyond a tile's last half texel, sampling could only repeat it, which shows as a displaced column. Where two tiles overlap, the
+    /// nearer one would hide the more accurate one, and soft edges would be blended twice. The rest of the overlap prevents gaps between
+    /// neighbours.
     #[must_use]
     pub fn inset(&self) -> f64 {
-        // an odd count of halves, so that what is drawn starts and ends at texels' centres
+        // an odd number of halves, so that the drawn area starts and ends at texel centres
         match self.size.saturating_sub(self.stride) {
             0 | 1 => 0.0,
             2..8 => 0.5,
@@ -156,8 +160,8 @@ impl Grid {
         }
     }
 
-    /// Where a layer of tile `index` that has texels in `rect` is drawn: from and to, across and down, in pixels from the rectangle's
-    /// upper left corner. To may lie before from: nothing is drawn then.
+    /// The drawn part of a layer of tile `index` with texels in `rect`: `[[left, right], [top, bottom]]` in pixels from the rectangle's
+    /// upper left corner. Nothing is drawn if an end lies before its start.
     #[must_use]
     pub fn drawn(&self, index: u32, rect: Rect) -> [[f64; 2]; 2] {
         let (tile, by) = (self.rect(index), self.inset());
@@ -216,7 +220,7 @@ mod tests {
                 for y in 0..r.h { for x in 0..r.w {
                     let at = ((r.y + y) * w + r.x + x) as usize;
                     seen[at] = true;
-                    // the whole of a pixel
+                    // the pixel is drawn completely
                     let (x, y) = (f64::from(x), f64::from(y));
                     drawn[at] |= left <= x && x + 1.0 <= right && upper <= y && y + 1.0 <= lower;
                 } }

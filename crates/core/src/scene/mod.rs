@@ -1,7 +1,7 @@
-//! The vocabulary of a tiled multiplane image: grid, plane, camera, scene (paper, section 3.1).
+//! Data types of a tiled multiplane image: grid, plane, camera, scene (paper, section 3.1).
 //!
-//! Camera: x right, y down, z forward. Pixel centres lie at half-integers. Depth is always written as disparity
-//! `δ = 1/z`: infinity is 0, the nearest surface of a photo is 1, so lengths are in units of the nearest distance.
+//! Camera axes: x right, y down, z forward. Pixel centres are at half-integers. Depth is always a disparity `δ = 1/z`: 0 is infinitely far
+//! and 1 is the photo's nearest surface, so lengths are in units of the nearest distance.
 
 mod border_blur;
 mod camera;

@@ -2,7 +2,7 @@
 
 use super::{Grid, Intrinsics, Plane, Rect, ViewBox};
 
-/// Decoded photo: 8-bit sRGB, row-major, `width · height` texels.
+/// A decoded photo: 8-bit sRGB, row-major, `width · height` pixels.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Photo {
     /// Width in pixels.
@@ -14,14 +14,14 @@ pub struct Photo {
 }
 
 impl Photo {
-    /// Pixel at `(x, y)`, both inside the photo.
+    /// The pixel at `(x, y)`, which must be inside the photo.
     #[must_use]
     pub fn at(&self, x: u32, y: u32) -> [u8; 3] {
         self.rgb[y as usize * self.width as usize + x as usize]
     }
 }
 
-/// Disparity per pixel of a photo, row-major, every value finite.
+/// Disparity of each pixel of a photo, row-major; all values are finite.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DisparityMap {
     /// Width in pixels.
@@ -32,77 +32,77 @@ pub struct DisparityMap {
     pub delta: Vec<f32>,
 }
 
-/// What a texel of a layer is. Stored as one byte.
+/// Class of a layer's texel. Stored as one byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Class {
-    /// Nothing there; alpha is 0.
+    /// No surface; alpha is 0.
     Empty = 0,
-    /// Takes its colour from the photo's pixel at the same place.
+    /// Visible: takes its colour from the photo's pixel at the same position.
     Photo = 1,
-    /// Behind something: has a colour of its own in [`Texels::hidden`].
+    /// Hidden behind something: has its own colour in [`Texels::hidden`].
     Hidden = 2,
 }
 
-/// Texels of all layers, layer after layer, row-major within each layer's rectangle.
+/// Texels of all layers, layer by layer, row-major within each layer's rectangle.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Texels {
-    /// A [`Class`] per texel, as its byte.
+    /// The [`Class`] of each texel, as a byte.
     pub class: Vec<u8>,
-    /// Straight alpha per texel: 0 where the class is empty, else 1 to 255.
+    /// Straight alpha of each texel: 0 if the class is empty, otherwise 1 to 255.
     pub alpha: Vec<u8>,
-    /// Colours of the hidden texels alone, in the order in which they come in `class`.
+    /// Colours of the hidden texels only, in the order of `class`.
     pub hidden: Vec<[u8; 3]>,
 }
 
 /// One RGBA layer of one tile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layer {
-    /// Index of its tile in the grid.
+    /// Index of the tile in the grid.
     pub tile: u32,
-    /// Its plane, in the tile's `(u, v)`.
+    /// The plane, in the tile's `(u, v)`.
     pub plane: Plane,
-    /// Pixels of the photo that its texels stand for; within the tile's rectangle, never empty.
+    /// Pixels of the photo that the texels cover: within the tile's rectangle, never empty.
     pub rect: Rect,
-    /// Place of its first texel in [`Texels::class`] and [`Texels::alpha`].
+    /// Index of the first texel in [`Texels::class`] and [`Texels::alpha`].
     pub first_texel: usize,
-    /// Place of its first hidden texel in [`Texels::hidden`].
+    /// Index of the first hidden texel in [`Texels::hidden`].
     pub first_hidden: usize,
 }
 
 /// Ordered tiled multiplane image `(Γ(I), ≤)` (paper, section 3.1).
 ///
-/// Layers lie tile after tile, and within a tile from far to near by disparity at the tile's centre; that index is the
-/// tie-break of every renderer.
+/// Layers are sorted by tile, and within a tile from far to near by disparity at the tile's centre. Every renderer breaks ties by this
+/// index.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// The tiles.
+    /// The grid of tiles.
     pub grid: Grid,
     /// The reference camera, at the origin looking along +z.
     pub intrinsics: Intrinsics,
-    /// Camera positions that the scene was made for.
+    /// Camera positions that the scene is made for.
     pub view_box: ViewBox,
-    /// The photo: source of every visible texel.
+    /// The photo: the source of all visible texels.
     pub photo: Photo,
-    /// All layers.
+    /// Layers of all tiles.
     pub layers: Vec<Layer>,
-    /// Their texels.
+    /// Texels of all layers.
     pub texels: Texels,
 }
 
-/// A scene whose parts do not fit together.
+/// The parts of a scene are inconsistent.
 #[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum SceneError {
-    /// Sizes, counts or ranges contradict each other; the text names which.
+    /// Sizes, counts or ranges contradict each other; the text names them.
     #[error("scene is inconsistent: {0}")]
     Inconsistent(&'static str),
 }
 
 impl Scene {
-    /// Checks that all parts fit: sizes, rectangles within tiles, texel counts, order, finite planes and intrinsics.
+    /// Checks that all parts are consistent: sizes, rectangles within tiles, texel counts, order, finite planes and intrinsics.
     ///
     /// # Errors
-    /// [`SceneError::Inconsistent`] names the first part that does not.
+    /// [`SceneError::Inconsistent`] names the first inconsistent part.
     pub fn validate(&self) -> Result<(), SceneError> {
         let fail = |what| Err(SceneError::Inconsistent(what));
         let g = &self.grid;
@@ -138,7 +138,7 @@ impl Scene {
         if self.texels.class.len() != texel || self.texels.alpha.len() != texel || self.texels.hidden.len() != hidden {
             return fail("texel count");
         }
-        // without a branch, so that many are looked at together
+        // without a branch, so that the loop vectorises
         let wrong = |c: u8, a: u8| u8::from(c > Class::Hidden as u8) | u8::from((c == Class::Empty as u8) != (a == 0));
         if self.texels.class.iter().zip(&self.texels.alpha).fold(0, |any, (&c, &a)| any | wrong(c, a)) != 0 {
             return fail("texel class");
@@ -146,7 +146,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Memory that the scene takes, in bytes.
+    /// Memory use of the scene, in bytes.
     #[must_use]
     pub fn memory(&self) -> usize {
         size_of::<Self>()
@@ -157,13 +157,14 @@ impl Scene {
             + size_of_val(self.texels.hidden.as_slice())
     }
 
-    /// Straight-alpha RGBA texels of layer `index`, row-major in its rectangle, appended to `out`; empty texels are 0.
+    /// Appends the RGBA texels of layer `index` with straight alpha to `out`, row-major in the layer's rectangle; empty texels are 0.
     pub fn expand_layer(&self, index: usize, out: &mut Vec<[u8; 4]>) {
         let (width, photo) = (self.photo.width as usize, &self.photo.rgb);
         self.expand_layer_with(index, |x, y, count, row| row.extend_from_slice(&photo[y * width + x..][..count]), out);
     }
 
-    /// The same with other colours for visible texels: `colours` appends those of so many pixels of the photo from `(x, y)` on.
+    /// Like [`Self::expand_layer`], with other colours for visible texels: `colours(x, y, count, row)` appends the colours of `count`
+    /// pixels of the photo from `(x, y)` on.
     pub fn expand_layer_with(&self, index: usize, colours: impl Fn(usize, usize, usize, &mut Vec<[u8; 3]>), out: &mut Vec<[u8; 4]>) {
         let l = &self.layers[index];
         let mut hidden = self.texels.hidden[l.first_hidden..].iter();
@@ -190,7 +191,7 @@ impl Scene {
 mod tests {
     use super::*;
 
-    /// Two tiles of two texels; a photo texel, a hidden one, an empty one, a hidden one.
+    /// Two tiles of two texels: one of the photo and a hidden one, an empty one and a hidden one.
     fn scene() -> Scene {
         let grid = Grid { width: 4, height: 1, size: 2, stride: 2 };
         let plane = Plane::fronto_parallel(0.5);
@@ -215,7 +216,7 @@ mod tests {
     type Change = fn(&mut Scene);
 
     #[test]
-    fn each_part_that_does_not_fit_is_named() {
+    fn each_inconsistent_part_is_named() {
         assert_eq!(scene().validate(), Ok(()));
         let wrong = |change: Change| {
             let mut scene = scene();

@@ -1,4 +1,4 @@
-//! Θ: denoised disparity and a confidence per pixel, from photo and disparity (paper, section 3.2).
+//! The network Θ: denoised disparity and a confidence per pixel, from photo and disparity (paper, section 3.2).
 
 use std::ops::Range;
 
@@ -7,27 +7,28 @@ use crate::networks::{Network, Tensor};
 use crate::{StageError, edges};
 use tmpi_core::{DisparityMap, Photo};
 
-/// Longest sides of a block that Θ sees at once, in pixels: multiples of [`MULTIPLE`].
+/// Largest width and height of a block that Θ sees at once, in pixels: multiples of [`MULTIPLE`].
 const BLOCK: (usize, usize) = (640, 384);
-/// Sides are multiples of this.
+/// Sides of blocks are multiples of this many pixels.
 const MULTIPLE: usize = 16;
-/// Pixels around a block that Θ sees and that are thrown away: about as far as it looks.
+/// Margin around a block that Θ sees and that is discarded, in pixels: about as wide as its receptive field.
 const MARGIN: usize = 48;
 
-/// Confidence of a pixel of which the network says none.
+/// Confidence of a pixel for which the network returns no finite one.
 const LEAST: f32 = 1e-3;
 
-/// True where a map has something for Θ to mend: noise, outliers or edges blurred to ramps. It loses a little on any other.
+/// Whether a map has something for Θ to repair: noise, outliers, or edges blurred to ramps. Θ makes any other map a little worse.
 #[must_use]
 pub fn wanted(delta: &DisparityMap) -> bool {
     Degradation::of(delta).found() || edges::ramp_share(delta) > edges::BLURRED
 }
 
-/// Runs Θ at the map's own size, in blocks that overlap: what varies from pixel to pixel is what it is there to take away, so nothing is
-/// resampled. A clipped block repeats its last row and column.
+/// Runs Θ at the map's own size, in overlapping blocks. Nothing is resampled, because Θ is there to remove what varies from pixel to
+/// pixel. A clipped block repeats its last row and column. Returns the denoised map, within 0..=1, and a confidence per pixel, 0.001 to
+/// 1.
 ///
 /// # Errors
-/// [`StageError::Onnx`] where the network fails, [`StageError::Shape`] where its outputs are not as its card says.
+/// [`StageError::Onnx`] if the network fails, [`StageError::Shape`] if its outputs have other shapes than its card states.
 pub fn run(theta: &dyn Network, photo: &Photo, delta: &DisparityMap) -> Result<(DisparityMap, Vec<f32>), StageError> {
     let (w, h) = (photo.width as usize, photo.height as usize);
     let (mut clean, mut certain) = (delta.delta.clone(), vec![0f32; w * h]);
@@ -60,13 +61,13 @@ pub fn run(theta: &dyn Network, photo: &Photo, delta: &DisparityMap) -> Result<(
     Ok((DisparityMap { delta: clean, ..*delta }, certain))
 }
 
-/// Part of a side: what is kept of it, and what is seen for that.
+/// A part of a side: the pixels that are kept of it, and those that are seen for that.
 struct Part {
     kept: Range<usize>,
     seen: Range<usize>,
 }
 
-/// Parts of a side of `n` pixels, of which no more than `most` are seen at once.
+/// Splits a side of `n` pixels into parts of which at most `most` pixels are seen at once.
 fn parts(n: usize, most: usize) -> impl Iterator<Item = Part> {
     let step = if n <= most { n } else { most - 2 * MARGIN };
     (0..n).step_by(step.max(1)).map(move |start| {
@@ -108,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_that_changes_nothing_changes_nothing() {
+    fn a_network_that_returns_its_input_changes_nothing() {
         for (w, h) in [(64, 48), (100, 37), (1, 1), (1, 700), (2000, 3), (900, 800)] {
             let (photo, delta) = input(w, h);
             let (clean, confidence) = run(&Fake(|t| vec![map(t, |d| d), map(t, |_| 0.5)]), &photo, &delta).unwrap();
@@ -118,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_of_which_the_network_gives_nothing_stay_untrusted() {
+    fn non_finite_outputs_leave_pixels_unchanged_and_untrusted() {
         let (photo, delta) = input(50, 40);
         let nothing: [fn(&Tensor) -> Vec<Tensor>; 3] = [
             |t| vec![map(t, |_| f32::NAN), map(t, |_| f32::NAN)],
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_of_a_photo_of_any_size_reaches_the_network_as_it_is() {
+    fn maps_of_any_size_reach_the_network_unresampled() {
         for (w, h) in [(630, 350), (700, 500)] {
             let (photo, delta) = input(w, h);
             let (clean, _) = run(&Fake(|t| vec![map(t, |d| if d > 0.45 { 1.0 } else { 0.0 }), map(t, |_| 1.0)]), &photo, &delta).unwrap();

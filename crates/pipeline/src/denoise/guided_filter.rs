@@ -1,14 +1,15 @@
-//! Guided filter of a disparity map by the photo's luminance (He, Sun and Tang 2010), by box sums: cost independent of the radius.
+//! Guided filter of a disparity map by the photo's luminance (He, Sun and Tang 2010), by box sums, so that its cost does not depend on
+//! the radius.
 
 use rayon::prelude::*;
 
 use tmpi_core::{DisparityMap, Photo};
 
-/// Rows that one task slides over; the window's start costs `2r + 1` rows each.
+/// Rows over which one task slides its window; starting a window costs `2r + 1` rows.
 const BAND: usize = 64;
 
-/// Filters `delta` with windows of `(2·radius + 1)²` pixels; `epsilon` is the variance of luminance (in 0..=1) below which
-/// it smooths instead of following the photo. The map must be finite; the result is.
+/// Filters `delta` with windows of `(2·radius + 1)²` pixels. `epsilon` is the variance of luminance (in 0..=1) below which it smooths
+/// instead of following the photo. The map must be finite, and so is the result.
 #[must_use]
 pub fn filter(photo: &Photo, delta: &DisparityMap, radius: u32, epsilon: f32) -> DisparityMap {
     let (w, h, r) = (delta.width as usize, delta.height as usize, radius as usize);
@@ -38,7 +39,7 @@ fn luminance(p: [u8; 3]) -> f32 {
     (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0
 }
 
-/// Mean over a `(2r + 1)²` window clipped to the map; sums in `f64`, so that sliding does not drift.
+/// Mean over a `(2r + 1)²` window clipped to the map. Sums are in `f64`, so that sliding does not drift.
 pub(crate) fn box_mean(src: &[f32], w: usize, h: usize, r: usize) -> Vec<f32> {
     let mut rows = vec![0f32; src.len()];
     rows.par_chunks_mut(w).zip(src.par_chunks(w)).for_each(|(out, line)| {
@@ -132,8 +133,8 @@ mod tests {
             }
         }
 
-        /// Variances of values of 0 to 1 are off by 2⁻²³ in `f32`, and slopes by that over epsilon. A pixel is off its window's mean by as much as
-        /// the deviation, so what it gets is off by 2⁻²³ over the root of epsilon, here times 8 for the sums.
+        /// Variances of values 0 to 1 have an error of 2⁻²³ in `f32`, and slopes have that over epsilon. A pixel differs from its
+        /// window's mean by about the deviation, so its result has an error of 2⁻²³ over the root of epsilon, here times 8 for the sums.
         #[test]
         fn the_filter_agrees_with_its_formula_in_f64(
             w in 1u32..32, h in 1u32..32, r in 0usize..9, patch in 2u32..9, seed in any::<u32>(), exponent in -4f64..0.0,
@@ -149,7 +150,7 @@ mod tests {
             }
         }
 
-        /// At the ends of what a finite map may hold.
+        /// With the extremes that a finite map may hold.
         #[test]
         fn a_finite_map_stays_finite(
             w in 1u32..20, h in 1u32..20, r in 0u32..30, seed in any::<u32>(), epsilon in prop::sample::select(vec![0.0f32, 1e-30, 1e-4, 1e6]),
@@ -161,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn it_follows_the_photos_edge() {
+    fn the_filter_follows_the_photos_edge() {
         let (w, h) = (64u32, 32u32);
         let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 32 { [30; 3] } else { [200; 3] }).collect() };
         let ramp = (0..w * h).map(|i| 0.2 + 0.6 * (((i % w) as f32 - 27.5) / 8.0).clamp(0.0, 1.0)).collect();

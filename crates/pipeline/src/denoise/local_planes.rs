@@ -1,39 +1,41 @@
-//! Cleaning of a noisy disparity map without a network: planes fitted around each pixel, and how noisy a map is.
+//! Cleans a noisy disparity map without a network, by planes fitted around each pixel, and measures how noisy a map is.
 //!
-//! A disparity map is flat or sloping between its edges, so the value of a plane fitted to hundreds of neighbours is far less noisy
-//! than any of them. Neighbours count by how like they are in the map as cleaned before, so that a plane ends at an edge; three
-//! rounds, each with a larger window and a stricter likeness (adaptive weights as in Polzehl and Spokoiny 2000).
-//! `training/eval_theta.py` compares it with the others.
+//! A disparity map is flat or sloping between its edges, so the value of a plane fitted to hundreds of neighbours is far less noisy than
+//! any of them. Neighbours are weighted by their similarity in the previous round's map, so that a plane ends at an edge. There are three
+//! rounds, each with a larger window and a stricter similarity (adaptive weights as in Polzehl and Spokoiny 2000).
+//! `training/eval_theta.py` compares this with the other methods.
 
 use rayon::prelude::*;
 
 use super::median_guided;
 use tmpi_core::DisparityMap;
 
-/// Window radius in pixels, deviation of the distance weight, and the difference that is still alike, in deviations of the noise.
+/// Per round: window radius in pixels, deviation of the distance weight in pixels, and the difference that still counts as similar, in
+/// deviations of the noise.
 const ROUNDS: [(i32, f32, f32); 3] = [(6, 3.0, 1.7), (10, 5.0, 0.9), (14, 7.0, 0.6)];
-/// Added to the second moments: a window with few like neighbours gives their mean instead of a plane through them.
+/// Added to the second moments: a window with few similar neighbours gives their mean instead of a plane through them.
 const RIDGE: f32 = 2.0;
-/// Deviation above which a map counts as noisy: 16-bit and 8-bit maps without noise stay below, those with 1/300 of their range above.
+/// Deviation from which a map counts as noisy. 16-bit and 8-bit maps without noise stay below it, maps with noise of 1/300 of their range
+/// above.
 const NOISY: f32 = 1.5e-3;
-/// Share of single outliers above which they are taken out.
+/// Share of single outliers from which they are removed.
 const SPOTTED: f64 = 1e-3;
-/// How far a pixel lies beyond all its neighbours to be an outlier.
+/// How far beyond all its neighbours an outlier lies, in δ.
 const BEYOND: f32 = 0.05;
-/// Noise below which the likeness is not made stricter still.
+/// Noise below which the similarity does not become stricter.
 const LEAST: f32 = 0.01;
 
-/// What is wrong with a map.
+/// How degraded a map is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Degradation {
-    /// Deviation of noise that differs from pixel to pixel.
+    /// Standard deviation of the noise that differs from pixel to pixel, in δ.
     pub noise: f32,
     /// Share of pixels, 0 to 1, that lie far beyond all eight neighbours.
     pub outliers: f64,
 }
 
 impl Degradation {
-    /// Measures a finite map: noise by the median of mixed second differences (Immerkær 1996), which edges and slopes hardly move.
+    /// Measures a finite map. Noise is the median of mixed second differences (Immerkær 1996), which edges and slopes hardly change.
     #[must_use]
     pub fn of(map: &DisparityMap) -> Self {
         let (w, h) = (map.width as usize, map.height as usize);
@@ -60,12 +62,12 @@ impl Degradation {
         let outliers = rows.iter().map(|r| r.1).sum::<usize>() as f64 / (w * h) as f64;
         let mut second: Vec<f32> = rows.into_iter().flat_map(|r| r.0).collect();
         let middle = second.len() / 2;
-        // The weights' root of squares is 6; a normal deviate is below .6745 half of the time
+        // the root of the weights' sum of squares is 6; a normal deviate is below .6745 half of the time
         let noise = *second.select_nth_unstable_by(middle, f32::total_cmp).1 / 0.6745 / 6.0;
         Self { noise, outliers }
     }
 
-    /// True where cleaning helps.
+    /// Whether cleaning helps.
     #[must_use]
     pub fn found(self) -> bool {
         self.noisy() || self.outliers >= SPOTTED
@@ -76,7 +78,7 @@ impl Degradation {
     }
 }
 
-/// The cleaned map, within 0..=1; the very same one where [`Degradation::found`] is false.
+/// Cleans a map; the result is within 0..=1. Returns the same map if [`Degradation::found`] is false.
 #[must_use]
 pub fn denoise(map: &DisparityMap) -> DisparityMap {
     let damage = Degradation::of(map);
@@ -96,7 +98,7 @@ pub fn denoise(map: &DisparityMap) -> DisparityMap {
     DisparityMap { delta: guide, ..*map }
 }
 
-/// Gaussian of deviation 1.
+/// Gaussian blur with a deviation of 1 pixel.
 fn blurred(values: &[f32], (w, h): (usize, usize)) -> Vec<f32> {
     const KERNEL: [f32; 7] = [0.004_433, 0.054_006, 0.242_036, 0.399_05, 0.242_036, 0.054_006, 0.004_433];
     let at = |i: usize, k: usize, n: usize| (i + k).saturating_sub(3).min(n - 1);
@@ -105,10 +107,10 @@ fn blurred(values: &[f32], (w, h): (usize, usize)) -> Vec<f32> {
     (0..w * h).into_par_iter().map(|i| (0..7).map(|k| KERNEL[k] * across[at(i / w, k, h) * w + i % w]).sum()).collect()
 }
 
-/// Value at each pixel of the plane fitted to `values` in a disc around it; weights by distance and by likeness of `guide`.
+/// Value at each pixel of the plane fitted to `values` in a disc around it, weighted by distance and by similarity in `guide`.
 fn fitted(values: &[f32], guide: &[f32], (w, h): (usize, usize), radius: i32, spread: f32, tolerance: f32) -> Vec<f32> {
     let r = radius as usize;
-    // Padded by repeating the border, so that inner loops have no bounds to look after
+    // padded by repeating the border, so that inner loops have no bounds to check
     let wide = w + 2 * r;
     let padded = |source: &[f32]| -> Vec<f32> {
         let row = |y: usize| &source[y.saturating_sub(r).min(h - 1) * w..][..w];
@@ -134,7 +136,7 @@ fn fitted(values: &[f32], guide: &[f32], (w, h): (usize, usize), radius: i32, sp
                 let (v, g) = (&values[from..from + w], &around[from..from + w]);
                 for x in 0..w {
                     let difference = g[x] - own[x];
-                    // close to exp(−d²/2) and without an exponential
+                    // close to exp(−d²/2), without an exponential
                     let like = (1.0 - difference * difference * sharp).max(0.0);
                     let like = like * like;
                     let weight = near * like * like;
@@ -158,12 +160,12 @@ fn fitted(values: &[f32], guide: &[f32], (w, h): (usize, usize), radius: i32, sp
     out
 }
 
-/// Value of the fitted plane in the middle of its window, by Cramer's rule; the sums are those of 1, x, y, xx, xy, yy, v, vx, vy.
+/// Value of the fitted plane in the middle of its window, by Cramer's rule, from the sums of 1, x, y, xx, xy, yy, v, vx, vy.
 fn centre(&[s, x, y, xx, xy, yy, t, tx, ty]: &[f64; 9]) -> f64 {
     let (xx, yy) = (xx + f64::from(RIDGE), yy + f64::from(RIDGE));
     let minor = xx * yy - xy * xy;
     let (p, q) = (x * yy - y * xy, y * xx - x * xy);
-    // Positive, as the pixel itself has weight 1 and the ridge is
+    // positive, because the pixel itself has weight 1 and the ridge is positive
     let whole = s * minor - x * p - y * q;
     if whole <= 0.0 {
         return t / s.max(1e-12);
@@ -184,7 +186,7 @@ mod tests {
         DisparityMap { width: w, height: h, delta: delta.collect() }
     }
 
-    /// Normal deviates by sums of twelve even ones (`SplitMix64`).
+    /// Normal deviates as sums of twelve uniform ones (`SplitMix64`).
     fn noise(i: usize) -> f32 {
         let even = |k: u64| {
             let z = (i as u64 * 12 + k + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -195,7 +197,7 @@ mod tests {
         (0..12).map(even).sum::<f32>() - 6.0
     }
 
-    fn spoilt(map: &DisparityMap, deviation: f32) -> DisparityMap {
+    fn with_noise(map: &DisparityMap, deviation: f32) -> DisparityMap {
         DisparityMap { delta: map.delta.iter().enumerate().map(|(i, d)| (d + deviation * noise(i)).clamp(0.0, 1.0)).collect(), ..*map }
     }
 
@@ -204,22 +206,22 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_measured_and_a_clean_map_stays_bit_for_bit() {
+    fn noise_is_measured_and_a_clean_map_keeps_every_bit() {
         let map = clean(120, 90);
         assert_eq!(denoise(&map), map);
         let coarse = DisparityMap { delta: map.delta.iter().map(|d| (d * 255.0).round() / 255.0).collect(), ..map };
-        assert_eq!(denoise(&coarse), coarse, "an 8-bit map is no noise");
+        assert_eq!(denoise(&coarse), coarse, "rounding to 8 bits is not noise");
         for deviation in [0.003, 0.01, 0.0316] {
-            let got = Degradation::of(&spoilt(&map, deviation)).noise;
+            let got = Degradation::of(&with_noise(&map, deviation)).noise;
             assert!((got / deviation - 1.0).abs() < 0.15, "{deviation}: {got}");
         }
     }
 
     #[test]
-    fn noise_goes_and_the_step_stays() {
+    fn noise_is_removed_and_the_step_stays() {
         let map = clean(160, 120);
         for deviation in [0.01, 0.0316] {
-            let dirty = spoilt(&map, deviation);
+            let dirty = with_noise(&map, deviation);
             let got = denoise(&dirty);
             assert!(error(&got, &map) < 0.12 * error(&dirty, &map), "{} of {}", error(&got, &map), error(&dirty, &map));
             let row = &got.delta[60 * 160..61 * 160];
@@ -228,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn outliers_go_and_nothing_else_changes() {
+    fn outliers_are_removed_and_nothing_else_changes() {
         let map = clean(100, 80);
         let mut dirty = map.clone();
         for i in (0..dirty.delta.len()).step_by(83) {
@@ -240,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn the_value_is_that_of_least_squares() {
+    fn fitted_values_agree_with_least_squares() {
         let (w, h) = (21, 17);
         let values: Vec<f32> = (0..w * h).map(|i| 0.5 + 0.1 * noise(i)).collect();
         let guide: Vec<f32> = (0..w * h).map(|i| 0.5 + 0.05 * noise(i + 999)).collect();
@@ -282,9 +284,9 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_maps() {
+    fn the_smallest_maps_can_be_cleaned() {
         for (w, h) in [(1, 1), (1, 50), (50, 1), (3, 3)] {
-            let map = spoilt(&clean(w, h), 0.05);
+            let map = with_noise(&clean(w, h), 0.05);
             let got = denoise(&map);
             assert!(got.delta.len() == map.delta.len() && got.delta.iter().all(|v| (0.0..=1.0).contains(v)));
         }

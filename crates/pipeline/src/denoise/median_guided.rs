@@ -1,23 +1,24 @@
-//! Cleaning of a disparity map without a network: 5×5 median, then a guided filter by the photo. The bar that Θ has to beat.
+//! Cleans a disparity map without a network: 5×5 median, then a guided filter by the photo. The baseline that Θ has to beat.
 
 use rayon::prelude::*;
 
 use crate::denoise::guided_filter;
 use tmpi_core::{DisparityMap, Photo};
 
-/// Half the window of the median.
+/// Radius of the median's window.
 const MEDIAN: usize = 2;
-/// Half the window of the guided filter, and the variance of luminance (in 0..=1) below which it smooths.
+/// Radius of the guided filter's window.
 const RADIUS: u32 = 3;
+/// Variance of luminance (in 0..=1) below which the guided filter smooths.
 const EPSILON: f32 = 1e-4;
 
-/// Median and guided filter. The result is finite, whatever the map holds.
+/// Runs the median, then the guided filter. The result is finite for any map.
 #[must_use]
 pub fn denoise(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     guided_filter::filter(photo, &median(delta), RADIUS, EPSILON)
 }
 
-/// Median of the finite values among 5 × 5 pixels, the upper one of an even count; 0, infinitely far, where none is finite.
+/// Median of the finite values among 5 × 5 pixels, the upper one of an even number; 0, which is infinitely far, if none is finite.
 pub(super) fn median(delta: &DisparityMap) -> DisparityMap {
     let (w, h) = (delta.width as usize, delta.height as usize);
     let mut out = vec![0.0; delta.delta.len()];
@@ -43,7 +44,7 @@ mod tests {
 
     use super::*;
 
-    /// A value of a map, now and then none that is finite.
+    /// A value of a map, sometimes not finite.
     fn value() -> impl Strategy<Value = f32> {
         prop_oneof![6 => 0f32..=1.0, 1 => prop::sample::select(vec![f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY])]
     }
@@ -71,14 +72,14 @@ mod tests {
         }
 
         #[test]
-        fn nothing_but_finite_values_come_out(map in any_map()) {
+        fn results_are_always_finite(map in any_map()) {
             let photo = Photo { width: map.width, height: map.height, rgb: vec![[9, 90, 200]; map.delta.len()] };
             prop_assert!(denoise(&photo, &map).delta.iter().all(|v| v.is_finite()));
         }
     }
 
     #[test]
-    fn outliers_go_and_edges_stay() {
+    fn outliers_are_removed_and_edges_stay() {
         let (w, h) = (40u32, 30u32);
         let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 20 { [20; 3] } else { [220; 3] }).collect() };
         let clean: Vec<f32> = (0..w * h).map(|i| if i % w < 20 { 0.2 } else { 0.8 }).collect();

@@ -1,5 +1,5 @@
-//! Cleaning of the disparity map before planes are placed: local planes where noise is measured, the median and guided filter of the
-//! comparison, and the confidence network Θ (paper, section 3.2).
+//! Cleans the disparity map before planes are placed: local planes where noise is measured, a median with a guided filter as the
+//! baseline, and the confidence network Θ (paper, section 3.2).
 
 pub mod confidence;
 pub mod guided_filter;

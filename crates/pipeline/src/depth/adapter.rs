@@ -1,49 +1,49 @@
-//! What each depth network wants and gives, as data.
+//! What each depth network expects and returns, as data.
 
 use crate::photo::{Filter, Interpolation};
 
-/// At which size a network is run.
+/// Size at which a network runs, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SizeRule {
     /// Always this width and height; the photo is stretched.
     Fixed(u32, u32),
-    /// The photo's aspect at about this many pixels.
+    /// The photo's aspect with about this many pixels.
     Area(u32),
-    /// The photo's aspect, as wide or as high as this, whichever changes its scale less.
+    /// The photo's aspect with this width or this height, whichever changes its scale less.
     Near(u32, u32),
-    /// The photo's aspect, neither side longer than this.
+    /// The photo's aspect with neither side longer than this.
     Within(u32),
-    /// The photo's aspect, its shorter side this long.
+    /// The photo's aspect with the shorter side this long.
     Shortest(u32),
     /// First the photo's aspect in whole pixels with the longer side this long, then the nearest multiples.
     Longest(u32),
-    /// The photo's aspect at about this many squares of a multiple.
+    /// The photo's aspect with about this many squares of [`Adapter::multiple`] pixels a side.
     Squares(u32),
 }
 
-/// How the photo is brought to the network's size.
+/// How the photo is resampled to the network's size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sampling {
-    /// Unrounded, by a kernel that is stretched when reducing; cut to 0..=1.
+    /// Unrounded, by a kernel that is stretched when reducing; clamped to 0..=1.
     Unrounded(Filter),
-    /// By such a kernel too, with the rounding to bytes of Pillow.
+    /// By such a kernel, with Pillow's rounding to bytes.
     Bytes(Filter),
-    /// By a cubic over four pixels whatever the ratio, as `OpenCV`'s.
+    /// By `OpenCV`'s cubic over four pixels, whatever the ratio.
     Four,
-    /// By an interpolation of `OpenCV` with its rounding to bytes; by way of the size in whole pixels, where [`SizeRule::Longest`] has one.
+    /// By an interpolation of `OpenCV` with its rounding to bytes; with [`SizeRule::Longest`], by way of its size in whole pixels.
     OpenCv(Interpolation),
-    /// First widened by mirrored margins of [`margin`], then by lines between the two nearest pixels, corner on corner; the
-    /// margins are taken off the map again.
+    /// First extended by mirrored margins of [`margin`] pixels, then linear between the two nearest pixels, corners on corners. The
+    /// margins are cropped from the map again.
     Mirrored,
 }
 
-/// Pixels that [`Sampling::Mirrored`] adds on either end of a side: 3·√(side / 2).
+/// Pixels that [`Sampling::Mirrored`] adds at either end of a side of `side` pixels: 3·√(side / 2).
 #[must_use]
 pub fn margin(side: u32) -> u32 {
     ((f64::from(side) / 2.0).sqrt() * 3.0) as u32
 }
 
-/// Order of a tensor's extents.
+/// Order of a tensor's dimensions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// Batch, channel, row, column.
@@ -52,88 +52,89 @@ pub enum Layout {
     Nhwc,
 }
 
-/// What a network gives for a pixel.
+/// What a network returns for a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Larger is nearer, up to scale and shift.
+    /// Disparity up to scale and shift: larger is nearer.
     Disparity,
     /// Distance.
     Metric,
     /// Logarithm of the distance.
     LogDepth,
-    /// A point before the camera, row by row x, y, z, whose distance is z and an unknown shift of all, see [`super::points`].
+    /// A point in front of the camera, row by row x, y, z. Its distance is z plus an unknown shift that all points share, see
+    /// [`super::points`].
     Points,
 }
 
-/// Where a network says that there is nothing to measure, as of sky: by an output of that name.
+/// The output by which a network marks pixels that have no distance, such as sky.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sky {
     /// The output's name.
     pub name: &'static str,
-    /// From this value on it is sky, or, where `inside` is set, above it is not.
+    /// Values from this on are sky. With `inside`, values above it are not sky.
     pub threshold: f32,
-    /// The output tells what is not sky.
+    /// The output marks what is not sky.
     pub inside: bool,
 }
 
-/// Which of a graph's outputs are taken.
+/// Which outputs of a graph are used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outputs {
-    /// Names of the map, one of which must be there; none: the first output.
+    /// Names of the map, one of which the graph must have; if empty, the first output.
     pub map: &'static [&'static str],
-    /// What tells sky, where the graph has it.
+    /// The output that marks sky, if the graph has it.
     pub sky: Option<Sky>,
-    /// Names of a factor of all distances, where the graph has it.
+    /// Names of a factor of all distances, if the graph has it.
     pub scale: &'static [&'static str],
 }
 
 impl Outputs {
     /// The first output, whatever its name.
     pub const FIRST: Self = Self { map: &[], sky: None, scale: &[] };
-    /// Those of Depth Anything 3; the publishers take a score of .3 for sky.
+    /// Outputs of Depth Anything 3. Its publishers take a score from 0.3 on as sky.
     pub const VIEWS: Self =
         Self { map: &["predicted_depth", "depth"], sky: Some(Sky { name: "sky", threshold: 0.3, inside: false }), scale: &[] };
-    /// Those of `MoGe`.
+    /// Outputs of `MoGe`.
     pub const POINTS: Self =
         Self { map: &["points"], sky: Some(Sky { name: "mask", threshold: 0.5, inside: true }), scale: &["metric_scale", "scale"] };
 }
 
-/// One depth network: what comes before and after it.
+/// A depth network: what its input and its output need.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adapter {
-    /// Name that users choose it by.
+    /// Name by which users choose it.
     pub name: &'static str,
-    /// Size that it is run at. A model file with fixed extents overrides it.
+    /// Size at which it runs. A model file with fixed dimensions overrides it.
     pub size: SizeRule,
-    /// Sides are multiples of this.
+    /// Sides are multiples of this many pixels.
     pub multiple: u32,
-    /// Mean of RGB in 0..=1 that is taken off.
+    /// Mean of RGB in 0..=1, which is subtracted.
     pub mean: [f32; 3],
-    /// Deviation of RGB in 0..=1 that is divided by.
+    /// Standard deviation of RGB in 0..=1, by which it is divided.
     pub deviation: [f32; 3],
-    /// Order of the input's extents.
+    /// Order of the input's dimensions.
     pub layout: Layout,
     /// Meaning of the output.
     pub output: Kind,
-    /// Which outputs they are.
+    /// Which outputs are used.
     pub outputs: Outputs,
-    /// The graph may want several pictures of a scene in an extent after the batch's; it is given one.
+    /// The graph may expect several pictures of a scene in a dimension after the batch's; it gets one.
     pub views: bool,
-    /// How the photo is brought to the network's size.
+    /// How the photo is resampled to the network's size.
     pub sampling: Sampling,
     /// Strength of smoothing up to the photo's edges, for a network that leaves haloes; 0 for one with sharp edges.
     pub smoothing: f64,
-    /// Share of a vertical ramp of deviation 1, nearer below, that its map of deviation 1 gains for photos.
+    /// For photos, the weight of a vertical ramp of deviation 1, nearer at the bottom, that is added to the map of deviation 1.
     pub ramp: f64,
-    /// The same for rooms, whose depth is steadier with more of it.
+    /// The same for rooms, where more of it makes depth steadier.
     pub ramp_of_rooms: f64,
-    /// For photos, the map is the mean with that of the mirrored photo, which takes a second run. Rooms have no time for it.
+    /// For photos, average the map with that of the mirrored photo, which takes a second run. Rooms have no time for it.
     pub flip: bool,
 }
 
 const IMAGENET: ([f32; 3], [f32; 3]) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
 const HALF: ([f32; 3], [f32; 3]) = ([0.5; 3], [0.5; 3]);
-/// For networks that normalise by themselves.
+/// For networks that normalise their input themselves.
 const PLAIN: ([f32; 3], [f32; 3]) = ([0.0; 3], [1.0; 3]);
 
 const CUBIC: Sampling = Sampling::Bytes(Filter::Cubic);
@@ -159,11 +160,11 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
     }
 }
 
-/// All known networks; the first is the embedded one. The rest is prepared as its publishers do, to the rounding, and
-/// `training/adapters.py` holds them to it: DPT, Depth Anything and `ZoeDepth` by the image processors and the published
-/// settings of `transformers`; those that the `MiDaS` project publishes as ONNX are of one size and normalise by themselves,
-/// those exported from its torch hub do neither. `MoGe` brings the photo to its tokens by itself, but in ONNX without antialiasing: it
-/// is given what its own code makes of the photo, for as many tokens as its ONNX documents take.
+/// All known networks; the first is the embedded one. Input for the others is prepared as their publishers do it, down to the rounding,
+/// and `training/adapters.py` checks this. DPT, Depth Anything and `ZoeDepth` follow the image processors and published settings of
+/// `transformers`. The ONNX files of the `MiDaS` project have one size and normalise their input themselves; those exported from its
+/// torch hub do neither. `MoGe` resamples the photo to its tokens itself, but without antialiasing in ONNX: it gets what its own code
+/// makes of the photo, for as many tokens as its ONNX documentation takes.
 pub const ADAPTERS: [Adapter; 14] = [
     Adapter {
         smoothing: 100.0,
@@ -194,33 +195,33 @@ pub const ADAPTERS: [Adapter; 14] = [
     entry("log-depth", SizeRule::Area(384 * 512), 32, IMAGENET, Sampling::Unrounded(Filter::Cubic), Kind::LogDepth),
 ];
 
-/// The network of that name.
+/// Finds a network by its name.
 #[must_use]
 pub fn adapter(name: &str) -> Option<&'static Adapter> {
     ADAPTERS.iter().find(|a| a.name == name)
 }
 
 impl Adapter {
-    /// Aspect beyond which a photo is squeezed for a network run by area: ours has seen no longer pictures, and their short side
-    /// would vanish.
+    /// Largest aspect of a photo that a network sized by area sees unsqueezed: ours was trained on no longer pictures, and their short
+    /// side would vanish.
     const MAX_ASPECT: f64 = 3.0;
-    /// The same for networks run by a side; it bounds their memory, which in a transformer grows with the square of the pixels.
+    /// The same for networks sized by a side. It bounds their memory, which in a transformer grows with the square of the pixels.
     const MAX_ASPECT_BY_SIDE: u32 = 4;
-    /// Shares of its pixels that a network may be run at where there is no time for all of them.
+    /// Shares of its pixels at which a network may run if there is no time for all of them.
     const SMALLER: [f64; 3] = [0.7, 0.5, 0.25];
-    /// Factor by which the shape of such a size may be off the photo's, at the most.
+    /// Largest factor between the aspect of such a size and the photo's.
     const OFF: f64 = 1.2;
     /// Upper bound of pixels, whatever the rule says.
     const MAX_PIXELS: f64 = 2e6;
 
-    /// Width and height that the network is run at for a photo of `width × height`, each at least 1.
+    /// Width and height at which the network runs for a photo of `width × height`, each at least 1.
     #[must_use]
     pub fn network_size(&self, width: u32, height: u32) -> (u32, u32) {
         match self.size {
             SizeRule::Fixed(w, h) => (w, h),
             SizeRule::Area(pixels) => self.by_area(f64::from(pixels).min(Self::MAX_PIXELS), Self::aspect(width, height)),
             SizeRule::Near(w, h) => {
-                // The order of operations is that of the publishers: quotients fall on halves, and rounding decides
+                // the publishers' order of operations: quotients fall on halves, and rounding decides
                 let (width, height) = self.squeezed(width, height);
                 let (across, down) = (f64::from(w) / width, f64::from(h) / height);
                 let scale = if (1.0 - across).abs() < (1.0 - down).abs() { across } else { down };
@@ -238,7 +239,7 @@ impl Adapter {
             }
             SizeRule::Longest(_) => {
                 let (width, height) = self.on_the_way(width, height).unwrap_or((width, height));
-                // Of two as near the larger
+                // of two equally near multiples, the larger
                 let near = |v: u32| ((v + self.multiple / 2) / self.multiple).max(1) * self.multiple;
                 (near(width), near(height))
             }
@@ -251,8 +252,8 @@ impl Adapter {
         }
     }
 
-    /// Sizes for a photo of `width × height`, from [`Adapter::network_size`] down to a quarter of its pixels, about in its shape; that one alone
-    /// where the network has no other.
+    /// Sizes for a photo of `width × height`, from [`Adapter::network_size`] down to a quarter of its pixels, with about the photo's
+    /// aspect. If the network has a fixed size, only that one.
     #[must_use]
     pub fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
         let first = self.network_size(width, height);
@@ -261,13 +262,13 @@ impl Adapter {
             return sizes;
         }
         let (pixels, aspect) = (f64::from(first.0) * f64::from(first.1), f64::from(first.0) / f64::from(first.1));
-        let (asked, shape) = match self.size {
-            // its own size may be a little off the photo's shape, which smaller ones need not be
+        let (target, shape) = match self.size {
+            // its own size may differ a little from the photo's aspect; smaller ones need not
             SizeRule::Area(area) => (f64::from(area).min(Self::MAX_PIXELS), Self::aspect(width, height)),
             _ => (pixels, aspect),
         };
         for share in Self::SMALLER {
-            let (w, h) = self.by_area(asked * share, shape);
+            let (w, h) = self.by_area(target * share, shape);
             let last = sizes[sizes.len() - 1];
             let off = f64::from(w) / f64::from(h) / shape;
             if w <= last.0 && h <= last.1 && (w, h) != last && (1.0 / Self::OFF..=Self::OFF).contains(&off) {
@@ -277,7 +278,7 @@ impl Adapter {
         sizes
     }
 
-    /// Size in whole pixels that a photo of `width × height` is brought to before that of the network, where the rule has one.
+    /// Intermediate size in whole pixels to which a photo of `width × height` is resampled first, if the rule has one.
     #[must_use]
     pub fn on_the_way(&self, width: u32, height: u32) -> Option<(u32, u32)> {
         let SizeRule::Longest(side) = self.size else { return None };
@@ -287,14 +288,14 @@ impl Adapter {
         Some((whole(width), whole(height)))
     }
 
-    /// The photo's size with its margins, where it gets some, and its longer side cut to what is bearable.
+    /// The photo's size with its margins, if it gets any, and with its longer side cut to [`Self::MAX_ASPECT_BY_SIDE`].
     fn squeezed(&self, width: u32, height: u32) -> (f64, f64) {
         let pad = if self.sampling == Sampling::Mirrored { margin } else { |_| 0 };
         let (w, h) = (width + 2 * pad(width), height + 2 * pad(height));
         (f64::from(w.min(h * Self::MAX_ASPECT_BY_SIDE)), f64::from(h.min(w * Self::MAX_ASPECT_BY_SIDE)))
     }
 
-    /// The multiple nearest to a length, of two as near the even one; below `most` where that is given; never 0.
+    /// The multiple nearest to a length, the even one of two equally near; at most `most` if that is given; never 0.
     fn rounded(&self, length: f64, most: Option<u32>) -> u32 {
         let ratio = length / f64::from(self.multiple);
         let near = ratio.round_ties_even();
@@ -302,7 +303,7 @@ impl Adapter {
         (if above { ratio.floor() } else { near }.max(1.0) as u32) * self.multiple
     }
 
-    // NaN cannot arise: both sides are at least 1
+    // NaN cannot occur: both sides are at least 1
     fn aspect(width: u32, height: u32) -> f64 {
         (f64::from(width) / f64::from(height)).clamp(1.0 / Self::MAX_ASPECT, Self::MAX_ASPECT)
     }
@@ -320,7 +321,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn smaller_sizes_are_smaller_multiples_of_about_the_shape(w in 16u32..4000, h in 16u32..4000, which in 0..ADAPTERS.len()) {
+        fn smaller_sizes_shrink_and_stay_multiples(w in 16u32..4000, h in 16u32..4000, which in 0..ADAPTERS.len()) {
             let adapter = &ADAPTERS[which];
             let sizes = adapter.sizes(w, h);
             prop_assert_eq!(sizes[0], adapter.network_size(w, h));
@@ -348,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_those_of_the_publishers() {
+    fn sizes_match_those_of_the_publishers() {
         let size = |name: &str, w, h| adapter(name).unwrap().network_size(w, h);
         let anything = |w, h| size("depth-anything-v2", w, h);
         assert_eq!(anything(1000, 1000), (518, 518));

@@ -1,4 +1,4 @@
-//! Which adapter a model file wants, by its name and its graph.
+//! Detects the adapter of a model file by its name and its graph.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -7,7 +7,7 @@ use std::path::Path;
 use super::{ADAPTERS, Adapter, adapter};
 use crate::networks::{Outline, outline};
 
-/// Words of a file's name that tell a network, the more special ones first; the second is its adapter.
+/// Words of a file's name that identify a network, the more specific ones first, and its adapter.
 const WORDS: [(&[&str], &str); 13] = [
     (&["depth-anything-v3"], "depth-anything-3"),
     (&["depthanything3"], "depth-anything-3"),
@@ -20,13 +20,13 @@ const WORDS: [(&[&str], &str); 13] = [
     (&["dpt", "large"], "dpt-large"),
     (&["midas", "small"], "midas-v2.1-small"),
     (&["midas"], "midas-v2.1"),
-    // As the MiDaS project calls its files
+    // file names of the MiDaS project
     (&["model-small"], "midas-v2.1-small"),
     (&["model-f6b98070"], "midas-v2.1"),
 ];
 
-/// The adapter for an ONNX file: by words of its name, else of the folders that it lies in, else by its graph: the names of what it takes
-/// and gives, else the size that it is fixed to. None where nothing tells.
+/// Detects the adapter of an ONNX file: by words of its name, else of the three folders above it, else by its graph: the names of its
+/// inputs and outputs, else its fixed size. Returns `None` if nothing identifies it.
 #[must_use]
 pub fn detect(file: &Path) -> Option<&'static Adapter> {
     let outline = File::open(file).ok().and_then(|f| outline(&mut BufReader::new(f)));
@@ -34,13 +34,13 @@ pub fn detect(file: &Path) -> Option<&'static Adapter> {
     named.map_or_else(|| outline.as_ref().and_then(by_graph), |found| Some(normalised(found, outline.as_ref())))
 }
 
-/// The adapter whose name is the longest in `name`, else that of its words.
+/// The adapter with the longest name that `name` contains, else the one that its words identify.
 fn by_name(name: &str) -> Option<&'static Adapter> {
     let name = name.to_lowercase().replace(['_', ' '], "-");
-    // The embedded network's name is that of the whole program and tells nothing
+    // the embedded network has the program's name, which identifies nothing
     let named = ADAPTERS[1..].iter().filter(|a| name.contains(a.name)).max_by_key(|a| a.name.len());
     let worded = || WORDS.iter().find(|(words, _)| words.iter().all(|w| name.contains(w))).and_then(|w| adapter(w.1));
-    // As the project calls its networks: too short to be looked for within words
+    // the project's own names are too short to search for inside words
     let da3 = |word: &str| word.strip_prefix("da3").is_some_and(|rest| ["", "small", "base", "large", "metric", "mono"].contains(&rest));
     let short = || name.split(['-', '.']).any(da3).then(|| adapter("depth-anything-3")).flatten();
     named.or_else(short).or_else(worded)
@@ -52,7 +52,7 @@ fn by_graph(outline: &Outline) -> Option<&'static Adapter> {
     if gives("points") && gives("mask") && (gives("metric_scale") || gives("scale")) {
         return adapter("moge-2");
     }
-    // Besides depth it tells sky, or how sure it is, or, of several pictures, their cameras
+    // besides depth it returns sky, a confidence or, for several pictures, their cameras
     if depth && (gives("sky") || gives("depth_conf") || outline.shape.len() == 5 && (gives("confidence") || gives("extrinsics"))) {
         return adapter("depth-anything-3");
     }
@@ -62,7 +62,7 @@ fn by_graph(outline: &Outline) -> Option<&'static Adapter> {
     let [_, _, h, w] = outline.shape[..] else { return None };
     let name = match (w, h) {
         (256, 256) => "midas-v2.1-small",
-        // The name that `transformers` gives
+        // the name in `transformers`
         (384, 384) if outline.input == "pixel_values" => "dpt-large",
         (384, 384) => "midas-v2.1",
         (512, 384) => "zoedepth",
@@ -72,7 +72,7 @@ fn by_graph(outline: &Outline) -> Option<&'static Adapter> {
     adapter(name).map(|found| normalised(found, Some(outline)))
 }
 
-/// Of the two kinds of `MiDaS` files that which fits the graph: one normalises by itself, the other from the torch hub does not.
+/// Chooses the kind of `MiDaS` file that fits the graph: one kind normalises its input itself, that of the torch hub does not.
 fn normalised(found: &'static Adapter, outline: Option<&Outline>) -> &'static Adapter {
     let plain = outline.is_some_and(|o| !o.normalises) && matches!(found.name, "midas-v2.1" | "midas-v2.1-small");
     if plain { adapter(&format!("{}-hub", found.name)).unwrap_or(found) } else { found }
@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn published_files_by_their_names() {
+    fn published_files_are_detected_by_their_names() {
         for (file, want) in [
             ("model-small.onnx", "midas-v2.1-small"),
             ("model-f6b98070.onnx", "midas-v2.1"),
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn files_without_a_name_by_their_graph() {
+    fn unnamed_files_are_detected_by_their_graph() {
         let of = |input: &str, w, h, normalises| {
             by_graph(&Outline { input: input.into(), shape: vec![1, 3, h, w], normalises, ..Outline::default() }).map(|a| a.name)
         };
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn files_without_a_name_by_what_they_give() {
+    fn unnamed_files_are_detected_by_their_outputs() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("m.onnx");
         let tests = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/onnx"));
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_of_midas_is_held_against_the_graph() {
+    fn a_midas_name_is_checked_against_the_graph() {
         let small = adapter("midas-v2.1-small").unwrap();
         let outline = |normalises| Outline { input: "x".into(), shape: vec![1, 3, -1, -1], normalises, ..Outline::default() };
         assert_eq!(normalised(small, Some(&outline(true))).name, "midas-v2.1-small");

@@ -1,4 +1,4 @@
-//! A user's own depth map.
+//! Reads a user's own depth map.
 
 use image::{ColorType, ImageDecoder};
 use rayon::prelude::*;
@@ -9,19 +9,19 @@ use tmpi_core::container::PhotoFormat;
 use crate::photo::{self, Head, Limits, PhotoError, png};
 use tmpi_core::{DisparityMap, Photo};
 
-/// Range of neighbouring disparities above which they lie on two surfaces and are not mixed.
+/// Range of neighbouring disparities above which they belong to two surfaces and are not mixed.
 const EDGE: f32 = 0.03;
 /// Share of metric values that may be nearer than δ = 1: a sensor's outliers must not push everything else to infinity.
 const OUTLIERS: f64 = 1e-3;
 
-/// Levels of 255 by which the channels of a grey picture may differ: lossy formats keep it as brightness and colour, each rounded and
-/// coded for itself, and programs save what they read of that as PNG. A map in false colours differs by far more.
+/// Levels of 255 by which the channels of a grey picture may differ. Lossy formats store brightness and colour, each rounded and coded by
+/// itself, and programs save what they decode as PNG. A map in false colours differs by far more.
 const ALIKE: u16 = 8;
-/// Difference in shape, as a share, up to which a map fits its photo.
+/// Largest difference in aspect, as a share, at which a map fits its photo.
 const STRETCHED: f64 = 0.03;
 
-/// Width and height of a map. Refuses by its headers alone what [`from_map`] would refuse: another format, or a map over the limits. Whether the channels of a picture
-/// in colour are alike is seen only when it is read.
+/// Returns a map's width and height, and refuses by its headers alone what [`from_map`] would refuse: another format, or a map over the
+/// limits. Whether the channels of a colour picture are nearly equal only shows when it is read.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
@@ -32,10 +32,10 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthError> {
     photo::check(bytes, limits).map(|(_, size)| size).map_err(|e| not_a_map(&e))
 }
 
-/// What the first bytes of a map tell, while the rest of it is still on its way.
+/// Reads a map's size from its first bytes while the rest is still arriving.
 ///
 /// # Errors
-/// [`DepthError::Map`], as [`check`] of the whole would.
+/// The [`DepthError::Map`] that [`check`] returns for the whole file.
 pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
     if pfm::is_pfm(bytes) {
         return pfm::head(bytes, limits);
@@ -47,16 +47,15 @@ fn not_a_map(error: &PhotoError) -> DepthError {
     DepthError::Map(error.to_string())
 }
 
-/// A grey picture, upright.
+/// An upright grey picture.
 pub(super) struct Grey {
     pub width: u32,
     pub height: u32,
-    /// 0 to 1, row by row.
+    /// Row by row: 0 to 1, but any float from a portable float map.
     pub values: Vec<f32>,
 }
 
-/// Reads a picture that is grey, or whose colour channels are nearly alike: PNG of 8 or 16 bits, JPEG, WebP. Neither a profile nor alpha
-/// changes its values.
+/// Reads a picture that is grey or has nearly equal colour channels: PNG of 8 or 16 bits, JPEG, WebP. Ignores profiles and alpha.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
@@ -64,7 +63,7 @@ pub(super) fn grey(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
     check(bytes, limits)?;
     if PhotoFormat::sniff(bytes) != Some(PhotoFormat::Png) {
         let Photo { width, height, rgb } = photo::decode_values(bytes, limits).map_err(|e| not_a_map(&e))?;
-        return Ok(Grey { width, height, values: alike(rgb.as_flattened(), 3)? });
+        return Ok(Grey { width, height, values: grey_values(rgb.as_flattened(), 3)? });
     }
     let bad = |e: &dyn std::fmt::Display| DepthError::Map(e.to_string());
     let map = png::scan(bytes, limits).map_err(|e| not_a_map(&e))?;
@@ -75,38 +74,38 @@ pub(super) fn grey(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
         ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8 => {
             let mut samples = vec![0u8; pixels * channels];
             decoder.read_image(&mut samples).map_err(|e| bad(&e))?;
-            alike(&samples, channels)
+            grey_values(&samples, channels)
         }
         ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
             let mut samples = vec![0u16; pixels * channels];
             decoder.read_image(bytemuck::cast_slice_mut(&mut samples)).map_err(|e| bad(&e))?;
-            alike(&samples, channels)
+            grey_values(&samples, channels)
         }
-        other => Err(DepthError::Map(format!("pixels of kind {other:?} are not read"))),
+        other => Err(DepthError::Map(format!("pixels of kind {other:?} are not supported"))),
     }?;
     let (values, (width, height)) = photo::pixels::turned(values, (map.width, map.height), photo::orientation(bytes));
     Ok(Grey { width, height, values })
 }
 
-/// Values of 0 to 1 of pixels with so many channels, of which the last of two or four is alpha.
-fn alike<S: Sample>(samples: &[S], channels: usize) -> Result<Vec<f32>, DepthError> {
+/// Values 0 to 1 of pixels with this many channels; the last of two or four is alpha.
+fn grey_values<S: Sample>(samples: &[S], channels: usize) -> Result<Vec<f32>, DepthError> {
     let value = |p: &[S]| {
         let colours = if channels < 3 { [p[0]; 3] } else { [p[0], p[1], p[2]] }.map(Into::into);
         let [r, g, b]: [u16; 3] = colours;
         let most = S::MOST / 255 * ALIKE;
-        // the middle one: what is brightness in lossy formats is mostly green
+        // the middle channel: brightness in lossy formats is mostly green
         (r.abs_diff(g) <= most && b.abs_diff(g) <= most).then(|| f32::from(g) / f32::from(S::MOST))
     };
     samples
         .par_chunks_exact(channels)
         .map(value)
         .collect::<Option<_>>()
-        .ok_or_else(|| DepthError::Map("it is in colour: a depth map is grey, or has three channels that are alike".into()))
+        .ok_or_else(|| DepthError::Map("it is in colour: a depth map must be grey or have three nearly equal channels".into()))
 }
 
 /// A sample of a map.
 trait Sample: Copy + Send + Sync + Into<u16> {
-    /// The largest.
+    /// Largest sample.
     const MOST: u16;
 }
 
@@ -118,9 +117,11 @@ impl Sample for u16 {
     const MOST: u16 = 65_535;
 }
 
-/// Reads a user's depth map (a grey picture within `limits`: PNG of 8 or 16 bits, JPEG, WebP; or one in colour whose channels are alike) at
-/// the photo's size `width × height`, and tells the map's own; one of another size is resampled without mixing across edges. Metric depth
-/// is scaled so that its nearest 0.1 % is at δ = 1; unknown metric values (0) take the farther known neighbour in the row.
+/// Reads a user's depth map at the photo's size `width × height`. Also returns the map's own size.
+///
+/// The map is a portable float map or a picture within `limits` (PNG of 8 or 16 bits, JPEG, WebP) that is grey or has nearly equal colour
+/// channels. A map of another size is resampled without mixing across edges. Metric depth is scaled so that its nearest 0.1 % is at δ =
+/// 1; unknown metric values (0) take the farther known neighbour in the row.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
@@ -128,8 +129,8 @@ pub fn from_map(bytes: &[u8], kind: DepthKind, limits: &Limits, width: u32, heig
     from_map_beside(bytes, kind, limits, (width, height), 1).map(|read| (read.map, read.size))
 }
 
-/// As [`from_map`], beside a photo whose upright size is given and that its EXIF `orientation` (1 to 8) turned. Where the map has the shape
-/// that the photo was stored in, and not that of the upright one, it is turned with it.
+/// Like [`from_map`], for a photo with this upright size that its EXIF `orientation` (1 to 8) turned. A map with the aspect of the stored
+/// photo, and not of the upright one, is turned with it.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
@@ -158,23 +159,23 @@ pub fn from_map_beside(
     })
 }
 
-/// Disparity of a map in metres.
+/// Disparity from a metric map.
 struct Metric {
     delta: Vec<f32>,
-    /// Count of its values that were not known.
+    /// Number of unknown values.
     unknown: usize,
-    /// Count of those that lay before the nearest distance.
+    /// Number of values nearer than the nearest distance.
     clipped: usize,
 }
 
-/// Whether a map of a size has the shape of a photo.
+/// Whether a map of one size has the aspect of a photo of another, within 3 %.
 pub fn fits(map: (u32, u32), photo: (u32, u32)) -> bool {
     let shape = (f64::from(map.0) * f64::from(photo.1)) / (f64::from(map.1) * f64::from(photo.0));
     (shape - 1.0).abs() <= STRETCHED
 }
 
-/// Disparity of 0 to 1, with the count of unknown values. Only floats are beyond that range: larger ones are in pixels, and are scaled by the
-/// largest; those that are not finite are unknown, and take the farther known neighbour.
+/// Disparity 0 to 1, and the number of unknown values. Only floats exceed this range: larger ones are in pixels and are scaled by the
+/// largest; those that are not finite are unknown and take the farther known neighbour.
 fn from_disparity(mut values: Vec<f32>, w: usize, is_inverted: bool) -> Result<(Vec<f32>, usize), DepthError> {
     let most = values.iter().copied().filter(|v| v.is_finite()).reduce(f32::max);
     let most = most.ok_or_else(|| DepthError::Map("it has no known depth: no value is finite".into()))?.max(1.0);
@@ -194,7 +195,8 @@ fn from_disparity(mut values: Vec<f32>, w: usize, is_inverted: bool) -> Result<(
     Ok((values, unknown))
 }
 
-/// `δ = z_near / z`, at most 1, where `z_near` is the nearest depth but for [`OUTLIERS`]; an unknown value (0) takes the farther of its known neighbours in the row, a row of unknowns the row above or below.
+/// `δ = z_near / z`, at most 1, where `z_near` is the nearest depth apart from [`OUTLIERS`]. An unknown value (0) takes the farther of
+/// its known neighbours in the row, and a row of unknown values the nearest known row.
 fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Metric, DepthError> {
     let mut sorted: Vec<f32> = z.iter().copied().filter(|&v| v > 0.0).collect();
     if sorted.is_empty() {
@@ -210,7 +212,8 @@ fn from_metric(mut z: Vec<f32>, w: usize) -> Result<Metric, DepthError> {
     Ok(Metric { delta: z, unknown, clipped })
 }
 
-/// Gives each unknown value (NaN) the farther of its known neighbours in the row, and a row of unknown ones the row above or below.
+/// Fills each unknown value (NaN) with the farther of its known neighbours in the row, and a row of unknown values with the nearest known
+/// row.
 fn fill_unknown(z: &mut [f32], w: usize) {
     let mut known = Vec::new();
     for (y, row) in z.chunks_exact_mut(w).enumerate() {
@@ -224,7 +227,7 @@ fn fill_unknown(z: &mut [f32], w: usize) {
             }
             let end = row[x..].iter().position(|v| !v.is_nan()).map_or(w, |n| x + n);
             let right = row.get(end).copied();
-            // The farther one: holes of a sensor lie behind the edge that hides them
+            // the farther one: a sensor's holes lie behind the edge that hides them
             let Some(fill) = left.into_iter().chain(right).reduce(f32::min) else { break };
             row[x..end].fill(fill);
             x = end;
@@ -245,8 +248,8 @@ fn fill_unknown(z: &mut [f32], w: usize) {
     }
 }
 
-/// Another size: linear within a surface, the nearest sample where the four around a place belong to two surfaces;
-/// reducing, the mean of the covered samples within a surface, else their median.
+/// Resamples to another size. Enlarging is linear within a surface, and takes the nearest sample where the four around a position belong
+/// to two surfaces. Reducing takes the mean of the covered samples within a surface, else their median.
 pub(super) fn resize(source: &[f32], (w, h): (usize, usize), (width, height): (u32, u32)) -> DisparityMap {
     let (ratio_x, ratio_y) = (w as f64 / f64::from(width), h as f64 / f64::from(height));
     let mut delta = vec![0f32; width as usize * height as usize];
@@ -282,17 +285,17 @@ pub(super) fn resize(source: &[f32], (w, h): (usize, usize), (width, height): (u
     DisparityMap { width, height, delta }
 }
 
-/// A map at another size, without mixing across edges.
+/// Resamples a map to another size without mixing across edges.
 #[must_use]
 pub fn resized(map: &DisparityMap, width: u32, height: u32) -> DisparityMap {
     resize(&map.delta, (map.width as usize, map.height as usize), (width, height))
 }
 
-/// First and last source sample that a place of the result stands on.
+/// First and last source sample that sample `i` of the result covers.
 fn covered(i: usize, ratio: f64, n: usize) -> (usize, usize) {
     let half = ratio.max(1.0) / 2.0;
     let centre = (i as f64 + 0.5) * ratio - 0.5;
-    // Reducing covers `ratio` samples; enlarging lies between two
+    // a reduced sample covers `ratio` samples; an enlarged one lies between two
     let (first, last) =
         if ratio > 1.0 { ((centre - half).ceil(), (centre + half - 1e-9).floor()) } else { (centre.floor(), centre.floor() + 1.0) };
     let first = (first.max(0.0) as usize).min(n - 1);
@@ -322,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn disparity_is_taken_as_it_is() {
+    fn disparity_is_used_unchanged() {
         let got = from_map(&wide(4, 2, |x, y| (x * 1000 + y * 7) as u16), DepthKind::Disparity, 4, 2).unwrap();
         assert!((got.delta[7] - 3007.0 / 65_535.0).abs() < 1e-7);
         let eight = from_map(&png(ImageBuffer::from_fn(2, 1, |x, _| Luma([(x * 51) as u8]))), DepthKind::Disparity, 2, 1).unwrap();
@@ -349,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn another_size_never_mixes_two_surfaces() {
+    fn resizing_never_mixes_two_surfaces() {
         let step = wide(40, 30, |x, _| if x < 20 { 6_000 } else { 60_000 });
         for (w, h) in [(80, 60), (400, 299), (13, 7), (1, 1), (40, 1), (16_384, 1)] {
             let got = from_map(&step, DepthKind::Disparity, w, h).unwrap();
@@ -366,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limits_given_hold_before_anything_is_decoded() {
+    fn the_given_limits_are_checked_before_decoding() {
         let map = wide(20, 10, |x, _| x as u16);
         let limits = Limits { pixels: 200, side: 20, bytes: map.len(), decoder_memory: 400, ..Limits::default() };
         assert!(check(&map, &limits).is_ok());
@@ -384,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn grey_pictures_of_every_kind_are_read_alike() {
+    fn grey_pictures_of_every_kind_give_the_same_values() {
         let value = |x: u32, y: u32| (x * 6 + y * 3) as u8;
         let rgb = ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y); 3]));
         let rgb16 = ImageBuffer::from_fn(40, 30, |x, y| Rgb([u16::from(value(x, y)) * 257; 3]));
@@ -403,7 +406,7 @@ mod tests {
                 assert!((got - want).abs() <= tolerance + 1e-6, "file {i}: {got} for {want}");
             }
         }
-        // read from a lossy file and saved again
+        // decoded from a lossy file and saved again
         let off = ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y), value(x, y).saturating_add((x % 3) as u8), value(x, y)]));
         let off16 =
             ImageBuffer::from_fn(40, 30, |x, y| off.get_pixel(x, y).0.map(|v| u16::from(v) * 256 + 99).into()) as ImageBuffer<Rgb<u16>, _>;
@@ -448,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_as_the_photo_was_stored_turns_with_it() {
+    fn a_map_in_the_photos_stored_orientation_turns_with_it() {
         // stored 40 × 30, upright 30 × 40; columns become rows
         let lying = wide(40, 30, |x, _| if x < 20 { 6_000 } else { 60_000 });
         let beside = |file: &[u8], size, orientation| {
@@ -458,19 +461,19 @@ mod tests {
             let (map, size) = beside(&lying, (30, 40), orientation);
             assert_eq!((size, map.width, map.height), ((30, 40), 30, 40));
             assert!((map.delta[7] * 65_535.0 - first).abs() < 1.0 && (map.delta[1199] * 65_535.0 - last).abs() < 1.0, "{orientation}");
-            // of another size too
+            // a map of another size turns too
             assert_eq!(beside(&wide(20, 15, |x, _| x as u16), (30, 40), orientation).1, (15, 20));
         }
-        // one that is upright, of another shape, or beside a photo that was only mirrored or is square
+        // not turned: an upright map, a map of another aspect, and maps beside photos that are only mirrored or are square
         for (size, orientation) in [((40, 30), 6), ((30, 40), 1), ((40, 30), 3), ((30, 30), 6), ((20, 40), 6)] {
             assert_eq!(beside(&lying, size, orientation).1, (40, 30), "{size:?} {orientation}");
         }
         let square = wide(30, 30, |x, _| x as u16 * 2000);
-        assert!(beside(&square, (30, 30), 6).0.delta[1] > 0.0, "whether a square lies or stands nobody can tell");
+        assert!(beside(&square, (30, 30), 6).0.delta[1] > 0.0, "a square map shows no orientation and is not turned");
     }
 
     #[test]
-    fn other_files_are_errors_that_say_so() {
+    fn other_files_are_refused_with_their_reason() {
         let colour = png(ImageBuffer::from_fn(2, 2, |_, _| Rgb([1u8, 2, 30])));
         assert!(from_map(&colour, DepthKind::Disparity, 2, 2).unwrap_err().to_string().contains("colour"));
         assert!(from_map(b"P5 2 2 255", DepthKind::Disparity, 2, 2).unwrap_err().to_string().contains("not a JPEG, PNG or WebP"));

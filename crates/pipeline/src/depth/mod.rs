@@ -1,4 +1,4 @@
-//! Disparity of a photo: by a monocular depth network, or a map that the user gives.
+//! Disparity of a photo: from a monocular depth network, or from a map that the photo carries or the user gives.
 
 mod adapter;
 mod detect;
@@ -26,11 +26,11 @@ pub use upsample::{halved, upsample};
 
 use tmpi_core::{DisparityMap, Photo};
 
-/// How the values of a user's own depth map are meant.
+/// What the values of a user's own depth map mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum DepthKind {
-    /// `δ = v / 65535`, taken as it is.
+    /// `δ = v / 65535`, used unchanged.
     #[default]
     Disparity,
     /// `δ = 1 − v / 65535`: white is far.
@@ -43,22 +43,22 @@ pub enum DepthKind {
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum DepthError {
     /// The depth map is not a grey picture that can be read.
-    #[error("the depth map cannot be taken: {0}")]
+    #[error("the depth map cannot be read: {0}")]
     Map(String),
-    /// The depth that the photo brings along cannot be read.
+    /// The depth that the photo carries cannot be read.
     #[error("the depth map within the photo cannot be read: {0}")]
     Carried(String),
-    /// The photo brings no depth along, and none but that was wanted.
-    #[error("there is no depth map within the photo, and photo-depth is on")]
+    /// The photo carries no depth, and the options allow no other.
+    #[error("the photo carries no depth map, but photo-depth is on")]
     NotCarried,
     /// The picture of the second eye cannot be read.
-    #[error("the picture of the second eye cannot be taken: {0}")]
+    #[error("the picture of the second eye cannot be read: {0}")]
     Second(String),
-    /// A picture of the second eye was promised, and there is none.
-    #[error("stereo is beside, and there is no picture of the second eye beside the photo")]
+    /// The picture of the second eye is missing.
+    #[error("stereo is beside, but there is no picture of the second eye beside the photo")]
     NoSecond,
-    /// The picture is of all directions.
-    #[error("this is a 360° picture, which no flat photo can show; stereo none takes it as it is, as one flat photo")]
+    /// The picture shows all directions.
+    #[error("this is a 360° picture, which no flat photo can show; stereo none reads it as one flat photo")]
     Sphere,
     /// The map cannot be written as a file.
     #[error("the depth map cannot be written: {0}")]
@@ -68,49 +68,49 @@ pub enum DepthError {
     Onnx(#[from] crate::networks::OnnxError),
 }
 
-/// A monocular depth estimator with everything before and after the network.
+/// A monocular depth estimator: the network and everything before and after it.
 pub trait Estimator: Send + Sync {
-    /// Name as in the report.
+    /// Name in the report.
     fn name(&self) -> &str;
 
-    /// Disparity at the photo's size, normalised to `[0, 1]` by robust percentiles, larger is nearer; every value finite.
+    /// Disparity at the photo's size, normalised to `[0, 1]` by robust percentiles; larger is nearer. Every value is finite.
     ///
     /// # Errors
-    /// [`DepthError::Onnx`] where the network cannot run.
+    /// [`DepthError::Onnx`] if the network cannot run.
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError>;
 
-    /// Disparity as the network gave it: its own size and scale, larger is nearer; an estimator without a network gives
-    /// what [`Estimator::estimate`] does.
+    /// Disparity as the network returns it, at its own size and scale; larger is nearer. An estimator without a network returns what
+    /// [`Estimator::estimate`] does.
     ///
     /// # Errors
-    /// [`DepthError::Onnx`] where the network cannot run.
+    /// [`DepthError::Onnx`] if the network cannot run.
     fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
         self.estimate(photo)
     }
 
-    /// Sizes that the network can be run at for a photo of `width × height` pixels: first that of [`Estimator::estimate`], then ever smaller
-    /// ones. None of an estimator that has no choice.
+    /// Sizes at which the network can run for a photo of `width × height` pixels: first that of [`Estimator::estimate`], then ever
+    /// smaller ones. Empty if there is no choice.
     fn sizes(&self, _width: u32, _height: u32) -> Vec<(u32, u32)> {
         Vec::new()
     }
 
-    /// As [`Estimator::estimate`], by the network at one of [`Estimator::sizes`], whichever it is nothing else changes.
+    /// Like [`Estimator::estimate`], with the network at one of [`Estimator::sizes`]. Nothing else depends on this size.
     ///
     /// # Errors
-    /// [`DepthError::Onnx`] where the network cannot run.
+    /// [`DepthError::Onnx`] if the network cannot run.
     fn estimate_at(&self, photo: &Photo, _size: (u32, u32)) -> Result<Estimate, DepthError> {
         Ok(self.estimate(photo)?.into())
     }
 }
 
-/// What an [`Estimator`] gives.
+/// Result of an [`Estimator`].
 #[derive(Clone, Debug)]
 pub struct Estimate {
     /// Disparity at the photo's size.
     pub map: DisparityMap,
-    /// The same at the network's own size, before it was enlarged, where it was.
+    /// The same at the network's own size, if it was enlarged.
     pub small: Option<DisparityMap>,
-    /// Milliseconds that the network took by itself; 0 where that is not told.
+    /// Milliseconds that the network alone took; 0 if unknown.
     pub network_ms: f64,
 }
 
@@ -125,18 +125,19 @@ impl From<DisparityMap> for Estimate {
 pub struct Read {
     /// Disparity at the photo's size.
     pub map: DisparityMap,
-    /// The file's own size, upright.
+    /// Upright width and height of the file's own map.
     pub size: (u32, u32),
-    /// Disparity at that size, where it is another one.
+    /// Disparity at that size, if it is not the photo's.
     pub own: Option<DisparityMap>,
-    /// Share of its pixels, 0 to 1, that were unknown and took the depth of a neighbour; none of a map that has no unknown ones.
+    /// Share of its pixels, 0 to 1, that were unknown and took the depth of a neighbour; `None` for a map without unknown pixels.
     pub filled: Option<f64>,
-    /// Share of its pixels, 0 to 1, that were nearer than the nearest distance, and were put there; none of a map that has its own.
+    /// Share of its pixels, 0 to 1, that were nearer than the nearest distance and were moved there; `None` for a map that states its
+    /// own.
     pub clipped: Option<f64>,
 }
 
 impl Read {
-    /// Brings values of a map of size `(w, h)` to the size of the photo.
+    /// Resamples the values of a map of size `(w, h)` to the size of the photo.
     fn new(delta: Vec<f32>, (w, h): (u32, u32), (width, height): (u32, u32)) -> Self {
         let own = DisparityMap { width: w, height: h, delta };
         let (map, own) = if (w, h) == (width, height) { (own, None) } else { (map::resized(&own, width, height), Some(own)) };

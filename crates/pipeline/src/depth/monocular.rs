@@ -1,4 +1,4 @@
-//! A depth network with everything before and after it.
+//! A depth network and everything before and after it.
 
 use std::sync::Arc;
 
@@ -10,34 +10,34 @@ use crate::networks::{Beside, Config, Network, OnnxError, Session};
 use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes, resize_opencv};
 use tmpi_core::{DisparityMap, Photo};
 
-/// Shares of pixels below and above which the normalised map saturates.
+/// Percentiles, as shares of pixels, at which the normalised map saturates.
 const PERCENTILES: (f64, f64) = (0.01, 0.99);
-/// Normalised disparity of a map without any relief, which tells nothing: half way, so that it moves and stays in range.
+/// Normalised disparity of a map without relief, which carries no information: halfway, so that the scene moves and stays in range.
 const FLAT: f32 = 0.5;
-/// Range of a smoothed map below which it is not stretched again.
+/// Range of a smoothed map up to which it is not normalised again.
 const NOISE: f64 = 0.25;
 
 /// Monocular depth by one network of [`super::ADAPTERS`].
 pub struct Monocular {
     adapter: Adapter,
-    /// Size rule before a file's fixed extents overrode it.
+    /// Size rule before a file's fixed dimensions overrode it.
     rule: SizeRule,
     network: Arc<dyn Network>,
     ports: Ports,
 }
 
 impl Monocular {
-    /// Depth by `network`, which wants one picture and gives, as its first output, what `adapter` says.
+    /// Depth by `network`, which takes one picture and returns, as its first output, what `adapter` describes.
     #[must_use]
     pub fn new(adapter: &Adapter, network: Arc<dyn Network>) -> Self {
         Self { adapter: *adapter, rule: adapter.size, network, ports: Ports::PLAIN }
     }
 
-    /// Loads the network from the bytes of an ONNX file and of the files of weights that it names; fixed extents in the file override the
-    /// adapter's size rule.
+    /// Loads the network from the bytes of an ONNX file and of the files of weights that it names. Fixed dimensions in the file override
+    /// the adapter's size rule.
     ///
     /// # Errors
-    /// [`OnnxError`]: no library, or the file does not fit the adapter.
+    /// [`OnnxError`] if there is no library, or if the file does not fit the adapter.
     pub fn load(adapter: &Adapter, model: &[u8], beside: &[Beside], config: &Config) -> Result<Self, OnnxError> {
         let session = Session::load_with(adapter.name, model, beside, config)?;
         let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
@@ -49,7 +49,8 @@ impl Monocular {
         Ok(Self { adapter, rule, network: Arc::new(session), ports })
     }
 
-    /// One run of the network: disparity at the network's size, less margins that the photo was given; every value finite.
+    /// Runs the network once. Returns disparity at the network's size, without the margins that the photo was given; every value is
+    /// finite.
     fn run(&self, photo: &Photo, (w, h): (u32, u32), mirrored: bool) -> Result<DisparityMap, DepthError> {
         let planar = self.input(photo, (w, h), mirrored);
         let (w, h) = (w as usize, h as usize);
@@ -57,16 +58,16 @@ impl Monocular {
         let fail = |reason: String| OnnxError::Run { name: self.adapter.name.to_owned(), reason };
         let Values { data, sky } = self.ports.values(&self.adapter, out, w, h).map_err(fail)?;
         if !data.iter().any(|v| v.is_finite()) {
-            return Err(fail("it gave no finite value".into()).into());
+            return Err(fail("it returned no finite value".into()).into());
         }
         let (data, w, h) = self.without_margins(data, photo, w, h);
         let mut delta: Vec<f32> = data.into_iter().map(|v| self.to_disparity(v)).collect();
-        // Sky is as far away as anything can be
+        // sky is infinitely far
         delta.iter_mut().zip(sky).filter(|(_, sky)| *sky).for_each(|(v, _)| *v = 0.0);
-        // What is not finite is taken as far away
+        // values that are not finite count as far away
         let far = delta.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
         if far == f32::INFINITY {
-            return Err(fail("it gave no value that is a distance".into()).into());
+            return Err(fail("it returned no positive distance".into()).into());
         }
         for v in &mut delta {
             if !v.is_finite() {
@@ -79,7 +80,7 @@ impl Monocular {
         Ok(DisparityMap { width: w as u32, height: h as u32, delta })
     }
 
-    /// What the network gives at a size, of the mirrored photo too where that is wanted.
+    /// The network's output at a size, averaged with that of the mirrored photo if the adapter says so, and with the adapter's ramp.
     fn raw_at(&self, photo: &Photo, size: (u32, u32)) -> Result<DisparityMap, DepthError> {
         let mut map = self.run(photo, size, false)?;
         if self.adapter.flip {
@@ -87,11 +88,11 @@ impl Monocular {
             align(&mut mirrored.delta, &map.delta);
             map.delta.iter_mut().zip(&mirrored.delta).for_each(|(d, m)| *d = f32::midpoint(*d, *m));
         }
-        lean(&mut map, self.adapter.ramp);
+        add_ramp(&mut map, self.adapter.ramp);
         Ok(map)
     }
 
-    /// The part of a map of `w × h` that shows the photo, and its size: the scale stays about the network's.
+    /// Crops a map of `w × h` to the part that shows the photo, and returns its new size. The scale stays about the network's.
     fn without_margins(&self, map: Vec<f32>, photo: &Photo, w: usize, h: usize) -> (Vec<f32>, usize, usize) {
         if self.adapter.sampling != Sampling::Mirrored {
             return (map, w, h);
@@ -103,7 +104,7 @@ impl Monocular {
             (Taps::cropped(map, side, margin, to), to)
         };
         let ((across, to_w), (down, to_h)) = (axis(w, photo.width), axis(h, photo.height));
-        // A cubic overshoots beside the nearest things; what it takes to 0 and below is as near as anything
+        // a cubic overshoots beside the nearest surfaces: what it takes to 0 and below is as near as anything
         let least = map.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
         let metric = self.adapter.output == Kind::Metric;
         let store = |[v]: [f32; 1]| if metric && v <= 0.0 { least } else { v };
@@ -122,7 +123,7 @@ impl Monocular {
             Sampling::Unrounded(filter) => resample(&photo.rgb, from, size, filter, load, |p| normal(p.map(|v| v.clamp(0.0, 1.0)))),
             Sampling::Bytes(filter) => resample_bytes(&photo.rgb, from, size, filter).into_iter().map(|p| normal(load(p))).collect(),
             Sampling::OpenCv(kind) => {
-                // By way of its size in whole pixels, where the rule leads to this size; bytes in between, as there
+                // by way of the size in whole pixels if the rule leads to this size, rounded to bytes in between, as the publishers do
                 let ruled = Adapter { size: self.rule, ..self.adapter };
                 let first = ruled.on_the_way(from.0, from.1).filter(|_| ruled.network_size(from.0, from.1) == size);
                 let between = first.map(|between| resize_opencv(&photo.rgb, from, between, kind));
@@ -147,7 +148,7 @@ impl Monocular {
     fn to_disparity(&self, v: f32) -> f32 {
         match self.adapter.output {
             Kind::Disparity => v,
-            // A distance that is not positive is unknown
+            // a distance that is not positive is unknown
             Kind::Metric | Kind::Points if v > 0.0 => 1.0 / v,
             Kind::Metric | Kind::Points => f32::NAN,
             Kind::LogDepth => (-v).exp(),
@@ -176,7 +177,7 @@ impl Estimator for Monocular {
             let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
             let guide = resample(&photo.rgb, (photo.width, photo.height), (map.width, map.height), Filter::Triangle, load, |p| p);
             map.delta = smooth(&guide, &map.delta, map.width as usize, self.adapter.smoothing);
-            // Smoothing draws values together; where little is left, it was noise and stays little
+            // smoothing narrows the range; if little is left, it was noise and stays little
             normalise(&mut map.delta, NOISE);
         }
         Ok(Estimate { map: upsample(photo, &map), small: Some(map), network_ms })
@@ -187,9 +188,9 @@ impl Estimator for Monocular {
     }
 }
 
-/// Adds a ramp that rises towards the lower border, of mean 0 and `share` times the deviation of `map`, of which a few wild values are not to decide;
-/// none to a map of one row or without relief.
-fn lean(map: &mut DisparityMap, share: f64) {
+/// Adds a ramp that rises towards the lower border, with mean 0 and `share` times the deviation of `map`; a few outliers do not decide
+/// how large that is. A map of one row or without relief stays unchanged.
+fn add_ramp(map: &mut DisparityMap, share: f64) {
     let rows = map.delta.len() / (map.width as usize).max(1);
     if share == 0.0 || rows < 2 {
         return;
@@ -213,8 +214,8 @@ fn deviation(values: &[f32]) -> f64 {
     of(&|v| (v - mean).powi(2)).sqrt()
 }
 
-/// Scales and shifts `values` so that its tenth and ninetieth percentiles are those of `target`: two runs of a network agree only
-/// up to both, and a few wild values must not decide.
+/// Scales and shifts `values` so that their tenth and ninetieth percentiles are those of `target`: two runs of a network agree only up to
+/// scale and shift, and a few outliers must not decide.
 fn align(values: &mut [f32], target: &[f32]) {
     let (from, to) = (spread(values), spread(target));
     let scale = if relief(from.0, from.1) { (to.1 - to.0) / (from.1 - from.0) } else { 0.0 };
@@ -233,8 +234,8 @@ fn spread(values: &[f32]) -> (f64, f64) {
     (at(0.1), at(0.9))
 }
 
-/// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest, where it is larger than `least`; a map without relief
-/// becomes [`FLAT`]. True where there is relief. Finite values only.
+/// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest, if that range is larger than `least`. A map without relief
+/// becomes [`FLAT`]. Returns whether there is relief. `values` must be finite.
 fn normalise(values: &mut [f32], least: f64) -> bool {
     let mut sorted = values.to_vec();
     let mut at = |share: f64| {
@@ -242,7 +243,7 @@ fn normalise(values: &mut [f32], least: f64) -> bool {
         f64::from(*sorted.select_nth_unstable_by(k, f32::total_cmp).1)
     };
     let (mut lo, mut hi) = (at(PERCENTILES.0), at(PERCENTILES.1));
-    // A few pixels may be all the relief there is
+    // a few pixels may hold all the relief
     if !relief(lo, hi) {
         (lo, hi) = (at(0.0), at(1.0));
     }
@@ -259,7 +260,7 @@ fn normalise(values: &mut [f32], least: f64) -> bool {
     true
 }
 
-/// True where the range is more than rounding.
+/// Whether the range is more than rounding.
 fn relief(lo: f64, hi: f64) -> bool {
     hi - lo > 1e-6 * lo.abs().max(hi.abs()).max(1e-30)
 }

@@ -1,29 +1,29 @@
-//! Which inputs and outputs of a network's graph are what its adapter speaks of.
+//! Matches the inputs and outputs of a network's graph with its adapter.
 
 use super::points::shift;
 use super::{Adapter, Kind, Layout, Outputs};
 use crate::networks::{Port, Tensor};
 
-/// Places of a graph's inputs and outputs.
+/// Indices of a graph's inputs and outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Ports {
-    /// Count of inputs, and which of them is the picture.
+    /// Number of inputs, and index of the picture among them.
     inputs: usize,
     picture: usize,
-    /// The picture has an extent of several views.
+    /// The picture has a dimension for several views.
     views: bool,
-    /// The input that wants the count of tokens, and how many extents it has.
+    /// Index of the input for the number of tokens, and its number of dimensions.
     tokens: Option<(usize, usize)>,
     map: usize,
     sky: Option<usize>,
     scale: Option<usize>,
 }
 
-/// A network's map, every value as its kind has it.
+/// A network's map, in the unit of its [`Kind`].
 pub(super) struct Values {
-    /// One a pixel.
+    /// One value per pixel.
     pub data: Vec<f32>,
-    /// Where there is nothing to measure; empty: nowhere.
+    /// Which pixels are sky; empty if none is.
     pub sky: Vec<bool>,
 }
 
@@ -31,12 +31,12 @@ impl Ports {
     /// One picture in, the map as the first output.
     pub(super) const PLAIN: Self = Self { inputs: 1, picture: 0, views: false, tokens: None, map: 0, sky: None, scale: None };
 
-    /// The ports that `adapter` speaks of, and the rows and columns that the picture is fixed to, −1 where any will do.
+    /// The ports that `adapter` describes, and the rows and columns that the picture is fixed to, −1 if any size will do.
     ///
     /// # Errors
-    /// What does not fit.
+    /// A text that says what does not fit.
     pub(super) fn of(adapter: &Adapter, inputs: &[Port], outputs: &[Port]) -> Result<(Self, i64, i64), String> {
-        let place = |names: &[&str]| names.iter().find_map(|name| outputs.iter().position(|o| o.name == *name));
+        let index = |names: &[&str]| names.iter().find_map(|name| outputs.iter().position(|o| o.name == *name));
         let Some(picture) = inputs.iter().position(|p| p.shape.len() >= 4) else {
             let shapes: Vec<_> = inputs.iter().map(|p| format!("{} {:?}", p.name, p.shape)).collect();
             return Err(format!("none of its inputs is a picture: {}", shapes.join(", ")));
@@ -47,31 +47,31 @@ impl Ports {
         if !unknown.is_empty() {
             let picture = &inputs[picture].name;
             return Err(format!(
-                "besides the picture {picture} it wants {}, which a photo does not tell: export it without",
+                "besides the picture {picture} it needs {}, which a photo cannot provide: export it without",
                 unknown.join(", ")
             ));
         }
         let shape = &inputs[picture].shape;
-        let wrong = || format!("its input has extents {shape:?}, not those of a picture of three channels");
+        let wrong = || format!("its input has dimensions {shape:?}, not those of a picture of three channels");
         let (views, [a, b, c]) = match shape[..] {
             [_, a, b, c] => (1, [a, b, c]),
             [_, views, a, b, c] if adapter.views => (views, [a, b, c]),
             _ => return Err(wrong()),
         };
         if views > 1 {
-            return Err(format!("it wants {views} pictures at once: export it for one"));
+            return Err(format!("it needs {views} pictures at once: export it for one"));
         }
         let (channels, rows, columns) = if adapter.layout == Layout::Nchw { (a, b, c) } else { (c, a, b) };
         if channels != 3 && channels >= 0 {
             return Err(wrong());
         }
         let Outputs { map, sky, scale } = adapter.outputs;
-        let map = match place(map) {
-            Some(place) => place,
+        let map = match index(map) {
+            Some(index) => index,
             None if map.is_empty() || outputs.len() == 1 && adapter.output != Kind::Points => 0,
             None => {
                 let given: Vec<_> = outputs.iter().map(|o| o.name.as_str()).collect();
-                return Err(format!("it gives {}, and none is called {}", given.join(", "), map.join(" or ")));
+                return Err(format!("it returns {}, but none is called {}", given.join(", "), map.join(" or ")));
             }
         };
         let ports = Self {
@@ -80,8 +80,8 @@ impl Ports {
             views: shape.len() == 5,
             tokens: tokens.map(|i| (i, inputs[i].shape.len())),
             map,
-            sky: sky.and_then(|s| place(&[s.name])),
-            scale: place(scale),
+            sky: sky.and_then(|s| index(&[s.name])),
+            scale: index(scale),
         };
         Ok((ports, rows, columns))
     }
@@ -96,25 +96,29 @@ impl Ports {
         let multiple = adapter.multiple as usize;
         let tokens = (w / multiple * (h / multiple)).max(1) as f32;
         let input = |i| match self.tokens {
-            Some((at, extents)) if at == i => Tensor { shape: vec![1; extents], data: vec![tokens] },
+            Some((at, dimensions)) if at == i => Tensor { shape: vec![1; dimensions], data: vec![tokens] },
             _ => picture.take().unwrap_or(Tensor { shape: Vec::new(), data: Vec::new() }),
         };
         (0..self.inputs).map(input).collect()
     }
 
-    /// The map of `w × h` pixels among the outputs.
+    /// Picks the map of `w × h` pixels from the outputs.
     ///
     /// # Errors
-    /// What is missing or has another size.
+    /// A text that says what is missing or has another size.
     pub(super) fn values(&self, adapter: &Adapter, mut outputs: Vec<Tensor>, w: usize, h: usize) -> Result<Values, String> {
         let kind = adapter.output;
         let sized = |tensor: &Tensor, each: usize| {
-            if tensor.data.len() == each * w * h { Ok(()) } else { Err(format!("it gave {:?} for a picture of {w}×{h}", tensor.shape)) }
+            if tensor.data.len() == each * w * h {
+                Ok(())
+            } else {
+                Err(format!("it returned {:?} for a picture of {w}×{h}", tensor.shape))
+            }
         };
         let sky = match (self.sky.and_then(|i| outputs.get(i)), adapter.outputs.sky) {
             (Some(tensor), Some(rule)) => {
                 sized(tensor, 1).map_err(|e| format!("{e} as its {}", rule.name))?;
-                // What is not a number is sky by either rule
+                // NaN is sky by either rule
                 let is = |v: f32| v.is_nan() || if rule.inside { v <= rule.threshold } else { v >= rule.threshold };
                 tensor.data.iter().map(|&v| is(v)).collect()
             }
@@ -122,7 +126,7 @@ impl Ports {
         };
         let scale = self.scale.and_then(|i| outputs.get(i)?.data.first().copied()).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(1.0);
         if self.map >= outputs.len() {
-            return Err("it gave nothing".into());
+            return Err("it returned nothing".into());
         }
         let map = outputs.swap_remove(self.map);
         if kind != Kind::Points {
@@ -152,11 +156,11 @@ mod tests {
     }
 
     #[test]
-    fn the_published_interfaces() {
+    fn published_interfaces_are_matched() {
         let image = port("image", &[-1, 3, -1, -1]);
-        for (tokens, extents) in [(port("num_tokens", &[]), 0), (port("num_tokens", &[1]), 1)] {
+        for (tokens, dimensions) in [(port("num_tokens", &[]), 0), (port("num_tokens", &[1]), 1)] {
             let (ports, rows, columns) = of("moge-2", &[image.clone(), tokens], &["points", "normal", "mask", "metric_scale"]).unwrap();
-            let want = Ports { inputs: 2, tokens: Some((1, extents)), sky: Some(2), scale: Some(3), ..Ports::PLAIN };
+            let want = Ports { inputs: 2, tokens: Some((1, dimensions)), sky: Some(2), scale: Some(3), ..Ports::PLAIN };
             assert_eq!((ports, rows, columns), (want, -1, -1));
         }
         let (ports, rows, columns) = of("moge-2", &[port("image", &[1, 3, 392, 518])], &["points", "mask", "scale"]).unwrap();
@@ -170,16 +174,16 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_told() {
+    fn errors_name_what_does_not_fit() {
         let image = || port("image", &[1, 3, -1, -1]);
         let says = |name, inputs: &[Port], outputs: &[&str], text: &str| {
             let error = of(name, inputs, outputs).unwrap_err();
             assert!(error.contains(text), "{error}");
         };
-        says("depth-anything-3", &[port("image", &[1, 1, 3, 504, 504]), port("intrinsics", &[1, 1, 3, 3])], &["depth"], "wants intrinsics");
+        says("depth-anything-3", &[port("image", &[1, 1, 3, 504, 504]), port("intrinsics", &[1, 1, 3, 3])], &["depth"], "needs intrinsics");
         says("depth-anything-3", &[port("image", &[1, 32, 3, 504, 504])], &["depth"], "32 pictures at once");
         says("depth-anything-v2", &[port("image", &[1, 1, 3, 504, 504])], &["depth"], "[1, 1, 3, 504, 504]");
-        says("moge-2", &[image()], &["depth", "normal"], "gives depth, normal, and none is called points");
+        says("moge-2", &[image()], &["depth", "normal"], "returns depth, normal, but none is called points");
         says("moge-2", &[port("num_tokens", &[])], &["points"], "none of its inputs is a picture");
         says("zipdepth", &[port("image", &[1, 1, 32, 32])], &["depth"], "three channels");
         says("zipdepth", &[], &[], "none of its inputs");
@@ -190,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn inputs_come_in_the_graphs_order() {
+    fn inputs_follow_the_graphs_order() {
         let moge = adapter("moge-2").unwrap();
         let ports = Ports { inputs: 2, picture: 1, tokens: Some((0, 0)), ..Ports::PLAIN };
         let inputs = ports.inputs(moge, vec![0.5; 3 * 28 * 42], 42, 28);
@@ -201,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn sky_and_scale_are_taken_by_their_rules() {
+    fn sky_and_scale_follow_their_rules() {
         let three = adapter("depth-anything-3").unwrap();
         let ports = Ports { map: 1, sky: Some(0), ..Ports::PLAIN };
         let sky = tensor(&[1, 4], vec![0.1, 0.299, 0.3, f32::NAN]);
@@ -213,7 +217,7 @@ mod tests {
         for (scale, factor) in [(3.0, 3.0), (f32::NAN, 1.0), (0.0, 1.0), (-2.0, 1.0), (f32::INFINITY, 1.0)] {
             let outputs = vec![points(), tensor(&[1, 1, 2], vec![0.5, 0.500_1]), tensor(&[1], vec![scale])];
             let got = ports.values(moge, outputs, 2, 1).unwrap();
-            // One point alone tells no shift
+            // a single point determines no shift
             assert_eq!((got.sky.as_slice(), got.data.as_slice()), ([true, false].as_slice(), [2.0 * factor; 2].as_slice()));
         }
         let none = ports.values(moge, vec![points(), tensor(&[1, 1, 2], vec![1.0; 2]), tensor(&[0], vec![])], 2, 1);

@@ -4,7 +4,7 @@ use super::DepthError;
 use super::map::Grey;
 use crate::photo::{Head, Limits};
 
-/// Longest header, with two long numbers, a scale, and spaces between them.
+/// Longest header: two long numbers, a scale, and spaces between them.
 const HEADER: usize = 64;
 
 /// Header of a map.
@@ -22,7 +22,7 @@ pub(super) fn is_pfm(bytes: &[u8]) -> bool {
     matches!(bytes, [b'P', b'f' | b'F', space, ..] if space.is_ascii_whitespace())
 }
 
-/// Width and height of a map within the limits, with a value for each pixel.
+/// Checks that a map is within the limits and has a value for each pixel; returns its width and height.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
@@ -30,22 +30,22 @@ pub(super) fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthEr
     split(bytes, limits).map(|(header, _)| (header.width, header.height))
 }
 
-/// The header of a whole file, and the bytes of its values.
+/// The header of a complete file, and the bytes of its values.
 fn split<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Header, &'a [u8]), DepthError> {
     limits.check_bytes(bytes.len()).map_err(|e| DepthError::Map(e.to_string()))?;
     let header = Header::read(bytes, limits)?;
     let (values, wants) = (&bytes[header.length..], 4 * u64::from(header.width) * u64::from(header.height));
     if (values.len() as u64) < wants {
         let has = values.len();
-        return Err(DepthError::Map(format!("the file is cut short: {wants} bytes of values follow its header, and {has} are there")));
+        return Err(DepthError::Map(format!("the file is cut short: its header announces {wants} bytes of values, but it has {has}")));
     }
     Ok((header, values))
 }
 
-/// What the first bytes of a map tell, while the rest of it is still on its way.
+/// Reads a map's size from its first bytes while the rest is still arriving.
 ///
 /// # Errors
-/// [`DepthError::Map`], as [`check`] of the whole file.
+/// The [`DepthError::Map`] that [`check`] returns for the whole file.
 pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
     if bytes.len() < HEADER {
         return Ok(Head::Needs(HEADER));
@@ -53,7 +53,7 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
     Header::read(bytes, limits).map(|header| Head::Size(header.width, header.height))
 }
 
-/// Values as they are in the file, the upper row first: any float, also NaN and infinity.
+/// Reads the values as stored, the top row first: any float, including NaN and infinity.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
@@ -69,9 +69,9 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
 
 impl Header {
     fn read(bytes: &[u8], limits: &Limits) -> Result<Self, DepthError> {
-        let wrong = || DepthError::Map("the header of a portable float map has width, height and scale".into());
+        let wrong = || DepthError::Map("the header of a portable float map must have width, height and scale".into());
         if bytes.starts_with(b"PF") {
-            return Err(DepthError::Map("it is in colour: a depth map is grey (Pf)".into()));
+            return Err(DepthError::Map("it is in colour: a depth map must be grey (Pf)".into()));
         }
         let start = &bytes[..bytes.len().min(HEADER)];
         let magic = b"Pf".len();
@@ -86,7 +86,7 @@ impl Header {
             *word = std::str::from_utf8(&start[at..end]).map_err(|_| wrong())?;
             at = end;
         }
-        // a single space or line feed lies between header and values
+        // a single space or line feed separates header and values
         let length = at + 1;
         let [width, height, scale] = words;
         let (Ok(width), Ok(height), Ok(scale)) = (width.parse(), height.parse(), scale.parse::<f64>()) else { return Err(wrong()) };
@@ -128,7 +128,7 @@ mod tests {
         let got = read_as(&file("Pf\n4 1\n-1\n", &[80.0, f32::INFINITY, 20.0, f32::NAN]), DepthKind::Disparity, 4, 1).unwrap();
         assert_eq!(got, [1.0, 0.25, 0.25, 0.25]);
         let negative = read_as(&file("Pf\n2 1\n-1\n", &[-3.0, 0.5]), DepthKind::Disparity, 2, 1).unwrap();
-        assert_eq!(negative, [0.0, 0.5], "what lies behind infinity is at infinity");
+        assert_eq!(negative, [0.0, 0.5], "a negative disparity is infinitely far");
         assert!(read_as(&file("Pf\n1 1\n-1\n", &[f32::NAN]), DepthKind::Disparity, 1, 1).unwrap_err().to_string().contains("known"));
     }
 
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_headers_and_short_files_are_errors_that_say_so() {
+    fn wrong_headers_and_short_files_are_refused_with_their_reason() {
         for (header, why) in [
             ("PF\n1 1\n-1\n", "colour"),
             ("Pf\n0 1\n-1\n", "0×1"),

@@ -1,20 +1,20 @@
-//! Distances out of points that a network places before a camera up to a shift along the view, as `MoGe` does (Wang et al., *`MoGe`*, CVPR
-//! 2025, section 3.1): the camera is a pinhole behind the middle of the picture, and each point is to fall on its own pixel.
+//! Recovers distances from points that a network returns up to a shift along the view axis, as `MoGe` does (Wang et al., *`MoGe`*, CVPR
+//! 2025, section 3.1): the camera is a pinhole behind the middle of the picture, and each point has to project to its own pixel.
 
-/// Points along a side that the shift is sought by.
+/// Samples per side from which the shift is computed.
 const SIDE: usize = 64;
-/// How far the nearest point may come nearer or go farther by the shift, as a factor.
+/// Largest factor by which the shift may change the distance of the nearest point.
 const REACH: f64 = 1e6;
 
-/// A point and where its pixel lies, in units of half the picture's diagonal from its middle.
+/// A point and the position of its pixel, in units of half the picture's diagonal from its middle.
 #[derive(Clone, Copy)]
 struct Seen {
     point: [f64; 3],
     pixel: [f64; 2],
 }
 
-/// What is to be added to each z of `points`, rows of `width` and `height` pixels with x, y, z each, of which `valid` count; 0 where fewer
-/// than two are valid and finite. A pixel counts where it is the nearest one to a grid of 64 × 64.
+/// Returns what to add to each z of `points`: rows of `width × height` pixels with x, y, z each. Only pixels with `valid` count, and of
+/// these the ones nearest to a grid of 64 × 64. Returns 0 if fewer than two of these are finite.
 ///
 /// `points` has `3 · width · height` values, `valid` a third of them.
 #[must_use]
@@ -24,12 +24,12 @@ pub fn shift(points: &[f32], valid: &[bool], width: usize, height: usize) -> f64
     if seen.len() < 2 || !nearest.is_finite() {
         return 0.0;
     }
-    // Each falls on its pixel to the precision of its numbers
+    // each point projects to its pixel, to the precision of its numbers
     let pixels: f64 = seen.iter().map(|s| s.pixel[0].powi(2) + s.pixel[1].powi(2)).sum();
     if error(&seen, 0.0) <= 1e-12 * pixels {
         return 0.0;
     }
-    // By the logarithm of what is left of the nearest distance every point stays before the camera
+    // search over the logarithm of what is left of the nearest distance, so that every point stays in front of the camera
     let shift = nearest * valley(|t| error(&seen, nearest * t.exp() - nearest), REACH.ln()).exp() - nearest;
     if shift.is_finite() { shift } else { 0.0 }
 }
@@ -39,7 +39,7 @@ fn sample(points: &[f32], valid: &[bool], width: usize, height: usize) -> Vec<Se
         return Vec::new();
     }
     let diagonal = (width as f64).hypot(height as f64);
-    // In single precision, as there
+    // in single precision, as in MoGe's code
     let place = |k: usize, size: usize| ((k as f32 * (size as f32 / SIDE as f32)) as usize).min(size - 1);
     let middle = |k: usize, size: usize| (2.0 * k as f64 + 1.0 - size as f64) / diagonal;
     let grid = (0..SIDE * SIDE).map(|k| (place(k % SIDE, width), place(k / SIDE, height)));
@@ -48,12 +48,12 @@ fn sample(points: &[f32], valid: &[bool], width: usize, height: usize) -> Vec<Se
             let at = 3 * (y * width + x);
             Seen { point: std::array::from_fn(|c| f64::from(points[at + c])), pixel: [middle(x, width), middle(y, height)] }
         })
-        // None should lie behind the camera; such a one has no pixel
+        // no point should lie behind the camera; one that does has no pixel
         .filter(|s| s.point[2] > 0.0 && s.point.iter().all(|v| v.is_finite()))
         .collect()
 }
 
-/// Sum of the squared distances between the pixels and where the points fall, by the focal length that suits best.
+/// Sum of the squared distances between the pixels and the projected points, for the focal length that fits best.
 fn error(seen: &[Seen], shift: f64) -> f64 {
     let (mut across, mut square, mut pixels) = (0.0, 0.0, 0.0);
     for Seen { point: [x, y, z], pixel: [u, v] } in seen {
@@ -65,25 +65,24 @@ fn error(seen: &[Seen], shift: f64) -> f64 {
     pixels - if square > 0.0 { across * across / square } else { 0.0 }
 }
 
-/// The lowest place of the valley that 0 lies in, sought no farther than `reach` on either side: steps that double find its ends, cuts of
-/// golden ratio its bottom.
+/// Lowest point of the valley that contains 0, at most `reach` away: steps that double bracket it, golden-section search finds it.
 fn valley(f: impl Fn(f64) -> f64, reach: f64) -> f64 {
     const STEP: f64 = 1e-2;
     let here = f(0.0);
-    let Some(sign) = [1.0, -1.0].into_iter().find(|sign| f(sign * STEP) < here) else { return bottom(f, -STEP, STEP) };
+    let Some(sign) = [1.0, -1.0].into_iter().find(|sign| f(sign * STEP) < here) else { return golden_section(f, -STEP, STEP) };
     let (mut before, mut at, mut value, mut step) = (0.0, sign * STEP, f(sign * STEP), 2.0 * STEP);
     loop {
         let next = (at + sign * step).clamp(-reach, reach);
         let ahead = f(next);
         if ahead.is_nan() || ahead >= value || next.abs() >= reach {
-            return bottom(f, before, next);
+            return golden_section(f, before, next);
         }
         (before, at, value, step) = (at, next, ahead, 2.0 * step);
     }
 }
 
-/// The lowest place between `a` and `b`, where there is one alone, to 1e-9.
-fn bottom(f: impl Fn(f64) -> f64, a: f64, b: f64) -> f64 {
+/// The only minimum between `a` and `b`, to 1e-9.
+fn golden_section(f: impl Fn(f64) -> f64, a: f64, b: f64) -> f64 {
     const RATIO: f64 = 0.618_033_988_749_894_9;
     let (mut a, mut b) = (a.min(b), a.max(b));
     let (mut c, mut d) = (b - RATIO * (b - a), a + RATIO * (b - a));
@@ -107,7 +106,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Points of a scene of `distance(x, y)` before a camera of `focal` half diagonals, moved by −`moved` along the view.
+    /// Points of a scene of `distance(x, y)` before a camera with a focal length of `focal` half diagonals, moved by −`moved` along the
+    /// view axis.
     fn scene(w: usize, h: usize, focal: f64, moved: f64, distance: impl Fn(usize, usize) -> f64) -> Vec<f32> {
         let diagonal = (w as f64).hypot(h as f64);
         let point = |k: usize| {
@@ -124,10 +124,10 @@ mod tests {
         fn the_shift_of_a_pinhole_camera_is_found(
             w in 2usize..150, h in 2usize..150, focal in 0.4f64..4.0, moved in -5.0f64..0.9, waves in 0.5f64..4.0,
         ) {
-            // A relief from 1 on
+            // a relief whose distances are at least 1
             let scene = scene(w, h, focal, moved, |x, y| 2.0 + (x as f64 * waves / w as f64).sin() * (1.0 - y as f64 / h as f64));
             let got = shift(&scene, &vec![true; w * h], w, h);
-            // Where nothing stands out, any shift suits
+            // a flat scene fits any shift
             let range = scene.iter().skip(2).step_by(3).fold((f32::INFINITY, f32::NEG_INFINITY), |r, &z| (r.0.min(z), r.1.max(z)));
             if range.1 - range.0 > 0.1 {
                 prop_assert!((got - moved).abs() < 2e-3 * (1.0 + moved.abs()), "{got} for {moved}");
@@ -135,7 +135,7 @@ mod tests {
         }
 
         #[test]
-        fn no_step_on_either_side_is_better(seed in any::<u32>(), w in 8usize..40, h in 8usize..40) {
+        fn no_nearby_shift_is_better(seed in any::<u32>(), w in 8usize..40, h in 8usize..40) {
             let mut state = seed | 1;
             let mut random = || {
                 state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_masked_or_not_finite_does_not_count() {
+    fn masked_and_non_finite_points_are_ignored() {
         let (w, h) = (60, 40);
         let mut scene = scene(w, h, 1.2, 0.7, |x, y| 1.0 + (x + y) as f64 / 50.0);
         let mut valid = vec![true; w * h];
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn stiff_points_give_finite_shifts() {
+    fn degenerate_points_give_finite_shifts() {
         let all = |w: usize, h: usize, p: [f32; 3]| shift(&(0..w * h).flat_map(|_| p).collect::<Vec<_>>(), &vec![true; w * h], w, h);
         for p in [[0.0; 3], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1e30, -1e30, 1e-30], [1.0, 0.0, -2.0], [f32::NAN; 3], [f32::INFINITY; 3]] {
             for (w, h) in [(1, 1), (1, 200), (200, 1), (64, 64)] {

@@ -1,9 +1,9 @@
-//! Smoothing of a network's map up to the photo's edges: weighted least squares, solved line by line (Min et al. 2014).
+//! Smooths a network's map up to the photo's edges: weighted least squares, solved line by line (Min et al. 2014).
 //!
-//! A network that blurs edges leaves haloes of many pixels. Each line in turn minimises `Σ (u − d)² + λ Σ w (u − u′)²` over
-//! neighbours, with `w = exp(−|colour difference| / σ)`, so that disparity spreads within a surface and stops at its edge.
-//! `models/depth.md` has a table of error by λ, and the commands for it.
-//! Every line is a tridiagonal system with a dominant diagonal: it is stable for any λ, and no value leaves the input's range.
+//! A network that blurs edges leaves haloes many pixels wide. Each line in turn minimises `Σ (u − d)² + λ Σ w (u − u′)²` over neighbours,
+//! with `w = exp(−|colour difference| / σ)`, so that disparity spreads within a surface and stops at its edge. `models/depth.md` has a
+//! table of error by λ, and the commands for it. Every line is a tridiagonal system with a dominant diagonal: it is stable for any λ, and
+//! no value leaves the input's range.
 
 use rayon::prelude::*;
 
@@ -12,7 +12,7 @@ const SIGMA: f64 = 0.04;
 /// Rounds along rows and columns; each round is four times weaker than the one before.
 const ROUNDS: i32 = 3;
 
-/// Smooths `delta` of `width` columns by the guide of the same size; `lambda` is the strength, 0 changes nothing.
+/// Smooths `delta`, of `width` columns, by a guide (RGB in 0..=1) of the same size. `lambda` is the strength; 0 changes nothing.
 #[must_use]
 pub(super) fn smooth(guide: &[[f32; 3]], delta: &[f32], width: usize, lambda: f64) -> Vec<f32> {
     let height = delta.len() / width;
@@ -55,7 +55,7 @@ fn transposed<T: Copy>(map: &[T], width: usize) -> Vec<T> {
 /// Solves `(1 + λ L) u = d` for each line, where `L` is the line's weighted Laplacian.
 fn lines(map: &mut [f32], weights: &[f64], width: usize, lambda: f64) {
     map.par_chunks_exact_mut(width).zip(weights.par_chunks_exact(width)).for_each(|(line, weights)| {
-        // Elimination forwards, substitution backwards: `u[i] = value[i] + share[i] · u[i + 1]`
+        // forward elimination, back substitution: `u[i] = value[i] + share[i] · u[i + 1]`
         let (mut share, mut value) = (vec![0f64; width], vec![0f64; width]);
         let (mut before, mut last_share, mut last_value) = (0.0, 0.0, 0.0);
         for i in 0..width {
@@ -77,7 +77,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Dense Gaussian elimination of the same system.
+    /// Solves the same system by dense Gaussian elimination.
     fn by_elimination(line: &[f32], weights: &[f64], lambda: f64) -> Vec<f64> {
         let n = line.len();
         let mut a = vec![vec![0f64; n + 1]; n];
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn single_pixels_and_lines() {
+    fn single_pixels_and_lines_stay_constant() {
         for (w, h) in [(1, 1), (1, 9), (9, 1)] {
             let guide = vec![[0.5; 3]; w * h];
             let got = smooth(&guide, &vec![0.25; w * h], w, 1e12);

@@ -1,8 +1,7 @@
-//! A network's small disparity map at the photo's size, its edges moved to the photo's.
+//! Enlarges a network's small disparity map to the photo's size and moves its edges to the photo's.
 //!
-//! A guided filter by the photo's colour (He, Sun and Tang 2010) in its fast form (He and Sun 2015): the linear model from
-//! colour to disparity is fitted at a bounded working size and only applied at the photo's, so that memory beyond the
-//! result is bounded by the working size.
+//! This is a guided filter by the photo's colour (He, Sun and Tang 2010) in its fast form (He and Sun 2015). The linear model from colour
+//! to disparity is fitted at a bounded working size and only applied at the photo's size, so that memory beyond the result is bounded.
 
 use rayon::prelude::*;
 
@@ -10,16 +9,16 @@ use crate::denoise::guided_filter::box_mean;
 use crate::photo::{Filter, resample};
 use tmpi_core::{DisparityMap, Photo};
 
-/// Pixels at which the model is fitted, at most. On seven stereo scenes with this program's own depth, 100 000 in place of 400 000
-/// leave the RMSE as it is (.531), cost the second view .01 dB and .0004 SSIM, and save 30 of 87 ms of processor time
+/// Most pixels at which the model is fitted. On seven stereo scenes with this program's own depth, 100 000 instead of 400 000 keep the
+/// RMSE (.531), cost the second view .01 dB and .0004 SSIM, and save 30 of 87 ms of processor time
 /// (`tmpi-lab eval DIR --depth own --only ours`).
 const WORK: f64 = 100_000.0;
-/// Half the window, as a share of the square root of the working pixels.
+/// Radius of the window as a share of the square root of the working pixels.
 const RADIUS: f64 = 0.006;
 /// Variance of colour (in 0..=1) below which the disparity is smoothed instead of following the photo.
 const EPSILON: f64 = 1e-4;
 
-/// Disparity at the photo's size; finite in, finite and within 0..=1 out.
+/// Enlarges `small`, which must be finite, to the photo's size. The result is finite and within 0..=1.
 #[must_use]
 pub fn upsample(photo: &Photo, small: &DisparityMap) -> DisparityMap {
     let (width, height) = (photo.width, photo.height);
@@ -43,7 +42,8 @@ pub fn upsample(photo: &Photo, small: &DisparityMap) -> DisparityMap {
     DisparityMap { width, height, delta: out }
 }
 
-/// The map at half its size and back, as a network would give it: what snapping is measured on and Ψ learns behind.
+/// Halves a map and enlarges it again, so that it is as blurred as a network's. Snapping is measured on such maps, and Ψ is trained on
+/// them after snapping.
 #[must_use]
 pub fn halved(d: &DisparityMap) -> DisparityMap {
     let half = ((d.width / 2).max(1), (d.height / 2).max(1));
@@ -51,7 +51,7 @@ pub fn halved(d: &DisparityMap) -> DisparityMap {
     DisparityMap { delta: to(&to(&d.delta, (d.width, d.height), half), half, (d.width, d.height)), ..*d }
 }
 
-/// The photo's size, reduced to [`WORK`] pixels.
+/// The photo's size, reduced to at most [`WORK`] pixels.
 fn working_size(width: u32, height: u32) -> (u32, u32) {
     let scale = (WORK / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
     let side = |s: u32| ((f64::from(s) * scale).round() as u32).clamp(1, s);
@@ -62,7 +62,7 @@ fn mix(a: &[f32; 4], b: &[f32; 4], share: f32) -> [f32; 4] {
     std::array::from_fn(|i| a[i] + (b[i] - a[i]) * share)
 }
 
-/// Where a place of the result lies between two samples.
+/// Position of a result's sample between two samples.
 #[derive(Clone, Copy)]
 struct Between {
     first: usize,
@@ -89,7 +89,7 @@ fn fit(guide: &[[f32; 3]], delta: &[f32], (w, h): (usize, usize), radius: usize,
         let plane: Vec<f32> = (0..delta.len()).into_par_iter().map(f).collect();
         box_mean(&plane, w, h, radius)
     };
-    // Products of values about their middle lose fewer digits than products of the values
+    // products of centred values lose fewer digits than products of the values
     let centred = |i: usize, c: usize| guide[i][c] - 0.5;
     let colour: [Vec<f32>; 3] = std::array::from_fn(|c| mean(&|i| centred(i, c)));
     let mean_d = mean(&|i| delta[i] - 0.5);
@@ -119,7 +119,7 @@ fn solve(v: [f64; 6], epsilon: f64, c: [f64; 3]) -> [f64; 3] {
     let (xx, yy, zz) = (xx.max(0.0) + epsilon, yy.max(0.0) + epsilon, zz.max(0.0) + epsilon);
     let (a, b, d) = (yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy);
     let determinant = xx * a + xy * b + xz * d;
-    // Rounding may leave V a little indefinite; ε keeps the determinant far above that
+    // rounding may leave V slightly indefinite; ε keeps the determinant far above that
     if determinant <= epsilon.powi(3) * 0.5 {
         return [0.0; 3];
     }
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn one_colour_and_black_photos_only_smooth() {
+    fn photos_of_one_colour_only_smooth_the_map() {
         for colour in [[0; 3], [255; 3], [17, 200, 90]] {
             let photo = Photo { width: 100, height: 80, rgb: vec![colour; 8000] };
             let small = DisparityMap { width: 10, height: 8, delta: (0..80).map(|i| (i % 10) as f32 / 9.0).collect() };
@@ -207,7 +207,7 @@ mod tests {
         let (w, h) = (600u32, 400u32);
         let rgb = (0..w * h).map(|i| if i % w < 300 { [40, 60, 50] } else { [180, 150, 190] }).collect();
         let photo = Photo { width: w, height: h, rgb };
-        // A ramp of 12 photo pixels
+        // a ramp 12 photo pixels wide
         let delta = (0..150 * 100).map(|i| (((i % 150) as f32 - 73.0) / 3.0).clamp(0.0, 1.0)).collect();
         let small = DisparityMap { width: 150, height: 100, delta };
         let got = upsample(&photo, &small).delta;

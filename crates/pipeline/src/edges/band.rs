@@ -1,4 +1,4 @@
-//! Rows of a photo and of its map in the form that windows are read from, eight columns at a time.
+//! Rows of a photo and its disparity map, laid out so that windows are read eight columns at a time.
 
 use std::ops::Range;
 
@@ -7,12 +7,12 @@ use tmpi_core::{DisparityMap, Photo};
 
 /// Columns that are read at once; a window has at most one less.
 pub(super) const LANES: usize = 8;
-/// A value for each of them.
+/// One value per column.
 pub(super) type Lanes = [f32; LANES];
-/// Half the widest window.
+/// Radius of the widest window.
 pub(super) const REACH: usize = 3;
 
-/// A band of rows, with columns beyond both ends: δ is NaN there, and so neither above nor below anything.
+/// A band of rows with columns beyond both ends, where δ is NaN and so neither above nor below anything.
 #[derive(Default)]
 pub(super) struct Band {
     rows: Range<usize>,
@@ -21,7 +21,7 @@ pub(super) struct Band {
     delta: Vec<f32>,
 }
 
-/// Eight columns of a row, from [`REACH`] before a pixel on.
+/// Eight columns of a row, starting [`REACH`] before a pixel.
 pub(super) struct Strip {
     /// Red, green and blue, 0 to 255.
     pub colour: [Lanes; 3],
@@ -30,7 +30,7 @@ pub(super) struct Strip {
 }
 
 impl Band {
-    /// Takes `rows` and those within [`REACH`] of them.
+    /// Loads `rows` and the rows within [`REACH`] of them.
     pub fn load(&mut self, photo: &Photo, delta: &DisparityMap, rows: Range<usize>) {
         let (w, h) = (photo.width as usize, photo.height as usize);
         self.rows = rows.start.saturating_sub(REACH)..(rows.end + REACH).min(h);
@@ -57,7 +57,7 @@ impl Band {
         y.saturating_sub(radius).max(self.rows.start)..(y + radius + 1).min(self.rows.end)
     }
 
-    /// The columns about `x` in row `y`, both of the photo.
+    /// The columns around `x` in row `y`, which both lie in the photo.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
     pub fn strip(&self, x: usize, y: usize) -> Strip {
@@ -85,12 +85,12 @@ impl Band {
     }
 }
 
-/// Added to a small number, it leaves its whole part in the lowest bits.
+/// Added to a small number, it leaves the whole part in the lowest bits.
 const ROUND: f32 = 12_582_912.0;
-/// Of the series of `2^f`, the highest power first.
+/// Coefficients of the series of `2^f`, the highest power first.
 const SERIES: [f32; 7] = [1.540_353e-4, 1.333_355_8e-3, 9.618_129e-3, 5.550_411e-2, 0.240_226_5, std::f32::consts::LN_2, 1.0];
 
-/// `2^x` for `x` in −126 to 0, to a relative 2e-7; about `2^−126` below, to −1e6.
+/// `2^x` for `x` in −126 to 0, with a relative error of at most 2e-7; about `2^−126` for `x` below that, down to −1e6.
 ///
 /// The polynomial is the Taylor series of `2^f` about 0, with `f` in −½ to ½.
 #[inline(always)]
@@ -100,7 +100,7 @@ pub(super) fn exp2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     let whole = x + ROUND;
     let f = x - (whole - ROUND);
     let p = SERIES[2..].iter().fold(f * SERIES[0] + SERIES[1], |p, &c| p * f + c);
-    // numbers above 0 are in the order of their bits
+    // positive floats are ordered like their bits
     f32x8::from_bits(p.to_bits() + (whole.to_bits().max(LEAST) << 23))
 }
 

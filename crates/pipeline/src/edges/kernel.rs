@@ -1,4 +1,4 @@
-//! What is done about each pixel, row by row.
+//! Kernels of edge snapping, which run row by row.
 
 use fearless_simd::{Level, Simd, f32x8, prelude::*};
 use tmpi_core::simd::dispatch;
@@ -6,25 +6,25 @@ use tmpi_core::simd::dispatch;
 use super::band::{Band, LANES, Lanes, REACH, exp2};
 use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
 
-/// Added to each weight of a side, so that sides far from a colour can still be told apart.
+/// Added to each weight of a side, so that sides far from a colour still compare.
 const TINY: f32 = 1e-20;
-/// Contrast below which sides are of about one colour, in levels.
+/// Contrast, in levels, below which two sides have about the same colour.
 const CONTRAST: f32 = 12.0;
-/// Values of the median's window, and as many as are written beyond them.
+/// Room for the values of the median's window.
 const VALUES: usize = 40;
-/// Values that are compared at once.
+/// Most values that are compared at once.
 const ROOM: usize = 32;
 
-/// Logarithm to the base 2 of a weight a squared level of colour.
+/// Base-2 logarithm of the weight per squared level of colour.
 const FALL: f32 = -std::f32::consts::LOG2_E / (255.0 * 255.0 * 2.0 * SIGMA_COLOUR * SIGMA_COLOUR);
 
 /// What does not depend on the pixel.
 pub(super) struct Tables {
-    /// exp(−r²/2σ²) by row and column of the window; 0 beside it.
+    /// exp(−r²/2σ²) by row and column of the window; 0 outside it.
     place: [Lanes; 2 * RADIUS + 1],
-    /// [`TINY`] within the window, 0 beside it.
+    /// [`TINY`] inside the window, 0 outside it.
     tiny: Lanes,
-    /// 1 within the window, 0 beside it.
+    /// 1 inside the window, 0 outside it.
     within: Lanes,
 }
 
@@ -43,14 +43,14 @@ impl Tables {
     }
 }
 
-/// All bits of a lane where `is` holds.
+/// Sets all bits of each lane where `is` holds.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn mask(is: impl Fn(usize) -> bool) -> [u32; LANES] {
     std::array::from_fn(|k| u32::from(is(k)).wrapping_neg())
 }
 
-/// Adds values where they count: by their bits, or the sum becomes a store under a mask, which is slow.
+/// Adds values where their mask is set, by masking their bits: otherwise the sum becomes a masked store, which is slow.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn add(sums: &mut Lanes, values: &Lanes, counts: &[u32; LANES]) {
@@ -74,10 +74,10 @@ fn likeness<S: Simd>(simd: S, own: [f32; 3], colour: &[Lanes; 3]) -> f32x8<S> {
     exp2((square(0) + square(1) + square(2)) * FALL)
 }
 
-/// Of the pixels around one that are on the near and on the far side of a ramp: weight, weighted δ, count.
+/// Sums over the pixels around one that are on one side of a ramp, near or far: weight, weighted δ, count.
 type Side = [f32; 3];
 
-/// Gives the pixels of row `y` that lie on ramps the δ of the side that they belong to; `lo`, `hi`: extremes of their windows.
+/// Gives the pixels of row `y` that lie on ramps the δ of the side they belong to. `lo` and `hi` are the extremes of their windows.
 pub(super) fn sides(level: Level, band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     fearless_simd::dispatch!(level, simd => sides_body(simd, band, tables, y, lo, hi, out));
 }
@@ -103,7 +103,7 @@ fn sides_body<S: Simd>(simd: S, band: &Band, tables: &Tables, y: usize, lo: &[f3
     }
 }
 
-/// The sides of the window of a pixel: at most `low_to`, at least `high_from`.
+/// The two sides of a pixel's window: δ at most `low_to`, and δ at least `high_from`.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn gathered<S: Simd>(simd: S, band: &Band, tables: &Tables, (x, y): (usize, usize), low_to: f32, high_from: f32) -> (Side, Side) {
@@ -125,7 +125,8 @@ fn gathered<S: Simd>(simd: S, band: &Band, tables: &Tables, (x, y): (usize, usiz
     (low.map(|l| total(&l.to_array())), high.map(|l| total(&l.to_array())))
 }
 
-/// Colour-weighted median of the pixels of row `y` where δ has an edge, but for those that have more than `kept` of the weight on their side.
+/// Colour-weighted median at the pixels of row `y` where δ has an edge, except those with more than `kept` of the weight on their own
+/// side.
 pub(super) fn medians(level: Level, band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     fearless_simd::dispatch!(level, simd => medians_body(simd, band, kept, y, lo, hi, out));
 }
@@ -144,10 +145,10 @@ fn medians_body<S: Simd>(simd: S, band: &Band, kept: f32, y: usize, lo: &[f32], 
             let s = band.strip(x, row);
             let like = likeness(simd, own, &s.colour).to_array();
             for k in REACH - MEDIAN..=REACH + MEDIAN {
-                let there = !s.delta[k].is_nan();
+                let inside = !s.delta[k].is_nan();
                 let to = n + k + MEDIAN - REACH;
-                values[to] = if there { s.delta[k] } else { f32::INFINITY };
-                weights[to] = if there { like[k] + 1e-6 } else { 0.0 };
+                values[to] = if inside { s.delta[k] } else { f32::INFINITY };
+                weights[to] = if inside { like[k] + 1e-6 } else { 0.0 };
             }
             n += 2 * MEDIAN + 1;
         }
@@ -163,7 +164,7 @@ fn medians_body<S: Simd>(simd: S, band: &Band, kept: f32, y: usize, lo: &[f32], 
     }
 }
 
-/// The least value that, with all that are no greater, has half of the weight; at most [`ROOM`] values.
+/// The smallest value that, with all values up to it, has half of the weight; at most [`ROOM`] values.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 pub(super) fn weighted_median<S: Simd>(simd: S, values: &[f32], weights: &[f32]) -> f32 {
@@ -175,8 +176,7 @@ pub(super) fn weighted_median<S: Simd>(simd: S, values: &[f32], weights: &[f32])
     up_to.iter().zip(of).fold(f32::INFINITY, |least, (sum, &v)| if *sum >= half && v < least { v } else { least })
 }
 
-/// Weight of all `values` that are no greater than each of `of`: for a few dozen values, to compare all with all vectorises, which
-/// sorting them does not.
+/// Weight of all `values` up to each value of `of`. For a few dozen values, comparing all with all vectorises; sorting does not.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn up_to<S: Simd>(simd: S, values: &[f32], weights: &[f32], of: &[Lanes; ROOM / LANES]) -> [Lanes; ROOM / LANES] {
@@ -235,7 +235,7 @@ fn joins_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], ou
             dot += (own[i] - b) * (f - b);
             norm += (f - b) * (f - b);
         }
-        // sides of about one colour say nothing
+        // sides of about the same colour say nothing
         if norm > CONTRAST * CONTRAST && dot > JOIN * norm {
             *o = near[3] / near[4];
         }
@@ -248,7 +248,7 @@ mod tests {
     use super::*;
     use tmpi_core::{DisparityMap, Photo};
 
-    /// [`gathered`] with a loop for lanes and `f32`s, in the same order.
+    /// [`gathered`] with a loop over lanes and plain `f32`s, in the same order.
     fn sides_of(band: &Band, tables: &Tables, (x, y): (usize, usize), low_to: f32, high_from: f32) -> (Side, Side) {
         let own = band.colour(x, y);
         let (mut low, mut high) = ([[0f32; LANES]; 3], [[0f32; LANES]; 3]);
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn vectors_of_every_kind_give_the_bits_of_single_pixels() {
+    fn every_vector_level_gives_the_bits_of_single_pixels() {
         let (w, h) = (61u32, 23u32);
         let mut state = 7u64;
         let mut next = || {
@@ -286,7 +286,7 @@ mod tests {
                 assert_eq!(bits(got), bits(sides_of(&band, &tables, (x, y), 0.3, 0.6)), "{level:?} {x} {y}");
             }
         }
-        // whole rows, by the plainest vectors and by all others
+        // whole rows, at the baseline level and at all others
         let (lo, hi) = (vec![0.1; w as usize], vec![0.9; w as usize]);
         let mut moved = [0; 2];
         for (y, row) in delta.delta.chunks(w as usize).enumerate() {
@@ -304,11 +304,11 @@ mod tests {
                 *moved += want.iter().zip(row).filter(|(a, b)| **a != b.to_bits()).count();
             }
         }
-        // of rough colours most medians are a pixel's own
+        // with rough colours most medians are the pixel's own value
         assert!(moved[0] > 500 && moved[1] > 20, "{moved:?}");
     }
 
-    /// All kinds of vectors that this processor has.
+    /// All vector levels of this processor.
     fn levels() -> Vec<Level> {
         let mut all = vec![Level::baseline(), Level::new()];
         #[cfg(target_arch = "x86_64")]

@@ -1,5 +1,5 @@
-//! Edge snapping: depth networks blur depth edges into ramps; ramps would land on planes of their own and show as ghost
-//! contours, so their pixels are given to one side or the other by colour (RECIPE, step 1).
+//! Edge snapping. Depth networks blur depth edges into ramps. Ramps would get planes of their own and show as ghost contours, so their
+//! pixels are given to one side or the other by colour.
 
 mod band;
 mod kernel;
@@ -12,35 +12,37 @@ use self::band::Band;
 use self::kernel::Tables;
 use tmpi_core::{DisparityMap, Photo};
 
-/// Half the window that a ramp is looked for in.
+/// Radius of the window in which a ramp is detected.
 const RADIUS: usize = 3;
-/// Range of δ in the window above which a pixel can lie on a ramp.
+/// Range of δ in the window above which a pixel may lie on a ramp.
 const RAMP: f32 = 0.03;
-/// Range of δ in the window that makes an edge a strong one: weaker ones may be slopes.
+/// Range of δ in the window above which an edge is strong; weaker ones may be slopes.
 const STRONG: f32 = 0.15;
-/// Part of a step that lies within 3×3 pixels of a ramp.
+/// Share of a step that must lie within 3×3 pixels of a ramp.
 const STEEP: f32 = 0.2;
 /// Range of δ above which the median runs.
 const EDGE: f32 = 0.02;
-/// Spread of colour distance (RGB in 0..=1) and of place in pixels.
+/// Standard deviation of colour distance (RGB in 0..=1) in weights.
 const SIGMA_COLOUR: f32 = 0.1;
+/// Standard deviation of position in weights, in pixels.
 const SIGMA_PLACE: f32 = 3.0;
-/// Worth of a ramp pixel's own δ against the colours of the two sides, in log weight.
+/// Weight of a ramp pixel's own δ against the colours of the two sides, as a logarithm.
 const OWN: f32 = 4.0;
-/// Half the window of the median.
+/// Radius of the median's window.
 const MEDIAN: usize = 2;
-/// Part of the range of δ in its window within which another pixel is on a pixel's own side.
+/// Share of the range of δ in a pixel's window within which other pixels are on the same side.
 const SIDE: f32 = 0.3;
-/// Weight on its own side above which the careful median leaves a pixel as it is, and one that none has.
+/// Share of weight on its own side above which [`median`] keeps a pixel.
 const KEPT: f32 = 0.65;
+/// A share that no pixel reaches.
 const NONE: f32 = 2.0;
 /// Share of the way from background to foreground colour beyond which a rim pixel joins the foreground.
 const JOIN: f32 = 0.25;
 
-/// Rows that a task takes.
+/// Rows per task.
 const ROWS: usize = 16;
 
-/// Gives the pixels of ramps to the near or the far side, then runs [`full_median`], then joins rim pixels to the near side.
+/// Gives the pixels of ramps to the near or the far side, runs [`full_median`], then joins rim pixels to the near side.
 #[must_use]
 pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let (level, tables) = (Level::new(), Tables::new());
@@ -48,21 +50,21 @@ pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     join_rims(photo, &full_median(photo, &snapped))
 }
 
-/// What sharp maps need of it: [`median`], then the joining of rim pixels to the near side.
+/// The part of [`snap`] that sharp maps need: runs [`median`], then joins rim pixels to the near side.
 #[must_use]
 pub fn clean(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     join_rims(photo, &median(photo, delta))
 }
 
-/// Gives pixels on the far side of an edge whose colour is a quarter or more the near side's to that side: left where they are, they
-/// stay behind as a dotted contour wherever the near side moves away.
+/// Gives pixels on the far side of an edge to the near side if a quarter or more of their colour is the near side's. Otherwise they stay
+/// behind as a dotted contour wherever the near side moves away.
 fn join_rims(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let tables = Tables::new();
     each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out))
 }
 
-/// Share of the pixels near strong depth edges that lie on a ramp between the two sides: between them over 7×7 and over 3×3 pixels,
-/// and where much of the step lies within the 3×3. Exact maps have next to none, however many surfaces meet there.
+/// Share, 0 to 1, of the pixels near strong depth edges that lie on a ramp between the two sides: their δ is between the sides over 7×7
+/// and over 3×3 pixels, and much of the step lies within the 3×3. Exact maps have almost none, however many surfaces meet there.
 #[must_use]
 pub fn ramp_share(delta: &DisparityMap) -> f64 {
     let ((lo, hi), (near_lo, near_hi)) = (extremes(delta, RADIUS), extremes(delta, 1));
@@ -81,25 +83,25 @@ pub fn ramp_share(delta: &DisparityMap) -> f64 {
 
 /// [`ramp_share`] above which a map counts as blurred. True depth has at most 0.03 on seven Middlebury maps, and 0.3 or more once it is
 /// enlarged from half the size or blurred by 3×3; maps of a large depth network have 0.27 to 0.4. `tmpi-lab bench --only ramps` shows
-/// what snapping is worth on either side of it.
+/// what snapping gains on either side of this value.
 pub const BLURRED: f64 = 0.15;
 
-/// Colour-weighted median over 5×5 pixels where δ has an edge, of pixels whose colour does not speak for their own side of it: worth
-/// doing on measured depth, and nearly harmless on exact depth.
+/// Colour-weighted median over 5×5 pixels where δ has an edge, for pixels whose colour does not support their own side. It helps measured
+/// depth, and is nearly harmless on exact depth.
 #[must_use]
 pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let level = Level::new();
     each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(level, band, KEPT, y, lo, hi, out))
 }
 
-/// The same of all pixels where δ has an edge (RECIPE, step 1).
+/// Like [`median`], for all pixels where δ has an edge.
 #[must_use]
 pub fn full_median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let level = Level::new();
     each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(level, band, NONE, y, lo, hi, out))
 }
 
-/// Runs `f` over each row with the extremes of δ within `radius` of its pixels; it begins with the row as it is.
+/// Runs `f` over each row with the extremes of δ within `radius` of its pixels. The output starts as a copy of the row.
 fn each(photo: &Photo, delta: &DisparityMap, radius: usize, f: impl Fn(&Band, usize, &[f32], &[f32], &mut [f32]) + Sync) -> DisparityMap {
     let w = delta.width as usize;
     let (lo, hi) = extremes(delta, radius);
@@ -114,10 +116,10 @@ fn each(photo: &Photo, delta: &DisparityMap, radius: usize, f: impl Fn(&Band, us
     DisparityMap { width: delta.width, height: delta.height, delta: out }
 }
 
-/// Least and greatest value of a `(2r+1)²` window.
+/// Smallest and largest value of a `(2r+1)²` window.
 fn extremes(delta: &DisparityMap, radius: usize) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (delta.width as usize, delta.height as usize);
-    // not `f32::min`, whose care for NaN costs the vector instruction; the map is finite
+    // not `f32::min`, whose handling of NaN costs the vector instruction; the map is finite
     rayon::join(
         || extreme(&delta.delta, w, h, radius, |a, b| if b < a { b } else { a }),
         || extreme(&delta.delta, w, h, radius, |a, b| if b > a { b } else { a }),
@@ -180,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn ramps_are_told_from_steps() {
+    fn ramps_are_distinguished_from_steps() {
         assert!(ramp_share(&step(4.0).1) > BLURRED && ramp_share(&step(1e-3).1) < BLURRED);
         // three surfaces that meet within a window are no ramp
         let stairs = DisparityMap { width: 48, height: 24, delta: (0..48 * 24).map(|i| ((i % 48) / 2) as f32 / 24.0).collect() };
@@ -197,19 +199,19 @@ mod tests {
             let cleaned = clean(&photo, &sharp);
             let edge = if joins { 23 } else { 24 };
             assert!(cleaned.delta.iter().enumerate().all(|(i, d)| (d - if i % 48 < edge { 0.2 } else { 0.8 }).abs() < 1e-6), "{share}");
-            // and none without a mixed colour
+            // without a mixed colour nothing joins
             assert_eq!(clean(&step(1e-3).0, &sharp), sharp);
         }
     }
 
     #[test]
-    fn the_careful_median_keeps_what_its_colour_speaks_for() {
-        // an edge one pixel off its colours is moved to them
+    fn the_median_keeps_pixels_whose_colour_supports_their_side() {
+        // an edge one pixel off its colours moves to them
         let (photo, mut map) = step(1e-3);
         map.delta.iter_mut().enumerate().filter(|(i, _)| i % 48 == 24).for_each(|(_, d)| *d = 0.2);
         let mended = median(&photo, &map);
         assert!(mended.delta.iter().enumerate().all(|(i, d)| (d - if i % 48 < 24 { 0.2 } else { 0.8 }).abs() < 1e-6));
-        // a slope beside an edge that its colours agree with stays, where the full median flattens it
+        // a slope beside an edge that its colours support stays, but the full median flattens it
         let (photo, mut map) = step(1e-3);
         map.delta.iter_mut().enumerate().filter(|(i, _)| i % 48 >= 24).for_each(|(i, d)| *d = 0.7 + 0.004 * (i % 48) as f32);
         assert_eq!(median(&photo, &map), map);
@@ -217,14 +219,14 @@ mod tests {
     }
 
     #[test]
-    fn the_median_is_the_one_of_sorted_values() {
+    fn the_weighted_median_agrees_with_sorting() {
         let mut random = 7u32;
         let mut next = || {
             random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (random >> 8) as f32 / (1 << 24) as f32
         };
         for n in 1..=25 {
-            // some are equal
+            // some values are equal
             let (values, weights): (Vec<f32>, Vec<f32>) = (0..n).map(|_| ((next() * 12.0).round() / 12.0, next() + 1e-6)).unzip();
             let mut sorted: Vec<(f32, f32)> = values.iter().copied().zip(weights.iter().copied()).collect();
             sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -238,10 +240,10 @@ mod tests {
         }
     }
 
-    /// A pixel's window, by its definition.
+    /// A pixel's window, by definition.
     struct Window {
         own: ([f64; 3], f64),
-        /// Columns and rows off, colour, δ.
+        /// Column and row offsets, colour, δ.
         all: Vec<(i64, i64, [f64; 3], f64)>,
     }
 
@@ -329,7 +331,7 @@ mod tests {
     #[test]
     fn every_step_agrees_with_its_definition_in_f64() {
         let (w, h) = (61u32, 43u32);
-        // sides of different colours, rough, with a ramp between them
+        // sides of different colours, with noise, and a ramp between them
         let noise = |i: u32, seed: u32| f64::from(i.wrapping_add(seed * 7919).wrapping_mul(2_654_435_761) >> 16) / 65_536.0;
         let near = |i: u32| 8.0 * (f64::from(i / w) / 9.0).sin() + 30.0 - f64::from(i % w);
         let photo = Photo {
@@ -353,12 +355,12 @@ mod tests {
                 });
                 let off = off.count();
                 let moved = got.delta.iter().zip(&map.delta).filter(|(a, b)| (**a - **b).abs() > 1e-3).count();
-                // where a test is all but even, rounding may decide it
+                // if a test is almost even, rounding may decide it
                 assert!(off <= 4, "{name} at {rough}: {off} off");
                 moved
             };
-            let careful = compare("careful median", &medians, 2, &|w| w.median(KEPT));
-            let all = compare("median", &full, 2, &|w| w.median(NONE));
+            let careful = compare("median", &medians, 2, &|w| w.median(KEPT));
+            let all = compare("full median", &full, 2, &|w| w.median(NONE));
             assert!(careful <= all, "{careful} {all}");
             let moved = compare("side", &sides, 3, &Window::side) + careful;
             assert!(moved + compare("join", &joins, 3, &Window::join) > 100, "{rough}: {moved}");

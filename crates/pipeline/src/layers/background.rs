@@ -1,4 +1,4 @@
-//! Background planes: what only the neighbourhood of a tile shows (RECIPE, step 4).
+//! Background planes: surfaces that only the neighbourhood of a tile shows.
 
 use rayon::prelude::*;
 
@@ -6,27 +6,27 @@ use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, Tile, TileFrame, grow
 
 use crate::planes::fit_points;
 
-/// Pixels around a tile that a background plane is fitted to (RECIPE, step 4).
+/// Margin around a tile, in pixels, from which a background plane is fitted.
 const BACKGROUND_REACH: u32 = 32;
-/// And where there is no background so near, at most: what hidden texels reach (`tmpi_core`).
+/// Widest margin, if there is no background so near: as far as hidden texels reach (`tmpi_core`).
 const WIDEST_REACH: u32 = 96;
-/// Fewest pixels that a background is fitted to.
+/// Fewest pixels from which a background plane is fitted.
 const BACKGROUND_PIXELS: usize = 32;
-/// How much farther than the whole tile they must be, in δ.
+/// How much farther than the whole tile these pixels must be, in δ.
 const BACKGROUND_STEP: f32 = 0.05;
 
-/// Adds a background to every tile whose neighbourhood shows background that the tile does not.
+/// Adds a background plane to every tile whose neighbourhood shows background that the tile itself does not show.
 pub fn add_backgrounds(geometry: &mut Geometry, delta: &DisparityMap) {
     add_backgrounds_to(geometry, delta, |_| true);
 }
 
-/// The same for the tiles that are `wanted` alone; others stay as they are.
+/// Like [`add_backgrounds`], for tiles that are `wanted` only; other tiles keep their background plane.
 pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u32) -> bool + Sync) {
     let grid = geometry.grid;
     let (x, y) = geometry.view_box.parallax(&geometry.intrinsics, Rect { x: 0, y: 0, w: grid.width, h: grid.height });
-    // what the farthest camera uncovers, and no more than readers look for
+    // as far as the farthest camera uncovers, but no farther than readers search
     let wide = x.max(y).clamp(f64::from(BACKGROUND_REACH), f64::from(WIDEST_REACH)).ceil() as u32;
-    // of a room's first frames some tiles may have no planes yet, and show nothing that could be uncovered
+    // in a room's first frames some tiles may have no planes yet, and show nothing to uncover
     let of = |(i, t): (usize, &Tile)| if t.planes.is_empty() { f32::INFINITY } else { t.farthest(&grid, i as u32) };
     let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(of).collect();
     geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
@@ -39,7 +39,7 @@ pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted:
     });
 }
 
-/// Whether a tile within `reach` pixels of tile `index` shows something so much farther that it may be uncovered there.
+/// Whether a tile within `reach` pixels of tile `index` shows something so much farther that a camera may uncover it behind tile `index`.
 fn may_uncover(grid: &Grid, index: u32, farthest: &[f32], reach: u32) -> bool {
     let (columns, tiles) = (grid.columns(), reach.div_ceil(grid.stride));
     let around = |at: u32, count: u32| at.saturating_sub(tiles)..(at + tiles + 1).min(count);
@@ -48,7 +48,7 @@ fn may_uncover(grid: &Grid, index: u32, farthest: &[f32], reach: u32) -> bool {
     around(y, grid.rows()).any(|row| around(x, columns).any(|column| farthest[(row * columns + column) as usize] < far))
 }
 
-/// A plane for background that only the neighbourhood shows: without it, gaps wider than the tile's reach stay empty.
+/// Fits a plane to background that only the neighbourhood shows. Without it, gaps wider than the tile's reach stay empty.
 fn background(
     delta: &DisparityMap,
     win: Rect,
@@ -60,7 +60,7 @@ fn background(
     let far = farthest - BACKGROUND_STEP;
     for y in win.y..win.y + win.h {
         let (row, v) = (&delta.delta[y as usize * delta.width as usize..], place.v(y));
-        // left and right of the tile in its own rows
+        // in the tile's own rows, only left and right of it
         let beside = if (r.y..r.y + r.h).contains(&y) { [win.x..r.x, r.x + r.w..win.x + win.w] } else { [win.x..win.x + win.w, 0..0] };
         for part in beside {
             for (x, &d) in (part.start..).zip(&row[part.start as usize..part.end as usize]) {
@@ -74,7 +74,7 @@ fn background(
         return None;
     }
     let plane = fit_points(points.iter().copied())?;
-    // extrapolated into the tile it must stay behind everything there, else the slope is not to be trusted
+    // extrapolated into the tile, the plane must stay behind everything there; else its slope is not reliable
     let mean = points.iter().map(|q| q.2).sum::<f64>() / points.len() as f64;
     let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(u, v)| plane.disparity(u, v));
     let sane = corners.iter().all(|&d| d >= 0.0 && d < f64::from(farthest));
@@ -88,7 +88,7 @@ mod tests {
 
     use super::*;
 
-    /// A scene of walls at one disparity each, side by side: tiles of `size` pixels, each with one plane a wall.
+    /// A scene of walls side by side, each at one disparity, in tiles of `size` pixels with one plane per wall.
     fn walls(width: u32, height: u32, size: u32, wall: impl Fn(u32, u32) -> f32) -> (Geometry, DisparityMap) {
         let grid = Grid::new(width, height, size);
         let map = DisparityMap { width, height, delta: (0..width * height).map(|i| wall(i % width, i / width)).collect() };
@@ -105,8 +105,8 @@ mod tests {
         (Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles, matted: false }, map)
     }
 
-    /// The background of a tile by its definition, in `f64`: the plane of least squares, with a ridge on its slopes, through the pixels
-    /// about the tile that lie a step behind all of it; flat at their mean where that plane does not stay behind the tile.
+    /// The background of a tile by definition, in `f64`: the least-squares plane, with a ridge on its slopes, through the pixels around
+    /// the tile that lie a step behind all of it; flat at their mean if that plane does not stay behind the tile.
     fn by_definition(map: &DisparityMap, grid: &Grid, tile: u32, reach: u32, farthest: f64) -> Option<Plane> {
         let (r, half, (cx, cy)) = (grid.rect(tile), grid.half(), grid.centre(tile));
         let about = grown(r, reach, reach, grid);
@@ -139,8 +139,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Coefficients lie on the container's grid, half a step from those of the definition at most; sums of as many terms in another
-        /// order are off by far less.
+        /// Coefficients lie on the container's grid, at most half a step from those of the definition. The other order of the sums makes
+        /// a far smaller difference.
         #[test]
         fn backgrounds_agree_with_their_definition_in_f64(
             width in 60u32..200, height in 40u32..120, walls_at in prop::collection::vec((0.0f32..1.0, -0.002f32..0.002), 4), patch in 20u32..90,
@@ -156,10 +156,10 @@ mod tests {
             for (t, tile) in (0..).zip(&got.tiles) {
                 let farthest = f64::from(scene.tiles[t as usize].farthest(&scene.grid, t));
                 let within = |reach: u32, farthest: f64| by_definition(&map, &scene.grid, t, reach, farthest);
-                // what lies farther off is looked for where tiles are known to be farther, which the map need not agree with
+                // farther background is searched only near tiles that are known to be farther, which the map need not agree with
                 let reach = if within(BACKGROUND_REACH, farthest).is_some() { BACKGROUND_REACH } else { wide(&scene) };
                 let want = within(reach, farthest);
-                // where a pixel or a corner is all but at its bound, rounding may decide it
+                // if a pixel or a corner is almost at its bound, rounding may decide
                 let stable = within(reach, farthest - 1e-6) == within(reach, farthest + 1e-6);
                 let steps = |p: Plane, want: Plane| [p.a - want.a, p.b - want.b, p.c - want.c].map(|d| d.abs() / Plane::STEP);
                 let agrees = match (tile.background, want) {
@@ -171,9 +171,9 @@ mod tests {
             }
         }
 
-        /// Whatever the map holds, NaN and infinity among it, planes are finite.
+        /// Planes are finite for any map, even with NaN and infinity.
         #[test]
-        fn backgrounds_are_finite_whatever_the_map(
+        fn backgrounds_are_finite_for_any_map(
             values in prop::collection::vec(prop_oneof![4 => 0.0f32..1.0, 1 => any::<f32>()], 120 * 70), at in 0.0f32..1.0,
         ) {
             let (mut scene, mut map) = walls(120, 70, 32, |x, _| if x < 60 { 0.8 } else { at });
@@ -190,18 +190,18 @@ mod tests {
     }
 
     #[test]
-    fn a_near_tile_takes_the_wall_beside_it() {
-        // tile 0 is near as a whole; what lies beyond its right border is far
+    fn a_near_tile_takes_the_wall_beside_it_as_background() {
+        // all of tile 0 is near; beyond its right border it is far
         let (mut scene, map) = walls(128, 64, 64, |x, _| if x < 70 { 0.8 } else { 0.2 });
         add_backgrounds(&mut scene, &map);
         let behind = scene.tiles[0].background.unwrap();
         assert!((behind.disparity(0.0, 0.0) - 0.2).abs() < 0.01, "{behind:?}");
-        // the wall's own tiles show nothing nearer than what is behind them
+        // the far wall's own tiles have nothing behind them
         assert_eq!(scene.tiles.last().unwrap().background, None);
     }
 
     #[test]
-    fn a_camera_that_goes_far_is_given_farther_walls() {
+    fn a_larger_view_box_finds_farther_walls() {
         // the far wall begins 40 pixels right of tile 0
         let (scene, map) = walls(192, 64, 64, |x, _| if x < 104 { 0.8 } else { 0.2 });
         let behind = |extent: f64| {

@@ -1,5 +1,5 @@
-//! What layers need beyond the planes that pixels lie on: a background plane where a tile's neighbourhood shows one, and, where it is
-//! wanted, soft alphas and hidden colours refined by a network.
+//! What layers need beyond the planes of their pixels: background planes where a tile's neighbourhood shows farther surfaces and,
+//! optionally, soft alphas and hidden colours that a network refines.
 
 mod background;
 pub mod refine;

@@ -1,4 +1,5 @@
-//! Ψ: hidden colour and soft alpha of layers, batched over tiles; only where a layer has hidden texels (paper, section 3.2).
+//! Refines hidden colours and soft alphas of layers with the network Ψ, batched over tiles. Only layers with hidden texels are refined
+//! (paper, section 3.2).
 
 use rayon::prelude::*;
 
@@ -8,26 +9,26 @@ use tmpi_core::{Class, Geometry, Grid, Photo, TexturedLayer, Tile, TileFrame};
 
 /// Channels of Ψ's input.
 pub const CHANNELS: usize = 9;
-/// Layers a call: one call for many is much faster than one each, and memory stays bounded.
+/// Layers per call: one call for many is much faster than one each, and memory stays bounded.
 const BATCH: usize = 32;
-/// Largest tile that Ψ runs on; a regular MPI (one tile) is left as it is.
+/// Largest tile, in pixels, that Ψ runs on; a regular MPI (one tile) is not refined.
 const MAX_TILE: u32 = 128;
 /// Scale of the disparity channel.
 const DISPARITY_SCALE: f32 = 8.0;
 
-/// What refinement did.
+/// Result of a refinement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Refined {
-    /// Tiles that had nothing to refine or were left out.
+    /// Number of tiles that had nothing to refine or were left out.
     pub skipped: usize,
-    /// Whether any hidden colour is another now.
+    /// Whether any hidden colour changed.
     pub colours: bool,
 }
 
-/// Refines all layers that have hidden texels. A Ψ with one output gives hidden colours alone, one with two alpha before them.
+/// Refines all layers that have hidden texels. A Ψ with one output returns hidden colours only; one with two outputs returns alpha first.
 ///
 /// # Errors
-/// [`StageError::Onnx`], [`StageError::Shape`].
+/// [`StageError::Onnx`] if the network fails, [`StageError::Shape`] if its outputs have other shapes.
 pub fn run(psi: &dyn Network, photo: &Photo, geometry: &Geometry, tiles: &mut [Vec<TexturedLayer>]) -> Result<Refined, StageError> {
     let grid = &geometry.grid;
     if grid.size > MAX_TILE {
@@ -70,7 +71,7 @@ pub fn run(psi: &dyn Network, photo: &Photo, geometry: &Geometry, tiles: &mut [V
     Ok(Refined { skipped, colours })
 }
 
-/// Side of Ψ's input for the tiles of a grid: the tile's, up to a multiple of 16.
+/// Side of Ψ's input for the tiles of a grid, in pixels: the tile's side, rounded up to a multiple of 16.
 #[must_use]
 pub fn side(grid: &Grid) -> usize {
     (grid.size as usize).div_ceil(16) * 16
@@ -78,16 +79,16 @@ pub fn side(grid: &Grid) -> usize {
 
 fn shape(out: &[Tensor]) -> StageError {
     let got = out.iter().map(|t| format!("{:?}", t.shape)).collect::<Vec<_>>().join(" ");
-    StageError::Shape { network: "psi", got, want: "background [N,3,h,w], or alpha [N,1,h,w] and it".into() }
+    StageError::Shape { network: "psi", got, want: "background [N,3,h,w], or alpha [N,1,h,w] and background".into() }
 }
 
-/// True where a layer has hidden texels.
+/// Whether a layer has hidden texels.
 #[must_use]
 pub fn needs(l: &TexturedLayer) -> bool {
     !l.hidden.is_empty()
 }
 
-/// Fills the nine channels of one layer, `side²` values each (see the model card); a clipped tile repeats its last row and column.
+/// Fills the nine channels of one layer, with `side²` values each (see the model card). A clipped tile repeats its last row and column.
 pub fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &Tile, l: &TexturedLayer, side: usize, to: &mut [f32]) {
     let r = grid.rect(tile);
     let place = TileFrame::of(grid, tile);
@@ -122,8 +123,8 @@ pub fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &Tile, l: &TexturedL
     }
 }
 
-/// Takes the network's colours at hidden texels and its alpha at soft ones; visible texels stay, so the identity view does.
-/// True where a colour changed.
+/// Takes the network's colours at hidden texels and its alpha at soft ones. Visible texels stay, and so does the reference view. Returns
+/// whether a colour changed.
 fn take(
     TexturedLayer { shape: l, hidden }: &mut TexturedLayer,
     origin: (u32, u32),
@@ -151,7 +152,7 @@ fn take(
             && l.alpha[i] < 255
             && a.is_finite()
         {
-            // a soft texel stays soft and there: the passes of the renderers are told apart by it
+            // a soft texel stays soft and visible, because renderers choose its pass by that
             l.alpha[i] = (a * 255.0).round().clamp(1.0, 254.0) as u8;
         }
     }
@@ -165,7 +166,7 @@ mod tests {
     use super::*;
     use crate::networks::OnnxError;
 
-    /// A network that gives what a function makes of its input.
+    /// A network that returns what a function makes of its input.
     struct Fake<F>(F);
 
     impl<F: Fn(&Tensor) -> Vec<Tensor> + Send + Sync> Network for Fake<F> {
@@ -174,20 +175,20 @@ mod tests {
         }
     }
 
-    /// The first three channels of each layer: its own colours.
+    /// The first three channels of each layer, which are its own colours.
     fn own_colours(t: &Tensor) -> Tensor {
         let area = t.shape[2] * t.shape[3];
         let data = t.data.chunks(CHANNELS * area).flat_map(|layer| layer[..3 * area].to_vec()).collect();
         Tensor { shape: vec![t.shape[0], 3, t.shape[2], t.shape[3]], data }
     }
 
-    /// One value everywhere, in so many channels.
+    /// One value everywhere, in this many channels.
     fn constant(t: &Tensor, channels: usize, value: f32) -> Tensor {
         let shape = vec![t.shape[0], channels, t.shape[2], t.shape[3]];
         Tensor { data: vec![value; shape.iter().product()], shape }
     }
 
-    /// A near box before a slanted wall, in tiles of 20 pixels, of which the last are clipped; and its layers.
+    /// A near box in front of a slanted wall, and its layers, in tiles of 20 pixels of which the last are clipped.
     fn scene() -> (Photo, Geometry, Vec<Vec<TexturedLayer>>) {
         let (width, height) = (50, 34);
         let grid = Grid::new(width, height, 20);
@@ -220,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn channels_hold_what_the_card_says() {
+    fn channels_match_the_model_card() {
         let (photo, geometry, tiles) = scene();
         let (grid, side) = (geometry.grid, side(&geometry.grid));
         assert_eq!(side, 32);
@@ -257,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_that_changes_nothing_changes_nothing() {
+    fn a_network_that_returns_its_input_changes_nothing() {
         let (photo, geometry, before) = scene();
         let mut after = before.clone();
         let refined = run(&Fake(|t: &Tensor| vec![own_colours(t)]), &photo, &geometry, &mut after).unwrap();
@@ -267,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn hidden_texels_alone_take_the_networks_colour() {
+    fn only_hidden_texels_take_the_networks_colour() {
         let (photo, geometry, before) = scene();
         let mut after = before.clone();
         assert!(run(&Fake(|t: &Tensor| vec![constant(t, 3, 0.2)]), &photo, &geometry, &mut after).unwrap().colours);
@@ -276,9 +277,9 @@ mod tests {
     }
 
     #[test]
-    fn soft_texels_take_its_alpha_and_stay_soft() {
+    fn soft_texels_take_the_networks_alpha_and_stay_soft() {
         let (photo, geometry, mut before) = scene();
-        // every third texel of the photo, on layers with hidden ones
+        // every third visible texel of layers with hidden ones
         for layer in before.iter_mut().flatten().filter(|l| needs(l)) {
             let is_shown = |(class, _): &(&u8, &mut u8)| **class == Class::Photo as u8;
             layer.shape.class.iter().zip(&mut layer.shape.alpha).filter(is_shown).step_by(3).for_each(|(_, alpha)| *alpha = 100);
@@ -301,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_leaves_layers_as_they_are() {
+    fn non_finite_outputs_leave_layers_unchanged() {
         let (photo, geometry, before) = scene();
         for wild in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             let mut after = before.clone();
@@ -326,10 +327,10 @@ mod tests {
     }
 
     #[test]
-    fn one_large_tile_is_left_as_it_is() {
+    fn a_large_tile_is_not_refined() {
         let (photo, mut geometry, mut tiles) = scene();
         geometry.grid.size = MAX_TILE + 1;
-        let untouched = Fake(|_: &Tensor| -> Vec<Tensor> { panic!("it is not run") });
+        let untouched = Fake(|_: &Tensor| -> Vec<Tensor> { panic!("the network must not run") });
         let refined = run(&untouched, &photo, &geometry, &mut tiles).unwrap();
         assert_eq!(refined, Refined { skipped: tiles.len(), colours: false });
     }

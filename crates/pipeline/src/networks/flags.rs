@@ -8,36 +8,37 @@ use super::models::registry::{PUBLISHED, Published, published, usual};
 use super::{Config, Provider};
 use crate::depth::{ADAPTERS, Adapter, adapter, detect};
 
-/// Which networks are used, and how.
+/// Which networks to use, and how.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelFlags {
-    /// Depth network: auto for the best in the folder of networks (`tmpi models list`), else the embedded one, which is tmpi; or its name,
-    /// and its ONNX file unless it is embedded or was fetched by `tmpi models get`; a file alone where its name or its graph tells the network
+    /// Depth network: auto uses the best in the folder of networks (`tmpi models list`), else the embedded one, tmpi. Or its name, with
+    /// its ONNX file unless it is embedded or was fetched by `tmpi models get`. Or a file alone, if its name or graph identifies the
+    /// network
     #[arg(long, value_parser = depth_model, default_value = "auto", value_name = "auto|NAME[=FILE]|FILE", env = "TMPI_DEPTH_MODEL")]
     pub depth_model: DepthModel,
-    /// Pixels at which the depth network sees a photo, if not those that it is best at: its time grows with them
+    /// Pixels at which the depth network sees a photo, if not its own best number; its time grows with them
     #[arg(long, value_parser = clap::value_parser!(u32).range(1024..=2_000_000), value_name = "PIXELS")]
     pub depth_pixels: Option<u32>,
-    /// How strongly the map of the depth network is smoothed up to the photo's edges, against haloes, 0 to 1000000; 0: not at all
+    /// How strongly to smooth the depth network's map up to the photo's edges, against haloes, 0 to 1000000; 0: not at all
     #[arg(long, value_parser = |text: &str| up_to(text, 1e6), value_name = "N")]
     pub depth_smoothing: Option<f64>,
-    /// How much of a vertical ramp, nearer below, the map of the depth network gains, 0 to 10 times its deviation
+    /// How much of a vertical ramp, nearer at the bottom, to add to the depth network's map, 0 to 10 times its deviation
     #[arg(long, value_parser = |text: &str| up_to(text, 10.0), value_name = "N")]
     pub depth_ramp: Option<f64>,
-    /// Whether depth is the mean with that of the mirrored photo, which takes twice the time, if not as the network is best: the embedded
-    /// one has it for photos, no other does
+    /// Whether to average depth with that of the mirrored photo, which takes twice the time. By default the embedded network does so for
+    /// photos, and no other does
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "true|false")]
     pub flip: Option<bool>,
     /// Threads of a network; 0: all cores
     #[arg(long, value_parser = clap::value_parser!(u16).range(0..=1024), default_value_t = 0, value_name = "N")]
     pub threads: u16,
-    /// What computes networks, best first, separated by commas; without cpu a missing one is an error
+    /// What computes networks, best first, separated by commas; without cpu, a missing provider is an error
     #[arg(long, value_enum, value_delimiter = ',', default_value = "cpu", value_name = "PROVIDER")]
     pub provider: Vec<Provider>,
 }
 
 impl ModelFlags {
-    /// The settings that the flags stand for.
+    /// The settings that the flags describe.
     #[must_use]
     pub fn settings(&self) -> Settings {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
@@ -46,8 +47,8 @@ impl ModelFlags {
         Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, depth_ramp, flip, onnx, ..Settings::default() }
     }
 
-    /// The settings of rooms, whose depth network is `live`; none where they are those of photos. What was said of pixels, smoothing, ramp and
-    /// the mirrored photo was said of the photos' network: it goes for rooms where they have the same.
+    /// The settings of rooms, whose depth network is `live`; `None` if they are those of photos. Flags for pixels, smoothing, ramp and
+    /// the mirrored photo describe the photos' network, and apply to rooms only if they use the same one.
     #[must_use]
     pub fn for_rooms(&self, live: &DepthModel) -> Option<Settings> {
         let photos = self.settings();
@@ -69,7 +70,7 @@ impl ModelFlags {
         (way(&rooms) != way(&photos)).then_some(rooms)
     }
 
-    /// The settings that the flags stand for where it is rooms that they are of.
+    /// The settings that the flags describe for rooms.
     #[must_use]
     pub fn settings_of_rooms(&self) -> Settings {
         let settings = self.settings();
@@ -77,7 +78,7 @@ impl ModelFlags {
         Settings { depth_ramp, flip: Some(settings.flip.unwrap_or(false)), ..settings }
     }
 
-    /// The settings with another network.
+    /// These settings with another network.
     #[must_use]
     pub fn with_network(&self, depth: &'static Adapter, file: PathBuf) -> Settings {
         Settings { depth, depth_file: Some(file), ..self.settings() }
@@ -87,16 +88,16 @@ impl ModelFlags {
 /// A depth network as chosen on the command line.
 #[derive(Clone, Debug)]
 pub struct DepthModel {
-    /// It was left to the program.
+    /// Whether the choice is left to the program.
     pub auto: bool,
     adapter: &'static Adapter,
     file: Option<PathBuf>,
 }
 
-/// A depth network by its name, its file, or both.
+/// Parses a depth network: its name, its file, or both.
 ///
 /// # Errors
-/// There is no such network, or its file is not known.
+/// A text for the user if there is no such network, or if its file is unknown.
 pub fn depth_model(text: &str) -> Result<DepthModel, String> {
     if text == "auto" {
         let (adapter, file) = usual().map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
@@ -114,7 +115,8 @@ pub fn depth_model(text: &str) -> Result<DepthModel, String> {
         if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx")) || name != text && !path.is_file() {
             return Err(format!("the name must be one of {}", known()));
         }
-        let adapter = detect(path).ok_or_else(|| format!("{text} does not tell its network: write NAME={text} with one of {}", known()))?;
+        let adapter =
+            detect(path).ok_or_else(|| format!("{text} does not identify its network: write NAME={text} with one of {}", known()))?;
         return Ok(DepthModel { auto: false, adapter, file: Some(path.to_owned()) });
     };
     let file = file.or_else(|| fetched.map(Published::file).filter(|f| f.is_file()));
@@ -125,7 +127,7 @@ pub fn depth_model(text: &str) -> Result<DepthModel, String> {
     Ok(DepthModel { auto: false, adapter, file })
 }
 
-/// A number from 0 to `most`.
+/// Parses a number from 0 to `most`.
 fn up_to(text: &str, most: f64) -> Result<f64, String> {
     let value: f64 = text.trim().parse().map_err(|_| format!("{text:?} is not a number"))?;
     if (0.0..=most).contains(&value) { Ok(value) } else { Err(format!("{text} is not between 0 and {most}")) }
@@ -142,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn depth_models_by_name() {
+    fn depth_models_are_parsed_by_name() {
         assert!(depth_model("tmpi").is_ok());
         assert!(depth_model("depth-anything-v2").unwrap_err().contains("=FILE"));
         assert_eq!(depth_model("dpt-large=a=b.onnx").unwrap().file.unwrap(), PathBuf::from("a=b.onnx"));
@@ -154,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn rooms_have_the_network_that_keeps_up_whatever_photos_have() {
+    fn rooms_have_their_own_network_unless_photos_use_the_same() {
         #[derive(clap::Parser)]
         struct Args {
             #[command(flatten)]
@@ -167,10 +169,10 @@ mod tests {
         assert_eq!((rooms.depth.name, rooms.depth_file, rooms.depth_pixels, rooms.flip), ("tmpi", None, None, Some(false)));
         let other = large.for_rooms(&depth_model("midas-v2.1-small=b.onnx").unwrap()).unwrap();
         assert_eq!((other.depth.name, other.depth_file), ("midas-v2.1-small", Some(PathBuf::from("b.onnx"))));
-        // one network is loaded once
+        // a network that both use is loaded once
         assert!(large.for_rooms(&depth_model("depth-anything-v2=a.onnx").unwrap()).is_none());
         assert!(of(&["--depth-model", "tmpi", "--depth-ramp", "0.1", "--flip"]).for_rooms(&embedded).is_none());
-        // rooms have more of a ramp, and one run
+        // rooms have more of a ramp, and a single run
         let own = of(&["--depth-model", "tmpi", "--depth-pixels", "9000"]);
         let rooms = own.for_rooms(&embedded).unwrap();
         assert_eq!((rooms.depth.name, rooms.depth_pixels, rooms.depth_ramp), ("tmpi", Some(9000), Some(ADAPTERS[0].ramp_of_rooms)));

@@ -1,4 +1,4 @@
-//! Where the ONNX Runtime library is looked for.
+//! Finds and loads the ONNX Runtime library.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -8,9 +8,9 @@ use ort::logging::LogLevel;
 
 use super::OnnxError;
 
-/// Environment variable that names the library file; where it is set, nothing else is tried.
+/// Environment variable that names the library file. If it is set, nothing else is tried.
 const VARIABLE: &str = "ORT_DYLIB_PATH";
-/// Folder that `cargo xtask serve` fetches the library into.
+/// Folder into which `cargo xtask serve` fetches the library.
 const LOCAL: &str = ".tmpi/onnxruntime";
 
 #[cfg(target_os = "windows")]
@@ -20,32 +20,32 @@ const FILE: &str = "libonnxruntime.dylib";
 #[cfg(not(any(target_os = "windows", target_os = "macos")))]
 const FILE: &str = "libonnxruntime.so";
 
-/// Has libraries send nothing to anyone: those from 1.29 to the newest known send their maker what they are used for, from their
-/// loading on, unless this is set before. The one that `cargo xtask serve` fetches is older, but a user may name another.
+/// Turns the library's telemetry off. Versions from 1.29 to the newest known report their use to their maker as soon as they are loaded,
+/// unless this is set before. The version that `cargo xtask serve` fetches is older, but a user may name another.
 ///
 /// # Safety
-/// As [`std::env::set_var`]: no other thread may be running.
-#[allow(unsafe_code, clippy::disallowed_methods, reason = "the library reads it from the environment alone; called before any thread")]
+/// As for [`std::env::set_var`], no other thread may be running.
+#[allow(unsafe_code, clippy::disallowed_methods, reason = "the library reads it from the environment only; called before any thread")]
 pub unsafe fn keep_to_yourself() {
     // SAFETY: by the condition above
     unsafe { std::env::set_var("ORT_DISABLE_TELEMETRY", "1") };
 }
 
-/// Checks that ONNX Runtime can be loaded; the first call loads it for the whole process.
+/// Checks that ONNX Runtime can be loaded. The first call loads it for the whole process.
 ///
 /// # Errors
-/// [`OnnxError::Library`] tells where it was looked for and what to do.
+/// [`OnnxError::Library`] lists what was tried and what to do.
 pub fn available() -> Result<(), OnnxError> {
     environment().map(|_| ())
 }
 
-/// The process's ONNX Runtime environment. Loaded once; a library that is not there is looked for again each time.
+/// The process's ONNX Runtime environment, loaded once. A missing library is searched again on each call.
 pub(super) fn environment() -> Result<&'static Environment, OnnxError> {
     static ENVIRONMENT: Once<Environment> = Once::new();
     ENVIRONMENT.get(load)
 }
 
-/// What is made once, by whoever needs it first; an error is not kept.
+/// A value that its first user makes, once. Errors are not kept.
 pub(super) struct Once<T> {
     made: OnceLock<T>,
     making: Mutex<()>,
@@ -56,7 +56,7 @@ impl<T> Once<T> {
         Self { made: OnceLock::new(), making: Mutex::new(()) }
     }
 
-    /// It, made by `make` where it is not there yet.
+    /// Returns the value, after calling `make` if it does not exist yet.
     pub(super) fn get<E>(&self, make: impl FnOnce() -> Result<T, E>) -> Result<&T, E> {
         if let Some(made) = self.made.get() {
             return Ok(made);
@@ -75,15 +75,15 @@ fn load() -> Result<Environment, OnnxError> {
     let places = places(named.as_deref(), exe.as_deref());
     let mut tried = Vec::new();
     for place in &places {
-        // A path that is not there needs no loader to say so; a bare name is the system's to resolve
+        // a missing path needs no loader to say so; a bare name is for the system to resolve
         if place.is_absolute() && !place.exists() {
-            tried.push(format!("{} (not there)", place.display()));
+            tried.push(format!("{} (missing)", place.display()));
             continue;
         }
         match ort::init_from(place) {
             Ok(builder) => {
                 let built = builder.with_name("tmpi").with_telemetry(false).build();
-                // Every error comes back as a result; the library need not print it as well
+                // every error is returned as a result, so the library need not print it
                 return built
                     .inspect(|environment| environment.set_log_level(LogLevel::Fatal))
                     .map_err(|e| OnnxError::Library(format!("{}: {e}", place.display())));
@@ -99,11 +99,12 @@ fn load() -> Result<Environment, OnnxError> {
     Err(OnnxError::Library(format!("looked for {}. {advice}", tried.join(", "))))
 }
 
-/// Places to try in order: the named file alone, or the workspace's local folder where the executable was built in one, beside the
-/// executable, the system's own search. Never the current directory: whoever can write there could have their code loaded.
+/// Paths to try in order: only the named file if there is one; else the workspace's local folder if the executable was built in one, the
+/// folders of the executable, and the system's own search. Never the current directory: anyone who can write there could have their code
+/// loaded.
 fn places(named: Option<&Path>, exe: Option<&Path>) -> Vec<PathBuf> {
     if let Some(named) = named {
-        // Absolute, or the loader would search its own path for a name without a slash
+        // absolute, or the loader would search its own path for a name without a slash
         return vec![std::path::absolute(named).unwrap_or_else(|_| named.to_owned())];
     }
     let mut places: Vec<PathBuf> = Vec::new();
@@ -113,7 +114,7 @@ fn places(named: Option<&Path>, exe: Option<&Path>) -> Vec<PathBuf> {
         }
     };
     if let Some(folder) = exe.and_then(Path::parent) {
-        // Up from target/release/deps to the workspace
+        // up from target/release/deps to the workspace
         let built = folder.ancestors().take(3).find(|f| f.file_name().is_some_and(|name| name == "target"));
         if let Some(workspace) = built.and_then(Path::parent) {
             push(workspace.join(LOCAL).join(FILE));
@@ -133,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_error_is_not_kept_and_what_was_made_is() {
+    fn a_value_is_kept_and_an_error_is_not() {
         let once = Once::new();
         assert_eq!(once.get(|| Err("not there")), Err("not there"));
         assert_eq!(once.get(|| Ok::<_, &str>(1)), Ok(&1));
@@ -160,14 +161,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_loaded_from_where_the_program_happens_to_be_called() {
+    fn nothing_is_loaded_from_the_current_directory() {
         let here = std::env::current_dir().unwrap();
         for exe in [None, Some(Path::new("/opt/tmpi/bin/tmpi"))] {
             for place in places(None, exe) {
                 assert!(!place.starts_with(&here) && (place.is_absolute() || place == Path::new(FILE)), "{}", place.display());
             }
         }
-        // nor from folders above an installed program, some of which are anybody's to write
+        // nor from folders above an installed program, some of which anyone can write to
         assert!(!places(None, Some(Path::new("/tmp/a/tmpi"))).contains(&Path::new("/tmp").join(LOCAL).join(FILE)));
     }
 }

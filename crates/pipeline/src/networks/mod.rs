@@ -1,4 +1,4 @@
-//! ONNX Runtime: the library is looked up at run time, sessions belong to named worker threads with bounded queues.
+//! ONNX Runtime: the library is loaded at run time, and each session belongs to a named worker thread with a bounded queue.
 
 pub mod flags;
 mod library;
@@ -16,24 +16,24 @@ pub use session::{Beside, Config, Optimisation, Port, Provider, Session};
 /// A dense `f32` tensor, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor {
-    /// Extents, outermost first.
+    /// Dimensions, outermost first.
     pub shape: Vec<usize>,
-    /// `shape` product many values.
+    /// As many values as the product of `shape`.
     pub data: Vec<f32>,
 }
 
 /// Why a network could not be loaded or run.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum OnnxError {
-    /// No usable ONNX Runtime library; the text lists where it was looked for and what to do.
+    /// No usable ONNX Runtime library; the text lists what was tried and what to do.
     #[error("ONNX Runtime was not found: {0}")]
     Library(String),
-    /// The model file is not usable.
+    /// The model file is unusable.
     #[error("model {name}: {reason}")]
     Model {
         /// Name of the model.
         name: String,
-        /// What ONNX Runtime says.
+        /// What is wrong with it.
         reason: String,
     },
     /// The network failed while running.
@@ -41,16 +41,16 @@ pub enum OnnxError {
     Run {
         /// Name of the model.
         name: String,
-        /// What ONNX Runtime says.
+        /// What went wrong.
         reason: String,
     },
 }
 
-/// A network that can be run: named inputs in the graph's order in, outputs in the graph's order out.
+/// A network that can be run. Takes inputs and returns outputs in the graph's order.
 pub trait Network: Send + Sync {
-    /// Runs the network; blocks the calling thread until its turn has come and the result is there.
+    /// Runs the network. Blocks the calling thread until its turn has come and the result is ready.
     ///
     /// # Errors
-    /// [`OnnxError::Run`].
+    /// [`OnnxError::Run`] if the network fails or an input does not fit.
     fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError>;
 }

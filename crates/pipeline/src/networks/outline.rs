@@ -1,28 +1,28 @@
-//! What an ONNX file says of its graph before ONNX Runtime sees it: enough to tell networks apart. Weights are passed over.
+//! Reads from an ONNX file, without ONNX Runtime, what is needed to tell networks apart. Skips weights.
 
 use std::io::{self, BufRead, Seek};
 
 /// Longest description of an input or a node that is read, in bytes.
 const LONGEST: u64 = 1 << 16;
 
-/// The picture input of a graph, how the graph begins, and what it gives.
+/// A graph's picture input, its beginning, and its outputs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Outline {
-    /// Name of the first input with four or five extents.
+    /// Name of the first input with four or five dimensions.
     pub input: String,
-    /// Its extents; −1 where any extent will do.
+    /// Its dimensions; −1 if any size will do.
     pub shape: Vec<i64>,
     /// Names of the outputs.
     pub outputs: Vec<String>,
-    /// The graph subtracts or divides before its first convolution: it normalises by itself.
+    /// The graph subtracts or divides before its first convolution: it normalises its input itself.
     pub normalises: bool,
-    /// Name of the first convolution, and those of what it takes, separated by spaces.
+    /// Names of the first convolution and of its inputs, separated by spaces.
     pub convolution: String,
-    /// Files that hold weights outside of this one, as it calls them.
+    /// Files of weights outside this one, as it names them.
     pub beside: Vec<String>,
 }
 
-/// Reads the outline of an ONNX file; none where it is not one, or has no input of four or five extents.
+/// Reads the outline of an ONNX file; `None` if it is not one, or has no input of four or five dimensions.
 #[must_use]
 pub fn outline(file: &mut (impl BufRead + Seek)) -> Option<Outline> {
     read(file).ok().filter(|o| !o.shape.is_empty())
@@ -40,7 +40,7 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Outline> {
     let (mut found, mut begun) = (Outline::default(), false);
     while let Some((number, field)) = next(file)? {
         match (number, field) {
-            // The graph's fields follow
+            // the graph's fields follow
             (7, Field::Bytes(_)) => break,
             (_, Field::Bytes(length)) => skip(file, length)?,
             _ => {}
@@ -65,7 +65,7 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Outline> {
                     _ => {}
                 }
             }
-            // Weights that are here are longer, or have no such entry
+            // weights inside this file are longer, or have no such entry
             5 if length <= LONGEST => {
                 found.beside.extend(location(&bytes(file, length)?).ok().flatten());
             }
@@ -85,7 +85,7 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Outline> {
     Ok(found)
 }
 
-/// File that a `TensorProto` says its numbers are in.
+/// The file that holds the numbers of a `TensorProto`, if it names one.
 fn location(tensor: &[u8]) -> io::Result<Option<String>> {
     for entry in all(tensor, 13)? {
         if all(entry, 1)?.first() == Some(&b"location".as_slice()) {
@@ -95,7 +95,7 @@ fn location(tensor: &[u8]) -> io::Result<Option<String>> {
     Ok(None)
 }
 
-/// Name and extents of a `ValueInfoProto` whose tensor has four or five extents.
+/// Name and dimensions of a `ValueInfoProto` whose tensor has four or five dimensions.
 fn input(mut port: &[u8]) -> io::Result<Option<(String, Vec<i64>)>> {
     let (mut name, mut shape) = (String::new(), Vec::new());
     while let Some((number, value)) = part(&mut port)? {
@@ -105,7 +105,7 @@ fn input(mut port: &[u8]) -> io::Result<Option<(String, Vec<i64>)>> {
             2 => {
                 let dims = all(value, 1)?.into_iter().map(|t| all(t, 2)).collect::<io::Result<Vec<_>>>()?.concat();
                 for dim in dims.into_iter().map(|s| all(s, 1)).collect::<io::Result<Vec<_>>>()?.concat() {
-                    shape.push(extent(dim)?);
+                    shape.push(dimension(dim)?);
                 }
             }
             _ => {}
@@ -114,8 +114,8 @@ fn input(mut port: &[u8]) -> io::Result<Option<(String, Vec<i64>)>> {
     Ok(matches!(shape.len(), 4 | 5).then_some((name, shape)))
 }
 
-/// `dim_value` 1 of a dimension; −1 where it has a name or nothing.
-fn extent(mut dim: &[u8]) -> io::Result<i64> {
+/// `dim_value` (field 1) of a dimension; −1 if it is named or empty.
+fn dimension(mut dim: &[u8]) -> io::Result<i64> {
     while let Some((number, field)) = next(&mut dim)? {
         match field {
             Field::Number(value) if number == 1 => return Ok(i64::try_from(value).unwrap_or(-1).max(-1)),
@@ -141,7 +141,7 @@ fn all(mut message: &[u8], wanted: u64) -> io::Result<Vec<&[u8]>> {
     Ok(found)
 }
 
-/// The next length-delimited field; numbers are passed over.
+/// The next length-delimited field; skips numbers.
 fn part<'a>(message: &mut &'a [u8]) -> io::Result<Option<(u64, &'a [u8])>> {
     while let Some((number, field)) = next(message)? {
         if let Field::Bytes(length) = field {
@@ -158,7 +158,7 @@ fn take<'a>(message: &mut &'a [u8], length: u64) -> io::Result<&'a [u8]> {
     Ok(value)
 }
 
-/// The next field's number and value, up to the bytes of it; none at the end.
+/// Number and value of the next field, up to but without the bytes of its value; `None` at the end.
 fn next(file: &mut impl BufRead) -> io::Result<Option<(u64, Field)>> {
     if file.fill_buf()?.is_empty() {
         return Ok(None);
@@ -209,7 +209,7 @@ mod tests {
     const MEAN: &[u8] = include_bytes!("../../../../tests/onnx/mean.onnx");
 
     #[test]
-    fn the_input_of_a_small_graph() {
+    fn the_outline_of_a_small_graph_is_read() {
         let got = outline(&mut Cursor::new(MEAN)).unwrap();
         assert_eq!((got.shape, got.normalises, got.outputs), (vec![1, 3, -1, -1], false, vec!["disparity".to_owned()]));
         assert!(got.beside.is_empty());
@@ -223,13 +223,13 @@ mod tests {
     }
 
     #[test]
-    fn a_graph_that_normalises_by_itself() {
+    fn a_graph_that_normalises_its_input_is_recognised() {
         let dims = [field(1, &[8, 1]), field(1, &[8, 3]), field(1, &[8, 0x80, 3]), field(1, &field(2, b"w"))].concat();
         let port = field(11, &[field(1, b"image"), field(2, &field(1, &[vec![8, 1], field(2, &dims)].concat()))].concat());
         let file = |operators: &[&str]| {
             let nodes =
                 operators.iter().flat_map(|name| field(1, &[field(1, b"x"), field(3, b"stem"), field(4, name.as_bytes())].concat()));
-            // A version, weights, and what follows the graph
+            // a version, weights, and fields after the graph
             let graph = [nodes.collect::<Vec<_>>(), field(5, &[7; 300]), port.clone()].concat();
             [vec![8, 7], field(2, b"test"), field(7, &graph), field(8, &[16, 13])].concat()
         };
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn networks_of_several_inputs_outputs_and_files() {
+    fn several_inputs_outputs_and_files_are_read() {
         let points = outline(&mut Cursor::new(include_bytes!("../../../../tests/onnx/points.onnx"))).unwrap();
         assert_eq!((points.input.as_str(), points.shape), ("image", vec![1, 3, -1, -1]));
         assert_eq!(points.outputs, ["points", "normal", "mask", "metric_scale"]);
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_network_has_none() {
+    fn other_files_have_no_outline() {
         assert_eq!(outline(&mut Cursor::new(b"")), None);
         assert_eq!(outline(&mut Cursor::new(b"[package]\nname = 1")), None);
         assert_eq!(outline(&mut Cursor::new(include_bytes!("../../../../tests/onnx/sum_difference.onnx"))), None);
@@ -263,10 +263,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn spoilt_files_do_no_harm(at in 0..MEAN.len(), byte in any::<u8>(), length in 0..MEAN.len()) {
-            let mut spoilt = MEAN.to_vec();
-            spoilt[at] = byte;
-            let _ = outline(&mut Cursor::new(&spoilt));
+        fn corrupt_files_do_no_harm(at in 0..MEAN.len(), byte in any::<u8>(), length in 0..MEAN.len()) {
+            let mut corrupt = MEAN.to_vec();
+            corrupt[at] = byte;
+            let _ = outline(&mut Cursor::new(&corrupt));
             let _ = outline(&mut Cursor::new(&MEAN[..length]));
         }
     }

@@ -1,4 +1,4 @@
-//! A network in a worker thread of its own.
+//! Runs a network in a worker thread of its own.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -54,13 +54,13 @@ impl Provider {
 /// How a network is loaded and run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Config {
-    /// Threads within an operation; 0: as many as there are cores.
+    /// Threads per operation; 0: one per core.
     pub threads: usize,
     /// Graph optimisation.
     pub optimisation: Optimisation,
-    /// Providers, best first. Where the list holds [`Provider::Cpu`], one that is missing is passed over; else it is an error.
+    /// Providers, best first. If the list holds [`Provider::Cpu`], missing providers are skipped; else they are errors.
     pub providers: Vec<Provider>,
-    /// Runs that may wait; a caller beyond them blocks.
+    /// Runs that may wait; further callers block.
     pub queue: usize,
 }
 
@@ -70,33 +70,33 @@ impl Default for Config {
     }
 }
 
-/// An input or output of a network. A single 64-bit integer that is wanted is given as the float that it rounds.
+/// An input or output of a network. An input that is a single 64-bit integer is given as a float and truncated.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Port {
     /// Its name in the graph.
     pub name: String,
-    /// Its extents; −1 where any extent will do.
+    /// Its dimensions; −1 if any size will do.
     pub shape: Vec<i64>,
 }
 
-/// Kind of the numbers of a port.
+/// Number type of a port.
 #[derive(Clone, Copy, PartialEq)]
 enum Number {
     Single,
-    /// 16-bit floats: networks of half precision that were not given 32-bit ends.
+    /// 16-bit floats, in networks of half precision without 32-bit inputs and outputs.
     Half,
-    /// A single 64-bit integer, of an input alone.
+    /// A single 64-bit integer, for inputs only.
     Whole,
 }
 
-/// A port as the session wants it.
+/// A port with the number type that the session expects.
 #[derive(Clone)]
-struct Wanted {
+struct TypedPort {
     port: Port,
     number: Number,
 }
 
-/// A file of weights that an ONNX file names, and its bytes.
+/// A file of weights: its name in the ONNX file, and its bytes.
 pub type Beside = (String, Arc<[u8]>);
 
 struct Job {
@@ -104,7 +104,7 @@ struct Job {
     reply: SyncSender<Result<Vec<Tensor>, OnnxError>>,
 }
 
-/// A loaded network. A worker thread named after it owns the ONNX Runtime session, whose `run` is not thread-safe.
+/// A loaded network. A worker thread named after it owns the ONNX Runtime session, because that session's `run` is not thread-safe.
 pub struct Session {
     name: String,
     inputs: Vec<Port>,
@@ -113,18 +113,18 @@ pub struct Session {
 }
 
 impl Session {
-    /// Loads a network from the bytes of an ONNX file; `name` is for errors and for the thread.
+    /// Loads a network from the bytes of an ONNX file. `name` appears in errors and names the thread.
     ///
     /// # Errors
-    /// [`OnnxError::Library`] without ONNX Runtime, [`OnnxError::Model`] where the file cannot be used.
+    /// [`OnnxError::Library`] without ONNX Runtime, [`OnnxError::Model`] if the file cannot be used.
     pub fn load(name: &str, model: &[u8], config: &Config) -> Result<Self, OnnxError> {
         Self::load_with(name, model, &[], config)
     }
 
-    /// As [`Self::load`], with the files of weights that the ONNX file names.
+    /// Like [`Self::load`], with the files of weights that the ONNX file names.
     ///
     /// # Errors
-    /// As [`Self::load`].
+    /// See [`Self::load`].
     pub fn load_with(name: &str, model: &[u8], beside: &[Beside], config: &Config) -> Result<Self, OnnxError> {
         let reason = |reason: String| OnnxError::Model { name: name.to_owned(), reason };
         let session = build(model, beside, config).map_err(|e| match e {
@@ -134,11 +134,11 @@ impl Session {
         let (inputs, outputs) = (ports(session.inputs(), true).map_err(reason)?, ports(session.outputs(), false).map_err(reason)?);
         let (queue, jobs) = sync_channel(config.queue.max(1));
         let worker = Worker { name: name.to_owned(), session, inputs: inputs.clone() };
-        let plain = |ports: Vec<Wanted>| ports.into_iter().map(|w| w.port).collect();
+        let plain = |ports: Vec<TypedPort>| ports.into_iter().map(|w| w.port).collect();
         thread::Builder::new()
             .name(format!("onnx-{name}"))
             .spawn(move || worker.serve(&jobs))
-            .map_err(|e| reason(format!("no thread for it: {e}")))?;
+            .map_err(|e| reason(format!("its thread does not start: {e}")))?;
         Ok(Self { name: name.to_owned(), inputs: plain(inputs), outputs: plain(outputs), queue })
     }
 
@@ -197,14 +197,14 @@ fn build(model: &[u8], beside: &[Beside], config: &Config) -> Result<ort::sessio
     Ok(builder
         .with_optimization_level(level)?
         .with_intra_threads(config.threads)?
-        // Idle threads that spin take the cores from the steps between two networks
+        // idle threads that spin take cores from the steps between two networks
         .with_intra_op_spinning(false)?
         .with_execution_providers(providers)?
         .commit_from_memory(model)?)
 }
 
-fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<Wanted>, String> {
-    let wanted = |o: &ort::value::Outlet| {
+fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<TypedPort>, String> {
+    let typed = |o: &ort::value::Outlet| {
         let ValueType::Tensor { ty, shape, .. } = o.dtype() else { return None };
         let number = match ty {
             TensorElementType::Float32 => Number::Single,
@@ -212,34 +212,33 @@ fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<Wanted>, St
             TensorElementType::Int64 if inputs && shape.iter().all(|&n| n.abs() == 1) => Number::Whole,
             _ => return None,
         };
-        Some(Wanted { port: Port { name: o.name().to_owned(), shape: shape.to_vec() }, number })
+        Some(TypedPort { port: Port { name: o.name().to_owned(), shape: shape.to_vec() }, number })
     };
-    let all = outlets
-        .iter()
-        .map(|o| wanted(o).ok_or_else(|| format!("{} is {:?}, not a tensor of 32-bit or 16-bit floats", o.name(), o.dtype())));
+    let all =
+        outlets.iter().map(|o| typed(o).ok_or_else(|| format!("{} is {:?}, not a tensor of 32-bit or 16-bit floats", o.name(), o.dtype())));
     all.collect()
 }
 
 struct Worker {
     name: String,
     session: ort::session::Session,
-    inputs: Vec<Wanted>,
+    inputs: Vec<TypedPort>,
 }
 
 impl Worker {
     fn serve(mut self, jobs: &Receiver<Job>) {
         for job in jobs {
-            // A caller that no longer waits is no concern of the worker
+            // the caller may no longer wait
             let _ = job.reply.send(self.run(&job.inputs).map_err(|reason| OnnxError::Run { name: self.name.clone(), reason }));
         }
     }
 
     fn run(&mut self, inputs: &[Tensor]) -> Result<Vec<Tensor>, String> {
         if inputs.len() != self.inputs.len() {
-            return Err(format!("{} inputs given, {} wanted", inputs.len(), self.inputs.len()));
+            return Err(format!("{} inputs given, {} expected", inputs.len(), self.inputs.len()));
         }
         let mut values = Vec::with_capacity(inputs.len());
-        for (tensor, Wanted { port, number }) in inputs.iter().zip(&self.inputs) {
+        for (tensor, TypedPort { port, number }) in inputs.iter().zip(&self.inputs) {
             check(tensor, port)?;
             let shape = tensor.shape.as_slice();
             values.push(match number {
@@ -268,7 +267,7 @@ impl Worker {
                     let (shape, data) = value.try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
                     (shape, data.to_vec())
                 };
-                let shape = shape.iter().map(|&n| usize::try_from(n).map_err(|_| format!("an output extent of {n}")));
+                let shape = shape.iter().map(|&n| usize::try_from(n).map_err(|_| format!("an output has a dimension of {n}")));
                 Ok(Tensor { shape: shape.collect::<Result<_, String>>()?, data })
             })
             .collect()
@@ -279,7 +278,7 @@ fn check(tensor: &Tensor, port: &Port) -> Result<(), String> {
     let fits = tensor.shape.len() == port.shape.len()
         && tensor.shape.iter().zip(&port.shape).all(|(&n, &want)| n > 0 && (want < 0 || usize::try_from(want) == Ok(n)));
     if !fits {
-        return Err(format!("input {} is {:?}, {:?} is wanted (-1: any)", port.name, tensor.shape, port.shape));
+        return Err(format!("input {} is {:?}, expected {:?} (-1: any)", port.name, tensor.shape, port.shape));
     }
     let count = tensor.shape.iter().try_fold(1usize, |n, &s| n.checked_mul(s));
     if count != Some(tensor.data.len()) {

@@ -6,8 +6,8 @@ const SUM_DIFFERENCE: &[u8] = include_bytes!("../../../../tests/onnx/sum_differe
 const HALF: &[u8] = include_bytes!("../../../../tests/onnx/half.onnx");
 const INTEGERS: &[u8] = include_bytes!("../../../../tests/onnx/integers.onnx");
 
-/// True where ONNX Runtime is there.
-fn there() -> bool {
+/// Whether ONNX Runtime is available.
+fn has_onnx() -> bool {
     tmpi_testing::Need::Onnx.or_skip(available()).is_some()
 }
 
@@ -21,7 +21,7 @@ fn load() -> Session {
 
 #[test]
 fn runs_with_inputs_and_outputs_in_the_graphs_order() {
-    if !there() {
+    if !has_onnx() {
         return;
     }
     let session = load();
@@ -34,7 +34,7 @@ fn runs_with_inputs_and_outputs_in_the_graphs_order() {
 
 #[test]
 fn nan_and_infinity_pass_through_unharmed() {
-    if !there() {
+    if !has_onnx() {
         return;
     }
     let out = load().run(vec![rows(1, |i| [f32::NAN, f32::INFINITY, 1.0][i]), rows(1, |_| 1.0)]).unwrap();
@@ -42,8 +42,8 @@ fn nan_and_infinity_pass_through_unharmed() {
 }
 
 #[test]
-fn networks_of_half_precision_take_and_give_32_bits() {
-    if !there() {
+fn half_precision_networks_take_and_return_32_bits() {
+    if !has_onnx() {
         return;
     }
     let session = Session::load("half", HALF, &Config::default()).unwrap();
@@ -55,33 +55,33 @@ fn networks_of_half_precision_take_and_give_32_bits() {
 }
 
 #[test]
-fn wrong_inputs_are_errors_that_name_them() {
-    if !there() {
+fn errors_name_wrong_inputs() {
+    if !has_onnx() {
         return;
     }
     let session = load();
     let good = || rows(2, |_| 0.0);
     let bad = [
-        (vec![good()], "1 inputs given, 2 wanted"),
+        (vec![good()], "1 inputs given, 2 expected"),
         (vec![good(), good(), good()], "3 inputs"),
         (vec![good(), Tensor { shape: vec![2, 4], data: vec![0.0; 8] }], "input b is [2, 4]"),
         (vec![Tensor { shape: vec![6], data: vec![0.0; 6] }, good()], "input a is [6]"),
         (vec![Tensor { shape: vec![2, 3], data: vec![0.0; 5] }, good()], "has 5 values"),
         (vec![Tensor { shape: vec![0, 3], data: vec![] }, good()], "input a is [0, 3]"),
         (vec![Tensor { shape: vec![usize::MAX, 3], data: vec![] }, good()], "has 0 values"),
-        // Fits each input by itself; the graph itself refuses it
+        // each input fits by itself, but the graph refuses the pair
         (vec![good(), rows(5, |_| 0.0)], ""),
     ];
     for (inputs, text) in bad {
         let error = session.run(inputs).unwrap_err();
         assert!(matches!(&error, OnnxError::Run { name, reason } if name == "sum" && reason.contains(text)), "{error}");
     }
-    assert!(session.run(vec![good(), good()]).is_ok(), "the worker lives on after errors");
+    assert!(session.run(vec![good(), good()]).is_ok(), "the worker survives errors");
 }
 
 #[test]
 fn unusable_models_are_errors() {
-    if !there() {
+    if !has_onnx() {
         return;
     }
     for (bytes, text) in [(b"".as_slice(), ""), (b"no model", ""), (&SUM_DIFFERENCE[..60], ""), (INTEGERS, "16-bit floats")] {
@@ -91,8 +91,8 @@ fn unusable_models_are_errors() {
 }
 
 #[test]
-fn a_missing_provider_is_passed_over_only_where_the_processor_is_listed() {
-    if !there() {
+fn a_missing_provider_is_skipped_only_if_the_processor_is_listed() {
+    if !has_onnx() {
         return;
     }
     let with = |providers: Vec<Provider>| {
@@ -104,7 +104,7 @@ fn a_missing_provider_is_passed_over_only_where_the_processor_is_listed() {
 
 #[test]
 fn many_callers_share_one_worker() {
-    if !there() {
+    if !has_onnx() {
         return;
     }
     let session: Arc<dyn Network> = Arc::new(load());

@@ -1,4 +1,4 @@
-//! Everything that can be refused without decoding a pixel.
+//! Checks that need no decoded pixels.
 
 use tmpi_core::container::PhotoFormat;
 
@@ -6,10 +6,10 @@ use super::jpeg::Jpeg;
 use super::webp::WebP;
 use super::{Limits, PhotoError, jpeg, png, webp};
 
-/// Format and stored size of a photo, from its headers alone; a server refuses by it before it queues any work.
+/// Reads a photo's format and stored size (width, height in pixels) from its headers alone. A server calls this before it queues a job.
 ///
 /// # Errors
-/// [`PhotoError`], as [`super::decode`] would; damage within the pixels is not seen here.
+/// The [`PhotoError`] that [`super::decode`] would return, except for damage in the pixel data, which this function does not see.
 pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)), PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = super::sniff(bytes)?;
@@ -21,9 +21,9 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)),
     Ok((format, size))
 }
 
-/// The segments of a JPEG within the limits, with data for each of its blocks.
+/// Scans the segments of a JPEG. Checks the limits, and that there is data for each of its blocks.
 pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
-    // first what is told while the file comes in, so that it is told alike of one that is whole
+    // `head` first, so that a complete file gets the same error as one that is still arriving
     jpeg::head(bytes, limits)?;
     let jpeg = jpeg::scan(bytes)?;
     limits.check_size(jpeg.width, jpeg.height)?;
@@ -32,7 +32,7 @@ pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
     Ok(jpeg)
 }
 
-/// The chunks of a WebP within the limits.
+/// Scans the chunks of a WebP and checks the limits.
 pub(super) fn webp(bytes: &[u8], limits: &Limits) -> Result<WebP, PhotoError> {
     webp::head(bytes, limits)?;
     let webp = webp::scan(bytes)?;
@@ -47,7 +47,7 @@ mod tests {
     use tmpi_render::{PictureFormat, View, encode};
 
     #[test]
-    fn sizes_without_decoding_and_limits_at_and_one_over() {
+    fn reads_sizes_without_decoding_and_enforces_limits_exactly() {
         let view = View { width: 40, height: 30, rgba: vec![[9, 8, 7, 255]; 1200] };
         for format in PictureFormat::ALL {
             let file = encode(&view, format, 90).unwrap();

@@ -1,4 +1,4 @@
-//! Colours as a file tells them, to sRGB.
+//! Converts a file's colours to sRGB.
 
 use moxcms::{
     CicpColorPrimaries, CicpProfile, ColorProfile, DataColorSpace, Layout, MatrixCoefficients, ToneReprCurve, TransferCharacteristics,
@@ -9,50 +9,50 @@ use rayon::prelude::*;
 use super::hdr::Hdr;
 use super::pixels::Sample;
 
-/// Levels of 255 that a profile may differ from sRGB and still count as sRGB: profiles of sRGB itself differ by their rounding.
+/// Largest difference from sRGB, in levels of 255, at which a profile still counts as sRGB: profiles of sRGB itself differ by rounding.
 const SAME: u8 = 2;
-/// Pixels that are converted at a time.
+/// Pixels per chunk of a conversion.
 pub(super) const CHUNK: usize = 1 << 14;
 
-/// What a file says of its colours.
+/// How a file declares its colours.
 #[derive(Clone, Debug)]
 pub(super) enum Profile {
     /// An ICC profile.
     Icc(Vec<u8>),
-    /// PNG's `cICP`: primaries and transfer function by their numbers in ITU-T H.273.
+    /// PNG's `cICP`: primaries and transfer function by their code points in ITU-T H.273.
     Cicp(CicpProfile),
 }
 
-/// A conversion to sRGB of pixels with samples of 8 or 16 bits; of grey ones the channels are alike.
+/// A conversion of pixels with 8-bit or 16-bit samples to sRGB. The three channels of a grey pixel are equal.
 pub(super) struct Conversion<S>(Run<S>);
 
 type Run<S> = Box<dyn Fn(&mut [[S; 3]]) + Send + Sync>;
 
 impl<S: Sample> Conversion<S> {
-    /// Converts pixels in place, side by side.
+    /// Converts pixels in place, in parallel.
     pub(super) fn run(&self, pixels: &mut [[S; 3]]) {
         pixels.par_chunks_mut(CHUNK).for_each(|chunk| self.chunk(chunk));
     }
 
-    /// Converts a few pixels in place.
+    /// Converts a few pixels in place, on this thread.
     pub(super) fn chunk(&self, pixels: &mut [[S; 3]]) {
         (self.0)(pixels);
     }
 
-    /// By a transform from pixels that lie as `layout` says; they stay as they are where it fails.
+    /// Wraps a transform whose source pixels have this `layout`. If the transform fails, pixels stay unchanged.
     fn of(transform: impl AsRef<dyn TransformExecutor<S> + Send + Sync> + Send + Sync + 'static, layout: Layout) -> Self {
         Self(Box::new(move |pixels| {
             let source: Vec<S> =
                 if layout == Layout::Gray { pixels.iter().map(|p| p[0]).collect() } else { pixels.as_flattened().to_vec() };
-            // it fails on lengths that do not agree
+            // it fails if the lengths disagree
             let _ = transform.as_ref().transform(&source, pixels.as_flattened_mut());
         }))
     }
 }
 
 impl Profile {
-    /// Reads the contents of a `cICP` chunk; none where they are of no RGB in full range, or of primaries or a transfer function that are
-    /// not known.
+    /// Reads the contents of a `cICP` chunk. Returns `None` unless it declares full-range RGB with known primaries and a known transfer
+    /// function.
     pub(super) fn cicp(chunk: &[u8]) -> Option<Self> {
         let &[primaries, transfer, 0, 1] = chunk else { return None };
         let cicp = CicpProfile {
@@ -64,8 +64,8 @@ impl Profile {
         ColorProfile::new_from_cicp(cicp).red_trc.is_some().then_some(Self::Cicp(cicp))
     }
 
-    /// The profile and how its pixels lie, where it fits what the file holds: a grey profile fits grey pixels alone, one of RGB both; others
-    /// (CMYK) and damaged ones fit nothing, and the picture is taken as sRGB.
+    /// The profile and its pixel layout if it fits the file: a grey profile fits only grey pixels, an RGB profile fits both. Other
+    /// profiles (CMYK) and damaged ones fit nothing, and the picture is read as sRGB.
     fn fitting(&self, grey: bool) -> Option<(ColorProfile, Layout)> {
         let profile = match self {
             Self::Icc(bytes) => ColorProfile::new_from_slice(bytes).ok()?,
@@ -82,7 +82,7 @@ impl Profile {
         if let Self::Cicp(cicp) = self { Hdr::of(*cicp) } else { None }
     }
 
-    /// The conversion of pixels of 8 bits, where it is more than the identity.
+    /// The conversion of 8-bit pixels; `None` if it would change nothing.
     pub(super) fn bytes(&self, grey: bool) -> Option<Conversion<u8>> {
         if let Some(hdr) = self.hdr() {
             return Some(Conversion(Box::new(move |pixels| {
@@ -103,7 +103,7 @@ impl Profile {
         probes.as_flattened().iter().zip(converted.as_flattened()).any(differs).then_some(conversion)
     }
 
-    /// The conversion of pixels of 16 bits, where it is more than the identity.
+    /// The conversion of 16-bit pixels; `None` if it would change nothing.
     pub(super) fn words(&self, grey: bool) -> Option<Conversion<u16>> {
         if let Some(hdr) = self.hdr() {
             return Some(Conversion(Box::new(move |pixels| pixels.iter_mut().for_each(|p| *p = hdr.convert(*p)))));
@@ -115,7 +115,8 @@ impl Profile {
     }
 }
 
-/// The profile of numbers of standard range. What cameras of video encode, screens show by another curve, that of ITU-R BT.1886.
+/// The profile of standard-range code points. Screens do not invert the camera curves of video: they show video by the curve of ITU-R
+/// BT.1886.
 fn standard(cicp: CicpProfile) -> ColorProfile {
     use TransferCharacteristics::{Bt601, Bt709, Bt202010bit, Bt202012bit};
     let mut profile = ColorProfile::new_from_cicp(cicp);

@@ -1,4 +1,4 @@
-//! Colours as files tell them: profiles, numbers, alpha.
+//! Colours: ICC profiles, `cICP` code points, alpha.
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, LumaA, Rgb, Rgba};
 use moxcms::{ColorProfile, ToneReprCurve};
@@ -7,7 +7,7 @@ use tmpi_testing::png::{chunk, iccp};
 use super::tests::{file, ok, picture, with_segment};
 use super::*;
 
-/// sRGB's encoding of light 0 to 1, in levels of 255.
+/// sRGB encoding of linear light 0 to 1, in levels of 255.
 fn encoded(light: f64) -> f64 {
     let light = light.clamp(0.0, 1.0);
     255.0 * if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
@@ -17,7 +17,7 @@ fn linear_grey() -> Vec<u8> {
     ColorProfile::new_gray_with_gamma(1.0).encode().unwrap()
 }
 
-/// sRGB's primaries, with samples that are light.
+/// A profile with sRGB's primaries and linear samples.
 fn linear_rgb() -> Vec<u8> {
     let mut profile = ColorProfile::new_srgb();
     for curve in [&mut profile.red_trc, &mut profile.green_trc, &mut profile.blue_trc] {
@@ -31,7 +31,7 @@ fn p3() -> Vec<u8> {
     ColorProfile::new_display_p3().encode().unwrap()
 }
 
-/// A PNG of these pixels with chunks behind its header.
+/// A PNG of these pixels with `chunks` after its header.
 fn png(image: impl Into<DynamicImage>, chunks: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = file(image, ImageFormat::Png);
     bytes.splice(33..33, chunks.concat());
@@ -62,7 +62,7 @@ fn ramp(x: u32) -> u8 {
 }
 
 #[test]
-fn profiles_of_grey_and_rgb_convert_grey_pictures() {
+fn grey_and_rgb_profiles_convert_grey_pictures() {
     let grey = ImageBuffer::from_fn(64, 2, |x, _| Luma([ramp(x)]));
     let clear = ImageBuffer::from_fn(64, 2, |x, _| LumaA([ramp(x), 255]));
     let wide = ImageBuffer::from_fn(64, 2, |x, _| Luma([u16::from(ramp(x)) * 257]));
@@ -71,7 +71,7 @@ fn profiles_of_grey_and_rgb_convert_grey_pictures() {
         near(&ok(&png(grey.clone(), &[iccp(&profile)])).photo, 1.0, want, "grey");
         near(&ok(&png(clear.clone(), &[iccp(&profile)])).photo, 1.0, want, "grey and alpha");
         near(&ok(&png(wide.clone(), &[iccp(&profile)])).photo, 1.0, want, "16 bits");
-        // the encoder's own error, where the curve is steep
+        // the curve is steep in the first columns and amplifies the encoder's own error
         let jpeg = ok(&jpeg_with(grey.clone(), &profile));
         assert!(jpeg.carried.is_none());
         let off = |x: u32| (f64::from(jpeg.photo.at(x, 1)[0]) - want(x, 1)[0]).abs();
@@ -82,7 +82,7 @@ fn profiles_of_grey_and_rgb_convert_grey_pictures() {
 }
 
 #[test]
-fn a_grey_profile_changes_no_coloured_picture() {
+fn a_grey_profile_leaves_coloured_pictures_unchanged() {
     let coloured = picture(40, 24);
     assert_eq!(ok(&png(coloured.clone(), &[iccp(&linear_grey())])).photo, ok(&png(coloured.clone(), &[])).photo);
     let plain = ok(&jpeg_with(coloured.clone(), b"no profile"));
@@ -91,12 +91,12 @@ fn a_grey_profile_changes_no_coloured_picture() {
 }
 
 #[test]
-fn the_numbers_of_a_png_tell_its_colours() {
+fn cicp_code_points_of_a_png_select_its_colour_space() {
     let coloured = picture(40, 24);
     let plain = ok(&png(coloured.clone(), &[])).photo;
     let by_profile = ok(&png(coloured.clone(), &[iccp(&p3())])).photo;
     assert_ne!(plain, by_profile);
-    // Display P3, and the same before a profile of something else
+    // Display P3 alone, and beside a profile of another colour space, which it overrides
     for chunks in [vec![cicp(12, 13)], vec![cicp(12, 13), iccp(&linear_rgb())], vec![iccp(&linear_rgb()), cicp(12, 13)]] {
         near(&ok(&png(coloured.clone(), &chunks)).photo, 1.0, |x, y| by_profile.at(x, y).map(f64::from), "P3");
     }
@@ -105,7 +105,7 @@ fn the_numbers_of_a_png_tell_its_colours() {
     let video = |x: u32, y: u32| plain.at(x, y).map(|v| encoded((f64::from(v) / 255.0).powf(2.4)));
     near(&ok(&png(coloured.clone(), &[cicp(1, 1)])).photo, 1.5, video, "video");
     assert_eq!(ok(&png(coloured.clone(), &[cicp(1, 13)])).photo, plain);
-    // of luma and chroma, in the range of video, of reserved numbers, and too short
+    // luma and chroma, limited range, reserved and unspecified code points; below, a chunk that is too short
     for unknown in [[12, 13, 1, 1], [12, 13, 0, 0], [0, 13, 0, 1], [12, 0, 0, 1], [2, 2, 0, 1]] {
         assert_eq!(ok(&png(coloured.clone(), &[chunk(b"cICP", &unknown)])).photo, plain, "{unknown:?}");
         let both = [chunk(b"cICP", &unknown), iccp(&p3())];
@@ -115,14 +115,14 @@ fn the_numbers_of_a_png_tell_its_colours() {
 }
 
 #[test]
-fn sixteen_bits_keep_their_shadows_through_a_conversion() {
+fn sixteen_bit_pictures_keep_shadow_detail_through_a_conversion() {
     let dark = ImageBuffer::from_fn(64, 2, |x, _| Rgb([x as u16 * 16; 3]));
     let want = |x: u32, _| [encoded(f64::from(x * 16) / 65_535.0); 3];
     near(&ok(&png(dark, &[cicp(1, 8)])).photo, 1.0, want, "dark light");
 }
 
 #[test]
-fn clear_pixels_are_blended_after_the_conversion() {
+fn transparent_pixels_are_blended_after_the_conversion() {
     let opaque = picture(40, 24);
     let alpha = |x: u32, y: u32| (x * 6 + y) as u8;
     let converted = ok(&png(opaque.clone(), &[iccp(&p3())])).photo;
@@ -145,7 +145,7 @@ fn clear_pixels_are_blended_after_the_conversion() {
     near(&ok(&png(grey, &[iccp(&linear_grey())])).photo, 1.0, want, "grey and alpha");
 }
 
-/// A WebP of these chunks behind its header of flags and size.
+/// A WebP with a `VP8X` header of these flags and this size, followed by `chunks`.
 fn webp(flags: u8, (width, height): (u32, u32), chunks: &[(&[u8; 4], Vec<u8>)]) -> Vec<u8> {
     let side = |s: u32| (s - 1).to_le_bytes()[..3].to_vec();
     let head = [vec![flags, 0, 0, 0], side(width), side(height)].concat();
@@ -155,13 +155,13 @@ fn webp(flags: u8, (width, height): (u32, u32), chunks: &[(&[u8; 4], Vec<u8>)]) 
     [b"RIFF", &(body.len() as u32 + 4).to_le_bytes()[..], b"WEBP", &body].concat()
 }
 
-/// A picture's chunk, without the file around it.
+/// A picture's WebP chunk without the file around it.
 fn bitstream(image: impl Into<DynamicImage>) -> Vec<u8> {
     file(image, ImageFormat::WebP)[20..].to_vec()
 }
 
 #[test]
-fn beside_a_frame_smaller_than_its_canvas_all_is_clear() {
+fn a_canvas_is_white_outside_a_smaller_frame() {
     let frame = picture(16, 10);
     let at = |x: u32, y: u32| [&(x / 2).to_le_bytes()[..3], &(y / 2).to_le_bytes()[..3]].concat();
     let frame_of = |x, y| {
@@ -170,7 +170,7 @@ fn beside_a_frame_smaller_than_its_canvas_all_is_clear() {
         [at(x, y), vec![15, 0, 0, 9, 0, 0, 100, 0, 0, 0], chunk].concat()
     };
     for (flags, (left, top)) in [(0x02, (4, 6)), (0x12, (4, 6)), (0x02, (0, 0)), (0x02, (14, 10))] {
-        // a background of black that nobody draws
+        // a black background colour, which readers ignore
         let animation = (b"ANIM", vec![0, 0, 0, 255, 0, 0]);
         let got = ok(&webp(flags, (30, 20), &[animation, (b"ANMF", frame_of(left, top))]));
         let want = |x: u32, y: u32| {
@@ -192,9 +192,9 @@ fn a_webp_is_converted_by_its_profile_before_it_is_blended() {
     near(&ok(&file).photo, 1.0, want, "WebP");
 }
 
-/// Of two curves at hand: PQ's code 520 of 1023 is 100 nits (ITU-R BT.2408), HLG's 767.25 (three quarters) is reference white.
+/// Known points of the two curves: PQ code 520 of 1023 is 100 nits (ITU-R BT.2408), HLG code 767.25 (three quarters) is reference white.
 #[test]
-fn high_dynamic_range_keeps_half_of_reference_white() {
+fn high_dynamic_range_maps_reference_white_to_half() {
     let grey = |value: f64| ImageBuffer::from_pixel(4, 4, Rgb([(value * 65_535.0).round() as u16; 3]));
     let shown = |value, numbers: (u8, u8)| f64::from(ok(&png(grey(value), &[cicp(numbers.0, numbers.1)])).photo.at(1, 1)[0]);
     for primaries in [1, 9, 12] {
@@ -207,7 +207,7 @@ fn high_dynamic_range_keeps_half_of_reference_white() {
             assert!(steps.is_sorted() && steps.iter().filter(|v| **v < 255.0).count() > 20, "{steps:?}");
         }
     }
-    // and of 8 bits alike
+    // 8-bit samples give the same
     let byte = ImageBuffer::from_pixel(4, 4, Rgb([148u8; 3]));
     let got = ok(&png(byte, &[cicp(9, 16)])).photo.at(0, 0)[0];
     assert!((f64::from(got) - shown(148.0 / 255.0, (9, 16))).abs() < 1.0);

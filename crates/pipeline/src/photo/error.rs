@@ -1,14 +1,14 @@
-//! What can be wrong with a photo.
+//! Errors of reading a photo.
 
-/// Why a photo was not taken.
+/// Why a photo is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum PhotoError {
-    /// The first bytes are of no format that is read.
+    /// The first bytes belong to no supported format.
     #[error("not a JPEG, PNG or WebP picture")]
     Unsupported,
-    /// A HEIC or AVIF file, as phones take them.
+    /// A HEIC or AVIF file, as phones write them.
     #[error(
-        "HEIC and AVIF pictures are not read: on an iPhone, Settings > Camera > Formats > Most Compatible takes JPEG from now on, and \
+        "HEIC and AVIF pictures are not supported: on an iPhone, Settings > Camera > Formats > Most Compatible takes JPEG from now on, and \
          Photos > Share > Options > Most Compatible sends this one as JPEG; elsewhere export it as JPEG, where a portrait may lose its depth, which \
          is then estimated"
     )]
@@ -21,7 +21,7 @@ pub enum PhotoError {
         /// Bytes allowed.
         limit: usize,
     },
-    /// More pixels than allowed.
+    /// The photo has more pixels than allowed.
     #[error("{width}×{height} is over the limit of {limit} pixels")]
     TooManyPixels {
         /// Width in pixels.
@@ -31,14 +31,14 @@ pub enum PhotoError {
         /// Pixels allowed.
         limit: u64,
     },
-    /// A side longer than allowed.
+    /// A side is longer than allowed.
     #[error("{width}×{height} is over the limit of {limit} pixels a side")]
     SideTooLong {
         /// Width in pixels.
         width: u32,
         /// Height in pixels.
         height: u32,
-        /// Pixels a side allowed.
+        /// Longest side allowed, in pixels.
         limit: u32,
     },
     /// Decoding would take more memory than allowed.
@@ -49,15 +49,15 @@ pub enum PhotoError {
         /// Bytes allowed.
         limit: u64,
     },
-    /// Making it would take more memory than allowed.
+    /// Making the photo would take more memory than allowed.
     #[error("making this photo takes up to {bytes} bytes of memory, over the limit of {limit} bytes")]
     TooMuchWork {
-        /// Bytes that it would take.
+        /// Bytes that making would take.
         bytes: u64,
         /// Bytes allowed.
         limit: u64,
     },
-    /// The file is damaged, or of a kind within its format that is not read.
+    /// The file is damaged, or a variant of its format that is not supported.
     #[error("the picture cannot be decoded: {0}")]
     Broken(String),
 }

@@ -1,28 +1,28 @@
-//! The two facts that are read from EXIF: orientation and focal length.
+//! Reads two facts from EXIF: orientation and focal length.
 //!
-//! By hand, and only these: readers of everything take memory for each of its entries, and directories that name one another
-//! thousands of times make millions of them from 64 KiB.
+//! This reader is handwritten and reads nothing else. A general reader allocates memory for every entry, and directories that refer to
+//! each other thousands of times turn 64 KiB into millions of entries.
 
-/// What EXIF says about a picture.
+/// EXIF facts of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Facts {
     /// EXIF orientation, 1 to 8.
     pub orientation: u8,
-    /// Focal length in millimetres on 35 mm film, where it is sane.
+    /// 35 mm equivalent focal length in millimetres, if it lies in [`Facts::FOCAL_35`].
     pub focal_35: Option<f64>,
 }
 
 const ORIENTATION: u16 = 0x0112;
-/// Where the directory of EXIF's own entries begins.
+/// Tag of the offset of EXIF's own directory.
 const EXIF: u16 = 0x8769;
 const FOCAL_35: u16 = 0xA405;
 
 impl Facts {
     pub(super) const NONE: Self = Self { orientation: 1, focal_35: None };
-    /// Focal lengths on 35 mm film that a camera can have; beyond them lies a faulty writer.
+    /// 35 mm equivalent focal lengths, in millimetres, that a camera can have. Values outside come from faulty writers.
     pub(super) const FOCAL_35: std::ops::RangeInclusive<f64> = 8.0..=600.0;
 
-    /// Reads a TIFF structure without taking memory; what cannot be read is as if it were not there.
+    /// Reads a TIFF structure without allocating. Whatever it cannot read counts as absent.
     pub(super) fn read(tiff: Option<&[u8]>) -> Self {
         let Some(tiff) = tiff.and_then(Tiff::new) else { return Self::NONE };
         let Some(first) = tiff.long(4) else { return Self::NONE };
@@ -32,7 +32,7 @@ impl Facts {
     }
 }
 
-/// A TIFF structure.
+/// Reads values from a TIFF structure in its byte order.
 pub(crate) struct Tiff<'a> {
     bytes: &'a [u8],
     little: bool,
@@ -63,22 +63,22 @@ impl<'a> Tiff<'a> {
         self.raw(at).map(u32::from_be_bytes)
     }
 
-    /// Place of the entry `tag` in the directory at `directory`.
+    /// Offset of the entry `tag` in the directory at `directory`.
     fn entry(&self, directory: u32, tag: u16) -> Option<usize> {
         let start = directory as usize;
         let count = usize::from(self.short(start)?);
         (0..count).map(|i| start + 2 + 12 * i).find(|&at| self.short(at) == Some(tag))
     }
 
-    /// Place and length of the bytes of the entry `tag` of kind UNDEFINED, where they are more than four.
+    /// Offset and length of the bytes of the entry `tag` if it has type UNDEFINED and more than four bytes.
     pub(crate) fn bytes(&self, directory: u32, tag: u16) -> Option<(usize, usize)> {
         let entry = self.entry(directory, tag)?;
         let length = self.long(entry + 4)? as usize;
         (self.short(entry + 2) == Some(7) && length > 4).then_some((self.long(entry + 8)? as usize, length))
     }
 
-    /// First number of the entry `tag` in the directory at `directory`. The standard says SHORT for both facts, writers also use
-    /// other types; text is no number.
+    /// First number of the entry `tag` in the directory at `directory`. The standard requires SHORT for both facts, but writers use other
+    /// types too. Text gives `None`.
     pub(crate) fn number(&self, directory: u32, tag: u16) -> Option<f64> {
         let entry = self.entry(directory, tag)?;
         let (kind, values) = (self.short(entry + 2)?, self.long(entry + 4)?);
@@ -113,7 +113,7 @@ impl<'a> Tiff<'a> {
 mod tests {
     use super::*;
 
-    /// A directory of `entries` that each say `tag`, `kind`, one value, `value`; little-endian.
+    /// A little-endian directory of `entries` equal entries, each with this `tag`, `kind` and one `value`.
     fn directory(entries: u16, tag: u16, kind: u16, value: u32) -> Vec<u8> {
         let mut out = b"II*\0\x08\0\0\0".to_vec();
         out.extend_from_slice(&entries.to_le_bytes());
@@ -125,21 +125,21 @@ mod tests {
     }
 
     #[test]
-    fn directories_that_name_one_another_and_cut_ones_take_nothing() {
+    fn cyclic_and_truncated_directories_are_harmless() {
         let of = |t: &[u8]| Facts::read(Some(t)).orientation;
         assert_eq!(of(&directory(1, ORIENTATION, 3, 6)), 6);
-        // each entry names the directory that it stands in: a reader that followed them all would never end
+        // each entry points to its own directory: a reader that followed them all would never end
         assert_eq!(of(&directory(u16::MAX, EXIF, 4, 8)), 1);
         let whole = directory(3, ORIENTATION, 3, 6);
         for end in 0..20 {
             assert_eq!(of(&whole[..end]), 1, "cut to {end}");
         }
-        // a directory at the end of all addresses
+        // a directory at the largest possible offset
         assert_eq!(of(b"II*\0\xff\xff\xff\xff"), 1);
     }
 
     #[test]
-    fn both_byte_orders_and_text_is_no_number() {
+    fn both_byte_orders_are_read_and_text_is_ignored() {
         let big = [b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x08\0\0".as_slice()].concat();
         assert_eq!(Facts::read(Some(&big)).orientation, 8);
         assert_eq!(Facts::read(Some(&directory(1, ORIENTATION, 2, 6))).orientation, 1);

@@ -1,9 +1,9 @@
-//! The frame of a JPEG: size, components, and what its scans bring of them.
+//! The frame header of a JPEG: size, components, and which coefficients its scans have delivered.
 
 use super::PhotoError;
 use super::segments::broken;
 
-/// What the components of a file are.
+/// Colour model of a file's components.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Colour {
     Grey,
@@ -13,35 +13,35 @@ pub(super) enum Colour {
     Ycck,
 }
 
-/// How samples and scans of a file lie. [`super::jpeg_pixels`] has a decoder for each.
+/// How unusual a file's sampling and scans are. [`super::jpeg_pixels`] has a decoder for each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Layout {
-    /// As in nearly all files.
+    /// Nearly all files.
     Common,
-    /// A component is sampled finer than the first, or three times, or comes in a scan of its own; or the names of components say RGB
-    /// where they are not.
+    /// A component is sampled more finely than the first, or by a factor of three, or has a scan of its own; or the component names spell
+    /// RGB although the colours are `YCbCr`.
     Rare,
 }
 
-/// True for the markers of frame headers.
+/// Returns true for the markers of frame headers.
 pub(super) fn is_frame(marker: u8) -> bool {
     matches!(marker, 0xC0..=0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF)
 }
 
-/// Start of frame.
+/// A frame header (SOF).
 pub(super) struct Frame {
     pub width: u32,
     pub height: u32,
     components: u8,
     pub progressive: bool,
-    /// A scan holds fewer components than the frame.
+    /// Some scan holds fewer components than the frame.
     pub one_by_one: bool,
     pub coefficient_bytes: u64,
-    /// Blocks of the picture alone, without those that only fill up the last minimum coded units.
+    /// Blocks of the picture, without those that only pad the last minimum coded units.
     pub blocks: u64,
-    /// Names of the components.
+    /// Identifiers of the components.
     names: Vec<u8>,
-    /// Coefficients, as bits, of each component that no scan has brought to their last bit.
+    /// For each component, a bit for each coefficient that no scan has delivered to its last bit yet.
     left: Vec<u64>,
     /// Sampling factors of the components, horizontal and vertical.
     sampling: Vec<(u64, u64)>,
@@ -50,27 +50,27 @@ pub(super) struct Frame {
 impl Frame {
     pub(super) fn read(marker: u8, body: &[u8]) -> Result<Self, PhotoError> {
         if !matches!(marker, 0xC0..=0xC2) {
-            return Err(broken("lossless, hierarchical and arithmetic-coded JPEG are not read"));
+            return Err(broken("lossless, hierarchical and arithmetic-coded JPEG are not supported"));
         }
-        let Some((head, parts)) = body.split_at_checked(6) else { return Err(broken("a short frame header")) };
+        let Some((head, parts)) = body.split_at_checked(6) else { return Err(broken("the frame header is too short")) };
         if head[0] != 8 {
-            return Err(PhotoError::Broken(format!("JPEG of {} bits a sample is not read", head[0])));
+            return Err(PhotoError::Broken(format!("JPEG with {} bits per sample is not supported", head[0])));
         }
         let (height, width) = (u16::from_be_bytes([head[1], head[2]]), u16::from_be_bytes([head[3], head[4]]));
         let components = head[5];
         if !matches!(components, 1 | 3 | 4) || parts.len() < 3 * usize::from(components) {
-            return Err(PhotoError::Broken(format!("JPEG of {components} components is not read")));
+            return Err(PhotoError::Broken(format!("JPEG with {components} components is not supported")));
         }
         let sampling: Vec<(u64, u64)> =
             parts.chunks_exact(3).take(components.into()).map(|p| (u64::from(p[1] >> 4), u64::from(p[1] & 15))).collect();
         if sampling.iter().any(|&(h, v)| !(1..=4).contains(&h) || !(1..=4).contains(&v)) {
-            return Err(broken("an impossible sampling factor"));
+            return Err(broken("invalid sampling factor"));
         }
         let (h_max, v_max) = sampling.iter().fold((1, 1), |m, s| (m.0.max(s.0), m.1.max(s.1)));
         let mcus = u64::from(width).div_ceil(8 * h_max) * u64::from(height).div_ceil(8 * v_max);
         let across = |side: u16, sampling: u64, most: u64| (u64::from(side) * sampling).div_ceil(most).div_ceil(8);
         let blocks = sampling.iter().map(|&(h, v)| across(width, h, h_max) * across(height, v, v_max)).sum();
-        // 64 coefficients of 2 bytes a block
+        // a block has 64 coefficients of 2 bytes
         let coefficient_bytes = sampling.iter().map(|(h, v)| mcus * h * v * 128).sum();
         Ok(Self {
             width: width.into(),
@@ -86,9 +86,9 @@ impl Frame {
         })
     }
 
-    /// Notes what a scan brings, by its header, and gives the code tables that it uses.
+    /// Records what a scan delivers according to its header. Returns the code tables that it uses, as bits like those of [`tables`].
     pub(super) fn refine(&mut self, scan: &[u8]) -> Result<u8, PhotoError> {
-        let damaged = || broken("a damaged scan header");
+        let damaged = || broken("damaged scan header");
         let (&count, rest) = scan.split_first().ok_or_else(damaged)?;
         let (named, spectrum) = rest.split_at_checked(2 * usize::from(count)).ok_or_else(damaged)?;
         let &[first, last, bits, ..] = spectrum else { return Err(damaged()) };
@@ -100,7 +100,7 @@ impl Frame {
         let brought = (u64::MAX >> (63 - last)) & (u64::MAX << first);
         let (mut uses, mut named_here) = (0, 0u8);
         for (name, numbers) in named.chunks_exact(2).map(|p| (p[0], p[1])) {
-            // of several with one name each is named in its turn
+            // if components share a name, each mention stands for the next of them
             let place = (0..self.names.len()).find(|&i| self.names[i] == name && named_here & 1 << i == 0).ok_or_else(damaged)?;
             named_here |= 1 << place;
             if low == 0 {
@@ -120,7 +120,7 @@ impl Frame {
         self.left.iter().all(|left| *left == 0)
     }
 
-    /// What its components are, as libjpeg-turbo and with it the browsers have it: JFIF before Adobe before identifiers.
+    /// The colour model, decided as in libjpeg-turbo and therefore in browsers: JFIF first, then Adobe, then component identifiers.
     pub(super) fn colour(&self, jfif: bool, adobe: Option<u8>) -> Colour {
         match (self.components, adobe) {
             (1, _) => Colour::Grey,
@@ -146,7 +146,7 @@ impl Frame {
     }
 }
 
-/// Code tables that a segment brings: a bit for each of DC, then of AC.
+/// Code tables that a DHT segment defines, as bits: 0 to 3 for DC, 4 to 7 for AC.
 pub(super) fn tables(mut body: &[u8]) -> u8 {
     let mut found = 0;
     while let [kind, rest @ ..] = body {
@@ -157,7 +157,7 @@ pub(super) fn tables(mut body: &[u8]) -> u8 {
     found
 }
 
-/// The bit of a code table; none for a number that there is not.
+/// The bit of a code table; 0 if its number is out of range.
 fn table(ac: bool, number: u8) -> u8 {
     if number < 4 { 1 << (number + if ac { 4 } else { 0 }) } else { 0 }
 }

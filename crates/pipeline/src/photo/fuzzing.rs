@@ -1,4 +1,4 @@
-//! Doors to the readers of metadata, for the program's fuzzing targets.
+//! Entry points to the metadata readers for the fuzz targets.
 
 use super::colour::Profile;
 use super::exif::Facts;
@@ -10,7 +10,7 @@ pub fn exif(tiff: &[u8]) {
     assert!(facts.focal_35.is_none_or(|f| Facts::FOCAL_35.contains(&f)));
 }
 
-/// Converts some pixels by a colour profile.
+/// Converts some pixels by an ICC profile.
 pub fn icc(profile: &[u8]) {
     let profile = Profile::Icc(profile.to_vec());
     for grey in [false, true] {

@@ -1,40 +1,42 @@
-//! Colours of high dynamic range, PQ and HLG of ITU-R BT.2100, to sRGB.
+//! Converts high-dynamic-range colours, PQ and HLG of ITU-R BT.2100, to sRGB.
 //!
-//! A screen of standard range shows its white at [`WHITE`] nits, and these reach to [`PEAK`]. What browsers do is done here: the reference
-//! white tone mapping operator of SMPTE ST 2094-50, by which everything up to reference white is halved and what is brighter bends
-//! towards the screen's white.
+//! A standard-range screen shows its white at [`WHITE`] nits; these pictures reach [`PEAK`]. The conversion is that of browsers: the
+//! reference white tone mapping operator of SMPTE ST 2094-50 halves everything up to reference white and bends brighter light towards the
+//! screen's white.
 
 use moxcms::{CicpProfile, ColorProfile, TransferCharacteristics};
 
-/// Nits of reference white and of the brightest that a picture has where it does not say.
+/// Reference white in nits.
 const WHITE: f64 = 203.0;
+/// Peak in nits of a picture that does not declare one.
 const PEAK: f64 = 1000.0;
-/// The brightest, in units of reference white.
+/// The peak in units of reference white.
 const MOST: f64 = PEAK / WHITE;
-/// What reference white becomes, and where between its ends the curve above it bends.
+/// Where the curve maps reference white.
 const KNEE: f64 = 0.5;
+/// Where the middle control point of the curve above reference white lies between its ends.
 const KAPPA: f64 = 0.65;
-/// The largest sample.
+/// Largest 16-bit sample.
 const MAX: f64 = u16::MAX as f64;
-/// Share of the primaries of BT.2020 in luminance.
+/// Weights of the BT.2020 primaries in luminance.
 const LUMINANCE: [f64; 3] = [0.2627, 0.6780, 0.0593];
 
 type Matrix = [[f64; 3]; 3];
 
-/// The conversion of pixels with samples of 16 bits.
+/// Converts pixels with 16-bit samples.
 pub(super) struct Hdr {
-    /// What a sample stands for: light of the screen in units of reference white, or of HLG light of the scene, 0 to 1.
+    /// Light by sample: for PQ display light in units of reference white, for HLG scene light 0 to 1.
     light: Vec<f64>,
     hlg: bool,
-    /// From the picture's primaries to those of BT.2020, in which light is mapped.
+    /// From the picture's primaries to those of BT.2020, in which tone mapping happens.
     to_bt2020: Matrix,
     to_srgb: Matrix,
-    /// sRGB's sample for light 0 to 1, of which each of the table is one of 65 536 even steps.
+    /// sRGB samples for light 0 to 1 in 65 536 even steps.
     encoded: Vec<u16>,
 }
 
 impl Hdr {
-    /// None where the transfer function is of standard range.
+    /// Returns `None` if the transfer function is of standard range.
     pub(super) fn of(cicp: CicpProfile) -> Option<Self> {
         let hlg = match cicp.transfer_characteristics {
             TransferCharacteristics::Smpte2084 => false,
@@ -52,11 +54,11 @@ impl Hdr {
         })
     }
 
-    /// Converts a pixel.
+    /// Converts one pixel to sRGB.
     pub(super) fn convert(&self, pixel: [u16; 3]) -> [u16; 3] {
         let mut light = times(&self.to_bt2020, pixel.map(|v| self.light[usize::from(v)])).map(|v| v.max(0.0));
         if self.hlg {
-            // the screen's own curve makes what is bright brighter
+            // HLG's system gamma of 1.2: the display brightens what is bright
             let luminance: f64 = LUMINANCE.iter().zip(light).map(|(share, v)| share * v).sum();
             light = light.map(|v| v * luminance.powf(0.2) * MOST);
         }
@@ -69,7 +71,7 @@ fn times(matrix: &Matrix, [r, g, b]: [f64; 3]) -> [f64; 3] {
     matrix.map(|row| row[0] * r + row[1] * g + row[2] * b)
 }
 
-/// By how much light is multiplied whose brightest channel is `x`.
+/// Gain for light whose brightest channel is `x`, in units of reference white.
 fn gain(x: f64) -> f64 {
     if x <= 1.0 {
         return KNEE;
@@ -83,7 +85,7 @@ fn gain(x: f64) -> f64 {
     y / x
 }
 
-/// Light of the screen in units of reference white (SMPTE ST 2084).
+/// Display light of a PQ sample 0 to 1, in units of reference white (SMPTE ST 2084).
 fn pq_light(value: f64) -> f64 {
     let (m1, m2) = (2610.0 / 16_384.0, 2523.0 / 32.0);
     let (c1, c2, c3) = (3424.0 / 4096.0, 2413.0 / 128.0, 2392.0 / 128.0);
@@ -91,13 +93,13 @@ fn pq_light(value: f64) -> f64 {
     10_000.0 / WHITE * ((root - c1).max(0.0) / (c2 - c3 * root)).powf(1.0 / m1)
 }
 
-/// Light of the scene, 0 to 1 (ITU-R BT.2100, table 5).
+/// Scene light, 0 to 1, of an HLG sample 0 to 1 (ITU-R BT.2100, table 5).
 fn hlg_light(value: f64) -> f64 {
     let (a, b, c) = (0.178_832_77, 0.284_668_92, 0.559_910_73);
     if value <= 0.5 { value * value / 3.0 } else { (((value - c) / a).exp() + b) / 12.0 }
 }
 
-/// sRGB's encoding of light 0 to 1.
+/// sRGB encoding of linear light 0 to 1.
 fn srgb(light: f64) -> f64 {
     if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }

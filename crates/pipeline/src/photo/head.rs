@@ -1,27 +1,27 @@
-//! What the first bytes of a photo tell, while the rest of it is still on its way.
+//! Reads a photo's size from its first bytes while the rest is still arriving.
 
 use tmpi_core::container::PhotoFormat;
 
 use super::{Limits, PhotoError, jpeg, png, webp};
 
-/// Bytes by which every format is told from the others.
+/// Bytes that suffice to tell any format.
 const FORMAT: usize = 12;
 
-/// What they tell.
+/// What the first bytes of a photo say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Head {
-    /// Nothing yet: that many bytes are needed from the first, more than there are.
+    /// Too few bytes: this many are needed, counted from the start, which is more than were given.
     Needs(usize),
-    /// Width and height in pixels as stored, which are within the limits.
+    /// Stored width and height in pixels, within the limits.
     Size(u32, u32),
-    /// Nothing, however many follow: only the whole file tells.
+    /// More bytes do not help: only the whole file tells the size.
     Silent,
 }
 
-/// Looks at the first `bytes` of a photo. Size and memory of its decoder are those that its header tells of.
+/// Reads a photo's size from its first `bytes`, and checks the limits on its size and on the decoder's memory as its header implies it.
 ///
 /// # Errors
-/// [`PhotoError`], the very one for which [`super::check`] refuses every file within [`Limits::bytes`] that begins so.
+/// The same [`PhotoError`] that [`super::check`] returns for every file within [`Limits::bytes`] that begins with these bytes.
 pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     if bytes.len() < FORMAT {
         return Ok(Head::Needs(FORMAT));
@@ -58,7 +58,7 @@ mod tests {
         file
     }
 
-    /// The head of a WebP with a canvas of that size, of at least one pixel.
+    /// The head of a WebP with a canvas of this size, at least one pixel.
     fn canvas(width: u16, height: u16) -> Vec<u8> {
         let side = |s: u16| u32::from(s).saturating_sub(1).to_le_bytes();
         let (w, h) = (side(width), side(height));
@@ -78,29 +78,29 @@ mod tests {
     }
 
     #[test]
-    fn a_size_is_told_as_soon_as_the_bytes_that_say_it_are_there() {
+    fn a_size_is_known_as_soon_as_its_bytes_arrive() {
         let limits = Limits::default();
         for format in PictureFormat::ALL {
             let file = claiming(format, 40, 30);
-            let mut there = 0;
+            let mut arrived = 0;
             let seen = loop {
-                match head(&file[..there], &limits).unwrap() {
-                    Head::Needs(more) if more > there && more <= file.len() => there = more,
+                match head(&file[..arrived], &limits).unwrap() {
+                    Head::Needs(more) if more > arrived && more <= file.len() => arrived = more,
                     seen => break seen,
                 }
             };
             assert_eq!(seen, Head::Size(40, 30), "{format:?}");
-            assert!(matches!(head(&file[..there - 1], &limits), Ok(Head::Needs(more)) if more == there), "{format:?}");
+            assert!(matches!(head(&file[..arrived - 1], &limits), Ok(Head::Needs(more)) if more == arrived), "{format:?}");
             assert_eq!(head(&file, &limits).unwrap(), seen);
         }
         let far = with_metadata(300_000);
         assert_eq!(head(&far, &limits).unwrap(), Head::Size(40, 30));
-        let Head::Needs(more) = head(&far[..200_000], &limits).unwrap() else { panic!("it is not there yet") };
+        let Head::Needs(more) = head(&far[..200_000], &limits).unwrap() else { panic!("the frame header has not arrived") };
         assert!((200_001..far.len()).contains(&more));
     }
 
     #[test]
-    fn what_is_no_photo_is_refused_by_twelve_bytes_and_what_is_too_large_by_its_header() {
+    fn other_files_are_refused_after_twelve_bytes_and_large_photos_after_their_header() {
         let limits = Limits::default();
         assert_eq!(head(b"Dear madam,", &limits).unwrap(), Head::Needs(12));
         assert!(matches!(head(b"Dear madam, ", &limits), Err(PhotoError::Unsupported)));
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn headers_that_never_end_are_left_to_the_whole_file() {
+    fn endless_headers_are_left_to_the_check_of_the_whole_file() {
         let limits = Limits::default();
         let fill = [&[0xFF, 0xD8][..], &vec![0xFF; 100_000]].concat();
         assert_eq!(head(&fill, &limits).unwrap(), Head::Silent);
@@ -128,7 +128,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_head_says_otherwise_than_the_whole(
+        fn head_agrees_with_the_check_of_the_whole_file(
             format in prop::sample::select(PictureFormat::ALL.to_vec()),
             sides in (0..20_000_u16, 0..20_000_u16),
             limits in (1..20_000_u32, 1..400_000_000_u64, 1..900_000_000_u64),
@@ -150,13 +150,13 @@ mod tests {
             for end in [cut.min(file.len()), file.len()] {
                 match (head(&file[..end], &limits), &whole) {
                     (Err(early), Err(late)) => prop_assert_eq!(early.to_string(), late.to_string()),
-                    (Err(early), Ok(_)) => prop_assert!(false, "refused early alone: {}", early),
+                    (Err(early), Ok(_)) => prop_assert!(false, "refused by head only: {}", early),
                     (Ok(Head::Size(w, h)), Ok((_, size))) => prop_assert_eq!((w, h), *size),
                     (Ok(Head::Needs(more)), _) => prop_assert!(more > end),
                     _ => {}
                 }
             }
-            // what is refused for its size alone is refused by its head, where that is not hidden
+            // `head` also refuses a file that is refused for its size or format, unless it cannot see the header
             if matches!(whole, Err(PhotoError::SideTooLong { .. } | PhotoError::TooManyPixels { .. } | PhotoError::Unsupported)) {
                 prop_assert!(!matches!(head(&file, &limits), Ok(Head::Size(..) | Head::Needs(_))));
             }

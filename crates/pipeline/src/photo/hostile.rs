@@ -1,10 +1,10 @@
-//! Files made to cost much or to pass as whole.
+//! Files crafted to cost much, and damaged files that could pass as whole.
 
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::*;
 
-/// A photograph's worth of detail, so that every stretch of the file matters.
+/// As much detail as a photograph has, so that every part of the file matters.
 fn noisy(w: u32, h: u32) -> Vec<u8> {
     let mut seed = 1u32;
     let mut next = || {
@@ -22,7 +22,8 @@ fn at_marker(file: &[u8], marker: u8) -> usize {
     file.windows(2).position(|w| w == [0xFF, marker]).unwrap()
 }
 
-/// A progressive JPEG of 16 × 16 grey pixels, with as many scans: one of means, then empty ones, of which the last brings all that is left.
+/// A progressive JPEG of 16 × 16 grey pixels with `count` scans: one of DC coefficients, then empty ones. The last delivers everything
+/// that is left.
 fn scans(count: usize) -> Vec<u8> {
     let mut out = vec![0xFF, 0xD8, 0xFF, 0xDB, 0, 67, 0];
     out.extend_from_slice(&[1; 64]);
@@ -32,11 +33,11 @@ fn scans(count: usize) -> Vec<u8> {
         out.extend_from_slice(&[0; 15]);
         out.push(symbol);
     }
-    // four blocks of no difference
+    // four blocks with a DC difference of 0
     out.extend_from_slice(&[0xFF, 0xDA, 0, 8, 1, 1, 0x00, 0, 0, 0, 0x0F]);
     for scan in 1..count {
         let last = if scan + 1 < count { 62 } else { 63 };
-        // the end of four blocks
+        // one end-of-band run over four blocks
         out.extend_from_slice(&[0xFF, 0xDA, 0, 8, 1, 1, 0x00, 1, last, 0, 0x1F]);
     }
     out.extend_from_slice(&[0xFF, 0xD9]);
@@ -44,7 +45,7 @@ fn scans(count: usize) -> Vec<u8> {
 }
 
 #[test]
-fn scans_are_counted_before_anything_is_decoded() {
+fn scans_are_counted_before_decoding() {
     let limits = Limits::default();
     check(&scans(jpeg::MAX_SCANS), &limits).unwrap();
     assert_eq!(decode(&scans(jpeg::MAX_SCANS), &limits, None).unwrap().photo.at(3, 3), [128; 3]);
@@ -56,13 +57,13 @@ fn scans_are_counted_before_anything_is_decoded() {
 }
 
 #[test]
-fn a_file_too_short_for_the_size_that_it_claims_is_refused_by_the_check() {
+fn a_file_too_short_for_its_claimed_size_is_refused_by_the_check() {
     let mut file = noisy(64, 64);
     let frame = at_marker(&file, 0xC0);
     file[frame + 5..frame + 9].copy_from_slice(&[&3000u16.to_be_bytes()[..], &16_384u16.to_be_bytes()].concat());
     let error = check(&file, &Limits::default()).unwrap_err();
     assert!(error.to_string().contains("cut short"), "{error}");
-    // the flattest picture takes few bits, and is read
+    // the flattest picture needs few bits and is accepted
     let flat = {
         let mut out = Vec::new();
         let grey = vec![128; 4096 * 300];
@@ -76,7 +77,7 @@ fn a_file_too_short_for_the_size_that_it_claims_is_refused_by_the_check() {
 }
 
 #[test]
-fn a_picture_that_ends_in_the_middle_is_refused_and_one_without_its_tail_is_told() {
+fn a_file_cut_in_the_middle_is_refused_and_one_cut_near_its_end_is_marked_damaged() {
     let whole = noisy(320, 240);
     let data = at_marker(&whole, 0xDA) + 14;
     let cut = |share: f64| {
@@ -93,13 +94,13 @@ fn a_picture_that_ends_in_the_middle_is_refused_and_one_without_its_tail_is_told
         let got = decode(&cut(share), &Limits::default(), None).unwrap();
         assert!(got.damaged && got.carried.is_none(), "cut at {share}");
         assert_eq!((got.photo.width, got.photo.height), (320, 240));
-        let there = 320 * 176;
-        assert_eq!(got.photo.rgb[..there], full.photo.rgb[..there], "cut at {share}");
+        let intact = 320 * 176;
+        assert_eq!(got.photo.rgb[..intact], full.photo.rgb[..intact], "cut at {share}");
     }
 }
 
 #[test]
-fn memory_is_checked_without_decoding_and_fifty_megapixels_of_any_kind_pass() {
+fn memory_is_checked_before_decoding_and_fifty_megapixels_of_any_kind_pass() {
     let progressive = scans(2);
     let at = |decoder_memory| check(&progressive, &Limits { decoder_memory, ..Limits::default() });
     // four blocks of 64 coefficients, and 256 pixels
@@ -118,7 +119,7 @@ fn memory_is_checked_without_decoding_and_fifty_megapixels_of_any_kind_pass() {
 }
 
 #[test]
-fn a_png_cut_within_a_chunk_is_refused_by_the_check_and_its_memory_is_counted() {
+fn the_check_refuses_a_png_cut_within_a_chunk_and_counts_its_memory() {
     let mut file = Vec::new();
     image::codecs::png::PngEncoder::new(&mut file).write_image(&[7; 40 * 30 * 8], 40, 30, ExtendedColorType::Rgba16).unwrap();
     let limits = |decoder_memory| Limits { decoder_memory, ..Limits::default() };
@@ -127,12 +128,12 @@ fn a_png_cut_within_a_chunk_is_refused_by_the_check_and_its_memory_is_counted() 
     for end in [30, 40, file.len() - 20, file.len() - 13] {
         assert!(check(&file[..end], &Limits::default()).is_err(), "cut to {end}");
     }
-    // behind the picture is the end alone
+    // only the end chunk follows the picture
     assert!((file.len() - 12..file.len()).all(|end| check(&file[..end], &Limits::default()).is_ok()));
 }
 
 #[test]
-fn a_palette_has_whole_colours() {
+fn a_palette_has_1_to_256_whole_colours() {
     let chunk = |name: &[u8; 4], body: &[u8]| [&(body.len() as u32).to_be_bytes()[..], name, body, &[0; 4]].concat();
     let head = [&24u32.to_be_bytes()[..], &18u32.to_be_bytes(), &[4, 3, 0, 0, 0]].concat();
     let of = |bytes: usize| {

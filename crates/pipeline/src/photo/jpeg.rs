@@ -1,77 +1,75 @@
-//! Walks the segments of a JPEG file: size, metadata, and the file again without metadata.
+//! Walks the segments of a JPEG file: reads its size and metadata, and writes the file again without metadata.
 
 use super::frame::{Colour, Frame, Layout, is_frame, tables};
 use super::segments::{broken, entropy_end, next_marker, segment};
 use super::{Head, Limits, PhotoError};
 
-/// What the segments of a JPEG file say, and the file without what nobody needs to decode it.
+/// What the segments of a JPEG file say, and the file reduced to what a decoder needs.
 #[derive(Debug)]
 #[allow(clippy::struct_excessive_bools, reason = "independent facts about a file")]
 pub(super) struct Jpeg {
     pub width: u32,
     pub height: u32,
     pub colour: Colour,
-    /// Bytes of DCT coefficients, where the decoder has to keep all of them (progressive, or a scan per component); else 0.
+    /// Bytes of DCT coefficients if the decoder has to keep all of them (progressive, or a scan per component); else 0.
     pub coefficient_bytes: u64,
     /// Bytes of entropy-coded data in all scans.
     data: u64,
-    /// Bytes without which the frame's blocks cannot be coded.
+    /// Fewest bytes that can code the frame's blocks.
     least_data: u64,
-    /// Place in `stripped` of the frame's height, two bytes.
+    /// Offset in `stripped` of the frame's height, two bytes.
     height_at: usize,
-    /// Place in `stripped` behind the first scan.
+    /// Offset in `stripped` of the end of the first scan.
     first_scan_end: usize,
     /// Every scan refines the whole picture.
     pub progressive: bool,
     pub layout: Layout,
     /// Count of scans.
     pub scans: usize,
-    /// The scans bring every coefficient of every component to its last bit.
+    /// The scans deliver every coefficient of every component to its last bit.
     pub complete: bool,
-    /// It does, and every code table that a scan uses is there.
+    /// The file has an end marker and every code table that its scans use.
     pub standalone: bool,
-    /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the last scan but the end marker.
+    /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, and only the end marker after the last scan.
     pub stripped: Vec<u8>,
     /// TIFF structure of the first EXIF segment.
     pub exif: Option<Vec<u8>>,
-    /// ICC profile, put together from its segments.
+    /// ICC profile, joined from its segments.
     pub icc: Option<Vec<u8>>,
 }
 
-/// Scans of a file, at most: decoding takes scans × blocks, and a scan of a few bytes covers any count of blocks (LJT-01-003).
-/// Writers of progressive files make 10 to 64.
+/// Most scans of a file. Decoding takes scans × blocks, and a scan of a few bytes covers any number of blocks (LJT-01-003). Encoders of
+/// progressive files write 10 to 64.
 pub(super) const MAX_SCANS: usize = 100;
 
 impl Jpeg {
-    /// Memory that decoding takes, result included.
+    /// Memory that decoding takes, in bytes, including the result.
     pub(super) fn memory(&self) -> u64 {
         self.coefficient_bytes + u64::from(self.width) * u64::from(self.height) * 3
     }
 
-    /// Refuses a file whose data cannot fill its frame: a block takes at least two bits, and in a progressive file one.
+    /// Refuses a file with too little data for its frame: a block takes at least two bits, or one in a progressive file.
     pub(super) fn check_data(&self) -> Result<(), PhotoError> {
         if self.data < self.least_data {
             let (have, least) = (self.data, self.least_data);
-            return Err(PhotoError::Broken(format!(
-                "{have} bytes of picture data, where its size takes at least {least}: it was cut short"
-            )));
+            return Err(PhotoError::Broken(format!("{have} bytes of picture data, but its size needs at least {least}: it was cut short")));
         }
         Ok(())
     }
 
-    /// The file with other bytes behind its last scan: a decoder that needs them has too little data.
+    /// The file with `bytes` after its last scan, in place of the end marker. If they change the pixels, the file has too little data.
     pub(super) fn followed_by(&self, bytes: &[u8]) -> Vec<u8> {
         [&self.stripped[..self.stripped.len() - END.len()], bytes].concat()
     }
 
-    /// The file for a strict decoder: it takes zeros for whatever an end marker cuts off, but not the end of the file. So a file of one
-    /// scan ends in a few zeros, which the decoder may read ahead, and no marker.
+    /// The file for a strict decoder. Such a decoder fills in zeros for what an end marker cuts off, but fails at the end of the file. So
+    /// a file of one scan ends in a few zeros, which the decoder may read ahead, and no marker.
     pub(super) fn open(&self) -> Vec<u8> {
         if self.progressive { self.stripped.clone() } else { self.followed_by(&[0; READ_AHEAD]) }
     }
 
-    /// The file cut to what has to be whole for a damaged picture to be worth showing: the upper [`MOST`] of it, or, where each
-    /// scan refines the whole picture, the first scan.
+    /// The part of the file that has to be intact for a damaged picture to be worth showing: the upper [`MOST`] of its rows or, in a
+    /// progressive file, the first scan.
     pub(super) fn most(&self) -> Vec<u8> {
         if self.progressive {
             return [&self.stripped[..self.first_scan_end], &END].concat();
@@ -82,17 +80,17 @@ impl Jpeg {
         file
     }
 
-    /// Rows that must decode without a fault.
+    /// Rows that must decode without an error.
     pub(super) fn most_rows(&self) -> u64 {
         (u64::from(self.height) * MOST.0).div_ceil(MOST.1)
     }
 }
 
-/// Segments and bytes between them, before the frame header, that are looked at while the file is still on its way; more are left to the
-/// whole file, so that bytes which come one by one cost little each.
+/// Most segments, and bytes between them, that [`head`] walks before the frame header. Longer headers are left to the check of the whole
+/// file, so that bytes that arrive one by one stay cheap.
 const MAX_STEPS: usize = 1024;
 
-/// What the first bytes tell; they begin with the marker of JPEG.
+/// Reads the size from the first bytes, which begin with JPEG's marker.
 pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     let mut at = 2;
     for _ in 0..MAX_STEPS {
@@ -118,7 +116,7 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
             let Some(body) = bytes.get(at + 4..end) else { return Ok(Head::Needs(end)) };
             let frame = Frame::read(marker, body)?;
             limits.check_size(frame.width, frame.height)?;
-            // whether a scan holds all components is told behind this
+            // whether a scan holds all components is only known later
             let coefficients = if frame.progressive { frame.coefficient_bytes } else { 0 };
             limits.check_memory(coefficients.saturating_add(u64::from(frame.width) * u64::from(frame.height) * 3))?;
             return Ok(Head::Size(frame.width, frame.height));
@@ -128,19 +126,19 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     Ok(Head::Silent)
 }
 
-/// Bytes that a decoder holds ahead of the block that it is at.
+/// Bytes that a decoder may read beyond its current block.
 pub(super) const READ_AHEAD: usize = 16;
 
-/// Share of the rows, as a fraction, that must decode without a fault.
+/// Share of the rows, as a fraction, that must decode without an error.
 const MOST: (u64, u64) = (3, 4);
 
-/// The marker of the end.
+/// The end marker (EOI).
 pub(super) const END: [u8; 2] = [0xFF, 0xD9];
-/// A segment by which decoders know a frame of Motion JPEG, and take the standard's code tables for those that are missing.
+/// Marks a frame of Motion JPEG: decoders then use the standard's code tables for missing ones.
 const MOTION: &[u8] = b"AVI1\0\0\0\0\0\0\0\0\0\0";
 
-/// Reads all segments up to the end marker. Where it is missing the file ends with the last thing that can be read, of which some picture
-/// data must have been.
+/// Reads all segments up to the end marker. Without a marker the file ends at its last readable part, which must include some picture
+/// data.
 pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
     let mut walk = Walk { bytes, at: 2, out: vec![0xFF, 0xD8], ..Walk::default() };
     walk.out.reserve(bytes.len());
@@ -156,32 +154,32 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
     walk.finish(ended)
 }
 
-/// What a step along a file comes to.
+/// Outcome of one [`Walk::step`].
 enum Step {
     On,
     End,
     TooManyScans,
 }
 
-/// On the way along the segments of a file.
+/// State of a walk over the segments of a file.
 #[derive(Default)]
 struct Walk<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// The file without what nobody needs.
+    /// The stripped file.
     out: Vec<u8>,
     frame: Option<Frame>,
     jfif: bool,
-    /// Kind of colours that an Adobe segment tells.
+    /// Colour transform of the Adobe segment.
     adobe: Option<u8>,
-    /// Code tables that there are: a bit for each of DC, then of AC.
+    /// Code tables defined so far, as bits like those of [`tables`].
     tables: u8,
-    /// A scan uses a code table that there is not.
+    /// Some scan uses a code table that is not defined.
     motion: bool,
     scans: usize,
     data: usize,
     height_at: usize,
-    /// Places in `out` behind the first and the last scan.
+    /// Offsets in `out` of the ends of the first and the last scan.
     first_scan_end: usize,
     last_scan_end: usize,
     exif: Option<&'a [u8]>,
@@ -189,13 +187,13 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// Reads a segment, and the data behind it where it is a scan's.
+    /// Reads a segment, and the data after it if it is a scan.
     fn step(&mut self) -> Result<Step, PhotoError> {
         let (marker, next) = next_marker(self.bytes, self.at)?;
         self.at = next;
         match marker {
             0xD9 => return Ok(Step::End),
-            // Markers that stand alone: TEM, RSTn, a second SOI
+            // markers without a body: TEM, RSTn, a second SOI
             0x01 | 0xD0..=0xD8 => return Ok(Step::On),
             _ => {}
         }
@@ -204,7 +202,7 @@ impl Walk<'_> {
         match marker {
             0xE0 if body.starts_with(b"JFIF\0") && body.len() >= 14 => {
                 self.jfif = true;
-                // The same header with a thumbnail of 0×0
+                // the same header with a thumbnail of 0×0
                 let mut head = body[..14].to_vec();
                 head[12..14].fill(0);
                 push(&mut self.out, marker, &head);
@@ -218,7 +216,7 @@ impl Walk<'_> {
                     return Err(broken("more than one frame header"));
                 }
                 self.frame = Some(Frame::read(marker, body)?);
-                // marker, length and precision come before it
+                // marker, length and precision precede the height
                 self.height_at = self.out.len() + 5;
                 push(&mut self.out, marker, body);
             }
@@ -234,20 +232,20 @@ impl Walk<'_> {
         Ok(Step::On)
     }
 
-    /// A scan of that header, with its data.
+    /// Reads a scan with the header `body`, and its data.
     fn scan(&mut self, body: &[u8]) -> Result<(), PhotoError> {
         let Some(frame) = &mut self.frame else { return Err(broken("a scan before the frame header")) };
         let uses = frame.refine(body)?;
         if self.scans == 0 {
             let colour = frame.colour(self.jfif, self.adobe);
-            // without it the identifiers tell, or nothing has to
-            let told = match colour {
+            // without an Adobe segment, the identifiers or the number of components decide
+            let transform = match colour {
                 Colour::Rgb | Colour::Cmyk => self.adobe.map(|_| 0),
                 Colour::Ycck => Some(2),
                 Colour::Grey | Colour::YCbCr => None,
             };
-            if let Some(told) = told {
-                push(&mut self.out, 0xEE, &[b"Adobe\0\x64\0\0\0\0", &[told][..]].concat());
+            if let Some(transform) = transform {
+                push(&mut self.out, 0xEE, &[b"Adobe\0\x64\0\0\0\0", &[transform][..]].concat());
             }
         }
         if !self.motion && uses & !self.tables != 0 {
@@ -257,7 +255,7 @@ impl Walk<'_> {
         push(&mut self.out, 0xDA, body);
         let end = entropy_end(self.bytes, self.at);
         let data = &self.bytes[self.at..end];
-        // fill bytes, or half of a marker
+        // fill bytes, or the first half of a marker
         let fill = data.iter().rev().take_while(|byte| **byte == 0xFF).count();
         self.out.extend_from_slice(&data[..data.len() - fill]);
         self.data += data.len();
@@ -303,7 +301,7 @@ impl Walk<'_> {
 }
 
 fn push(out: &mut Vec<u8>, marker: u8, body: &[u8]) {
-    // A body read from a segment is at most 65 533 bytes long
+    // a segment's body has at most 65 533 bytes
     let length = (body.len() + 2) as u16;
     out.extend_from_slice(&[0xFF, marker]);
     out.extend_from_slice(&length.to_be_bytes());
@@ -314,7 +312,7 @@ fn push(out: &mut Vec<u8>, marker: u8, body: &[u8]) {
 pub(super) mod tests {
     use super::*;
 
-    /// Memory for a frame of that kind, as its segment describes it.
+    /// Decoder memory, in bytes, for a frame with this marker and header.
     pub fn memory_of(marker: u8, body: &[u8]) -> u64 {
         let frame = Frame::read(marker, body).unwrap();
         let coefficients = if frame.progressive { frame.coefficient_bytes } else { 0 };

@@ -1,4 +1,4 @@
-//! Kinds of JPEG that cameras and programs write and few decoders read.
+//! JPEG variants that cameras and programs write and few decoders read.
 
 use image::ImageFormat;
 use tmpi_testing::jpeg::{Component, Jpeg, Scans, adobe, components, jfif, smooth, smooth_rgb};
@@ -15,7 +15,7 @@ fn writer(sampling: &[(u8, u8)], scans: Scans) -> Jpeg {
     Jpeg { scans, segments: vec![jfif()], ..Jpeg::new(W, H, components(sampling)) }
 }
 
-/// Mean squared error as a peak signal-to-noise ratio, in dB, of what a file of [`smooth`] is decoded to.
+/// Peak signal-to-noise ratio, in dB, of a photo decoded from a file of [`smooth`], with `scale` pixels of the file per pixel.
 fn quality(photo: &Photo, scale: f64) -> f64 {
     quality_against(photo, |x, y| smooth_rgb(x * scale, y * scale))
 }
@@ -30,7 +30,7 @@ fn quality_against(photo: &Photo, want: impl Fn(f64, f64) -> [f64; 3]) -> f64 {
     10.0 * (255.0f64.powi(2) / (sum / (3 * photo.rgb.len()) as f64)).log10()
 }
 
-/// What Samsung's phones put behind a photo, and a film with a picture in it as they put there too.
+/// What may follow a photo: nothing, a few bytes, what Samsung's phones append, and a film with a picture in it, which they append too.
 fn trailers() -> [Vec<u8>; 5] {
     let samsung =
         b"\0\0\x01\x0a\x0e\0\0\0Image_UTC_Data1577836800000SEFHk\0\0\0\x01\0\0\0\0\0\x01\x0a\x23\0\0\0\x23\0\0\0\x18\0\0\0SEFT".to_vec();
@@ -53,9 +53,9 @@ fn files_without_an_end_marker_are_whole() {
             assert!(quality(&full.photo, 1.0) > 40.0 && !full.damaged);
             for (end, trailer) in [&END[..], &[], &[0xFF]].into_iter().flat_map(|end| trailers().map(|trailer| (end, trailer))) {
                 let got = ok(&[data, end, &trailer].concat());
-                let of = format!("{sampling:?} {scans:?} every {restart}, end {end:?}, {} bytes behind", trailer.len());
+                let of = format!("{sampling:?} {scans:?} every {restart}, end {end:?}, {} bytes after it", trailer.len());
                 assert!(got.photo == full.photo && !got.damaged, "{of}");
-                // what lies behind it may tell more than the picture
+                // without an end marker, what follows may hold more than the picture, so the file is not carried
                 assert_eq!(got.carried, full.carried.as_ref().filter(|_| end == END).cloned(), "{of}");
             }
         }
@@ -63,7 +63,7 @@ fn files_without_an_end_marker_are_whole() {
 }
 
 #[test]
-fn files_cut_near_their_end_are_damaged_and_others_refused() {
+fn files_cut_near_their_end_are_damaged_and_files_cut_earlier_are_refused() {
     for (sampling, scans) in
         [(SUBSAMPLED, Scans::Interleaved), ([(3, 1), (1, 1), (1, 1)], Scans::Interleaved), ([(1, 1), (2, 2), (2, 2)], Scans::Interleaved)]
     {
@@ -81,20 +81,20 @@ fn files_cut_near_their_end_are_damaged_and_others_refused() {
                 let got =
                     decode(&cut(share), &Limits::default(), None).unwrap_or_else(|error| panic!("{sampling:?} cut at {share}: {error}"));
                 assert!(got.damaged && got.carried.is_none(), "{sampling:?} cut at {share}");
-                let there = usize::from(W) * 112;
-                assert!(got.photo.rgb[..there] == full.rgb[..there] && got.photo.rgb != full.rgb, "{sampling:?} cut at {share}");
+                let intact = usize::from(W) * 112;
+                assert!(got.photo.rgb[..intact] == full.rgb[..intact] && got.photo.rgb != full.rgb, "{sampling:?} cut at {share}");
             }
         }
     }
 }
 
 #[test]
-fn scans_that_are_cut_off_are_damage_or_refused() {
+fn files_with_missing_scans_are_damaged_or_refused() {
     let progressive = writer(&SUBSAMPLED, Scans::Progressive).write(smooth);
     let full = ok(&progressive).photo;
     let scans: Vec<usize> = (0..progressive.len() - 1).filter(|&i| progressive[i..].starts_with(&[0xFF, 0xDA])).collect();
     for end in [&END[..], &[]] {
-        // behind all scans but the last, and behind the second
+        // after all scans but the last, and after the second
         for (at, least) in [(*scans.last().unwrap(), 30.0), (scans[2], 15.0)] {
             let got = ok(&[&progressive[..at], end].concat());
             assert!(got.damaged && got.photo != full && quality(&got.photo, 1.0) > least, "{end:?}: {}", quality(&got.photo, 1.0));
@@ -114,7 +114,7 @@ fn scans_that_are_cut_off_are_damage_or_refused() {
     }
 }
 
-/// Samplings of three components of which every order of scans is decoded.
+/// Samplings of three components, each of which is decoded in every order of scans.
 const SAMPLINGS: [[(u8, u8); 3]; 16] = [
     [(1, 1); 3],
     [(2, 1), (1, 1), (1, 1)],
@@ -135,7 +135,7 @@ const SAMPLINGS: [[(u8, u8); 3]; 16] = [
 ];
 
 #[test]
-fn every_sampling_in_every_order_of_scans_is_right() {
+fn every_sampling_decodes_in_every_order_of_scans() {
     for sampling in SAMPLINGS {
         for scans in [Scans::Interleaved, Scans::Separate, Scans::Progressive] {
             for (restart, (width, height)) in [(0, (W, H)), (3, (W, H)), (1, (17, 9)), (0, (64, 48)), (7, (130, 5))] {
@@ -155,7 +155,7 @@ fn every_sampling_in_every_order_of_scans_is_right() {
 }
 
 #[test]
-fn grey_and_cmyk_of_any_sampling_are_right() {
+fn grey_and_cmyk_decode_in_any_sampling() {
     let grey = |x: f64, y: f64| [smooth(0, x, y); 3];
     let inks = |x: f64, y: f64| [0, 1, 2].map(|c| smooth(c, x, y) * smooth(3, x, y) / 255.0);
     for scans in [Scans::Interleaved, Scans::Separate, Scans::Progressive] {
@@ -172,7 +172,7 @@ fn grey_and_cmyk_of_any_sampling_are_right() {
 }
 
 #[test]
-fn jfif_comes_before_adobe_and_adobe_before_names() {
+fn jfif_outranks_adobe_and_adobe_outranks_component_names() {
     let stored = |x: f64, y: f64| [0, 1, 2].map(|c| smooth(c, x, y));
     for (segments, names, is_rgb) in [
         (vec![jfif()], *b"\x01\x02\x03", false),
@@ -200,12 +200,12 @@ fn jfif_comes_before_adobe_and_adobe_before_names() {
         let want = resize(&got.photo, half.width, half.height);
         let off = |(a, b): (&u8, &u8)| f64::from(a.abs_diff(*b));
         let mean = half.rgb.as_flattened().iter().zip(want.rgb.as_flattened()).map(off).sum::<f64>() / want.rgb.len() as f64;
-        assert!(mean < 9.0, "{segments:?} {names:?}: another picture where it is reduced: {mean}");
+        assert!(mean < 9.0, "{segments:?} {names:?}: the reduced picture differs: {mean}");
     }
 }
 
 #[test]
-fn missing_code_tables_are_those_of_the_standard() {
+fn missing_code_tables_default_to_those_of_the_standard() {
     let grey = image::DynamicImage::from(picture(W.into(), H.into())).to_luma8();
     for whole in [file(picture(W.into(), H.into()), ImageFormat::Jpeg), file(grey, ImageFormat::Jpeg)] {
         let full = ok(&whole);
@@ -220,7 +220,7 @@ fn missing_code_tables_are_those_of_the_standard() {
     }
 }
 
-/// The file without its code tables, of which each is a segment, but for those `kept` by class and number.
+/// The file without its code tables, except those `kept` by class and number. Each table is a segment of its own.
 fn without_tables(file: &[u8], kept: &[u8]) -> Vec<u8> {
     let mut out = file[..2].to_vec();
     let mut at = 2;
@@ -236,7 +236,7 @@ fn without_tables(file: &[u8], kept: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_rare_file_is_never_carried() {
+fn files_of_rare_layout_are_never_carried() {
     for (sampling, scans, common) in [
         (SUBSAMPLED, Scans::Interleaved, true),
         (SUBSAMPLED, Scans::Progressive, true),

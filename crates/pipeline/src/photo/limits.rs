@@ -1,4 +1,4 @@
-//! Limits of an upload, checked before any pixel is decoded (DESIGN, section 8).
+//! Limits of an upload, checked before any pixel is decoded.
 
 use super::PhotoError;
 
@@ -11,9 +11,9 @@ pub struct Limits {
     pub pixels: u64,
     /// Longest side in pixels.
     pub side: u32,
-    /// Memory that a decoder may take, in bytes: its coefficients, planes and output in the file's own sample format.
+    /// Memory that a decoder may take, in bytes: coefficients, planes, and the output in the file's own sample format.
     pub decoder_memory: u64,
-    /// Memory that making the photo may take in all, in bytes (`Options::memory` tells how much that is).
+    /// Memory that making the photo may take in total, in bytes (`Options::memory` estimates it).
     pub memory: u64,
 }
 
@@ -26,7 +26,7 @@ impl Limits {
     pub const SIDE: u32 = tmpi_core::container::MAX_SIDE;
     /// 512 MiB: 50 megapixels of a progressive JPEG without subsampling take 450 MB, of a PNG of 16 bits with alpha 400 MB.
     pub const DECODER_MEMORY: u64 = 512 << 20;
-    /// No limits, for what was held to some before.
+    /// No limits, for data that was checked before.
     pub(crate) const NONE: Self = Self { bytes: usize::MAX, pixels: u64::MAX, side: u32::MAX, decoder_memory: u64::MAX, memory: u64::MAX };
 }
 

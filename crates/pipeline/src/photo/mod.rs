@@ -1,8 +1,9 @@
-//! Photo in: sniff by content, check limits before decoding, decode, orient, read the focal length, drop all metadata.
+//! Reads photos: detects the format by content, checks the limits, decodes, turns the picture upright, reads the focal length, and drops
+//! all metadata.
 //!
-//! What is read: JPEG (baseline and progressive; grey, `YCbCr`, RGB, CMYK), PNG (all kinds), WebP (lossy, lossless, alpha).
-//! Of an animation the first picture is taken, as a browser shows it with animations off. Colours are converted to sRGB by an ICC profile of
-//! RGB or grey, or PNG's `cICP`; CMYK profiles, and PNG's `gAMA` and `cHRM`, are passed over.
+//! Formats: JPEG (baseline and progressive; grey, `YCbCr`, RGB, CMYK), PNG (all kinds), WebP (lossy, lossless, alpha). Of an animation,
+//! the first picture is read, as a browser shows it with animations off. Colours are converted to sRGB by an RGB or grey ICC profile or
+//! by PNG's `cICP`; CMYK profiles, and PNG's `gAMA` and `cHRM`, are ignored.
 
 mod check;
 mod colour;
@@ -59,7 +60,7 @@ pub use self::reduced::Reduction;
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
 
-/// A decoded photo with what was learnt on the way.
+/// A decoded photo and facts about its file.
 #[derive(Clone, Debug)]
 pub struct Decoded {
     /// Upright pixels; alpha blended over white.
@@ -68,56 +69,55 @@ pub struct Decoded {
     pub original: (u32, u32),
     /// Format as uploaded.
     pub format: PhotoFormat,
-    /// Intrinsics for `photo`: EXIF focal length (35 mm equivalent) where it is sane, else 0.58 × width.
+    /// Intrinsics of `photo`, from EXIF's 35 mm equivalent focal length if that is 8 to 600 mm, else with a focal length of 0.58 × width.
     ///
-    /// A 35 mm frame is 36 mm wide, so the focal length in pixels is `f35 / 36 × longer side`; values outside
-    /// 8 to 600 mm are taken as missing.
+    /// A 35 mm frame is 36 mm wide, so the focal length in pixels is `f35 / 36 × longer side`.
     pub intrinsics: Intrinsics,
-    /// True where the focal length comes from EXIF.
+    /// Whether the focal length comes from EXIF.
     pub focal_from_exif: bool,
-    /// The uploaded file without metadata, where its pixels are exactly `photo` (no rotation, no reduction, no alpha; JPEG or WebP).
+    /// The uploaded file without metadata, if its pixels are exactly `photo` (no rotation, no reduction, no alpha; JPEG or WebP).
     pub carried: Option<Vec<u8>>,
-    /// True where the file is damaged or cut short, yet most of the picture is there; what is missing is grey or coarse. Told of
-    /// JPEG files that are decoded at their own size, and of PNG files with a wrong checksum; others are refused, or decoded to a reduced size
-    /// as far as they go.
+    /// Whether the file is damaged or cut short. Most of the picture is intact then; the rest is grey or coarse. Detected for JPEG files
+    /// decoded at full size, and for PNG files with a wrong checksum. Other damaged files are refused, or decoded to a reduced size as
+    /// far as they go.
     pub damaged: bool,
-    /// What making it smaller did; none where it has the file's size.
+    /// How the photo was reduced; `None` if it has the file's size.
     pub reduction: Option<Reduction>,
 }
 
-/// Bytes of a colour profile, at most; larger ones are passed over. Those of printers take 0.5 to 3 MB, those of cameras some kB.
+/// Most bytes of a colour profile; larger ones are ignored. Printer profiles take 0.5 to 3 MB, camera profiles some kB.
 const MAX_PROFILE: usize = 4 << 20;
 
-/// Decodes an uploaded photo; `max_size` bounds the longer side in pixels (a larger photo is reduced).
+/// Decodes an uploaded photo. `max_size` bounds the longer side in pixels: a larger photo is reduced.
 ///
 /// # Errors
-/// [`PhotoError`] names the limit or the fault.
+/// The [`PhotoError`] names the limit or the fault.
 pub fn decode(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Decoded, PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = sniff(bytes)?;
     guarded(|| read(bytes, format, limits, max_size, Samples::Colours).map(|raw| finish(raw, format, max_size)))
 }
 
-/// Decodes a picture whose samples are values and no colours: no profile changes them, and alpha says nothing of them. Upright.
+/// Decodes a picture whose samples are values, not colours: profiles and alpha are ignored. The result is upright.
 pub(crate) fn decode_values(bytes: &[u8], limits: &Limits) -> Result<Photo, PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = sniff(bytes)?;
     guarded(|| read(bytes, format, limits, None, Samples::Values).map(|raw| finish(raw, format, None).photo))
 }
 
-/// The last resort: a decoder's own bug must not take the process down.
+/// Turns a decoder's panic into an error: its bug must not take the process down.
 fn guarded<T>(decode: impl FnOnce() -> Result<T, PhotoError>) -> Result<T, PhotoError> {
     catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
 }
 
-/// What the samples of a picture are.
+/// What the samples of a picture stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Samples {
     Colours,
     Values,
 }
 
-/// Format by the first bytes.
+/// Detects the format by the first bytes.
 fn sniff(bytes: &[u8]) -> Result<PhotoFormat, PhotoError> {
     // brands of ISO base media files that hold pictures
     let heic = bytes.get(4..8) == Some(b"ftyp")
@@ -127,7 +127,7 @@ fn sniff(bytes: &[u8]) -> Result<PhotoFormat, PhotoError> {
     PhotoFormat::sniff(bytes).ok_or(if heic { PhotoError::Heic } else { PhotoError::Unsupported })
 }
 
-/// EXIF orientation of a photo, 1 to 8; 1 where it says none.
+/// EXIF orientation of a photo, 1 to 8; 1 if it declares none.
 pub(crate) fn orientation(photo: &[u8]) -> u8 {
     let facts = match PhotoFormat::sniff(photo) {
         Some(PhotoFormat::Jpeg) => {
@@ -141,26 +141,26 @@ pub(crate) fn orientation(photo: &[u8]) -> u8 {
     facts.orientation
 }
 
-/// Width and height of a photo as it is shown, turned as its EXIF says, by its first bytes.
+/// Upright width and height of a photo in pixels, by its EXIF orientation, read from its first bytes.
 ///
 /// # Errors
-/// [`PhotoError`] where it exceeds a limit, is no photo, or says no size before its pixels.
+/// [`PhotoError`] if it exceeds a limit, is no photo, or does not state its size before its pixels.
 pub fn upright_size(photo: &[u8], limits: &Limits) -> Result<(u32, u32), PhotoError> {
     match head(photo, limits)? {
         Head::Size(width, height) if orientation(photo) > 4 => Ok((height, width)),
         Head::Size(width, height) => Ok((width, height)),
-        Head::Needs(_) | Head::Silent => Err(PhotoError::Broken("it says no size".into())),
+        Head::Needs(_) | Head::Silent => Err(PhotoError::Broken("it does not state its size".into())),
     }
 }
 
-/// A picture as its decoder gave it.
+/// A picture as its decoder returned it.
 struct Raw {
-    /// Pixels as stored: not upright; smaller than `size` where decoding could reduce.
+    /// Stored pixels: not upright; smaller than `size` if the decoder reduced.
     photo: Photo,
-    /// Size as stored.
+    /// Stored size.
     size: (u32, u32),
     facts: Facts,
-    /// File without metadata, where its pixels are exactly `photo`.
+    /// File without metadata, if its pixels are exactly `photo`.
     carried: Option<Vec<u8>>,
     damaged: bool,
 }
@@ -173,7 +173,7 @@ fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32
     }
 }
 
-/// Size and orientation, in the order that touches the fewest pixels.
+/// Reduces a picture and turns it upright, in the order that touches the fewest pixels.
 fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
     let Raw { mut photo, size, facts, mut carried, damaged } = raw;
     let (width, height) = reduced_size(size, max_size);
@@ -210,7 +210,7 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>, samples: Samp
     let facts = Facts::read(jpeg.exif.as_deref());
     let want = reduced_size(size, max_size);
     let cmyk = matches!(jpeg.colour, Colour::Cmyk | Colour::Ycck);
-    // what is damaged is seen at the file's own size
+    // damage is detected only at full size
     let reducible = !cmyk && jpeg.standalone && want.0 <= size.0 / 2 && want.1 <= size.1 / 2;
     let (mut photo, damaged) = match reducible.then(|| jpeg_pixels::reduced(&jpeg, want)).flatten() {
         Some(photo) => (photo, false),
@@ -221,7 +221,7 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>, samples: Samp
     if let Some(conversion) = &conversion {
         conversion.run(&mut photo.rgb);
     }
-    // Decoders do not agree on how CMYK becomes RGB, nor on rare, damaged and incomplete files
+    // decoders disagree on how CMYK becomes RGB, and on rare, damaged and incomplete files
     let alike = !cmyk && jpeg.layout == Layout::Common && jpeg.standalone && !damaged && conversion.is_none();
     Ok(Raw { photo, size, facts, carried: alike.then_some(jpeg.stripped), damaged })
 }
@@ -242,17 +242,17 @@ fn read_webp(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, Pho
     let facts = Facts::read(webp.exif.as_deref());
     let decoder = WebPDecoder::new(Cursor::new(&webp.stripped)).map_err(broken)?;
     if decoder.dimensions() != size {
-        return Err(broken("the picture has another size than its header says"));
+        return Err(broken("its size differs from that in its header"));
     }
     let pixels = image_pixels(decoder, webp.icc.map(Profile::Icc).as_ref(), samples)?;
     let carried = (pixels.as_stored && !webp.animated).then_some(webp.stripped);
     Ok(Raw { photo: pixels.photo, size, facts, carried, damaged: false })
 }
 
-/// Pixels of a PNG or WebP.
+/// Decoded pixels of a PNG or WebP.
 struct Pixels {
     photo: Photo,
-    /// They are those of the file: opaque and of its own colours.
+    /// The pixels are the file's own: opaque and not converted.
     as_stored: bool,
 }
 
@@ -283,7 +283,7 @@ fn image_pixels(decoder: impl ImageDecoder, profile: Option<&Profile>, samples: 
             let conversion = profile.and_then(|profile| profile.words(grey));
             (pixels::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
         }
-        other => return Err(PhotoError::Broken(format!("pixels of kind {other:?} are not read"))),
+        other => return Err(PhotoError::Broken(format!("pixels of kind {other:?} are not supported"))),
     };
     Ok(Pixels { photo: Photo { width, height, rgb }, as_stored: !see_through && !converted })
 }

@@ -1,13 +1,13 @@
-//! Pixels of any decoder as upright sRGB of 8 bits.
+//! Converts the pixels of any decoder to upright 8-bit sRGB.
 
 use rayon::prelude::*;
 
 use super::colour::{CHUNK, Conversion};
 use tmpi_core::Photo;
 
-/// A sample as a decoder gives it.
+/// A sample as a decoder returns it.
 pub(super) trait Sample: Copy + Default + Send + Sync {
-    /// The nearest of 8 bits.
+    /// The nearest 8-bit value.
     fn byte(self) -> u8;
 }
 
@@ -24,12 +24,12 @@ impl Sample for u16 {
     }
 }
 
-/// RGB of 8 bits, converted where there is a conversion, then blended over white where it is to be, and whether any pixel was not opaque.
-/// Of `channels` 1 is grey, 3 are RGB, and one more is alpha.
+/// Converts samples to 8-bit RGB: applies `conversion` if there is one, then blends over white if `blend` is set. Also returns whether
+/// any pixel is not opaque. One channel is grey and three are RGB; two and four add alpha.
 pub(super) fn to_rgb<S: Sample>(samples: &[S], channels: usize, conversion: Option<&Conversion<S>>, blend: bool) -> (Vec<[u8; 3]>, bool) {
     let colour = |p: &[S]| if channels < 3 { [p[0]; 3] } else { [p[0], p[1], p[2]] };
     let alpha = |p: &[S]| if channels.is_multiple_of(2) { p[channels - 1].byte() } else { u8::MAX };
-    // what is see-through is paper more often than night
+    // white is a more likely background than black
     let over = |c: [u8; 3], a: u8| c.map(|v| ((u16::from(v) * u16::from(a) + 255 * (255 - u16::from(a)) + 127) / 255) as u8);
     let mut rgb = vec![[0; 3]; samples.len() / channels];
     let chunks = rgb.par_chunks_mut(CHUNK).zip(samples.par_chunks(CHUNK * channels));
@@ -50,16 +50,17 @@ pub(super) fn to_rgb<S: Sample>(samples: &[S], channels: usize, conversion: Opti
     (rgb, see_through)
 }
 
-/// Turns a photo upright, as its EXIF orientation (1 to 8) says.
+/// Turns a photo upright by its EXIF orientation (1 to 8).
 pub(super) fn upright(photo: Photo, orientation: u8) -> Photo {
     let (rgb, (width, height)) = turned(photo.rgb, (photo.width, photo.height), orientation);
     Photo { width, height, rgb }
 }
 
-/// Turns pixels of a picture of `size` (width, height) upright, and gives its size then; any `orientation` but 2 to 8 leaves them.
+/// Turns row-major pixels of a picture of `size` (width, height) upright, and returns the new size. An `orientation` outside 2 to 8
+/// changes nothing.
 pub(crate) fn turned<P: Copy + Default + Send + Sync>(pixels: Vec<P>, size: (u32, u32), orientation: u8) -> (Vec<P>, (u32, u32)) {
     let (w, h) = (size.0 as usize, size.1 as usize);
-    // Source pixel of an upright pixel
+    // source pixel of an upright pixel
     let from = move |x: usize, y: usize| match orientation {
         2 => (w - 1 - x, y),
         3 => (w - 1 - x, h - 1 - y),

@@ -1,4 +1,4 @@
-//! Walks the chunks of a PNG file: size, metadata, and the file again with what its pixels need.
+//! Walks the chunks of a PNG file: reads its size and metadata, and writes the file again with only what its pixels need.
 
 use std::io::Cursor;
 
@@ -9,47 +9,47 @@ use super::exif::Facts;
 use super::{Head, Limits, MAX_PROFILE, PhotoError, broken};
 
 const SIGNATURE: usize = 8;
-/// The chunk at the end of a file.
+/// The end chunk of a file.
 const END: &[u8] = b"\0\0\0\0IEND\xAE\x42\x60\x82";
 /// Most bytes of a palette: 256 colours.
 const MAX_PALETTE: usize = 3 * 256;
-/// Memory for an unpacked colour profile and for rows on their way, beyond the pixels.
+/// Decoder memory beyond the pixels, in bytes: for an unpacked colour profile and for rows in progress.
 const WORKING: u64 = 2 * MAX_PROFILE as u64;
 
 /// What the chunks of a PNG file say.
 #[derive(Debug)]
 pub(crate) struct Png<'a> {
-    /// Signature and the chunks that pixels and colours come from; of an animation the picture that stands still.
+    /// Signature and the chunks that determine pixels and colours; of an animation, those of the still picture.
     stripped: Vec<u8>,
     /// TIFF structure of the EXIF chunk.
     exif: Option<&'a [u8]>,
-    /// That chunk is behind the picture.
+    /// The EXIF chunk follows the picture.
     late: bool,
-    /// Colours by their numbers, which come before a profile.
+    /// Colours by `cICP` code points, which outrank a profile.
     pub(super) cicp: Option<Profile>,
     pub width: u32,
     pub height: u32,
-    /// Bytes a pixel as decoded.
+    /// Bytes per decoded pixel.
     pub bytes_per_pixel: u64,
-    /// The checksum of a piece of the picture is wrong: it may show, and other than it was written.
+    /// A checksum of the picture data is wrong: the picture may look other than it was written.
     pub(super) damaged: bool,
 }
 
-/// Size of a PNG: its header chunk comes first and has a fixed length.
+/// Width and height of a PNG. The header chunk comes first and has a fixed length.
 pub(super) fn size(bytes: &[u8]) -> Result<(u32, u32), PhotoError> {
     let Some(head) = bytes.get(8..24).filter(|h| &h[4..8] == b"IHDR") else { return Err(broken("no PNG header")) };
     let side = |at: usize| u32::from_be_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
     Ok((side(8), side(12)))
 }
 
-/// Samples a pixel by the kind of colour, without a transparent colour of its own.
+/// Samples per pixel of a colour type, without a `tRNS` colour.
 fn channels_of(colour: u8) -> Result<u64, PhotoError> {
     match colour {
         0 => Ok(1),
         4 => Ok(2),
         2 | 3 => Ok(3),
         6 => Ok(4),
-        _ => Err(broken("an unknown kind of colour")),
+        _ => Err(broken("unknown colour type")),
     }
 }
 
@@ -59,7 +59,7 @@ fn memory((width, height): (u32, u32), channels: u64, depth: u8) -> u64 {
     pixels.saturating_mul(channels * if depth == 16 { 2 } else { 1 })
 }
 
-/// What the first bytes tell; they begin with the signature of PNG.
+/// Reads the size from the first bytes, which begin with PNG's signature.
 pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     let Some(&[depth, colour]) = bytes.get(24..26) else { return Ok(Head::Needs(26)) };
     let (width, height) = size(bytes)?;
@@ -68,8 +68,8 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     Ok(Head::Size(width, height))
 }
 
-/// Reads all chunks; a file that ends within the picture was cut short, one that ends behind it is whole. Size and memory are held to the
-/// limits first.
+/// Reads all chunks, after it has checked size and memory against the limits. A file that ends within the picture was cut short; one that
+/// ends after it is complete.
 pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, PhotoError> {
     head(bytes, limits)?;
     let (width, height) = size(bytes)?;
@@ -106,7 +106,7 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
             }
             b"iCCP" if length > MAX_PROFILE => {}
             b"cICP" if !pictures => png.cicp = Profile::cicp(&chunk[8..8 + length]),
-            // The decoder reads colours of three bytes and panics where the last is short
+            // the decoder reads colours of three bytes and panics if the last one is short
             b"PLTE" if length == 0 || length > MAX_PALETTE || !length.is_multiple_of(3) => {
                 return Err(broken("the palette is not 1 to 256 colours of three bytes"));
             }
@@ -134,13 +134,14 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
 }
 
 impl Png<'_> {
-    /// What the EXIF chunk says. Where it is behind the picture it turns nothing: browsers that show the picture as it comes do not look there.
+    /// Facts from the EXIF chunk. A chunk after the picture sets no orientation: browsers show a picture while it arrives, and do not
+    /// look there.
     pub(super) fn facts(&self) -> Facts {
         let facts = Facts::read(self.exif);
         if self.late { Facts { orientation: 1, ..facts } } else { facts }
     }
 
-    /// The decoder, held to little memory beyond the pixels that it is asked for.
+    /// A decoder that is limited to little memory beyond the pixels it returns.
     pub(crate) fn decoder(&self) -> Result<PngDecoder<Cursor<&[u8]>>, PhotoError> {
         let mut bounds = image::Limits::no_limits();
         bounds.max_alloc = Some(WORKING);

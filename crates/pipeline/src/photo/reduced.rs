@@ -1,4 +1,4 @@
-//! What a photo loses by being made smaller.
+//! Measures what a photo loses when it is reduced.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -16,11 +16,11 @@ pub struct Reduction {
     pub psnr: Option<f64>,
 }
 
-/// Every so many rows one is compared: all of them would take longer than reducing. Not the height of a JPEG file's blocks, of which it would always be
-/// the same row.
+/// Every how many rows one is compared; comparing all of them would take longer than reducing. Not a multiple of the height of JPEG
+/// blocks, which would always compare the same row of a block.
 const STEP: usize = 17;
 
-/// PSNR in dB of a smaller photo, enlarged again by linear interpolation, against what it was; over every seventeenth row.
+/// PSNR in dB of a reduced photo, enlarged again by linear interpolation, against the original; over every seventeenth row.
 #[must_use]
 pub(super) fn psnr(small: &Photo, whole: &Photo) -> f64 {
     let (width, height) = (whole.width as usize, whole.height as usize);
@@ -40,12 +40,12 @@ pub(super) fn psnr(small: &Photo, whole: &Photo) -> f64 {
         squares.flatten().sum::<f64>()
     };
     let rows: Vec<usize> = (0..height).skip(STEP.min(height) / 2).step_by(STEP).collect();
-    // added up in the order of the rows: the same on any count of threads
+    // added in the order of the rows, so that the sum does not depend on the number of threads
     let sum: f64 = rows.par_iter().map(|y| row(*y)).collect::<Vec<f64>>().into_iter().sum();
     psnr_of(sum / (rows.len() * width * 3).max(1) as f64)
 }
 
-/// The places before and behind place `i` of `n` among `small`, and its share of the latter.
+/// The samples of `small` before and after sample `i` of `n`, and the share of the latter.
 fn between(i: usize, n: usize, small: usize) -> (usize, usize, f32) {
     let at = ((i as f64 + 0.5) * small as f64 / n as f64 - 0.5).clamp(0.0, (small - 1) as f64);
     (at as usize, (at as usize + 1).min(small - 1), at.fract() as f32)
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_photo_loses_nothing_and_stripes_are_lost_to_their_deviation() {
+    fn a_flat_photo_loses_nothing_and_stripes_lose_their_deviation() {
         let flat = |w, h| photo(w, h, |_, _| 77);
         assert!((psnr(&flat(20, 10), &flat(40, 20)) - EQUAL).abs() < 1e-12);
         // stripes of one pixel, 100 and 140: their mean is 20 levels away from both

@@ -1,23 +1,23 @@
-//! Separable resampling in bands, so that memory grows with the result's width and never with the source's height.
+//! Separable resampling in bands, so that memory grows with the result's width but not with the source's height.
 
 use rayon::prelude::*;
 
 use super::taps::Taps;
 use tmpi_core::Photo;
 
-/// Kernel of a resampling; when reducing it is stretched by the ratio, so that nothing aliases.
+/// Resampling kernel. When reducing, it is stretched by the ratio to prevent aliasing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
-    /// Windowed sinc, three lobes: sharp; overshoots at edges.
+    /// Windowed sinc with three lobes: sharp, but overshoots at edges.
     Lanczos3,
     /// Linear: never leaves the range of its input.
     Triangle,
-    /// Cubic with slope −½ at 1 (Keys 1981), as Pillow reduces pictures by it.
+    /// Cubic with slope −½ at 1 (Keys 1981), which Pillow uses to reduce pictures.
     Cubic,
 }
 
 impl Filter {
-    /// Distance from which on the kernel is 0.
+    /// Radius beyond which the kernel is 0, in pixels.
     pub(super) fn support(self) -> f64 {
         match self {
             Self::Lanczos3 => 3.0,
@@ -26,7 +26,7 @@ impl Filter {
         }
     }
 
-    /// The kernel at a distance in places, unstretched.
+    /// The unstretched kernel at a distance in pixels.
     pub(super) fn at(self, x: f64) -> f64 {
         let x = x.abs();
         match self {
@@ -44,7 +44,7 @@ impl Filter {
     }
 }
 
-/// Resamples a row-major picture of `from` pixels to `to` pixels; `load` and `store` convert a pixel to and from channels.
+/// Resamples a row-major picture from size `from` to size `to` (width, height); `load` and `store` convert a pixel to and from channels.
 ///
 /// Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels.
 pub fn resample<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
@@ -60,7 +60,7 @@ pub fn resample<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
     resample_by(source, from.0 as usize, &across, &down, load, store)
 }
 
-/// As [`resample`], by taps of one's own; `source` has rows of `from_w` pixels, and the taps lie inside it.
+/// Like [`resample`], but with your own taps. `source` has rows of `from_w` pixels, and the taps lie inside it.
 pub fn resample_by<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
     source: &[S],
     from_w: usize,
@@ -78,7 +78,7 @@ pub fn resample_by<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
         let mut sums = vec![[0f32; C]; out.len()];
         let (mut line, mut row) = (vec![[0f32; C]; from_w], vec![[0f32; C]; to_w]);
         for y in first..end {
-            // Taps that are not stretched leave rows out
+            // taps that are not stretched skip rows
             if !taps.iter().any(|(at, weights)| (*at..at + weights.len()).contains(&y)) {
                 continue;
             }
@@ -110,7 +110,7 @@ pub fn resample_by<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
     out
 }
 
-/// A photo at another size, at least 1×1.
+/// Resamples a photo to another size, at least 1×1, with [`Filter::Lanczos3`].
 #[must_use]
 pub fn resize(photo: &Photo, width: u32, height: u32) -> Photo {
     let rgb = resample(
@@ -125,7 +125,7 @@ pub fn resize(photo: &Photo, width: u32, height: u32) -> Photo {
     Photo { width, height, rgb }
 }
 
-/// Size with the longer side at most `max_size`, keeping the aspect; at least 1×1.
+/// Size (width, height) with the longer side at most `max_size` and the same aspect; at least 1×1.
 #[must_use]
 pub fn reduced_size((width, height): (u32, u32), max_size: Option<u32>) -> (u32, u32) {
     let Some(max) = max_size.map(|m| m.max(1)).filter(|&m| m < width.max(height)) else { return (width, height) };

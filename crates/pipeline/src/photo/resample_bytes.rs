@@ -1,50 +1,50 @@
-//! Separable resampling of 8-bit pictures with the rounding of Pillow: weights in fixed point, bytes between the two passes.
+//! Separable resampling of 8-bit pictures with Pillow's rounding: fixed-point weights, and bytes between the two passes.
 //!
-//! Networks that were published with such a preprocessing see the very same bytes here.
+//! Networks published with this preprocessing get exactly the same bytes here.
 
 use rayon::prelude::*;
 
 use super::Filter;
 
-/// Fractional bits of a weight; with 8 bits of a value and 2 for what a kernel overshoots, sums fit 32 bits.
+/// Fractional bits of a weight. With 8 bits for a value and 2 for a kernel's overshoot, sums fit in 32 bits.
 const BITS: u32 = 22;
 
-/// For each place of the result, the first source place and the weights from there on, in units of 2^-[`BITS`].
+/// For each sample of the result, its first source sample and the weights from there on, in units of 2^-[`BITS`].
 struct Weights(Vec<(usize, Vec<i32>)>);
 
 impl Weights {
-    /// None where the size stays: Pillow passes such an axis over.
+    /// `None` if the size stays the same: Pillow skips such an axis.
     fn new(from: usize, to: usize, filter: Filter) -> Option<Self> {
         let ratio = from as f64 / to as f64;
         let stretch = ratio.max(1.0);
         let reach = filter.support() * stretch;
         let tap = |i: usize| {
             let centre = (i as f64 + 0.5) * ratio;
-            // `as` takes what is below 0 to 0
+            // `as` turns negative values into 0
             let first = ((centre - reach + 0.5) as usize).min(from - 1);
             let end = ((centre + reach + 0.5) as usize).clamp(first + 1, from);
             let weights: Vec<f64> = (first..end).map(|s| filter.at((s as f64 - centre + 0.5) * (1.0 / stretch))).collect();
             let sum: f64 = weights.iter().sum();
             let norm = if sum == 0.0 { 1.0 } else { sum };
-            // `round` takes halves away from 0
+            // `round` rounds halves away from 0
             (first, weights.into_iter().map(|w| (w / norm * f64::from(1 << BITS)).round() as i32).collect())
         };
         (from != to).then(|| Self((0..to).map(tap).collect()))
     }
 }
 
-/// The byte nearest to a sum that holds a half already.
+/// The byte nearest to a sum that already includes a half.
 fn byte(sum: i32) -> u8 {
     (sum >> BITS).clamp(0, 255) as u8
 }
 
 const HALF: i32 = 1 << (BITS - 1);
 
-/// Resamples a row-major picture of `from` pixels to `to` pixels as Pillow's `Image.resize` does: across first, rounded to bytes,
-/// then down, rounded to bytes.
+/// Resamples a row-major picture from size `from` to size `to` (width, height) as Pillow's `Image.resize` does: horizontally first,
+/// rounded to bytes, then vertically, rounded to bytes.
 ///
-/// Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels. Rows are worked on in bands: memory beside the result is
-/// that of the rows of the result's width that a band is made of.
+/// Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels. The function works on bands of rows: beside the result it holds
+/// only the source rows of a band, at the result's width.
 #[must_use]
 pub fn resample_bytes(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), filter: Filter) -> Vec<[u8; 3]> {
     const BAND: usize = 32;
@@ -82,7 +82,7 @@ pub fn resample_bytes(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), filt
     out
 }
 
-/// One row across.
+/// Resamples one row horizontally.
 fn row(source: &[[u8; 3]], across: Option<&Weights>, out: &mut [[u8; 3]]) {
     let Some(across) = across else {
         out.copy_from_slice(source);
@@ -109,7 +109,7 @@ mod tests {
         (0..w * h).map(|i| std::array::from_fn(|c| (hash(3 * i + c as u32) >> 24) as u8)).collect()
     }
 
-    /// One axis by 64-bit sums over every source place, none left out; in `f64`, unrounded, where `exact` is wanted.
+    /// Resamples one axis with 64-bit sums over every source sample; with `exact`, in `f64` and unrounded.
     fn axis(line: &[u8], to: usize, filter: Filter, exact: bool) -> Vec<f64> {
         if line.len() == to {
             return line.iter().map(|&v| f64::from(v)).collect();
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn every_byte_is_that_of_wide_sums_over_the_whole_line() {
+    fn bytes_equal_those_of_64_bit_sums_over_the_whole_line() {
         for (from, to) in [((97, 61), (32, 48)), ((40, 33), (81, 70)), ((50, 50), (50, 21)), ((50, 50), (13, 50)), ((31, 7), (31, 7))] {
             for filter in [Filter::Cubic, Filter::Triangle, Filter::Lanczos3] {
                 let source = noise(from.0, from.1, 7);
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pass_is_off_from_double_precision_by_its_rounding_alone() {
+    fn a_pass_differs_from_double_precision_only_by_rounding() {
         let source = noise(3001, 1, 3);
         let line: Vec<u8> = source.iter().map(|p| p[1]).collect();
         for to in [1, 2, 37, 500, 2999, 4001] {
@@ -177,11 +177,11 @@ mod tests {
         93, 122, 134, 125, 157, 131, 135, 133, 138, 104, 120, 142, 112, 117, 128, 121, 136, 142, 108, 121, 130, 119, 148, 127, 131, 139,
         143, 118, 122, 142, 127, 154, 129, 135, 141, 138, 104, 112, 127, 114, 151, 131, 146, 146, 143,
     ];
-    /// Sum of every byte times its place, counted from 1.
+    /// Sum of every byte times its position, counted from 1.
     const PILLOW_TRIANGLE: u32 = 29_056_511;
 
     #[test]
-    fn the_bytes_of_pillow() {
+    fn bytes_equal_those_of_pillow() {
         // Image.fromarray(a).resize((5, 3), Image.Resampling.BICUBIC), where a[y, x, c] = (x * 37 + y * 91 + c * 53) % 256 of 11 × 8
         let source: Vec<[u8; 3]> =
             (0..88u32).map(|i| std::array::from_fn(|c| ((i % 11 * 37 + i / 11 * 91 + c as u32 * 53) % 256) as u8)).collect();
@@ -194,7 +194,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn constants_stay_and_sizes_hold(w in 1u32..40, h in 1u32..40, to_w in 1u32..40, to_h in 1u32..40, v in any::<[u8; 3]>()) {
+        fn constant_pictures_stay_constant(w in 1u32..40, h in 1u32..40, to_w in 1u32..40, to_h in 1u32..40, v in any::<[u8; 3]>()) {
             for filter in [Filter::Cubic, Filter::Triangle, Filter::Lanczos3] {
                 let got = resample_bytes(&vec![v; (w * h) as usize], (w, h), (to_w, to_h), filter);
                 prop_assert_eq!(got.len(), (to_w * to_h) as usize);
@@ -203,7 +203,7 @@ mod tests {
         }
 
         #[test]
-        fn odd_sizes_agree_with_wide_sums(w in 1u32..24, h in 1u32..24, to_w in 1u32..24, to_h in 1u32..24, seed in any::<u32>()) {
+        fn any_sizes_agree_with_64_bit_sums(w in 1u32..24, h in 1u32..24, to_w in 1u32..24, to_h in 1u32..24, seed in any::<u32>()) {
             let source = noise(w, h, seed);
             for filter in [Filter::Cubic, Filter::Triangle] {
                 prop_assert_eq!(resample_bytes(&source, (w, h), (to_w, to_h), filter), reference(&source, (w, h), (to_w, to_h), filter));
@@ -211,7 +211,7 @@ mod tests {
         }
 
         #[test]
-        fn the_same_size_is_the_same_picture(w in 1u32..24, h in 1u32..24, seed in any::<u32>()) {
+        fn resampling_to_the_same_size_changes_nothing(w in 1u32..24, h in 1u32..24, seed in any::<u32>()) {
             let source = noise(w, h, seed);
             prop_assert_eq!(resample_bytes(&source, (w, h), (w, h), Filter::Cubic), source);
         }

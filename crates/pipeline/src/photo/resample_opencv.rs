@@ -1,24 +1,25 @@
 //! Resampling of 8-bit pictures with the kernels and the rounding of `OpenCV`'s `resize`.
 //!
-//! Networks that were published with such a preprocessing see the same bytes here.
+//! Networks published with this preprocessing get the same bytes here.
 
 use rayon::prelude::*;
 
 use super::{Taps, resample_by};
 
-/// How [`resize_opencv`] weighs.
+/// Kernel of [`resize_opencv`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interpolation {
-    /// Lines between the two nearest pixels whatever the ratio: `INTER_LINEAR`.
+    /// Linear between the two nearest pixels, whatever the ratio: `INTER_LINEAR`.
     Linear,
-    /// Means over the area of a pixel of the result where no side grows, else a cubic over four pixels: `INTER_AREA` and `INTER_CUBIC`.
+    /// The mean over the area of a result's pixel if no side grows (`INTER_AREA`), else a cubic over four pixels (`INTER_CUBIC`).
     AreaOrCubic,
 }
 
 /// Fractional bits of a weight of [`Interpolation::Linear`].
 const BITS: u32 = 11;
 
-/// Resamples a row-major picture of `from` pixels to `to` pixels. Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels.
+/// Resamples a row-major picture from size `from` to size `to` (width, height). Both sizes are at least 1×1 and `source` has
+/// `from.0 · from.1` pixels.
 #[must_use]
 pub fn resize_opencv(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), by: Interpolation) -> Vec<[u8; 3]> {
     if from == to {
@@ -32,7 +33,7 @@ pub fn resize_opencv(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), by: I
     let halved = (from_w, from_h) == (2 * to_w, 2 * to_h);
     let grows = to_w > from_w || to_h > from_h;
     match by {
-        // Halves are rounded up there alone
+        // OpenCV rounds halves up only when it halves both sides
         _ if halved => taps(&Taps::covered(from_w, to_w), &Taps::covered(from_h, to_h), |v| (v + 0.5).floor()),
         Interpolation::AreaOrCubic if grows => taps(&Taps::four(from_w, to_w), &Taps::four(from_h, to_h), f32::round_ties_even),
         Interpolation::AreaOrCubic => taps(&Taps::covered(from_w, to_w), &Taps::covered(from_h, to_h), f32::round_ties_even),
@@ -40,9 +41,10 @@ pub fn resize_opencv(source: &[[u8; 3]], from: (u32, u32), to: (u32, u32), by: I
     }
 }
 
-/// Between which two places, not yet within the border, place `i` of `to` lies, and their weights in units of 2^-[`BITS`].
+/// The lower of the two source samples around sample `i` of `to`, not yet clamped to the border, and the weights of both in units of
+/// 2^-[`BITS`].
 fn between(from: usize, to: usize, i: usize) -> (i64, [i32; 2]) {
-    // The place in single precision, as there
+    // in single precision, as in OpenCV
     let at = ((i as f64 + 0.5) * (from as f64 / to as f64) - 0.5) as f32;
     let low = at.floor();
     let share = at - low;
@@ -55,7 +57,7 @@ fn linear(source: &[[u8; 3]], (from_w, from_h): (usize, usize), (to_w, to_h): (u
     let across: Vec<_> = (0..to_w)
         .map(|i| {
             let (low, weights) = between(from_w, to_w, i);
-            // Across, a place beyond the border is the border's with the whole weight; down, it keeps both weights
+            // horizontally, a sample beyond the border is the border's with the whole weight; vertically, it keeps both weights
             if low < 0 || low >= from_w as i64 - 1 {
                 ([within(low, from_w); 2], [1 << BITS, 0])
             } else {
@@ -70,7 +72,7 @@ fn linear(source: &[[u8; 3]], (from_w, from_h): (usize, usize), (to_w, to_h): (u
         for (out, (at, v)) in out.iter_mut().zip(&across) {
             *out = std::array::from_fn(|c| {
                 let sums = rows.map(|row| i32::from(row[at[0]][c]) * v[0] + i32::from(row[at[1]][c]) * v[1]);
-                // Each product is cut to 8 + 2 bits before they are added
+                // OpenCV cuts each product to 8 + 2 bits before it adds them
                 let sum: i32 = sums.iter().zip(weights).map(|(s, w)| ((s >> 4) * w) >> 16).sum();
                 ((sum + 2) >> 2).clamp(0, 255) as u8
             });
@@ -88,12 +90,12 @@ mod tests {
         (0..w * h).map(|i| std::array::from_fn(|c| ((i % w * 37 + i / w * 91 + c as u32 * 53) % 256) as u8)).collect()
     }
 
-    /// Sum of every byte times its place, counted from 1.
+    /// Sum of every byte times its position, counted from 1.
     fn sum(picture: &[[u8; 3]]) -> u64 {
         picture.as_flattened().iter().zip(1..).map(|(&v, k)| u64::from(v) * k).sum()
     }
 
-    /// From, to, how, and the sum.
+    /// From, to, interpolation, and the [`sum`] of `OpenCV`'s result.
     type Row = ((u32, u32), (u32, u32), Interpolation, u64);
     const OPENCV: [Row; 11] = [
         ((97, 61), (40, 50), Interpolation::Linear, 2_294_284_890),
@@ -110,17 +112,17 @@ mod tests {
     ];
 
     #[test]
-    fn the_bytes_of_opencv() {
+    fn bytes_equal_those_of_opencv() {
         // cv2.resize(a, to, interpolation=…), where a[y, x, c] = (x * 37 + y * 91 + c * 53) % 256
         for (from, to, by, want) in OPENCV {
             let got = sum(&resize_opencv(&noise(from.0, from.1), from, to, by));
-            // The cubic's sums are of single precision there too, in another order: halves fall on either side
+            // OpenCV's cubic also sums in single precision, but in another order: halves may round to either side
             let cubic = by == Interpolation::AreaOrCubic && to.0 > from.0;
             assert!(got == want || cubic && got.abs_diff(want) < want / 1_000_000, "{from:?} to {to:?}, {by:?}: {got} for {want}");
         }
     }
 
-    /// One place of an axis in `f64`: the mean over what it covers, or the line between two places.
+    /// One sample of an axis in `f64`: the mean over the area that it covers, or linear between two samples.
     fn exact(line: &[f64], to: usize, i: usize, by: Interpolation) -> f64 {
         let ratio = line.len() as f64 / to as f64;
         let last = line.len() - 1;
@@ -136,7 +138,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_level_off_from_double_precision_at_most(w in 1u32..40, h in 1u32..40, to_w in 1u32..40, to_h in 1u32..40) {
+        fn results_differ_from_double_precision_by_one_level_at_most(w in 1u32..40, h in 1u32..40, to_w in 1u32..40, to_h in 1u32..40) {
             let source = noise(w, h);
             for (by, to) in [(Interpolation::Linear, (to_w, to_h)), (Interpolation::AreaOrCubic, (to_w.min(w), to_h.min(h)))] {
                 let got = resize_opencv(&source, (w, h), to, by);
@@ -154,7 +156,7 @@ mod tests {
         }
 
         #[test]
-        fn constants_stay(w in 1u32..40, h in 1u32..40, to_w in 1u32..40, to_h in 1u32..40, v in any::<[u8; 3]>()) {
+        fn constant_pictures_stay_constant(w in 1u32..40, h in 1u32..40, to_w in 1u32..40, to_h in 1u32..40, v in any::<[u8; 3]>()) {
             for by in [Interpolation::Linear, Interpolation::AreaOrCubic] {
                 let got = resize_opencv(&vec![v; (w * h) as usize], (w, h), (to_w, to_h), by);
                 prop_assert!(got.iter().all(|p| *p == v), "{by:?}: {:?}", got[0]);

@@ -1,4 +1,4 @@
-//! The segments of a JPEG file, one after the other.
+//! Reads the segments of a JPEG file one after another.
 
 use super::PhotoError;
 
@@ -6,7 +6,7 @@ pub(super) fn broken(what: &str) -> PhotoError {
     PhotoError::Broken(what.to_owned())
 }
 
-/// The marker at or after `at`, and the place behind it. Bytes between segments are skipped, as libjpeg does.
+/// The first marker at or after `at`, and the offset after it. Skips bytes between segments, as libjpeg does.
 pub(super) fn next_marker(bytes: &[u8], mut at: usize) -> Result<(u8, usize), PhotoError> {
     let cut = || broken("the file is cut short");
     loop {
@@ -27,15 +27,15 @@ pub(super) fn segment(bytes: &[u8], at: usize) -> Result<&[u8], PhotoError> {
     let length = bytes.get(at..at + 2).map(|b| usize::from(u16::from_be_bytes([b[0], b[1]])));
     match length {
         Some(n) if n >= 2 => bytes.get(at + 2..at + n).ok_or_else(|| broken("the file is cut short")),
-        Some(_) => Err(broken("a segment of impossible length")),
+        Some(_) => Err(broken("invalid segment length")),
         None => Err(broken("the file is cut short")),
     }
 }
 
-/// Place of the marker that ends the entropy-coded data from `at` on, or the end of the file.
+/// Offset of the marker that ends the entropy-coded data at `at`, or the end of the file.
 pub(super) fn entropy_end(bytes: &[u8], mut at: usize) -> usize {
     while at + 1 < bytes.len() {
-        // Stuffed zeros, restart markers and fill bytes belong to the data
+        // stuffed zeros, restart markers and fill bytes belong to the data
         if bytes[at] == 0xFF && !matches!(bytes[at + 1], 0 | 0xD0..=0xD7 | 0xFF) {
             return at;
         }
@@ -44,7 +44,7 @@ pub(super) fn entropy_end(bytes: &[u8], mut at: usize) -> usize {
     bytes.len()
 }
 
-/// The place behind the end marker of a JPEG.
+/// Offset after the end marker of a JPEG.
 pub(crate) fn end(jpeg: &[u8]) -> Option<usize> {
     let mut at = 2;
     loop {
@@ -67,13 +67,13 @@ pub(crate) fn end(jpeg: &[u8]) -> Option<usize> {
 pub(crate) struct Application<'a> {
     /// n, 0 to 15.
     pub number: u8,
-    /// Its contents, without the length.
+    /// Contents, without the length.
     pub body: &'a [u8],
-    /// Place of the contents in the file.
+    /// Offset of the contents in the file.
     pub at: usize,
 }
 
-/// The `APPn` segments before the picture data of a JPEG, as far as they can be read; nothing is copied.
+/// The `APPn` segments before the picture data of a JPEG, up to the first that cannot be read. Copies nothing.
 pub(crate) fn applications(jpeg: &[u8]) -> Vec<Application<'_>> {
     let mut found = Vec::new();
     if !jpeg.starts_with(&[0xFF, 0xD8]) {

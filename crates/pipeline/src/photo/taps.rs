@@ -1,15 +1,15 @@
-//! Which source places a place of the result is made of, and by which weights, along one axis.
+//! Taps along one axis: which source samples make up a sample of the result, with which weights.
 
 use super::resample::Filter;
 
-/// Slope of `OpenCV`'s and `PyTorch`'s cubic at 1.
+/// Slope at 1 of `OpenCV`'s and `PyTorch`'s cubic.
 const SLOPE: f64 = -0.75;
 
-/// Taps along one axis: for each place of the result, the first source place and the weights from there on.
+/// Taps along one axis: for each sample of the result, its first source sample and the weights from there on.
 pub struct Taps(pub(super) Vec<(usize, Vec<f32>)>);
 
 impl Taps {
-    /// `from` places to `to`, both at least 1, by a kernel that is stretched by the ratio when reducing; weights sum to 1.
+    /// Resamples `from` samples to `to`, both at least 1, by a kernel that is stretched by the ratio when reducing. Weights sum to 1.
     #[must_use]
     pub fn stretched(from: usize, to: usize, filter: Filter) -> Self {
         let ratio = from as f64 / to as f64;
@@ -35,19 +35,19 @@ impl Taps {
         Self((0..to).map(tap).collect())
     }
 
-    /// `from` places to `to`, both at least 1, by a cubic of slope −¾ over four places whatever the ratio, the border repeated: as
-    /// `OpenCV`'s `INTER_CUBIC` and `PyTorch`'s `bicubic` without antialiasing.
+    /// Resamples `from` samples to `to`, both at least 1, by a cubic of slope −¾ over four samples, whatever the ratio. The border is
+    /// repeated. Equals `OpenCV`'s `INTER_CUBIC` and `PyTorch`'s `bicubic` without antialiasing.
     #[must_use]
     pub fn four(from: usize, to: usize) -> Self {
         Self((0..to).map(|i| gathered(&cubic(from, to, i))).collect())
     }
 
-    /// `from` places with `margin` mirrored ones on either side (the border not repeated) to `to`, all but `margin` at least 1,
-    /// by lines between neighbours, first on first and last on last: as `PyTorch`'s `bilinear` with `align_corners`.
+    /// Resamples `from` samples, with `margin` mirrored ones at either end (the border not repeated), to `to`: linear between neighbours,
+    /// first on first and last on last. Equals `PyTorch`'s `bilinear` with `align_corners`. All but `margin` are at least 1.
     #[must_use]
     pub fn mirrored(from: usize, margin: usize, to: usize) -> Self {
         let padded = from + 2 * margin;
-        // In single precision, as there: in thousands of places it decides on the fourth digit of a weight
+        // in single precision, as in PyTorch: for thousands of samples this decides the fourth digit of a weight
         let step = if to > 1 { (padded - 1) as f32 / (to - 1) as f32 } else { 0.0 };
         let tap = |i: usize| {
             let at = step * i as f32;
@@ -59,8 +59,8 @@ impl Taps {
         Self((0..to).map(tap).collect())
     }
 
-    /// `from` places to `to`, at least 1 and no more than `from`: the mean of what a place covers, slivers below a thousandth of a place left
-    /// out, as `OpenCV`'s `INTER_AREA`.
+    /// Resamples `from` samples to `to`, at least 1 and at most `from`: the mean over what a sample covers, without slivers below a
+    /// thousandth of a sample. Equals `OpenCV`'s `INTER_AREA`.
     #[must_use]
     pub fn covered(from: usize, to: usize) -> Self {
         let ratio = from as f64 / to as f64;
@@ -82,8 +82,9 @@ impl Taps {
         Self((0..to).map(tap).collect())
     }
 
-    /// Back from [`Self::mirrored`]: a map of `map` places over `from` places and their margins becomes one of `to` places over
-    /// `from` alone. Two cubics of slope −¾ after one another, to `from + 2 · margin` places and from the `from` in the middle.
+    /// The way back from [`Self::mirrored`]: resamples a map of `map` samples, which covers `from` samples and their margins, to `to`
+    /// samples that cover `from` alone. Combines two cubics of slope −¾: to `from + 2 · margin` samples, then from the `from` in the
+    /// middle.
     #[must_use]
     pub fn cropped(map: usize, from: usize, margin: usize, to: usize) -> Self {
         let tap = |i: usize| {
@@ -97,9 +98,9 @@ impl Taps {
     }
 }
 
-/// The four places, within the border, that place `i` of `to` is made of, and their weights.
+/// The four source samples, clamped to the border, that make up sample `i` of `to`, and their weights.
 fn cubic(from: usize, to: usize, i: usize) -> [(usize, f64); 4] {
-    // The place in single precision, as there
+    // in single precision, as in OpenCV and PyTorch
     let at = ((i as f64 + 0.5) * (from as f64 / to as f64) - 0.5) as f32;
     let low = at.floor();
     let t = f64::from(at - low);
@@ -109,7 +110,7 @@ fn cubic(from: usize, to: usize, i: usize) -> [(usize, f64); 4] {
     std::array::from_fn(|k| ((low as i64 + k as i64 - 1).clamp(0, from as i64 - 1) as usize, weights[k]))
 }
 
-/// The place of `0..size` that `at` is mirrored to, the border not repeated.
+/// The index in `0..size` that `at` is mirrored to, the border not repeated.
 fn mirror(at: i64, size: usize) -> usize {
     let last = size as i64 - 1;
     if last == 0 {
@@ -119,7 +120,7 @@ fn mirror(at: i64, size: usize) -> usize {
     at.min(2 * last - at) as usize
 }
 
-/// Weights of single places, of which there is at least one, as one row of them.
+/// Weights of single samples, at least one, as one row.
 fn gathered(all: &[(usize, f64)]) -> (usize, Vec<f32>) {
     let (first, last) = all.iter().fold((usize::MAX, 0), |m, &(at, _)| (m.0.min(at), m.1.max(at)));
     let mut weights = vec![0f64; last + 1 - first];
@@ -147,20 +148,20 @@ mod tests {
             [(Taps::four(9, 9), 0), (Taps::mirrored(9, 0, 9), 0), (Taps::cropped(9, 9, 0, 9), 0), (Taps::cropped(13, 9, 2, 9), 2)]
         {
             for (i, (at, weights)) in taps.0.iter().enumerate() {
-                let there = weights.iter().position(|&w| (w - 1.0).abs() < 1e-6);
-                assert_eq!(there.map(|k| at + k), Some(i + shift), "{weights:?}");
+                let unit = weights.iter().position(|&w| (w - 1.0).abs() < 1e-6);
+                assert_eq!(unit.map(|k| at + k), Some(i + shift), "{weights:?}");
             }
         }
     }
 
-    /// Mean place of a tap.
+    /// Mean position of a tap.
     fn place(at: usize, weights: &[f32]) -> f64 {
         weights.iter().enumerate().map(|(k, &w)| (at + k) as f64 * f64::from(w)).sum()
     }
 
     #[test]
-    fn cropping_leaves_a_line_where_it_was() {
-        // Place i of 30 over 60 pixels, in a map of 80 places over 60 + 2 · 10 pixels
+    fn cropping_keeps_positions() {
+        // sample i of 30 over 60 pixels, in a map of 80 samples over 60 + 2 · 10 pixels
         let taps = Taps::cropped(80, 60, 10, 30);
         for (i, (at, weights)) in taps.0.iter().enumerate().skip(2).take(26) {
             let want = (i as f64 + 0.5) * 2.0 - 0.5 + 10.0;

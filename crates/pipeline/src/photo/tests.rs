@@ -4,7 +4,7 @@ use image::{DynamicImage, ExtendedColorType, ImageBuffer, ImageEncoder, ImageFor
 
 use super::*;
 
-/// A picture without any symmetry, so that every orientation shows.
+/// A picture without any symmetry, so that every orientation looks different.
 pub(super) fn picture(w: u32, h: u32) -> image::RgbImage {
     ImageBuffer::from_fn(w, h, |x, y| Rgb([(x * 255 / w) as u8, (y * 255 / h) as u8, if x * 3 < w && y * 2 < h { 220 } else { 40 }]))
 }
@@ -23,7 +23,7 @@ pub(super) fn jpeg(w: u32, h: u32) -> Vec<u8> {
     out
 }
 
-/// TIFF structure with an orientation and a focal length (tag 0xA405, in the EXIF directory) as the given type and bytes.
+/// A TIFF structure with an orientation, and with a focal length (tag 0xA405, in the EXIF directory) of the given type and bytes.
 fn tiff(orientation: u16, focal: Option<(u16, [u8; 4], &[u8])>) -> Vec<u8> {
     let mut t = b"II*\0\x08\0\0\0".to_vec();
     let entry = |t: &mut Vec<u8>, tag: u16, kind: u16, value: [u8; 4]| {
@@ -73,7 +73,7 @@ fn contains(bytes: &[u8], what: &[u8]) -> bool {
 fn all_eight_orientations_become_upright() {
     let base = ok(&jpeg(40, 24));
     for orientation in 1..=8u8 {
-        // Stored so that a viewer that obeys the tag shows the base picture: the inverse turn of it
+        // stored so that a viewer that obeys the tag shows the base picture: turned the inverse way
         let inverse = match orientation {
             6 => 8,
             8 => 6,
@@ -111,7 +111,7 @@ fn a_rotated_jpeg_is_not_carried_and_a_plain_one_is_without_its_metadata() {
 }
 
 #[test]
-fn webp_is_carried_without_its_metadata_unless_it_is_see_through() {
+fn webp_is_carried_without_its_metadata_unless_it_is_transparent() {
     let plain = file(picture(30, 20), ImageFormat::WebP);
     let mut extended = b"RIFF\0\0\0\0WEBPVP8X\x0a\0\0\0\x2c\0\0\0\x1d\0\0\x13\0\0".to_vec();
     extended.extend_from_slice(b"ICCP\x04\0\0\0junk");
@@ -139,7 +139,7 @@ fn webp_is_carried_without_its_metadata_unless_it_is_see_through() {
 }
 
 #[test]
-fn focal_length_from_exif_where_it_is_sane() {
+fn the_focal_length_comes_from_exif_if_it_is_plausible() {
     let base = jpeg(40, 24);
     let short = |v: u16| Some((3, [v.to_le_bytes()[0], v.to_le_bytes()[1], 0, 0], [].as_slice()));
     let got = ok(&with_exif(&base, &tiff(1, short(27))));
@@ -149,7 +149,7 @@ fn focal_length_from_exif_where_it_is_sane() {
     assert!((turned.intrinsics.cx - 12.0).abs() < 1e-9);
     let reduced = decode(&with_exif(&base, &tiff(1, short(27))), &Limits::default(), Some(20)).unwrap();
     assert!((reduced.intrinsics.fx - 15.0).abs() < 1e-9);
-    // At both ends of the range, and what lies beyond: 0, NaN, 1e9, none
+    // both ends of the range, and values outside; below, 0, NaN, 1e9 and others
     for (value, sane) in [(7, false), (8, true), (600, true), (601, false), (0, false), (65_535, false)] {
         assert_eq!(ok(&with_exif(&base, &tiff(1, short(value)))).focal_from_exif, sane, "{value} mm");
     }
@@ -164,7 +164,7 @@ fn focal_length_from_exif_where_it_is_sane() {
 }
 
 #[test]
-fn every_kind_of_png() {
+fn every_kind_of_png_decodes() {
     let grey = file(ImageBuffer::from_fn(5, 3, |x, _| Luma([(x * 50) as u8])), ImageFormat::Png);
     assert_eq!(ok(&grey).photo.at(4, 0), [200; 3]);
     let grey_alpha = file(ImageBuffer::from_fn(5, 3, |_, _| LumaA([200u8, 128])), ImageFormat::Png);
@@ -172,7 +172,7 @@ fn every_kind_of_png() {
     let wide = file(ImageBuffer::from_fn(5, 3, |_, _| Rgb([0xFFFFu16, 0x8080, 0x0101])), ImageFormat::Png);
     assert_eq!(ok(&wide).photo.at(0, 0), [255, 128, 1]);
     let wide_alpha = file(ImageBuffer::from_fn(5, 3, |_, _| Rgba([0xFFFFu16, 0x8080, 0, 0])), ImageFormat::Png);
-    assert_eq!(ok(&wide_alpha).photo.at(0, 0), [255; 3], "nothing is there: paper");
+    assert_eq!(ok(&wide_alpha).photo.at(0, 0), [255; 3], "transparent over white");
     let wide_grey = file(ImageBuffer::from_fn(5, 3, |_, _| Luma([0x1234u16])), ImageFormat::Png);
     assert_eq!(ok(&wide_grey).photo.at(0, 0), [0x12; 3]);
     for got in [grey, grey_alpha, wide, wide_alpha, wide_grey].map(|f| ok(&f)) {
@@ -181,7 +181,7 @@ fn every_kind_of_png() {
     }
 }
 
-/// Four grey scans as the four components of one frame: a CMYK JPEG.
+/// A CMYK JPEG: four grey scans as the four components of one frame.
 fn cmyk() -> Vec<u8> {
     let grey = file(ImageBuffer::from_fn(16, 8, |x, _| Luma([if x < 8 { 255u8 } else { 0 }])), ImageFormat::Jpeg);
     let frame = grey.windows(2).position(|w| w == [0xFF, 0xC0]).unwrap();
@@ -206,24 +206,24 @@ fn cmyk_decodes_and_is_not_carried() {
     let got = ok(&cmyk());
     assert_eq!(got.photo.rgb.len(), 128);
     assert!(got.carried.is_none());
-    // Without an Adobe marker, full ink is black and no ink is white, or the reverse: the halves differ by everything
+    // without an Adobe marker, full ink is black and no ink is white, or the reverse: the halves differ by the whole range
     let (a, b) = (got.photo.at(0, 0), got.photo.at(15, 0));
     assert!(a[0].abs_diff(b[0]) > 250, "{a:?} {b:?}");
 }
 
 #[test]
-fn cut_short_is_an_error_or_damage_at_every_length() {
+fn a_file_cut_at_any_length_is_refused_or_damaged() {
     for format in [ImageFormat::Jpeg, ImageFormat::Png, ImageFormat::WebP] {
         let whole = file(picture(33, 17), format);
         ok(&whole);
         for end in 0..whole.len() {
             let cut = decode(&whole[..end], &Limits::default(), None);
-            // The end chunk of PNG carries no picture
+            // the end chunk of a PNG holds nothing of the picture
             let harmless = format == ImageFormat::Png && end >= whole.len() - 12;
-            assert!(!harmless || cut.as_ref().is_ok_and(|d| !d.damaged), "cut to {end} it is whole");
-            // A byte of padding at the end of a WebP is none of the picture either
+            assert!(!harmless || cut.as_ref().is_ok_and(|d| !d.damaged), "cut to {end}: still complete");
+            // neither does the padding byte at the end of a WebP
             let harmless = harmless || (format == ImageFormat::WebP && end == whole.len() - 1);
-            // Cut near its end a JPEG is damaged, and the last bytes may hold nothing but the end marker
+            // a JPEG cut near its end is damaged; its last bytes may hold nothing but the end marker
             let harmless = harmless || (format == ImageFormat::Jpeg && end >= whole.len() - 2 - jpeg::READ_AHEAD);
             let harmless = harmless || cut.as_ref().is_ok_and(|d| format == ImageFormat::Jpeg && d.damaged && end > whole.len() / 2);
             assert!(cut.is_err() || harmless, "{format:?} cut to {end} of {} bytes", whole.len());
@@ -232,7 +232,7 @@ fn cut_short_is_an_error_or_damage_at_every_length() {
 }
 
 #[test]
-fn a_wrong_checksum_of_a_png_is_damage_and_a_wrong_length_of_a_webp_is_none() {
+fn a_png_with_a_wrong_checksum_is_damaged_and_a_webp_with_a_wrong_length_is_not() {
     let whole = file(picture(33, 17), ImageFormat::Png);
     let data = whole.windows(4).position(|w| w == b"IDAT").unwrap();
     let length = u32::from_be_bytes(*whole[data - 4..].first_chunk().unwrap()) as usize;
@@ -240,7 +240,7 @@ fn a_wrong_checksum_of_a_png_is_damage_and_a_wrong_length_of_a_webp_is_none() {
     wrong[data + 4 + length] ^= 1;
     let got = ok(&wrong);
     assert!(got.damaged && got.photo == ok(&whole).photo && !ok(&whole).damaged);
-    // with metadata behind the picture that is cut short
+    // metadata that follows the picture and is cut short
     let webp = file(picture(33, 17), ImageFormat::WebP);
     for (more, behind) in [(100, &b""[..]), (0, &b"XMP \xFF\xFF\0\0cut"[..]), (100, &b"EXIF"[..])] {
         let mut file = [&webp[..], behind].concat();
@@ -252,7 +252,7 @@ fn a_wrong_checksum_of_a_png_is_damage_and_a_wrong_length_of_a_webp_is_none() {
 }
 
 #[test]
-fn limits_hold_at_the_limit_and_one_over() {
+fn limits_are_enforced_exactly() {
     let png = |w, h| file(ImageBuffer::<Luma<u8>, _>::new(w, h), ImageFormat::Png);
     let limits = Limits { pixels: 64 * 32, side: 64, bytes: 1 << 16, decoder_memory: 64 * 32, ..Limits::default() };
     let size = |w, h| decode(&png(w, h), &limits, None);
@@ -269,8 +269,8 @@ fn limits_hold_at_the_limit_and_one_over() {
 }
 
 #[test]
-fn the_default_limits_are_checked_on_headers_alone() {
-    // Headers without any pixel: whoever decoded first would fail for want of data, not for size
+fn the_default_limits_are_checked_by_headers_alone() {
+    // headers without any pixel: decoding first would fail for lack of data, not for size
     let mut png = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
     png.extend_from_slice(&16_385u32.to_be_bytes());
     png.extend_from_slice(&1u32.to_be_bytes());

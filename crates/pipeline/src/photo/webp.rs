@@ -1,8 +1,8 @@
-//! Walks the chunks of a WebP file: size, metadata, and the file again without metadata.
+//! Walks the chunks of a WebP file: reads its size and metadata, and writes the file again without metadata.
 
 use super::{Head, Limits, PhotoError};
 
-/// What the chunks of a WebP file say, and the file without what nobody needs to decode it.
+/// What the chunks of a WebP file say, and the file reduced to what a decoder needs.
 #[derive(Debug)]
 pub(super) struct WebP {
     pub width: u32,
@@ -10,26 +10,26 @@ pub(super) struct WebP {
     pub animated: bool,
     pub alpha: bool,
     pub lossless: bool,
-    /// RIFF file with the picture's chunks alone.
+    /// RIFF file with only the picture's chunks.
     pub stripped: Vec<u8>,
     pub exif: Option<Vec<u8>>,
     pub icc: Option<Vec<u8>>,
 }
 
 impl WebP {
-    /// One of which nothing is known.
+    /// A file of which nothing is known yet.
     const NONE: Self =
         Self { width: 0, height: 0, animated: false, alpha: false, lossless: false, stripped: Vec::new(), exif: None, icc: None };
 
-    /// Memory that decoding takes, result included.
+    /// Memory that decoding takes, in bytes, including the result.
     pub(super) fn memory(&self) -> u64 {
         (u64::from(self.width) * u64::from(self.height)).saturating_mul(self.bytes_per_pixel())
     }
 
-    /// Memory that decoding takes for a pixel, result included.
+    /// Bytes per pixel that decoding takes, including the result.
     fn bytes_per_pixel(&self) -> u64 {
         match (self.animated, self.lossless, self.alpha) {
-            // Canvas, frame and result in RGBA
+            // canvas, frame and result in RGBA
             (true, ..) => 12,
             (false, true, _) => 8,
             // Y′CbCr, an alpha plane, RGBA
@@ -41,7 +41,7 @@ impl WebP {
 
 const ANIMATED: u8 = 0x02;
 const ALPHA: u8 = 0x10;
-/// Flag of a frame that takes the place of what is below.
+/// Flag of a frame that replaces what is below.
 const UNBLENDED: u8 = 0x02;
 
 fn broken(what: &str) -> PhotoError {
@@ -52,7 +52,7 @@ fn u24(b: &[u8]) -> u32 {
     u32::from_le_bytes([b[0], b[1], b[2], 0])
 }
 
-/// Name, contents, and the bytes behind.
+/// Name, contents, and the bytes after the chunk.
 type Chunk<'a> = ([u8; 4], &'a [u8], &'a [u8]);
 
 /// Splits off the first chunk.
@@ -61,7 +61,7 @@ fn chunk(bytes: &[u8]) -> Result<Chunk<'_>, PhotoError> {
     let (head, rest) = bytes.split_at_checked(8).ok_or_else(cut)?;
     let length = u32::from_le_bytes([head[4], head[5], head[6], head[7]]) as usize;
     let (body, rest) = rest.split_at_checked(length).ok_or_else(cut)?;
-    // Chunks start at even places; the last one's padding is often forgotten
+    // chunks start at even offsets; writers often forget the padding of the last one
     Ok(([head[0], head[1], head[2], head[3]], body, rest.get(length % 2..).unwrap_or_default()))
 }
 
@@ -75,14 +75,14 @@ fn bitstream_size(name: [u8; 4], body: &[u8]) -> Result<(u32, u32), PhotoError> 
             let bits = u32::from_le_bytes([*a, *b, *c, *d]);
             Ok(((bits & 0x3FFF) + 1, ((bits >> 14) & 0x3FFF) + 1))
         }
-        _ => Err(broken("a damaged picture header")),
+        _ => Err(broken("damaged picture header")),
     }
 }
 
-/// Bytes of the first chunk's contents in which its size stands.
+/// Bytes of the first chunk's contents that hold the size.
 const SIZE: usize = 10;
 
-/// What the first bytes tell; they start with `RIFF....WEBP`.
+/// Reads the size from the first bytes, which begin with `RIFF....WEBP`.
 pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     let Some((&[a, b, c, d, l0, l1, l2, l3], content)) = bytes.get(12..20 + SIZE).and_then(|first| first.split_first_chunk()) else {
         return Ok(Head::Needs(20 + SIZE));
@@ -95,15 +95,15 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
         _ => return Ok(Head::Silent),
     };
     limits.check_size(width, height)?;
-    // of a canvas it is told only behind this whether its picture is lossless
+    // only a later chunk tells whether a canvas has a lossless picture
     let least =
         WebP { width, height, animated: flags & ANIMATED != 0, alpha: flags & ALPHA != 0, lossless: &name == b"VP8L", ..WebP::NONE };
     limits.check_memory(least.memory())?;
     Ok(Head::Size(width, height))
 }
 
-/// Reads all chunks up to the length that the RIFF header tells, or as far as the file goes: what is behind a whole picture is none of it.
-/// `bytes` starts with `RIFF....WEBP`.
+/// Reads all chunks up to the length in the RIFF header, or to the end of the file. What follows a complete picture does not belong to
+/// it. `bytes` begins with `RIFF....WEBP`.
 pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
     let riff = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]) as usize;
     let file = bytes.get(..riff.saturating_add(8)).unwrap_or(bytes);
@@ -119,23 +119,23 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
         rest = tail;
         match &name {
             b"VP8X" if !extended && pictures == 0 => {
-                let [flags, _, _, _, size @ ..] = content else { return Err(broken("a short VP8X chunk")) };
+                let [flags, _, _, _, size @ ..] = content else { return Err(broken("the VP8X chunk is too short")) };
                 if size.len() < 6 {
-                    return Err(broken("a short VP8X chunk"));
+                    return Err(broken("the VP8X chunk is too short"));
                 }
                 (webp.width, webp.height) = (u24(&size[..3]) + 1, u24(&size[3..6]) + 1);
                 webp.animated = flags & ANIMATED != 0;
                 webp.alpha = flags & ALPHA != 0;
                 extended = true;
                 let mut head = content[..10].to_vec();
-                // a picture may cover a part of its canvas: what is beside it is clear, not black
+                // a picture may cover only a part of its canvas: the rest is transparent, not black
                 head[0] = flags & (ANIMATED | ALPHA) | if webp.animated { ALPHA } else { 0 };
                 push(&mut body, name, &head);
             }
             b"VP8 " | b"VP8L" if pictures == 0 && !webp.animated => {
                 let size = bitstream_size(name, content)?;
                 if extended && size != (webp.width, webp.height) {
-                    return Err(broken("the picture has another size than its canvas"));
+                    return Err(broken("its size differs from that of its canvas"));
                 }
                 (webp.width, webp.height) = size;
                 webp.lossless = &name == b"VP8L";
@@ -145,9 +145,9 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
             b"ANMF" if webp.animated => {
                 check_frame(content, (webp.width, webp.height))?;
                 pictures += 1;
-                // nobody looks at the others
+                // the other frames are not shown
                 if pictures == 1 {
-                    // nothing is below it to blend with, which rounds
+                    // there is nothing below to blend with, and blending rounds
                     let mut frame = content.to_vec();
                     frame[15] |= UNBLENDED;
                     push(&mut body, name, &frame);
@@ -156,7 +156,7 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
             b"ALPH" if pictures == 0 && extended => push(&mut body, name, content),
             b"ANIM" if webp.animated => push(&mut body, name, content),
             b"EXIF" if webp.exif.is_none() => {
-                // Some writers keep the JPEG segment's prefix
+                // some writers keep the prefix of the JPEG segment
                 webp.exif = Some(content.strip_prefix(b"Exif\0\0").unwrap_or(content).to_vec());
             }
             b"ICCP" if webp.icc.is_none() && content.len() <= super::MAX_PROFILE => webp.icc = Some(content.to_vec()),
@@ -175,18 +175,18 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
     Ok(webp)
 }
 
-/// A frame's bitstream must have the frame's size and lie on the canvas, or its decoder would take memory that nobody checked.
+/// Checks that a frame's bitstream has the frame's size and lies on the canvas. Otherwise its decoder would take unchecked memory.
 fn check_frame(frame: &[u8], canvas: (u32, u32)) -> Result<(), PhotoError> {
-    let Some((head, mut rest)) = frame.split_at_checked(16) else { return Err(broken("a short frame")) };
+    let Some((head, mut rest)) = frame.split_at_checked(16) else { return Err(broken("a frame is too short")) };
     let size = (u24(&head[6..9]) + 1, u24(&head[9..12]) + 1);
     if size.0 > canvas.0 || size.1 > canvas.1 {
-        return Err(broken("a frame larger than its canvas"));
+        return Err(broken("a frame is larger than its canvas"));
     }
     while rest.len() >= 8 {
         let (name, content, tail) = chunk(rest)?;
         rest = tail;
         if matches!(&name, b"VP8 " | b"VP8L") && bitstream_size(name, content)? != size {
-            return Err(broken("a frame of another size than its header says"));
+            return Err(broken("the size of a frame differs from that in its header"));
         }
     }
     Ok(())

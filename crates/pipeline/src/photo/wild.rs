@@ -1,4 +1,4 @@
-//! Files as cameras and programs wrote them, where the data are there (`TMPI_DATA`).
+//! Files of real cameras and programs, if the data is available (`TMPI_DATA`).
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ fn files(folder: &Path, out: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn odd_and_broken_files_of_the_wild() {
+fn odd_and_broken_real_files_decode_or_are_refused() {
     let Some(root) = tmpi_testing::data("torture") else { return };
     let mut all = Vec::new();
     files(&root, &mut all);
@@ -47,7 +47,7 @@ fn odd_and_broken_files_of_the_wild() {
 }
 
 #[test]
-fn orientations_of_the_wild_agree() {
+fn orientations_of_real_files_agree() {
     let Some(root) = tmpi_testing::data("torture/exif_orientation") else { return };
     for kind in ["Landscape", "Portrait"] {
         let thumb = |n: u32| {

@@ -1,19 +1,19 @@
-//! The two inner loops of k-planes, written so that they vectorise, with run-time dispatch to AVX2.
+//! The two inner loops of k-planes, written for auto-vectorisation, with run-time dispatch to AVX2.
 
 use tmpi_core::simd::dispatch;
 
 /// Lanes of the accumulators.
 const LANES: usize = 8;
 
-/// Sums of a cluster: w, wu, wv, wδ, wuu, wuv, wvv, wuδ, wvδ.
+/// Weighted sums over a cluster: w, wu, wv, wδ, wuu, wuv, wvv, wuδ, wvδ.
 pub type Sums = [f32; 9];
 
-/// Columns of samples: place, disparity, weight. All of one length.
+/// Columns of samples: position, disparity and weight, all of the same length.
 #[derive(Clone, Copy)]
 pub struct Columns<'a> {
-    /// Horizontal place in half tiles.
+    /// Horizontal position in half tiles from the tile's centre.
     pub u: &'a [f32],
-    /// Vertical place.
+    /// Vertical position in half tiles from the tile's centre.
     pub v: &'a [f32],
     /// Disparity.
     pub d: &'a [f32],
@@ -22,20 +22,20 @@ pub struct Columns<'a> {
 }
 
 dispatch!(
-    /// Labels every sample with its nearest plane `(a, b, c)`, the first of equals, and leaves its absolute error in `error`;
-    /// `error` and `label` are as long as the columns. Samples whose label changed are added to `moved` with their old label.
-    /// Gives the weighted sum of squared errors.
+    /// Labels every sample with its nearest plane `(a, b, c)`, the first on ties, and writes its absolute error to `error`; `error` and
+    /// `label` are as long as the columns. Adds the index and old label of each sample whose label changed to `moved`. Returns the weighted
+    /// sum of squared errors.
     pub nearest, nearest_body,
     (planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64
 );
 
 dispatch!(
-    /// Sums of the samples of label `j`.
+    /// Sums over the samples with label `j`.
     pub sums, sums_body, (s: Columns, label: &[u32], j: u32) -> Sums
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64 {
     let mut total = 0f64;
     let mut part = [0f32; LANES];
@@ -45,16 +45,16 @@ fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut 
     let (l, l_rest) = label.as_chunks_mut::<LANES>();
     let runs = e.len();
     for ((run, (e, l)), (((u, v), d), w)) in e.iter_mut().zip(l).enumerate().zip(u.iter().zip(v).zip(d).zip(w)) {
-        // all planes while the run lies in registers
-        let (best, who) = nearest_of(planes, u, v, d);
+        // test all planes while these samples are in registers
+        let (best, closest) = nearest_of(planes, u, v, d);
         part = lanes(|i| part[i] + w[i] * best[i] * best[i]);
         *e = best;
-        if *l != who {
+        if *l != closest {
             let at = run * LANES;
-            moved.extend((at..).zip(*l).zip(who).filter(|((_, old), new)| old != new).map(|((i, old), _)| (i as u32, old)));
-            *l = who;
+            moved.extend((at..).zip(*l).zip(closest).filter(|((_, old), new)| old != new).map(|((i, old), _)| (i as u32, old)));
+            *l = closest;
         }
-        // sums of many squares would lose the small ones
+        // long `f32` sums of squares would lose small terms
         if run % 64 == 63 {
             total += f64::from(part.iter().sum::<f32>());
             part = [0.0; LANES];
@@ -62,33 +62,33 @@ fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut 
     }
     total += f64::from(part.iter().sum::<f32>());
     for (i, (e, l)) in e_rest.iter_mut().zip(l_rest).enumerate() {
-        let (best, who) = nearest_of(planes, &[u_rest[i]; LANES], &[v_rest[i]; LANES], &[d_rest[i]; LANES]);
+        let (best, closest) = nearest_of(planes, &[u_rest[i]; LANES], &[v_rest[i]; LANES], &[d_rest[i]; LANES]);
         total += f64::from(w_rest[i] * best[0] * best[0]);
         *e = best[0];
-        if *l != who[0] {
+        if *l != closest[0] {
             moved.push(((runs * LANES + i) as u32, *l));
-            *l = who[0];
+            *l = closest[0];
         }
     }
     total
 }
 
-/// Absolute errors and labels of eight samples.
+/// Absolute errors and labels of eight samples at their nearest planes.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn nearest_of(planes: &[[f32; 3]], u: &[f32; LANES], v: &[f32; LANES], d: &[f32; LANES]) -> ([f32; LANES], [u32; LANES]) {
-    let (mut best, mut who) = ([f32::INFINITY; LANES], [0u32; LANES]);
+    let (mut best, mut closest) = ([f32::INFINITY; LANES], [0u32; LANES]);
     for (j, &[a, b, c]) in (0u32..).zip(planes) {
         let new = lanes(|i| (a + b * u[i] + c * v[i] - d[i]).abs());
         let better: [bool; LANES] = std::array::from_fn(|i| new[i] < best[i]);
         best = lanes(|i| if better[i] { new[i] } else { best[i] });
-        who = std::array::from_fn(|i| if better[i] { j } else { who[i] });
+        closest = std::array::from_fn(|i| if better[i] { j } else { closest[i] });
     }
-    (best, who)
+    (best, closest)
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn sums_body(s: Columns, label: &[u32], j: u32) -> Sums {
     let mut acc = [[0f32; LANES]; 9];
     let (u, u_rest) = s.u.as_chunks::<LANES>();
@@ -97,7 +97,7 @@ fn sums_body(s: Columns, label: &[u32], j: u32) -> Sums {
     let (w, w_rest) = s.w.as_chunks::<LANES>();
     let (l, l_rest) = label.as_chunks::<LANES>();
     for ((((u, v), d), w), l) in u.iter().zip(v).zip(d).zip(w).zip(l) {
-        // labels come in patches, so most runs of eight have none of this one
+        // labels form patches, so most runs of eight samples have none with this label
         if l.contains(&j) {
             add(&mut acc, *u, *v, *d, lanes(|i| if l[i] == j { w[i] } else { 0.0 }));
         }
@@ -108,9 +108,9 @@ fn sums_body(s: Columns, label: &[u32], j: u32) -> Sums {
     acc.map(|a| a.iter().sum())
 }
 
-/// Adds eight samples; one loop a sum, which is what the compiler turns into one instruction each.
+/// Adds eight samples. The compiler turns one loop per sum into one vector instruction.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn add(acc: &mut [[f32; LANES]; 9], u: [f32; LANES], v: [f32; LANES], d: [f32; LANES], w: [f32; LANES]) {
     let (wu, wv) = (lanes(|i| w[i] * u[i]), lanes(|i| w[i] * v[i]));
     let terms = [
@@ -130,7 +130,7 @@ fn add(acc: &mut [[f32; LANES]; 9], u: [f32; LANES], v: [f32; LANES], d: [f32; L
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn lanes(f: impl Fn(usize) -> f32) -> [f32; LANES] {
     let mut out = [0.0; LANES];
     for (i, o) in out.iter_mut().enumerate() {
@@ -147,7 +147,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Both kernels against plain `f64`.
+        /// Compares both kernels with plain `f64`.
         #[test]
         fn kernels_agree_with_f64(
             s in prop::collection::vec((-1f32..1.0, -1f32..1.0, 0f32..1.0, 0f32..1e4), 1..200),

@@ -1,8 +1,9 @@
-//! Planes evenly spaced in disparity: the common baseline.
+//! Planes evenly spaced in disparity: the usual baseline.
 
 use super::Samples;
 
-/// `n` disparities from the least to the greatest of the tile, evenly spaced, both ends included.
+/// `n` evenly spaced disparities from the tile's least to its greatest, both included. Their midpoint alone if both are equal or `n` is
+/// below 2; 0 without samples.
 pub fn centres(s: &Samples, n: usize) -> Vec<f64> {
     let (lo, hi) = s.deltas().iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &d| (lo.min(f64::from(d)), hi.max(f64::from(d))));
     if lo >= hi || n < 2 {

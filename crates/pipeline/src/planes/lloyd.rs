@@ -1,10 +1,10 @@
 //! Weighted k-means on a histogram (paper, section 3.2).
 
-/// Bins between the least and the greatest value; sums within a bin are exact, so a boundary is off by one bin at most.
+/// Number of bins between the least and the greatest value. Sums within a bin are exact, so a cluster boundary is off by at most one bin.
 pub const BINS: usize = 256;
 const ROUNDS: usize = 50;
 
-/// Histogram of weighted values: per bin the weight and the weighted sum of offsets from the least value.
+/// Histogram of weighted values: for each bin, the weight and the weighted sum of offsets from the least value.
 pub struct Histogram {
     /// Least value.
     pub lo: f64,
@@ -15,7 +15,7 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Bins the values; none where no value has weight.
+    /// Bins the values; `None` if no value has weight.
     pub fn new(values: &[f32], weights: &[f32], bins: usize) -> Option<Self> {
         let (lo, hi) = extremes(values, weights);
         if lo > hi {
@@ -25,7 +25,7 @@ impl Histogram {
         let scale = if range > 0.0 { bins as f64 / range } else { 0.0 };
         let (mut weight, mut moment) = (vec![0.0; bins], vec![0.0; bins]);
         for (&d, &w) in values.iter().zip(weights) {
-            // without weight it adds nothing, in whatever bin: `as` saturates
+            // a value without weight may be outside the range: `as` saturates, and it adds 0 to any bin
             let off = f64::from(d) - lo;
             let at = ((off * scale) as usize).min(bins - 1);
             weight[at] += f64::from(w);
@@ -34,14 +34,14 @@ impl Histogram {
         Some(Self { lo, weight, moment })
     }
 
-    /// Mean of the values in a bin range, none where it has no weight.
+    /// Mean of the values in a range of bins; `None` if they have no weight.
     pub fn mean(&self, range: std::ops::Range<usize>) -> Option<f64> {
         let (w, m) = range.fold((0.0, 0.0), |(w, m), i| (w + self.weight[i], m + self.moment[i]));
         (w > 0.0).then(|| self.lo + m / w)
     }
 }
 
-/// Least and greatest value that has weight; (∞, −∞) where none has.
+/// Least and greatest value with weight; (∞, −∞) if none has weight.
 fn extremes(values: &[f32], weights: &[f32]) -> (f32, f32) {
     const LANES: usize = 8;
     let (mut lo, mut hi) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
@@ -55,7 +55,7 @@ fn extremes(values: &[f32], weights: &[f32]) -> (f32, f32) {
     (lo.into_iter().fold(f32::INFINITY, f32::min), hi.into_iter().fold(f32::NEG_INFINITY, f32::max))
 }
 
-/// Cluster centres, at most `n`, ascending; starts are evenly spaced. Without a histogram one at 0.
+/// Cluster centres in ascending order, at most `n`, from evenly spaced starts; a single centre at 0 without a histogram.
 pub fn centres(histogram: Option<&Histogram>, n: usize) -> Vec<f64> {
     let Some(h) = histogram else { return vec![0.0] };
     let means: Vec<Option<f64>> = (0..h.weight.len()).map(|i| h.mean(i..i + 1)).collect();

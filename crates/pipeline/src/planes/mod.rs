@@ -21,44 +21,45 @@ pub(crate) use slanted::fit_points;
 use tmpi_core::{DisparityMap, Grid, Plane, Rect, Tile};
 pub use warm_start::{place_again, place_tile_from};
 
-/// Most planes a tile can have; labels are bytes and renderers sort few layers a tile.
+/// Most planes per tile: labels are bytes, and renderers sort only a few layers per tile.
 pub const MAX_PLANES: u32 = 64;
 
-/// Most planes that the automatic count gives a tile.
+/// Most planes per tile with an automatic number of planes.
 pub const MAX_AUTO_PLANES: u32 = 6;
 
-/// How planes are placed.
+/// Method, number and error target of the planes to place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
-    /// Placement rule.
+    /// How planes are placed.
     pub method: Method,
-    /// Upper bound of planes a tile, 1 to [`MAX_PLANES`].
+    /// Most planes per tile, 1 to [`MAX_PLANES`].
     pub most: u32,
-    /// Where given, the fewest planes (up to `most`) whose 99th percentile of |δ error| is at most this; else always `most`.
+    /// If given, a tile gets the fewest planes (up to `most`) for which the 99th percentile of |δ error| is at most this; else it gets
+    /// `most`.
     pub target: Option<f64>,
-    /// How much a neighbour on another plane weighs against the squared error in units of the target, where there is a target;
-    /// [`NEIGHBOUR`] unless told otherwise, 0 leaves every pixel on its nearest plane.
+    /// Cost in label smoothing of each neighbour on another plane, against the squared error in units of the target; unused without a
+    /// target. The default is [`NEIGHBOUR`]; 0 leaves every pixel on its nearest plane.
     pub neighbour: f32,
 }
 
 impl Placement {
-    /// Always `n` planes.
+    /// `n` planes in every tile.
     #[must_use]
     pub fn fixed(method: Method, n: u32) -> Self {
         Self { method, most: n, target: None, neighbour: NEIGHBOUR }
     }
 
-    /// As few planes as keep the error, `most` at most.
+    /// The fewest planes, at most `most`, that meet the error `target` in δ.
     #[must_use]
     pub fn fewest(method: Method, most: u32, target: f64) -> Self {
         Self { method, most, target: Some(target), neighbour: NEIGHBOUR }
     }
 }
 
-/// Placement rule of the planes of a tile.
+/// How the planes of a tile are placed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Evenly between the extremes of the tile.
+    /// Evenly spaced between the tile's extremes.
     Linear,
     /// Weighted k-means.
     Lloyd,
@@ -68,15 +69,15 @@ pub enum Method {
     Slanted,
 }
 
-/// Places the planes of all tiles of `grid`, in the order of the tiles.
+/// Places the planes of all tiles of `grid`. Returns the tiles in grid order.
 ///
-/// `confidence` is a weight per pixel in (0, 1] where there is one. Values of either map that are not finite weigh nothing.
+/// `confidence`, if given, is a weight per pixel in (0, 1]. Pixels where either map is not finite have no weight.
 #[must_use]
 pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Tile> {
     place_rounded(delta, confidence, grid, placement).into_iter().map(|r| r.tile).collect()
 }
 
-/// The same, with what rounding to the container's grid did.
+/// [`place`], with the error of rounding planes to the container's grid of coefficients.
 #[must_use]
 pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Rounded> {
     (0..grid.tiles())
@@ -88,12 +89,12 @@ pub fn place_rounded(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Gr
         .collect()
 }
 
-/// A tile whose planes lie on the container's grid.
+/// A tile with planes rounded to the container's grid of coefficients.
 #[derive(Clone, Debug)]
 pub struct Rounded {
     /// The tile.
     pub tile: Tile,
-    /// Most that its planes changed by being put there, anywhere on the tile, in δ.
+    /// Largest change of any of its planes by rounding, anywhere on the tile, in δ.
     pub rounding: f64,
 }
 
@@ -142,9 +143,9 @@ fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     finish(samples, best, placement)
 }
 
-/// Puts planes on the container's grid, drops those that no pixel lies on, orders the rest and labels the pixels.
+/// Rounds planes to the container's grid of coefficients, sorts them, labels the pixels and drops planes without pixels.
 fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Rounded {
-    // a tile reaches from -1 to 1 in either direction: in one of its corners all three add up
+    // u and v run from -1 to 1, so the three differences add up in one of the tile's corners
     let change = |p: &Plane, q: &Plane| (p.a - q.a).abs() + (p.b - q.b).abs() + (p.c - q.c).abs();
     let rounding = planes.iter().map(|p| change(p, &p.quantised())).fold(0.0, f64::max);
     let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
@@ -155,7 +156,7 @@ fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Round
     Rounded { tile: finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement), rounding }
 }
 
-/// Smooths the labels of planes that are in order and on the container's grid, and drops the planes that no pixel lies on.
+/// Smooths the labels of sorted and rounded planes, and drops planes without pixels.
 fn finish_labelled(samples: &Samples, mut planes: Vec<Plane>, mut labels: Vec<u8>, placement: &Placement) -> Tile {
     if let Some(target) = placement.target {
         potts::smooth_labels(samples, &planes, &mut labels, target, placement.neighbour);
@@ -180,17 +181,18 @@ fn finish_labelled(samples: &Samples, mut planes: Vec<Plane>, mut labels: Vec<u8
     Tile { planes, labels, background: None }
 }
 
-/// Bits of an error that its place in the distribution is counted by: exponent and nine bits of the fraction.
-const FINE: u32 = 14;
+/// Low bits of an `f32` that the histogram of errors drops: it keeps the exponent and nine bits of the fraction.
+const DROPPED_BITS: u32 = 14;
 
-/// Error of all tiles' planes against the map they were fitted to: mean absolute, mean squared, lower quartile of absolute (to 0.2 %).
+/// Error in δ of all planes against the map that they were fitted to: mean absolute error, mean squared error, and lower quartile of the
+/// absolute error (to 0.2 %).
 ///
-/// Overlapping tiles count every pixel that they hold.
+/// A pixel counts once for every tile that contains it.
 #[must_use]
 pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -> (f64, f64, f64) {
-    let none = || vec![0u32; (1f32.to_bits() >> FINE) as usize + 1];
+    let none = || vec![0u32; (1f32.to_bits() >> DROPPED_BITS) as usize + 1];
     let per_thread = tiles.len().div_ceil(rayon::current_num_threads()).max(1);
-    // sums a tile, added up in the order of the tiles: the same on any count of threads
+    // sum per tile and then in tile order, so that the number of threads does not change the result
     let mut sums = vec![[0f64; 2]; tiles.len()];
     let parts = tiles.par_chunks(per_thread).zip(sums.par_chunks_mut(per_thread)).enumerate().map(|(chunk, (tiles, sums))| {
         let (mut s, mut counts) = (Samples::default(), none());
@@ -199,9 +201,9 @@ pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -
             s.gather(delta, None, grid, (chunk * per_thread + i) as u32);
             let errors = s.errors(&t.planes, &t.labels);
             for e in &errors {
-                counts[((e.to_bits() >> FINE) as usize).min(last)] += 1;
+                counts[((e.to_bits() >> DROPPED_BITS) as usize).min(last)] += 1;
             }
-            // a row at a time: `f32` keeps a few dozen terms, and adds them side by side
+            // row by row: `f32` is exact enough for a few dozen terms, and their sum vectorises
             let sum = |f: fn(f32) -> f32| errors.chunks(64).map(|row| f64::from(row.iter().map(|&e| f(e)).sum::<f32>())).sum::<f64>();
             *to = [sum(|e| e), sum(|e| e * e)];
         }
@@ -221,13 +223,13 @@ pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -
         below += u64::from(c);
         below > n / 4
     });
-    (absolute / n as f64, squared / n as f64, f64::from(f32::from_bits((q25.unwrap_or(0) as u32) << FINE)))
+    (absolute / n as f64, squared / n as f64, f64::from(f32::from_bits((q25.unwrap_or(0) as u32) << DROPPED_BITS)))
 }
 
-/// Share of pixels whose plane lies where no surface of `delta` is: farther than `apart` from every value of the 5×5 pixels around.
-/// In a novel view such a pixel floats by itself beside an edge, as a ghost.
+/// Share of ghosts, 0 to 1: pixels whose plane differs by more than `apart` in δ from every value of `delta` in the surrounding 5×5 pixels.
+/// In a novel view, such a pixel floats beside an edge.
 ///
-/// Overlapping tiles count every pixel that they hold.
+/// A pixel counts once for every tile that contains it.
 #[must_use]
 pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32) -> f64 {
     let (w, h) = (delta.width as usize, delta.height as usize);
@@ -244,8 +246,8 @@ pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32
     ghosts as f64 / all.max(1) as f64
 }
 
-/// How far neighbouring tiles, beside or below each other, are from showing the same where both lie: mean |δ − δ′| over the pixels that
-/// they share, each pair by itself; 0 where none overlap.
+/// Disagreement of horizontally or vertically adjacent tiles: mean |δ − δ′| over the pixels that both contain, over all pairs of tiles; 0
+/// if none overlap.
 #[must_use]
 pub fn overlap_disagreement(grid: &Grid, tiles: &[Tile]) -> f64 {
     let shown: Vec<Vec<f32>> = tiles.par_iter().enumerate().map(|(i, t)| t.shown(grid, i as u32)).collect();

@@ -3,21 +3,23 @@
 use super::Samples;
 use super::lloyd::Histogram;
 
-/// Bins, at least this many and so many for each cluster: values within a bin count as one. Means stay exact. With E the sum of squares
-/// about the bins' own means (at most a quarter of a bin's width squared for each value) the cost is at most (√best + √E)² + E: no best
-/// split parts equal values, and moving each value to its bin's mean changes the root of a cost by √E at most.
+/// Least number of bins, and number of bins per cluster; the larger count is used. Values within a bin count as one, and means stay exact.
+///
+/// Let E be the sum of squares about the bins' means, at most a quarter of a bin's squared width per value. The cost is at most
+/// (√best + √E)² + E: an optimal split never separates equal values, and moving each value to its bin's mean changes the root of a cost
+/// by at most √E.
 const BINS: (usize, usize) = (256, 16);
 
 /// Optimal clusters of a tile for every count up to a bound.
 pub struct Table {
     lo: f64,
     points: Vec<(f64, f64)>,
-    /// Per count but the first: where the last run of the points up to an end starts.
+    /// For each count from 2, and each end: start of the last run of the optimal split of the points before that end.
     from: Vec<Vec<u32>>,
 }
 
 impl Table {
-    /// Splits the tile's values into 1 to `most` runs.
+    /// Finds the optimal splits of the tile's values into 1 to `most` runs.
     pub fn new(s: &Samples, most: usize) -> Self {
         let Some(h) = Histogram::new(s.deltas(), s.weights(), BINS.0.max(BINS.1 * most)) else {
             return Self { lo: 0.0, points: Vec::new(), from: Vec::new() };
@@ -27,7 +29,7 @@ impl Table {
         Self { lo: h.lo, points, from }
     }
 
-    /// The optimal cluster centres, at most `n` (and at most what the table was made for), ascending.
+    /// The optimal cluster centres in ascending order: at most `n`, and at most the `most` of the table.
     pub fn centres(&self, n: usize) -> Vec<f64> {
         if self.points.is_empty() {
             return vec![0.0];
@@ -50,7 +52,7 @@ fn mean(points: &[(f64, f64)]) -> f64 {
     m / w
 }
 
-/// Prefix sums about the overall mean, so that squares do not cancel.
+/// Prefix sums about the overall mean, which avoids cancellation of squares.
 struct Sums(Vec<[f64; 3]>);
 
 impl Sums {
@@ -77,7 +79,7 @@ impl Sums {
     }
 }
 
-/// Splits ascending points into up to `n` runs of least total cost: [`Table::from`].
+/// Splits ascending points into up to `n` runs of least total cost; returns [`Table::from`].
 fn split(points: &[(f64, f64)], n: usize) -> Vec<Vec<u32>> {
     let (sums, len) = (Sums::new(points), points.len());
     let mut cost: Vec<f64> = (0..=len).map(|b| sums.cost(0, b)).collect();
@@ -86,7 +88,7 @@ fn split(points: &[(f64, f64)], n: usize) -> Vec<Vec<u32>> {
     for k in 1..n {
         let mut next = vec![f64::INFINITY; len + 1];
         let mut arg = vec![0; len + 1];
-        // the best split point grows with the end, so each half of the ends searches its own part only
+        // the best split point never decreases with the end, so each half of the ends searches only its own range
         todo.push((k + 1, len, k, len));
         while let Some((lo, hi, from_lo, from_hi)) = todo.pop() {
             if lo > hi {

@@ -1,21 +1,22 @@
-//! Label smoothing: a Potts model on the labels of a tile, minimised by iterated conditional modes (Besag 1986). Where two planes
-//! explain a pixel equally well, it goes to the one that its neighbours lie on.
+//! Label smoothing: a Potts model on the labels of a tile, minimised by iterated conditional modes (Besag 1986). If two planes explain a
+//! pixel equally well, it joins the plane of its neighbours.
 //!
-//! Where planes cross or run side by side the nearest one changes from pixel to pixel with the noise of the map. Each change costs
-//! bits, a soft rim and hidden texels, and none of them can be seen.
+//! Where planes cross or lie close together, the nearest plane changes from pixel to pixel with the noise of the map. Each change costs
+//! bits, a soft rim and hidden texels, but is invisible.
 
 use super::Samples;
 use tmpi_core::Plane;
 
-/// Passes over the tile; later ones change next to nothing.
+/// Passes over the tile; further passes change almost nothing.
 const PASSES: usize = 4;
-/// Cost of a neighbour on another plane, against the squared error in units of the target. `tmpi-lab bench` compares: changes of label
-/// fall with it, views do not suffer.
+/// Cost of each neighbour on another plane, against the squared error in units of the target. `tmpi-lab bench` compares values: label
+/// changes decrease with it, without a loss in views.
 pub const NEIGHBOUR: f32 = 0.3;
-/// Error that a label may have where a nearer plane has less, in units of the target.
+/// Largest error of a label that is not the nearest plane's, in units of the target.
 const MOST: f32 = 1.0;
 
-/// Potts energy, one sweep after the other: moves labels to a neighbour's plane where that costs less than the change between them; no pixel's error exceeds `target` by it.
+/// Lowers the Potts energy in passes over the tile: a pixel takes the label of one of its four neighbours if that costs less. Such a change
+/// never raises a pixel's error above `target`. Does nothing if `target` or `neighbour` is not positive.
 pub fn smooth_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f64, neighbour: f32) {
     let (w, n) = (s.width, labels.len());
     if planes.len() < 2 || w == 0 || target <= 0.0 || neighbour <= 0.0 {
@@ -28,7 +29,7 @@ pub fn smooth_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f
         let [a, b, c] = some[l as usize];
         ((a + b * s.us()[i] + c * s.vs()[i] - s.deltas()[i]) * scale).abs()
     };
-    // rows that changed in the pass before and in this one: a pixel with the same neighbours as before stays as it is
+    // rows that changed in the last pass and in this one: a pixel keeps its label if no neighbour changed
     let (mut before, mut now) = (vec![true; h], vec![false; h]);
     for _ in 0..PASSES {
         for y in 0..h {
@@ -39,7 +40,7 @@ pub fn smooth_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f
             let mut next = 0;
             while next < w {
                 let (x, i) = (next, y * w + next);
-                if x > 0 && x + RUN < w && alike(labels, [y0 * w + x, i - 1, i, i + 1, y1 * w + x]) {
+                if x > 0 && x + RUN < w && equal_runs(labels, [y0 * w + x, i - 1, i, i + 1, y1 * w + x]) {
                     next += RUN;
                     continue;
                 }
@@ -75,11 +76,11 @@ pub fn smooth_labels(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f
     }
 }
 
-/// Pixels that are looked at together: one plane in all their neighbourhoods leaves nothing to do.
+/// Pixels tested together: nothing changes if they and their neighbours have the same label.
 const RUN: usize = 8;
 
-/// True where the runs of [`RUN`] labels from each of these places on are equal.
-fn alike(labels: &[u8], at: [usize; 5]) -> bool {
+/// Whether the runs of [`RUN`] labels that start at these five indices are equal.
+fn equal_runs(labels: &[u8], at: [usize; 5]) -> bool {
     let run = |i: usize| labels[i..].first_chunk::<RUN>();
     let own = run(at[2]);
     at.iter().all(|&i| run(i) == own)
@@ -100,9 +101,9 @@ mod tests {
     }
 
     #[test]
-    fn noise_between_two_planes_that_both_fit_goes() {
+    fn smoothing_removes_noise_between_two_planes_that_both_fit() {
         let planes = [Plane::fronto_parallel(0.5), Plane::fronto_parallel(0.504)];
-        // the left half lies on the first, the right half between both with noise
+        // the left half lies on the first plane, the right half between both, with noise
         let noise = |i: usize| if i % 64 < 32 { 0.5 } else { 0.502 + if (i * 2_654_435_761) >> 7 & 1 == 0 { 4e-4 } else { -4e-4 } };
         let s = samples(64, noise, 4096);
         let mut labels: Vec<u8> = (0..4096).map(|i| u8::from(s.deltas()[i] > 0.502)).collect();
@@ -112,9 +113,9 @@ mod tests {
         assert!(changes(&labels) * 4 < before, "{} of {before}", changes(&labels));
     }
 
-    /// Iterated conditional modes by their definition, in `f64`: pixel by pixel, over and over, each takes the label of itself or one of its four
-    /// neighbours that costs the least. A label costs the square of its error in units of the target, and so much for each of the eight
-    /// neighbours that has another; another label than before may be off by the target at the most.
+    /// Iterated conditional modes by definition, in `f64`: pixel by pixel, in several passes, each pixel takes the cheapest of its own
+    /// label and those of its four neighbours. A label costs its squared error in units of the target, plus `neighbour` for each of the
+    /// eight neighbours with another label. The error of a new label is at most the target.
     fn by_definition(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f64, neighbour: f64) {
         let (w, h) = (s.width, labels.len() / s.width);
         let error = |i: usize, l: u8| {
@@ -142,7 +143,7 @@ mod tests {
         }
     }
 
-    /// A sixty-fourth, so many times.
+    /// Multiples of 1/64.
     fn sixty_fourths(range: std::ops::Range<i32>) -> impl Strategy<Value = f64> {
         range.prop_map(|v| f64::from(v) / 64.0)
     }
@@ -150,9 +151,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(96))]
 
-        /// All numbers are such that `f32` has them exactly, so no label is decided by rounding: both come to the same.
+        /// All numbers are exact in `f32`, so rounding decides no label and both results are equal.
         #[test]
-        fn labels_are_those_of_the_definition(
+        fn labels_match_the_definition(
             (width, height) in (1usize..40, 1usize..12),
             planes in prop::collection::vec([sixty_fourths(0..64), sixty_fourths(-8..8), sixty_fourths(-8..8)], 2..5),
             values in prop::collection::vec(sixty_fourths(0..64), 40 * 12), patch in 1usize..9, bits in 0i32..6, weight in 1u8..16,

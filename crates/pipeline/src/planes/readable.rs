@@ -1,4 +1,4 @@
-//! Options against the bounds of those who read the container.
+//! Checks options against the bounds of container readers.
 
 use crate::StageError;
 use crate::run::{Options, PlaneCount, TileSize};
@@ -6,7 +6,7 @@ use tmpi_core::Grid;
 use tmpi_core::container::most_planes;
 
 impl Options {
-    /// The grid of tiles over a scene of that size.
+    /// The grid of tiles of a scene of this size in pixels.
     #[must_use]
     pub fn grid(&self, width: u32, height: u32) -> Grid {
         match self.tile {
@@ -15,19 +15,20 @@ impl Options {
         }
     }
 
-    /// Refuses what could lead, for a scene of that size, to a container that no reader takes.
+    /// Rejects options that, for a scene of this size in pixels, could give a container beyond the bounds of readers.
     ///
     /// # Errors
-    /// [`StageError::Bound`] names the option and the most that can be.
+    /// [`StageError::Bound`] names the option and its bound.
     pub fn check_readable(&self, width: u32, height: u32) -> Result<(), StageError> {
         let most = most_planes(&self.grid(width, height));
         if most == 0 {
-            let detail = format!("tiles this small are too many for {width}×{height} pixels: readers bound what layers look at");
+            let detail = format!("tiles this small are too many for {width}×{height} pixels: readers limit the work of deriving texels");
             return Err(StageError::Bound { field: "tile", detail });
         }
         match self.planes {
             PlaneCount::Fixed(n) if n > most => {
-                let detail = format!("{n} planes a tile are over the {most} that readers take of {width}×{height} pixels in such tiles");
+                let detail =
+                    format!("{n} planes per tile exceed the {most} that readers accept for {width}×{height} pixels with this tile size");
                 Err(StageError::Bound { field: "planes", detail })
             }
             PlaneCount::Fixed(_) | PlaneCount::Auto => Ok(()),
@@ -44,7 +45,7 @@ mod tests {
     use tmpi_core::{ViewBox, container};
 
     #[test]
-    fn planes_at_the_bound_pass_and_one_more_are_refused_by_name() {
+    fn planes_at_the_bound_pass_and_one_more_is_rejected_by_name() {
         let tile = TileSize::Pixels(8);
         let most = most_planes(&Grid::new(640, 480, 8));
         let at = |n| Options { tile, planes: PlaneCount::Fixed(n), ..Options::default() }.check_readable(640, 480);
@@ -55,7 +56,7 @@ mod tests {
         assert!(Options::default().check_readable(8192, 6000).is_ok());
     }
 
-    /// Noise of which each pixel is of a depth of its own, as a JPEG and a depth map.
+    /// Noise as a JPEG and a depth map: each pixel has its own depth.
     fn noise(w: u32, h: u32) -> (Vec<u8>, Vec<u8>) {
         let mut seed = 7u32;
         let mut next = || {
@@ -68,8 +69,9 @@ mod tests {
         (photo, crate::depth::to_png(&tmpi_core::DisparityMap { width: w, height: h, delta }).unwrap())
     }
 
-    /// Makes a photo of noise and reads it; what cannot be read must have been refused by name: false then.
-    fn is_made(models: &Models, (w, h): (u32, u32), files: &(Vec<u8>, Vec<u8>), options: &Options) -> bool {
+    /// Makes a photo and reads its container and levels. Returns false if the options were rejected with the option's name; panics if the
+    /// container is unreadable or making fails otherwise.
+    fn makes_readable_photo(models: &Models, (w, h): (u32, u32), files: &(Vec<u8>, Vec<u8>), options: &Options) -> bool {
         match make(models, &Limits::default(), &files.0, Some(&files.1), options, &Silent) {
             Ok(got) => {
                 let scene = container::decode(&got.container);
@@ -78,13 +80,13 @@ mod tests {
                     let small = container::level(&got.container, level).unwrap();
                     assert!(container::decode(&small).is_ok(), "level {level} of {options:?}");
                 }
-                // a number that is none would be no number of JSON
+                // JSON has no NaN or infinity, so a figure that is not finite would not survive this round trip
                 let report = serde_json::to_vec(&got.report).unwrap();
                 assert_eq!(serde_json::from_slice::<Report>(&report).unwrap(), got.report, "{options:?}");
                 true
             }
             Err(MakeError::Generate(StageError::Bound { .. })) => {
-                assert!(options.check_readable(w, h).is_err(), "{options:?} was refused late");
+                assert!(options.check_readable(w, h).is_err(), "{options:?} were rejected late");
                 false
             }
             Err(e) => panic!("{options:?}: {e}"),
@@ -95,8 +97,8 @@ mod tests {
         crate::networks::models::load(&crate::networks::models::Settings::default()).unwrap()
     }
 
-    /// Options with tiles, planes, error, view box and camera at their ends, for a photo of `w` × `h`.
-    fn corners(w: u32, h: u32) -> Vec<Options> {
+    /// Options at the extremes of tile size, planes, error, view box and camera, for a photo of `w` × `h` pixels.
+    fn extremes(w: u32, h: u32) -> Vec<Options> {
         let mut all = Vec::new();
         let wide = ViewBox { x: 10.0, y: 10.0, z: 10.0 };
         for tile in [8, 16, 1024].map(TileSize::Pixels).into_iter().chain([TileSize::Full]) {
@@ -114,12 +116,12 @@ mod tests {
     }
 
     #[test]
-    fn every_choice_with_both_ends_of_every_number_is_made_and_read() {
+    fn every_choice_and_both_ends_of_every_range_make_a_readable_photo() {
         let (w, h) = (64, 48);
         let (models, files) = (models(), noise(w, h));
         let mut count = 0;
         let mut one = |options: &Options| {
-            assert!(is_made(&models, (w, h), &files, options), "{options:?} was refused");
+            assert!(makes_readable_photo(&models, (w, h), &files, options), "{options:?} were rejected");
             count += 1;
         };
         let number = |x: f64| ViewBox { x, y: x, z: x };
@@ -152,7 +154,7 @@ mod tests {
             }
         }
         for depth_kind in [DepthKind::Disparity, DepthKind::Metric] {
-            // what needs a network's file is refused by name without it
+            // without choices that need a network's file: they are rejected without it
             for denoise in [Denoise::Auto, Denoise::Classic, Denoise::Off] {
                 for snap in [Switch::Auto, Switch::On, Switch::Off] {
                     for refine in [Switch::Auto, Switch::Off] {
@@ -166,20 +168,20 @@ mod tests {
     }
 
     #[test]
-    fn photos_at_the_corners_of_the_options_are_read() {
+    fn extreme_options_make_readable_photos() {
         let (w, h) = (96, 64);
         let (models, files) = (models(), noise(w, h));
-        let all = corners(w, h);
+        let all = extremes(w, h);
         assert_eq!(all.len(), 20);
-        assert!(all.iter().all(|options| is_made(&models, (w, h), &files, options)));
+        assert!(all.iter().all(|options| makes_readable_photo(&models, (w, h), &files, options)));
     }
 
     #[test]
-    fn at_twelve_megapixels_five_corners_are_refused() {
-        // tiles of 8 pixels whatever their planes, and 64 planes in tiles of 16
-        let refused: Vec<Options> = corners(4000, 3000).into_iter().filter(|o| o.check_readable(4000, 3000).is_err()).collect();
-        let tiles: Vec<TileSize> = refused.iter().map(|o| o.tile).collect();
+    fn at_twelve_megapixels_five_extreme_options_are_rejected() {
+        // tiles of 8 pixels with any number of planes, and 64 planes in tiles of 16 pixels
+        let rejected: Vec<Options> = extremes(4000, 3000).into_iter().filter(|o| o.check_readable(4000, 3000).is_err()).collect();
+        let tiles: Vec<TileSize> = rejected.iter().map(|o| o.tile).collect();
         assert_eq!(tiles, [[TileSize::Pixels(8); 4].as_slice(), &[TileSize::Pixels(16)]].concat());
-        assert_eq!(refused[4].planes, PlaneCount::Fixed(64));
+        assert_eq!(rejected[4].planes, PlaneCount::Fixed(64));
     }
 }

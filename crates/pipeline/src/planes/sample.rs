@@ -4,7 +4,7 @@ use super::MAX_PLANES;
 use super::kernel::{self, Columns};
 use tmpi_core::{DisparityMap, Grid, Plane};
 
-/// The pixels of one tile as columns: place in half tiles from its centre, disparity, weight. Reused from tile to tile.
+/// The pixels of one tile as columns: position in half tiles from its centre, disparity and weight. Reused from tile to tile.
 #[derive(Clone, Debug, Default)]
 pub struct Samples {
     u: Vec<f32>,
@@ -16,8 +16,8 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Takes the pixels of tile `tile`. A disparity that is not finite becomes 0 with weight 0; a weight that is not finite
-    /// or not positive becomes 0; where all weights are 0, all become 1.
+    /// Fills the columns with the pixels of tile `tile` of `grid`. A disparity that is not finite becomes 0 with weight 0; a weight that is
+    /// not finite or not positive becomes 0; if all weights are 0, all become 1.
     pub fn gather(&mut self, delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, tile: u32) {
         let (r, centre, half) = (grid.rect(tile), grid.centre(tile), grid.half());
         self.clear(r.w as usize);
@@ -29,7 +29,7 @@ impl Samples {
             self.v.resize(self.v.len() + row.len(), v);
             self.delta.extend_from_slice(&delta.delta[row.clone()]);
             match confidence {
-                Some(c) => self.weight.extend(c[row].iter().map(|&w| usable(w))),
+                Some(c) => self.weight.extend(c[row].iter().map(|&w| usable_weight(w))),
                 None => self.weight.resize(self.v.len(), 1.0),
             }
         }
@@ -49,13 +49,13 @@ impl Samples {
         }
     }
 
-    /// Adds one pixel.
+    /// Adds one pixel. A disparity that is not finite becomes 0 with weight 0.
     pub fn push(&mut self, u: f32, v: f32, delta: f32, weight: f32) {
         let known = delta.is_finite();
         self.u.push(u);
         self.v.push(v);
         self.delta.push(if known { delta } else { 0.0 });
-        self.weight.push(if known { usable(weight) } else { 0.0 });
+        self.weight.push(if known { usable_weight(weight) } else { 0.0 });
     }
 
     #[cfg(test)]
@@ -69,7 +69,7 @@ impl Samples {
         }
     }
 
-    /// Every `step`th pixel of every `step`th row, for searches; itself where fewer than a quarter of a 64-pixel tile's pixels are there.
+    /// Every `step`th pixel of every `step`th row, for searches; all pixels if there are at most 1024, a quarter of a 64-pixel tile.
     #[must_use]
     pub fn thinned(&self, step: usize) -> Self {
         let mut s = Self::default();
@@ -79,7 +79,7 @@ impl Samples {
         }
         s.clear(self.width.div_ceil(step));
         for (i, row) in (0..self.len()).step_by(self.width * step).enumerate() {
-            // alternate the phase, so that neither stripes of one pixel in rows nor in columns are missed as a whole
+            // alternate the phase, so that one-pixel stripes are not missed completely, neither rows nor columns
             for at in (row + i * (step / 2) % step + (i / 2) % (step / 2).max(1)..(row + self.width).min(self.len())).step_by(step) {
                 s.push(self.u[at], self.v[at], self.delta[at], self.weight[at]);
             }
@@ -88,13 +88,13 @@ impl Samples {
         s
     }
 
-    /// Count of pixels.
+    /// Number of pixels.
     #[must_use]
     pub fn len(&self) -> usize {
         self.delta.len()
     }
 
-    /// True where there is no pixel.
+    /// Whether there are no pixels.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.delta.is_empty()
@@ -112,31 +112,31 @@ impl Samples {
         &self.weight
     }
 
-    /// Horizontal places, in half tiles from the tile's centre.
+    /// Horizontal positions, in half tiles from the tile's centre.
     #[must_use]
     pub fn us(&self) -> &[f32] {
         &self.u
     }
 
-    /// Vertical places.
+    /// Vertical positions, in half tiles from the tile's centre.
     #[must_use]
     pub fn vs(&self) -> &[f32] {
         &self.v
     }
 
-    /// The columns as the kernels take them.
+    /// The columns in the form that the kernels take.
     #[must_use]
     pub(super) fn columns(&self) -> Columns<'_> {
         Columns { u: &self.u, v: &self.v, d: &self.delta, w: &self.weight }
     }
 
-    /// Labels every pixel with its nearest plane (the first of equals) and leaves absolute errors in `error`; gives the
-    /// weighted sum of squared errors.
+    /// Labels every pixel with its nearest plane (the first on ties) and writes absolute errors in δ to `error`. Uses at most
+    /// [`MAX_PLANES`] planes. Returns the weighted sum of squared errors.
     pub fn assign(&self, planes: &[Plane], labels: &mut Vec<u32>, error: &mut Vec<f32>) -> f64 {
         self.assign_moved(planes, labels, error, &mut Vec::new())
     }
 
-    /// The same; pixels whose label changed are left in `moved` with their old label.
+    /// [`Samples::assign`] that also fills `moved` with the index and old label of each pixel whose label changed.
     pub(super) fn assign_moved(&self, planes: &[Plane], labels: &mut Vec<u32>, error: &mut Vec<f32>, moved: &mut Vec<(u32, u32)>) -> f64 {
         let mut some = [[0f32; 3]; MAX_PLANES as usize];
         for (to, p) in some.iter_mut().zip(planes) {
@@ -148,7 +148,7 @@ impl Samples {
         kernel::nearest(&some[..planes.len().min(some.len())], self.columns(), error, labels, moved)
     }
 
-    /// Absolute errors of labelled pixels.
+    /// Absolute errors in δ of labelled pixels.
     #[must_use]
     pub fn errors(&self, planes: &[Plane], labels: &[u8]) -> Vec<f32> {
         let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
@@ -161,7 +161,7 @@ impl Samples {
             .collect()
     }
 
-    /// 99th percentile of the absolute error to the nearest plane.
+    /// 99th percentile of the absolute error in δ to the nearest plane.
     #[must_use]
     pub fn error_p99(&self, planes: &[Plane]) -> f64 {
         let (mut labels, mut error) = (Vec::new(), Vec::new());
@@ -170,12 +170,12 @@ impl Samples {
     }
 }
 
-/// A weight that can be added up: 0 where it is not finite or not positive, and no +Inf that swallows the others.
-fn usable(weight: f32) -> f32 {
+/// A weight that is safe to sum: 0 if it is not finite or not positive, else at most 1e6.
+fn usable_weight(weight: f32) -> f32 {
     if weight.is_finite() && weight > 0.0 { weight.min(1e6) } else { 0.0 }
 }
 
-/// 99th percentile; 0 where there is no value.
+/// 99th percentile; 0 without values.
 pub(crate) fn percentile_99(values: &mut [f32]) -> f64 {
     if values.is_empty() {
         return 0.0;

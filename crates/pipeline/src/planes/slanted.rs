@@ -1,4 +1,4 @@
-//! Weighted k-planes: clusters of pixels on planes whose disparity is affine in the image.
+//! Weighted k-planes: clusters pixels on planes whose disparity is affine in the image.
 
 use super::kernel::{self, Sums};
 use super::lloyd::{self, Histogram};
@@ -6,18 +6,18 @@ use super::{Samples, sample::percentile_99};
 use tmpi_core::Plane;
 
 const ROUNDS: usize = 20;
-/// Planes are searched for on every fourth pixel of every fourth row, then fitted to every second of every second, then to all: the
-/// views of seven stereo scenes lose 0.03 dB by that against a search on every second, which took half as long again.
+/// The search for planes uses every fourth pixel of every fourth row; planes are then fitted to every second pixel of every second row,
+/// then to all pixels. The views of seven stereo scenes lose 0.03 dB against a search on every second pixel, which took half as long again.
 const THIN: [usize; 2] = [4, 2];
-/// A start is given up when even so many rounds as good as its last would leave it behind the best one.
+/// A start is abandoned if this many more rounds, each as good as its last one, would leave it worse than the best start.
 const PATIENCE: f64 = 6.0;
-/// Ridge on the slopes, as a share of a cluster's weight and as a second moment (weight in pixels times half tiles squared), so that thin
-/// clusters stay fronto-parallel.
+/// Ridge on the slopes, so that thin clusters stay fronto-parallel: as a share of the cluster's weight, and as a second moment (weight in
+/// pixels times half tiles squared).
 const RIDGE: (f64, f64) = (1e-4, 0.02);
-/// Steepest slope in δ per half tile (0.008 δ a pixel on 64-pixel tiles).
+/// Steepest slope in δ per half tile (0.008 δ per pixel in 64-pixel tiles).
 const MAX_SLOPE: f64 = 0.256;
 
-/// The fewest planes (up to `most`) that meet `target`, or `most` planes where there is no target.
+/// The fewest planes (up to `most`) whose 99th percentile of |δ error| is at most `target`; `most` planes without a target.
 pub fn fit(s: &Samples, most: usize, target: Option<f64>) -> Vec<Plane> {
     if s.is_empty() {
         return vec![Plane::default()];
@@ -51,7 +51,7 @@ pub fn fit(s: &Samples, most: usize, target: Option<f64>) -> Vec<Plane> {
     best
 }
 
-/// Moments of a cluster; coordinates are of order 1, so nothing need be shifted before it is summed.
+/// Weighted moments of a cluster; coordinates are of order 1, so they need no shift before summation.
 #[derive(Clone, Copy, Default)]
 struct Moments {
     w: f64,
@@ -85,7 +85,7 @@ impl Moments {
         self.vd += w * v * d;
     }
 
-    /// Ridge least squares with slopes bounded; none where there is no weight.
+    /// Plane by ridge least squares, with slopes clamped to [`MAX_SLOPE`]; `None` without weight.
     fn plane(&self) -> Option<Plane> {
         if self.w <= 0.0 {
             return None;
@@ -102,7 +102,7 @@ impl Moments {
     }
 }
 
-/// Plane of the points that `choose` takes, as `(u, v, δ, weight)`; none where they have no weight.
+/// Plane fitted to points `(u, v, δ, weight)` by ridge least squares; `None` if they have no weight.
 pub(crate) fn fit_points(points: impl Iterator<Item = (f64, f64, f64, f64)>) -> Option<Plane> {
     let mut m = Moments::default();
     for (u, v, d, w) in points {
@@ -115,7 +115,7 @@ fn fit_all(s: &Samples) -> Plane {
     Moments::from(kernel::sums(s.columns(), &vec![0; s.len()], 0)).plane().unwrap_or_default()
 }
 
-/// Refits each plane to its pixels; a plane without pixels stays.
+/// Refits each plane to its pixels; a plane without pixels stays unchanged.
 pub fn refit(s: &Samples, labels: &[u32], planes: &mut [Plane]) {
     for (j, p) in planes.iter_mut().enumerate() {
         if let Some(q) = Moments::from(kernel::sums(s.columns(), labels, j as u32)).plane() {
@@ -134,12 +134,12 @@ struct Search<'a> {
     s: &'a Samples,
     one: Plane,
     residual: Vec<f32>,
-    /// Of δ and of the residuals of one plane.
+    /// Histograms of δ and of the residuals of a single plane.
     histograms: [Option<Histogram>; 2],
     labels: Vec<u32>,
     error: Vec<f32>,
     moved: Vec<(u32, u32)>,
-    /// Per cluster its moments and the count of its pixels that have weight.
+    /// Moments of each cluster, and the number of its pixels with weight.
     clusters: Vec<(Moments, u32)>,
     /// Labels and errors of the whole tile.
     full: Scratch,
@@ -165,7 +165,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Best of several starts of `k` planes; `last` is the result for `k − 1`.
+    /// Fits `k` planes from several starts and returns the best; `last` is the result for `k − 1`.
     fn run(&mut self, last: &[Plane], k: usize) -> Vec<Plane> {
         let s = self.s;
         let mut best = (f64::INFINITY, last.to_vec());
@@ -181,17 +181,17 @@ impl<'a> Search<'a> {
             let mut cost = f64::INFINITY;
             for _ in 0..ROUNDS {
                 for (p, (moments, pixels)) in planes.iter_mut().zip(&self.clusters) {
-                    // a plane without pixels stays
+                    // a plane without pixels stays unchanged
                     *p = (*pixels > 0).then(|| moments.plane()).flatten().unwrap_or(*p);
                 }
                 let c = s.assign_moved(&planes, &mut self.labels, &mut self.error, &mut self.moved);
                 let gain = cost - c;
                 cost = cost.min(c);
-                // rounds gain less and less: one that lies behind by this many of its last gains will not catch up
+                // gains shrink from round to round: a start too many of its last gains behind will not catch up
                 if gain <= cost * 0.001 || cost - PATIENCE * gain > best.0 {
                     break;
                 }
-                self.follow();
+                self.update_moments();
             }
             if cost < best.0 {
                 best = (cost, planes);
@@ -200,7 +200,7 @@ impl<'a> Search<'a> {
         best.1
     }
 
-    /// Moments of `k` clusters from the labels.
+    /// Computes the moments of `k` clusters from the labels.
     fn sum_up(&mut self, k: usize) {
         let s = self.s;
         self.clusters.clear();
@@ -210,8 +210,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Moves what changed its label from one cluster's moments to the other's: after the first rounds that is little.
-    fn follow(&mut self) {
+    /// Moves pixels whose label changed from one cluster's moments to the other's; after the first rounds, there are few.
+    fn update_moments(&mut self) {
         let s = self.s;
         for &(i, old) in &self.moved {
             let i = i as usize;
@@ -223,7 +223,7 @@ impl<'a> Search<'a> {
             from.add(u, v, d, -w);
             *count -= 1;
             if *count == 0 {
-                // without what rounding left
+                // drops the rounding error
                 *from = Moments::default();
             }
             let (to, count) = &mut self.clusters[self.labels[i] as usize];
@@ -232,7 +232,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Labels of the last result with the costliest cluster split by the sign of its error.
+    /// Sets the labels of the last result, with the costliest cluster split by the sign of its residual.
     fn split_worst(&mut self, last: &[Plane]) {
         let s = self.s;
         s.assign(last, &mut self.labels, &mut self.error);
@@ -250,7 +250,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Labels by the nearest of `k` random places.
+    /// Labels each pixel with the nearest of `k` random positions.
     fn voronoi(&mut self, k: usize) {
         let places: Vec<(f32, f32)> = (0..k).map(|_| (self.uniform(), self.uniform())).collect();
         self.error.clear();
@@ -266,14 +266,14 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Uniform in [−1, 1); the same sequence for every tile, so that a result does not depend on the order of tiles.
+    /// Random number, uniform in [−1, 1). Each tile uses the same sequence, so that results do not depend on the order of tiles.
     fn uniform(&mut self) -> f32 {
         self.random = self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         ((self.random >> 40) as f32 / (1u64 << 23) as f32) - 1.0
     }
 }
 
-/// Labels by the nearest of ascending centres: by how many of the places half way between two lie below.
+/// Labels each value with the nearest of ascending centres: the number of midpoints between centres that lie below it.
 fn label_nearest(values: &[f32], centres: &[f64], labels: &mut [u32]) {
     labels.fill(0);
     for pair in centres.windows(2) {

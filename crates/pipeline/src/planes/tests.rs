@@ -63,7 +63,7 @@ fn two_walls_and_an_object_need_three_slanted_planes() {
 }
 
 #[test]
-fn confidence_keeps_an_outlier_out() {
+fn low_confidence_suppresses_an_outlier() {
     let mut d = vec![0.2f32; 4096];
     let mut w = vec![1.0f32; 4096];
     d[77] = 1.0;
@@ -78,7 +78,7 @@ fn confidence_keeps_an_outlier_out() {
 type Case = (&'static str, usize, Vec<f32>, Option<Vec<f32>>);
 
 #[test]
-fn stiff_tiles_give_finite_planes_that_fit() {
+fn extreme_tiles_get_finite_planes_that_fit() {
     let n = 4096;
     let mut cases: Vec<Case> = vec![
         ("1e-7 apart", 64, (0..n).map(|i| if i % 2 == 0 { 0.5 } else { 0.5 + 1e-7 }).collect(), None),
@@ -109,7 +109,7 @@ fn stiff_tiles_give_finite_planes_that_fit() {
                 assert!(!t.planes.is_empty() && t.planes.len() <= n as usize, "{name} {m:?}");
                 assert!(t.planes.iter().all(Plane::is_finite), "{name} {m:?}: {:?}", t.planes);
                 assert!(t.labels.iter().all(|&l| (l as usize) < t.planes.len()), "{name} {m:?}");
-                // linear planes are placed without a look at the values; all others are no worse than one plane at their mean
+                // linear planes ignore the distribution of values; all others are no worse than one plane at the mean
                 let got = cost(&s, &t.planes);
                 assert!(m == Method::Linear || got <= flat * 1.01 + 1e-6, "{name} {m:?} {n}: {got}, not {flat}");
             }
@@ -117,8 +117,8 @@ fn stiff_tiles_give_finite_planes_that_fit() {
     }
 }
 
-/// Against the best split between bins, and the best of all by the bound that is documented.
-fn optimal_against_all_splits(d: &mut [f32], n: usize) -> Result<(), TestCaseError> {
+/// Compares the result with the best split between bins, and with the best split of all by the documented bound.
+fn compare_with_all_splits(d: &mut [f32], n: usize) -> Result<(), TestCaseError> {
     let s = samples(d.len(), d, None);
     let got = cost(&s, &optimal::Table::new(&s, n).centres(n).into_iter().map(Plane::fronto_parallel).collect::<Vec<_>>());
     d.sort_by(f32::total_cmp);
@@ -150,17 +150,17 @@ fn optimal_against_all_splits(d: &mut [f32], n: usize) -> Result<(), TestCaseErr
 }
 
 #[test]
-fn values_of_one_bin_are_one_to_the_optimal_split() {
-    optimal_against_all_splits(&mut [0.778_965_83, 0.0, 0.776_459_34], 3).expect("the bins' optimum");
+fn the_optimal_split_does_not_divide_a_bin() {
+    compare_with_all_splits(&mut [0.778_965_83, 0.0, 0.776_459_34], 3).expect("the bins' optimum");
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Dynamic programming against all splits between bins, in `f64`.
+    /// Compares dynamic programming with all splits between bins, in `f64`.
     #[test]
     fn optimal_is_optimal(mut d in prop::collection::vec(0f32..1.0, 3..12), n in 2usize..4) {
-        optimal_against_all_splits(&mut d, n)?;
+        compare_with_all_splits(&mut d, n)?;
     }
 
     #[test]
@@ -173,7 +173,7 @@ proptest! {
 }
 
 #[test]
-fn neighbours_that_show_other_disparities_are_apart_where_both_lie() {
+fn overlap_disagreement_is_the_mean_difference_of_shared_pixels() {
     let grid = Grid::new(150, 64, 64);
     let tile =
         |i: u32, delta: f64| Tile { planes: vec![Plane::fronto_parallel(delta)], labels: vec![0; grid.rect(i).area()], background: None };
@@ -181,7 +181,7 @@ fn neighbours_that_show_other_disparities_are_apart_where_both_lie() {
     assert!(columns > 2 && grid.rows() == 1);
     let flat: Vec<Tile> = (0..columns).map(|i| tile(i, 0.25)).collect();
     assert!(overlap_disagreement(&grid, &flat) < 1e-9);
-    // the first pair differs; every pair shares as many pixels
+    // only the first pair differs; all pairs share the same number of pixels
     let mut one = flat;
     one[0] = tile(0, 0.5);
     let shared = |i: u32| grid.rect(i).x + grid.rect(i).w - grid.rect(i + 1).x;
@@ -191,7 +191,7 @@ fn neighbours_that_show_other_disparities_are_apart_where_both_lie() {
 
 #[test]
 fn ghosts_are_pixels_on_a_plane_between_two_surfaces() {
-    // one tile: near on the left of column 32, far on the right of it
+    // one tile: near to the left of column 32, far from there on
     let (w, h) = (64u32, 48u32);
     let map = DisparityMap { width: w, height: h, delta: (0..w * h).map(|i| if i % w < 32 { 0.8 } else { 0.2 }).collect() };
     let grid = Grid::new(w, h, 64);
@@ -202,10 +202,10 @@ fn ghosts_are_pixels_on_a_plane_between_two_surfaces() {
         let labels = (0..w * h).map(|i| label(i % w, from)).collect();
         ghost_share(&map, &grid, &[Tile { planes: planes.clone(), labels, background: None }], 0.05)
     };
-    // three columns of 64 are on the plane between, wherever they are
+    // three of 64 columns lie on the plane between, at any position
     assert!((share(31) - 3.0 / 64.0).abs() < 1e-12 && (share(5) - 3.0 / 64.0).abs() < 1e-12);
     assert!(share(64).abs() < 1e-12);
-    // the far plane two pixels within the near side is beside its surface, farther in it is a ghost
+    // two pixels into the near side, the far plane is still beside its surface; farther in, it is a ghost
     let labels = |to: u32| (0..w * h).map(|i| u8::from(i % w >= to)).collect::<Vec<u8>>();
     let moved = |to| ghost_share(&map, &grid, &[Tile { planes: planes.clone(), labels: labels(to), background: None }], 0.05);
     assert!(moved(30).abs() < 1e-12 && (moved(28) - 2.0 / 64.0).abs() < 1e-12);

@@ -1,5 +1,5 @@
-//! Planes of a tile that starts from those of the frame before: kept while they fit, refitted where that is enough, else placed anew.
-//! What stays the same is not sent again, and does not flicker.
+//! Warm start: a tile starts from its planes in the last frame. It keeps them while they fit, refits them if that is enough, and otherwise
+//! places new planes. What stays the same is not sent again, and does not flicker.
 
 use tmpi_core::{DisparityMap, Grid, Plane, Tile};
 
@@ -7,15 +7,16 @@ use rayon::prelude::*;
 
 use super::{Method, Placement, Samples, finish_labelled, place_tile, slanted};
 
-/// Planes are kept while their error is at most this many times the target.
+/// A tile keeps its planes while their error is at most this multiple of the target.
 const KEPT: f64 = 1.5;
 /// Rounds of refitting.
 const ROUNDS: usize = 2;
-/// How much less squared error, in units of the squared target, another plane must have before a pixel goes over to it.
+/// Hysteresis of labels: how much smaller the squared error of another plane must be, in units of the squared target, before a pixel
+/// changes to it.
 const MARGIN: f32 = 4.0;
 
-/// Places the planes of some tiles anew, starting from what they are. `tiles` are those of the whole grid, which stay as they are
-/// unless `wanted` is true for their number; a tile without planes has nothing to start from.
+/// Places the planes of some tiles again, starting from their current planes. `tiles` are those of the whole grid; only those for whose
+/// number `wanted` returns true change. A tile without planes gets new ones.
 pub fn place_again(
     delta: &DisparityMap,
     confidence: Option<&[f32]>,
@@ -30,7 +31,8 @@ pub fn place_again(
     });
 }
 
-/// Places the planes of one tile, starting from those of `last`.
+/// Places the planes of one tile, starting from those of `last`. Places new planes if `last` is empty or of another size, or without a
+/// target.
 #[must_use]
 pub fn place_tile_from(samples: &Samples, placement: &Placement, last: &Tile) -> Tile {
     let known = !last.planes.is_empty() && last.labels.len() == samples.len();
@@ -53,7 +55,7 @@ pub fn place_tile_from(samples: &Samples, placement: &Placement, last: &Tile) ->
     place_tile(samples, placement)
 }
 
-/// Labels that change only where much is won: `last` where its plane is nearly as good as the `nearest`.
+/// Labels with hysteresis: a pixel keeps its `last` label unless the `nearest` plane is better by [`MARGIN`].
 fn steady(s: &Samples, planes: &[Plane], last: &[u8], nearest: &[u32], target: f64) -> Vec<u8> {
     let some: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
     let scale = (1.0 / target.max(f64::from(f32::MIN_POSITIVE))) as f32;
@@ -90,14 +92,14 @@ mod tests {
     }
 
     #[test]
-    fn a_map_with_other_noise_keeps_planes_and_labels() {
+    fn a_map_with_different_noise_keeps_planes_and_labels() {
         let first = placed(&step(30, 0.0), &Tile::default());
         assert_eq!(first.planes.len(), 2);
         assert_eq!(placed(&step(30, 0.02), &first), first);
     }
 
     #[test]
-    fn an_edge_that_moves_keeps_planes_and_moves_labels() {
+    fn a_moving_edge_keeps_planes_and_moves_labels() {
         let first = placed(&step(30, 0.0), &Tile::default());
         let second = placed(&step(40, 0.0), &first);
         assert_eq!(first.planes, second.planes);
@@ -105,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_surface_that_comes_nearer_gets_another_plane() {
+    fn an_approaching_surface_gets_another_plane() {
         let first = placed(&step(30, 0.0), &Tile::default());
         let nearer = map(|x, _| if x < 30 { 0.2 } else { 0.95 });
         let second = placed(&nearer, &first);
@@ -118,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_that_nothing_lies_on_any_more_goes() {
+    fn a_plane_without_pixels_is_dropped() {
         let first = placed(&step(30, 0.0), &Tile::default());
         assert_eq!(placed(&map(|_, _| 0.2), &first).planes.len(), 1);
     }

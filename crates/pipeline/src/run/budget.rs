@@ -1,53 +1,56 @@
-//! Run time under a budget: what settings will take on this machine, and which of them fits.
+//! Time budgets: predicts how long settings take on this machine and chooses the ones that fit.
 //!
-//! The choice falls twice: before decoding, the size that the cheapest setting can do in time; after the disparity is there, the
-//! largest parallax error that fits what is left. What a photo has taken so far is known by then, so only the rest is predicted.
+//! The choice has two steps. Before decoding, [`Costs::side`] chooses the largest photo size that the cheapest operating point finishes in
+//! time. Once the disparity is known, [`Costs::choose`] picks the smallest parallax error that fits into the remaining time. The elapsed
+//! time is known by then, so only the rest is predicted.
+//!
+//! A tile is *busy* if one plane does not meet the requested parallax error.
 
 use std::sync::OnceLock;
 
 use serde::{Deserialize, Serialize};
 
-/// Milliseconds on a machine, fitted by `tmpi-lab bench` (`costs.json`).
+/// Run times of a machine in milliseconds, fitted by `tmpi-lab bench` (`costs.json`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Costs {
-    /// From the file to the disparity that planes are placed on, a megapixel; without the depth network.
+    /// Per megapixel, from the file to the disparity that planes are fitted to, without the depth network.
     pub before: f64,
-    /// Depth network, a photo; it works at a size of its own.
+    /// Per photo, for the depth network, which runs at its own size.
     pub depth: f64,
-    /// What else it takes where depth is estimated, a megapixel: enlarging, and snapping blurred edges.
+    /// Per megapixel, in addition if depth is estimated: upsampling, and snapping of blurred edges.
     pub depth_megapixel: f64,
-    /// Planes and all that follows where one plane does for every tile, a megapixel: the same at any error.
+    /// Per megapixel, for planes and all later stages of a photo without busy tiles; the same at any parallax error.
     pub plain: f64,
-    /// What other tiles take beyond that, by operating point, from the best to the cheapest.
+    /// Additional time of busy tiles, by operating point, from the best to the cheapest.
     pub points: Vec<Rate>,
 }
 
 /// Cost of an operating point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rate {
-    /// Times the parallax error that was asked for.
+    /// Multiple of the requested parallax error.
     pub factor: f64,
-    /// Milliseconds a megapixel more where one plane does not do for the error that was asked for.
+    /// Additional milliseconds per megapixel of busy tiles.
     pub busy: f64,
 }
 
-/// Environment variable that names the file of [`Costs`].
+/// Environment variable with the path of the JSON file of [`Costs`].
 pub const COSTS: &str = "TMPI_COSTS";
-/// Share of busy tiles that is assumed before the disparity is known.
-const BUSY: f64 = 0.4;
-/// Predictions are taken for so much more than they say: late is worse than plain.
-const CAUTION: f64 = 1.1;
-/// Smallest size that a photo is reduced to, longest side in pixels.
-const LEAST_SIDE: f64 = 64.0;
-/// A photo is reduced to this share of its sides at most: to bring it nearer to its own size would save less than reducing takes.
-const WORTH_REDUCING: f64 = 0.85;
-/// What takes its time at any size is joined by at least this share of it: to reduce a photo further would cost much of the picture
-/// and save little of the time.
-const WORTH_IT: f64 = 0.25;
+/// Share of busy tiles that [`Costs::side`] assumes, before the disparity is known.
+const ASSUMED_BUSY: f64 = 0.4;
+/// Safety factor on predictions: a late result is worse than a plainer one.
+const SAFETY: f64 = 1.1;
+/// Shortest length, in pixels, that the longest side of a photo is reduced to.
+const MIN_SIDE: f64 = 64.0;
+/// Largest share of its sides that a photo is reduced to: a smaller reduction saves less time than it takes.
+const MAX_REDUCED: f64 = 0.85;
+/// Least time that a photo keeps for the stages that depend on its size, as a share of the time that does not: a smaller photo would lose
+/// much of the picture and save little time.
+const MIN_SCALED: f64 = 0.25;
 
 impl Default for Costs {
-    /// Two cores of a server processor, between what `tmpi-lab bench --only budget` found in a slow hour and in a
-    /// quick one. That writes those of any machine.
+    /// Costs of two cores of a server processor, between those that `tmpi-lab bench --only budget` measured in a slow and in a fast hour.
+    /// Run it to measure your machine.
     fn default() -> Self {
         let rate = |factor, busy| Rate { factor, busy };
         Self {
@@ -61,7 +64,8 @@ impl Default for Costs {
 }
 
 impl Costs {
-    /// Those of the file that [`COSTS`] names, read once; the default where it names none or it cannot be read.
+    /// Costs from the file that [`COSTS`] names, read once. Returns the defaults if the variable is unset, or, with a logged warning, if
+    /// the file cannot be read or has no operating point.
     #[must_use]
     pub fn of_this_machine() -> &'static Self {
         static READ: OnceLock<Costs> = OnceLock::new();
@@ -71,58 +75,60 @@ impl Costs {
             let parsed = read.and_then(|bytes| serde_json::from_slice::<Self>(&bytes).map_err(|e| e.to_string()));
             parsed.and_then(|c| if c.points.is_empty() { Err("it has no operating point".into()) } else { Ok(c) }).unwrap_or_else(
                 |reason| {
-                    tracing::warn!(path = %std::path::Path::new(&path).display(), reason, "costs of this machine cannot be read");
+                    tracing::warn!(path = %std::path::Path::new(&path).display(), reason, "cannot read costs, using the defaults");
                     Self::default()
                 },
             )
         })
     }
 
-    /// The longest side that the cheapest operating point does within `budget` milliseconds; none where the whole photo fits.
+    /// The longest side, in pixels, at which the cheapest operating point finishes within `budget` milliseconds; `None` if the photo fits
+    /// without reduction. `estimated` says whether the depth network runs.
     #[must_use]
     pub fn side(&self, budget: f64, (width, height): (u32, u32), estimated: bool) -> Option<u32> {
-        let cheapest = self.cheapest(BUSY)?;
+        let cheapest = self.cheapest(ASSUMED_BUSY)?;
         let megapixels = f64::from(width) * f64::from(height) / 1e6;
         let (fixed, more) = if estimated { (self.depth, self.depth_megapixel) } else { (0.0, 0.0) };
-        let rate = (self.before + more + self.plain + cheapest.busy * BUSY) * CAUTION;
-        let room = (budget - fixed).max(fixed * WORTH_IT) / rate;
+        let rate = (self.before + more + self.plain + cheapest.busy * ASSUMED_BUSY) * SAFETY;
+        let room = (budget - fixed).max(fixed * MIN_SCALED) / rate;
         if room >= megapixels {
             return None;
         }
         let longest = f64::from(width.max(height));
-        let side = (longest * (room / megapixels).sqrt().min(WORTH_REDUCING)).max(LEAST_SIDE).min(longest);
+        let side = (longest * (room / megapixels).sqrt().min(MAX_REDUCED)).max(MIN_SIDE).min(longest);
         Some(side as u32)
     }
 
-    /// The best operating point of which `left` milliseconds are enough, else the cheapest; with the milliseconds that it will
-    /// take and whether they are enough.
+    /// The best operating point that fits into `left` milliseconds, or the cheapest if none fits; with its predicted milliseconds and
+    /// whether it fits. `busy` is the share of busy tiles, 0 to 1.
     #[must_use]
     pub fn choose(&self, left: f64, megapixels: f64, busy: f64) -> (Rate, f64, bool) {
         let takes = |r: &Rate| megapixels * (self.plain + r.busy * busy);
-        let fits = self.points.iter().find(|r| takes(r) * CAUTION <= left);
+        let fits = self.points.iter().find(|r| takes(r) * SAFETY <= left);
         let rate = fits.or_else(|| self.cheapest(busy)).copied().unwrap_or(Rate { factor: 1.0, busy: 0.0 });
         (rate, takes(&rate), fits.is_some())
     }
 
-    /// The operating point that takes the least time at this share of busy tiles; the best of equals.
+    /// The fastest operating point at this share of busy tiles; the best one on ties.
     fn cheapest(&self, busy: f64) -> Option<&Rate> {
         self.points.iter().min_by(|a, b| (a.busy * busy).total_cmp(&(b.busy * busy)))
     }
 }
 
-/// A photo that was made at one of the operating points.
+/// Run time of a photo made at one of the operating points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
-    /// Times the parallax error that was asked for.
+    /// Multiple of the requested parallax error.
     pub factor: f64,
-    /// Share of tiles, 0 to 1, that one plane does not do for at the error that was asked for.
+    /// Share of busy tiles, 0 to 1.
     pub busy: f64,
-    /// Milliseconds a megapixel that planes and all that follows took.
+    /// Milliseconds per megapixel for planes and all later stages.
     pub ms: f64,
 }
 
-/// Fits `plain + busy · share` by least squares, `plain` the same for all points; gives it and the points in the order of `factors`. Nothing is
-/// below 0, and no point takes more than the one before: with a larger error there is less to do.
+/// Fits `plain + busy · share` to the measurements by least squares, with one `plain` for all operating points. Returns `plain` and the
+/// operating points in the order of `factors`. No value is negative, and no point is slower than the one before it: a larger parallax error
+/// means less work.
 #[must_use]
 pub fn fit(factors: &[f64], measured: &[Measured]) -> (f64, Vec<Rate>) {
     #[derive(Default)]
@@ -146,10 +152,10 @@ pub fn fit(factors: &[f64], measured: &[Measured]) -> (f64, Vec<Rate>) {
             })
         })
         .collect();
-    // each point's own slope eliminated from the normal equation of the common part
+    // eliminate the slope of each point from the normal equation of `plain`
     let slope_of_x = |s: &Sums| if s.xx > 0.0 { s.x / s.xx } else { 0.0 };
     let (above, below) = sums.iter().fold((0.0, 0.0), |(a, b), s| (a + s.y - s.xy * slope_of_x(s), b + s.n - s.x * slope_of_x(s)));
-    // where all are equally busy, nothing tells the common part from the rest: half of the least is as good a guess as any
+    // if all photos are equally busy, `plain` is undetermined: half of the least time is as good a guess as any
     let least = measured.iter().map(|m| m.ms).fold(f64::INFINITY, f64::min);
     let plain = if below > 1e-9 {
         (above / below).max(0.0)
@@ -172,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_common_part_and_slopes_are_found_again_and_never_rise() {
+    fn fit_recovers_plain_and_slopes_and_slopes_never_rise() {
         let factors = [1.0, 2.0, 8.0];
         let all = |busy: [f64; 3], slope: [f64; 3]| -> Vec<Measured> {
             let one = |(factor, slope): (f64, f64)| busy.map(|busy| Measured { factor, busy, ms: 60.0 + slope * busy });
@@ -190,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn no_budget_costs_more_than_none() {
+    fn a_budget_never_predicts_more_time_than_no_budget() {
         let c = Costs::default();
         for busy in [0.0, 0.5, 0.9] {
             let takes = |r: &Rate| 0.5 * (c.plain + r.busy * busy);
@@ -202,26 +208,26 @@ mod tests {
                     "{budget} ms at {busy}: {predicted}, without {without}"
                 );
                 assert!(fits || c.points.iter().all(|p| takes(p) >= predicted), "{budget} ms at {busy}: {rate:?} is not the cheapest");
-                assert!(fits == (predicted * CAUTION <= budget));
+                assert!(fits == (predicted * SAFETY <= budget));
             }
         }
-        // one plane does for every tile of a flat photo, whatever the error: the best point is the quickest
+        // one plane is enough for every tile of a flat photo at any error, so the best point is also the fastest
         assert!((c.choose(0.0, 0.5, 0.0).0.factor - 1.0).abs() < 1e-9);
         assert!((c.choose(0.0, 0.5, 0.9).0.factor - 8.0).abs() < 1e-9);
     }
 
     #[test]
-    fn a_photo_is_never_reduced_by_so_little_that_reducing_takes_longer() {
+    fn a_reduction_is_never_too_small_to_save_time() {
         let c = Costs::default();
         for budget in 1..2000 {
             if let Some(side) = c.side(f64::from(budget), (1280, 720), false) {
-                assert!(f64::from(side) <= 1280.0 * WORTH_REDUCING, "{budget} ms: {side}");
+                assert!(f64::from(side) <= 1280.0 * MAX_REDUCED, "{budget} ms: {side}");
             }
         }
     }
 
     #[test]
-    fn more_time_buys_a_smaller_error_and_a_larger_photo() {
+    fn a_larger_budget_gives_a_smaller_error_and_a_larger_photo() {
         let c = Costs::default();
         let factor = |left: f64| c.choose(left, 0.5, 0.5).0.factor;
         assert!((factor(1e6) - 1.0).abs() < 1e-9 && (factor(0.0) - 8.0).abs() < 1e-9);
@@ -231,7 +237,7 @@ mod tests {
         assert!((64..large).contains(&small) && large < 4000, "{small} {large}");
         assert!(c.side(500.0, (4000, 3000), true).unwrap() < large);
         assert_eq!(c.side(f64::NAN, (100, 50), false), Some(64));
-        // no time is left beside the depth network: a smaller photo would not bring it back
+        // the depth network alone exceeds the budget: a smaller photo would hardly help
         let hopeless = c.side(1.0, (4000, 3000), true).unwrap();
         assert_eq!(c.side(c.depth, (4000, 3000), true), Some(hopeless));
         assert!(hopeless > 2 * c.side(1.0, (4000, 3000), false).unwrap(), "{hopeless}");

@@ -1,15 +1,15 @@
-//! The driver of a photo.
+//! Runs all stages on one photo.
 
 use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Strokes, Verify};
 use super::{Context, Made, MakeError, Models, Options, Sink, Sizes};
 use crate::photo::Limits;
 use crate::strokes;
 
-/// Runs a photo through all stages. `depth` is the user's own depth map as a picture file, if there is one; or
-/// the picture of the second eye, where [`crate::Stereo::Beside`] is chosen.
+/// Makes a photo: runs all stages and returns the container and the report. `depth` is the file of your own depth map, if any, or of the
+/// second picture with [`crate::Stereo::Beside`].
 ///
 /// # Errors
-/// [`MakeError`]: the photo, the depth map, an option, or a network is at fault, or the caller has given up.
+/// [`MakeError`] if the photo, `depth` or an option is invalid, a network or stage fails, the caller cancels, or the deadline passes.
 pub fn make(
     models: &Models,
     limits: &Limits,

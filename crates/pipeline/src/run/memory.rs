@@ -1,42 +1,43 @@
-//! How much memory making a photo takes, before it is made.
+//! Upper bounds of the memory that making a photo takes, known before it is decoded.
 //!
-//! Peaks of the process were measured (`tests/load/memory.py`) on photographs, on pictures and depth maps of one ramp, of noise and of
-//! blocks, of 0.5 to 50 megapixels, in tiles of 8 pixels to the whole photo, with 1 to 64 planes a tile. [`bytes`] is above all of them.
+//! [`bytes`] exceeds every peak of the process that `tests/load/memory.py` measured: on photographs, and on pictures and depth maps of one
+//! ramp, of noise and of blocks, with 0.5 to 50 megapixels, tiles from 8 pixels to the whole photo, and 1 to 64 planes per tile.
 
 use super::{MakeError, Options, Other, PlaneCount, Sizes};
 use crate::depth::DepthError;
 use crate::photo::{Limits, PhotoError, reduced_size};
 
-/// What does not grow with the photo: program, tables, and the embedded depth network, which takes the most of it. With a depth map the program takes
-/// 16 MiB for a photo of 3000 pixels; with the network 99, and 118 for 0.25 and 0.5 megapixels, of which the rest of the formula covers 15 and 29.
+/// Bytes that do not depend on the photo: program, tables and, for the largest part, the embedded depth network. With a depth map, the
+/// program takes 16 MiB for a photo of 3000 pixels. With the network, it takes 99 MiB, and 118 MiB for 0.25 and 0.5 megapixels, of which
+/// the other terms of the formula cover 15 and 29 MiB.
 const BASE: u64 = 112 << 20;
-/// Bytes a pixel of the photo, whatever its planes.
+/// Bytes per pixel of the photo, with any number of planes.
 const PIXEL: u64 = 32;
-/// Bytes a pixel for each plane that its tile has.
+/// Bytes per pixel for each plane of its tile.
 const PLANE: u64 = 14;
-/// Bytes for each layer of a tile, whatever its size.
+/// Bytes per layer of a tile of any size.
 const LAYER: u64 = 1200;
-/// Bytes a pixel of a file that is decoded before it is reduced, and of a depth map of another size.
+/// Bytes per pixel of a file that is decoded and then reduced, and of a depth map of another size.
 const DECODED: u64 = 16;
-/// Bytes a pixel of a photo that is kept beside that.
+/// Bytes per pixel of the reduced photo, which is kept while another picture is decoded.
 const PHOTO: u64 = 3;
-/// What measuring depth against a second picture takes, at the size of matching, whatever its pixels.
+/// Bytes for measuring depth against a second picture of any size: matching runs at its own size.
 const STEREO: u64 = 80 << 20;
-/// Fewest pixels that a photo is brought to so that it fits: as many as a screen has.
-const LEAST_PIXELS: u64 = 2_000_000;
-/// Fewest planes a tile, without its background, for which there must be room: where it is up to the program, it takes more only as far
-/// as memory goes.
-const LEAST: u32 = 2;
+/// A photo is not reduced below this number of pixels to fit into memory: about as many as a screen has.
+const MIN_PIXELS: u64 = 2_000_000;
+/// Planes per tile, without background planes, that must fit into memory with [`PlaneCount::Auto`]. More planes are placed only if they
+/// fit, too.
+const MIN_PLANES: u32 = 2;
 
-/// Memory that making a scene of `pixels` takes at most, in bytes, in so many tiles of `planes` planes in the mean; each may have a
-/// background besides.
+/// Upper bound in bytes of the memory for making a scene of `pixels` pixels and `tiles` tiles, with a mean of `planes` planes per tile plus
+/// a background plane.
 #[must_use]
 pub fn bytes(pixels: u64, tiles: u64, planes: u32) -> u64 {
     let layers = u64::from(planes) + 1;
     BASE + pixels * (PIXEL + PLANE * layers) + tiles * layers * LAYER
 }
 
-/// The most planes a tile that fit into `memory` bytes; at least 1.
+/// The most planes per tile, without background planes, that fit into `memory` bytes; at least 1.
 #[must_use]
 pub fn most_planes(pixels: u64, tiles: u64, memory: u64) -> u32 {
     let layer = pixels * PLANE + tiles * LAYER;
@@ -45,45 +46,45 @@ pub fn most_planes(pixels: u64, tiles: u64, memory: u64) -> u32 {
 }
 
 impl Options {
-    /// Memory that making a photo takes at most, in bytes, of pictures of these sizes. Where planes are [`PlaneCount::Auto`], more are placed
-    /// only as far as [`Limits::memory`] goes.
+    /// Upper bound in bytes of the memory for making a photo from pictures of these sizes. With [`PlaneCount::Auto`], it assumes 2 planes
+    /// per tile; more are placed only if they fit into [`Limits::memory`].
     #[must_use]
     pub fn memory(&self, sizes: &Sizes) -> u64 {
         self.memory_at(sizes, self.max_size)
     }
 
-    /// The same, with the longest side at most `side`.
+    /// [`Options::memory`] with a longest side of at most `side` pixels.
     fn memory_at(&self, sizes: &Sizes, side: Option<u32>) -> u64 {
         let planes = match self.planes {
             PlaneCount::Fixed(n) => n,
-            PlaneCount::Auto => LEAST,
+            PlaneCount::Auto => MIN_PLANES,
         };
         self.memory_with(sizes, side, planes)
     }
 
-    /// The same, with so many planes a tile, without its background, in the mean.
+    /// [`Options::memory`] with a longest side of at most `side` pixels and a mean of `planes` planes per tile, without background planes.
     #[must_use]
     pub fn memory_with(&self, sizes: &Sizes, side: Option<u32>, planes: u32) -> u64 {
         let (w, h) = reduced_size(self.shown(sizes.file), side);
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
         let measures = self.stereo.halves().is_some() || matches!(sizes.other, Some(Other::Eye(_)));
-        // what is decoded is let go before planes are placed
+        // decoded pictures are freed before planes are placed
         let made = made + if measures { STEREO } else { 0 };
-        let decoded = |size: (u32, u32)| if size == (w, h) { 0 } else { decoding(size) + area((w, h)) * PHOTO };
+        let decoded = |size: (u32, u32)| if size == (w, h) { 0 } else { decoding_bytes(size) + area((w, h)) * PHOTO };
         made.max(decoded(sizes.file)).max(sizes.other.map_or(0, |other| decoded(other.size())))
     }
 
-    /// Width and height of the picture that a file of that size shows: of one with two eyes, a half.
+    /// Width and height in pixels of the photo in a file of size `file`: those of one half, if the file holds two pictures in halves.
     #[must_use]
     pub fn shown(&self, file: (u32, u32)) -> (u32, u32) {
         self.stereo.halves().map_or(file, |halves| halves.of(file))
     }
 
-    /// The longest side, in pixels, to which a photo is brought so that making it takes no more memory than `limits` allow; none where it
-    /// fits as it is. It is not brought below 2 megapixels, nor where tiles or planes were asked for that take so much.
+    /// The longest side, in pixels, at which making the photo fits into `limits.memory`; `None` if it fits without reduction. Photos are
+    /// not reduced below 2 megapixels, and not to make room for a tile size or number of planes other than the defaults.
     ///
     /// # Errors
-    /// [`PhotoError::TooMuchWork`] names the limit and the need; [`DepthError`] where that is of a picture beside the photo alone.
+    /// [`PhotoError::TooMuchWork`] names the limit and the need; [`DepthError`] if the depth map or second picture alone exceeds the limit.
     pub fn side_by_memory(&self, sizes: &Sizes, limits: &Limits) -> Result<Option<u32>, MakeError> {
         if let Some(other) = sizes.other {
             check_other(other, limits)?;
@@ -104,33 +105,33 @@ impl Options {
             let middle = most + (too_large - most) / 2;
             *(if fits(middle) { &mut most } else { &mut too_large }) = middle;
         }
-        if area(reduced_size(shown, Some(most))) < LEAST_PIXELS { Err(refused.into()) } else { Ok(Some(most)) }
+        if area(reduced_size(shown, Some(most))) < MIN_PIXELS { Err(refused.into()) } else { Ok(Some(most)) }
     }
 
-    /// Refuses a file of that size that does not fit into memory whatever other options are chosen: where it is decoded at all.
+    /// Rejects a file of this size if decoding it alone exceeds the memory limit, so that no other options help.
     ///
     /// # Errors
     /// [`PhotoError::TooMuchWork`] names the limit and the need with these options.
     pub fn check_decoded(&self, file: (u32, u32), limits: &Limits) -> Result<(), MakeError> {
-        if decoding(file) <= limits.memory {
+        if decoding_bytes(file) <= limits.memory {
             return Ok(());
         }
         Err(PhotoError::TooMuchWork { bytes: self.memory(&Sizes::of_photo(file)), limit: limits.memory }.into())
     }
 
-    /// These options, with a photo brought to the size at which it fits into memory, where it does not as it is.
+    /// These options with `max_size` lowered so that the photo fits into memory, if it does not fit already.
     ///
     /// # Errors
-    /// As [`Options::side_by_memory`].
+    /// Those of [`Options::side_by_memory`].
     pub fn fitted(&self, sizes: &Sizes, limits: &Limits) -> Result<Self, MakeError> {
         let side = self.side_by_memory(sizes, limits)?;
         Ok(Self { max_size: side.or(self.max_size), ..self.clone() })
     }
 }
 
-/// Refuses a picture beside the photo that does not fit into memory where it is decoded at all.
+/// Rejects a depth map or second picture if decoding it alone exceeds the memory limit.
 fn check_other(other: Other, limits: &Limits) -> Result<(), DepthError> {
-    let bytes = decoding(other.size());
+    let bytes = decoding_bytes(other.size());
     if bytes <= limits.memory {
         return Ok(());
     }
@@ -138,8 +139,8 @@ fn check_other(other: Other, limits: &Limits) -> Result<(), DepthError> {
     Err(if matches!(other, Other::Map(_)) { DepthError::Map(text) } else { DepthError::Second(text) })
 }
 
-/// Memory that decoding a picture takes at most, with what does not grow with it.
-fn decoding(size: (u32, u32)) -> u64 {
+/// Upper bound in bytes of the memory for decoding a picture, including [`BASE`].
+fn decoding_bytes(size: (u32, u32)) -> u64 {
     BASE + area(size) * DECODED
 }
 
@@ -162,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_that_fit_fit_and_one_more_do_not() {
+    fn most_planes_fit_and_one_more_does_not() {
         for (pixels, tiles) in [(500_000, 165), (12_000_000, 3888), (50_000_000, 16_000), (2_000_000, 40_775)] {
             for memory in [1_u64 << 30, 6 << 30, 20 << 30] {
                 let most = most_planes(pixels, tiles, memory);
@@ -173,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn fifty_megapixels_fit_by_default_and_what_is_asked_for_beyond_that_is_named() {
+    fn fifty_megapixels_fit_by_default_and_errors_name_need_and_limit() {
         let limits = Limits { memory: 6 << 30, ..Limits::default() };
         let largest = (8160, 6120);
         assert_eq!(Options::default().side_by_memory(&with_map(largest, largest), &limits).unwrap(), None);
@@ -183,17 +184,17 @@ mod tests {
         let refused = planes(64).side_by_memory(&Sizes::of_photo((4000, 3000)), &limits).unwrap_err().to_string();
         let need = planes(64).memory(&Sizes::of_photo((4000, 3000)));
         assert!(refused.contains(&need.to_string()) && refused.contains(&limits.memory.to_string()), "{refused}");
-        // a map that is much larger than its photo counts, too
+        // a map much larger than its photo counts, too
         assert!(Options::default().memory(&with_map((80, 60), (8000, 6000))) > 700 << 20);
         let small = Options { tile: TileSize::Pixels(8), ..Options::default() };
         assert!(small.memory(&Sizes::of_photo((4000, 3000))) > Options::default().memory(&Sizes::of_photo((4000, 3000))) + (500 << 20));
     }
 
     #[test]
-    fn what_is_refused_whatever_the_options_is_refused_with_each() {
+    fn a_file_too_large_to_decode_is_rejected_with_any_options() {
         let limits = |mib: u64| Limits { memory: mib << 20, ..Limits::default() };
         let (file, options) = ((8160, 6120), Options::default());
-        // 112 MiB, and 50 megapixels of 16 bytes
+        // 112 MiB, and 16 bytes for each of 50 megapixels
         let refused = options.check_decoded(file, &limits(873)).unwrap_err();
         assert_eq!(refused.to_string(), options.side_by_memory(&Sizes::of_photo(file), &limits(873)).unwrap_err().to_string());
         assert!(options.check_decoded(file, &limits(875)).is_ok());
@@ -218,36 +219,36 @@ mod tests {
         let halves = |stereo| Options { stereo, ..Options::default() };
         assert_eq!(halves(Stereo::LeftRight).memory(&Sizes::of_photo((8000, 3000))), alone + STEREO);
         assert_eq!(halves(Stereo::TopBottom).memory(&Sizes::of_photo((4000, 6000))), alone + STEREO);
-        // the longest side is that of what is shown, and both halves are decoded
+        // `max_size` applies to one half, but both halves are decoded
         let small = Options { max_size: Some(1000), ..halves(Stereo::LeftRight) };
-        assert_eq!(small.memory(&Sizes::of_photo((8000, 3000))), decoding((8000, 3000)) + 750_000 * PHOTO);
+        assert_eq!(small.memory(&Sizes::of_photo((8000, 3000))), decoding_bytes((8000, 3000)) + 750_000 * PHOTO);
         let side = small.memory_with(&Sizes::of_photo((2000, 750)), Some(1000), 6);
         assert_eq!(side, auto.memory_with(&with_eye((1000, 750), (1000, 750)), None, 6));
-        // a second picture that is much larger than the first counts, too
-        assert_eq!(auto.memory(&with_eye((80, 60), (8000, 6000))), decoding((8000, 6000)) + 4800 * PHOTO);
+        // a second picture much larger than the first counts, too
+        assert_eq!(auto.memory(&with_eye((80, 60), (8000, 6000))), decoding_bytes((8000, 6000)) + 4800 * PHOTO);
     }
 
     #[test]
-    fn what_does_not_fit_beside_a_photo_is_named() {
+    fn errors_name_a_depth_map_or_second_picture_that_does_not_fit() {
         let limits = Limits { memory: 600 << 20, ..Limits::default() };
         let options = Options::default();
         let second = options.side_by_memory(&with_eye((2000, 1500), (8000, 6000)), &limits).unwrap_err();
         assert!(matches!(&second, MakeError::Depth(DepthError::Second(text)) if text.contains(&limits.memory.to_string())), "{second}");
         let map = options.side_by_memory(&with_map((2000, 1500), (8000, 6000)), &limits).unwrap_err();
         assert!(matches!(map, MakeError::Depth(DepthError::Map(_))), "{map}");
-        // both fit by themselves, and are brought to what fits with measuring
+        // each fits on its own, and both are reduced to fit together with measuring
         let both = with_eye((6000, 4000), (6000, 4000));
         let side = options.side_by_memory(&both, &limits).unwrap().expect("it does not fit as it is");
         assert!(options.memory_at(&both, Some(side)) <= limits.memory);
         assert!(side < options.side_by_memory(&Sizes::of_photo((6000, 4000)), &limits).unwrap().unwrap());
-        // so are halves, by the longest side of one
+        // halves are reduced, too, by the longest side of one half
         let halves = Options { stereo: Stereo::LeftRight, ..options };
         let side = halves.side_by_memory(&Sizes::of_photo((7000, 4000)), &limits).unwrap().expect("it does not fit as it is");
         assert!(halves.memory_at(&Sizes::of_photo((7000, 4000)), Some(side)) <= limits.memory && side < 4000);
     }
 
     #[test]
-    fn a_photo_that_is_too_large_is_brought_to_what_fits_and_no_further_than_a_screen() {
+    fn a_photo_too_large_for_memory_is_reduced_but_not_below_two_megapixels() {
         let limits = |mib: u64| Limits { memory: mib << 20, ..Limits::default() };
         let options = Options::default();
         for (file, mib) in [((8160, 6120), 960), ((6120, 8160), 1500), ((6000, 4000), 600), ((12_000, 4000), 2000)] {
@@ -257,7 +258,7 @@ mod tests {
             assert!(at(side) <= limits.memory && at(side + 8) > limits.memory, "{file:?}: {side}");
             assert_eq!(options.fitted(&Sizes::of_photo(file), &limits).unwrap().max_size, Some(side));
         }
-        // decoding alone takes too much; what fits is too small
+        // decoding the first exceeds the limit; the second fits only below 2 megapixels
         for (file, mib) in [((8160, 6120), 256), ((3000, 2000), 200)] {
             let refused = options.side_by_memory(&Sizes::of_photo(file), &limits(mib)).unwrap_err().to_string();
             assert!(refused.contains(&options.memory(&Sizes::of_photo(file)).to_string()), "{refused}");

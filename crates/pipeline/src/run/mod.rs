@@ -1,6 +1,6 @@
-//! Drives a photo through its [`stages`]: photo → depth → denoise → snap → planes → layers → refine → encode → verify.
+//! Runs a photo through its [`stages`]: photo → depth → denoise → strokes → snap → planes → layers → refine → encode → verify.
 //!
-//! The command line, the server's workers, the instruments and the tests all call [`make`].
+//! The command line, the server's workers, `tmpi-lab` and the tests all call [`make`].
 
 pub mod budget;
 mod make;
@@ -36,22 +36,22 @@ pub use sizes::{Other, Sizes};
 pub use stage::{Context, Stage};
 pub use stages::STAGES;
 
-/// The networks of the pipeline, loaded once per process and shared by all photos.
+/// Networks of the pipeline, loaded once per process and shared by all photos.
 #[derive(Clone)]
 pub struct Models {
     /// Monocular depth.
     pub depth: Arc<dyn Estimator>,
-    /// Θ: confidence and denoised disparity, where its file is there.
+    /// Θ: confidence and denoised disparity; `None` if its file is missing.
     pub theta: Option<Arc<dyn Network>>,
-    /// Ψ: soft alpha and hidden colour, where its file is there.
+    /// Ψ: soft alpha and hidden colours; `None` if its file is missing.
     pub psi: Option<Arc<dyn Network>>,
 }
 
 impl Models {
-    /// Refuses options that want a network that is not there.
+    /// Rejects options that need a missing network.
     ///
     /// # Errors
-    /// [`StageError::Network`].
+    /// [`StageError::Network`] names the option and the file.
     pub fn check(&self, options: &Options) -> Result<(), StageError> {
         if options.denoise == Denoise::Theta && self.theta.is_none() {
             return Err(StageError::Network { field: "denoise", value: "theta", file: THETA });
@@ -63,42 +63,42 @@ impl Models {
     }
 }
 
-/// A made photo.
+/// Result of making a photo.
 #[derive(Clone, Debug)]
 pub struct Made {
     /// The container, ready to be stored or sent.
     pub container: Vec<u8>,
-    /// What was done, left out, and at what error and cost.
+    /// What the stages did and left out, with errors and costs.
     pub report: Report,
-    /// Disparity as used: the map that planes were fitted to, at the scene's size.
+    /// The disparity map that planes were fitted to, at the scene's size.
     pub disparity: DisparityMap,
-    /// What strokes went over, as [`crate::strokes::to_keep`] keeps it; none where there were none.
+    /// The disparity map before strokes, reduced by [`crate::strokes::to_keep`]; `None` without strokes.
     pub before_strokes: Option<DisparityMap>,
 }
 
 /// Why a photo could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum MakeError {
-    /// The photo is at fault.
+    /// The photo is invalid or exceeds a limit.
     #[error(transparent)]
     Photo(#[from] PhotoError),
-    /// The depth map or the depth network is at fault.
+    /// The depth map or second picture is invalid, or the depth network failed.
     #[error(transparent)]
     Depth(#[from] DepthError),
-    /// An option is out of range, or a step failed.
+    /// An option is out of range, or a stage failed.
     #[error(transparent)]
     Generate(#[from] StageError),
     /// The container could not be written.
     #[error(transparent)]
     Atlas(#[from] tmpi_core::container::ContainerError),
-    /// The identity view could not be drawn.
+    /// A view of the scene could not be drawn.
     #[error(transparent)]
     Render(#[from] tmpi_render::RenderError),
-    /// The caller no longer wants the result.
+    /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,
-    /// The time that the caller gave was over before this stage.
-    #[error("there was no time left for the stage {stage}")]
+    /// The caller's deadline passed before this stage.
+    #[error("no time left for the stage {stage}")]
     Late {
         /// Name of the stage.
         stage: &'static str,

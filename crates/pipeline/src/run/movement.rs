@@ -1,4 +1,4 @@
-//! Errors of disparity in pixels: how far they move a point in the views of a photo.
+//! Disparity errors in pixels: how far they shift a point in views from the view box.
 
 use rayon::prelude::*;
 
@@ -6,16 +6,17 @@ use tmpi_core::{DisparityMap, Geometry, Intrinsics, Rect, Tile, ViewBox};
 
 use super::report::Moved;
 
-/// Values that are compared between maps of two sizes, at most.
+/// Most pixels that [`Movement::resampled`] compares.
 const SAMPLES: usize = 1 << 16;
-/// Least distance, in units of the nearest, between a surface and a camera of the view box. Boxes that reach into a surface have no bound
-/// on what an error of disparity does there.
+/// Least distance of a surface from a camera of the view box, as a share of its distance from the reference camera. In a box that reaches
+/// into a surface, a disparity error would shift the surface's points without bound.
 const LEAST_DISTANCE: f64 = 0.05;
 
-/// What an error of disparity does in the farthest views of a view box.
+/// Largest shift in pixels that a disparity error causes in views from a view box.
 ///
-/// A camera moved by `(X, Y, Z)` shows a point of disparity δ at `x` pixels from the principal point at `(x − f·X·δ) / (1 − Z·δ)`. Two
-/// disparities a and b are therefore shown `|a − b| · (f·X + |x|·Z) / ((1 − Z·a)(1 − Z·b))` pixels apart, at most, by the box's corners.
+/// Take a point of disparity δ, `x` pixels from the principal point. A camera moved by `(X, Y, Z)` shows it at `(x − f·X·δ) / (1 − Z·δ)`.
+/// Seen from the corners of the box, disparities a and b are therefore at most `|a − b| · (f·X + |x|·Z) / ((1 − Z·a)(1 − Z·b))` pixels
+/// apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Movement {
     intrinsics: Intrinsics,
@@ -23,14 +24,14 @@ pub struct Movement {
 }
 
 impl Movement {
-    /// In views of a photo from a box.
+    /// Shifts in views of a photo with these `intrinsics` from `view_box`.
     #[must_use]
     pub const fn new(intrinsics: Intrinsics, view_box: ViewBox) -> Self {
         Self { intrinsics, view_box }
     }
 
-    /// Pixels between where disparities `a` and `b` of the photo's place `(x, y)` are shown by the camera of the box that shows them the
-    /// farthest apart; right or down, whichever is more.
+    /// Distance in pixels between the photo's point `(x, y)` at disparity `a` and at disparity `b`, in the camera of the view box where it
+    /// is largest: the horizontal or the vertical distance, whichever is larger.
     #[must_use]
     pub fn pixels(&self, (x, y): (f64, f64), a: f64, b: f64) -> f64 {
         let (k, v) = (&self.intrinsics, &self.view_box);
@@ -38,19 +39,19 @@ impl Movement {
         (a - b).abs() * step / (self.distance(a) * self.distance(b))
     }
 
-    /// Pixels that an error of 1 in δ is at most anywhere within `rect`, of surfaces no nearer than the nearest distance.
+    /// Upper bound, in pixels per unit of δ, of the shift anywhere within `rect`, for surfaces with δ ≤ 1.
     #[must_use]
     pub fn most(&self, rect: Rect) -> f64 {
         let (x, y) = self.view_box.parallax(&self.intrinsics, rect);
         x.max(y) / self.distance(1.0).powi(2)
     }
 
-    /// Distance of a surface from the camera of the box that is nearest to it, as a share of its distance from the photo's.
+    /// Distance of a surface from the nearest camera of the view box, as a share of its distance from the reference camera.
     fn distance(&self, delta: f64) -> f64 {
         (1.0 - self.view_box.z * delta).max(LEAST_DISTANCE)
     }
 
-    /// How far a map of one size moved from what it was, over all pixels.
+    /// Shift between two maps of the same size, over all pixels.
     #[must_use]
     pub fn between(&self, before: &DisparityMap, after: &DisparityMap) -> Moved {
         let width = (before.width as usize).max(1);
@@ -61,12 +62,13 @@ impl Movement {
                 [sum + px, f64::max(most, px)]
             })
         };
-        // added up in the order of the rows: the same on any count of threads
+        // sum in row order, so that the number of threads does not change the result
         let rows: Vec<[f64; 2]> = before.delta.par_chunks(width).zip(after.delta.par_chunks(width)).enumerate().map(row).collect();
         moved(rows.into_iter(), before.delta.len(), false)
     }
 
-    /// How far a map brought to the photo's size, `after`, is from what it was before at the centres of the pixels that it had.
+    /// Shift between a map and `after`, the same map resampled to the photo's size, at the pixel centres of `before`. Compares at most
+    /// 65536 pixels; pixels with a non-finite shift count as 0.
     #[must_use]
     pub fn resampled(&self, before: &DisparityMap, after: &DisparityMap) -> Moved {
         let (w, h) = (before.width as usize, before.height as usize);
@@ -78,13 +80,13 @@ impl Movement {
             let px = self.pixels(place, f64::from(before.delta[i]), at(after, place));
             if px.is_finite() { [px, px] } else { [0.0; 2] }
         };
-        // a step that shares no factor with the width, so that no column is missed
+        // a step coprime to the width, so that no column is missed
         let step = (step..=step + w).find(|s| step == 1 || gcd(*s, w) == 1).unwrap_or(step);
         let places: Vec<usize> = (0..before.delta.len()).step_by(step).collect();
         moved(places.iter().map(|i| one(*i)), places.len(), step > 1)
     }
 
-    /// What planes do to the map that they were fitted to, tile by tile.
+    /// Errors of each tile's planes against the map that they were fitted to.
     #[must_use]
     pub fn of_planes(&self, delta: &DisparityMap, geometry: &Geometry) -> Vec<TileError> {
         let one = |errors: &mut Vec<f32>, (index, tile): (usize, &Tile)| self.of_tile(delta, geometry, (index as u32, tile), errors);
@@ -113,16 +115,16 @@ impl Movement {
     }
 }
 
-/// What the planes of a tile do to the map that they were fitted to, in pixels.
+/// Errors of a tile's planes against the disparity map that they were fitted to, in pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TileError {
-    /// Mean over its pixels.
+    /// Mean over the tile's pixels.
     pub mean: f64,
     /// 99th percentile.
     pub p99: f64,
-    /// Part of the mean that is there as labels were smoothed: that beyond the nearest plane's.
+    /// Part of the mean that label smoothing adds, beyond the error of each pixel's nearest plane.
     pub smoothing: f64,
-    /// Count of its pixels.
+    /// Number of the tile's pixels.
     pub pixels: usize,
 }
 
@@ -131,7 +133,7 @@ fn moved(each: impl Iterator<Item = [f64; 2]>, count: usize, sampled: bool) -> M
     Moved { mean_px: sum / count.max(1) as f64, most_px: most, sampled }
 }
 
-/// δ between the pixels of a map.
+/// δ at a position in pixels, by bilinear interpolation.
 fn at(map: &DisparityMap, (x, y): (f64, f64)) -> f64 {
     let (w, h) = (map.width as usize, map.height as usize);
     let place = |p: f64, n: usize| {
@@ -160,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_are_those_of_the_box_s_farthest_camera() {
+    fn pixels_match_homographies_at_the_corners_of_the_view_box() {
         let m = movement();
         let k = m.intrinsics;
         for (place, a, b) in [((3.5, 20.5), 0.2, 0.9), ((99.5, 59.5), 1.0, 0.98), ((51.0, 29.0), 0.0, 1.0), ((20.5, 1.5), 0.5, 0.5)] {
@@ -189,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_step_changes_is_told_in_pixels() {
+    fn between_measures_a_changed_pixel() {
         let m = movement();
         let before = map(100, 60, |x, _| x as f32 / 200.0);
         assert_eq!(m.between(&before, &before), Moved::default());
@@ -201,11 +203,11 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_that_is_enlarged_moves_nowhere_and_a_step_that_is_blurred_does() {
+    fn enlarging_does_not_shift_a_ramp_but_blurring_shifts_a_step() {
         let m = movement();
         let ramp = map(50, 30, |x, y| x as f32 * 0.01 + y as f32 * 0.002);
         let enlarged = map(100, 60, |x, y| (x as f32 / 2.0 - 0.25) * 0.01 + (y as f32 / 2.0 - 0.25) * 0.002);
-        // rounding, and the border, beyond which there is nothing between
+        // what remains is rounding, and the border, which has no neighbours to interpolate
         assert!(m.resampled(&ramp, &enlarged).mean_px < 1e-3, "{:?}", m.resampled(&ramp, &enlarged));
         let flat = map(100, 60, |_, _| 0.5);
         let step = map(50, 30, |x, _| if x < 25 { 0.25 } else { 0.75 });
@@ -216,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_beside_the_map_errs_by_what_views_show() {
+    fn the_error_of_a_plane_is_the_shift_in_views() {
         let grid = Grid::new(100, 60, 64);
         let delta = map(100, 60, |_, _| 0.5);
         let tile = |index: u32, planes: Vec<Plane>, label: fn(usize) -> u8| {
@@ -224,7 +226,7 @@ mod tests {
             Tile { planes, labels, background: None }
         };
         let plane = Plane::fronto_parallel;
-        // the second is labelled wrongly at every second pixel
+        // every second pixel of the second tile has the wrong label
         let tiles = vec![tile(0, vec![plane(0.5)], |_| 0), tile(1, vec![plane(0.4), plane(0.5)], |i| (i % 2) as u8)];
         let geometry = Geometry { grid, intrinsics: movement().intrinsics, view_box: BOX, tiles, matted: false };
         let got = movement().of_planes(&delta, &geometry);

@@ -1,4 +1,4 @@
-//! What a caller can choose.
+//! Options of making a photo.
 
 use serde::{Deserialize, Serialize};
 use tmpi_core::ViewBox;
@@ -10,13 +10,13 @@ use crate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement};
 use crate::stereo::Stereo;
 use crate::strokes::{self, Stroke};
 
-/// How planes are placed in a tile.
+/// How the planes of a tile are placed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum PlaneMethod {
-    /// Evenly in disparity between the tile's extremes.
+    /// Evenly spaced in disparity between the tile's extremes.
     Linear,
-    /// Confidence-weighted k-means (the paper's).
+    /// Confidence-weighted k-means (as in the paper).
     Lloyd,
     /// Exact one-dimensional k-means by dynamic programming.
     Optimal,
@@ -25,14 +25,14 @@ pub enum PlaneMethod {
     Slanted,
 }
 
-/// How many planes a tile gets.
+/// Number of planes per tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PlaneCount {
     /// The fewest that meet the error target.
     #[default]
     Auto,
-    /// Always this many (fewer where a tile has fewer distinct disparities).
+    /// This number, or fewer if a tile has fewer distinct disparities.
     Fixed(u32),
 }
 
@@ -40,17 +40,17 @@ pub enum PlaneCount {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TileSize {
-    /// Square tiles of that many pixels.
+    /// Square tiles with sides of this many pixels.
     Pixels(u32),
     /// One tile: a regular MPI.
     Full,
 }
 
-/// A step that runs where it helps, or not at all.
+/// Whether a step runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Switch {
-    /// Where it helps by measure.
+    /// Where measurements show that it helps.
     #[default]
     Auto,
     /// Always.
@@ -59,59 +59,59 @@ pub enum Switch {
     Off,
 }
 
-/// How the disparity map is cleaned before planes are placed.
+/// How the disparity map is denoised before planes are placed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
-    /// Planes fitted around each pixel where noise is measured; a map without noise or outliers stays as it is.
+    /// Planes fitted around each pixel where the map is noisy; a map without noise or outliers stays unchanged.
     #[default]
     Auto,
-    /// The network Θ on maps with noise, outliers or blurred edges; its file must be there.
+    /// The network Θ on maps with noise, outliers or blurred edges; needs the file of Θ.
     Theta,
-    /// 5-pixel median and guided filter.
+    /// 5×5 median, then a guided filter.
     Classic,
-    /// Not at all.
+    /// No denoising.
     Off,
 }
 
-/// Everything a caller can choose; the defaults are those of the command line and of the server.
+/// Options of making a photo; the defaults are those of the command line and the server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Options {
-    /// How the user's own depth map is meant.
+    /// Meaning of the values in your own depth map.
     pub depth_kind: DepthKind,
-    /// Depth that a photo brings along within its file, where the user gives none: used where it can be read; on: nothing else will do.
+    /// Whether to use depth embedded in the photo's file if you give none. Auto: if it can be read; on: fail without it.
     pub photo_depth: Switch,
-    /// Where the picture of a second eye is.
+    /// Where the second picture is.
     pub stereo: Stereo,
-    /// Horizontal field of view in degrees; none: EXIF, else 0.58 × width.
+    /// Horizontal field of view in degrees, between 0 and 180; `None`: from EXIF, else from a focal length of 0.58 × width.
     pub fov_x: Option<f64>,
-    /// Planes a tile.
+    /// Number of planes per tile, 1 to 64 if fixed.
     pub planes: PlaneCount,
-    /// Their placement.
+    /// How planes are placed.
     pub plane_method: PlaneMethod,
-    /// Tile size.
+    /// Tile size, 8 to 1024 pixels or one tile.
     pub tile: TileSize,
-    /// Snapping of depth ramps to colour edges.
+    /// Whether to snap depth ramps to colour edges.
     pub snap: Switch,
-    /// Refinement by Ψ; its file must be there where it is on.
+    /// Whether to refine layers with Ψ; on: needs the file of Ψ.
     pub refine: Switch,
-    /// Cleaning of the disparity map.
+    /// How to denoise the disparity map.
     pub denoise: Denoise,
-    /// Longest side in pixels; larger photos are reduced.
+    /// Longest side in pixels, 1 to 16384; larger photos are scaled down.
     pub max_size: Option<u32>,
     /// Picture quality, 1 to 100.
     pub quality: u8,
-    /// Parallax error that planes may leave, in pixels over the view box: 99 % of a tile's pixels stay below it, where [`MAX_AUTO_PLANES`]
-    /// are enough. [`Options::MAX_ERROR`] unless told otherwise.
+    /// Largest parallax error of planes, in pixels over the view box, 0 to 1000: 99 % of a tile's pixels stay below it if
+    /// [`MAX_AUTO_PLANES`] planes are enough. The default is [`Options::MAX_ERROR`].
     pub max_error: f64,
-    /// Camera positions to make the scene for.
+    /// Camera positions to make the photo for; half extents of 0 to 10, in units of the nearest distance.
     pub view_box: ViewBox,
-    /// Wall time that making may take, in milliseconds: size and parallax error are chosen for it.
+    /// Time budget for making, in milliseconds of wall time, 1 to 10 000 000; it chooses the photo's size and the parallax error.
     pub budget_ms: Option<f64>,
-    /// Whether to measure what leaving out unseen texels changes; it takes about as long as making the scene.
+    /// Whether to measure how pruning unseen texels changes views; takes about as long as making.
     pub verify_prune: bool,
-    /// What a person puts right of the disparity map.
+    /// Strokes that correct the disparity map.
     pub strokes: Vec<Stroke>,
 }
 
@@ -140,16 +140,18 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The usual view box: twice as far to the sides as viewers go by themselves, so that whoever wants more can turn it up; forward a
-    /// little does much. `check --photos` tells what is uncovered at its corners, and half-way there.
+    /// The default view box: twice as far sideways as viewers move on their own, so that users can turn it up, and less far forward,
+    /// where a short distance has a large effect. `check --photos` reports what is uncovered at its corners and halfway there.
     pub const VIEW_BOX: ViewBox = ViewBox { x: 0.12, y: 0.12, z: 0.06 };
 
-    /// The usual parallax error, in pixels at the corners of the view box.
-    /// `tmpi-lab bench --quick --only planes` compares views, bytes and planes a tile: 34.48 dB, 26.5 KB and 2.67 at 0.5; 34.48 dB, 26.3 KB and 2.33 at
-    /// 1.0; 34.37 dB, 26.1 KB and 2.02 at 1.75; 32.44 dB, 26.0 KB and 1.66 at 3.5.
+    /// The default parallax error, in pixels at the corners of the view box.
+    ///
+    /// `tmpi-lab bench --quick --only planes` compares the PSNR of views, bytes and planes per tile: 34.48 dB, 26.5 KB and 2.67 at 0.5;
+    /// 34.48 dB, 26.3 KB and 2.33 at 1.0; 34.37 dB, 26.1 KB and 2.02 at 1.75; 32.44 dB, 26.0 KB and 1.66 at 3.5.
     pub const MAX_ERROR: f64 = 1.0;
 
-    /// How planes are to be placed for an error of `max_error` pixels, where one of 1 in δ is at most `most` pixels ([`super::Movement::most`]).
+    /// Placement for a parallax error of `max_error` pixels; `most` is the largest shift in pixels per unit of δ
+    /// ([`super::Movement::most`]).
     #[must_use]
     pub fn placement(&self, max_error: f64, most: f64) -> Placement {
         let method = match self.plane_method {
@@ -164,7 +166,7 @@ impl Options {
         }
     }
 
-    /// Checks every number against its range.
+    /// Checks that every number is in its range.
     ///
     /// # Errors
     /// [`StageError::Option`] names the option and its range.
@@ -190,7 +192,7 @@ impl Options {
             check((1.0..=1e7).contains(&b), "budget-ms", "1 to 10000000 milliseconds", &b)?;
         }
         for e in [self.view_box.x, self.view_box.y, self.view_box.z] {
-            check((0.0..=10.0).contains(&e), "view-box", "three numbers of 0 to 10", &e)?;
+            check((0.0..=10.0).contains(&e), "view-box", "three numbers from 0 to 10", &e)?;
         }
         strokes::check(&self.strokes)?;
         Ok(())

@@ -1,39 +1,39 @@
-//! One stream of progress messages feeds the command line's bar, the server's events and the log alike.
+//! Progress messages: one stream for the command line's progress bar, the server's events and the log.
 
 use std::time::Instant;
 
 use serde::Serialize;
 
-/// One message on the way of a photo.
+/// Message at the start of a stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Progress {
-    /// Name of the stage now under way: one of [`STAGES`](super::STAGES).
+    /// Name of the stage, one of [`STAGES`](super::STAGES).
     pub stage: &'static str,
-    /// Number of that stage, from 1.
+    /// Number of the stage, from 1.
     pub step: u32,
-    /// Count of the stages that this photo goes through.
+    /// Total number of stages.
     pub steps: u32,
-    /// Milliseconds since the start.
+    /// Milliseconds since making started.
     pub elapsed_ms: f64,
 }
 
-/// Where progress messages go.
+/// Receives progress messages.
 pub trait Sink: Sync {
-    /// Takes a message; called at the start of every stage.
+    /// Called at the start of every stage.
     fn progress(&self, message: &Progress);
 
-    /// True once the caller no longer wants the result; the pipeline stops before its next stage.
+    /// Whether the caller has cancelled; if so, the pipeline stops before its next stage.
     fn cancelled(&self) -> bool {
         false
     }
 
-    /// When the result is of no more use; no stage begins after that.
+    /// Deadline after which no stage starts; `None`: no deadline.
     fn deadline(&self) -> Option<Instant> {
         None
     }
 }
 
-/// Drops every message.
+/// A sink that drops every message.
 pub struct Silent;
 
 impl Sink for Silent {

@@ -1,4 +1,4 @@
-//! What the texels that were left out would have shown: the view box's corners drawn with and without them.
+//! Measures the effect of pruning: draws views from the view box with and without the pruned texels.
 
 use std::sync::Arc;
 
@@ -10,38 +10,42 @@ use tmpi_render::{Cpu, RenderError, Renderer};
 
 use super::PruneError;
 
-/// Longest side of the views that are compared, in pixels.
+/// Longest side of the compared views, in pixels.
 const SIDE: u32 = 512;
 
-/// Levels from which a pixel counts as changed.
+/// A pixel counts as changed if a channel differs by more than this many levels.
 const LEVELS: u8 = 8;
 
-/// Compares views with all texels and with those that are kept, over the corners of the view box and the middles of its sides.
-/// Both take the same colours and nothing is matted, so that nothing but the leaving out is compared.
+/// Compares views with all texels and with the kept texels, from the corners of the view box and the centres of its faces.
+/// Both use the same colours and no matting, so that pruning is the only difference.
 ///
 /// # Errors
-/// [`RenderError`] where a view cannot be drawn.
+/// [`RenderError`] if a view cannot be drawn.
 pub fn verify(photo: &Photo, geometry: &Geometry) -> Result<PruneError, RenderError> {
     compare(photo, &Geometry { matted: false, ..geometry.clone() }, cameras)
 }
 
-/// Tiles of a grid for each sample of [`sample`]: 4 tiles, a sixteenth, of which the layers are made anew, with and without.
-const TILES: u32 = 64;
+/// Tiles per sample of [`sample`]. A sample makes the layers of 4 tiles, a sixteenth, again with and without pruning.
+const TILES_PER_SAMPLE: u32 = 64;
 
-/// The same of small parts of the photo alone: 2×2 tiles each, those around the tile with the most planes among every [`TILES`], as if
-/// there were nothing around them, seen from two opposite corners of the view box. None where there are too few tiles for that to take little of the time.
+/// Like [`verify`], but on small parts of the photo: for every [`TILES_PER_SAMPLE`] tiles, 2×2 tiles at the one with the most planes, cut
+/// out of their surroundings and seen from two opposite corners of the view box. Returns `None` if the photo has fewer than 32 tiles, so
+/// that this would not be quick compared to making, or fewer than two rows or columns of tiles.
 ///
 /// # Errors
-/// [`RenderError`] where a view cannot be drawn.
+/// [`RenderError`] if a view cannot be drawn.
 pub fn sample(photo: &Photo, geometry: &Geometry) -> Result<Option<PruneError>, RenderError> {
     let (grid, tiles) = (&geometry.grid, geometry.tiles.len() as u32);
-    if tiles < TILES / 2 || grid.columns() < 2 || grid.rows() < 2 {
+    if tiles < TILES_PER_SAMPLE / 2 || grid.columns() < 2 || grid.rows() < 2 {
         return Ok(None);
     }
-    let starts: Vec<u32> = (0..tiles).step_by(TILES as usize).collect();
+    let starts: Vec<u32> = (0..tiles).step_by(TILES_PER_SAMPLE as usize).collect();
     let one = |start: &u32| {
-        // the first of equals
-        let busiest = (*start..(start + TILES).min(tiles)).rev().max_by_key(|i| geometry.tiles[*i as usize].planes.len()).unwrap_or(*start);
+        // the first on ties
+        let busiest = (*start..(start + TILES_PER_SAMPLE).min(tiles))
+            .rev()
+            .max_by_key(|i| geometry.tiles[*i as usize].planes.len())
+            .unwrap_or(*start);
         let (column, row) = ((busiest % grid.columns()).min(grid.columns() - 2), (busiest / grid.columns()).min(grid.rows() - 2));
         let (photo, geometry) = part(photo, geometry, (column, row));
         compare(&photo, &geometry, |scene| opposite(scene).into())
@@ -54,7 +58,7 @@ pub fn sample(photo: &Photo, geometry: &Geometry) -> Result<Option<PruneError>, 
     }))
 }
 
-/// 2×2 tiles from a column and a row on, as a photo of their own.
+/// Cuts out 2×2 tiles, starting at `column` and `row`, as a photo of their own.
 fn part(photo: &Photo, geometry: &Geometry, (column, row): (u32, u32)) -> (Photo, Geometry) {
     let Geometry { grid, intrinsics: k, view_box, tiles, .. } = geometry;
     let (rect, own) = grid.part(column..column + 2, row..row + 2);
@@ -66,7 +70,7 @@ fn part(photo: &Photo, geometry: &Geometry, (column, row): (u32, u32)) -> (Photo
     (Photo { width, height, rgb }, Geometry { grid: own, intrinsics, view_box: *view_box, tiles: tiles.into(), matted: false })
 }
 
-/// Two opposite corners of the view box, at the photo's own size.
+/// Cameras at two opposite corners of the view box, at the photo's own size.
 fn opposite(scene: &Scene) -> [Camera; 2] {
     let (v, width, height) = (scene.view_box, scene.photo.width, scene.photo.height);
     [1.0, -1.0].map(|s| Camera { pose: Pose::at(s * v.x, s * v.y, s * v.z), intrinsics: scene.intrinsics, width, height })
@@ -87,7 +91,7 @@ fn compare(photo: &Photo, geometry: &Geometry, cameras: impl Fn(&Scene) -> Vec<C
     Ok(change)
 }
 
-/// Corners of the view box and middles of its sides.
+/// Cameras at the corners of the view box and the centres of its faces.
 fn cameras(scene: &Scene) -> Vec<Camera> {
     let (w, h) = (scene.photo.width, scene.photo.height);
     let scale = (f64::from(SIDE) / f64::from(w.max(h))).min(1.0);
@@ -102,7 +106,7 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
         .collect()
 }
 
-/// The layers of a tile with nothing but the texels of `kept`.
+/// Layers of a tile reduced to the texels of `kept`.
 fn cut(all: &[TexturedLayer], kept: &[LayerMask]) -> Vec<TexturedLayer> {
     all.iter().filter_map(|l| kept.iter().find(|k| k.label == l.shape.label).map(|k| cut_layer(l, k))).collect()
 }
@@ -129,7 +133,7 @@ mod tests {
     use super::*;
     use tmpi_core::{Grid, Intrinsics, Plane, Tile, ViewBox};
 
-    /// A near square before a far wall, in colours that differ.
+    /// A near square in front of a far wall of another colour.
     fn scene(view_box: ViewBox) -> (Photo, Geometry) {
         let near = |i: u32| (16..48).contains(&(i % 64)) && (16..48).contains(&(i / 64));
         let photo = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| if near(i) { [200, 20, 20] } else { [20, 90, 200] }).collect() };
@@ -149,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_is_not_seen_from_the_view_box() {
+    fn pruned_texels_are_invisible_from_the_view_box() {
         let (photo, geometry) = scene(ViewBox { x: 0.05, y: 0.03, z: 0.02 });
         assert!(geometry.masks()[0].never_seen > 0);
         assert_eq!(verify(&photo, &geometry).unwrap(), PruneError { max_abs: 0, share_off: 0.0, tiles: 1 });
@@ -162,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_beyond_the_box_sees_what_was_left_out() {
+    fn pruned_texels_are_missing_in_views_from_outside_the_box() {
         let (photo, geometry) = scene(ViewBox { x: 0.01, y: 0.01, z: 0.0 });
         let all = texture(&photo, &geometry, geometry.masks_unpruned());
         let kept = vec![cut(&all[0], &geometry.masks()[0].layers)];

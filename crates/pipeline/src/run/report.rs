@@ -1,4 +1,4 @@
-//! The report of a photo: what was done, at what cost, what was left out, and what error that made (DESIGN, section 8).
+//! The report of a photo: what was done, what was left out, and the errors and costs (`docs/explanation/error-budget.md`).
 
 use serde::{Deserialize, Serialize};
 use tmpi_core::container::SectionBytes;
@@ -13,21 +13,21 @@ pub struct Input {
     pub width: u32,
     /// Height in pixels, upright.
     pub height: u32,
-    /// File size.
+    /// File size in bytes.
     pub bytes: usize,
-    /// The file is damaged or cut short, and a part of the picture is grey or coarse.
+    /// The file is damaged or truncated, and part of the picture is grey or coarse.
     #[serde(default)]
     pub damaged: bool,
-    /// It was made smaller, as more would have taken more memory than making a photo may.
+    /// The photo was scaled down to fit into the memory limit for making.
     #[serde(default)]
     pub fitted: bool,
-    /// The depth map that came with it; none where depth was estimated.
+    /// The depth map that came with the photo; null if depth was estimated.
     #[serde(default)]
     pub depth: Option<InputDepth>,
-    /// Why depth that the photo brings along, or a second view, was not used.
+    /// Why the depth embedded in the photo, or a second picture, was not used.
     #[serde(default)]
     pub depth_problem: Option<String>,
-    /// Strokes of a touch-up that were applied to the depth.
+    /// Number of touch-up strokes applied to the depth.
     #[serde(default)]
     pub strokes: usize,
 }
@@ -35,45 +35,45 @@ pub struct Input {
 /// A depth map that came with a photo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct InputDepth {
-    /// Where it was: `given` beside the photo, or within its file as `gdepth`, `dynamic-depth` or `multi-picture`; or `stereo`, measured
-    /// against a second view.
+    /// Origin of the map: `given` in a file of its own; `gdepth`, `dynamic-depth` or `multi-picture` embedded in the photo's file; `stereo`
+    /// measured against a second picture.
     pub source: String,
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Its shape is not the photo's: it was stretched by more than 3 %, and may not fit.
+    /// The aspect ratio differs from the photo's: the map was stretched by more than 3 %, and may not fit.
     pub stretched: bool,
 }
 
-/// What one stage took.
+/// Time of one stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct StageTime {
-    /// As in [`crate::Progress::stage`].
+    /// Name of the stage: `photo`, `depth`, `denoise`, `strokes`, `snap`, `planes`, `layers`, `refine`, `encode` or `verify`.
     pub name: String,
     /// Wall time in milliseconds.
     pub ms: f64,
-    /// Processor time of the whole process in milliseconds.
+    /// CPU time of the whole process in milliseconds.
     pub cpu_ms: f64,
 }
 
 /// What this scene did not need.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LeftOut {
-    /// Planes fewer than the upper bound of planes a tile.
+    /// Number of planes below the upper bound, which is the most planes per tile times the number of tiles.
     pub planes: usize,
-    /// Tiles that no refinement ran on.
+    /// Number of tiles that were not refined by a network.
     pub tiles_not_refined: usize,
-    /// Texels that are not stored, of the layers that there are, were each as large as its tile.
+    /// Number of texels left out, compared with layers as large as their tiles.
     pub texels: usize,
-    /// Bytes that these would take as raw RGBA8.
+    /// Bytes that the texels left out would take as raw RGBA8.
     pub bytes: usize,
 }
 
-/// Sections of the container in bytes.
+/// Sizes of the container's sections in bytes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Bytes {
-    /// Everything.
+    /// The whole container.
     pub total: usize,
     /// Index and planes.
     pub index: usize,
@@ -91,107 +91,107 @@ impl From<SectionBytes> for Bytes {
     }
 }
 
-/// How far a step moved the disparity map that it was given: pixels between where a point is shown before and after it, by the camera of
-/// the view box that shows them the farthest apart.
+/// How far a step shifted the disparity map: distance in pixels between a point before and after the step, in the camera of the view box
+/// where it is largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Moved {
-    /// Mean over the pixels.
+    /// Mean over all compared pixels.
     pub mean_px: f64,
-    /// Largest.
+    /// Largest over all compared pixels.
     pub most_px: f64,
-    /// Some pixels alone were looked at.
+    /// Only a sample of the pixels was compared.
     pub sampled: bool,
 }
 
-/// What planes made of the disparity map that they were fitted to, in pixels over the view box.
+/// Parallax error of the planes against the disparity map that they were fitted to, in pixels over the view box.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PlaneError {
     /// Mean over all pixels of all tiles.
     pub mean_px: f64,
-    /// What 99 % of a tile's pixels were to stay below: `max-error`, or what a budget of run time made of it; none where the count of planes
+    /// Bound that 99 % of a tile's pixels were to stay below: `max-error`, or what a time budget made of it; null if the number of planes
     /// was fixed.
     pub bound_px: Option<f64>,
-    /// Planes that a tile could have at most, without its background.
+    /// Most planes that a tile could have, without its background plane.
     pub most_planes: u32,
-    /// Count of tiles that need more planes than that to stay below the bound.
+    /// Number of tiles above the bound, which need more than `most_planes` planes.
     pub missed_tiles: usize,
-    /// By how much these are above it, in the mean.
+    /// Mean excess over the bound, among the tiles above it.
     pub missed_mean_px: f64,
-    /// And at most.
+    /// Largest excess over the bound.
     pub missed_most_px: f64,
-    /// Part of the mean that smoothing of labels adds: error beyond that of each pixel's nearest plane.
+    /// Part of `mean_px` that label smoothing adds, beyond the error of each pixel's nearest plane.
     pub smoothing_px: f64,
-    /// Most that rounding a plane to the container's grid moves any of its points.
+    /// Largest shift of any point by rounding planes to the container's grid of coefficients.
     pub rounding_px: f64,
 }
 
-/// What leaving out texels that are never seen changes in views from the view box.
+/// Effect on views from the view box of pruning texels that are never seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PruneError {
-    /// Largest difference of any channel, in levels of 255.
+    /// Largest difference of any channel, in levels, 0 to 255.
     pub max_abs: u8,
-    /// Share of pixels, 0 to 1, that differ by more than 8 levels, in the view where it is largest.
+    /// Share of pixels, 0 to 1, that differ by more than 8 levels, in the view where this share is largest.
     pub share_off: f64,
-    /// Count of tiles in the views that were drawn with and without: all with `verify-prune`, else some of those with the most planes, each as if there were
-    /// nothing around it and its neighbours.
+    /// Number of tiles in the compared views: all with `verify-prune`, else some of those with the most planes, each cut out with its
+    /// neighbours.
     pub tiles: usize,
 }
 
-/// Errors that the approximations made, each against what the step was given. What was not applied is none.
+/// Errors of the approximations, each against the input of its step; null if the step was not applied.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default)]
 pub struct ErrorFigures {
-    /// The photo was made smaller.
+    /// Error of scaling the photo down.
     pub reduction: Option<Reduction>,
-    /// Share of the depth map's pixels, 0 to 1, that were unknown and took the depth of a neighbour; of a map with depth in metres.
+    /// Share of the pixels of a depth map in metres, 0 to 1, whose depth is unknown; they take the depth of a neighbour.
     pub depth_filled: Option<f64>,
-    /// Share of pixels, 0 to 1, that were nearer than the nearest distance, and were put there; of a map with depth in metres.
+    /// Share of the pixels of a depth map in metres, 0 to 1, that are nearer than the nearest distance; they are clipped to it.
     pub depth_clipped: Option<f64>,
-    /// Depth was measured against a second view.
+    /// Result of measuring depth against a second picture.
     pub stereo: Option<StereoError>,
-    /// The disparity map was brought to the photo's size.
+    /// Shift by resampling the disparity map to the photo's size.
     pub resampling: Option<Moved>,
-    /// It was cleaned of noise.
+    /// Shift by denoising the disparity map.
     pub denoise: Option<Moved>,
-    /// Its ramps were drawn to the photo's edges.
+    /// Shift by snapping the ramps of the disparity map to the photo's edges.
     pub snap: Option<Moved>,
-    /// Mean absolute error of the planes' disparity against the map that they were fitted to.
+    /// Mean absolute disparity error of the planes against the map that they were fitted to.
     pub depth_mae: f64,
-    /// Mean squared error of the same.
+    /// Mean squared disparity error of the planes against that map.
     pub depth_mse: f64,
-    /// Lower quartile of its absolute error.
+    /// Lower quartile of the absolute disparity error of the planes against that map.
     pub depth_q25: f64,
-    /// Mean parallax error of each tile, row by row: pixels between where its planes show a point and where that map does, by the camera of
-    /// the container's view box that shows them the farthest apart.
+    /// Mean parallax error of each tile, row by row, to 0.001: distance in pixels between a point on the tile's planes and on the map that
+    /// they were fitted to, in the camera of the view box where it is largest.
     pub tile_px: Vec<f64>,
-    /// The same of all tiles, and what became of the bound on it.
+    /// Parallax error over all tiles, against its bound.
     pub planes: PlaneError,
-    /// What leaving out texels changes; none where a photo has too few tiles for a sample to be quick, and `verify-prune` was not asked for.
+    /// Effect of pruning; null if the photo has too few tiles for a quick sample and `verify-prune` is off.
     pub prune: Option<PruneError>,
-    /// PSNR in dB of the carried photo against the one that the scene was made of; 99 where they are equal.
+    /// PSNR in dB of the container's photo against the one that the scene was made from; 99 if they are equal.
     pub codec_psnr: f64,
-    /// PSNR in dB of the hidden colours that the container carries against those that a network gave; none where they follow from the rest.
+    /// PSNR in dB of the container's hidden colours against those that a network computed; null if readers derive hidden colours.
     pub hidden_psnr: Option<f64>,
-    /// PSNR in dB of the view from the photo's own place against the photo, drawn from what a reader gets; 99 where they are equal.
+    /// PSNR in dB of the reference view, drawn from what a reader gets, against the photo; 99 if they are equal.
     pub identity_psnr: f64,
-    /// Count of tiles of that view; where it is not all, the rows between were not drawn.
+    /// Number of tiles that `identity_psnr` covers; if not all, the rows of tiles in between were not drawn.
     pub identity_tiles: usize,
 }
 
-/// What a budget of run time made of a photo.
+/// Effect of a time budget.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Budget {
-    /// Milliseconds that were asked for.
+    /// Time budget in milliseconds.
     pub asked_ms: f64,
-    /// Milliseconds that were predicted for what was chosen.
+    /// Predicted time in milliseconds for the chosen settings.
     pub predicted_ms: f64,
-    /// Milliseconds that it took.
+    /// Actual time in milliseconds.
     pub outcome_ms: f64,
-    /// What was chosen, as on the command line; `error.planes` and `error.reduction` tell what error that made.
+    /// Chosen settings, as on the command line; `error.planes` and `error.reduction` hold their errors.
     pub chose: String,
-    /// Why.
+    /// Reason for the choice.
     pub reason: String,
-    /// Share of tiles, 0 to 1, that one plane does not do for at the error that was asked for.
+    /// Share of tiles, 0 to 1, whose parallax error with one plane exceeds the requested one.
     pub busy: f64,
 }
 
@@ -200,37 +200,39 @@ pub struct Budget {
 pub struct Report {
     /// The uploaded photo.
     pub input: Input,
-    /// Size of the scene in pixels.
+    /// Width of the scene in pixels.
     pub width: u32,
-    /// Size of the scene in pixels.
+    /// Height of the scene in pixels.
     pub height: u32,
-    /// Depth network, or `given` (a map beside the photo) or `carried` (one within its file), or `stereo` (measured against a second view).
+    /// Name of the depth network, or `given` (a map in a file of its own), `carried` (a map embedded in the photo's file) or `stereo`
+    /// (measured against a second picture).
     pub depth_model: String,
-    /// All stages in order.
+    /// Times of all stages, in order.
     pub stages: Vec<StageTime>,
-    /// Wall time of all stages.
+    /// Wall time of making in milliseconds.
     pub total_ms: f64,
-    /// Peak resident memory of the process so far.
+    /// Peak resident memory of the process so far, in bytes.
     pub peak_rss_bytes: u64,
-    /// What making was to take at most, by the formula that photos are admitted by, with the planes that were placed.
+    /// Upper bound of the memory for making, in bytes: the formula by which photos are admitted, with the number of planes that were
+    /// placed.
     #[serde(default)]
     pub memory_bound_bytes: u64,
-    /// Count of tiles.
+    /// Number of tiles.
     pub tiles: usize,
-    /// Count of planes.
+    /// Number of planes, background planes included.
     pub planes: usize,
-    /// Mean planes a tile.
+    /// Mean number of planes per tile.
     pub planes_per_tile: f64,
-    /// Count of texels that are not empty, of all layers.
+    /// Number of texels of all layers that are not empty.
     #[serde(default)]
     pub texels: usize,
     /// What this scene did not need.
     pub left_out: LeftOut,
-    /// Sections in bytes.
+    /// Sizes of the container's sections in bytes.
     pub bytes: Bytes,
-    /// Errors made.
+    /// Errors of the approximations.
     pub error: ErrorFigures,
-    /// What the budget of run time made of it; none where none was given.
+    /// Effect of the time budget; null if none was given.
     #[serde(default)]
     pub budget: Option<Budget>,
 }

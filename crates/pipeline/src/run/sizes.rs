@@ -1,25 +1,25 @@
-//! How large the pictures are that a photo is made of, by their headers alone.
+//! Sizes of the pictures that a photo is made from, read from their headers.
 
 use super::{MakeError, Options, Switch};
 use crate::depth::{self, DepthError};
 use crate::photo::{self, Limits};
 use crate::stereo::Stereo;
 
-/// Width and height in pixels of the pictures that a photo is made of.
+/// Width and height in pixels of the pictures that a photo is made from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sizes {
-    /// The photo's file, upright; of one that shows two eyes, both.
+    /// The picture in the photo's file, upright; with both halves, if it holds two pictures.
     pub file: (u32, u32),
-    /// What is decoded besides.
+    /// Another picture that is decoded.
     pub other: Option<Other>,
 }
 
-/// A picture that is decoded besides the photo.
+/// A picture that is decoded in addition to the photo, with its width and height.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Other {
     /// A depth map.
     Map((u32, u32)),
-    /// What a second eye sees, in a file of its own or within the photo's.
+    /// A second picture, in a file of its own or embedded in the photo's.
     Eye((u32, u32)),
 }
 
@@ -34,17 +34,17 @@ impl Other {
 }
 
 impl Sizes {
-    /// Of a photo by itself.
+    /// Sizes of a photo alone.
     #[must_use]
     pub const fn of_photo(file: (u32, u32)) -> Self {
         Self { file, other: None }
     }
 
-    /// Reads them, and refuses what exceeds `limits` before anything is decoded. A picture of a second eye within the photo's file that does is
-    /// passed over, as it is not decoded.
+    /// Reads the sizes without decoding. `given` is the file of a depth map or second picture. A second picture embedded in the photo's
+    /// file that exceeds `limits` is ignored, because it will not be decoded.
     ///
     /// # Errors
-    /// [`MakeError::Photo`], and [`MakeError::Depth`] of what is `given` beside the photo.
+    /// [`MakeError::Photo`] if the photo, [`MakeError::Depth`] if `given` cannot be read or exceeds `limits`.
     pub fn of(photo: &[u8], given: Option<&[u8]>, options: &Options, limits: &Limits) -> Result<Self, MakeError> {
         let size = |file: &[u8]| photo::check(file, limits).map(|(_, size)| size);
         let (width, height) = size(photo)?;

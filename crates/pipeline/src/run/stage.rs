@@ -1,55 +1,55 @@
-//! What a stage is, and what drives one after the other.
+//! The trait of all stages, and the context that runs them.
 
 use super::{MakeError, Models, Movement, Options, Progress, Report, Sink, Sizes, StageTime};
 use crate::clock::{self, Clock};
 use crate::photo::Limits;
 
-/// One step on the way from a photo to its container, as a value: what it carries on from one photo to the next (the last frame of a
-/// room, say) is its own.
+/// One step from a photo to its container. A stage owns the state that it keeps from one photo to the next, such as the last frame of a
+/// room.
 pub trait Stage {
     /// Name in progress messages and reports, one of [`super::STAGES`].
     const NAME: &'static str;
-    /// What it takes.
+    /// Input of the stage.
     type Input<'a>;
-    /// What it gives.
+    /// Output of the stage.
     type Output;
 
-    /// Runs once.
+    /// Runs the stage once.
     ///
     /// # Errors
-    /// [`MakeError`]: what it was given, an option, or a network is at fault.
+    /// [`MakeError`] if the input or an option is invalid or a network fails.
     fn run(&mut self, input: Self::Input<'_>, context: &mut Context) -> Result<Self::Output, MakeError>;
 }
 
-/// What all stages of a photo share.
+/// State that all stages of a photo share.
 pub struct Context<'a> {
     /// Networks.
     pub models: &'a Models,
     /// Limits on the photo.
     pub limits: &'a Limits,
-    /// What the caller chose.
+    /// Options of the caller.
     pub options: &'a Options,
-    /// Sizes of what it is made of; none in a room.
+    /// Sizes of the pictures that the photo is made from; `None` in a room.
     pub sizes: Option<Sizes>,
-    /// What has been done so far.
+    /// The report so far.
     pub report: Report,
-    /// What errors of disparity do in views of a photo; none before its camera is known, and in a room, whose errors are not measured.
+    /// Converts disparity errors to pixels; `None` before the camera is known, and in a room, which does not measure errors.
     pub movement: Option<Movement>,
     sink: &'a dyn Sink,
     clock: Clock,
 }
 
 impl<'a> Context<'a> {
-    /// A photo at its start.
+    /// Context of a photo before its first stage; starts the clock.
     #[must_use]
     pub fn new(models: &'a Models, limits: &'a Limits, options: &'a Options, sink: &'a dyn Sink) -> Self {
         Self { models, limits, options, sizes: None, report: Report::default(), movement: None, sink, clock: Clock::start() }
     }
 
-    /// Runs a stage: tells that it begins, and what it took; not where the caller has given up or the time is over.
+    /// Runs a stage: sends a progress message before it and adds its time to the report.
     ///
     /// # Errors
-    /// [`MakeError::Cancelled`], [`MakeError::Late`], and what the stage gives.
+    /// [`MakeError::Cancelled`] if the caller cancelled, [`MakeError::Late`] if the deadline has passed, or the error of the stage.
     pub fn run<S: Stage>(&mut self, stage: &mut S, input: S::Input<'_>) -> Result<S::Output, MakeError> {
         self.check(S::NAME)?;
         let step = super::STAGES.iter().position(|s| *s == S::NAME).map_or(0, |p| p as u32 + 1);
@@ -66,7 +66,7 @@ impl<'a> Context<'a> {
         self.clock.ms()
     }
 
-    /// The report of a photo that is done.
+    /// Completes the report with total time and peak memory.
     #[must_use]
     pub fn finish(mut self) -> Report {
         self.report.total_ms = self.clock.ms();

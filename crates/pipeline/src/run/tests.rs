@@ -1,4 +1,4 @@
-//! What the report says of errors. `tests/report.rs` holds its figures against their definitions.
+//! Tests of the errors in the report. `tests/report.rs` compares the figures with their definitions.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, Renderer};
 use tmpi_testing::pictures::{noise, waves as photo};
 
-/// All depth is given.
+/// A stand-in for the network: all photos here come with a depth map.
 struct Flat;
 
 impl Estimator for Flat {
@@ -38,7 +38,7 @@ fn plain() -> Options {
 }
 
 #[test]
-fn a_flat_photo_has_no_error_but_that_of_its_codec() {
+fn a_flat_photo_has_only_the_error_of_its_codec() {
     let report = made(&photo(200, 150), &map(200, 150, |_, _| 0.5), &Options::default()).report;
     let e = &report.error;
     assert_eq!((e.reduction, e.resampling, e.denoise, e.snap), (None, None, None, None));
@@ -49,7 +49,7 @@ fn a_flat_photo_has_no_error_but_that_of_its_codec() {
 }
 
 #[test]
-fn the_bound_holds_where_planes_are_enough() {
+fn the_error_bound_holds_if_the_planes_suffice() {
     let slopes = map(300, 200, |x, y| if x < 150 { 0.2 + 0.001 * y as f32 } else { 0.9 - 0.002 * (x - 150) as f32 });
     for max_error in [0.5, Options::MAX_ERROR, 4.0] {
         let planes = made(&photo(300, 200), &slopes, &Options { max_error, ..plain() }).report.error.planes;
@@ -60,7 +60,7 @@ fn the_bound_holds_where_planes_are_enough() {
 }
 
 #[test]
-fn a_photo_that_was_reduced_says_what_it_lost_and_a_budget_what_it_gave_up() {
+fn the_report_holds_the_errors_of_a_reduction_and_of_a_budget() {
     let deep = map(400, 300, noise);
     let report = made(&photo(400, 300), &deep, &Options { max_size: Some(100), ..plain() }).report;
     let reduction = report.error.reduction.unwrap();
@@ -70,8 +70,8 @@ fn a_photo_that_was_reduced_says_what_it_lost_and_a_budget_what_it_gave_up() {
 }
 
 #[test]
-fn the_view_from_the_photo_s_own_place_is_drawn_from_the_container() {
-    // one row of tiles: all of it is drawn
+fn the_reference_view_is_drawn_from_the_container() {
+    // with one row of tiles, the whole view is drawn
     let whole = photo(200, 60);
     for quality in [30, 90] {
         let made = made(&whole, &map(200, 60, |x, _| if x < 90 { 0.2 } else { 0.8 }), &Options { quality, ..plain() });
@@ -84,14 +84,14 @@ fn the_view_from_the_photo_s_own_place_is_drawn_from_the_container() {
         assert!((e.identity_psnr - psnr(&drawn, given.rgb.as_flattened())).abs() < 1e-9);
         assert!((e.codec_psnr - psnr(scene.photo.rgb.as_flattened(), given.rgb.as_flattened())).abs() < 1e-9);
     }
-    // many rows: some of them
+    // with many rows, only some are drawn
     let tall = made(&photo(100, 1400), &map(100, 1400, noise), &plain()).report;
     assert!(tall.error.identity_tiles < tall.tiles && tall.error.identity_tiles >= tall.tiles / 14, "{}", tall.error.identity_tiles);
     assert!(tall.error.identity_psnr < 60.0);
 }
 
 #[test]
-fn leaving_out_is_measured_on_some_tiles_and_on_all_where_asked() {
+fn pruning_is_measured_on_some_tiles_or_with_verify_prune_on_all() {
     let stairs = map(700, 500, |x, y| ((x / 50 + y / 40) % 5) as f32 / 5.0 + 0.1);
     let sampled = made(&photo(700, 500), &stairs, &plain()).report;
     let some = sampled.error.prune.unwrap();
@@ -101,36 +101,36 @@ fn leaving_out_is_measured_on_some_tiles_and_on_all_where_asked() {
 }
 
 #[test]
-fn what_making_took_is_below_the_bound_that_it_was_admitted_by() {
+fn the_memory_bound_counts_the_placed_planes() {
     let options = Options { max_error: 0.0, ..plain() };
     let report = made(&photo(200, 150), &map(200, 150, noise), &options).report;
-    // six planes a tile of noise
+    // noise takes six planes per tile
     assert_eq!(report.memory_bound_bytes, options.memory_with(&Sizes::of_photo((200, 150)), None, 6));
 }
 
-/// A map of which so large a share of the tiles needs many planes.
+/// A map where this share of the tiles needs many planes.
 fn busy(share: f64) -> DisparityMap {
-    // nine tiles a row, 56 pixels apart
+    // nine tiles per row, 56 pixels apart
     let columns = (share * 9.0).round() as u32;
     map(500, 400, move |x, y| if x < columns * 56 { noise(x, y) } else { 0.5 })
 }
 
 #[test]
-fn no_budget_costs_more_than_none_however_busy_a_photo_is() {
+fn a_budget_never_increases_planes_size_or_bytes() {
     for share in [0.0, 0.5, 0.9] {
         let make = |budget_ms| made(&photo(500, 400), &busy(share), &Options { budget_ms, ..plain() }).report;
         let plenty = make(Some(1e7));
-        let told = |report: &Report| report.budget.clone().unwrap();
-        assert!((told(&plenty).busy - share).abs() < 0.1, "{share}: {:?}", told(&plenty));
+        let budget = |report: &Report| report.budget.clone().unwrap();
+        assert!((budget(&plenty).busy - share).abs() < 0.1, "{share}: {:?}", budget(&plenty));
         assert_eq!(plenty.error.planes.bound_px, Some(Options::MAX_ERROR));
         let free = make(None);
-        assert_eq!((plenty.planes, plenty.bytes.total), (free.planes, free.bytes.total), "{share}: what is enough changes nothing");
+        assert_eq!((plenty.planes, plenty.bytes.total), (free.planes, free.bytes.total), "{share}: a sufficient budget changes nothing");
         for asked in [1.0, 30.0, 60.0] {
             let hurried = make(Some(asked));
             let (size, whole) = (hurried.width * hurried.height, free.width * free.height);
             assert!(hurried.planes <= free.planes && size <= whole && hurried.bytes.total <= free.bytes.total, "{share}, {asked} ms");
         }
-        // one plane does for all tiles of a flat photo whatever the error: to give it up would gain nothing
+        // one plane is enough for all tiles of a flat photo at any error: a larger error would save nothing
         let bound = make(Some(1.0)).error.planes.bound_px.unwrap();
         assert_eq!(bound > Options::MAX_ERROR, share > 0.0, "{share}: {bound}");
     }

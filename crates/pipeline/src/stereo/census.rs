@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-/// Half the window: 9 × 7 pixels, of which 62 are compared.
+/// Radius of the window, x and y: 9 × 7 pixels, of which 62 are compared.
 const RADIUS: (usize, usize) = (4, 3);
 
 /// A grey picture, row by row.
@@ -16,7 +16,7 @@ pub struct Grey {
     pub values: Vec<u8>,
 }
 
-/// The transform of a picture, a word a pixel; beyond its border its outermost pixels go on.
+/// Census transform of a picture, one word per pixel. Beyond the border, the outermost pixels repeat.
 #[must_use]
 pub fn census(picture: &Grey) -> Vec<u64> {
     let (w, h) = (picture.width, picture.height);
@@ -24,7 +24,7 @@ pub fn census(picture: &Grey) -> Vec<u64> {
     let mut out = vec![0u64; w * h];
     out.par_chunks_exact_mut(w).enumerate().for_each_init(Vec::new, |line: &mut Vec<u8>, (y, out)| {
         let own = &picture.values[y * w..(y + 1) * w];
-        // eight comparisons a byte: sixteen pixels at once on any processor
+        // eight comparisons per byte: sixteen pixels at once on any processor
         let mut bytes = [const { Vec::new() }; 8];
         let mut count = 0;
         for dy in 0..=2 * ry {

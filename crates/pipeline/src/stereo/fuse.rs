@@ -1,18 +1,20 @@
-//! One map of what was measured and what a network estimates: the estimate is brought to the scale of the measured pixels, over the picture as
-//! a whole and then about each place, and stands where nothing was measured.
+//! Fuses measured disparity with a network's estimate. The estimate is brought to the scale of the measured pixels, over the whole
+//! picture and then locally, and fills what was not measured.
 
-/// Pairs of pixels by which both are compared, and the share of them in one order below which the eyes are the other way round.
+/// Pairs of pixels in which both are compared.
 const PAIRS: usize = 20_000;
+/// Share of pairs with the same order below which the eyes are swapped.
 const CROSSED: f64 = 0.2;
-/// Differences of a pair that say an order: of the estimate, and of the measured disparity in pixels.
+/// Least differences of a pair that has an order: of the estimate, and of the measured disparity in pixels.
 const TELLS: (f32, f32) = (0.1, 1.0);
-/// Tries of scale and shift, and the share of the measured range within which a pixel agrees with them.
+/// Tries of scale and shift.
 const TRIES: usize = 200;
+/// Share of the measured range within which a pixel agrees with scale and shift.
 const AGREES: f32 = 0.08;
-/// A gap in a row is hidden from the other eye where it is no wider than the step of disparity across it, but for a share and some pixels.
+/// A gap in a row is hidden from the other eye if it is at most this factor times the step of disparity across it, plus this many pixels.
 const HIDDEN: (f32, f32) = (1.4, 3.0);
 
-/// Numbers that are the same each time.
+/// A deterministic sequence of random numbers.
 struct Draw(u64);
 
 impl Draw {
@@ -22,7 +24,7 @@ impl Draw {
     }
 }
 
-/// Whether the measured disparities, NaN where there are none, run against the estimate: the second picture is the left eye's then.
+/// Whether the measured disparities (NaN where unmeasured) run against the estimate. Then the second picture is the left eye's.
 #[must_use]
 pub fn is_crossed(measured: &[f32], estimate: &[f32]) -> bool {
     let known: Vec<usize> = (0..measured.len()).filter(|i| measured[*i].is_finite()).collect();
@@ -42,8 +44,8 @@ pub fn is_crossed(measured: &[f32], estimate: &[f32]) -> bool {
     all > PAIRS / 100 && (alike as f64) < CROSSED * all as f64
 }
 
-/// Fills what was not measured, NaN, in a picture `w` pixels wide, and gives the share of the pixels that took their depth from the estimate.
-/// Disparity grows towards the eye; the estimate of 0 to 1 does, too.
+/// Fills unmeasured pixels (NaN) of a picture `w` pixels wide, and returns the share of pixels that took their depth from the estimate.
+/// Disparity grows towards the eye, and so does the estimate, 0 to 1.
 pub fn fill(measured: &mut [f32], estimate: &[f32], w: usize) -> f64 {
     fill_hidden(measured, w);
     let known: Vec<usize> = (0..measured.len()).filter(|i| measured[*i].is_finite()).collect();
@@ -58,7 +60,7 @@ pub fn fill(measured: &mut [f32], estimate: &[f32], w: usize) -> f64 {
     1.0 - known.len() as f64 / measured.len().max(1) as f64
 }
 
-/// Gaps that are there as a nearer surface hides them from the other eye lie on the farther one.
+/// Fills gaps where a nearer surface hides the scene from the other eye with the farther of the two sides.
 fn fill_hidden(measured: &mut [f32], w: usize) {
     for row in measured.chunks_exact_mut(w) {
         let mut left: Option<usize> = None;
@@ -78,8 +80,8 @@ fn fill_hidden(measured: &mut [f32], w: usize) {
     }
 }
 
-/// Scale and shift that bring the estimate to the measured pixels `known`: those that most agree with, then least squares of these. A scale of 0 where
-/// the estimate tells nothing.
+/// Scale and shift that bring the estimate to the measured pixels `known`: those with which most pixels agree, then least squares over
+/// these. The scale is 0 if the estimate carries no information.
 fn align(measured: &[f32], estimate: &[f32], known: &[usize]) -> (f32, f32) {
     let mut sorted: Vec<f32> = known.iter().map(|i| measured[*i]).collect();
     sorted.sort_by(f32::total_cmp);
@@ -124,7 +126,7 @@ fn align(measured: &[f32], estimate: &[f32], known: &[usize]) -> (f32, f32) {
     (s, t)
 }
 
-/// Fills what is not finite smoothly from what is: means of ever larger squares, then between those.
+/// Fills non-finite values smoothly from finite ones: by means over ever larger squares, interpolated between them.
 fn spread(values: &mut [f32], w: usize) {
     let h = values.len() / w.max(1);
     if values.iter().all(|v| v.is_finite()) || w == 0 {
@@ -156,7 +158,7 @@ fn spread(values: &mut [f32], w: usize) {
     }
 }
 
-/// Makes pieces of fewer than `least` pixels that hang together NaN: they are chance.
+/// Sets connected pieces of fewer than `least` pixels to NaN: they match by chance. Neighbours within 1 pixel of disparity are connected.
 pub fn drop_specks(measured: &mut [f32], w: usize, least: usize) {
     let mut seen = vec![false; measured.len()];
     let (mut piece, mut open) = (Vec::new(), Vec::new());

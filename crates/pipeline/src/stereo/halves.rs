@@ -6,28 +6,29 @@ use crate::depth::{DepthError, xmp};
 use crate::photo::{self, Limits, PhotoError};
 
 const PANO: &str = "http://ns.google.com/photos/1.0/panorama/";
-/// Share of all directions, from left to right, that a wide photo may show: 120°.
+/// Largest share of all directions, from left to right, that a wide photo may show: 120°.
 const PANORAMA: f64 = 1.0 / 3.0;
-/// What names of files call two eyes beside one another, and one above the other, each between other signs than letters and digits.
+/// Words in file names for two eyes beside one another. Each stands between characters other than letters and digits.
 const BESIDE: [&str; 4] = ["left-right", "side-by-side", "sbs", "lr"];
+/// Words for two eyes above one another.
 const ABOVE: [&str; 5] = ["top-bottom", "over-under", "ou", "tb", "tab"];
-/// What they call pictures of all directions.
+/// Words for pictures of all directions.
 const SPHERE: [&str; 3] = ["360", "vr360", "vr180"];
 
 /// Where the picture of a second eye is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stereo {
-    /// Behind the first in the file, as 3D cameras write it (MPO), or as the file's name says.
+    /// After the first in the file, as 3D cameras write it (MPO), or as the file's name says.
     #[default]
     Auto,
     /// In the photo's right half.
     LeftRight,
-    /// In its lower half.
+    /// In the photo's lower half.
     TopBottom,
-    /// A file of its own, in place of a depth map.
+    /// In a file of its own, given instead of a depth map.
     Beside,
-    /// Nowhere: the photo is taken as it is.
+    /// Nowhere: the photo is read as a single picture.
     None,
 }
 
@@ -41,10 +42,10 @@ pub enum Halves {
 }
 
 impl Stereo {
-    /// What the name of a photo's file says, as `name.left-right.jpg` does; [`Stereo::Auto`] where it says nothing.
+    /// The layout that the name of a photo's file states, as `name.left-right.jpg` does; [`Stereo::Auto`] if it states none.
     ///
     /// # Errors
-    /// [`DepthError::Sphere`] where it says that the picture is of all directions, too.
+    /// [`DepthError::Sphere`] if it also states that the picture shows all directions.
     pub fn of_name(name: &str) -> Result<Self, DepthError> {
         let name = name.to_lowercase();
         let says = |word: &&str| {
@@ -61,7 +62,7 @@ impl Stereo {
         if SPHERE.iter().any(says) { Err(DepthError::Sphere) } else { Ok(layout) }
     }
 
-    /// How a picture that shows both is cut, where it is.
+    /// How to cut a picture that shows both eyes; `None` if it does not.
     #[must_use]
     pub fn halves(self) -> Option<Halves> {
         match self {
@@ -71,7 +72,7 @@ impl Stereo {
         }
     }
 
-    /// Refuses a 360° picture, which no flat photo can show, and a second picture that is promised and not given.
+    /// Refuses a 360° picture, which no flat photo can show, and a missing second picture.
     ///
     /// # Errors
     /// [`DepthError::Sphere`], [`DepthError::NoSecond`].
@@ -83,7 +84,7 @@ impl Stereo {
     }
 }
 
-/// Whether a file's metadata says that it is an equirectangular picture of more than [`PANORAMA`] of all directions
+/// Whether a file's metadata declares an equirectangular picture of more than [`PANORAMA`] of all directions
 /// (<https://developers.google.com/streetview/spherical-metadata>).
 fn is_panorama(photo: &[u8]) -> bool {
     let packets = xmp::packets(photo);
@@ -95,7 +96,7 @@ fn is_panorama(photo: &[u8]) -> bool {
 }
 
 impl Halves {
-    /// Size of an eye's picture of one of both.
+    /// Size of one eye's picture within a picture of both.
     pub(crate) fn of(self, (width, height): (u32, u32)) -> (u32, u32) {
         match self {
             Self::LeftRight => (width / 2, height),
@@ -103,7 +104,7 @@ impl Halves {
         }
     }
 
-    /// Longest side of a file's picture, in pixels, at which that of an eye is `side`.
+    /// Longest side, in pixels, of a file's picture at which the longest side of one eye's picture is `side`.
     pub(crate) fn of_both(self, file: &[u8], limits: &Limits, side: u32) -> Result<u32, PhotoError> {
         let both = photo::upright_size(file, limits)?;
         let eye = self.of(both);
@@ -111,7 +112,8 @@ impl Halves {
         Ok(u32::try_from((u64::from(side) * both).div_ceil(eye)).unwrap_or(u32::MAX))
     }
 
-    /// The first eye's picture and the second's; of an odd count of columns or rows the middle one is left out. None of a picture of one.
+    /// Splits a picture into the first eye's and the second's, of equal size; drops the middle one of an odd number of columns or rows.
+    /// `None` if a half would be empty.
     #[must_use]
     pub fn split(self, photo: &Photo) -> Option<(Photo, Photo)> {
         let (width, height) = self.of((photo.width, photo.height));

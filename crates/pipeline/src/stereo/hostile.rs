@@ -1,4 +1,4 @@
-//! Second pictures that are made to break what reads them.
+//! Second pictures made to break their readers.
 
 use std::io::Cursor;
 use std::sync::Arc;
@@ -18,12 +18,12 @@ const H: u32 = 90;
 /// Disparity of the upper and of the lower half, in pixels.
 const SHIFTS: (i32, i32) = (2, 8);
 
-/// A network that says the same of every pixel.
-struct Says(f32);
+/// A network that returns the same value for every pixel.
+struct Constant(f32);
 
-impl Estimator for Says {
+impl Estimator for Constant {
     fn name(&self) -> &'static str {
-        "says"
+        "constant"
     }
 
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
@@ -50,8 +50,8 @@ fn second() -> Photo {
     beside(&first(), SHIFTS.0, SHIFTS.1)
 }
 
-fn made_with(says: f32, limits: &Limits, photo: &[u8], given: Option<&[u8]>, options: &Options) -> Result<Made, MakeError> {
-    let models = Models { depth: Arc::new(Says(says)), theta: None, psi: None };
+fn made_with(value: f32, limits: &Limits, photo: &[u8], given: Option<&[u8]>, options: &Options) -> Result<Made, MakeError> {
+    let models = Models { depth: Arc::new(Constant(value)), theta: None, psi: None };
     let made = make(&models, limits, photo, given, options, &Silent)?;
     assert!(made.disparity.delta.iter().all(|d| (0.0..=1.0).contains(d)));
     Ok(made)
@@ -66,11 +66,11 @@ fn is_measured(report: &Report) -> bool {
     measured && report.depth_model == "stereo" && report.input.depth_problem.is_none()
 }
 
-/// The network's estimate was taken, for a reason or for none.
+/// The network's estimate was used, for the reason `why` or for none.
 #[track_caller]
 fn is_estimated(report: &Report, why: Option<&str>) {
     let problem = report.input.depth_problem.as_deref();
-    assert!(report.depth_model == "says" && report.error.stereo.is_none(), "{}", report.depth_model);
+    assert!(report.depth_model == "constant" && report.error.stereo.is_none(), "{}", report.depth_model);
     assert!(why.map_or(problem.is_none(), |why| problem.is_some_and(|p| p.contains(why))), "{why:?}: {problem:?}");
 }
 
@@ -82,12 +82,13 @@ fn only_depth() -> Options {
     Options { photo_depth: Switch::On, ..Options::default() }
 }
 
-/// Attributes of a large thumbnail, and of the first picture of a pair that says that it stands for both.
+/// Attributes of a large thumbnail.
 const THUMBNAIL: u32 = 0x0001_0001;
+/// Attributes of the first picture of a pair, which declares that it stands for both.
 const FIRST_EYE: u32 = 0x2002_0002;
 
 #[test]
-fn the_first_eye_behind_a_photo_is_taken_however_many_pictures_there_are() {
+fn the_first_eye_after_a_photo_is_used_however_many_pictures_follow() {
     let (a, b) = (jpeg(&first()), jpeg(&second()));
     let (small, even) = (jpeg(&spots(16, 12, 1)), jpeg(&Photo { rgb: vec![[90; 3]; (W * H) as usize], ..first() }));
     let options = Options::default();
@@ -101,22 +102,22 @@ fn the_first_eye_behind_a_photo_is_taken_however_many_pictures_there_are() {
         assert!(is_measured(&made(&multi_picture(&a, behind), None, &options).unwrap()), "{} pictures", behind.len() + 1);
     }
     is_estimated(&made(&multi_picture(&a, &[(EYE, &b)]), None, &Options { stereo: Stereo::None, ..Options::default() }).unwrap(), None);
-    // beyond as many as are looked at
+    // after more pictures than are looked at
     let more = [vec![(THUMBNAIL, &small[..]); 300], vec![(EYE, &b)]].concat();
     is_estimated(&made(&multi_picture(&a, &more), None, &options).unwrap(), None);
 }
 
 #[test]
-fn a_second_picture_that_is_cut_or_not_there_leaves_depth_to_the_network() {
+fn a_truncated_or_missing_second_picture_leaves_depth_to_the_network() {
     let (a, b) = (jpeg(&first()), jpeg(&second()));
     let whole = multi_picture(&a, &[(EYE, &b)]);
     let behind = whole.len() - b.len();
     for cut in [1, b.len() / 2, b.len() - 1, b.len()] {
         let file = &whole[..whole.len() - cut];
-        is_estimated(&made(file, None, &Options::default()).unwrap(), Some("the file ends before"));
+        is_estimated(&made(file, None, &Options::default()).unwrap(), Some("the file ends within"));
         assert!(matches!(made(file, None, &only_depth()), Err(MakeError::Depth(DepthError::Second(_)))));
     }
-    // its place is that of no picture, of nothing, or of the first picture
+    // its entry points to something else, to nothing, or to the first picture
     for (length, at) in [(b.len(), behind - 9), (0, behind - 10), (u32::MAX as usize, u32::MAX as usize), (8, 0)] {
         let mut file = whole.clone();
         let entry = file.windows(4).position(|w| w == EYE.to_be_bytes()).unwrap();
@@ -124,7 +125,7 @@ fn a_second_picture_that_is_cut_or_not_there_leaves_depth_to_the_network() {
         file[entry + 8..entry + 12].copy_from_slice(&(at as u32).to_be_bytes());
         is_estimated(&made(&file, None, &Options::default()).unwrap(), Some("second eye"));
     }
-    // within its own data: most of a picture must be there
+    // cut within its own data: most of a picture must be intact
     for (keep, taken) in [(2, false), (30, false), (b.len() / 4, false), (b.len() * 19 / 20, true)] {
         let given = made(&a, Some(&b[..keep]), &beside_it());
         let within = made(&multi_picture(&a, &[(EYE, &b[..keep])]), None, &Options::default()).unwrap();
@@ -140,7 +141,7 @@ fn a_second_picture_that_is_cut_or_not_there_leaves_depth_to_the_network() {
     }
 }
 
-/// A PNG of a size that its header alone tells.
+/// A PNG whose header claims another size.
 fn claims(width: u32, height: u32) -> Vec<u8> {
     let mut png = file(&Photo { width: 1, height: 1, rgb: vec![[7; 3]] }, ImageFormat::Png);
     png[16..20].copy_from_slice(&width.to_be_bytes());
@@ -151,21 +152,21 @@ fn claims(width: u32, height: u32) -> Vec<u8> {
 }
 
 #[test]
-fn limits_hold_for_both_pictures_before_either_is_decoded() {
+fn limits_are_checked_for_both_pictures_before_decoding() {
     let (limits, options) = (Limits { pixels: u64::from(W * H), ..Limits::default() }, beside_it());
     let (png, other) = (file(&first(), ImageFormat::Png), file(&second(), ImageFormat::Png));
     let with = |photo: &[u8], given: &[u8]| made_with(0.5, &limits, photo, Some(given), &options).map(|made| made.report);
     assert!(is_measured(&with(&png, &other).unwrap()));
-    // pixels that cannot be decoded are not reached
-    let mut spoilt = png.clone();
-    let data = spoilt.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
-    spoilt[data] ^= 0xFF;
-    assert!(matches!(with(&spoilt, &other), Err(MakeError::Photo(PhotoError::Broken(_)))));
+    // corrupt pixels show that nothing is decoded before the limits are checked
+    let mut corrupt = png.clone();
+    let data = corrupt.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
+    corrupt[data] ^= 0xFF;
+    assert!(matches!(with(&corrupt, &other), Err(MakeError::Photo(PhotoError::Broken(_)))));
     for huge in [claims(W, H + 1), claims(16_384, 16_384), claims(1, 60_000)] {
-        let refused = with(&spoilt, &huge).unwrap_err();
+        let refused = with(&corrupt, &huge).unwrap_err();
         assert!(matches!(&refused, MakeError::Depth(DepthError::Second(text)) if text.contains("limit")), "{refused}");
-        assert!(matches!(with(&huge, &spoilt), Err(MakeError::Photo(PhotoError::TooManyPixels { .. } | PhotoError::SideTooLong { .. }))));
-        // within the photo it is passed over
+        assert!(matches!(with(&huge, &corrupt), Err(MakeError::Photo(PhotoError::TooManyPixels { .. } | PhotoError::SideTooLong { .. }))));
+        // within the photo's file it is ignored
         let behind = multi_picture(&jpeg(&first()), &[(EYE, &huge)]);
         let report = made_with(0.5, &limits, &behind, None, &Options::default()).unwrap().report;
         is_estimated(&report, Some("second eye"));
@@ -176,19 +177,19 @@ fn limits_hold_for_both_pictures_before_either_is_decoded() {
 }
 
 #[test]
-fn a_picture_behind_a_photo_takes_no_more_memory_than_the_photo() {
+fn a_picture_after_a_photo_takes_no_more_memory_than_the_photo() {
     let a = jpeg(&first());
     let larger = multi_picture(&a, &[(EYE, &claims(2000, 1001))]);
     is_estimated(&made(&larger, None, &Options::default()).unwrap(), Some("larger than that of the first"));
     let sizes = |file: &[u8], options: &Options| crate::Sizes::of(file, None, options, &Limits::default()).unwrap();
     let auto = Options::default();
     assert_eq!(sizes(&larger, &auto).other, None);
-    // what is measured counts where it is measured alone
+    // a second picture counts only if it is measured
     let both = multi_picture(&a, &[(EYE, &jpeg(&second()))]);
     assert_eq!(sizes(&both, &auto).other, Some(crate::run::Other::Eye((W, H))));
     for off in [Options { stereo: Stereo::None, ..auto.clone() }, Options { photo_depth: Switch::Off, ..auto.clone() }] {
         assert_eq!(sizes(&both, &off).other, None);
-        assert_eq!(made(&both, None, &off).unwrap().depth_model, "says");
+        assert_eq!(made(&both, None, &off).unwrap().depth_model, "constant");
     }
     let report = made(&both, None, &auto).unwrap();
     let bound = |sizes| auto.memory_with(&sizes, None, report.planes_per_tile.ceil() as u32);
@@ -197,7 +198,7 @@ fn a_picture_behind_a_photo_takes_no_more_memory_than_the_photo() {
 }
 
 #[test]
-fn pictures_that_are_alike_or_next_to_nothing_leave_depth_to_the_network() {
+fn identical_or_tiny_pictures_leave_depth_to_the_network() {
     let a = file(&first(), ImageFormat::Png);
     is_estimated(&made(&a, Some(&a), &beside_it()).unwrap(), Some("no parallax"));
     let both = multi_picture(&jpeg(&first()), &[(EYE, &jpeg(&first()))]);
@@ -210,13 +211,13 @@ fn pictures_that_are_alike_or_next_to_nothing_leave_depth_to_the_network() {
         is_estimated(&within, Some("too small"));
         for stereo in [Stereo::LeftRight, Stereo::TopBottom] {
             let report = made(&file(&a, ImageFormat::Png), None, &Options { stereo, ..Options::default() }).unwrap();
-            assert!(report.depth_model == "says" && (report.width, report.height) <= (w, h), "{w}×{h}");
+            assert!(report.depth_model == "constant" && (report.width, report.height) <= (w, h), "{w}×{h}");
         }
     }
 }
 
 #[test]
-fn an_estimate_of_no_numbers_leaves_what_is_measured() {
+fn a_non_finite_estimate_keeps_measured_pixels() {
     let (photo, size) = (first(), (W * H) as usize);
     let measured = || measure(&photo, &second()).unwrap();
     let joined = |estimate: &dyn Fn(usize) -> f32| {
@@ -241,7 +242,7 @@ fn an_estimate_of_no_numbers_leaves_what_is_measured() {
 }
 
 #[test]
-fn small_pictures_are_measured_where_they_belong_together_and_only_there() {
+fn small_pictures_are_measured_only_if_they_belong_together() {
     for (w, h) in [(64, 64), (100, 64), (64, 200)] {
         for seed in (0..8).map(|s| 2 * s) {
             let a = spots(w, h, seed);
@@ -255,14 +256,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn damage_to_a_file_of_two_eyes_is_an_error_or_passed_over(at in 0usize..20_000, value: u8, cut in 0usize..30_000) {
+    fn damage_to_a_file_of_two_eyes_is_an_error_or_ignored(at in 0usize..20_000, value: u8, cut in 0usize..30_000) {
         let (a, b) = (spots(72, 64, 3), beside(&spots(72, 64, 3), 1, 5));
         let mut file = multi_picture(&jpeg(&a), &[(EYE, &jpeg(&b))]);
         let at = at % file.len();
         file[at] = value;
         file.truncate(cut.max(2));
         if let Ok(report) = made(&file, None, &Options::default()) {
-            prop_assert!(["stereo", "says", "carried"].contains(&report.depth_model.as_str()));
+            prop_assert!(["stereo", "constant", "carried"].contains(&report.depth_model.as_str()));
         }
     }
 }

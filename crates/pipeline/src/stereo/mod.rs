@@ -1,7 +1,7 @@
-//! Depth by measuring: a second view of the scene, from beside the first, tells how far off each point is that both show.
+//! Measured depth: a second view of the scene, from beside the first, gives the distance of each point that both show.
 //!
-//! The second picture is brought to the [rows of the first](rectify), matched with it [semi-globally](sgm) by [census](census), and what both
-//! directions agree in is [joined](fuse) with what the network estimates.
+//! The second picture is [rectified](rectify) to the rows of the first and matched with it [semi-globally](sgm) by [census](census).
+//! Disparities that both directions agree on are [fused](fuse) with the network's estimate.
 
 pub mod census;
 pub mod fuse;
@@ -23,54 +23,58 @@ use crate::clock::Clock;
 use crate::depth;
 use crate::photo::{Filter, resample};
 
-/// Pixels at which pictures are matched, at most, and disparities that are looked at.
+/// Most pixels at which pictures are matched.
 const WORK: f64 = 700_000.0;
+/// Most disparities that are searched.
 const MOST: usize = 192;
-/// Longest side at which the range of disparity is found, and the share of the width to either side that is looked at for it.
+/// Longest side at which the range of disparity is determined.
 const COARSE: usize = 240;
+/// Share of the width that is searched for it to either side.
 const SIDES: f64 = 0.35;
-/// Shares of the pixels measured there that the range may leave out at either end, and what is added to it.
+/// Share of the pixels measured there that the range may leave out at either end.
 const TAIL: f64 = 0.002;
+/// Share of the range that is added at either end.
 const MARGIN: f64 = 0.1;
-/// Share of the pixels of a piece that is taken for chance; and of one at the small size, where the range must not follow it.
+/// Share of the pixels below which a connected piece counts as chance.
 const SPECK: f64 = 1e-3;
+/// The same at the small size, where the range must not follow such pieces.
 const SMALL_SPECK: f64 = 4e-3;
-/// Fewest pixels of a piece, however small the picture.
+/// Fewest pixels of a connected piece, however small the picture.
 const LEAST_SPECK: usize = 32;
 /// Least share of the pixels that must be measured.
 const ENOUGH: f64 = 0.25;
-/// Least range of disparity, in pixels at which it was measured.
+/// Least range of disparity, in pixels of the matched size.
 const PARALLAX: f32 = 1.5;
 
-/// Shortest side of a picture, in pixels, that is matched. Of smaller ones chance measures enough: of 40 pairs of unrelated noise 13 were taken
-/// for one scene at 48 × 48 pixels, and none at 64 × 64.
+/// Shortest side, in pixels, of a picture that is matched. In smaller ones, chance measures enough: of 40 pairs of unrelated noise, 13
+/// passed for one scene at 48 × 48 pixels, and none at 64 × 64.
 const LEAST: u32 = 64;
 
-/// Why a second view tells no depth.
+/// Why a second view gives no depth.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Unmeasured {
-    /// It has another shape.
+    /// The second picture has another aspect.
     #[error("the second picture has another shape ({second}) than the first ({first})")]
     Shape {
         /// Width × height of the first.
         first: String,
-        /// Those of the second.
+        /// Width × height of the second.
         second: String,
     },
-    /// They are too small to match.
-    #[error("the pictures are {size}, too small to measure depth by: both sides take {LEAST} pixels or more")]
+    /// The pictures are too small to match.
+    #[error("the pictures are {size}, too small to measure depth: both sides need at least {LEAST} pixels")]
     Small {
         /// Width × height.
         size: String,
     },
-    /// The two do not fit together, or show too little to go by.
-    #[error("the two pictures agree in {:.0} % of their pixels, too few to measure depth by: they are evenly coloured, or do not belong together", share * 100.0)]
+    /// The pictures do not match, or have too little texture.
+    #[error("the two pictures agree in {:.0} % of their pixels, too few to measure depth: they are evenly coloured or do not belong together", share * 100.0)]
     Few {
         /// Share of the pixels that was measured.
         share: f64,
     },
-    /// Both were taken from one place.
-    #[error("the two pictures show no parallax: they were taken from one place, or all is far off")]
+    /// Both pictures were taken from one place.
+    #[error("the two pictures show no parallax: they were taken from one place, or everything is far away")]
     NoParallax,
 }
 
@@ -108,28 +112,28 @@ pub struct StereoError {
 pub struct Measured {
     width: u32,
     height: u32,
-    /// In pixels at this size; NaN where not measured.
+    /// In pixels at this size; NaN where unmeasured.
     disparity: Vec<f32>,
-    /// The cameras stood on one line and looked one way, as far as rows tell.
+    /// The cameras stood side by side and looked in the same direction, as far as rows show.
     parallel: bool,
     figures: StereoError,
 }
 
-/// What was measured, and what the network filled.
+/// Measured disparity, filled from the network's estimate.
 #[derive(Clone, Debug)]
 pub struct Joined {
-    /// Disparity δ at the photo's size, 1 at the nearest point and 0 at infinity.
+    /// Disparity δ at the photo's size: 1 at the nearest point, 0 at infinity.
     pub map: DisparityMap,
-    /// The same at the size of matching, where that is another.
+    /// The same at the size of matching, if it differs.
     pub own: Option<DisparityMap>,
-    /// What that came to.
+    /// Figures for the report.
     pub figures: StereoError,
 }
 
-/// Measures the first picture of a pair against the second.
+/// Measures the disparity of the first picture of a pair against the second.
 ///
 /// # Errors
-/// [`Unmeasured`]: there is too little to go by.
+/// [`Unmeasured`] if the pictures do not suffice.
 pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
     let text = |p: &Photo| format!("{}×{}", p.width, p.height);
     if !depth::fits((second.width, second.height), (first.width, first.height)) {
@@ -141,7 +145,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
     let clock = Clock::start();
     let mut size = working_size((first.width, first.height), WORK);
     let mut pair = [grey(first, size), grey(second, size)];
-    // rows that cannot be told are taken as they are
+    // rows that cannot be determined stay as they are
     let rectified = rectify::rectify(&pair[0], &pair[1]);
     let Rectified { model, before_px, after_px, .. } = rectified.unwrap_or_default();
     pair[1] = model.rectified(&pair[1]);
@@ -178,13 +182,13 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
 }
 
 impl Measured {
-    /// Disparity at the size of `photo`, where `estimate` at the photo's size fills what was not measured.
+    /// Disparity at the size of `photo`. `estimate`, at the photo's size, fills what was not measured.
     #[must_use]
     pub fn joined(self, photo: &Photo, estimate: &DisparityMap) -> Joined {
         let Self { width, height, mut disparity, parallel, mut figures } = self;
         let clock = Clock::start();
         let from = (estimate.width, estimate.height);
-        // what is no estimate lies at infinity, as everywhere
+        // a non-finite estimate lies at infinity, as everywhere
         let finite = |v: f32| [if v.is_finite() { v } else { 0.0 }];
         let estimate = resample(&estimate.delta, from, (width, height), Filter::Triangle, finite, |[v]| v);
         figures.crossed = fuse::is_crossed(&disparity, &estimate);
@@ -194,7 +198,7 @@ impl Measured {
             }
         }
         let low = percentile(&disparity, 0.002);
-        // of cameras that look one way infinity has no disparity; else it is no nearer than the farthest point
+        // for parallel cameras, infinity has disparity 0; for others it is no nearer than the farthest point
         let infinity = if parallel { low.min(0.0) } else { low };
         figures.estimated = fuse::fill(&mut disparity, &estimate, width as usize);
         let near = percentile(&disparity, 0.999).max(infinity + PARALLAX);
@@ -210,7 +214,7 @@ impl Measured {
     }
 }
 
-/// The size of a picture, reduced to so many pixels.
+/// A picture's size, reduced to at most `most` pixels.
 fn working_size((width, height): (u32, u32), most: f64) -> (u32, u32) {
     let scale = (most / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
     let side = |s: u32| ((f64::from(s) * scale).round() as u32).clamp(1, s);
@@ -234,7 +238,7 @@ fn matched(pair: &[Grey; 2], range: Range, speck: f64) -> Vec<f32> {
     disparity
 }
 
-/// Least and greatest disparity, in widths of the picture, by a match at a small size; none where next to nothing matches.
+/// Least and greatest disparity, in widths of the picture, from a match at a small size; `None` if almost nothing matches.
 fn range(pair: &[Grey; 2]) -> Option<(f64, f64)> {
     let by = pair[0].width.max(pair[0].height).div_ceil(COARSE).max(1);
     let small = [rectify::reduced(&pair[0], by), rectify::reduced(&pair[1], by)];
@@ -253,7 +257,7 @@ fn share(disparity: &[f32]) -> f64 {
     disparity.iter().filter(|d| d.is_finite()).count() as f64 / disparity.len().max(1) as f64
 }
 
-/// The value below which so large a share of the finite ones lies; 0 where there are none.
+/// The value below which this share of the finite values lies; 0 if there are none.
 fn percentile(disparity: &[f32], share: f64) -> f32 {
     let mut known: Vec<f32> = disparity.iter().copied().filter(|d| d.is_finite()).collect();
     if known.is_empty() {

@@ -1,5 +1,5 @@
-//! Brings the second picture of a pair to the rows of the first: cameras that are held by hand, or two lenses, differ by small rotations, an
-//! offset and a scale. These are fitted to sparse matches.
+//! Rectification: brings the second picture of a pair to the rows of the first. Hand-held cameras, or two lenses, differ by small
+//! rotations, an offset and a scale, which are fitted to sparse matches.
 
 use rayon::prelude::*;
 
@@ -7,41 +7,45 @@ use tmpi_core::simd::dispatch;
 
 use super::census::{Grey, census};
 
-/// Side in pixels of the squares of which each gives the corner that is matched.
+/// Side in pixels of the squares, each of which gives one corner to match.
 const CELL: usize = 8;
-/// Longest side at which corners are first looked for.
+/// Longest side at which corners are first searched for.
 const COARSE: usize = 240;
-/// Half the window of a corner.
+/// Radius of a corner's window.
 const HALF: usize = 2;
-/// Least brightness variation of a corner in both directions, as the smaller eigenvalue of its structure tensor, in levels² a pixel.
+/// Least brightness variation of a corner in both directions: the smaller eigenvalue of its structure tensor, in levels² per pixel.
 const CORNER: f32 = 40.0;
-/// Places that are looked at, as shares of the width to the sides and of the height up and down.
+/// Range of the search to either side, as a share of the width.
 const SIDES: f64 = 0.35;
+/// Range of the search up and down, as a share of the height.
 const UP: f64 = 0.08;
-/// The best place is below this share of all others that are no neighbours.
+/// The best position's cost is below this share of every other one's that is not its neighbour.
 const UNIQUE: f32 = 0.8;
-/// Tries of a model, and pixels within which a match agrees with one.
+/// Tries of a model.
 const TRIES: usize = 400;
+/// Pixels within which a match agrees with a model.
 const AGREES: f64 = 1.5;
-/// Fewest matches that must agree with a model, and the least share of all.
+/// Fewest matches that must agree with a model.
 const FEWEST: usize = 24;
+/// Least share of all matches that must agree.
 const SHARE: f64 = 0.3;
-/// Largest share of the width that the model moves a border by.
+/// Largest share of the width by which the model may move a border.
 const MOST: f64 = 0.12;
 
-/// How the second picture lies to the rows of the first, to the first order of small rotations. Places `(u, v)` are from the middle of the
-/// picture, in widths of it; the second shows at `(u + shift.0, v + shift.1)` what belongs to `(u, v)`.
+/// How the second picture is displaced from the rows of the first, to first order in small rotations. Positions `(u, v)` are relative to
+/// the middle of the picture, in widths. What the first picture shows at `(u, v)`, the second shows, apart from parallax, at
+/// `(u + right(u, v), v + down(u, v))`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Model {
-    /// Down, in widths.
+    /// Downward offset, in widths.
     pub offset: f64,
-    /// Rotation about the axis of sight, in radians, clockwise as shown.
+    /// Rotation about the optical axis, in radians, clockwise as shown.
     pub roll: f64,
-    /// Scale, less 1.
+    /// Scale minus 1.
     pub scale: f64,
-    /// Turning aside, as rows draw apart to one side.
+    /// Rotation about the vertical axis: rows spread apart towards one side.
     pub yaw: f64,
-    /// Turning up.
+    /// Rotation about the horizontal axis.
     pub pitch: f64,
 }
 
@@ -54,20 +58,20 @@ impl Model {
         [1.0, u, v, u * v, v * v]
     }
 
-    /// How far down.
+    /// Downward displacement at `(u, v)`, in widths.
     #[must_use]
     pub fn down(&self, u: f64, v: f64) -> f64 {
         let all = [self.offset, self.roll, self.scale, self.yaw, self.pitch];
         all.iter().zip(Self::terms(u, v)).map(|(a, b)| a * b).sum()
     }
 
-    /// How far to the right, but for what is parallax.
+    /// Rightward displacement at `(u, v)`, in widths, without parallax.
     #[must_use]
     pub fn right(&self, u: f64, v: f64) -> f64 {
         -self.roll * v + self.scale * u + self.yaw * u * u + self.pitch * u * v
     }
 
-    /// The second picture, on the rows of the first.
+    /// Resamples the second picture to the rows of the first.
     #[must_use]
     pub fn rectified(&self, second: &Grey) -> Grey {
         let (w, h) = (second.width, second.height);
@@ -86,20 +90,20 @@ impl Model {
     }
 }
 
-/// What sparse matches tell.
+/// A model fitted to sparse matches.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Rectified {
-    /// The model; none moves nothing.
+    /// The model; the default one moves nothing.
     pub model: Model,
-    /// Matches that agree with it.
+    /// Number of matches that agree with it.
     pub matches: usize,
-    /// Median distance of these from their rows, in pixels, as the pictures are and by the model.
+    /// Median distance of these from their rows, in pixels, in the pictures as given.
     pub before_px: f64,
-    /// And by the model.
+    /// The same after rectification.
     pub after_px: f64,
 }
 
-/// Fits the model; none where too few matches agree with any.
+/// Fits the model; `None` if too few matches agree with any.
 #[must_use]
 pub fn rectify(first: &Grey, second: &Grey) -> Option<Rectified> {
     let size = (first.width, first.height);
@@ -122,13 +126,13 @@ pub fn rectify(first: &Grey, second: &Grey) -> Option<Rectified> {
         return None;
     }
     let (before_px, after_px) = (median(&agreeing, &Model::default(), size), median(&agreeing, &model, size));
-    // pictures that lie on their rows stay as they are
+    // pictures that already lie on their rows stay unchanged
     let better = before_px - after_px > 0.1;
     let (model, after_px) = if better { (model, after_px) } else { (Model::default(), before_px) };
     Some(Rectified { model, matches: agreeing.len(), before_px, after_px })
 }
 
-/// A corner of the first picture, and where the second shows it, in pixels.
+/// A corner of the first picture, and its position in the second, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Match {
     from: (f64, f64),
@@ -136,7 +140,7 @@ struct Match {
 }
 
 impl Match {
-    /// Pixels between where the second picture shows it and its row by a model.
+    /// Signed distance in pixels of the match in the second picture from its row by a model.
     fn off(&self, model: &Model, size: (usize, usize)) -> f64 {
         let (u, v) = centred((self.to.0, self.from.1), size);
         self.to.1 - self.from.1 - model.down(u, v) * size.0 as f64
@@ -147,7 +151,7 @@ fn centred((x, y): (f64, f64), (w, h): (usize, usize)) -> (f64, f64) {
     ((x - (w as f64 - 1.0) / 2.0) / w as f64, (y - (h as f64 - 1.0) / 2.0) / w as f64)
 }
 
-/// Brightness between pixels; beyond the border its outermost pixels go on.
+/// Brightness at a position between pixels, bilinear; beyond the border, the outermost pixels repeat.
 fn at(picture: &Grey, (x, y): (f64, f64)) -> u8 {
     let (w, h) = (picture.width, picture.height);
     let place = |p: f64, n: usize| {
@@ -160,7 +164,7 @@ fn at(picture: &Grey, (x, y): (f64, f64)) -> u8 {
     (line(y0) + (line(y1) - line(y0)) * fy).round() as u8
 }
 
-/// The picture at a whole part of its size: means of squares.
+/// The picture reduced by a whole factor: means over squares of `by` pixels a side.
 #[must_use]
 pub fn reduced(picture: &Grey, by: usize) -> Grey {
     let (width, height) = ((picture.width / by).max(1), (picture.height / by).max(1));
@@ -174,7 +178,7 @@ pub fn reduced(picture: &Grey, by: usize) -> Grey {
     Grey { width, height, values: (0..width * height).map(mean).collect() }
 }
 
-/// Corners of the first picture that the second shows at one place alone: found at a part of the size, then to a part of a pixel.
+/// Corners of the first picture that match the second at a single position, found at a reduced size and refined to a fraction of a pixel.
 fn matches(first: &Grey, second: &Grey) -> Vec<Match> {
     let by = first.width.max(first.height).div_ceil(COARSE).max(1);
     let small = [reduced(first, by), reduced(second, by)];
@@ -195,7 +199,7 @@ fn matches(first: &Grey, second: &Grey) -> Vec<Match> {
     corners(&small[0]).into_par_iter().filter_map(one).collect()
 }
 
-/// The corner of each square, where there is one.
+/// The strongest corner of each square, if it is strong enough.
 fn corners(picture: &Grey) -> Vec<(usize, usize)> {
     let (w, h) = (picture.width, picture.height);
     let value = |x: usize, y: usize| f32::from(picture.values[y * w + x]);
@@ -223,23 +227,24 @@ fn corners(picture: &Grey) -> Vec<(usize, usize)> {
     found
 }
 
-/// Where a corner is looked for.
+/// Where to search for a corner.
 #[derive(Clone, Copy, Debug)]
 struct Search {
-    /// The place about which, as steps from the corner's own, and how far to either side and up or down.
+    /// Centre of the search, as an offset from the corner's own position.
     about: (i64, i64),
+    /// How far to search to either side, and up or down.
     reach: (i64, i64),
-    /// Half the window that is compared.
+    /// Radius of the window that is compared.
     half: usize,
-    /// The best is below this share of all that are no neighbours, or there is none.
+    /// The best cost must be below this share of all costs that are not its neighbours'; 1 accepts any.
     unique: f32,
 }
 
-/// How far the second picture shows a corner from its own place, to a part of a pixel down; none where another place is as good, or the best
-/// lies at the end.
+/// Offset of a corner in the second picture, vertically to a fraction of a pixel. `None` if another position matches as well, or if the
+/// best one lies at the border of the search.
 fn nearest(words: (&[u64], &[u64]), (w, h): (usize, usize), (x, y): (usize, usize), search: &Search) -> Option<(f64, f64)> {
     let Search { about, reach, half, unique } = *search;
-    // places at which the whole window lies inside
+    // positions at which the whole window lies inside
     let range = |at: usize, about: i64, reach: i64, n: usize| {
         let (own, most) = (at as i64, n as i64 - 1 - half as i64);
         let inside = at >= half && own <= most;
@@ -270,21 +275,21 @@ fn nearest(words: (&[u64], &[u64]), (w, h): (usize, usize), (x, y): (usize, usiz
     Some(((xs.start + column) as f64 - x as f64, (ys.start + line) as f64 + part - y as f64))
 }
 
-/// Adds the census distances of a row of a window to those of each place that it is laid at.
+/// Adds the census distances of one row of a window, for each position of the window in the other picture.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn distances(own: &[u64], other: &[u64], out: &mut [u32]) {
     let n = out.len();
     for (i, word) in own.iter().enumerate() {
-        for (out, there) in out.iter_mut().zip(&other[i..i + n]) {
-            *out += (word ^ there).count_ones();
+        for (out, theirs) in out.iter_mut().zip(&other[i..i + n]) {
+            *out += (word ^ theirs).count_ones();
         }
     }
 }
 
 dispatch!(add_distances, distances, (own: &[u64], other: &[u64], out: &mut [u32]));
 
-/// The model of three matches with which most agree; drawn alike each time.
+/// Of models through three matches each, the one with which most matches agree. The draws are the same each time.
 fn sample(matches: &[Match], size: (usize, usize)) -> Model {
     let mut state = 0x2545_F491_4F6C_DD1D_u64;
     let mut draw = || {
@@ -314,13 +319,13 @@ fn agreeing(matches: &[Match], model: &Model, size: (usize, usize), within: f64)
     matches.iter().filter(|m| m.off(model, size).abs() < within).copied().collect()
 }
 
-/// Least squares; small terms where the matches do not tell.
+/// Least squares; terms that the matches do not determine stay small.
 fn fit(matches: &[Match], size: (usize, usize)) -> Option<Model> {
     let rows: Vec<_> = matches.iter().map(|m| row(m, size)).collect();
     solve(normal(&rows, 1e-4 * matches.len() as f64)).map(Model::of)
 }
 
-/// Normal equations of `N` unknowns: rows of terms and, last, what they give. `ridge` is added for all unknowns but the first three.
+/// Normal equations of `N` unknowns, from rows of terms and their value. `ridge` is added for all unknowns but the first three.
 fn normal<const N: usize>(rows: &[([f64; N], f64)], ridge: f64) -> ([[f64; N]; N], [f64; N]) {
     let (mut matrix, mut right) = ([[0.0; N]; N], [0.0; N]);
     for (terms, value) in rows {
@@ -337,7 +342,7 @@ fn normal<const N: usize>(rows: &[([f64; N], f64)], ridge: f64) -> ([[f64; N]; N
     (matrix, right)
 }
 
-/// Gaussian elimination with pivots.
+/// Gaussian elimination with pivoting; `None` if the system is singular.
 fn solve<const N: usize>((mut a, mut b): ([[f64; N]; N], [f64; N])) -> Option<[f64; N]> {
     for p in 0..N {
         let best = (p..N).max_by(|i, j| a[*i][p].abs().total_cmp(&a[*j][p].abs()))?;

@@ -1,7 +1,7 @@
 //! Semi-global matching (Hirschmüller 2008): the disparity of each pixel of a picture against another, along eight paths.
 //!
-//! Rows are matched in bands, each with rows before and behind it on which its paths begin. The picture decides their height: so the result is
-//! the same on any number of threads, and memory is bounded.
+//! Rows are matched in bands, each with extra rows before and after it on which its paths begin. The picture determines the height of the
+//! bands, so the result is the same on any number of threads, and memory is bounded.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -9,40 +9,43 @@ use rayon::prelude::*;
 
 use tmpi_core::simd::dispatch;
 
-/// Cost of a step of one pixel between neighbours, and of a larger one where the picture is even; an edge of [`EDGE`] levels halves the latter.
+/// Cost of a step of one pixel between neighbours.
 const SMALL: u8 = 7;
+/// Cost of a larger step where the picture has no edge.
 const LARGE: u8 = 100;
+/// Difference of brightness, in levels, that halves the cost of a larger step.
 const EDGE: u32 = 12;
-/// Cost of a place outside the other picture.
+/// Cost of a position outside the other picture.
 const OUTSIDE: u8 = 30;
-/// Rows of a band, at most, and those on either side on which its paths begin.
+/// Most rows of a band.
 const ROWS: usize = 96;
+/// Rows on either side of a band on which its paths begin.
 const BEFORE: usize = 24;
-/// Bytes that the sums of all bands that are matched side by side may take.
+/// Most bytes of the sums of all bands that are matched at the same time.
 const BYTES: usize = 48 << 20;
-/// Disparities are a multiple of that many: whole vectors.
+/// The number of disparities is a multiple of this, so that vectors are full.
 pub const STEP: usize = 32;
-/// The best sum of costs is below this share of any other that is not its neighbour's, or the pixel is not measured.
+/// The best sum of costs must be below this share of every other sum but its neighbours', or the pixel is not measured.
 const UNIQUE: f32 = 0.97;
 
-/// Disparities that are looked at: `x_own − x_other` in pixels.
+/// Disparities that are searched: `x_own − x_other` in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Range {
-    /// The least; below 0 where pictures cross.
+    /// The least disparity; negative if the pictures are crossed.
     pub first: i32,
-    /// How many, a multiple of [`STEP`].
+    /// Number of disparities, a multiple of [`STEP`].
     pub count: usize,
 }
 
 impl Range {
-    /// The least range that holds both ends.
+    /// The smallest range that contains both ends.
     #[must_use]
     pub fn holding(low: i32, high: i32) -> Self {
         Self { first: low, count: ((high - low).max(0) as usize + 1).next_multiple_of(STEP) }
     }
 }
 
-/// What is matched: brightness of a picture, and the census of it and of the other, all of one size.
+/// Input of matching: brightness of a picture, and the census transforms of it and of the other, all of one size.
 #[derive(Clone, Copy, Debug)]
 pub struct Views<'a> {
     /// Width in pixels.
@@ -51,24 +54,25 @@ pub struct Views<'a> {
     pub height: usize,
     /// Brightness of the picture itself.
     pub grey: &'a [u8],
-    /// Its census.
+    /// Its census transform.
     pub own: &'a [u64],
-    /// That of the other.
+    /// The other picture's census transform.
     pub other: &'a [u64],
 }
 
-/// Disparity of each pixel, to a part of a pixel; NaN where it is not measured: the two directions do not agree, or two places fit alike.
+/// Disparity of each pixel, to a fraction of a pixel. NaN where it is not measured: the two directions disagree, or two positions match
+/// equally well.
 #[must_use]
 pub fn disparity(views: &Views, range: Range) -> Vec<f32> {
     let (w, h) = (views.width, views.height);
     let mut out = vec![f32::NAN; w * h];
-    // bands of one height, so that none waits for a longer one
+    // bands of equal height, so that none waits for a longer one
     let rows = h.div_ceil(h.div_ceil(ROWS).max(1)).max(1);
     let bands = h.div_ceil(rows);
     let beside = BYTES / (rows * w * range.count * size_of::<u16>()).max(1);
     let workers = beside.min(bands).min(rayon::current_num_threads()).max(1);
     let left = Mutex::new(out.chunks_mut((w * rows).max(1)).enumerate());
-    // memory is taken once for each worker: pages that are new cost more than what is written to them
+    // memory is allocated once per worker: new pages cost more than what is written to them
     (0..workers).into_par_iter().for_each(|_| {
         let mut band = Band::new(views, range, rows);
         let next = || left.lock().unwrap_or_else(PoisonError::into_inner).next();
@@ -79,22 +83,23 @@ pub fn disparity(views: &Views, range: Range) -> Vec<f32> {
     out
 }
 
-/// Costs along the paths that end in a row, for each of its pixels: those of each disparity between two guards, and the least.
+/// Costs of the paths that end in a row, for each of its pixels: one per disparity, between two guards; and the least of them.
 struct Paths {
     costs: Vec<u8>,
     least: Vec<u8>,
 }
 
-/// A band of rows on its way.
+/// A band of rows in progress.
 struct Band<'a> {
     views: &'a Views<'a>,
     range: Range,
-    /// Costs of a row.
+    /// Matching costs of a row.
     row: Vec<u8>,
-    /// Paths from the three pixels of the row before, and those of this one.
+    /// Paths from the three neighbours in the row before.
     before: [Paths; 3],
+    /// Paths of this row.
     now: [Paths; 3],
-    /// Costs of the paths of all rows.
+    /// Sums of the costs of paths, for all rows.
     sums: Vec<u16>,
 }
 
@@ -106,7 +111,7 @@ impl<'a> Band<'a> {
         Self { views, range, row: vec![0; w * n], before: three(), now: three(), sums: vec![0; rows * w * n] }
     }
 
-    /// Measures the rows from `first` on, as many as `out` holds.
+    /// Measures as many rows as `out` holds, starting at `first`.
     fn run(&mut self, first: usize, out: &mut [f32]) {
         let w = self.views.width;
         let end = first + out.len() / w;
@@ -122,7 +127,7 @@ impl<'a> Band<'a> {
         }
     }
 
-    /// Goes along row `y`, from the row `from` before it; the sums are those of row `row` of the band, or none.
+    /// Aggregates row `y`, coming from row `from`. The sums go to row `row` of the band, if there is one.
     fn pass(&mut self, y: usize, from: Option<usize>, back: bool, row: Option<usize>) {
         let (w, n) = (self.views.width, self.range.count);
         match_costs(&self.views.own[y * w..(y + 1) * w], &self.views.other[y * w..(y + 1) * w], self.range.first, n, &mut self.row);
@@ -134,32 +139,32 @@ impl<'a> Band<'a> {
     }
 }
 
-/// What a pass along a row reads.
+/// Input of a pass along a row.
 #[derive(Clone, Copy)]
 struct Along<'a> {
     w: usize,
     n: usize,
-    /// From the last pixel to the first: the second pass, which adds to the sums that the first has set.
+    /// From the last pixel to the first: this is the second pass, which adds to the sums of the first.
     back: bool,
     own: &'a [u8],
     above: Option<&'a [u8]>,
     costs: &'a [u8],
 }
 
-/// Census distances of a row for `n` disparities from `first` on.
+/// Census distances of a row for `n` disparities, starting at `first`.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn costs_of(own: &[u64], other: &[u64], first: i32, n: usize, out: &mut [u8]) {
     let w = own.len();
     for (x, (word, out)) in own.iter().zip(out.chunks_exact_mut(n)).enumerate() {
-        // the place in the other picture falls as the disparity grows
+        // the position in the other picture falls as the disparity grows
         let most = x as i64 - i64::from(first);
         let (start, end) = inside(most, w, n);
         out.fill(OUTSIDE);
         if start < end {
             let others = &other[(most - end as i64 + 1) as usize..=(most - start as i64) as usize];
-            for (o, there) in out[start..end].iter_mut().zip(others.iter().rev()) {
-                *o = (word ^ there).count_ones() as u8;
+            for (o, theirs) in out[start..end].iter_mut().zip(others.iter().rev()) {
+                *o = (word ^ theirs).count_ones() as u8;
             }
         }
     }
@@ -167,7 +172,7 @@ fn costs_of(own: &[u64], other: &[u64], first: i32, n: usize, out: &mut [u8]) {
 
 dispatch!(match_costs, costs_of, (own: &[u64], other: &[u64], first: i32, n: usize, out: &mut [u8]));
 
-/// Penalty of a large step between pixels of two brightnesses.
+/// Penalty of a large step between pixels of these brightnesses.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn large(a: u8, b: u8) -> u8 {
@@ -175,7 +180,7 @@ fn large(a: u8, b: u8) -> u8 {
     (even as u8).max(SMALL + 2)
 }
 
-/// One step of a path: from the costs `from` (with guards) of which the least is `least` to `to`, whose least it gives.
+/// One step of a path: from the costs `from` (with guards), whose least is `least`, to `to`. Returns the least of `to`.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn step<'a>(costs: &'a [u8], from: &'a [u8], least: u8, large: u8, to: &mut [u8]) -> u8 {
@@ -188,7 +193,7 @@ fn step<'a>(costs: &'a [u8], from: &'a [u8], least: u8, large: u8, to: &mut [u8]
     for ((((to, costs), below), same), above) in to.iter_mut().zip(blocks(costs)).zip(below).zip(same).zip(above) {
         for i in 0..STEP {
             let near = below[i].min(above[i]).saturating_add(SMALL);
-            // nothing that a path comes from is below the least, so this does not wrap
+            // no cost that a path comes from is below the least, so this does not wrap
             to[i] = costs[i].saturating_add(same[i].min(near).min(far).wrapping_sub(least));
             lowest[i] = lowest[i].min(to[i]);
         }
@@ -202,7 +207,7 @@ fn least_of(costs: &[u8]) -> u8 {
     costs.iter().fold(u8::MAX, |a, b| a.min(*b))
 }
 
-/// Sums of the costs of four paths, or adds them to those of the other four.
+/// Sets the sums to the costs of four paths, or adds them if `add` is set.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn add_paths(add: bool, sums: &mut [u16], paths: [&[u8]; 4]) {
@@ -253,12 +258,13 @@ fn aggregate_row(along: Along, before: &[Paths; 3], now: &mut [Paths; 3], mut su
 
 dispatch!(aggregate, aggregate_row, (along: Along<'_>, before: &[Paths; 3], now: &mut [Paths; 3], sums: Option<&mut [u16]>));
 
-/// Takes the disparity of the least sum of each pixel of a row, where the other picture's pixel would take the same and no other place fits as well.
+/// Chooses the disparity with the least sum for each pixel of a row, if the other picture's pixel would choose the same and no other
+/// position matches as well.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn choose_row(sums: &[u16], range: Range, out: &mut [f32]) {
     let (w, n) = (out.len(), range.count);
-    // for each place of the other picture the least sum, and behind it the disparity's number
+    // for each position in the other picture: the least sum in the high bits, the index of its disparity in the low bits
     let mut other = vec![u32::MAX; w];
     for (x, sums) in sums.chunks_exact(n).enumerate() {
         let most = x as i64 - i64::from(range.first);
@@ -284,14 +290,15 @@ fn choose_row(sums: &[u16], range: Range, out: &mut [f32]) {
 
 dispatch!(choose, choose_row, (sums: &[u16], range: Range, out: &mut [f32]));
 
-/// Which disparities, from and to by number, lead to a place of the other picture, `w` wide, from a pixel whose first leads to `most`.
+/// Indices of the disparities, as begin and end, that lead into the other picture, `w` wide, from a pixel whose first disparity leads to
+/// `most`.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn inside(most: i64, w: usize, n: usize) -> (usize, usize) {
     ((most - w as i64 + 1).clamp(0, n as i64) as usize, (most + 1).clamp(0, n as i64) as usize)
 }
 
-/// Place of the least of two lines of one slope through three sums, −0.5 to 0.5 about the middle one; 0 at an end.
+/// Minimum of two lines of equal slope through three sums, −0.5 to 0.5 from the middle one; 0 at an end.
 fn between(before: Option<u16>, least: u16, after: Option<u16>) -> f32 {
     let (Some(before), Some(after)) = (before, after) else { return 0.0 };
     let (a, b, c) = (f32::from(before), f32::from(least), f32::from(after));

@@ -1,4 +1,4 @@
-//! Matching against its definition, and pairs that are made to break it.
+//! Matching against its definition, and pairs made to break it.
 
 use super::census::{Grey, census};
 use super::rectify::{Model, rectify};
@@ -12,14 +12,14 @@ fn noise(x: u32, y: u32, seed: u32) -> u8 {
     ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 24) as u8
 }
 
-/// Spots of some pixels, as photos have them.
+/// Spots a few pixels wide, as photos have them.
 pub(super) fn spots(width: u32, height: u32, seed: u32) -> Photo {
     let (w, h) = (width.div_ceil(3), height.div_ceil(3));
     let small = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [noise(i % w, i / w, seed); 3]).collect() };
     resize(&small, width, height)
 }
 
-/// `photo` seen from beside: its upper half `far` and its lower half `near` pixels further to the left.
+/// `photo` seen from beside: its upper half moves `far` and its lower half `near` pixels to the left.
 pub(super) fn beside(photo: &Photo, far: i32, near: i32) -> Photo {
     let (w, h) = (photo.width as i32, photo.height as i32);
     let from = |i: i32| (i / w, (i % w + if i / w < h / 2 { far } else { near }).clamp(0, w - 1));
@@ -30,7 +30,7 @@ fn grey_of(photo: &Photo) -> Grey {
     grey(photo, (photo.width, photo.height))
 }
 
-/// Costs of all disparities of all pixels summed over eight paths by their definition.
+/// Costs of all disparities of all pixels, summed over eight paths by definition.
 fn by_definition(first: &Grey, second: &Grey, range: Range) -> Vec<Vec<i64>> {
     let (w, h, n) = (first.width as i64, first.height as i64, range.count as i64);
     let [own, other] = [census(first), census(second)];
@@ -68,7 +68,7 @@ fn by_definition(first: &Grey, second: &Grey, range: Range) -> Vec<Vec<i64>> {
 }
 
 #[test]
-fn what_is_measured_is_the_least_sum_by_the_definition() {
+fn measured_disparities_have_the_least_sum_by_definition() {
     for (w, h, first, steps) in [(40, 21, 0, 1), (40, 21, 0, 3), (33, 9, -20, 1), (33, 9, -60, 2), (1, 12, 0, 1), (12, 1, -3, 1)] {
         let (a, b) = (grey_of(&spots(w, h, 1)), grey_of(&beside(&spots(w, h, 1), 3, 5)));
         let range = Range { first, count: steps * sgm::STEP };
@@ -102,14 +102,14 @@ fn bands_give_the_same_bits_on_any_number_of_threads_and_leave_no_seams() {
 }
 
 #[test]
-fn two_surfaces_are_measured_whichever_way_they_shift() {
+fn two_surfaces_are_measured_in_either_direction() {
     let photo = spots(300, 260, 2);
     for (far, near) in [(4, 17), (-20, -3), (-6, 9)] {
         let measured = measure(&photo, &beside(&photo, far, near)).unwrap();
         let off = |rows: std::ops::Range<usize>, d: i32| {
             let places = rows.flat_map(|y| (40..260).map(move |x| y * 300 + x));
             let all: Vec<f32> = places.map(|i| measured.disparity[i]).collect();
-            // the second shows to the left what comes from the right: x − x' is the shift
+            // the second picture shows what comes from the right: x − x' is the shift
             all.iter().filter(|v| (**v - d as f32).abs() > 0.75 || v.is_nan()).count() as f64 / all.len() as f64
         };
         assert!(off(10..115, far) < 0.02 && off(145..250, near) < 0.02, "{far} {near}: {} {}", off(10..115, far), off(145..250, near));
@@ -121,7 +121,7 @@ fn two_surfaces_are_measured_whichever_way_they_shift() {
 }
 
 #[test]
-fn eyes_the_other_way_round_are_told_by_the_estimate() {
+fn swapped_eyes_are_detected_by_the_estimate() {
     let photo = spots(300, 260, 3);
     let measured = measure(&photo, &beside(&photo, -4, -17)).unwrap();
     let estimate = DisparityMap { width: 300, height: 260, delta: (0..78_000).map(|i| f32::from(u8::from(i >= 39_000))).collect() };
@@ -130,7 +130,7 @@ fn eyes_the_other_way_round_are_told_by_the_estimate() {
 }
 
 #[test]
-fn rows_of_a_turned_picture_are_found() {
+fn a_turned_picture_is_rectified() {
     let photo = grey_of(&spots(400, 300, 4));
     for model in [Model { offset: 0.015, ..Model::default() }, Model { roll: 0.02, scale: 0.01, offset: -0.01, ..Model::default() }] {
         let turned = model.rectified(&photo);
@@ -139,12 +139,12 @@ fn rows_of_a_turned_picture_are_found() {
         let (u, v) = (0.3, -0.2);
         assert!((found.model.down(u, v) + model.down(u, v)).abs() < 0.002, "{model:?}: {found:?}");
     }
-    let as_it_is = rectify(&photo, &photo).unwrap();
-    assert!(as_it_is.model == Model::default() && as_it_is.after_px < 0.1, "{as_it_is:?}");
+    let unturned = rectify(&photo, &photo).unwrap();
+    assert!(unturned.model == Model::default() && unturned.after_px < 0.1, "{unturned:?}");
 }
 
 #[test]
-fn pairs_that_tell_nothing_are_told_from_others() {
+fn pairs_without_depth_are_refused() {
     let photo = spots(200, 160, 5);
     let even = |v: u8| Photo { rgb: vec![[v; 3]; photo.rgb.len()], ..photo };
     assert_eq!(measure(&photo, &photo).unwrap_err(), Unmeasured::NoParallax);
@@ -160,19 +160,19 @@ fn pairs_that_tell_nothing_are_told_from_others() {
 }
 
 #[test]
-fn what_is_not_measured_is_filled_whatever_is_known() {
+fn unmeasured_pixels_are_filled_however_few_are_known() {
     for known in [0, 1, 700] {
         let mut measured: Vec<f32> = (0..1000).map(|i| if i < known { i as f32 / 10.0 } else { f32::NAN }).collect();
         let share = fuse::fill(&mut measured, &vec![0.5; 1000], 40);
         assert!(measured.iter().all(|d| d.is_finite()) && share <= 1.0 - known as f64 / 1000.0 + 1e-9, "{known}");
     }
-    // a gap that a nearer surface leaves lies on the farther one
+    // a gap beside a nearer surface lies on the farther one
     let mut row = vec![2.0, 2.0, f32::NAN, f32::NAN, f32::NAN, f32::NAN, 6.0, 6.0];
     assert!(fuse::fill(&mut row, &[0.0; 8], 8) < 1e-9 && row[2..6].iter().all(|d| (d - 2.0).abs() < 1e-6), "{row:?}");
 }
 
 #[test]
-fn names_of_files_say_where_the_eyes_are() {
+fn file_names_tell_where_the_eyes_are() {
     for (name, want) in [
         ("a.left-right.jpg", Stereo::LeftRight),
         ("A_SBS.JPG", Stereo::LeftRight),
@@ -188,7 +188,7 @@ fn names_of_files_say_where_the_eyes_are() {
 }
 
 #[test]
-fn panoramas_are_refused_unless_they_are_taken_as_flat() {
+fn panoramas_are_refused_unless_stereo_is_none() {
     let with = |properties: &str| {
         let xmp = format!(
             "<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description \
@@ -217,7 +217,7 @@ fn panoramas_are_refused_unless_they_are_taken_as_flat() {
 }
 
 #[test]
-fn halves_are_of_one_size() {
+fn halves_have_equal_sizes() {
     let photo = Photo { width: 5, height: 3, rgb: (0..15).map(|i| [i; 3]).collect() };
     let (left, right) = Halves::LeftRight.split(&photo).unwrap();
     assert_eq!((left.at(1, 2), right.at(0, 0), right.width), ([11; 3], [3; 3], 2));

@@ -1,38 +1,39 @@
-//! The map that strokes go over, kept within the file of the map that came of them: whoever changes strokes later sees what all of them do.
+//! Stores the map before the strokes inside the file of the map after them, so that all strokes can be applied again after a change.
 //!
-//! It is a chunk of the PNG file that readers of pictures pass over (ancillary, private, unsafe to copy), right behind the header, so that
-//! the beginning of a file tells.
+//! It is a chunk of the PNG file that readers of pictures skip (ancillary, private, unsafe to copy), directly after the header, so that
+//! the beginning of a file suffices to read it.
 
 use super::outline::SIDE;
 use crate::depth::{DepthError, resized, to_png};
 use crate::photo::reduced_size;
 use tmpi_core::DisparityMap;
 
-/// Signature, and the header's chunk of 13 bytes, which comes first in every PNG file.
+/// Bytes of the signature and of the header's chunk of 13 bytes, which comes first in every PNG file.
 const HEADER: usize = 8 + 12 + 13;
 const CHUNK: &[u8; 4] = b"bfST";
-/// Length and name before what a chunk holds; its checksum comes behind.
+/// Bytes of length and name, which precede a chunk's data; its checksum follows.
 const NAMED: usize = 8;
-/// Bytes of the kept map at most: 16 bits a pixel, as much again for what cannot be packed, and a PNG file's own.
+/// Most bytes of the stored map: 16 bits per pixel, as much again for what does not compress, and the overhead of a PNG file.
 const MOST: usize = 4 * (SIDE * SIDE) as usize + (1 << 16);
-/// Bytes from the beginning of a file that hold all of what [`before`] reads.
+/// Bytes from the beginning of a file that suffice for [`before`].
 pub const HEAD: usize = HEADER + NAMED + MOST;
 
-/// A map as it is kept: at most 640 pixels on its longer side, in which outlines are found, and without mixing across edges.
+/// The map as it is stored: at most 640 pixels on its longer side, as in the picture in which outlines are found, and without mixing
+/// across edges.
 #[must_use]
 pub fn to_keep(map: &DisparityMap) -> DisparityMap {
     let (width, height) = reduced_size((map.width, map.height), Some(SIDE));
     if (width, height) == (map.width, map.height) { map.clone() } else { resized(map, width, height) }
 }
 
-/// Puts the map of before the strokes into `file`, a PNG of the map that came of them.
+/// Inserts the map before the strokes into `file`, a PNG of the map after them.
 ///
 /// # Errors
-/// [`DepthError::Write`].
+/// [`DepthError::Write`] if the map cannot be encoded, is too large, or `file` is too short.
 pub fn keep(file: &[u8], before: &DisparityMap) -> Result<Vec<u8>, DepthError> {
     let map = to_png(before)?;
     let Some((header, rest)) = file.split_at_checked(HEADER).filter(|_| map.len() <= MOST) else {
-        return Err(DepthError::Write(format!("a map of {} bytes within one of {}", map.len(), file.len())));
+        return Err(DepthError::Write(format!("a map of {} bytes does not fit into a file of {} bytes", map.len(), file.len())));
     };
     let length = u32::try_from(map.len()).map_err(|e| DepthError::Write(e.to_string()))?;
     let mut checksum = crc32fast::Hasher::new();
@@ -41,7 +42,7 @@ pub fn keep(file: &[u8], before: &DisparityMap) -> Result<Vec<u8>, DepthError> {
     Ok([header, &length.to_be_bytes(), CHUNK, &map, &checksum.finalize().to_be_bytes(), rest].concat())
 }
 
-/// The PNG of the map before the strokes by the beginning of a file, of which [`HEAD`] bytes are enough; none where none was kept.
+/// Finds the PNG of the map before the strokes in the beginning of a file; [`HEAD`] bytes suffice. `None` if no map is stored.
 #[must_use]
 pub fn before(head: &[u8]) -> Option<&[u8]> {
     let named = head.get(HEADER..HEADER + NAMED)?;
@@ -68,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn both_maps_are_read_back_and_pictures_readers_see_the_one() {
+    fn both_maps_are_read_back_and_picture_readers_see_only_the_map_after() {
         let (after, before_them) = (map(40, 30, |x, y| (x + y) as f32 / 70.0), map(40, 30, |x, _| x as f32 / 40.0));
         let plain = to_png(&after).unwrap();
         let file = keep(&plain, &before_them).unwrap();
@@ -76,7 +77,7 @@ mod tests {
         let kept = read(before(&file).unwrap(), (40, 30));
         assert!(kept.delta.iter().zip(&before_them.delta).all(|(a, b)| (a - b).abs() < 1e-4));
         assert_eq!(read(&file, (40, 30)), read(&plain, (40, 30)));
-        // by a decoder that holds every chunk to its checksum
+        // with a decoder that checks every chunk's checksum
         let seen = image::load_from_memory(&file).unwrap().into_luma16();
         assert_eq!(seen, image::load_from_memory(&plain).unwrap().into_luma16());
         for cut in 0..file.len() {
@@ -86,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn a_large_map_is_kept_small_with_its_edges_and_the_worst_one_fits() {
+    fn a_large_map_is_stored_small_with_its_edges_and_the_worst_map_fits() {
         let kept = to_keep(&map(2000, 1000, |x, _| if x < 1000 { 0.2 } else { 0.8 }));
         assert_eq!((kept.width, kept.height), (640, 320));
         assert!(kept.delta.iter().all(|d| (d - 0.2).abs() < 1e-6 || (d - 0.8).abs() < 1e-6));

@@ -1,7 +1,7 @@
-//! Touch-up: strokes that a person draws over what a depth network got wrong, and what they do to the disparity map.
+//! Touch-up: strokes that a person draws where a depth network is wrong, and their effect on the disparity map.
 //!
-//! Strokes are kept in coordinates of the photo and ask for something of what they cover (nearer, as near as that place), so that they
-//! mean the same on the map of another network. What a stroke covers is found from the photo, see [`Outlines`].
+//! Strokes are stored in coordinates of the photo, and each says how its region changes (nearer, or as near as another place), so that
+//! they mean the same on the map of another network. The region of a stroke is found from the photo, see [`Outlines`].
 
 mod before;
 mod outline;
@@ -18,40 +18,42 @@ pub use read::{StrokeError, patch, read, write};
 
 /// Version of the file of strokes that this program writes and reads.
 pub const VERSION: u32 = 1;
-/// Strokes of a photo, at most.
+/// Most strokes of a photo.
 pub const STROKES: usize = 100;
-/// Points of all strokes of a photo, at most.
+/// Most points of all strokes of a photo.
 pub const POINTS: usize = 8192;
-/// Bytes of strokes as JSON, at most: all points at full precision, and as much again.
+/// Most bytes of strokes as JSON: all points at full precision, and as much again.
 pub const BYTES: usize = 1 << 19;
-/// Radii, as shares of the photo's longer side.
+/// Radii of brushes, as shares of the photo's longer side.
 pub const RADII: std::ops::RangeInclusive<f64> = 0.002..=0.25;
-/// Radius around a place of which the disparity is taken over, as a share of the longer side: a pixel alone may be an outlier.
+/// Radius around the place of [`Ask::Like`] whose median disparity is used, as a share of the longer side: a single pixel may be an
+/// outlier.
 const PROBE: f64 = 0.005;
 
 /// A stroke of a brush over the photo.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Stroke {
-    /// Its middle line, x and y in shares of the photo's width and height, each 0 to 1; one point is a dab.
+    /// Its centre line: x and y as shares of the photo's width and height, each 0 to 1. A single point is a dab.
     #[schema(min_items = 1, example = json!([[0.4, 0.5], [0.45, 0.62]]))]
     pub points: Vec<[f64; 2]>,
-    /// Radius of the brush as a share of the photo's longer side: .002 to .25. Edges of the photo up to twice as far away hold the outline.
+    /// Radius of the brush as a share of the photo's longer side, .002 to .25. The outline follows edges of the photo up to twice as far
+    /// away.
     #[schema(minimum = 0.002, maximum = 0.25, example = 0.03)]
     pub radius: f64,
-    /// What it asks of the region.
+    /// How its region changes.
     #[serde(flatten)]
     pub ask: Ask,
 }
 
-/// What a stroke asks of its region; exactly one of these.
+/// How a stroke changes its region; exactly one of these.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Ask {
-    /// Nearer by so much disparity, −1 to 1; less than 0 is farther. Relief within the region stays.
+    /// Nearer by this much disparity, −1 to 1; negative values are farther. Relief within the region stays.
     By(f64),
     /// As near as this place of the photo, x and y of 0 to 1; the region becomes flat.
     Like([f64; 2]),
-    /// This disparity, 0 (infinitely far) to 1 (the nearest thing); the region becomes flat.
+    /// This disparity, 0 (infinitely far) to 1 (the nearest surface); the region becomes flat.
     To(f64),
 }
 
@@ -59,7 +61,7 @@ impl Stroke {
     /// Checks that every number is finite and in its range.
     ///
     /// # Errors
-    /// [`StrokeError`] that names the field, without the stroke's own place in a list.
+    /// [`StrokeError`] that names the field, without the stroke's own index in a list.
     pub fn check(&self) -> Result<(), StrokeError> {
         if self.points.is_empty() {
             return Err(StrokeError::at("points", "must hold at least one point"));
@@ -99,9 +101,9 @@ pub fn check(strokes: &[Stroke]) -> Result<(), StrokeError> {
     strokes.iter().enumerate().try_for_each(|(i, s)| s.check().map_err(|e| e.within(&format!("strokes[{i}]"))))
 }
 
-/// Does what the strokes ask, one after the other. Their regions follow from the photo and from `map` as it is given, so that an earlier stroke
-/// does not move the outline of a later one; the place that one is to be like is looked up in what the earlier ones left. `photo` and `map`
-/// (finite, 0 to 1) are of one size, and so is the map afterwards. What is touched has confidence 1 where there is a confidence.
+/// Applies strokes to a map one after another. Their regions follow from the photo and from `map` as given, so that an earlier stroke
+/// does not move the outline of a later one, but [`Ask::Like`] reads the map that the earlier strokes left. `photo` and `map` (finite, 0
+/// to 1) have the same size, which the map keeps. Touched pixels get confidence 1 if there is a `confidence`.
 pub fn apply(photo: &Photo, map: &mut DisparityMap, mut confidence: Option<&mut Vec<f32>>, strokes: &[Stroke]) {
     let outlines = Outlines::new(photo, map);
     for stroke in strokes {
@@ -124,7 +126,7 @@ pub fn apply(photo: &Photo, map: &mut DisparityMap, mut confidence: Option<&mut 
     }
 }
 
-/// The median disparity around a place.
+/// The median disparity around a place, x and y of 0 to 1.
 fn around(map: &DisparityMap, [x, y]: [f64; 2]) -> f32 {
     let (w, h) = (map.width as usize, map.height as usize);
     let reach = (PROBE * w.max(h) as f64) as usize;

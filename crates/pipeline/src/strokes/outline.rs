@@ -1,9 +1,9 @@
-//! What a stroke covers: the geodesic Voronoi cell of its middle line against everything farther than two radii from it.
+//! The region of a stroke: the geodesic Voronoi cell of its centre line against everything farther than two radii from it.
 //!
-//! A path costs its length in radii and, more, the edges that it crosses, so both sides meet at the strongest edge between them, and without
-//! an edge midway, at the brush's own radius (geodesic segmentation: Bai and Sapiro, ICCV 2007; Criminisi, Sharp and Blake, ECCV 2008). Grown from
-//! a stroke without a bound on the other side, as by a random walker, regions leak through weak edges; between two radii they cannot. `static/app/outline.js`
-//! shows the same outline while it is drawn.
+//! A path costs its length in radii and, more, the edges that it crosses. Both sides therefore meet at the strongest edge between them
+//! and, without an edge, midway, at the brush's own radius (geodesic segmentation: Bai and Sapiro, ICCV 2007; Criminisi, Sharp and Blake,
+//! ECCV 2008). Regions that grow from a stroke without a bound on the other side, as by a random walker, leak through weak edges; between
+//! two radii they cannot. `static/app/outline.js` shows the same outline while it is drawn.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -13,18 +13,18 @@ use tmpi_core::{DisparityMap, Photo};
 use super::Stroke;
 use crate::photo::{reduced_size, resize};
 
-/// Longest side of the picture in which outlines are found: finer than a hand draws, and a bound on time.
+/// Longest side, in pixels, of the picture in which outlines are found: finer than a hand draws, and a bound on time.
 pub(super) const SIDE: u32 = 640;
 /// Cost of a pixel's step along an edge from black to white, in radii.
 const EDGE: f32 = 36.0;
-/// What an edge of the disparity map counts against one of the photo: it may be what is wrong.
+/// Weight of an edge of the disparity map relative to one of the photo: the map's edge may be what is wrong.
 const DEPTH: f32 = 0.5;
-/// Edges are counted above so many medians of those around: texture has them everywhere.
+/// Edges count above this many times the median of those around, because texture has edges everywhere.
 const TEXTURE: f32 = 2.0;
 
 /// Scharr's smoothing across a derivative.
 const SMOOTH: [f32; 3] = [3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0];
-/// Pixels whose middle is this near are on a line: half a diagonal, so that it has no gaps.
+/// Pixels whose middle is at most this far from a line are on it: half a diagonal, so that it has no gaps.
 const LINE: f32 = 0.71;
 
 /// A photo prepared for finding outlines.
@@ -53,14 +53,14 @@ pub struct Region {
 pub(super) struct Near {
     corner: (usize, usize),
     pub(super) size: (usize, usize),
-    /// How far each is off the middle line, in pixels.
+    /// Distance of each pixel from the centre line, in pixels.
     pub(super) away: Vec<f32>,
-    /// Of the brush, in pixels.
+    /// Radius of the brush, in pixels.
     pub(super) radius: f64,
 }
 
 impl Outlines {
-    /// Edges of a photo and its disparity map, both of one size.
+    /// Finds the edges of a photo and its disparity map, both of one size.
     #[must_use]
     pub fn new(photo: &Photo, map: &DisparityMap) -> Self {
         let (w, h) = reduced_size((photo.width, photo.height), Some(SIDE));
@@ -80,7 +80,7 @@ impl Outlines {
         Self { width, height, edges }
     }
 
-    /// What a stroke (checked) covers.
+    /// The region of a stroke, which must pass [`Stroke::check`].
     #[must_use]
     pub fn region(&self, stroke: &Stroke) -> Region {
         let Near { corner: (x0, y0), size: (width, height), away, radius } = self.near(stroke);
@@ -105,7 +105,7 @@ impl Outlines {
         Near { corner: (x0, y0), size, away: distances(&line, (x0, y0), size, reach), radius }
     }
 
-    /// What [`Outlines::region`] finds, the steps' costs, and the pixels that it goes by.
+    /// The mask of [`Outlines::region`], the costs of steps, and the pixels around the stroke.
     #[cfg(test)]
     pub(super) fn traced(&self, stroke: &Stroke) -> (Vec<u8>, Vec<f32>, Near) {
         let near = self.near(stroke);
@@ -139,9 +139,10 @@ impl Region {
         }
     }
 
-    /// How much of a place between pixels of the reduced photo is inside, 0 to 1: bilinear, so that outlines on larger photos are smooth.
+    /// Share, 0 to 1, of a position between pixels of the reduced photo that is inside: bilinear, so that outlines on larger photos are
+    /// smooth.
     fn share(&self, x: f64, y: f64) -> f64 {
-        // clipped to the photo, as what lies beyond its border is like the border
+        // clipped to the photo, because what lies beyond its border is like the border
         let corner = |v: f64, n: usize| {
             let v = v.clamp(0.0, (n - 1) as f64);
             (v.floor() as usize, (v.floor() as usize + 1).min(n - 1), v - v.floor())
@@ -156,8 +157,8 @@ impl Region {
     }
 }
 
-/// The cell of a line, 1 within it, by Dijkstra's algorithm from both sides at once. `away`: how far each pixel is off the line; `step`: what a
-/// step through it costs.
+/// The cell of a line, 1 inside it, by Dijkstra's algorithm from both sides at once. `away` is each pixel's distance from the line,
+/// `step` the cost of a step through it.
 fn cell((width, height): (usize, usize), away: &[f32], step: &[f32], radius: f64) -> Vec<u8> {
     let (mut least, mut inside) = (vec![f32::MAX; away.len()], vec![0; away.len()]);
     let mut heap = BinaryHeap::new();
@@ -165,7 +166,7 @@ fn cell((width, height): (usize, usize), away: &[f32], step: &[f32], radius: f64
         let on_line = d <= LINE;
         if on_line || f64::from(d) >= 2.0 * radius {
             (least[i], inside[i]) = (0.0, u8::from(on_line));
-            // costs are not negative: their bits are in their order
+            // costs are not negative, so their bits are in their order
             heap.push(Reverse((0_u32, i)));
         }
     }
@@ -179,10 +180,10 @@ fn cell((width, height): (usize, usize), away: &[f32], step: &[f32], radius: f64
             for nx in x.saturating_sub(1)..(x + 2).min(width) {
                 let n = ny * width + nx;
                 let length = if nx != x && ny != y { std::f32::consts::SQRT_2 } else { 1.0 };
-                let there = cost + length * 0.5 * (step[i] + step[n]);
-                if there < least[n] {
-                    (least[n], inside[n]) = (there, inside[i]);
-                    heap.push(Reverse((there.to_bits(), n)));
+                let reached = cost + length * 0.5 * (step[i] + step[n]);
+                if reached < least[n] {
+                    (least[n], inside[n]) = (reached, inside[i]);
+                    heap.push(Reverse((reached.to_bits(), n)));
                 }
             }
         }
@@ -190,7 +191,8 @@ fn cell((width, height): (usize, usize), away: &[f32], step: &[f32], radius: f64
     inside
 }
 
-/// Squared strength of the edge at a pixel: Scharr's kernels, scaled so that a step of 1 between two halves of a picture has 1 beside it.
+/// Squared strength of the edge at a pixel, by Scharr's kernels, scaled so that a step of 1 between two halves of a picture has strength
+/// 1 beside it.
 fn slope((width, height): (usize, usize), (x, y): (usize, usize), value: impl Fn(usize, usize) -> f32) -> f32 {
     let (xs, ys) = ([x.saturating_sub(1), x, (x + 1).min(width - 1)], [y.saturating_sub(1), y, (y + 1).min(height - 1)]);
     let across = |k: usize| value(xs[2], ys[k]) - value(xs[0], ys[k]);
@@ -203,7 +205,7 @@ fn slope((width, height): (usize, usize), (x, y): (usize, usize), value: impl Fn
     gx * gx + gy * gy
 }
 
-/// The line of a stroke in pixels, without points that are closer than `least` to the one before.
+/// The centre line of a stroke in pixels, without points that are closer than `least` to the one before.
 fn thinned(stroke: &Stroke, (width, height): (usize, usize), least: f64) -> Vec<[f64; 2]> {
     let mut line: Vec<[f64; 2]> = Vec::with_capacity(stroke.points.len());
     for (i, p) in stroke.points.iter().enumerate() {
@@ -216,9 +218,9 @@ fn thinned(stroke: &Stroke, (width, height): (usize, usize), least: f64) -> Vec<
     line
 }
 
-/// How far each pixel of a rectangle is off a line, in pixels; `f32::MAX` beyond `reach`.
+/// Distance of each pixel of a rectangle from a line, in pixels; `f32::MAX` beyond `reach`.
 fn distances(line: &[[f64; 2]], (x0, y0): (usize, usize), (width, height): (usize, usize), reach: f64) -> Vec<f32> {
-    // squares until the end: lines of thousands of points over the whole picture are a second so
+    // squares until the end: even so, lines of thousands of points over the whole picture take a second
     let mut squares = vec![f64::INFINITY; width * height];
     let ends = line.windows(2).map(|p| (p[0], p[1])).chain(line.first().map(|&p| (p, p)));
     for (a, b) in ends {

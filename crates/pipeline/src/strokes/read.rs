@@ -4,17 +4,17 @@ use serde_json::{Map, Value, json};
 
 use super::{Ask, BYTES, Stroke, VERSION, check};
 
-/// What is wrong with strokes.
+/// What is wrong with strokes, and where.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{detail}", before(.field.as_deref()))]
 pub struct StrokeError {
-    /// The field at fault as a path, like `strokes[2].points[0]`; none where the whole is no JSON.
+    /// Path of the invalid field, such as `strokes[2].points[0]`; `None` if the file as a whole is invalid.
     pub field: Option<String>,
     /// What is allowed, and what was given.
     pub detail: String,
 }
 
-/// What a message begins with.
+/// Prefix of a message.
 fn before(field: Option<&str>) -> String {
     field.map_or_else(String::new, |field| format!("{field}: "))
 }
@@ -28,7 +28,7 @@ impl StrokeError {
         Self { field: None, detail: detail.into() }
     }
 
-    /// The same of a field of `outer`.
+    /// The same error for a field of `outer`.
     pub(super) fn within(self, outer: &str) -> Self {
         let field = match self.field {
             Some(inner) if !inner.is_empty() => format!("{outer}.{inner}"),
@@ -46,8 +46,8 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Stroke>, StrokeError> {
     patch(bytes).map(Option::unwrap_or_default)
 }
 
-/// Reads a merge patch (RFC 7396) of a file of strokes: all strokes, none of them where they are null; none at all where the patch leaves
-/// them as they are.
+/// Reads a merge patch (RFC 7396) of a file of strokes. Returns all strokes, none of them if they are null, and `None` if the patch
+/// leaves them unchanged.
 ///
 /// # Errors
 /// [`StrokeError`] that names the field.
@@ -68,7 +68,7 @@ pub fn patch(bytes: &[u8]) -> Result<Option<Vec<Stroke>>, StrokeError> {
                 strokes = Some(list.iter().enumerate().map(one).collect::<Result<_, _>>()?);
             }
             ("strokes", v) => return Err(StrokeError::at(name, format!("must be a list, not {}", short(v)))),
-            _ => return Err(StrokeError::at(name, "there is no such field; there are version, strokes")),
+            _ => return Err(StrokeError::at(name, "unknown field; the fields are version, strokes")),
         }
     }
     if let Some(strokes) = &strokes {
@@ -77,7 +77,7 @@ pub fn patch(bytes: &[u8]) -> Result<Option<Vec<Stroke>>, StrokeError> {
     Ok(strokes)
 }
 
-/// A file of strokes as [`read`] reads it.
+/// Writes a file of strokes, which [`read`] reads.
 #[must_use]
 pub fn write(strokes: &[Stroke]) -> Vec<u8> {
     json!({ "version": VERSION, "strokes": strokes }).to_string().into_bytes()
@@ -102,7 +102,7 @@ fn stroke(value: &Value) -> Result<Stroke, StrokeError> {
             "by" => Ask::By(number(name, value)?),
             "to" => Ask::To(number(name, value)?),
             "like" => Ask::Like(point(value).map_err(|e| e.within(name))?),
-            _ => return Err(StrokeError::at(name, "there is no such field; there are points, radius, by, like, to")),
+            _ => return Err(StrokeError::at(name, "unknown field; the fields are points, radius, by, like, to")),
         };
         if ask.replace(asked).is_some() {
             return Err(StrokeError::at(name, format!("a stroke has {ASKS}")));
@@ -124,7 +124,7 @@ fn number(name: &str, value: &Value) -> Result<f64, StrokeError> {
     value.as_f64().ok_or_else(|| StrokeError::at(name, format!("must be a number, not {}", short(value))))
 }
 
-/// What a message repeats of foreign text.
+/// A foreign value as it is repeated in a message: at most 40 characters.
 fn short(value: &Value) -> String {
     value.to_string().chars().take(40).collect()
 }

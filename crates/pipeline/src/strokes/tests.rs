@@ -1,5 +1,5 @@
-//! Strokes against a plain reference, on plain photos, and on photos made to break them.
-#![allow(clippy::float_cmp, reason = "what is not touched keeps every bit")]
+//! Strokes against a plain reference, on simple photos, and on photos made to break them.
+#![allow(clippy::float_cmp, reason = "untouched values keep every bit")]
 
 use proptest::prelude::*;
 
@@ -17,20 +17,20 @@ fn dab(at: [f64; 2], radius: f64, ask: Ask) -> Stroke {
     Stroke { points: vec![at], radius, ask }
 }
 
-/// Pixels that a stroke changes on an even map.
+/// The pixels that a stroke changes on an even map.
 fn covered(photo: &Photo, stroke: &Stroke) -> Vec<bool> {
     let mut map = even(photo, 0.25);
     apply(photo, &mut map, None, &[Stroke { ask: Ask::To(1.0), ..stroke.clone() }]);
     map.delta.iter().map(|v| *v == 1.0).collect()
 }
 
-/// Grey noise of `spread` levels around 100, the same each time.
+/// Grey noise of 100 to 100 + `spread` levels, the same each time.
 fn noise(i: usize, spread: usize) -> u8 {
     (100 + (i.wrapping_mul(2_654_435_761) >> 7) % (spread + 1)) as u8
 }
 
 #[test]
-fn without_edges_a_stroke_covers_what_the_brush_does() {
+fn without_edges_a_stroke_covers_its_brush() {
     let photo = one_colour(240, 180, 90);
     let radius = 0.1 * 240.0;
     let count = covered(&photo, &dab([0.5, 0.5], 0.1, Ask::To(1.0))).iter().filter(|c| **c).count() as f64;
@@ -38,19 +38,19 @@ fn without_edges_a_stroke_covers_what_the_brush_does() {
     assert!((count / disc - 1.0).abs() < 0.1, "{count} pixels for a disc of {disc}");
     let line = Stroke { points: vec![[0.25, 0.5], [0.75, 0.5]], radius: 0.05, ask: Ask::To(1.0) };
     let mask = covered(&photo, &line);
-    // up and down from the middle of the line
+    // across the brush, in the middle of the line
     let high = (0..180).filter(|y| mask[y * 240 + 120]).count() as f64;
     assert!((high - 24.0).abs() <= 2.0, "{high} pixels across a brush of 24");
 }
 
 #[test]
-fn an_edge_of_the_photo_holds_the_outline() {
+fn an_outline_stops_at_an_edge_of_the_photo() {
     // a box on a ground, both with noise
     let (w, h) = (200_usize, 150_usize);
     let inside = |x: usize, y: usize| (60..130).contains(&x) && (40..100).contains(&y);
     let rgb = (0..w * h).map(|i| [noise(i, 10).saturating_add(if inside(i % w, i / w) { 60 } else { 0 }); 3]).collect();
     let photo = Photo { width: w as u32, height: h as u32, rgb };
-    // drawn along the middle of the box, and a little askew
+    // drawn along the middle of the box, a little askew
     let stroke = Stroke { points: vec![[0.37, 0.44], [0.58, 0.5]], radius: 0.13, ask: Ask::To(1.0) };
     let mask = covered(&photo, &stroke);
     let (both, either) = (0..w * h).fold((0, 0), |(b, e), i| {
@@ -62,7 +62,7 @@ fn an_edge_of_the_photo_holds_the_outline() {
 }
 
 #[test]
-fn a_step_of_the_disparity_alone_holds_it_too() {
+fn an_outline_stops_at_a_step_of_the_disparity_alone() {
     let photo = one_colour(160, 120, 90);
     let mut map = even(&photo, 0.2);
     for i in 0..map.delta.len() {
@@ -78,17 +78,17 @@ fn a_step_of_the_disparity_alone_holds_it_too() {
 }
 
 #[test]
-fn strokes_do_what_they_ask_in_their_order() {
+fn strokes_are_applied_in_order() {
     let photo = one_colour(100, 100, 50);
     let mut map = even(&photo, 0.5);
-    // relief that is to stay
+    // relief that must stay
     map.delta[50 * 100 + 50] = 0.53;
     let mut confidence = vec![0.25; 10_000];
     let strokes = [
         dab([0.5, 0.5], 0.08, Ask::By(0.2)),
         dab([0.5, 0.5], 0.03, Ask::By(0.9)),
         dab([0.2, 0.2], 0.05, Ask::To(0.0)),
-        // like what the first two made
+        // like the result of the first two
         dab([0.8, 0.8], 0.05, Ask::Like([0.5, 0.44])),
     ];
     apply(&photo, &mut map, Some(&mut confidence), &strokes[..1]);
@@ -102,7 +102,7 @@ fn strokes_do_what_they_ask_in_their_order() {
 }
 
 #[test]
-fn a_larger_picture_of_the_same_has_the_same_region() {
+fn a_larger_photo_of_the_scene_has_the_same_region() {
     let scene = |n: u32| {
         let inside = |v: u32| (n / 4..n / 2).contains(&v);
         let rgb = (0..n * n).map(|i| if inside(i % n) && inside(i / n) { [180; 3] } else { [90; 3] }).collect();
@@ -114,7 +114,7 @@ fn a_larger_picture_of_the_same_has_the_same_region() {
     assert!((large / small - 1.0).abs() < 0.02, "{small} and {large}");
 }
 
-/// The same cell by relaxing all pixels in turn, in f64, until nothing changes; and how sure each label is.
+/// The same cell by relaxing all pixels in turn, in `f64`, until nothing changes; and the margin by which each label is decided.
 fn reference(step: &[f32], away: &[f32], radius: f64, (width, height): (usize, usize)) -> Vec<(bool, f64)> {
     let grown = |seed: &dyn Fn(f64) -> bool| {
         let mut cost: Vec<f64> = away.iter().map(|d| if seed(f64::from(*d)) { 0.0 } else { f64::INFINITY }).collect();
@@ -124,9 +124,9 @@ fn reference(step: &[f32], away: &[f32], radius: f64, (width, height): (usize, u
                 for n in 0..cost.len() {
                     let (dx, dy) = ((i % width).abs_diff(n % width), (i / width).abs_diff(n / width));
                     if dx.max(dy) == 1 {
-                        let there = cost[n] + (((dx + dy) as f64).sqrt() * f64::from(step[i] + step[n])) / 2.0;
-                        if there < cost[i] {
-                            (cost[i], changed) = (there, true);
+                        let reached = cost[n] + (((dx + dy) as f64).sqrt() * f64::from(step[i] + step[n])) / 2.0;
+                        if reached < cost[i] {
+                            (cost[i], changed) = (reached, true);
                         }
                     }
                 }
@@ -158,17 +158,17 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn regions_are_those_of_the_reference(photo in any_photo(), stroke in any_stroke()) {
+    fn regions_agree_with_the_reference(photo in any_photo(), stroke in any_stroke()) {
         let outlines = Outlines::new(&photo, &even(&photo, 0.5));
         let (mask, step, near) = outlines.traced(&stroke);
         for (i, (inside, sure)) in reference(&step, &near.away, near.radius, near.size).into_iter().enumerate() {
-            // where both sides are as near, rounding decides
+            // where both sides are equally near, rounding decides
             prop_assert!((mask[i] == 1) == inside || sure < 1e-3, "pixel {}: {} by {}", i, mask[i], sure);
         }
     }
 
     #[test]
-    fn no_stroke_leaves_the_range_or_its_reach(photo in any_photo(), stroke in any_stroke(), value in 0.0_f32..=1.0) {
+    fn strokes_stay_within_the_range_and_their_reach(photo in any_photo(), stroke in any_stroke(), value in 0.0_f32..=1.0) {
         prop_assert_eq!(stroke.check(), Ok(()));
         let mut map = even(&photo, value);
         apply(&photo, &mut map, None, std::slice::from_ref(&stroke));
@@ -190,14 +190,14 @@ proptest! {
     }
 
     #[test]
-    fn what_is_written_is_read_again(strokes in proptest::collection::vec(any_stroke(), 0..5)) {
+    fn strokes_round_trip_through_json(strokes in proptest::collection::vec(any_stroke(), 0..5)) {
         prop_assert_eq!(read(&write(&strokes)), Ok(strokes.clone()));
         prop_assert_eq!(patch(&write(&strokes)), Ok(Some(strokes)));
     }
 }
 
 #[test]
-fn every_pixel_may_be_touched_alone() {
+fn single_pixels_can_be_touched() {
     let photo = one_colour(300, 1, 7);
     let mask = covered(&photo, &dab([0.5, 0.5], *RADII.start(), Ask::To(1.0)));
     let count = mask.iter().filter(|c| **c).count();
@@ -207,7 +207,7 @@ fn every_pixel_may_be_touched_alone() {
 }
 
 #[test]
-fn what_is_wrong_is_named() {
+fn errors_name_the_invalid_field() {
     for (text, field) in [
         (r#"{"strokes": 3}"#, Some("strokes")),
         (r#"{"colour": 3}"#, Some("colour")),
@@ -227,7 +227,7 @@ fn what_is_wrong_is_named() {
         (r#"{"strokes": [{"points": [[0.1, 0.1]], "radius": 0.1, "like": [2, 0]}]}"#, Some("strokes[0].like")),
         (r#"{"strokes": [{"points": [[0.1, 0.1]], "radius": 0.1, "by": 0.1, "to": 0}]}"#, Some("strokes[0].to")),
         (r#"{"strokes": [{"points": [[0.1, 0.1]], "radius": 0.1, "by": 0.1, "colour": 0}]}"#, Some("strokes[0].colour")),
-        // no number of JSON, and none of f64
+        // neither a JSON number nor an f64
         (r#"{"strokes": [{"points": [[NaN, 0.1]], "radius": 0.1, "by": 0.1}]}"#, None),
         (r#"{"strokes": [{"points": [[1e999, 0.1]], "radius": 0.1, "by": 0.1}]}"#, None),
         ("[]", None),

@@ -3,21 +3,21 @@ use proptest::prelude::*;
 use super::*;
 use crate::{Intrinsics, Tile, ViewBox};
 
-/// How far in front of the layer a source may lie, and how far behind it its weight is a half, in δ.
+/// How far in front of the layer a source may lie, and the distance behind it at which its weight is one half, both in δ.
 const IN_FRONT: f64 = 0.015;
 const BEHIND: f64 = 0.06;
-/// A pixel that touches something nearer by more, in δ, has a mixed colour.
+/// A pixel has a mixed colour if it touches a surface that is nearer by more than this, in δ.
 const TOUCH: f64 = 0.03;
 
-/// A level of the pyramid: per texel colour times weight, and weight.
+/// A level of the pyramid: colour times weight, and weight, of each texel.
 struct Plain {
     width: usize,
     height: usize,
     texels: Vec<[f64; 4]>,
 }
 
-/// The colour of each pixel of `win` on a layer, in levels, by the steps of RECIPE in `f64`, each on whole levels of the pyramid. None where
-/// no pixel is a source.
+/// Reference: colours, in levels, of the pixels of `win` on a layer, by the steps of RECIPE in `f64`, each step over a whole level of the
+/// pyramid. `None` if no pixel is a source.
 fn push_pull(photo: &Photo, geometry: &Geometry, tile: u32, plane: &Plane, win: Rect) -> Option<Vec<[f64; 3]>> {
     let (surface, place) = (geometry.surface(), TileFrame::of(&geometry.grid, tile));
     let (width, height) = (photo.width as i64, photo.height as i64);
@@ -56,7 +56,7 @@ fn push_pull(photo: &Photo, geometry: &Geometry, tile: u32, plane: &Plane, win: 
     Some(full.texels.iter().map(|t| [t[0], t[1], t[2]]).collect())
 }
 
-/// Sums of 2×2 texels, brought to a weight of at most 1.
+/// Sums of 2×2 texels, scaled to a weight of at most 1.
 fn pulled(fine: &Plain) -> Plain {
     let (width, height) = (fine.width.div_ceil(2), fine.height.div_ceil(2));
     let mut texels = vec![[0.0; 4]; width * height];
@@ -68,7 +68,7 @@ fn pulled(fine: &Plain) -> Plain {
     Plain { width, height, texels }
 }
 
-/// The coarser level at the centre of texel `(x, y)` of the finer one: bilinear between its texels' centres, clamped to its border.
+/// The coarser level at the centre of texel `(x, y)` of the finer one: bilinear between texel centres, clamped at the border.
 fn interpolated(coarse: &Plain, x: usize, y: usize) -> [f64; 4] {
     let corner = |v: usize, n: usize| {
         let at = f64::midpoint(v as f64, 0.5) - 0.5;
@@ -84,7 +84,7 @@ fn interpolated(coarse: &Plain, x: usize, y: usize) -> [f64; 4] {
     })
 }
 
-/// A scene of small tiles with two or three planes in patches, and a rough photo.
+/// A scene of small tiles with two or three planes in patches, and a noisy photo.
 fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
     let coefficients = prop::collection::vec([0.0..1.0f64, -0.1..0.1f64, -0.1..0.1f64], 2..4);
     (3u32..60, 3u32..60, 16u32..40, coefficients, 3u32..20, any::<u32>()).prop_map(|(width, height, size, slants, patch, seed)| {
@@ -110,9 +110,9 @@ fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Levels are kept in `f32`: a colour may be off by a thousandth of a level, which rounding to a whole level may widen to one.
+    /// Levels are stored in `f32`, so a colour may be off by a thousandth of a level; rounding can widen that to one level.
     #[test]
-    fn hidden_colours_are_those_of_a_plain_pyramid((photo, geometry) in any_scene()) {
+    fn hidden_colours_match_a_reference_pyramid((photo, geometry) in any_scene()) {
         let masks = geometry.masks();
         let got = Inpainter::new(&photo, &geometry).fill_all(&masks);
         for (t, (mask, colours)) in (0..).zip(masks.iter().zip(&got)) {
@@ -135,9 +135,9 @@ proptest! {
         }
     }
 
-    /// Whatever the planes are, NaN and infinity among them, each colour is a mean of the photo's.
+    /// Each colour is a mean of the photo's colours for any planes, including NaN and infinity.
     #[test]
-    fn a_photo_of_one_colour_has_no_other_behind_it(
+    fn a_photo_of_one_colour_hides_no_other_colour(
         colour in any::<[u8; 3]>(), planes in prop::collection::vec([wild(), wild(), wild()], 1..4), layer in [wild(), wild(), wild()],
         width in 1u32..40, height in 1u32..40,
     ) {
@@ -153,12 +153,12 @@ proptest! {
     }
 }
 
-/// A plane's coefficient, now and then none that a plane can have.
+/// A plane coefficient, sometimes an invalid one.
 fn wild() -> impl Strategy<Value = f64> {
     prop_oneof![6 => -1.0..1.0f64, 1 => prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300])]
 }
 
-/// The smallest rectangle about some places; none where there is none.
+/// The smallest rectangle around some positions; `None` if there are none.
 fn bounds(places: &[(u32, u32)]) -> Option<Rect> {
     let (x0, x1) = (places.iter().map(|p| p.0).min()?, places.iter().map(|p| p.0).max()?);
     let (y0, y1) = (places.iter().map(|p| p.1).min()?, places.iter().map(|p| p.1).max()?);
@@ -172,7 +172,7 @@ fn geometry(grid: Grid, planes: Vec<Plane>, labels: Vec<u8>) -> Geometry {
 
 #[test]
 fn hidden_colour_comes_from_behind_only() {
-    // left half green at δ .2, right half red at δ .8; a layer at .2 under the red half must be green
+    // left half green at δ 0.2, right half red at δ 0.8; a layer at 0.2 below the red half must be green
     let (w, h) = (64u32, 64u32);
     let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 32 { [0, 200, 0] } else { [200, 0, 0] }).collect() };
     let grid = Grid::new(w, h, 64);
@@ -185,7 +185,7 @@ fn hidden_colour_comes_from_behind_only() {
 }
 
 #[test]
-fn without_a_source_the_fill_is_the_mean_around() {
+fn without_sources_the_fill_is_the_mean_of_the_layers_rectangle() {
     let photo = Photo { width: 8, height: 8, rgb: (0..64).map(|i| if i % 8 < 4 { [90, 80, 70] } else { [110, 80, 75] }).collect() };
     let grid = Grid::new(8, 8, 64);
     let b = geometry(grid, vec![Plane::fronto_parallel(0.9)], vec![0; 64]);
@@ -195,7 +195,7 @@ fn without_a_source_the_fill_is_the_mean_around() {
 }
 
 #[test]
-fn a_pyramid_that_was_used_before_gives_the_same() {
+fn a_reused_pyramid_gives_the_same_colours() {
     let (w, h) = (64u32, 40u32);
     let photo =
         Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i * 7 % 256) as u8, (i / 13 % 256) as u8]).collect() };

@@ -1,4 +1,4 @@
-//! Pixels beside depth borders, and what they are mixed of.
+//! Pixels beside depth borders, and their mattes.
 
 use std::ops::Range;
 
@@ -8,22 +8,22 @@ use super::matte::{Matte, Side};
 use crate::scene::{Grid, Plane, Rect};
 use crate::simd::dispatch;
 
-/// Pixels on the far side of a border whose colours are mixed.
+/// Width, in pixels, of the band on the far side of a border whose colours are mixed.
 pub(super) const BAND: usize = 2;
-/// How far about a pixel the colours on either side are looked for, in pixels.
+/// Half the size, in pixels, of the window around a pixel that supplies the colours of either side.
 const WINDOW: usize = 4;
-/// A border is matted where its sides are apart by more than this in δ, and move against each other by more than so many pixels over the view
-/// box: less is part of one thing, or uncovers nothing.
-const STEP: f64 = 0.05;
-const MOVES: f64 = 1.0;
+/// A border is matted if its sides differ by more than `MIN_STEP` in δ, and move against each other by more than `MIN_MOTION` pixels over
+/// the view box. Smaller steps are part of one object, or uncover nothing.
+const MIN_STEP: f64 = 0.05;
+const MIN_MOTION: f64 = 1.0;
 
 /// A pixel beside a border.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
-    /// In the photo.
+    /// Position in the photo.
     pub x: u32,
     pub y: u32,
-    /// Label of what is in front, in the tile that owns the pixel.
+    /// Label of the foreground, in the tile that owns the pixel.
     pub near: u8,
     pub matte: Matte,
 }
@@ -31,25 +31,25 @@ pub(super) struct Place {
 /// Some rows of the photo.
 #[derive(Clone, Copy)]
 pub(crate) struct Rows<'a> {
-    /// The first row.
+    /// Index of the first row.
     pub top: u32,
-    /// Pixels of whole rows.
+    /// Pixels of the rows.
     pub rgb: &'a [[u8; 3]],
 }
 
-/// Used again from tile to tile.
+/// Scratch memory, reused from tile to tile.
 #[derive(Default)]
 pub(super) struct Scratch {
     us: Vec<f64>,
     planes: Vec<[f64; 2]>,
-    /// δ of the visible surface; the most within [`BAND`] pixels of each, and the least within one.
+    /// δ of the visible surface; its maximum within [`BAND`] pixels, and its minimum within one pixel.
     visible: Vec<f32>,
     most: Vec<f32>,
     least: Vec<f32>,
     column: Vec<f32>,
 }
 
-/// Of tiles that overlap, the pixels that a tile owns: it has what lies about them.
+/// Pixels that a tile owns. Overlapping tiles divide the overlap in the middle, so each tile has the surroundings of its own pixels.
 pub(super) fn owned(grid: &Grid, index: u32) -> Rect {
     let (tile, columns) = (grid.rect(index), grid.columns());
     let by = grid.size.saturating_sub(grid.stride) / 2;
@@ -62,7 +62,7 @@ pub(super) fn owned(grid: &Grid, index: u32) -> Rect {
     Rect { x: x.start, y: y.start, w: x.end - x.start, h: y.end - y.start }
 }
 
-/// One tile in which borders are looked for.
+/// A tile that is searched for borders.
 struct Tile<'a> {
     geometry: &'a Geometry,
     r: Rect,
@@ -72,7 +72,7 @@ struct Tile<'a> {
     index: u32,
 }
 
-/// The pixels that tile `index` owns, among `wanted` rows, beside a border; row by row.
+/// Pixels beside a border that tile `index` owns in the rows `wanted`, row by row.
 #[inline(never)]
 pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, photo: Rows, s: &mut Scratch) -> Vec<Place> {
     let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
@@ -82,9 +82,9 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
         return out;
     }
     let (right, down) = geometry.view_box.parallax(&geometry.intrinsics, r);
-    let step = (MOVES / right.max(down)).max(STEP) as f32;
+    let step = (MIN_MOTION / right.max(down)).max(MIN_STEP) as f32;
     let tile = Tile { geometry, r, frame: TileFrame::of(grid, index), labels: &tile.labels, planes: &tile.planes, index };
-    tile.look(s);
+    tile.compute_surface(s);
     let own = owned(grid, index);
     let rows = own.y.max(wanted.start)..(own.y + own.h).min(wanted.end);
     let w = r.w as usize;
@@ -105,17 +105,17 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
     out
 }
 
-/// The nearest pixel in front of another.
+/// The nearest foreground pixel.
 #[derive(Clone, Copy)]
 struct Nearest {
     label: u8,
-    /// Pixels right and down to it.
+    /// Pixels to the right and down.
     off: [isize; 2],
 }
 
 impl Tile<'_> {
-    /// Finds the visible surface, and the most and the least about each pixel.
-    fn look(&self, s: &mut Scratch) {
+    /// Computes the visible surface, and its extremes around each pixel.
+    fn compute_surface(&self, s: &mut Scratch) {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
         for all in [&mut s.visible, &mut s.most, &mut s.least, &mut s.column] {
             all.resize(w * h, 0.0);
@@ -129,7 +129,8 @@ impl Tile<'_> {
         extreme(&s.visible, w, &mut s.column, &mut s.least, 1, smaller_of);
     }
 
-    /// What pixel `(x, y)` of the tile is, which lies beside something nearer; none where it cannot be told or tiles disagree.
+    /// The matte of pixel `(x, y)` of the tile, which lies beside a nearer surface. `None` if the colours do not determine one, or if tiles
+    /// disagree.
     fn place(&self, x: usize, y: usize, photo: Rows, s: &Scratch) -> Option<Place> {
         let w = self.r.w as usize;
         let at = y * w + x;
@@ -142,7 +143,7 @@ impl Tile<'_> {
         }
         let matte = self.matte(x, y, middle, photo, s)?;
         if off != off.map(isize::signum) {
-            // on the way to the border a pixel is mixed even more
+            // between this pixel and the border, colours are mixed even more
             let beside = |at: usize, off: isize| at.saturating_add_signed(off - off / 2);
             let (u, v) = (beside(x, off[0]), beside(y, off[1]));
             if s.visible[v * w + u] < middle && self.matte(u, v, middle, photo, s)?.alpha < matte.alpha {
@@ -152,7 +153,7 @@ impl Tile<'_> {
         Some(Place { x: px, y: py, near, matte })
     }
 
-    /// What pixel `(x, y)` is mixed of, which lies behind `middle`.
+    /// The matte of pixel `(x, y)`, which lies behind `middle`.
     fn matte(&self, x: usize, y: usize, middle: f32, photo: Rows, s: &Scratch) -> Option<Matte> {
         let far = s.visible[y * self.r.w as usize + x];
         let (front, back) = self.sides(x, y, [far, middle], photo, s);
@@ -160,7 +161,7 @@ impl Tile<'_> {
         Matte::of(photo.rgb[py * self.geometry.grid.width as usize + px], &front, &back)
     }
 
-    /// Label of the nearest pixel that lies in front of `middle`, and whose plane does so at `(x, y)`, too.
+    /// The nearest pixel in front of `middle` whose plane is also in front at `(x, y)`.
     fn nearest(&self, x: usize, y: usize, middle: f32, s: &Scratch) -> Option<Nearest> {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
         let mut best: Option<(usize, Nearest)> = None;
@@ -180,7 +181,7 @@ impl Tile<'_> {
         best.map(|(_, nearest)| nearest)
     }
 
-    /// Whether all other tiles that have the pixel show the far side there, too.
+    /// True if all other tiles with this pixel also show the far side there.
     fn others_agree(&self, x: u32, y: u32, middle: f32) -> bool {
         let (g, tiles) = (&self.geometry.grid, &self.geometry.tiles);
         let side = |at: u32, count: u32| {
@@ -202,7 +203,7 @@ impl Tile<'_> {
         })
     }
 
-    /// Colours beyond the mixed ones about pixel `(x, y)`: of what is nearer than `middle`, and of what lies where `far` does.
+    /// Unmixed colours around pixel `(x, y)`: those nearer than `middle`, and those of the surface at `far`.
     fn sides(&self, x: usize, y: usize, [far, middle]: [f32; 2], photo: Rows, s: &Scratch) -> (Side, Side) {
         let (w, h) = (self.r.w as usize, self.r.h as usize);
         let (mut front, mut back, mut thin) = (Side::default(), Side::default(), Side::default());
@@ -225,33 +226,33 @@ impl Tile<'_> {
                 }
             }
         }
-        // of what is thin all is beside the border
+        // a thin object has only pixels beside the border
         (if front.weight > 0 { front } else { thin }, back)
     }
 }
 
-/// Weights of the colours in a window, by their distance down and right.
+/// Weights of the colours in a window, by vertical and horizontal distance.
 const WEIGHTS: [[u32; WINDOW + 1]; WINDOW + 1] =
     [[16, 15, 12, 9, 6], [15, 14, 11, 8, 5], [12, 11, 9, 7, 4], [9, 8, 7, 5, 3], [6, 5, 4, 3, 2]];
 
 dispatch!(
-    /// Whether anywhere along a row what is nearer lies in front by more than `step`.
+    /// True if anywhere in the row the maximum exceeds the visible δ by more than `step`.
     steps, steps_body, (visible: &[f32], most: &[f32], step: f32) -> bool
 );
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn steps_body(visible: &[f32], most: &[f32], step: f32) -> bool {
     visible.iter().zip(most).fold(0, |any, (d, m)| any | u8::from(m - d > step)) != 0
 }
 
-/// Keeps of each value and another the one that is wanted.
+/// Replaces each value by the larger or smaller of it and another.
 type Pick = fn(&mut [f32], &[f32]);
 
 dispatch!(larger_of, larger_of_body, (values: &mut [f32], others: &[f32]));
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn larger_of_body(values: &mut [f32], others: &[f32]) {
     for (v, &o) in values.iter_mut().zip(others) {
         *v = if o > *v { o } else { *v };
@@ -261,14 +262,14 @@ fn larger_of_body(values: &mut [f32], others: &[f32]) {
 dispatch!(smaller_of, smaller_of_body, (values: &mut [f32], others: &[f32]));
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::inline_always, reason = "the loop must be compiled with the caller's target features")]
 fn smaller_of_body(values: &mut [f32], others: &[f32]) {
     for (v, &o) in values.iter_mut().zip(others) {
         *v = if o < *v { o } else { *v };
     }
 }
 
-/// The picked one of the values within `by` rows and columns of each, `w` to a row.
+/// The extreme of the values within `by` rows and columns of each, `w` values to a row.
 fn extreme(values: &[f32], w: usize, column: &mut [f32], out: &mut [f32], by: usize, pick: Pick) {
     let all = values.len();
     column.copy_from_slice(values);

@@ -1,8 +1,8 @@
-//! Matting at depth borders, so that no outline of a thing stays on the background when the view moves.
+//! Matting at depth borders, so that no outline of an object stays on the background when the view moves.
 //!
-//! The photo's colours beside a silhouette are mixed, `C = α F + (1 − α) B`. On the far side of a border, where the far layer would show them
-//! as they are, it gets B, and the near layer goes on over it with F and α. From the photo's own place that is C again. All of it follows
-//! from photo, planes and labels, so a container carries none of it.
+//! Colours of the photo beside a silhouette are mixtures, `C = α F + (1 − α) B`. On the far side of a border, the far layer gets B instead
+//! of the photo's colour, and the near layer extends over it with F and α. The reference view still shows C. Mattes follow from photo,
+//! planes and labels, so a container does not carry them.
 
 mod borders;
 mod matte;
@@ -17,8 +17,8 @@ use super::{Geometry, LayerMask, TexturedLayer};
 use crate::parallel;
 use crate::scene::{Class, Grid, Rect};
 
-/// Mattes the layers of some tiles, the first of which is number `first`; `photo` has the rows of pixels that these lie in, and those within
-/// the reach of the tiles.
+/// Mattes the layers of some tiles, starting with tile `first`. `photo` has the rows of pixels of these tiles, and those within their
+/// reach.
 pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLayer>], photo: Rows) {
     let (grid, count) = (&geometry.grid, tiles.len() as u32);
     if count == 0 {
@@ -38,7 +38,7 @@ pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLa
     let Ok(()) = done;
 }
 
-/// All whole rows of tiles that lie over pixels of some tiles.
+/// Whole rows of tiles that contain all tiles overlapping the given ones.
 fn around(grid: &Grid, tiles: Range<u32>) -> Range<u32> {
     let columns = grid.columns();
     let more = reach(grid);
@@ -46,32 +46,32 @@ fn around(grid: &Grid, tiles: Range<u32>) -> Range<u32> {
     rows.start * columns..rows.end * columns
 }
 
-/// How many tiles to either side lie over pixels of a tile.
+/// Number of tiles to either side that overlap a tile.
 fn reach(grid: &Grid) -> u32 {
     (grid.size - 1) / grid.stride
 }
 
-/// Pixels beside borders, tile by tile.
+/// Mattes of all pixels beside borders, by tile.
 struct Near<'a> {
     geometry: &'a Geometry,
-    /// Tile of the first places.
+    /// Tile of the first entry in `places`.
     first: u32,
     places: &'a [Vec<Place>],
 }
 
-/// One pixel of a tile, beside a border.
+/// A pixel beside a border, in one tile.
 #[derive(Clone, Copy)]
 struct Mixed {
-    /// Among the tile's pixels.
+    /// Index among the tile's pixels.
     at: usize,
     place: Place,
-    /// Whether the tile owns it.
+    /// True if this tile owns the pixel.
     own: bool,
 }
 
-/// What becomes of a texel of a layer.
+/// New contents of one texel of a layer.
 struct Change {
-    /// Among the texels of the layer.
+    /// Index among the layer's texels.
     at: usize,
     class: Class,
     alpha: u8,
@@ -99,7 +99,7 @@ impl Near<'_> {
                 let (class, alpha, colour) = if labels[m.at] == label {
                     (Class::Hidden, u8::MAX, matte.background)
                 } else if in_front(m) {
-                    // all of the pixel is the photo's
+                    // the whole pixel is foreground, so the photo's colour is right
                     let class = if matte.alpha == u8::MAX { Class::Photo } else { Class::Hidden };
                     (class, matte.alpha, matte.foreground)
                 } else if shape.class[at] == Class::Photo as u8 {
@@ -114,7 +114,7 @@ impl Near<'_> {
         }
     }
 
-    /// Pixels of a tile that lie beside a border, row by row, whichever tile owns them.
+    /// Pixels of a tile beside a border, row by row, whichever tile owns them.
     fn within(&self, index: u32, r: Rect) -> Vec<Mixed> {
         let grid = &self.geometry.grid;
         let (columns, more) = (grid.columns(), reach(grid));
@@ -131,13 +131,13 @@ impl Near<'_> {
     }
 }
 
-/// Place of a pixel among those of a rectangle, where it lies in it.
+/// Index of a pixel in a rectangle; `None` if it is outside.
 fn within(r: Rect, x: u32, y: u32) -> Option<usize> {
     let (x, y) = (x.checked_sub(r.x)?, y.checked_sub(r.y)?);
     (x < r.w && y < r.h).then(|| y as usize * r.w as usize + x as usize)
 }
 
-/// Makes room in a layer for texels at these places of its tile, and for an empty one around them.
+/// Enlarges a layer to include these pixels of its tile, with a border of one empty texel.
 fn widen(shape: &mut LayerMask, tile: Rect, places: impl Iterator<Item = usize>) {
     let old = shape.rect;
     let (mut x0, mut y0, mut x1, mut y1) = (old.x, old.y, old.x + old.w, old.y + old.h);
@@ -163,7 +163,7 @@ fn widen(shape: &mut LayerMask, tile: Rect, places: impl Iterator<Item = usize>)
     shape.rect = new;
 }
 
-/// Makes changes to a layer, which come in the order of its texels.
+/// Applies changes to a layer; they are sorted by texel.
 fn alter(TexturedLayer { shape, hidden }: &mut TexturedLayer, changes: &[Change]) {
     if changes.is_empty() {
         return;
@@ -171,7 +171,7 @@ fn alter(TexturedLayer { shape, hidden }: &mut TexturedLayer, changes: &[Change]
     let old = std::mem::take(hidden);
     hidden.reserve_exact(old.len() + changes.len());
     let is_hidden = |c: &&u8| **c == Class::Hidden as u8;
-    // texels, and old hidden colours, that are done
+    // number of texels, and of old hidden colours, that are processed
     let (mut done, mut used) = (0, 0);
     for change in changes {
         let kept = used + shape.class[done..change.at].iter().filter(is_hidden).count();

@@ -20,7 +20,7 @@ fn side(colours: &[([u8; 3], u32)]) -> Side {
     side
 }
 
-/// The share of the near side in a colour, in `f64`, and whether it is a mixture; from the colours themselves.
+/// Reference in `f64`: the share of the near side in a colour, and whether the colour is a mixture.
 fn share(colour: [u8; 3], near: &[([u8; 3], u32)], far: &[([u8; 3], u32)]) -> (f64, bool) {
     let weight = |all: &[([u8; 3], u32)]| all.iter().map(|(_, w)| f64::from(*w)).sum::<f64>();
     let mean = |all: &[([u8; 3], u32)], c: usize| all.iter().map(|(p, w)| f64::from(p[c]) * f64::from(*w)).sum::<f64>() / weight(all);
@@ -47,7 +47,7 @@ fn colours() -> impl Strategy<Value = Vec<([u8; 3], u32)>> {
 
 proptest! {
     #[test]
-    fn a_matte_is_its_colour_again_and_its_share_that_of_a_plain_projection(
+    fn a_matte_composites_to_its_colour_and_alpha_matches_a_reference_projection(
         between in -0.2..1.2f64, noise in any::<[u8; 3]>(), near in colours(), far in colours(),
     ) {
         let mix = |c: usize| f64::from(near[0].0[c]) * between + f64::from(far[0].0[c]) * (1.0 - between) + f64::from(noise[c] / 8) - 16.0;
@@ -57,7 +57,7 @@ proptest! {
         prop_assert_eq!(got.is_some(), mixed);
         let Some(got) = got else { return Ok(()) };
         prop_assert_eq!(over(got), colour);
-        // more only where no foreground could be that bright or dark
+        // alpha is larger only if no foreground could be that bright or dark
         let least = |c: usize| {
             let (v, b) = (f64::from(colour[c]), f64::from(got.background[c]));
             if v < b { (b - v) / b } else { (v - b) / (255.0 - b).max(1e-9) }
@@ -68,7 +68,7 @@ proptest! {
     }
 
     #[test]
-    fn a_mixture_of_two_flat_sides_comes_apart(near in prop::array::uniform3(50u8..206), far in any::<[u8; 3]>(), share in 5u8..=255) {
+    fn a_mixture_of_two_uniform_sides_is_decomposed(near in prop::array::uniform3(50u8..206), far in any::<[u8; 3]>(), share in 5u8..=255) {
         let mix = |c: usize| ((f64::from(near[c]) * f64::from(share) + f64::from(far[c]) * f64::from(255 - share)) / 255.0).round() as u8;
         let colour = std::array::from_fn(mix);
         let apart = (0..3).map(|c| f64::from(near[c].abs_diff(far[c])).powi(2)).sum::<f64>().sqrt();
@@ -84,18 +84,18 @@ proptest! {
 }
 
 #[test]
-fn sides_that_are_not_there_or_all_alike_have_no_matte() {
+fn missing_or_equal_sides_have_no_matte() {
     let (dark, light) = (side(&[([10; 3], 4)]), side(&[([200; 3], 1)]));
     assert_eq!(Matte::of([90; 3], &Side::default(), &dark), None);
     assert_eq!(Matte::of([90; 3], &dark, &Side::default()), None);
     assert_eq!(Matte::of([90; 3], &dark, &dark), None);
     assert!(Matte::of([90; 3], &dark, &light).is_some());
-    // noise as large as what both are apart
+    // noise as large as the distance of the two sides
     let noise = side(&[([0; 3], 1), ([255; 3], 1)]);
     assert_eq!(Matte::of([90; 3], &noise, &light), None);
 }
 
-/// Near patches before a wall, a photo of two colours mixed at random along the borders.
+/// Near patches in front of a wall, and a photo of two colours that are mixed at random along the borders.
 fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
     let slant = || -0.15..0.15f64;
     let planes = prop::collection::vec((0.05..1.0f64, slant(), slant()), 2..4);
@@ -111,7 +111,7 @@ fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
             let label = |x: u32, y: u32| noise(x / patch + y / patch * 64, 9) % count;
             let tile = |t: u32| {
                 let r = grid.rect(t);
-                // a tile in eight sees it otherwise
+                // one tile in eight disagrees
                 let other = u32::from(noise(t, 3) < 32);
                 let labels = (0..r.area() as u32).map(|i| ((label(r.x + i % r.w, r.y + i / r.w) + other) % count) as u8).collect();
                 Tile { planes: planes.clone(), labels, background: None }
@@ -128,14 +128,14 @@ fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
     )
 }
 
-/// One texel over a pixel.
+/// One texel at a pixel.
 struct Over {
     delta: f32,
     colour: [u8; 3],
     alpha: u8,
 }
 
-/// All texels over each pixel of the photo, nearest first.
+/// All texels at each pixel of the photo, nearest first.
 fn stacks(photo: &Photo, geometry: &Geometry, tiles: &[Vec<TexturedLayer>]) -> Vec<Vec<Over>> {
     let mut all: Vec<Vec<Over>> = photo.rgb.iter().map(|_| Vec::new()).collect();
     for (t, layers) in (0..).zip(tiles) {
@@ -153,14 +153,14 @@ fn stacks(photo: &Photo, geometry: &Geometry, tiles: &[Vec<TexturedLayer>]) -> V
         }
     }
     for stack in &mut all {
-        // of equals the later one is nearer
+        // of equal disparities, the later layer is nearer
         stack.reverse();
         stack.sort_by(|a, b| b.delta.total_cmp(&a.delta));
     }
     all
 }
 
-/// Pixels within [`BAND`] of another, in a rectangle.
+/// Pixels of a rectangle within [`BAND`] of another pixel.
 fn around(r: crate::Rect, x: u32, y: u32) -> impl Iterator<Item = (u32, u32)> {
     let by = BAND as u32;
     let range = |at: u32, from: u32, length: u32| at.saturating_sub(by).max(from)..(at + by + 1).min(from + length);
@@ -172,7 +172,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn from_the_photos_own_place_all_is_the_photo((photo, geometry) in any_scene()) {
+    fn the_reference_view_is_the_photo((photo, geometry) in any_scene()) {
         let tiles = texture(&photo, &geometry, geometry.masks());
         for (i, stack) in stacks(&photo, &geometry, &tiles).iter().enumerate() {
             let (mut sum, mut left) = ([0.0; 3], 1.0);
@@ -187,7 +187,7 @@ proptest! {
         }
     }
 
-    /// What is matted lies on the far side of a border, nothing else changes, and no layer is in front of the mixed colour twice.
+    /// Only pixels on the far side of a border are matted, nothing else changes, and no layer covers a mixed colour twice.
     #[test]
     fn only_the_far_side_of_borders_is_matted((photo, geometry) in any_scene()) {
         let plain = Geometry { matted: false, ..geometry.clone() };
@@ -206,14 +206,14 @@ proptest! {
                     if before == after {
                         continue;
                     }
-                    // a texel that is hidden stays so
+                    // a hidden texel never changes
                     prop_assert_ne!(before.0, Class::Hidden as u8);
                     let within = own.contains(&crate::Rect { x, y, w: 1, h: 1 });
                     if within {
                         let most = around(r, x, y).map(|(u, v)| shown(u, v)).fold(f32::NEG_INFINITY, f32::max);
                         prop_assert!(most > shown(x, y), "beside something nearer");
                     } else {
-                        // others have no foreground
+                        // other tiles add no foreground
                         prop_assert!(after == (Class::Empty as u8, 0) || after == (Class::Hidden as u8, 255));
                     }
                 }
@@ -223,8 +223,8 @@ proptest! {
 }
 
 #[test]
-fn a_soft_outline_leaves_the_background() {
-    // a dark square before a light wall, its outline two pixels wide
+fn a_soft_outline_is_removed_from_the_background() {
+    // a dark square in front of a light wall, with an outline two pixels wide
     let (width, height) = (100, 70);
     let grid = Grid::new(width, height, 64);
     let near = |x: u32, y: u32| (30..60).contains(&x) && (20..50).contains(&y);

@@ -7,18 +7,18 @@ use crate::photo::segments;
 use tmpi_core::container::PhotoFormat;
 
 const DEPTH: &str = "http://ns.google.com/photos/dd/1.0/depthmap/";
-/// Namespaces of the list of pictures, of the specification and of what writers make of it.
+/// Namespaces of the list of pictures: that of the specification, and those that writers use.
 const ITEMS: [&str; 3] = [
     "http://ns.google.com/photos/dd/1.0/item/",
     "http://ns.google.com/photos/1.0/container/item/",
     "http://ns.google.com/photos/dd/1.0/container/item/",
 ];
 
-/// A picture that the list names.
+/// An entry of the list of pictures.
 struct Item<'a> {
     address: Option<&'a str>,
     length: usize,
-    /// Bytes behind it that belong to nothing.
+    /// Unused bytes after it.
     padding: usize,
 }
 
@@ -30,13 +30,13 @@ impl<'a> Item<'a> {
         Some(Self { address: get("DataURI"), length: bytes("Length")?, padding: bytes("Padding")? })
     }
 
-    /// Bytes of these one behind the other.
+    /// Total bytes of consecutive items.
     fn all(items: &[Self]) -> Option<usize> {
         items.iter().try_fold(0usize, |sum, i| sum.checked_add(i.length)?.checked_add(i.padding))
     }
 }
 
-/// The depth map behind a photo that XMP packets describe.
+/// Finds the depth map after a photo that XMP packets describe.
 pub(super) fn find(photo: &[u8], packets: &[String]) -> Option<Found> {
     let documents: Vec<_> = packets.iter().filter_map(|p| xmp::document(p)).collect();
     let get = |name| documents.iter().find_map(|d| xmp::anywhere(d, DEPTH, name));
@@ -45,11 +45,11 @@ pub(super) fn find(photo: &[u8], packets: &[String]) -> Option<Found> {
     let read = || {
         let scale = google(get("Format"), get("Near"), get("Far"))?;
         let place =
-            items.iter().skip(1).position(|i| i.address == Some(address)).ok_or_else(|| format!("no picture {address} is listed"))? + 1;
-        let longer = "the pictures listed are longer than the file";
+            items.iter().skip(1).position(|i| i.address == Some(address)).ok_or_else(|| format!("picture {address} is not listed"))? + 1;
+        let longer = "the listed pictures are longer than the file";
         let (before, behind) = (Item::all(&items[1..place]).ok_or(longer)?, Item::all(&items[place..]).ok_or(longer)?);
-        // the first is the photo itself; the others lie one behind the other up to the end of the file, unless a program put more behind
-        // them: then they are counted from the end of the photo
+        // the first item is the photo itself; the others follow each other up to the end of the file, unless a program appended more:
+        // then they are counted from the end of the photo
         let at_end = photo.len().checked_sub(behind);
         let at_photo = || segments::end(photo)?.checked_add(items[0].padding)?.checked_add(before);
         let picture = |start: Option<usize>| photo.get(start?..)?.get(..items[place].length).filter(|p| PhotoFormat::sniff(p).is_some());

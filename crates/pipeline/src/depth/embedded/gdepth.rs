@@ -7,14 +7,14 @@ use super::{Found, google, xmp};
 
 const SPACE: &str = "http://ns.google.com/photos/1.0/depthmap/";
 
-/// The depth map of XMP packets.
+/// Finds the depth map in XMP packets.
 pub(super) fn find(packets: &[String]) -> Option<Found> {
     let documents: Vec<_> = packets.iter().filter_map(|p| xmp::document(p)).collect();
     let get = |name| documents.iter().find_map(|d| xmp::anywhere(d, SPACE, name));
     let format = get("Format")?;
-    // Dynamic Depth took over the names of some properties, not this one
+    // Dynamic Depth reuses the names of some properties, but not this one
     let Some(data) = get("Data") else {
-        return Some(Err("its extended XMP, where the map would be, is not whole".into()));
+        return Some(Err("its extended XMP, which should hold the map, is incomplete".into()));
     };
     let read = || {
         let scale = google(Some(format), get("Near"), get("Far"))?;

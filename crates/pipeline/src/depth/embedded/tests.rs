@@ -1,4 +1,4 @@
-//! Photos with depth of their own, written as phones write them.
+//! Photos that carry depth, written as phones write them.
 
 use std::io::Cursor;
 
@@ -24,7 +24,7 @@ fn photo() -> Vec<u8> {
     encoded(RgbImage::from_fn(W, H, |x, y| Rgb([(x * 3) as u8, (y * 4) as u8, 90])), ImageFormat::Jpeg)
 }
 
-/// Values of a quarter of the photo's pixels: a step from 51 to 204 in the middle, columns.
+/// A map with a quarter of the photo's pixels: a step from 51 to 204 between the left and the right half.
 fn map() -> GrayImage {
     GrayImage::from_fn(W / 2, H / 2, |x, _| Luma([if x < W / 4 { 51 } else { 204 }]))
 }
@@ -34,7 +34,7 @@ fn segment(marker: u8, body: &[&[u8]]) -> Vec<u8> {
     [&[0xFF, marker], ((body.len() + 2) as u16).to_be_bytes().as_slice(), &body].concat()
 }
 
-/// The file with segments behind its first marker.
+/// The file with `segments` after its first marker.
 fn with(file: &[u8], segments: &[Vec<u8>]) -> Vec<u8> {
     [&file[..2], &segments.concat(), &file[2..]].concat()
 }
@@ -50,7 +50,7 @@ fn main(description: &str) -> Vec<u8> {
     segment(0xE1, &[b"http://ns.adobe.com/xap/1.0/\0", packet(description).as_bytes()])
 }
 
-/// An extended packet in segments of 200 bytes, named by a letter 32 times.
+/// An extended packet in segments of 200 bytes; its name is 32 times the same letter.
 fn extended(description: &str, name: u8) -> Vec<Vec<u8>> {
     let whole = packet(description);
     let part = |(i, bytes): (usize, &[u8])| {
@@ -78,7 +78,7 @@ fn data(map: GrayImage) -> String {
     format!("<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Data='{data}'/>")
 }
 
-/// A photo of which the main packet says that it goes on in the one named by `name`, with extended packets in that order.
+/// A photo whose main packet refers to the extended packet `name`, with extended packets in this order.
 fn extended_twice(name: &str, packets: &[(u8, GrayImage)]) -> Vec<u8> {
     let properties = format!(
         "<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' xmlns:xmpNote='http://ns.adobe.com/xmp/note/' \
@@ -92,7 +92,7 @@ fn dynamic(address: &str) -> Vec<u8> {
     dynamic_with(address, 0, &[])
 }
 
-/// With so many bytes of padding behind the photo, and `behind` behind everything.
+/// With `padding` bytes after the photo, and `behind` at the end of the file.
 fn dynamic_with(address: &str, padding: usize, behind: &[u8]) -> Vec<u8> {
     let (confidence, map) = (vec![7; 99], encoded(map(), ImageFormat::Jpeg));
     let item = |address: &str, length: usize| {
@@ -119,7 +119,7 @@ fn apple(fields: &[(&str, &str)]) -> String {
 const PORTRAIT: [(&str, &str); 4] =
     [("AuxiliaryImageType", "disparity"), ("FloatMinValue", "0.5"), ("FloatMaxValue", "2"), ("NativeFormat", "1751411059")];
 
-/// A photo with a matte and a map behind it.
+/// A photo followed by a matte and a map.
 fn multi(fields: &[(&str, &str)]) -> Vec<u8> {
     let behind = |d: &str| with(&encoded(map(), ImageFormat::Jpeg), &[main(d)]);
     let matte = behind(&apple(&[("AuxiliaryImageType", "depth"), ("AuxiliaryImageSubType", "portraiteffectsmatte")]));
@@ -127,7 +127,7 @@ fn multi(fields: &[(&str, &str)]) -> Vec<u8> {
     multi_picture(&photo(), &[(0, &matte), (0, &map)])
 }
 
-/// δ at the left and at the right of a photo's map, once for PNG and within what a JPEG leaves.
+/// Disparity δ at the left and right of a photo's map; coding as JPEG leaves a small error.
 fn ends(file: &[u8]) -> (f32, f32) {
     let found = carried(file).unwrap().unwrap();
     let Read { map, size, .. } = found.read(&Limits::default(), W, H).unwrap();
@@ -141,7 +141,7 @@ fn near(got: (f32, f32), want: (f64, f64)) {
 }
 
 #[test]
-fn values_mean_what_each_format_says() {
+fn values_are_read_as_each_format_defines_them() {
     // v is .2 and .8; distances 1 to 5: 1/z from 1 to .2 in even steps, or z in even steps
     near(ends(&gdepth("RangeInverse", "1", "5")), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
     near(ends(&gdepth("RangeLinear", "1.0", "5.0")), (1.0 / 1.8, 1.0 / 4.2));
@@ -171,16 +171,16 @@ fn unreadable_depth_is_an_error_and_other_pictures_are_not() {
     assert!(fault(&gdepth("Sideways", "1", "5")).contains("Sideways"));
     for (near, far) in [("0", "5"), ("5", "1"), ("nan", "5"), ("1", "x"), ("-1", "5")] {
         let fault = fault(&gdepth("RangeLinear", near, far));
-        assert!(fault.contains("no range") || fault.contains("not told"), "{near} to {far}: {fault}");
+        assert!(fault.contains("not form a range") || fault.contains("missing"), "{near} to {far}: {fault}");
     }
-    assert!(fault(&gdepth("RangeLinear", "1", "inf")).contains("no range"));
+    assert!(fault(&gdepth("RangeLinear", "1", "inf")).contains("not form a range"));
     assert!(fault(&dynamic("android/other")).contains("android/other"));
     assert!(fault(&multi(&[("AuxiliaryImageType", "disparity")])).contains("ends"));
     // listed pictures that are longer than the file
     assert!(fault(&cut_list()).contains("longer"));
 }
 
-/// A photo that lists a picture which was cut off.
+/// A photo that lists a picture that was cut off.
 fn cut_list() -> Vec<u8> {
     let description = "<rdf:Description xmlns:Item='http://ns.google.com/photos/dd/1.0/item/' \
          xmlns:DepthMap='http://ns.google.com/photos/dd/1.0/depthmap/' DepthMap:Format='RangeLinear' DepthMap:Near='1' DepthMap:Far='5' \
@@ -189,19 +189,19 @@ fn cut_list() -> Vec<u8> {
 }
 
 #[test]
-fn the_extended_packet_that_the_main_one_names_is_read() {
+fn the_extended_packet_named_by_the_main_one_is_read() {
     let stale = || GrayImage::from_pixel(W / 2, H / 2, Luma([255]));
     let name = |letter: &str| letter.repeat(32);
     for order in [vec![(b'A', map())], vec![(b'B', stale()), (b'A', map())], vec![(b'A', map()), (b'B', stale())]] {
         near(ends(&extended_twice(&name("A"), &order)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
         near(ends(&extended_twice(&format!(" {} ", name("a")), &order)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
         let fault = carried(&extended_twice(&name("C"), &order)).unwrap_err().to_string();
-        assert!(fault.contains("not whole"), "{fault}");
+        assert!(fault.contains("incomplete"), "{fault}");
     }
 }
 
 #[test]
-fn depth_is_found_whatever_lies_behind_the_last_picture() {
+fn depth_is_found_whatever_follows_the_last_picture() {
     let want = (1.0 / 1.8, 1.0 / 4.2);
     let samsung = b"\0\0\x01\x0a\x0e\0\0\0Image_UTC_Data1577836800000SEFHk\0\0\0\x01\0\0\0SEFT";
     let picture = photo();
@@ -215,26 +215,26 @@ fn depth_is_found_whatever_lies_behind_the_last_picture() {
 }
 
 #[test]
-fn a_photo_on_its_side_has_its_map_turned_with_it() {
+fn a_map_is_turned_upright_with_its_photo() {
     let file = on_its_side(&gdepth("RangeInverse", "1", "5"));
     let found = carried(&file).unwrap().unwrap();
     let Read { map, size, .. } = found.read(&Limits::default(), H, W).unwrap();
     assert_eq!(size, (H / 2, W / 2));
     let at = |x: u32, y: u32| map.delta[(y * H + x) as usize];
-    // columns of the stored map are rows now, its left at the top
+    // columns of the stored map are rows now, with its left at the top
     near((at(H / 2, 3), at(H / 2, W - 4)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
     near((at(3, 3), at(H - 4, 3)), (1.0 - 0.2 * 0.8, 1.0 - 0.2 * 0.8));
 }
 
-/// Orientation 6: the stored top is the upright right.
+/// Sets orientation 6: the stored top is the upright right.
 fn on_its_side(file: &[u8]) -> Vec<u8> {
     let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0".as_slice(), &[0; 4]].concat();
     with(file, &[segment(0xE1, &[&exif])])
 }
 
 #[test]
-fn a_map_turns_with_its_photo_where_the_shapes_tell_nothing_and_not_where_it_is_upright() {
-    // stored columns: where it was turned, all of a row is alike
+fn a_map_turns_with_its_photo_unless_its_shape_shows_that_it_is_upright() {
+    // stored columns: if the map was turned, each row is uniform
     let columns = |w: u32, h: u32| GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 51 } else { 204 }]));
     let colours = |w: u32, h: u32| encoded(RgbImage::from_pixel(w, h, Rgb([9, 99, 50])), ImageFormat::Jpeg);
     // stored size of the photo and of its map
@@ -264,7 +264,7 @@ fn a_map_may_be_larger_than_its_photo_but_not_than_memory_allows() {
         assert_eq!((size, map.width, map.height), ((w, h), W, H));
         near((map.delta[3], map.delta[W as usize - 4]), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
     }
-    // reduced it is still the file's own size that counts
+    // for a reduced photo, the size of its file still counts
     assert!(read(&with(W, H), &Limits::default(), 8, 6).is_ok());
     let fault = read(&with(2000, 1001), &Limits::default(), W, H).unwrap_err();
     assert!(fault.to_string().contains(&SMALL.to_string()), "{fault}");
@@ -284,7 +284,7 @@ impl crate::depth::Estimator for Flat {
 }
 
 #[test]
-fn the_photos_own_depth_is_used_unless_another_is_given_or_it_is_off() {
+fn carried_depth_is_used_unless_a_map_is_given_or_it_is_switched_off() {
     let models = Models { depth: std::sync::Arc::new(Flat), theta: None, psi: None };
     let make = |file: &[u8], given: Option<&[u8]>, photo_depth| {
         let options = Options { photo_depth, ..Options::default() };
@@ -298,20 +298,20 @@ fn the_photos_own_depth_is_used_unless_another_is_given_or_it_is_off() {
     let square = encoded(GrayImage::from_pixel(8, 8, Luma([9])), ImageFormat::Png);
     let report = make(&file, Some(&square), Switch::Auto).unwrap();
     assert!(report.depth_model == "given" && report.input.depth.unwrap().stretched);
-    // a map as the photo was stored fits, once it is turned
+    // a map in the photo's stored orientation fits once it is turned
     let lying = encoded(GrayImage::from_fn(W, H, |x, _| Luma([if x < W / 2 { 0 } else { 200 }])), ImageFormat::Png);
     let depth = make(&on_its_side(&photo()), Some(&lying), Switch::Auto).unwrap().input.depth.unwrap();
     assert_eq!((depth.width, depth.height, depth.stretched), (H, W, false));
-    // what cannot be read is told, and fails only where nothing else will do
+    // unreadable depth is reported, and is an error only if nothing else may replace it
     let broken = gdepth("RangeInverse", "5", "1");
     let report = make(&broken, None, Switch::Auto).unwrap();
-    assert!(report.depth_model == "flat" && report.input.depth_problem.unwrap().contains("no range"));
+    assert!(report.depth_model == "flat" && report.input.depth_problem.unwrap().contains("not form a range"));
     assert!(make(&broken, None, Switch::On).is_err() && make(&photo(), None, Switch::On).is_err());
 }
 
 proptest! {
     #[test]
-    fn damage_is_an_error_or_passed_over(at in 0usize..4000, value: u8, which in 0u8..3, cut in 0usize..9000) {
+    fn damage_is_an_error_or_ignored(at in 0usize..4000, value: u8, which in 0u8..3, cut in 0usize..9000) {
         let mut file = match which { 0 => gdepth("RangeInverse", "1", "5"), 1 => dynamic("android/depthmap"), _ => multi(&PORTRAIT) };
         let at = at % file.len();
         file[at] = value;
@@ -324,9 +324,9 @@ proptest! {
     }
 }
 
-/// The photos that are kept as files, for fuzzing and for whoever wants to try them; `TMPI_BLESS=carried` writes them anew.
+/// These photos as files, for fuzzing and for trying them out; `TMPI_BLESS=carried` writes them anew.
 #[test]
-fn the_kept_files_mean_the_same_as_those_written_here() {
+fn the_stored_files_equal_those_written_here() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/carried");
     let files = [
         ("gdepth.jpg", gdepth("RangeInverse", "1", "5")),

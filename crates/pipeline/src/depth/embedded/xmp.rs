@@ -1,4 +1,4 @@
-//! XMP of a JPEG file: its packet, and the packet that goes on in further segments (XMP specification, part 3, 1.1.3).
+//! XMP of a JPEG file: its main packet, and the extended packet in further segments (XMP specification, part 3, 1.1.3).
 
 use roxmltree::{Document, Node, ParsingOptions};
 
@@ -8,17 +8,17 @@ const MAIN: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
 /// Namespace of the property that names the extended packet.
 const NOTE: &str = "http://ns.adobe.com/xmp/note/";
 const EXTENSION: &[u8] = b"http://ns.adobe.com/xmp/extension/\0";
-/// Bytes of the name of an extended packet.
+/// Bytes of an extended packet's name.
 const NAME: usize = 32;
-/// Elements and texts of a packet, at most: those of photos have a few hundred.
+/// Most elements and texts of a packet; photos have a few hundred.
 const NODES: u32 = 20_000;
-/// Attributes and declarations of namespaces, at most: the reader holds each attribute of an element against all before it, and hands
-/// down all namespaces from element to element. Those of photos have a few thousand and a few dozen.
+/// Most attributes, and most namespace declarations. The parser compares each attribute of an element with all before it, and passes all
+/// namespaces on from element to element. Photos have a few thousand and a few dozen.
 const ATTRIBUTES: usize = 10_000;
 const NAMESPACES: usize = 256;
 
-/// The packets of a JPEG as text, the main one first. Of extended packets it is the one that the main one names; editors leave old ones
-/// behind. Where it names none it is the first.
+/// The packets of a JPEG as text, the main one first. Of several extended packets, the one that the main packet names counts, since
+/// editors leave old ones behind; if it names none, the first.
 pub(crate) fn packets(jpeg: &[u8]) -> Vec<String> {
     let segments = applications(jpeg);
     let bodies = || segments.iter().filter(|s| s.number == 1).map(|s| s.body);
@@ -32,7 +32,7 @@ pub(crate) fn packets(jpeg: &[u8]) -> Vec<String> {
     found
 }
 
-/// The name of the extended packet that a main one goes on in.
+/// The name of the extended packet that a main one refers to.
 fn extension_of(main: &str) -> Option<String> {
     document(main).and_then(|d| anywhere(&d, NOTE, "HasExtendedXMP").map(|name| name.trim().to_owned()))
 }
@@ -47,7 +47,7 @@ struct Part<'a> {
     name: &'a [u8],
     /// Bytes of the whole packet.
     whole: usize,
-    /// Place of this part.
+    /// Offset of this part.
     at: usize,
     bytes: &'a [u8],
 }
@@ -61,13 +61,13 @@ impl<'a> Part<'a> {
     }
 }
 
-/// The packet that `first` is a part of, where all of it is there.
+/// The packet that `first` is a part of, if it is complete.
 fn joined(first: &Part, parts: &[Part]) -> Option<String> {
     let mut own: Vec<&Part> = parts.iter().filter(|p| p.name == first.name).collect();
     own.sort_by_key(|p| p.at);
     let mut bytes = Vec::new();
     for part in own {
-        // one after the other, none twice: no more memory than the file
+        // consecutive parts only, none twice: no more memory than the file
         if part.at == bytes.len() {
             bytes.extend_from_slice(part.bytes);
         }
@@ -75,7 +75,7 @@ fn joined(first: &Part, parts: &[Part]) -> Option<String> {
     if bytes.len() == first.whole { text(&bytes) } else { None }
 }
 
-/// A packet's elements; none where it is no XML, or has more than those of photos have.
+/// Parses a packet. Returns `None` if it is not XML, or has more elements, attributes or namespaces than photos have.
 pub(crate) fn document(packet: &str) -> Option<Document<'_>> {
     if packet.bytes().filter(|b| *b == b'=').count() > ATTRIBUTES || packet.matches("xmlns").count() > NAMESPACES {
         return None;
@@ -84,13 +84,13 @@ pub(crate) fn document(packet: &str) -> Option<Document<'_>> {
     Document::parse_with_options(packet, options).ok()
 }
 
-/// Property `name` of namespace `space` of an element: an attribute, or the text of a child.
+/// Property `name` in namespace `space` of an element: an attribute, or the text of a child.
 pub(super) fn property<'a>(element: Node<'a, '_>, space: &str, name: &str) -> Option<&'a str> {
     let child = || element.children().find(|c| c.has_tag_name((space, name))).and_then(|c| c.text());
     element.attribute((space, name)).or_else(child)
 }
 
-/// The first property of that name anywhere in the document.
+/// The first property of this name anywhere in the document.
 pub(crate) fn anywhere<'a>(document: &'a Document, space: &str, name: &str) -> Option<&'a str> {
     document.descendants().find_map(|node| property(node, space, name))
 }
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn packets_of_too_many_names_are_not_read() {
+    fn packets_with_too_many_names_are_refused() {
         let with = |attributes: usize, namespaces: usize| {
             let attributes = (0..attributes).map(|i| format!(" a{i}=''")).collect::<Vec<_>>().concat();
             let elements = (0..namespaces).map(|i| format!("<e xmlns:n{i}='u{i}'/>")).collect::<Vec<_>>().concat();
@@ -108,7 +108,7 @@ mod tests {
         };
         assert!(with(ATTRIBUTES - 1, 0) && !with(ATTRIBUTES + 1, 0));
         assert!(with(9, NAMESPACES) && !with(9, NAMESPACES + 1));
-        // minutes, if it were read
+        // parsing it would take minutes
         assert!(!with(2_000_000, 0));
     }
 }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::networks::Tensor;
 
-/// Gives, for a picture, a plane of disparity that the test chose; remembers nothing.
+/// Returns a plane of disparity that the test chose, whatever the picture.
 struct Stub(fn(usize, usize) -> f32);
 
 impl Network for Stub {
@@ -17,7 +17,7 @@ fn photo(width: u32, height: u32) -> Photo {
     Photo { width, height, rgb }
 }
 
-/// The embedded network's, with one run.
+/// The embedded network's adapter with a single run.
 const ONE_RUN: Adapter = Adapter { flip: false, ..super::super::ADAPTERS[0] };
 
 fn with(f: fn(usize, usize) -> f32) -> Monocular {
@@ -25,15 +25,15 @@ fn with(f: fn(usize, usize) -> f32) -> Monocular {
 }
 
 #[test]
-fn a_map_leans_by_its_share_of_a_ramp_alone() {
-    let leaning = |ramp: f64, f: fn(usize, usize) -> f32| {
+fn only_the_share_of_a_ramp_is_added_to_a_map() {
+    let ramped = |ramp: f64, f: fn(usize, usize) -> f32| {
         let adapter = Adapter { ramp, ..ONE_RUN };
         Monocular::new(&adapter, Arc::new(Stub(f))).raw(&photo(96, 64)).unwrap()
     };
-    let flat = leaning(0.0, |x, _| x as f32);
+    let flat = ramped(0.0, |x, _| x as f32);
     let (w, h) = (flat.width as usize, flat.height as usize);
     for share in [0.05, 0.2, 3.0] {
-        let map = leaning(share, |x, _| x as f32);
+        let map = ramped(share, |x, _| x as f32);
         let added: Vec<f64> = map.delta.iter().zip(&flat.delta).map(|(a, b)| f64::from(a - b)).collect();
         // in f64, by the definition: row y − mean, over the deviation of the rows
         let rows = || (0..h).map(|y| y as f64);
@@ -45,19 +45,19 @@ fn a_map_leans_by_its_share_of_a_ramp_alone() {
             assert!((got - want).abs() < 1e-4 * columns.sqrt(), "{share}: {got} for {want}");
         }
     }
-    // nothing to lean
-    assert!(leaning(0.2, |_, _| 7.0).delta.iter().all(|v| (v - 7.0).abs() < 1e-12));
+    // without relief there is no ramp
+    assert!(ramped(0.2, |_, _| 7.0).delta.iter().all(|v| (v - 7.0).abs() < 1e-12));
     let mut line = DisparityMap { width: 3, height: 1, delta: vec![1.0, 2.0, 4.0] };
-    lean(&mut line, 0.2);
+    add_ramp(&mut line, 0.2);
     assert_eq!(line.delta, [1.0, 2.0, 4.0]);
-    // one value of many tells nothing of how much the others vary
+    // one outlier says nothing about how much the other values vary
     let wild = |y: usize| if y == 3 { 1e9 } else { 0.0 };
     let mut map = DisparityMap { width: 1, height: 64, delta: (0..64).map(|y| y as f32 + wild(y)).collect() };
-    lean(&mut map, 0.2);
+    add_ramp(&mut map, 0.2);
     assert!((map.delta[63] - 63.0).abs() < 63.0 && map.delta[63] > 63.0, "{}", map.delta[63]);
-    // finite at the ends of what is
+    // finite at both ends of the range of `f32`
     let mut wild = DisparityMap { width: 1, height: 2, delta: vec![f32::MAX, -f32::MAX] };
-    lean(&mut wild, 10.0);
+    add_ramp(&mut wild, 10.0);
     assert!(wild.delta.iter().all(|v| v.is_finite()), "{:?}", wild.delta);
 }
 
@@ -71,7 +71,7 @@ fn every_shape_of_photo_gives_finite_values_in_range() {
 }
 
 #[test]
-fn the_first_size_is_that_of_estimate_and_smaller_ones_are_run_as_they_are_asked_for() {
+fn the_first_size_is_that_of_estimate_and_the_network_runs_at_every_size() {
     let (network, p) = (with(|x, y| (x + 2 * y) as f32), photo(320, 240));
     let sizes = network.sizes(320, 240);
     assert_eq!(network.estimate_at(&p, sizes[0]).unwrap().map, network.estimate(&p).unwrap());
@@ -83,7 +83,7 @@ fn the_first_size_is_that_of_estimate_and_smaller_ones_are_run_as_they_are_asked
 }
 
 #[test]
-fn larger_is_nearer_whatever_the_network_gives() {
+fn larger_is_nearer_for_every_kind_of_output() {
     for (kind, f) in [
         (Kind::Disparity, (|x, _| x as f32) as fn(usize, usize) -> f32),
         (Kind::Metric, |x, _| 100.0 / (x + 1) as f32),
@@ -96,7 +96,7 @@ fn larger_is_nearer_whatever_the_network_gives() {
 }
 
 #[test]
-fn stiff_outputs() {
+fn degenerate_outputs_give_valid_maps_or_errors() {
     let p = photo(64, 48);
     let flat = with(|_, _| 7.0).estimate(&p).unwrap();
     let worst = flat.delta.iter().map(|v| (v - 0.5).abs()).fold(0.0, f32::max);
@@ -122,14 +122,14 @@ fn stiff_outputs() {
             m
         })
         .unwrap();
-    assert!((lone.delta[0] - 1.0).abs() < 1e-6, "the only relief there is is kept");
+    assert!((lone.delta[0] - 1.0).abs() < 1e-6, "the only relief is kept");
     assert!(matches!(with(|_, _| f32::NAN).estimate(&p), Err(DepthError::Onnx(OnnxError::Run { .. }))));
     let metric = Adapter { output: Kind::Metric, ..super::super::ADAPTERS[0] };
     let got = Monocular::new(&metric, Arc::new(Stub(|x, _| x as f32 - 5.0))).estimate(&p).unwrap();
     assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "distances of 0 and below");
 }
 
-/// Gives the outputs that a test chose.
+/// Returns the outputs that a test chose.
 struct Several(fn(usize, usize) -> Vec<Tensor>);
 
 impl Network for Several {
@@ -151,7 +151,7 @@ fn map(w: usize, h: usize, f: impl Fn(usize, usize) -> f32) -> Tensor {
     Tensor { shape: vec![1, h, w], data: (0..w * h).map(|i| f(i % w, i / w)).collect() }
 }
 
-/// Points of a plane that recedes to the right from 1 to 3, 0.5 nearer than they are; distances are those times 2.
+/// Points of a plane that recedes to the right from 1 to 3, moved nearer by 0.5; distances are these times 2.
 fn plane(w: usize, h: usize, focal: f64) -> Vec<Tensor> {
     let diagonal = (w as f64).hypot(h as f64);
     let mut points = map(3 * w, h, |k, y| {
@@ -180,7 +180,7 @@ fn points_become_disparities_and_sky_is_infinitely_far() {
 }
 
 #[test]
-fn a_photo_of_sky_alone_is_flat_and_no_numbers_are_an_error() {
+fn a_photo_of_only_sky_is_flat_and_an_output_without_numbers_is_an_error() {
     let all_sky = several("moge-2", &["points", "mask"], |w, h| {
         let mut outputs = plane(w, h, 1.0);
         outputs[1].data.fill(0.0);
@@ -195,7 +195,7 @@ fn a_photo_of_sky_alone_is_flat_and_no_numbers_are_an_error() {
     });
     assert!(nothing.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no finite value"));
     let behind = several("depth-anything-3", &["depth"], |w, h| vec![map(w, h, |_, _| -1.0)]);
-    assert!(behind.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no value that is a distance"));
+    assert!(behind.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no positive distance"));
     let holes = several("moge-2", &["points", "mask"], |w, h| {
         let mut outputs = plane(w, h, 1.0);
         let wild = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
@@ -216,7 +216,7 @@ fn a_photo_of_sky_alone_is_flat_and_no_numbers_are_an_error() {
 }
 
 #[test]
-fn every_shape_of_photo_goes_through_every_network() {
+fn every_shape_of_photo_runs_through_every_network() {
     for (w, h) in [(1, 1), (1, 16_384), (16_384, 1), (63, 65), (1008, 686)] {
         let p = photo(w, h);
         let moge = several("moge-2", &["points", "mask", "scale"], |w, h| plane(w, h, 1.0)).estimate(&p).unwrap();
@@ -230,13 +230,14 @@ fn every_shape_of_photo_goes_through_every_network() {
 }
 
 #[test]
-fn files_of_several_inputs_outputs_and_parts_are_loaded_and_run() {
+fn networks_of_several_inputs_outputs_and_files_load_and_run() {
     if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
         return;
     }
     let load =
         |name: &str, model, beside: &[Beside]| Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default());
-    // Left half black, outside of the mask; the right half's blue is its distance, up to the shift and 1813 tokens as the scale
+    // the left half is black and outside of the mask; in the right half blue is the distance, up to the shift and with 1813 tokens as the
+    // scale
     let half = Photo { width: 40, height: 30, rgb: (0..1200).map(|i| if i % 40 < 20 { [0; 3] } else { [200, 200, 255] }).collect() };
     let got = load("moge-2", include_bytes!("../../../../../tests/onnx/points.onnx"), &[]).unwrap().raw(&half).unwrap();
     assert_eq!((got.width, got.height), (49 * 14, 37 * 14));
@@ -247,19 +248,19 @@ fn files_of_several_inputs_outputs_and_parts_are_loaded_and_run() {
     let grey = Photo { width: 40, height: 30, rgb: vec![[124, 116, 104]; 1200] };
     let got = load("depth-anything-3", views, &[weights()]).unwrap().raw(&grey).unwrap();
     assert_eq!((got.width, got.height), (504, 378));
-    // ImageNet's mean is a 0, and distances are 3
+    // ImageNet's mean becomes 0, and distances are 3
     assert!(got.delta.iter().all(|d| (d - 1.0 / 3.0).abs() < 1e-2), "{}", got.delta[0]);
     assert!(matches!(load("depth-anything-3", views, &[]), Err(OnnxError::Model { .. })), "weights are missing");
     let stem = include_bytes!("../../../../../tests/onnx/stem.onnx");
     let got = load("zipdepth", stem, &[]).unwrap().raw(&grey).unwrap();
-    assert_eq!((got.width, got.height), (64, 32), "the file's extents");
+    assert_eq!((got.width, got.height), (64, 32), "the file's dimensions");
     let wrong = load("moge-2", stem, &[]).err().unwrap().to_string();
-    assert!(wrong.contains("gives depth, and none is called points"), "{wrong}");
+    assert!(wrong.contains("returns depth, but none is called points"), "{wrong}");
 }
 
 #[test]
-fn flipping_takes_the_mean_of_both_runs() {
-    // A network that is blind to the picture sees the same ramp in the mirrored photo: the mean has no slope to the side
+fn flipping_averages_both_runs() {
+    // a network that ignores the picture returns the same ramp for the mirrored photo: the mean has no horizontal slope
     let adapter = Adapter { flip: true, ramp: 0.0, ..ONE_RUN };
     let got = Monocular::new(&adapter, Arc::new(Stub(|x, y| (x + 10 * y) as f32))).raw(&photo(90, 60)).unwrap();
     let (w, h) = (got.width as usize, got.height as usize);
@@ -270,7 +271,7 @@ fn flipping_takes_the_mean_of_both_runs() {
 }
 
 #[test]
-fn margins_are_put_on_and_taken_off() {
+fn margins_are_added_and_cropped() {
     let zoe = super::super::adapter("zoedepth").unwrap();
     // 60 × 40 pixels have margins of 16 and 13, and the network runs at 512 × 352
     let ramp = Monocular::new(zoe, Arc::new(Stub(|x, _| x as f32 + 1.0))).raw(&photo(60, 40)).unwrap();
@@ -278,7 +279,7 @@ fn margins_are_put_on_and_taken_off() {
     let distance = |x: usize| 1.0 / ramp.delta[100 * 334 + x];
     assert!((distance(0) - (512.0 * 16.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(0));
     assert!((distance(333) - (512.0 * 75.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(333));
-    // Beside a step the cubic goes below 0, which is not far away
+    // beside a step the cubic goes below 0, which is not far away
     let step = Monocular::new(zoe, Arc::new(Stub(|x, _| if x < 256 { 0.01 } else { 10.0 }))).raw(&photo(60, 40)).unwrap();
     let least = step.delta[..160].iter().copied().fold(f32::INFINITY, f32::min);
     assert!(least > 0.5, "{least}");
@@ -291,7 +292,7 @@ fn margins_are_put_on_and_taken_off() {
 }
 
 #[test]
-fn a_network_of_another_size_is_an_error() {
+fn an_output_of_another_size_is_an_error() {
     struct Small;
     impl Network for Small {
         fn run(&self, _: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {

@@ -1,4 +1,4 @@
-//! Downloads of model files: resumed where they broke off, kept only where the digest is right, never half there.
+//! Downloads model files. Broken downloads are resumed, and a file is kept only if it is complete and has the right digest.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -9,14 +9,14 @@ use std::time::Duration;
 
 use sha2::{Digest as _, Sha256};
 
-/// Largest file that is fetched where the size is not known.
+/// Largest file that is fetched if its size is unknown, in bytes.
 const MOST: u64 = 4 << 30;
-/// How long a name may take to be resolved, and connecting may take: where there is no network, nobody wants to wait for it.
+/// Longest time to resolve a name, and to connect: without a network, users should not have to wait.
 const CONNECT: Duration = Duration::from_secs(3);
-/// How long a server may take to answer, and to send the next piece.
+/// Longest time until a server answers, and until it sends the next piece.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A SHA-256 digest; written and read as 64 hexadecimal digits.
+/// A SHA-256 digest, written and read as 64 hexadecimal digits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Digest([u8; 32]);
 
@@ -42,12 +42,12 @@ impl std::fmt::Display for Digest {
     }
 }
 
-/// What to fetch.
+/// A file to fetch.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted<'a> {
     /// HTTP or HTTPS address.
     pub url: &'a str,
-    /// Size in bytes, where it is known.
+    /// Size in bytes, if known.
     pub bytes: Option<u64>,
     /// Digest that the file must have.
     pub sha256: Digest,
@@ -56,7 +56,7 @@ pub struct Wanted<'a> {
 /// Why a file could not be fetched.
 #[derive(Debug, thiserror::Error)]
 pub enum DownloadError {
-    /// No answer, or a connection that broke; what came is kept, the next call goes on from there.
+    /// No answer, or a broken connection. The bytes so far are kept, and the next call resumes.
     #[error("{url}: {reason}")]
     Http {
         /// Address.
@@ -64,7 +64,7 @@ pub enum DownloadError {
         /// What went wrong.
         reason: String,
     },
-    /// The server said no.
+    /// The server refuses.
     #[error("{url}: the server answers {status}")]
     Status {
         /// Address.
@@ -72,52 +72,52 @@ pub enum DownloadError {
         /// HTTP status.
         status: u16,
     },
-    /// The connection ended before the file did; what came is kept, the next call goes on from there.
-    #[error("the download broke off after {have} of {want} bytes; run it again to go on from there")]
+    /// The connection ended before the file did. The bytes so far are kept, and the next call resumes.
+    #[error("the download broke off after {have} of {want} bytes; run it again to resume")]
     Truncated {
-        /// Bytes that are here.
+        /// Bytes so far.
         have: u64,
         /// Bytes of the file.
         want: u64,
     },
-    /// The server sends another size than was announced; nothing is kept.
-    #[error("the server sends {got} bytes, the file has {want}")]
+    /// The server sends another size than expected; nothing is kept.
+    #[error("the server sends {got} bytes, expected {want}")]
     Size {
         /// Bytes of the file.
         want: u64,
         /// Bytes of the answer.
         got: u64,
     },
-    /// The file is not the one that was wanted; nothing is kept.
-    #[error("the file has the SHA-256 digest {got}, {want} was wanted: it is damaged or another file, and was deleted")]
+    /// The file is not the expected one; nothing is kept.
+    #[error("the file has the SHA-256 digest {got}, expected {want}: it is damaged or another file, and was deleted")]
     Corrupt {
-        /// Digest that was wanted.
+        /// Expected digest.
         want: Digest,
-        /// Digest of what came.
+        /// Digest of the received file.
         got: Digest,
     },
-    /// A file here cannot be read or written.
+    /// A local file cannot be read or written.
     #[error("{file}: {source}")]
     File {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// Fetches `wanted` to the file `to`, by way of a file beside it that ends in `.part`. True where bytes were fetched, false
-/// where the file was there already. `progress` is told the bytes that are here and, where it is known, those of the file.
+/// Fetches `wanted` to the file `to`, by way of a file beside it that ends in `.part`. Returns true if it fetched bytes, and false if the
+/// file was already there. Calls `progress` with the number of bytes so far and, if known, that of the whole file.
 ///
 /// # Errors
-/// [`DownloadError`]; the file `to` is then as it was.
+/// [`DownloadError`]; the file `to` stays as it was.
 pub fn fetch(wanted: &Wanted<'_>, to: &Path, progress: impl FnMut(u64, Option<u64>)) -> Result<bool, DownloadError> {
     fetch_within(PATIENCE, sync, wanted, to, progress)
 }
 
-/// Makes what was renamed within a folder durable.
+/// Makes a rename within a folder durable.
 fn sync(folder: &Path) -> io::Result<()> {
-    // elsewhere folders cannot be opened as files
+    // other systems cannot open folders as files
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
@@ -154,13 +154,13 @@ fn fetch_within(
         return Err(DownloadError::Corrupt { want: wanted.sha256, got });
     }
     std::fs::rename(&part, to).map_err(on(to))?;
-    // a name is durable once its folder is
+    // a name is durable once its folder is synced
     let folder = to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     sync(folder).map_err(on(folder))?;
     Ok(true)
 }
 
-/// Appends to `part`, which has `have` bytes, what is still missing.
+/// Appends the missing bytes to `part`, which has `have` bytes.
 fn transfer(
     patience: Duration,
     wanted: &Wanted<'_>,
@@ -171,7 +171,7 @@ fn transfer(
     let broken = |reason: String| DownloadError::Http { url: wanted.url.to_owned(), reason };
     let on = |source| DownloadError::File { file: part.to_owned(), source };
     let agent: ureq::Agent = ureq::Agent::config_builder()
-        // connecting begins once the name is resolved
+        // the connect timeout starts once the name is resolved
         .timeout_resolve(Some(CONNECT.min(patience)))
         .timeout_connect(Some(CONNECT.min(patience)))
         .timeout_recv_response(Some(patience))
@@ -185,11 +185,11 @@ fn transfer(
     }
     let response = request.call().map_err(|e| broken(e.to_string()))?;
     let status = response.status().as_u16();
-    // Only an answer that begins where this file ends is a continuation
+    // only an answer that begins where this file ends continues it
     let from = response.headers().get("content-range").and_then(|v| v.to_str().ok());
     let goes_on = status == 206 && from.is_some_and(|v| v.starts_with(&format!("bytes {have}-")));
     if status == 416 || (status == 206 && !goes_on) {
-        // What is here does not fit the file there: the next call begins anew
+        // this part does not fit the server's file: the next call starts over
         std::fs::remove_file(part).map_err(on)?;
     }
     if !(status == 200 || goes_on) {
@@ -212,7 +212,7 @@ fn transfer(
         match pieces.recv_timeout(patience) {
             Err(RecvTimeoutError::Disconnected) => break None,
             Err(RecvTimeoutError::Timeout) => {
-                break Some(io::Error::new(io::ErrorKind::TimedOut, format!("nothing came for {patience:?}")));
+                break Some(io::Error::new(io::ErrorKind::TimedOut, format!("no data for {patience:?}")));
             }
             Ok(Ok(piece)) => {
                 at += piece.len() as u64;
@@ -234,8 +234,8 @@ fn transfer(
     }
 }
 
-/// What comes, piece by piece, and an error at the end where there is one. A thread reads it: a read cannot be given up, but waiting for
-/// it can, and it ends with the process.
+/// Receives a body piece by piece, and its error, if any, at the end. A thread reads the body, because a read cannot be cancelled but
+/// waiting for it can. The thread ends with the process.
 fn pieces(mut body: impl Read + Send + 'static) -> io::Result<Receiver<io::Result<Vec<u8>>>> {
     let (send, pieces) = sync_channel(4);
     std::thread::Builder::new().name("tmpi-download".into()).spawn(move || {
@@ -278,15 +278,15 @@ mod tests {
     #[derive(Clone, Copy, PartialEq)]
     enum Mood {
         Well,
-        /// Announces everything, sends half of it.
+        /// Announces everything and sends half of it.
         Cuts,
-        /// Sends another byte in the middle.
+        /// Changes a byte in the middle.
         Spoils,
-        /// Takes no notice of ranges.
+        /// Ignores ranges.
         Whole,
         /// Announces everything, sends half of it, and then neither sends nor closes.
         Stalls,
-        /// Sends what is not the file.
+        /// Sends one byte too many.
         Longer,
         Refuses,
     }
@@ -294,14 +294,14 @@ mod tests {
     struct Server {
         url: String,
         mood: Arc<Mutex<Mood>>,
-        asked: Arc<Mutex<Vec<Option<u64>>>>,
+        requests: Arc<Mutex<Vec<Option<u64>>>>,
     }
 
     fn serve(content: Vec<u8>) -> Server {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}/model.onnx", listener.local_addr().unwrap());
-        let (mood, asked) = (Arc::new(Mutex::new(Mood::Well)), Arc::new(Mutex::new(Vec::new())));
-        let (m, a) = (Arc::clone(&mood), Arc::clone(&asked));
+        let (mood, requests) = (Arc::new(Mutex::new(Mood::Well)), Arc::new(Mutex::new(Vec::new())));
+        let (m, a) = (Arc::clone(&mood), Arc::clone(&requests));
         std::thread::spawn(move || {
             let mut stalled = Vec::new();
             for stream in listener.incoming() {
@@ -336,7 +336,7 @@ mod tests {
                 }
             }
         });
-        Server { url, mood, asked }
+        Server { url, mood, requests }
     }
 
     struct Case {
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_comes_whole_and_only_once() {
+    fn a_file_is_fetched_completely_and_only_once() {
         let c = case();
         let mut last = (0, None);
         let wanted = Wanted { url: &c.server.url, bytes: None, sha256: c.sha256 };
@@ -377,8 +377,8 @@ mod tests {
         assert_eq!(last, (300_000, Some(300_000)));
         assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
         assert!(!c.part().exists());
-        assert!(!c.fetch(Mood::Refuses, None).unwrap(), "it is there, nobody is asked");
-        assert_eq!(c.server.asked.lock().unwrap().len(), 1);
+        assert!(!c.fetch(Mood::Refuses, None).unwrap(), "it is there already");
+        assert_eq!(c.server.requests.lock().unwrap().len(), 1);
     }
 
     #[test]
@@ -389,7 +389,7 @@ mod tests {
         assert!(!c.file().exists() && c.part().exists());
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
         assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
-        assert_eq!(*c.server.asked.lock().unwrap(), [None, Some(150_000)]);
+        assert_eq!(*c.server.requests.lock().unwrap(), [None, Some(150_000)]);
     }
 
     #[test]
@@ -400,11 +400,11 @@ mod tests {
         let silent = fetch_within(Duration::from_millis(300), sync, &wanted, &c.file(), |_, _| {}).unwrap_err();
         assert!(matches!(silent, DownloadError::Truncated { have: 150_000, want: 300_000 }), "{silent}");
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
-        assert_eq!(*c.server.asked.lock().unwrap(), [None, Some(150_000)]);
+        assert_eq!(*c.server.requests.lock().unwrap(), [None, Some(150_000)]);
     }
 
     #[test]
-    fn the_folder_is_synced_once_the_file_has_its_name_and_an_error_of_that_is_told() {
+    fn the_folder_is_synced_after_the_rename_and_its_error_is_returned() {
         let c = case();
         let wanted = Wanted { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
         let synced = std::cell::RefCell::new(Vec::new());
@@ -422,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_without_ranges_begins_anew() {
+    fn a_server_without_ranges_starts_over() {
         let c = case();
         c.fetch(Mood::Cuts, Some(300_000)).unwrap_err();
         assert!(c.fetch(Mood::Whole, Some(300_000)).unwrap());
@@ -430,14 +430,14 @@ mod tests {
     }
 
     #[test]
-    fn a_spoilt_download_is_refused_and_leaves_nothing() {
+    fn a_corrupt_download_is_refused_and_leaves_nothing() {
         let c = case();
         std::fs::create_dir_all(c.folder.path().join("sub")).unwrap();
         std::fs::write(c.file(), b"older").unwrap();
         assert!(matches!(c.fetch(Mood::Spoils, Some(300_000)), Err(DownloadError::Corrupt { .. })));
-        assert_eq!(std::fs::read(c.file()).unwrap(), b"older", "what was there stays");
+        assert_eq!(std::fs::read(c.file()).unwrap(), b"older", "the older file stays");
         assert!(!c.part().exists());
-        // A part that was spoilt before is found out at the end, too
+        // a part that was already corrupt is found out at the end, too
         std::fs::write(c.part(), vec![0; 1000]).unwrap();
         assert!(matches!(c.fetch(Mood::Well, Some(300_000)), Err(DownloadError::Corrupt { .. })));
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
@@ -455,7 +455,7 @@ mod tests {
     }
 
     #[test]
-    fn digests_are_read_as_they_are_written() {
+    fn digests_round_trip_through_text() {
         let text = "2d8c6cb8f415229daf1eb041024208e2608c9f98e17c81cc7c6ecb449c56fd58";
         assert_eq!(text.parse::<Digest>().unwrap().to_string(), text);
         for bad in ["", "2d8c", &text.replace('2', "g"), &format!("{text}00"), &"ä".repeat(32)] {

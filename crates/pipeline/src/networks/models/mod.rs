@@ -1,6 +1,6 @@
-//! The networks of a process: embedded or from a file, loaded when they are first needed.
+//! The networks of a process: embedded or from files, loaded when they are first needed.
 //!
-//! The command line and the server both take their [`Models`] from [`load`].
+//! The command line and the server both get their [`Models`] from [`load`].
 
 pub mod download;
 pub mod registry;
@@ -21,9 +21,9 @@ const DEPTH: Option<&[u8]> = Some(include_bytes!("../../../../../models/depth.on
 #[cfg(not(embedded = "depth"))]
 const DEPTH: Option<&[u8]> = None;
 
-/// Files of Θ and Ψ in the folder of networks: no default wants them, so no program carries them.
+/// File of Θ in the folder of networks. No default needs Θ or Ψ, so no program embeds them.
 pub const THETA: &str = "theta.onnx";
-/// See [`THETA`].
+/// File of Ψ, see [`THETA`].
 pub const PSI: &str = "psi.onnx";
 
 /// Which networks to use, and how.
@@ -31,24 +31,24 @@ pub const PSI: &str = "psi.onnx";
 pub struct Settings {
     /// Depth network.
     pub depth: &'static Adapter,
-    /// Its ONNX file; none: the embedded one.
+    /// Its ONNX file; `None`: the embedded one.
     pub depth_file: Option<PathBuf>,
-    /// Pixels that a photo is brought to for it, other than its own choice; a file of one size overrides it.
+    /// Pixels to which a photo is resampled for it, instead of its own choice; a file of fixed size overrides it.
     pub depth_pixels: Option<u32>,
-    /// Strength of the smoothing of its map up to the photo's edges, other than its own; 0: none.
+    /// Strength with which its map is smoothed up to the photo's edges, instead of its own; 0: none.
     pub depth_smoothing: Option<f64>,
-    /// Share of a vertical ramp that its map gains, other than its own.
+    /// Share of a vertical ramp that is added to its map, instead of its own.
     pub depth_ramp: Option<f64>,
-    /// Whether depth runs a second time, on the mirrored photo, and the mean is taken, if not as the network has it.
+    /// Whether to average depth with that of the mirrored photo, which takes a second run; `None`: as the adapter says.
     pub flip: Option<bool>,
-    /// Where [`THETA`] and [`PSI`] are, if they are there.
+    /// Folder of [`THETA`] and [`PSI`], if their files exist.
     pub folder: PathBuf,
     /// How networks are run.
     pub onnx: Config,
 }
 
 impl Settings {
-    /// Name of the depth network as reports tell it: that of its file where this says more than the adapter's.
+    /// Name of the depth network in reports: that of its file if it says more than the adapter's.
     #[must_use]
     pub fn name(&self) -> &str {
         let stem = self.depth_file.as_deref().and_then(Path::file_stem).and_then(|s| s.to_str());
@@ -71,21 +71,21 @@ impl Default for Settings {
     }
 }
 
-/// A model file that cannot be read.
+/// A model file cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("model file {file}: {source}")]
 pub struct ModelFileError {
     /// The file.
     pub file: PathBuf,
-    /// What the system says.
+    /// The system's error.
     pub source: std::io::Error,
 }
 
-/// The networks by `settings`. A model file is read at once, networks and ONNX Runtime are loaded at their first run: a photo with
-/// a depth map needs neither. Θ and Ψ are there only where their files are.
+/// The networks that `settings` describe. The depth network's file is read at once, but networks and ONNX Runtime are loaded at their
+/// first run: a photo with a depth map needs neither. Θ and Ψ exist only if their files do.
 ///
 /// # Errors
-/// [`ModelFileError`].
+/// [`ModelFileError`] if the depth network's file or one of its files of weights cannot be read.
 pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
     let whole = |file: &Path| Ok((read(file)?, weights(file)?));
     let model = settings.depth_file.as_deref().map(whole).transpose()?;
@@ -97,11 +97,11 @@ pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
     Ok(Models { depth: Arc::new(depth), theta: lazily(THETA), psi: lazily(PSI) })
 }
 
-/// The files of weights that a model file names, by the names that it has for them. Each lies beside it, under that name or that of the model
-/// file with `_data` behind it, as `tmpi models get` keeps it; none of a file that is no ONNX file.
+/// The files of weights that a model file names, with the names that it uses. Each lies beside it, under that name or under that of the
+/// model file with `_data` appended, as `tmpi models get` stores it. Empty for a file that is not an ONNX file.
 ///
 /// # Errors
-/// [`ModelFileError`] where one is missing, or is not to be in the same folder.
+/// [`ModelFileError`] if one is missing, or if its name points to another folder.
 pub fn beside(file: &Path) -> Result<Vec<(String, PathBuf)>, ModelFileError> {
     let failed = |source| ModelFileError { file: file.to_owned(), source };
     let names = outline(&mut BufReader::new(File::open(file).map_err(failed)?)).map_or_else(Vec::new, |o| o.beside);
@@ -200,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_file_is_told_at_once_and_a_bad_one_at_the_first_run() {
+    fn a_missing_file_is_an_error_at_once_and_a_bad_one_at_the_first_run() {
         let settings = Settings { depth_file: Some("no/such.onnx".into()), ..Settings::default() };
         assert!(load(&settings).err().unwrap().to_string().contains("no/such.onnx"));
         let settings = Settings { depth_file: Some("Cargo.toml".into()), ..Settings::default() };
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_beside_a_model_are_found_by_its_name_for_them_or_their_own() {
+    fn weights_are_found_under_the_models_name_for_them_or_that_of_its_file() {
         let folder = tempfile::tempdir().unwrap();
         let tests = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/onnx"));
         let file = folder.path().join("depth-anything-3-small.onnx");
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn options_that_want_a_network_need_its_file() {
+    fn options_that_need_a_network_need_its_file() {
         use crate::{Denoise, Options, StageError, Switch};
         let folder = tempfile::tempdir().unwrap();
         let settings = Settings { folder: folder.path().to_owned(), ..Settings::default() };

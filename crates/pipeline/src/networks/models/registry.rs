@@ -1,34 +1,34 @@
-//! Depth networks that others have published, and where they lie once they are here.
+//! Published depth networks, and where their files are stored.
 
 use std::path::{Path, PathBuf};
 
 use super::beside;
 use crate::depth::{Adapter, adapter, detect};
 
-/// A published depth network. Size and digest are as several public projects that check them state; `tmpi models get` keeps
-/// nothing else.
+/// A published depth network. Size and digest are those that several public projects state and check; `tmpi models get` keeps no other
+/// file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Published {
-    /// Name that users choose it by.
+    /// Name by which users choose it.
     pub name: &'static str,
-    /// What comes before and after it: a name of [`crate::depth::ADAPTERS`].
+    /// Name of its adapter in [`crate::depth::ADAPTERS`].
     pub adapter: &'static str,
-    /// Where its ONNX file is.
+    /// Address of its ONNX file.
     pub url: &'static str,
     /// Size of the file in bytes.
     pub bytes: u64,
     /// SHA-256 of the file, in hexadecimal.
     pub sha256: &'static str,
-    /// The file of weights beside it, where it has one.
+    /// The file of weights beside it, if it has one.
     pub weights: Option<Weights>,
-    /// Licence of the weights, and whose they are.
+    /// Licence and owner of the weights.
     pub licence: &'static str,
 }
 
 /// A published file of weights that an ONNX file names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Weights {
-    /// Where it is.
+    /// Address.
     pub url: &'static str,
     /// Size of the file in bytes.
     pub bytes: u64,
@@ -36,12 +36,13 @@ pub struct Weights {
     pub sha256: &'static str,
 }
 
-/// The published network that is worth fetching where there is none: of the kinds whose maps were looked at here, the smallest download of the best.
+/// The published network to fetch if there is none: of the kinds whose maps were inspected here, the smallest download of the best.
 pub const BETTER: &str = "depth-anything-v2-small-fp16";
 
-/// Adapters from the best to the worst: each line of papers reports smaller errors on unseen data than those after it. An adapter that stands
-/// for no published network has no rank. MoGe-2 comes first since it reports the sharper edges, which planes are cut along; Depth Anything 3
-/// reports less error than 2 on distances at fewer pixels; `ZipDepth`, smaller errors than small networks, of which that of `MiDaS` is one.
+/// Adapters from best to worst: papers report smaller errors on unseen data for each than for those after it. An adapter that stands for
+/// no published network has no rank. MoGe-2 comes first because it reports sharper edges, along which planes are cut. Depth Anything 3
+/// reports smaller errors on distances than 2, at fewer pixels. `ZipDepth` reports smaller errors than small networks, one of which is
+/// `MiDaS`.
 const RANKS: [&str; 13] = [
     "moge-2",
     "depth-anything-3",
@@ -58,7 +59,7 @@ const RANKS: [&str; 13] = [
     "tmpi",
 ];
 
-/// Networks that come by file alone, by their adapters, and the licences of their weights.
+/// Adapters of networks that are available only as files, and the licences of their weights.
 pub const BY_FILE: [(&str, &str); 8] = [
     ("midas-v2.1", "MIT, Intel ISL"),
     ("midas-v2.1-hub", "MIT, Intel ISL"),
@@ -70,7 +71,7 @@ pub const BY_FILE: [(&str, &str); 8] = [
     ("zipdepth", "MIT, the ZipDepth authors"),
 ];
 
-/// All networks that `tmpi models get` knows.
+/// All networks that `tmpi models get` can fetch.
 pub const PUBLISHED: [Published; 5] = [
     Published {
         name: BETTER,
@@ -130,47 +131,47 @@ impl Published {
         adapter(self.adapter)
     }
 
-    /// File that it is kept in, in [`folder`].
+    /// Its file in [`folder`].
     #[must_use]
     pub fn file(&self) -> PathBuf {
         folder().join(format!("{}.onnx", self.name))
     }
 
-    /// Bytes of all its files.
+    /// Size of all its files in bytes.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.bytes + self.weights.map_or(0, |w| w.bytes)
     }
 }
 
-/// Place in [`RANKS`] of the network that a report names; none where it has none.
+/// Index in [`RANKS`] of a network by its name in reports; `None` if it has no rank.
 fn rank(network: &str) -> Option<usize> {
     let known = RANKS.iter().enumerate().filter(|(_, kind)| network.starts_with(**kind));
-    // names of some kinds begin like those of others
+    // the names of some kinds begin with those of others
     known.max_by_key(|(_, kind)| kind.len()).map(|(at, _)| at)
 }
 
-/// Kinds that are worse than the network that a report names, from the best to the worst; the name of a network begins with its kind, and none
-/// that begins with a worse kind is of a better one. Empty where it has no rank.
+/// Kinds that are worse than a network, given by its name in reports, from best to worst. A network's name begins with its kind, and no
+/// better kind's name begins with that of a worse one. Empty if the network has no rank.
 #[must_use]
 pub fn better_than(network: &str) -> &'static [&'static str] {
     rank(network).map_or(&[], |at| &RANKS[at + 1..])
 }
 
-/// The published network that is worth fetching by who has `network`, as a report names it: none where that is as good or not known.
+/// The published network worth fetching for users of `network`, a name in reports; `None` if that is as good or unknown.
 #[must_use]
 pub fn worth_fetching(network: &str) -> Option<&'static Published> {
     let better = published(BETTER)?;
     (rank(network)? > rank(better.adapter)?).then_some(better)
 }
 
-/// The published network of that name.
+/// Finds a published network by name.
 #[must_use]
 pub fn published(name: &str) -> Option<&'static Published> {
     PUBLISHED.iter().find(|p| p.name == name)
 }
 
-/// Folder of downloaded networks: `TMPI_MODELS`, else the user's data folder, else `models` here.
+/// Folder of downloaded networks: `TMPI_MODELS`, else the user's data folder, else `models` in the current directory.
 #[must_use]
 pub fn folder() -> PathBuf {
     let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
@@ -180,19 +181,19 @@ pub fn folder() -> PathBuf {
     set("TMPI_MODELS").or_else(|| data().map(|d| d.join("tmpi/models"))).unwrap_or_else(|| "models".into())
 }
 
-/// Folder that comes with the program: `models` beside it.
+/// Folder that ships with the program: `models` beside the executable.
 fn shipped() -> Option<PathBuf> {
     Some(std::env::current_exe().ok()?.parent()?.join("models"))
 }
 
-/// The best network in [`folder`], else of those that came with the program.
+/// The best network in [`folder`], else among those that ship with the program.
 #[must_use]
 pub fn usual() -> Option<(&'static Adapter, PathBuf)> {
     best(&folder()).or_else(|| best(&shipped()?))
 }
 
-/// The best network among the ONNX files of `folder`: by kind, then the larger file, then by name. Files that do not tell their network, or
-/// whose weights are in another that is not there, are passed over; none where nothing is left.
+/// The best network among the ONNX files of `folder`: by kind, then the larger file, then by name. Skips files that do not identify their
+/// network, or whose file of weights is missing. `None` if no file is left.
 #[must_use]
 pub fn best(folder: &Path) -> Option<(&'static Adapter, PathBuf)> {
     let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| {
@@ -211,7 +212,7 @@ mod tests {
     use crate::networks::models::download::Digest;
 
     #[test]
-    fn every_entry_is_whole() {
+    fn every_entry_is_complete() {
         for p in &PUBLISHED {
             assert!(p.adapter().is_some(), "{}", p.name);
             assert!(p.sha256.parse::<Digest>().is_ok() && p.bytes > 0 && p.url.starts_with("https://"), "{}", p.name);
@@ -220,7 +221,7 @@ mod tests {
                 "{}",
                 p.name
             );
-            assert_eq!(detect(&p.file()).map(|a| a.name), Some(p.adapter), "its name tells its adapter");
+            assert_eq!(detect(&p.file()).map(|a| a.name), Some(p.adapter), "its name identifies its adapter");
             assert_eq!(published(p.name), Some(p));
         }
         assert_eq!(published("no such"), None);
@@ -235,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn every_ranked_network_tells_its_licence() {
+    fn every_ranked_network_has_a_licence() {
         for name in RANKS.iter().filter(|name| **name != "tmpi") {
             let fetched = PUBLISHED.iter().any(|p| p.adapter == *name);
             assert_eq!(BY_FILE.iter().filter(|(adapter, _)| adapter == name).count(), usize::from(!fetched), "{name}");
@@ -255,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_worth_fetching_unless_there_is_one_as_good() {
+    fn the_better_network_is_worth_fetching_unless_there_is_one_as_good() {
         for worse in ["tmpi", "midas-v2.1-small", "dpt-large", "zoedepth", "depth-anything-v2-metric-small"] {
             assert_eq!(worth_fetching(worse).map(|p| p.name), Some(BETTER), "{worse}");
         }
@@ -265,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_network_of_a_folder() {
+    fn the_best_network_of_a_folder_is_found() {
         let folder = tempfile::tempdir().unwrap();
         let put = |name: &str, bytes: usize| std::fs::write(folder.path().join(name), vec![0; bytes]).unwrap();
         let found = || best(folder.path()).map(|(a, file)| (a.name, file.file_name().unwrap().to_str().unwrap().to_owned()));
@@ -275,7 +276,7 @@ mod tests {
         put("model.onnx", 9);
         put("depth-anything-v2-small.onnx.part", 9);
         std::fs::create_dir(folder.path().join("dpt-large.onnx")).unwrap();
-        assert_eq!(found(), None, "none that tells what it is");
+        assert_eq!(found(), None, "no file identifies its network");
         put("midas-v2.1-small.onnx", 50);
         assert_eq!(found().unwrap().0, "midas-v2.1-small");
         put("depth-anything-v2-small-fp16.onnx", 5);
@@ -286,7 +287,7 @@ mod tests {
         assert_eq!(found().unwrap().0, "moge-2");
         std::fs::remove_file(folder.path().join("moge-2-small.onnx")).unwrap();
         std::fs::write(folder.path().join("depth-anything-3-small.onnx"), include_bytes!("../../../../../tests/onnx/views.onnx")).unwrap();
-        assert_eq!(found().unwrap().0, "depth-anything-v2", "without its weights it is none");
+        assert_eq!(found().unwrap().0, "depth-anything-v2", "without its weights it does not count");
         put("depth-anything-3-small.onnx_data", 8);
         assert_eq!(found().unwrap().0, "depth-anything-3");
     }

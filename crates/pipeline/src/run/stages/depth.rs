@@ -1,4 +1,4 @@
-//! Disparity: estimated or given, cleaned, its ramps drawn back to the photo's edges.
+//! Stages of the disparity map: estimates or reads it, denoises it, and snaps its ramps to the photo's edges.
 
 use tmpi_core::{DisparityMap, Photo};
 
@@ -6,9 +6,9 @@ use crate::run::{self, Context, MakeError, Switch};
 use crate::stereo::{self, Joined, Measured, Stereo};
 use crate::{denoise, depth, edges, photo};
 
-/// Photo, and where its disparity is to come from → disparity.
+/// Stage from a photo and the source of its disparity to a disparity map.
 ///
-/// The frames of a room may have the network run [at a smaller size](Depth::at) than a photo.
+/// For the frames of a room, the network can run [at a smaller size](Depth::at) than for a photo.
 #[derive(Debug, Default)]
 pub struct Depth {
     size: Option<(u32, u32)>,
@@ -16,56 +16,57 @@ pub struct Depth {
 }
 
 impl Depth {
-    /// The network, where disparity comes from it, runs at one of [`depth::Estimator::sizes`]; none: as for a photo.
+    /// Runs the network, if it is the source, at `size`, one of [`depth::Estimator::sizes`]; `None`: at the same size as for a photo.
     #[must_use]
     pub const fn at(size: Option<(u32, u32)>) -> Self {
         Self { size, network_ms: 0.0 }
     }
 
-    /// Milliseconds that the network took by itself; 0 where it did not run at a size that was asked for.
+    /// Milliseconds of the network alone; 0 if it did not run at a size set by [`Depth::at`].
     #[must_use]
     pub const fn network_ms(&self) -> f64 {
         self.network_ms
     }
 }
 
-/// Where disparity comes from.
+/// Source of disparity.
 #[derive(Clone, Debug)]
 pub enum Source<'a> {
-    /// The network.
+    /// The depth network.
     Network,
-    /// A map that the user gives: a grey picture's file, and the EXIF orientation of the photo.
+    /// Your own map: the file of a grey picture, and the EXIF orientation of the photo.
     Given(&'a [u8], u8),
-    /// The map that the photo brings along.
+    /// The map embedded in the photo's file.
     Carried(depth::Carried),
-    /// The picture of a second eye.
+    /// Measurement against a second picture.
     Second(Eye<'a>),
 }
 
-/// Where the picture of a second eye is.
+/// The second picture, by where it is stored.
 #[derive(Clone, Debug)]
 pub enum Eye<'a> {
-    /// A file beside the photo.
+    /// A file of its own.
     Beside(&'a [u8]),
-    /// A file within the photo's.
+    /// A file embedded in the photo's.
     Within(&'a [u8]),
     /// The other half of the photo's picture.
     Half(Photo),
 }
 
 impl<'a> Source<'a> {
-    /// The user's own map or second eye if there is one, else what the photo brings along as far as that is wanted – a map, then a second eye – else
-    /// the network. What the photo brings along and cannot be read is told in the report, and only fails where nothing else is wanted.
+    /// Chooses your own map or second picture (`given`) if there is one, else a map or a second picture embedded in the photo's file if
+    /// the options allow it, else the network. The report says why embedded depth was not used.
     ///
     /// # Errors
-    /// [`MakeError::Depth`] where the photo's own depth is wanted and is not there or not readable.
+    /// [`MakeError::Depth`] if the option `photo_depth` is on and the photo's file holds no readable depth, if the option `stereo` asks for
+    /// a second picture that is missing, or for a 360° picture.
     pub fn choose(photo: &'a [u8], given: Option<&'a [u8]>, context: &mut Context) -> Result<Self, MakeError> {
         let (wanted, stereo) = (context.options.photo_depth, context.options.stereo);
         stereo.check(photo, given.is_some())?;
         match given {
             Some(second) if stereo == Stereo::Beside => return Ok(Self::Second(Eye::Beside(second))),
             Some(given) => return Ok(Self::Given(given, photo::orientation(photo))),
-            // its half is cut off once it is decoded
+            // the second half is cut off after decoding
             None if stereo.halves().is_some() => return Ok(Self::Network),
             None => {}
         }
@@ -92,7 +93,7 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// The half of the photo's picture, where there is one and nothing else was given.
+    /// The other half of the photo's picture, if there is one and no other source was chosen.
     #[must_use]
     pub fn or_half(self, half: Option<Photo>) -> Self {
         match (self, half) {
@@ -103,10 +104,10 @@ impl<'a> Source<'a> {
 }
 
 impl Eye<'_> {
-    /// Measures `photo` against it; none where that tells nothing, and the network's estimate will do.
+    /// Measures `photo` against the second picture; `None` if that fails and the network's estimate takes its place.
     ///
     /// # Errors
-    /// [`MakeError`]: a file that was given cannot be read; or nothing was measured, and nothing else will do.
+    /// [`MakeError`] if a file of its own cannot be read, or if measuring fails and the option `photo_depth` is on.
     fn measure(self, photo: &Photo, context: &mut Context) -> Result<Option<Measured>, MakeError> {
         let decoded = |file: &[u8]| photo::decode(file, context.limits, Some(photo.width.max(photo.height))).map(|d| d.photo);
         let given = matches!(self, Self::Beside(_));
@@ -128,14 +129,14 @@ impl Eye<'_> {
     }
 }
 
-/// Disparity of a photo on its way to the planes.
+/// Disparity of a photo, before planes are placed.
 #[derive(Clone, Debug)]
 pub struct Estimated {
-    /// δ, finite, 0 to 1.
+    /// δ at the photo's size, finite, 0 to 1.
     pub delta: DisparityMap,
-    /// How far it is to be trusted, 0 to 1 a pixel; none: everywhere alike.
+    /// Confidence per pixel, 0 to 1; `None`: the same everywhere.
     pub confidence: Option<Vec<f32>>,
-    /// It is the user's own.
+    /// The map was read or measured, not only estimated by the network.
     pub given: bool,
 }
 
@@ -191,7 +192,7 @@ impl run::Stage for Depth {
                 (estimate.map, estimate.small)
             }
         };
-        // anything that is no disparity lies at infinity: no input may give NaN further on
+        // values that are not finite become infinitely far, so that no input gives NaN in later stages
         for d in &mut delta.delta {
             *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
         }
@@ -200,7 +201,7 @@ impl run::Stage for Depth {
     }
 }
 
-/// Noise and outliers taken away, where there are any.
+/// Stage that removes noise and outliers from the disparity map.
 #[derive(Debug, Default)]
 pub struct Denoise;
 
@@ -211,11 +212,11 @@ impl run::Stage for Denoise {
 
     fn run(&mut self, (photo, mut map): (&Photo, Estimated), context: &mut Context) -> Result<Estimated, MakeError> {
         let movement = context.movement;
-        // not told of a map that stays as it is
+        // an unchanged map has no error to report
         let moved = |before: &DisparityMap, after: &DisparityMap| movement.filter(|_| before != after).map(|m| m.between(before, after));
         let clean = match context.options.denoise {
             run::Denoise::Theta => {
-                // Without Θ the options were refused before
+                // `Models::check` has rejected these options if Θ is missing
                 if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::confidence::wanted(&map.delta)) {
                     let (clean, confidence) = denoise::confidence::run(theta.as_ref(), photo, &map.delta)?;
                     map.confidence = Some(confidence);
@@ -224,7 +225,7 @@ impl run::Stage for Denoise {
                     None
                 }
             }
-            // It looks for degradation first
+            // measures noise and outliers itself
             run::Denoise::Auto => Some(denoise::local_planes::denoise(&map.delta)),
             run::Denoise::Classic => Some(denoise::median_guided::denoise(photo, &map.delta)),
             run::Denoise::Off => None,
@@ -237,7 +238,7 @@ impl run::Stage for Denoise {
     }
 }
 
-/// Ramps of blurred maps snapped to the photo's edges.
+/// Stage that snaps the ramps of blurred maps to the photo's edges.
 #[derive(Debug, Default)]
 pub struct Snap;
 
@@ -249,7 +250,7 @@ impl run::Stage for Snap {
     fn run(&mut self, (photo, mut map): (&Photo, Estimated), context: &mut Context) -> Result<Estimated, MakeError> {
         let switch = context.options.snap;
         if switch != Switch::Off {
-            // snapping true depth costs quality, and a map that is given may be either
+            // snapping sharp depth costs quality, and a given map may be sharp or blurred
             let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
             let snapped = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
             let movement = context.movement.filter(|_| snapped != map.delta);

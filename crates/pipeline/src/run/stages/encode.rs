@@ -1,4 +1,4 @@
-//! The container.
+//! Encoding of the container.
 
 use tmpi_core::container::{self, Carried, Carries};
 use tmpi_core::{Geometry, Photo, Scene, compose};
@@ -6,7 +6,7 @@ use tmpi_core::{Geometry, Photo, Scene, compose};
 use super::Layered;
 use crate::run::{Context, MakeError, Stage};
 
-/// Layers → scene and container.
+/// Stage from layers to scene and container.
 #[derive(Debug, Default)]
 pub struct Encode;
 
@@ -15,13 +15,13 @@ pub struct Encode;
 pub struct Encoded {
     /// The container.
     pub container: Vec<u8>,
-    /// What is in it.
+    /// The scene in the container.
     pub scene: Scene,
-    /// What the scene follows from.
+    /// Tiles, planes and labels of the scene.
     pub geometry: Geometry,
-    /// The photo's file.
+    /// The photo's file in the container.
     pub carried: Carried,
-    /// What does not follow from photo, planes and labels.
+    /// What the container stores because it does not follow from photo, planes and labels.
     pub carries: Carries,
 }
 

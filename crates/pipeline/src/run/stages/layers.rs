@@ -1,4 +1,4 @@
-//! Layers of all tiles: masks, colours, and what a network makes of them.
+//! Layers of all tiles: masks and colours, and their refinement by a network.
 
 use tmpi_core::container::{Carried, Carries, HiddenAs, PhotoFormat};
 use tmpi_core::{DisparityMap, Geometry, LayerMasks, Photo, TexturedLayer, texture};
@@ -8,11 +8,11 @@ use crate::layers::{self, refine};
 use crate::planes::Placement;
 use crate::run::{Context, LeftOut, MakeError, Report, Stage, Switch};
 
-/// Whether Ψ runs where nothing is said. With the weights shipped it is worth 0.03 dB of the 0.37 that exact hidden colours would be
-/// (`tmpi-lab bench --only without`), and the container has to carry its colours: so it does not.
+/// Whether Ψ runs with [`Switch::Auto`]. It does not: with the shipped weights, it gains 0.03 dB of the 0.37 dB that exact hidden colours
+/// would gain (`tmpi-lab bench --only without`), and the container would have to store its colours.
 const REFINEMENT_HELPS: bool = false;
 
-/// Planes and labels → layers with the colours of what they hide, and the photo's file for the container.
+/// Stage from planes and labels to layers with hidden colours, and to the photo's file for the container.
 #[derive(Debug, Default)]
 pub struct Layers;
 
@@ -23,9 +23,9 @@ pub struct Layered {
     pub geometry: Geometry,
     /// Layers of each tile.
     pub tiles: Vec<Vec<TexturedLayer>>,
-    /// The photo's file.
+    /// The photo's file for the container.
     pub carried: Carried,
-    /// What of the layers does not follow from photo, planes and labels.
+    /// What the container must store because it does not follow from photo, planes and labels.
     pub carries: Carries,
 }
 
@@ -37,11 +37,11 @@ impl Stage for Layers {
     fn run(&mut self, input: (&mut Prepared, Placed, &DisparityMap), context: &mut Context) -> Result<Layered, MakeError> {
         let (prepared, Placed { mut geometry, placement }, delta) = input;
         layers::add_backgrounds(&mut geometry, delta);
-        // what Ψ gives is carried, what matting gives follows from the photo
+        // the container stores the alphas of Ψ, whereas readers derive mattes from the photo
         geometry.matted = !refined(context);
         let masks = geometry.masks();
         count(&mut context.report, &geometry, &masks, &placement);
-        // the file for the container takes one core; beside the layers, which take all there are, it costs no time of its own
+        // encoding the photo uses one core; beside the layers, which use all cores, it adds no wall time
         let uploaded = prepared.uploaded.take();
         let file = || carry(uploaded, prepared.format, &prepared.photo, context.options.quality);
         let (tiles, carried) = rayon::join(|| texture(&prepared.photo, &geometry, masks), file);
@@ -49,7 +49,7 @@ impl Stage for Layers {
     }
 }
 
-/// Soft alphas and hidden colours by the network Ψ, where it is wanted.
+/// Stage that refines alphas and hidden colours with the network Ψ, if the options ask for it.
 #[derive(Debug, Default)]
 pub struct Refine;
 
@@ -78,7 +78,7 @@ fn refined(context: &Context) -> bool {
     (refine == Switch::On || (refine == Switch::Auto && REFINEMENT_HELPS)) && context.models.psi.is_some()
 }
 
-/// Counts what there is and what was left out: planes against the most that a tile may have, texels against layers as large as their tile.
+/// Counts planes and texels, and those left out: planes against the most per tile, texels against layers as large as their tiles.
 fn count(report: &mut Report, geometry: &Geometry, masks: &[LayerMasks], placement: &Placement) {
     report.tiles = masks.len();
     report.planes = masks.iter().map(|m| m.layers.len()).sum();
@@ -95,7 +95,7 @@ fn count(report: &mut Report, geometry: &Geometry, masks: &[LayerMasks], placeme
     };
 }
 
-/// The photo's file for the container: the uploaded one where it is no larger than a new one at the asked quality.
+/// The photo's file for the container: the uploaded file, if it is no larger than a new one at `quality`.
 fn carry(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<Carried, MakeError> {
     let anew = Carried::from_photo(photo, quality)?;
     Ok(match uploaded {

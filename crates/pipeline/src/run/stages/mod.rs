@@ -1,4 +1,4 @@
-//! The stages of a photo, in their order: each takes the values that the ones before it gave.
+//! The stages of a photo, in order. Each takes the results of earlier stages.
 
 mod depth;
 mod encode;

@@ -1,4 +1,4 @@
-//! The photo: checked, decoded, upright, of the size that is wanted.
+//! Checks and decodes the photo, turns it upright and scales it down.
 
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
@@ -7,30 +7,30 @@ use crate::photo::{self, Decoded};
 use crate::run::budget::Costs;
 use crate::run::{Context, Input, MakeError, Movement, Stage};
 
-/// Bytes of a file → photo and camera.
+/// Stage from the bytes of a file to photo and camera.
 #[derive(Debug, Default)]
 pub struct Prepare;
 
-/// A photo that the other stages can work on.
+/// A decoded photo, as the other stages need it.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// Its pixels.
+    /// Pixels.
     pub photo: Photo,
     /// The reference camera.
     pub intrinsics: Intrinsics,
-    /// Format as uploaded.
+    /// Format of the uploaded file.
     pub format: PhotoFormat,
-    /// The uploaded file without metadata, where it shows the same picture.
+    /// The uploaded file without metadata, if it shows the same picture as `photo`.
     pub uploaded: Option<Vec<u8>>,
-    /// Longest side in pixels that a budget of run time brought it to.
+    /// Longest side in pixels that a time budget chose, if it reduced the photo.
     pub reduced: Option<u32>,
-    /// The other half of a file that shows two eyes.
+    /// The second picture, if the file holds two in halves.
     pub other_eye: Option<Photo>,
 }
 
 impl Stage for Prepare {
     const NAME: &'static str = "photo";
-    /// The file, and whether its depth is to be estimated.
+    /// The file, and whether the network estimates its depth.
     type Input<'a> = (&'a [u8], bool);
     type Output = Prepared;
 

@@ -1,4 +1,4 @@
-//! Planes of all tiles.
+//! Placement of the planes of all tiles.
 
 use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 
@@ -8,54 +8,54 @@ use crate::run::budget::Costs;
 use crate::run::{Budget, Context, MakeError, Movement, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
 use tmpi_core::container::{most_planes, readable};
 
-/// Disparity → planes and labels of every tile.
+/// Stage from disparity to planes and labels of every tile.
 ///
-/// The frames of a room [carry](Planes::carrying) planes on: only those of changed tiles are placed, starting from the last ones.
+/// In a room, a frame [starts from the planes of the last one](Planes::carrying), and only changed tiles are placed again.
 #[derive(Debug, Default)]
 pub struct Planes {
     carried: Option<CarriedTiles>,
 }
 
-/// Tiles of the frame before.
+/// Tiles of the last frame.
 #[derive(Debug, Default)]
 struct CarriedTiles {
     tiles: Vec<Tile>,
-    /// Which of them to place again, by number.
+    /// Which tiles to place again, by number.
     changed: Vec<bool>,
-    /// Planes that a tile may be given.
+    /// Most planes of a newly placed tile.
     most: Option<u32>,
 }
 
 impl Planes {
-    /// Planes that are carried from one frame to the next, all of one size. Budget, memory and error figures are those of a photo, and
-    /// are left to the room.
+    /// Carries planes from one frame to the next; all frames must have the same size. Does not choose a time budget, check memory or
+    /// measure errors, as it does for a photo: the room does that itself.
     #[must_use]
     pub fn carrying() -> Self {
         Self { carried: Some(CarriedTiles::default()) }
     }
 
-    /// Says which tiles the next frame changes; all of them, where their number is another than that of the tiles.
+    /// Sets which tiles change in the next frame, by number; all do if the length differs from the number of tiles.
     pub fn change(&mut self, changed: Vec<bool>) {
         if let Some(carried) = &mut self.carried {
             carried.changed = changed;
         }
     }
 
-    /// Gives no tile of the next frame more than `most` planes anew; none: as many as the options say. Where more are kept they stay.
+    /// Limits tiles that the next frame places anew to `most` planes; `None`: to the limit of the options. Tiles may keep more planes.
     pub fn at_most(&mut self, most: Option<u32>) {
         if let Some(carried) = &mut self.carried {
             carried.most = most;
         }
     }
 
-    /// Goes on with `tile` in place of what was placed for tile `index` of the grid.
+    /// Makes the next frame start from `tile` at tile `index` of the grid.
     pub fn hold(&mut self, index: u32, tile: &Tile) {
         if let Some(held) = self.carried.as_mut().and_then(|c| c.tiles.get_mut(index as usize)) {
             *held = Tile { background: None, ..tile.clone() };
         }
     }
 
-    /// Forgets the tiles of the frame before: at a cut nothing goes on.
+    /// Drops the tiles of the last frame, for a cut.
     pub fn forget(&mut self) {
         if let Some(carried) = &mut self.carried {
             *carried = CarriedTiles::default();
@@ -75,12 +75,12 @@ impl CarriedTiles {
     }
 }
 
-/// Tiles with their planes, without background planes yet.
+/// Tiles with their planes, still without background planes.
 #[derive(Clone, Debug)]
 pub struct Placed {
     /// The tiles.
     pub geometry: Geometry,
-    /// How their planes were placed.
+    /// How the planes were placed.
     pub placement: Placement,
 }
 
@@ -107,20 +107,20 @@ impl Stage for Planes {
             return Ok(Placed { geometry: scene(carried.place(map, &grid, &placement)), placement });
         }
         let confidence = map.confidence.as_deref();
-        let (mut tiles, mut rounding) = parted(place_rounded(delta, confidence, &grid, &placement));
+        let (mut tiles, mut rounding) = split_rounding(place_rounded(delta, confidence, &grid, &placement));
         let most = most_planes(&grid);
         if most < placement.most && !readable(&grid, &tiles) {
-            // small tiles on a large photo: fewer planes, which readers take whatever the photo
+            // small tiles on a large photo: use as few planes as readers accept in any photo of this grid
             placement.most = most;
-            (tiles, rounding) = parted(place_rounded(delta, confidence, &grid, &placement));
+            (tiles, rounding) = split_rounding(place_rounded(delta, confidence, &grid, &placement));
         }
         let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
         let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
         let room = memory::most_planes(pixels, count, context.limits.memory);
         if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
-            // a large photo of which nearly every tile is busy: fewer planes, so that it is made at all
+            // a large photo with almost only busy tiles: use fewer planes to stay within the memory limit
             placement.most = room;
-            (tiles, rounding) = parted(place_rounded(delta, confidence, &grid, &placement));
+            (tiles, rounding) = split_rounding(place_rounded(delta, confidence, &grid, &placement));
         }
         let input = &context.report.input;
         let sizes = context.sizes.unwrap_or(Sizes::of_photo((input.width, input.height)));
@@ -131,20 +131,20 @@ impl Stage for Planes {
         (error.depth_mae, error.depth_mse, error.depth_q25) = discretisation_error(delta, &grid, &geometry.tiles);
         let tiles = movement.of_planes(delta, &geometry);
         error.tile_px = tiles.iter().map(|t| (t.mean * 1e3).round() / 1e3).collect();
-        error.planes = PlaneError { most_planes: placement.most, ..summed(&tiles, placement.target.map(|_| max_error)) };
+        error.planes = PlaneError { most_planes: placement.most, ..plane_error(&tiles, placement.target.map(|_| max_error)) };
         let moves = rounding.iter().zip(0..).map(|(delta, i)| delta * movement.most(grid.rect(i)));
         error.planes.rounding_px = moves.fold(0.0, f64::max);
         Ok(Placed { geometry, placement })
     }
 }
 
-/// Tiles, and what rounding did to the planes of each, in δ.
-fn parted(all: Vec<Rounded>) -> (Vec<Tile>, Vec<f64>) {
+/// Tiles, and the largest rounding error of each one's planes, in δ.
+fn split_rounding(all: Vec<Rounded>) -> (Vec<Tile>, Vec<f64>) {
     all.into_iter().map(|r| (r.tile, r.rounding)).unzip()
 }
 
-/// The errors of all tiles, which were to stay below a bound if there is one.
-fn summed(tiles: &[TileError], bound_px: Option<f64>) -> PlaneError {
+/// Errors over all tiles, against a bound if there is one.
+fn plane_error(tiles: &[TileError], bound_px: Option<f64>) -> PlaneError {
     let pixels = tiles.iter().map(|t| t.pixels).sum::<usize>().max(1) as f64;
     let mean = |of: fn(&TileError) -> f64| tiles.iter().map(|t| of(t) * t.pixels as f64).sum::<f64>() / pixels;
     let over: Vec<f64> = tiles.iter().filter_map(|t| bound_px.map(|b| t.p99 - b)).filter(|o| *o > 0.0).collect();
@@ -152,7 +152,7 @@ fn summed(tiles: &[TileError], bound_px: Option<f64>) -> PlaneError {
         mean_px: mean(|t| t.mean),
         bound_px,
         missed_tiles: over.len(),
-        // a sum of nothing is -0
+        // not `sum`, which gives -0 without terms
         missed_mean_px: over.iter().fold(0.0, |sum, o| sum + o) / over.len().max(1) as f64,
         missed_most_px: over.iter().copied().fold(0.0, f64::max),
         smoothing_px: mean(|t| t.smoothing),
@@ -160,7 +160,7 @@ fn summed(tiles: &[TileError], bound_px: Option<f64>) -> PlaneError {
     }
 }
 
-/// Chooses the parallax error for what is left of a budget of run time.
+/// Chooses the parallax error for the rest of a time budget.
 fn fit(
     context: &Context,
     asked_ms: f64,
@@ -177,9 +177,9 @@ fn fit(
     let size = reduced.map_or(String::new(), |side| format!("--max-size {side} "));
     let reason = match (enough, rate.factor > 1.0 || reduced.is_some()) {
         (false, _) if elapsed >= asked_ms => "the photo and its depth alone took longer",
-        (false, _) => "the cheapest setting takes longer",
-        (true, true) => "the best that fits",
-        (true, false) => "nothing had to be given up",
+        (false, _) => "even the cheapest setting takes longer",
+        (true, true) => "the best setting that fits",
+        (true, false) => "the requested settings fit",
     };
     Budget {
         asked_ms,

@@ -1,4 +1,4 @@
-//! What a person put right.
+//! Touch-up of the disparity map.
 
 use tmpi_core::Photo;
 
@@ -6,7 +6,8 @@ use super::Estimated;
 use crate::run::{self, Context, MakeError};
 use crate::strokes;
 
-/// The strokes of the options applied to a disparity map. Before its edges are snapped, so that outlines go where those of the photo are.
+/// Stage that applies the strokes of the options to the disparity map. It runs before edges are snapped, so that the outlines of strokes
+/// snap to those of the photo.
 #[derive(Debug, Default)]
 pub struct Strokes;
 

@@ -1,4 +1,4 @@
-//! What a made photo shows, against what it was made of.
+//! Compares what a container shows with what it was made from.
 
 use std::ops::Range;
 
@@ -10,10 +10,10 @@ use tmpi_render::draw_reference_view;
 use super::Encoded;
 use crate::run::{Context, MakeError, PruneError, Stage, prune};
 
-/// Of so many rows of tiles one is drawn from the container: all of them would take half as long as making.
-const ROWS: u32 = 12;
+/// One of this many rows of tiles is drawn from the container: to draw all of them would take half as long as making.
+const ROW_STEP: u32 = 12;
 
-/// Measures the carried photo, what a reader shows from the photo's own place, and what leaving out changed.
+/// Stage that measures the errors of the container's photo, of the reference view that a reader draws, and of pruning.
 #[derive(Debug, Default)]
 pub struct Verify;
 
@@ -37,11 +37,11 @@ fn pruned(made: &Encoded, all: bool) -> Result<Option<PruneError>, MakeError> {
     Ok(if all { Some(prune::verify(&made.scene.photo, &made.geometry)?) } else { prune::sample(&made.scene.photo, &made.geometry)? })
 }
 
-/// What a reader of the container sees.
+/// Errors of what a reader of the container draws.
 struct Seen {
     codec_psnr: f64,
     identity_psnr: f64,
-    /// Count of tiles in the view that this is of.
+    /// Number of tiles in the drawn part of the reference view.
     tiles: usize,
     hidden_psnr: Option<f64>,
 }
@@ -49,7 +49,7 @@ struct Seen {
 fn seen(made: &Encoded) -> Result<Seen, MakeError> {
     let photo = &made.scene.photo;
     if made.carries != Carries::default() {
-        // what a network gave is carried for all tiles together
+        // refined layers are stored for all tiles together, so no single row can be decoded
         let read = container::decode(&made.container)?;
         let hidden = || psnr(read.texels.hidden.as_flattened(), made.scene.texels.hidden.as_flattened());
         let mut difference = Difference::default();
@@ -65,11 +65,11 @@ fn seen(made: &Encoded) -> Result<Seen, MakeError> {
     let codec_psnr = psnr(rgb.as_flattened(), photo.rgb.as_flattened());
     let rows = PhotoRows { width, height, top: 0, rgb };
     let (grid, mut difference, mut tiles) = (made.geometry.grid, Difference::default(), 0);
-    for block in (0..grid.rows()).step_by(ROWS as usize) {
-        let row = block.midpoint((block + ROWS).min(grid.rows()) - 1);
+    for block in (0..grid.rows()).step_by(ROW_STEP as usize) {
+        let row = block.midpoint((block + ROW_STEP).min(grid.rows()) - 1);
         let part = container::decode_rows(&made.container, &(row..row + 1), &rows, None)?;
         let (rect, scene) = alone(made, row, part, &rows);
-        // the rows of pixels on which no other tiles lie
+        // rows of pixels that no other tiles overlap
         let from = if row == 0 { 0 } else { (row - 1) * grid.stride + grid.size };
         let to = if row + 1 == grid.rows() { height } else { (row + 1) * grid.stride };
         let own = from.min(to)..to;
@@ -80,7 +80,7 @@ fn seen(made: &Encoded) -> Result<Seen, MakeError> {
     Ok(Seen { codec_psnr, identity_psnr: difference.psnr(), tiles, hidden_psnr: None })
 }
 
-/// A row of tiles as a scene of its own, and where its pixels lie in the photo.
+/// A row of tiles as a scene of its own, and its rectangle in the photo.
 fn alone(made: &Encoded, row: u32, part: Part, photo: &PhotoRows) -> (Rect, Scene) {
     let grid = &made.geometry.grid;
     let (rect, own) = grid.part(0..grid.columns(), row..row + 1);
@@ -98,7 +98,7 @@ fn alone(made: &Encoded, row: u32, part: Part, photo: &PhotoRows) -> (Rect, Scen
     (rect, scene)
 }
 
-/// Squared differences of colours.
+/// Accumulated squared differences of colours.
 #[derive(Default)]
 struct Difference {
     squares: f64,
@@ -106,7 +106,7 @@ struct Difference {
 }
 
 impl Difference {
-    /// Adds some rows of a scene's view from the photo's own place, against the colours that they should have.
+    /// Adds `rows` of the reference view of `scene`, compared with the colours `want`.
     fn add(&mut self, want: &[u8], scene: &Scene, rows: Range<u32>) -> Result<(), MakeError> {
         let view = draw_reference_view(scene)?;
         let width = view.width as usize;
