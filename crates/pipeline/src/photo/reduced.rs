@@ -9,15 +9,15 @@ use tmpi_render::difference::psnr_of;
 /// A photo that was made smaller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Reduction {
-    /// Longest side of the scene against that of the file.
+    /// Longest side of the scene divided by that of the file.
     pub scale: f64,
-    /// PSNR in dB of the photo enlarged again against what it was reduced from, over every seventeenth row; none where the file was decoded at
-    /// a reduced size, and there was nothing to compare with.
+    /// PSNR in dB of the reduced photo, enlarged again, against the original, over every seventeenth row; `None` if the decoder reduced the
+    /// photo, which leaves nothing to compare.
     pub psnr: Option<f64>,
 }
 
-/// Every how many rows one is compared; comparing all of them would take longer than reducing. Not a multiple of the height of JPEG
-/// blocks, which would always compare the same row of a block.
+/// Distance of compared rows; comparing all would take longer than reducing. A multiple of the height of JPEG blocks would always compare the
+/// same row of a block.
 const STEP: usize = 17;
 
 /// PSNR in dB of a reduced photo, enlarged again by linear interpolation, against the original; over every seventeenth row.

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::container::SectionBytes;
 
 use crate::photo::Reduction;
-use crate::stereo::StereoError;
+use crate::stereo::StereoFigures;
 
 /// The uploaded photo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -148,7 +148,7 @@ pub struct ErrorFigures {
     /// Share of the pixels of a depth map in metres, 0 to 1, that are nearer than the nearest distance; they are clipped to it.
     pub depth_clipped: Option<f64>,
     /// Result of measuring depth against a second picture.
-    pub stereo: Option<StereoError>,
+    pub stereo: Option<StereoFigures>,
     /// Shift by resampling the disparity map to the photo's size.
     pub resampling: Option<Moved>,
     /// Shift by denoising the disparity map.

@@ -78,32 +78,33 @@ pub enum Unmeasured {
     NoParallax,
 }
 
-/// What measuring came to.
+/// Figures of a stereo measurement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
-pub struct StereoError {
+pub struct StereoFigures {
     /// Share of the pixels, 0 to 1, whose depth was measured.
     pub measured: f64,
-    /// Share that the network filled; the rest lies behind an edge, hidden from the other eye, and took the depth of what is behind.
+    /// Share of the pixels, 0 to 1, filled from the network's estimate. The other unmeasured pixels are hidden from the second eye and take the
+    /// depth behind the edge.
     pub estimated: f64,
-    /// Median distance of matches from their row before the second picture was brought to the rows of the first, in pixels of the photo.
+    /// Median vertical offset of matches before rectification, in pixels of the photo.
     pub rows_before_px: f64,
-    /// And after that.
+    /// Median vertical offset of matches after rectification, in pixels of the photo.
     pub rows_px: f64,
     /// Disparity of the nearest point between the two pictures, in pixels of the photo.
     pub nearest_px: f64,
-    /// That of the farthest.
+    /// Disparity of the farthest point, in pixels of the photo.
     pub farthest_px: f64,
-    /// That which was taken for infinity.
+    /// Disparity taken as infinity, in pixels of the photo.
     pub infinity_px: f64,
-    /// The second picture is the left eye's.
+    /// Whether the second picture is the left eye's.
     pub crossed: bool,
-    /// Width at which they were matched, in pixels.
+    /// Width at which the pictures were matched, in pixels.
     pub width: u32,
-    /// Milliseconds that rectification took.
+    /// Milliseconds for rectification.
     pub rectify_ms: f64,
-    /// That matching took.
+    /// Milliseconds for matching.
     pub match_ms: f64,
-    /// That joining with the network's estimate took.
+    /// Milliseconds for fusing with the network's estimate.
     pub fuse_ms: f64,
 }
 
@@ -116,7 +117,7 @@ pub struct Measured {
     disparity: Vec<f32>,
     /// The cameras stood side by side and looked in the same direction, as far as rows show.
     parallel: bool,
-    figures: StereoError,
+    figures: StereoFigures,
 }
 
 /// Measured disparity, filled from the network's estimate.
@@ -127,7 +128,7 @@ pub struct Joined {
     /// The same at the size of matching, if it differs.
     pub own: Option<DisparityMap>,
     /// Figures for the report.
-    pub figures: StereoError,
+    pub figures: StereoFigures,
 }
 
 /// Measures the disparity of the first picture of a pair against the second.
@@ -168,14 +169,14 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
         return Err(Unmeasured::NoParallax);
     }
     let scale = f64::from(first.width) / f64::from(size.0);
-    let figures = StereoError {
+    let figures = StereoFigures {
         measured: share,
         rows_before_px: before_px * scale,
         rows_px: after_px * scale,
         width: size.0,
         rectify_ms,
         match_ms: clock.ms() - rectify_ms,
-        ..StereoError::default()
+        ..StereoFigures::default()
     };
     let parallel = rectified.is_some() && model == rectify::Model::default();
     Ok(Measured { width: size.0, height: size.1, disparity, parallel, figures })
