@@ -1,6 +1,6 @@
 """Compares the program's pre- and postprocessing of depth networks with their publishers' code, on networks with random weights.
 
-    python adapters.py ../target/release/tmpi [photo …]
+    python compare_adapters.py ../target/release/tmpi [photo …]
 
 Builds each architecture with few layers, exports it to ONNX, and runs it twice: in PyTorch with the image processor of `transformers` (MiDaS: OpenCV, as
 in its project), and with `tmpi depth --raw`. For Depth Anything 3, MoGe-2 and ZipDepth, which `transformers` does not have, small convolutional networks

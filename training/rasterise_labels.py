@@ -54,7 +54,7 @@ def read(path):
 
 
 def is_old(label):
-    """Whether this is an older file with outlines in pixels, which `labels.py` paints."""
+    """Whether this is an older file with outlines in pixels, which `old_labels.py` paints."""
     return "sha256" not in label
 
 
@@ -343,14 +343,14 @@ def paint(label, size=None):
     full = tuple(label["size"])
     w, h = size or full
     if is_old(label):
-        import labels
+        import old_labels
 
-        disparity, known, masks = labels.painted(label, picture)
+        disparity, known, masks = old_labels.painted(label, picture)
         ids = np.zeros(full[::-1], np.int32)
         for i, mask in enumerate(masks):
             ids[mask > 0] = i + 1
         kind = [""] + ["unknown" if r.get("unknown") else "sky" if r.get("far") else "object" for r in label["regions"]]
-        disparity[disparity <= 1 / labels.FAR] = 0
+        disparity[disparity <= 1 / old_labels.FAR] = 0
         if (w, h) != full:
             known = cv2.resize(known.astype(np.uint8), (w, h), interpolation=cv2.INTER_NEAREST) > 0
             disparity, ids = (cv2.resize(m.astype(np.float32), (w, h), interpolation=cv2.INTER_NEAREST) for m in (disparity, ids))

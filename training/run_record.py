@@ -1,6 +1,6 @@
 """Records the inputs and outputs of a run: `manifest.json` beside its checkpoints, and a block in the model card.
 
-    python manifest.py depth theta psi [--check]     # writes the digests of the shipped files into cards without a run, or compares them
+    python run_record.py depth theta psi [--check]     # writes the digests of the shipped files into cards without a run, or compares them
 
 `manifest.json` contains the command line, versions, commit, SHA-256 of every input file (listed in `inputs.sha256`, as `sha256sum -c` reads it), and of
 the checkpoints and the exported network.

@@ -1,8 +1,8 @@
 """Converts hand-made labels to disparity: `labels/NAME.json` to `NAME.rgb.png` and `NAME.disparity.png`.
 
-    python labels.py [-o OUT] [--only NAME] [--check]
+    python old_labels.py [-o OUT] [--only NAME] [--check]
 
-`label_paint.py` paints the files that `label.py` writes; this module paints the older files, drawn by hand.
+`rasterise_labels.py` paints the files that `label_tool.py` writes; this module paints the older files, drawn by hand.
 Such a file names its photo in TMPI_DATA and lists regions; later regions cover earlier ones. `left` crops the picture to that fraction
 of its width:
 
@@ -24,7 +24,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-import label_paint
+import rasterise_labels
 from paths import HERE, RUNS
 
 # metres that count as infinitely far
@@ -121,11 +121,11 @@ def main():
         if (a.only and file.stem != a.only) or file.stem.endswith(".b"):
             continue
         label = json.loads(file.read_text())
-        picture = label_paint.photo(label)
-        if label_paint.is_old(label):
+        picture = rasterise_labels.photo(label)
+        if rasterise_labels.is_old(label):
             inverse, valid, masks = painted(label, picture)
         else:
-            done = label_paint.paint(label)
+            done = rasterise_labels.paint(label)
             inverse, valid = done["disparity"], done["known"]
             masks = [(done["region"] == i + 1).astype(np.uint8) for i in range(len(label["regions"]))]
         shown = inverse / np.percentile(inverse[valid], 99.5)

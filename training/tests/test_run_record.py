@@ -6,15 +6,15 @@ import unittest
 from pathlib import Path
 from unittest import mock
 
-import manifest
+import run_record
 
 RUN = {"exported": {"checkpoint": "best.pt", "checkpoint_sha256": "ab" * 32}}
 
 
 class Cards(unittest.TestCase):
     def run_main(self, folder, *words):
-        with mock.patch.object(manifest, "MODELS", folder), mock.patch.object(sys, "argv", ["manifest.py", *words]):
-            manifest.main()
+        with mock.patch.object(run_record, "MODELS", folder), mock.patch.object(sys, "argv", ["run_record.py", *words]):
+            run_record.main()
 
     def test_a_known_origin_is_not_overwritten(self):
         with tempfile.TemporaryDirectory() as name:
@@ -26,8 +26,8 @@ class Cards(unittest.TestCase):
                 model.write_bytes(content)
                 self.run_main(folder, "net")
                 self.run_main(folder, "net", "--check")
-                self.assertEqual(manifest.origin_in(card), manifest.about_run(None))
-            manifest.into_card(card, manifest.block(model, RUN))
+                self.assertEqual(run_record.origin_in(card), run_record.about_run(None))
+            run_record.into_card(card, run_record.block(model, RUN))
             before = card.read_text()
             model.write_bytes(b"three")
             with self.assertRaises(SystemExit) as raised:

@@ -1,11 +1,11 @@
-"""Labels photographs by hand: LABELLING.md explains how, `label_paint.py` describes the format and how outlines are found.
+"""Labels photographs by hand: LABELLING.md explains how, `rasterise_labels.py` describes the format and how outlines are found.
 
-    python label.py view PHOTO... [--zoom | --at X,Y,WIDTH]      # shows it with a coordinate grid; --zoom: also its four quarters, twice as large
-    python label.py put PHOTO [--horizon Y] [--second] < REGIONS     # writes the label file and paints it; --second: NAME.b.json
-    python label.py paint LABEL... [--at X,Y,WIDTH]                # draws outlines, names and disparity
-    python label.py check [LABEL...]                               # checks these or all files; fails if one has a fault
-    python label.py sheet [LABEL...]                               # contact sheets
-    python label.py agree                                          # compares NAME.b.json with NAME.json
+    python label_tool.py view PHOTO... [--zoom | --at X,Y,WIDTH]      # shows it with a coordinate grid; --zoom: also its four quarters, twice as large
+    python label_tool.py put PHOTO [--horizon Y] [--second] < REGIONS     # writes the label file and paints it; --second: NAME.b.json
+    python label_tool.py paint LABEL... [--at X,Y,WIDTH]                # draws outlines, names and disparity
+    python label_tool.py check [LABEL...]                               # checks these or all files; fails if one has a fault
+    python label_tool.py sheet [LABEL...]                               # contact sheets
+    python label_tool.py agree                                          # compares NAME.b.json with NAME.json
 
 PHOTO is relative to TMPI_DATA (train2/photos/azure/dog.jpg) or a path. Pictures go to `runs/label`, or to the folder of `-o`.
 """
@@ -19,8 +19,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from label_paint import KINDS, LabelError, is_old, paint, photo, read, shape
 from paths import DATA, HERE, RUNS
+from rasterise_labels import KINDS, LabelError, is_old, paint, photo, read, shape
 
 LABELS = HERE / "labels"
 # longer side of displayed pictures, so that one pixel is one unit of coordinates

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Checks docker/ with the tools that read it: one line for each of them, `passed`, `FAILED` or `skipped` with the reason.
 
-    python3 docker/check.py             exits with status 1 if a check fails
-    python3 docker/check.py --require   also if a check is skipped
+    python3 docker/lint.py             exits with status 1 if a check fails
+    python3 docker/lint.py --require   also if a check is skipped
 
 Needs only Python's standard library. Tools come from PATH, or from a variable with their name: PROMTOOL=/opt/prometheus/promtool.
 pip install -r docker/requirements.txt installs most of them; promtool is part of Prometheus. Without docker compose, COMPOSE_SCHEMA
@@ -215,7 +215,7 @@ def main():
             print(f"{name}: {'FAILED, ' if require else ''}skipped: {why}", flush=True)
             if "TMPI_SKIPPED" in os.environ:
                 with open(os.environ["TMPI_SKIPPED"], "a") as skipped:
-                    skipped.write(f"tool\tdocker/check.py: {name}\t{why}\n")
+                    skipped.write(f"tool\tdocker/lint.py: {name}\t{why}\n")
             bad |= require
         except Failed as why:
             print(f"{name}: FAILED: {why}", flush=True)

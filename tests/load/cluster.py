@@ -4,7 +4,7 @@ store, full disks, clocks that jump, and network partitions. Partitions and full
 import argparse, os, queue, random, shutil, subprocess, tempfile, threading, time
 from pathlib import Path
 from common import Server, Table, check, depth_map, finish, small
-from engines import Clock, Location, Network, Postgres, Proxy, s3_server
+from services import Clock, Location, Network, Postgres, Proxy, s3_server
 
 # seconds
 LEASE = 5

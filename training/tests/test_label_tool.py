@@ -1,4 +1,4 @@
-"""Tests `label.py` and `label_paint.py` on synthetic pictures, and the label files."""
+"""Tests `label_tool.py` and `rasterise_labels.py` on synthetic pictures, and the label files."""
 
 import hashlib
 import json
@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-import label as tool
-import label_paint
-from label_paint import LabelError, paint
+import label_tool as tool
+import rasterise_labels
+from rasterise_labels import LabelError, paint
 
 W, H = 500, 400
 # thousandths per pixel
@@ -51,7 +51,7 @@ class Drawn(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.data = Path(folder.name)
-        for place, name, value in ((label_paint, "DATA", self.data), (label_paint, "RUNS", self.data), (tool, "DATA", self.data), (tool, "LABELS", self.data)):
+        for place, name, value in ((rasterise_labels, "DATA", self.data), (rasterise_labels, "RUNS", self.data), (tool, "DATA", self.data), (tool, "LABELS", self.data)):
             change = mock.patch.object(place, name, value)
             change.start()
             self.addCleanup(change.stop)
@@ -78,7 +78,7 @@ class Drawn(unittest.TestCase):
             y, x = np.nonzero(edge)
             return np.abs(np.hypot(x - CENTRE[0], y - CENTRE[1]) - RADIUS).max()
 
-        drawn = label_paint.shape(regions[1], (W, H)) > 0
+        drawn = rasterise_labels.shape(regions[1], (W, H)) > 0
         found = paint(label)["region"] == 2
         self.assertGreater(worst(drawn), 4)
         self.assertLessEqual(worst(found), 2)
@@ -102,7 +102,7 @@ class Drawn(unittest.TestCase):
         picture, _ = disc()
         part = {"name": "disc", "kind": "object", "area": rough(), "metres": 2, "reach": 0}
         region = paint(self.label([{"name": "wall", "kind": "wall", "area": "all", "metres": 5}, part], picture))["region"]
-        np.testing.assert_array_equal(region == 2, label_paint.shape(part, (W, H)) > 0)
+        np.testing.assert_array_equal(region == 2, rasterise_labels.shape(part, (W, H)) > 0)
 
     def test_planes_are_exact(self):
         y, x = (np.mgrid[:H, :W] + 0.5) * UNIT
@@ -201,7 +201,7 @@ class Drawn(unittest.TestCase):
     def test_put_and_view(self):
         cv2.imwrite(str(self.data / "photo.png"), disc()[0])
         words = '{"name": "wall", "kind": "wall", "area": "all", "metres": 5},\n{"name": "disc", "kind": "object", "disc": "481,381 180,180", "metres": 2}\n'
-        with mock.patch.object(sys, "argv", ["label.py", "-o", str(self.data), "put", "photo.png", "--horizon", "300"]), mock.patch("sys.stdin") as given:
+        with mock.patch.object(sys, "argv", ["label_tool.py", "-o", str(self.data), "put", "photo.png", "--horizon", "300"]), mock.patch("sys.stdin") as given:
             given.read.return_value = words
             tool.main()
         file = next(self.data.glob("*-photo.json"))
@@ -216,11 +216,11 @@ class Files(unittest.TestCase):
         files = sorted(tool.LABELS.glob("*.json"))
         self.assertTrue(files)
         for file in files:
-            label = label_paint.read(file)
-            if not label_paint.is_old(label):
+            label = rasterise_labels.read(file)
+            if not rasterise_labels.is_old(label):
                 self.assertEqual(list(tool.format_errors(label)), [], file.name)
-                for region, plane in zip(label["regions"], label_paint.planes(label)):
-                    self.assertTrue(label_paint.shape(region, label["size"]).any(), f"{file.name}: {region['name']}")
+                for region, plane in zip(label["regions"], rasterise_labels.planes(label)):
+                    self.assertTrue(rasterise_labels.shape(region, label["size"]).any(), f"{file.name}: {region['name']}")
                     self.assertTrue(np.isfinite(plane(np.float64(500), np.float64(900))), f"{file.name}: {region['name']}")
 
 

@@ -3,7 +3,7 @@ interrupts viewers."""
 import os, shutil, subprocess, sys, tempfile, time
 from pathlib import Path
 from common import PROGRAM, Server, Table, check
-from engines import Postgres, free_port, s3_server
+from services import Postgres, free_port, s3_server
 
 VIEWERS = 200
 

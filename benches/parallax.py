@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How far near things move against far ones, by block matching: per photo, as a share of its width.
 
-    python3 benches/motion.py [--program target/release/tmpi] [--also OTHER_PROGRAM] PHOTO...
+    python3 benches/parallax.py [--program target/release/tmpi] [--also OTHER_PROGRAM] PHOTO...
 
 Makes each photo, draws both ends of the way that it swings by itself, and matches blocks of one view in the other: what the 97th and
 the 3rd percentile of all blocks that are found again both ways lie apart. Beside it, the pixels of both views that nothing covers, the
