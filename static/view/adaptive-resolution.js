@@ -9,7 +9,7 @@ const MIN_DETAIL = 0.5;
 /** The same for a room, whose frames may have far fewer pixels than the screen. */
 const MIN_DETAIL_ROOM = 0.2;
 
-export class FramePacing {
+export class AdaptiveResolution {
   #minDetail;
 
   /** @param {boolean} [room] */

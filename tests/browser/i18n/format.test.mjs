@@ -4,10 +4,10 @@ import { describe, test } from 'node:test';
 
 // the module reads the browser's language when it loads
 Object.defineProperty(globalThis, 'navigator', { value: { language: 'en' }, configurable: true });
-const { formatBytes, queueText, sentence, stageText } = await import('../../../static/i18n/text.js');
+const { formatBytes, queueText, sentence, stageText } = await import('../../../static/i18n/format.js');
 const { t } = await import('../../../static/i18n/messages.js');
 
-describe('text', () => {
+describe('format', () => {
   test('formatBytes shows at most three digits', () => {
     const cases = {
       0: '0 B',

@@ -7,7 +7,7 @@ import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 
 const HOME = {};
 
-describe('display', () => {
+describe('draw mode', () => {
   const suite = boxSuite();
 
   test('the menu shows depth, tiles, planes and stereo', async () => {

@@ -1,10 +1,10 @@
 // A link with which others can see a photo for a while: its duration, when it expires, and the link to copy.
 
+import { moment } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { moment } from '../i18n/text.js';
 import { linksOf } from './api.js';
+import { copied } from './dialog.js';
 import { element, isLoopback } from './dom.js';
-import { copied } from './share-dialog.js';
 
 /** @import { PhotoLinks } from './api.js' */
 
@@ -39,7 +39,7 @@ export function select(options) {
  * @param {string} title what the link is
  * @param {string} [hash] of the link's address
  */
-export function endingLink(id, links, title, hash = '') {
+export function expiringLink(id, links, title, hash = '') {
   const time = select(TIMES);
   time.value = String(USUAL_SECONDS);
   const said = element('p');

@@ -3,10 +3,10 @@ import { HOME, lookingAt, magnified, POSE_KEYS, WHOLE } from '../view/camera.js'
 import { limitsOf } from '../view/camera-limits.js';
 import { motionRangeOf, overscan } from '../view/motion-range.js';
 import { offsetOf, placeOf, sharesOf } from '../view/settings.js';
-import { STYLES } from './motion.js';
+import { STYLES } from './camera-motion.js';
 
 /** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
-/** @import { Motion } from './motion.js' */
+/** @import { Motion } from './camera-motion.js' */
 /** @import { Frame, Pose } from '../view/camera.js' */
 /** @import { MotionRange } from '../view/motion-range.js' */
 /** @import { Settings } from '../view/settings.js' */
@@ -14,7 +14,7 @@ import { STYLES } from './motion.js';
 /** Steps per half view box to which offsets for the server are rounded, so that its views can be cached. */
 const STEPS = 12;
 
-export class CameraControl {
+export class CameraPosition {
   /**
    * Half extents of the camera's range, in units of the nearest distance; null until the head of the scene is known.
    * @type {Offset | null}

@@ -4,7 +4,7 @@ import { describe, test } from 'node:test';
 import { fractionDifferent, pixelsAt, waitForMode } from '../support/browser.mjs';
 import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 
-describe('backends', () => {
+describe('fallbacks', () => {
   const suite = boxSuite();
 
   test('lost devices fall back to WebGL, then the server', async () => {

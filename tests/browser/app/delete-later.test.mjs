@@ -4,7 +4,7 @@ import { describe, test } from 'node:test';
 import { until } from '../support/until.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
-describe('undo', () => {
+describe('delete later', () => {
   const suite = uploadSuite();
 
   test('deleting a photo removes its upload row', async () => {
@@ -46,7 +46,7 @@ describe('undo', () => {
     suite.server.deleted.length = 0;
     const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b')] }] });
     await page.locator('.card').nth(1).waitFor();
-    const hand = (id) => page.evaluate((i) => import('/static/app/undo.js').then((m) => m.handOver(i, 'The one')), id);
+    const hand = (id) => page.evaluate((i) => import('/static/app/delete-later.js').then((m) => m.handOver(i, 'The one')), id);
     await Promise.all([page.waitForEvent('load'), hand('b')]);
     await page.getByRole('button', { name: 'Undo' }).waitFor();
     assert.equal(await page.locator('.card:visible').count(), 1);

@@ -1,20 +1,20 @@
 // The camera's pose: limits, the owner's settings, and fixed poses.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { CameraControl, quantised } from '../../../static/input/camera-control.js';
-import { Motion } from '../../../static/input/motion.js';
+import { Motion } from '../../../static/input/camera-motion.js';
+import { CameraPosition, quantised } from '../../../static/input/camera-position.js';
 import { lookingAt } from '../../../static/view/camera.js';
 import { BOX_HEAD } from '../support/container.mjs';
 
 const newControl = () => {
-  const made = new CameraControl(new Motion());
+  const made = new CameraPosition(new Motion());
   made.setScene(BOX_HEAD, null);
   return made;
 };
 
-describe('camera control', () => {
+describe('camera position', () => {
   test('starts at the reference camera', () => {
-    const early = new CameraControl(new Motion());
+    const early = new CameraPosition(new Motion());
     early.motion.jump({ x: 0.5, y: 0, z: 0 });
     assert.deepEqual(early.pose, { tx: 0, ty: 0, tz: 0, yaw: 0, pitch: 0, roll: 0 });
   });

@@ -1,7 +1,7 @@
 // Keys, drags, and idle motion.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { Motion, STYLES } from '../../../static/input/motion.js';
+import { Motion, STYLES } from '../../../static/input/camera-motion.js';
 import { waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 

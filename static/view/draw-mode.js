@@ -18,7 +18,7 @@ import { eyes, framed } from './camera.js';
 /** Overlays that can be drawn over the scene. */
 export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes', 'error']);
 
-export class Display {
+export class DrawMode {
   overlay = 'none';
   stereo = false;
   depthOfField = new DepthOfField();

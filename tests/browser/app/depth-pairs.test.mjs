@@ -2,11 +2,11 @@
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { test } from 'node:test';
-import { pairs } from '../../../static/app/pairs.js';
+import { pairs } from '../../../static/app/depth-pairs.js';
 
 // the module reads the browser's language when it loads
 Object.defineProperty(globalThis, 'navigator', { value: { language: 'en' }, configurable: true });
-const { depthSource, networkName } = await import('../../../static/app/depth-source.js');
+const { depthSummary, networkName } = await import('../../../static/app/depth-summary.js');
 
 /** Names of the pairs that files with these names form; the part before a slash is the folder. */
 const pairNames = (...names) => {
@@ -78,13 +78,13 @@ test('every ranked network has a readable name', () => {
   for (const rank of ranks) assert.notEqual(networkName(rank), rank);
 });
 
-test('depthSource describes where the depth comes from', () => {
+test('depthSummary describes where the depth comes from', () => {
   const report = (depth_model, input = {}) => ({ depth_model, input, stages: [{ name: 'depth', ms: 31 }] });
-  assert.equal(depthSource(report('tmpi')), 'Depth: estimated by the built-in network in 0.03 s.');
-  assert.equal(depthSource(report('depth-anything-v2-small-fp16')), 'Depth: estimated by Depth Anything V2 Small in 0.03 s.');
-  assert.equal(depthSource(report('other-net')), 'Depth: estimated by other-net in 0.03 s.');
-  assert.equal(depthSource(report('carried', { depth: { stretched: false } })), 'Depth: from the photo itself.');
-  assert.ok(depthSource(report('given', { depth: { stretched: true } })).includes('stretched'));
-  assert.equal(depthSource({}), '');
-  assert.ok(depthSource(report('tmpi', { depth_problem: 'it is torn' })).endsWith('it is torn'));
+  assert.equal(depthSummary(report('tmpi')), 'Depth: estimated by the built-in network in 0.03 s.');
+  assert.equal(depthSummary(report('depth-anything-v2-small-fp16')), 'Depth: estimated by Depth Anything V2 Small in 0.03 s.');
+  assert.equal(depthSummary(report('other-net')), 'Depth: estimated by other-net in 0.03 s.');
+  assert.equal(depthSummary(report('carried', { depth: { stretched: false } })), 'Depth: from the photo itself.');
+  assert.ok(depthSummary(report('given', { depth: { stretched: true } })).includes('stretched'));
+  assert.equal(depthSummary({}), '');
+  assert.ok(depthSummary(report('tmpi', { depth_problem: 'it is torn' })).endsWith('it is torn'));
 });

@@ -8,7 +8,7 @@ import { after, before, describe, test } from 'node:test';
 import { launch, openPage } from '../support/browser.mjs';
 import { program } from '../support/program.mjs';
 
-const decoded = join(dirname(program), 'examples/decoded');
+const decoded = join(dirname(program), 'examples/photo_formats');
 /** Minimum number of photos. */
 const LEAST = 300;
 /** Photos per round trip to the page. */

@@ -1,7 +1,7 @@
 // Describes how a photo got its depth.
 
+import { decimal } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { decimal } from '../i18n/text.js';
 
 /** @typedef {{depth_model: string, stages: {name: string, ms: number}[], input: {depth?: {stretched: boolean} | null, depth_problem?: string | null}}} Report */
 
@@ -31,7 +31,7 @@ export const networkName = (model) => NETWORKS.find(([pattern]) => pattern.test(
  * One or two sentences for the menu; empty if the report, which may be of an older version, does not have the information.
  * @param {Partial<Report>} report
  */
-export function depthSource(report) {
+export function depthSummary(report) {
   const { depth_model: model, input, stages } = report;
   if (!model) return '';
   const parts = [];
