@@ -16,9 +16,9 @@ use tmpi_pipeline::{networks, photo, strokes};
 
 use crate::{cli, server};
 
+mod arbitrary;
 mod container_file;
 mod room;
-mod script;
 
 /// Runs a reader on the bytes and panics if it breaks its promise; returns the bound of its memory in bytes.
 pub type Run = fn(&[u8]) -> usize;

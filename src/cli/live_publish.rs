@@ -20,7 +20,7 @@ use tmpi_pipeline::depth::DepthKind;
 use super::live_client::{Addresses, Socket, Unreached, micros};
 use super::live_input::{Origin, SOUND, Wanted};
 use super::live_program::is_live;
-use super::live_sound::Sound;
+use super::live_rtp::Sound;
 use super::live_source::{Frame, Source};
 use super::{note, result};
 

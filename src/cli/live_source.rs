@@ -12,7 +12,7 @@ use tmpi_pipeline::depth::{self as maps, DepthKind};
 
 use super::live_input::{Origin, Plan, Wanted};
 use super::live_program::{Program, is_live};
-use super::live_sound::Sound;
+use super::live_rtp::Sound;
 use super::note;
 
 /// A frame to send.

@@ -5,7 +5,7 @@ use tmpi_core::container::wire::Index;
 use tmpi_core::container::{Carried, Carries, HiddenAs, MAGIC, PhotoFormat, encode_in, encode_lossless, readable};
 use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 
-use super::script::{Script, geometry};
+use super::arbitrary::{Script, geometry};
 
 /// Planes a tile, at most: one more than there can be.
 const MOST_PLANES: u32 = 66;

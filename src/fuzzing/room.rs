@@ -4,7 +4,7 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Hello};
 use tmpi_core::live::{MAX_PLANES, Model, chunk};
 
-use super::script::{Script, geometry};
+use super::arbitrary::{Script, geometry};
 
 /// A room of built tiles: what its hello says, and messages of chunks, valid but for what the last bytes of `data` change.
 #[must_use]

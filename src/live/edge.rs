@@ -15,7 +15,7 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
-use super::origin::{Nodes, Socket};
+use super::origin_node::{Nodes, Socket};
 use super::room::Room;
 use super::tiles::Chunks;
 use super::{COME_BACK, Entry};

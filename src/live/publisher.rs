@@ -17,11 +17,11 @@ use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{Geometry, Settings, units, video};
 
-use super::origin::{Lease, lost};
+use super::origin_node::{Lease, lost};
 use super::request_access::{ENDED, RoomsContext, ended};
 use super::ring::What;
 use super::room::Room;
-use super::sound::Allowance;
+use super::sound_limit::Allowance;
 use super::viewer::gone;
 use super::worker::{Coded, Decoded, Worker};
 use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};

@@ -11,8 +11,8 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Bye, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 
-pub use super::frames::{FrameWithTiles, NewestFrame, Tiles};
 use super::gops::{Group, Groups, Part};
+pub use super::newest_frame::{FrameWithTiles, NewestFrame, Tiles};
 use super::ring::{Place, Ring, Step, What};
 use super::tiles::Chunks;
 use super::{Bounds, KEYS};

@@ -11,9 +11,9 @@ use sha2::{Digest, Sha256};
 
 use super::query::NoQuery;
 use crate::server::app::App;
+use crate::server::blocking_pool::Class;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
 use crate::server::metrics::{MEDIA_TYPE, gauge};
-use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::process_metrics;
 use tmpi_library::Class::Batch;

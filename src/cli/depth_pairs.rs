@@ -1,4 +1,4 @@
-//! Pairs the photos of a folder with the depth maps beside them by name, by the rules of the upload page (`static/app/pairs.js`).
+//! Pairs the photos of a folder with the depth maps beside them by name, by the rules of the upload page (`static/app/depth-pairs.js`).
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};

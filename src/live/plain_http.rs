@@ -16,7 +16,7 @@ use tokio::time::timeout;
 
 use super::access::Role;
 use super::gops::{Group, Part};
-use super::origin::Nodes;
+use super::origin_node::Nodes;
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::{NewestFrame, Room};
 use crate::server::{Coding, ConnectionGuard, Entity, Pairs, Problem, respond};

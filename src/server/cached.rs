@@ -7,9 +7,9 @@ use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
 
+use super::body_source::Source;
 use super::cache::{Key, Value};
 use super::problem::Problem;
-use super::source::Source;
 use tmpi_core::Scene;
 use tmpi_core::container::Tiles;
 use tmpi_library::{Blob, BlobStore, LibraryError, Part, PhotoId, hex};

@@ -23,7 +23,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
-use super::client_limits::{ClientLimits, ClientPermit};
+use super::client_slots::{ClientLimits, ClientPermit};
 use super::http2_streams::{PIECE, StreamHealth, Streams, TrackedBody};
 use super::limits::Limits;
 use super::metrics::{Present, Telemetry};

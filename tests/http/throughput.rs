@@ -1,4 +1,4 @@
-//! Measurements without assertions: `cargo test --release --test http measure -- --ignored --nocapture`.
+//! Measurements without assertions: `cargo test --release --test http throughput -- --ignored --nocapture`.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use super::library::LibraryArgs;
+use super::library_args::LibraryArgs;
 use super::{note, result};
 
 /// Check that every file of every photo exists and is intact; servers may run meanwhile

@@ -11,7 +11,7 @@ pub const MOST: usize = 256 << 10;
 const LEAST: usize = 12;
 
 /// One part of an upload on its way in.
-pub struct Admission {
+pub struct UploadHead {
     maker: Arc<dyn Maker>,
     /// The first bytes, while more of them may matter.
     head: Vec<u8>,
@@ -19,7 +19,7 @@ pub struct Admission {
     needs: Option<usize>,
 }
 
-impl Admission {
+impl UploadHead {
     /// Nothing has come yet.
     #[must_use]
     pub fn new(maker: &Arc<dyn Maker>) -> Self {
@@ -82,15 +82,15 @@ mod tests {
     /// Sends `all` in pieces; returns how many bytes were sent when it was refused, and the number of checks.
     fn sent(bytes: usize, step: usize, all: &[u8], piece: usize) -> (Option<usize>, usize) {
         let wants = Arc::new(Wants { bytes, step, looks: AtomicUsize::new(0) });
-        let mut admission = Admission::new(&(wants.clone() as Arc<dyn Maker>));
+        let mut head = UploadHead::new(&(wants.clone() as Arc<dyn Maker>));
         let mut came = 0;
         let refused = all.chunks(piece).find_map(|piece| {
             came += piece.len();
-            let refused = admission.see(piece, HeadOf::Depth).err()?;
+            let refused = head.see(piece, HeadOf::Depth).err()?;
             assert_eq!(refused.status, 415);
             Some(came)
         });
-        assert!(admission.head.len() <= MOST);
+        assert!(head.head.len() <= MOST);
         (refused, wants.looks.load(Ordering::SeqCst))
     }
 

@@ -2,7 +2,7 @@
 
 use super::ProcessMaker;
 use super::exchange::Answer;
-use super::frames::{kind, write};
+use super::pipe_frames::{kind, write};
 use crate::server::exports::{Work, late};
 use crate::server::maker::Fault;
 use tmpi_pipeline::Sink;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use axum::http::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use super::client_limits::{ClientLimits, ClientPermit, client_address};
+use super::client_slots::{ClientLimits, ClientPermit, client_address};
 use super::limits::Limits;
 use super::problem::Problem;
 use super::traces::{self, Work};
@@ -194,7 +194,7 @@ impl Slot {
 mod tests {
     use std::time::Duration;
 
-    use super::super::client_limits::CLIENT;
+    use super::super::client_slots::CLIENT;
     use super::super::limits::Exports;
     use super::*;
 

@@ -1,4 +1,4 @@
-//! How making photos scales with nodes that make them: `cargo bench --workspace --bench workers`.
+//! How making photos scales with nodes that make them: `cargo bench --workspace --bench nodes`.
 //!
 //! All nodes are in this process, with a PostgreSQL database and a folder of contents. Making a photo takes a simulated cost, so that what is
 //! measured is what nodes do for one another: finding work, leases, results that are stored.

@@ -16,7 +16,7 @@ use tmpi_core::live::{Model, read};
 use super::client::{get, request};
 use super::fixture::{figure, wait_until};
 use super::live::{Client, KEY, Publisher, SIZE, frame, frame_of};
-use super::many::Shared;
+use super::nodes::Shared;
 use super::process::Process;
 
 /// A node with `--advertise`.
