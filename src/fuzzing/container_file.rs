@@ -1,7 +1,7 @@
 //! Containers for the fuzzer: valid ones with a few changes, and checksums put right.
 
 use prost::Message as _;
-use tmpi_core::container::wire::Index;
+use tmpi_core::container::schema::Index;
 use tmpi_core::container::{Carried, Carries, HiddenAs, MAGIC, PhotoFormat, encode_in, encode_lossless, readable};
 use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 

@@ -53,8 +53,8 @@ use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
 pub use origin_node::NodeAddress;
 pub(crate) use request_access::RoomsContext;
-use tmpi_core::live::wire::Bye;
-use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::schema::Bye;
+use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::write;
 
 use origin_node::{Lease, Nodes};

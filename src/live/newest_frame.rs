@@ -8,8 +8,8 @@ use tokio::sync::OnceCell;
 
 use tmpi_core::container::{self, Carried, Carries, ContainerError};
 use tmpi_core::live::chunk::{self, Area};
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::{LiveError, wire, write};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::{LiveError, schema, write};
 use tmpi_core::{Geometry, Photo, Scene, Texels};
 
 use crate::server::Problem;
@@ -87,7 +87,7 @@ impl Tiles {
         }
         let g = &self.geometry;
         let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame)?;
-        let bytes = write(Kind::Snapshot(wire::Geometry { frame: self.frame, chunks: vec![chunk] }));
+        let bytes = write(Kind::Snapshot(schema::Geometry { frame: self.frame, chunks: vec![chunk] }));
         // concurrent callers encode the same bytes
         Ok(self.coded.get_or_init(|| bytes).clone())
     }

@@ -6,7 +6,7 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri};
 use serde::{Deserialize, Serialize};
-use tmpi_core::live::wire::bye::Cause;
+use tmpi_core::live::schema::bye::Cause;
 use utoipa::ToSchema;
 
 use super::access::{Role, end_of, token, token_of};

@@ -8,9 +8,9 @@ use std::time::Instant;
 use bytes::Bytes;
 use tempfile::tempdir;
 use tmpi_core::Tile;
-use tmpi_core::live::wire::Bye;
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::schema::Bye;
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{Model, read};
 
 use super::client::{get, request};

@@ -4,11 +4,11 @@ use std::net::SocketAddr;
 use std::process::Command;
 
 use tempfile::tempdir;
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Hello, Video};
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Hello, Video};
 use tmpi_core::live::{Model, VERSION};
-use tmpi_live::units::{Splitter, Unit, codec};
+use tmpi_live::access_units::{Splitter, Unit, codec};
 use tmpi_testing::Need;
 
 use super::client;

@@ -1,4 +1,4 @@
-//! What the native decoder comes to, for tests/browser/decode/photos.test.mjs to hold the built one against.
+//! What the native decoder comes to, for tests/browser/decode/native.test.mjs to hold the built one against.
 //!
 //! `native pixels FILE` writes the photo as the native decoder has it, RGBA row by row. `native digests FILE < STRIPS` writes the digest
 //! of the layers, `Scene::digest`, and SHA-256 over all strips of texture pages; STRIPS has for each: width, height, count of pieces, and

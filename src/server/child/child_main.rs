@@ -108,7 +108,7 @@ fn file(recipe: &[u8], container: &[u8], limits: &Limits, drawing: Drawing<'_>) 
 fn tell_file(output: &FrameWriter<impl Write + Send>, outcome: Result<Vec<u8>, Fault>) {
     match outcome {
         Ok(bytes) => {
-            output.tell(kind::PEAK, &tmpi_pipeline::clock::peak_rss_bytes().to_le_bytes());
+            output.tell(kind::PEAK, &tmpi_pipeline::usage::peak_rss_bytes().to_le_bytes());
             output.tell(kind::FILE, &bytes);
         }
         Err(fault) => output.tell(kind::FAULT, &serde_json::to_vec(&fault).unwrap_or_default()),

@@ -120,7 +120,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         gauge("tmpi_exports_stored_bytes", "Bytes of files that were written as jobs", counts.exports_bytes as f64),
         gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_kinds(&[Kind::Export, Kind::Film])),
         gauge("tmpi_batch_queued", "Photos of many that wait", batch as f64),
-        gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
+        gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::usage::peak_rss_bytes() as f64),
     ]);
     // some file systems answer slowly
     let shared = App::clone(&app);

@@ -3,9 +3,9 @@
 use image::ImageFormat;
 use prost::Message;
 
-use super::select::header;
-use super::wire::{Codec, Index, Kind, Section};
-use super::{Carried, ContainerError, MAJOR, MINOR, bands, bounds, columns, encode_jpeg, encode_lossless, hidden, labels, planes};
+use super::schema::{Codec, Index, Kind, Section};
+use super::select_sections::header;
+use super::{Carried, ContainerError, MAJOR, MINOR, bounds, columns, encode_jpeg, encode_lossless, hidden, label_bands, labels, planes};
 use crate::{Geometry, Grid, Scene};
 
 /// Level of zstd; sections are small, so the highest of the ordinary levels costs little.
@@ -55,7 +55,7 @@ pub enum HiddenAs {
 /// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit; [`ContainerError::Bound`] where no reader would
 /// take it.
 pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
-    encode_in(bands::rows(&geometry.grid), geometry, scene, carried, carries)
+    encode_in(label_bands::rows(&geometry.grid), geometry, scene, carried, carries)
 }
 
 /// The same with labels in bands of so many rows of tiles, or in one stream.
@@ -162,7 +162,7 @@ impl File {
     /// Labels of all tiles in bands of `rows` rows of tiles, or in one stream.
     fn add_labels(&mut self, grid: &Grid, counts: &[u8], all: &[u8], rows: Option<u32>) {
         let Some(rows) = rows else { return self.add(Kind::Labels, Codec::Range, labels::encode(grid, counts, all), 0) };
-        let (data, bands) = bands::encode(grid, counts, all, rows);
+        let (data, bands) = label_bands::encode(grid, counts, all, rows);
         self.add(Kind::Labels, Codec::RangeBands, data, 0);
         if let Some(section) = self.sections.last_mut() {
             section.bands = bands;

@@ -4,7 +4,7 @@
 //! neighbours agree, and of whether the tile decoded before has an edge there where tiles overlap.
 
 use super::ContainerError;
-use super::range::{Bit, Coder, Decoder, Encoder};
+use super::range_coder::{Bit, Coder, Decoder, Encoder};
 use crate::Grid;
 
 /// Contexts of a question: five bits of agreement, three states of the overlapping tile.

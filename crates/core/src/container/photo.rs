@@ -1,7 +1,7 @@
 //! The photo's file as a container carries it.
 
 #[cfg(feature = "write")]
-use super::wire::Codec;
+use super::schema::Codec;
 
 /// Container format of an uploaded photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

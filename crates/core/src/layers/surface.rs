@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::rows::Columns;
+use super::visibility_kernels::Columns;
 use super::{Geometry, TileFrame};
 
 /// A pixel that touches a surface nearer by this much is mixed with it.

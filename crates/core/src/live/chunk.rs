@@ -1,8 +1,8 @@
 //! A chunk: planes and labels of a rectangle of tiles, coded as if they were a picture of their own, by the coders of the container's
-//! sections that begin with what was learnt beforehand ([`super::prior`]).
+//! sections that begin with what was learnt beforehand ([`super::coder_prior`]).
 
-use super::prior::Coders;
-use super::wire::Chunk;
+use super::coder_prior::Coders;
+use super::schema::Chunk;
 use super::{LiveError, MAX_PLANES};
 use crate::container::{columns, crc, labels, planes};
 use crate::{Grid, Tile};

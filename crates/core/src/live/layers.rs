@@ -5,13 +5,13 @@
 
 use std::time::Duration;
 
-use super::blocks::Blocks;
-use super::history::{self, History, Shown, When};
-use super::motion::{Motion, Way};
+use super::changed_blocks::Blocks;
+use super::label_motion::{Motion, Way};
+use super::shown_frames::{self, History, Shown, When};
 use crate::container::{Part, texels};
 use crate::layers::{CONTEXT, MOST, STEADY, Surface};
-use crate::scene::colour;
-use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Scene, Texels, grown};
+use crate::scene::packed_rgb;
+use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Photo, Pyramid, Scene, SeenBackground, Texels, grown};
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
@@ -20,7 +20,7 @@ pub(super) const TURNS: u32 = 8;
 /// A frame's time at 30 a second. Where frames are shown more seldom several parts have their turn, so that none waits longer.
 pub(super) const TURN: Duration = Duration::from_micros(33_333);
 /// Frames after one for which tiles came up to which labels follow what moves.
-pub const FOLLOWS: u32 = history::KEPT as u32;
+pub const FOLLOWS: u32 = shown_frames::KEPT as u32;
 
 /// Layers and texels of all tiles.
 #[derive(Default)]
@@ -43,7 +43,7 @@ pub struct Layers {
     remembers: bool,
     /// Frames up to which labels follow what moves.
     follows: u32,
-    memory: Option<Memory>,
+    memory: Option<SeenBackground>,
     /// The frame that the tiles which came last are of, and how many came since.
     told: (Shown, u32),
     /// The frames before, for tiles that come late.
@@ -95,7 +95,7 @@ impl Layers {
 
     /// What is remembered, where anything is.
     #[must_use]
-    pub const fn memory(&self) -> Option<&Memory> {
+    pub const fn memory(&self) -> Option<&SeenBackground> {
         self.memory.as_ref()
     }
 
@@ -135,7 +135,7 @@ impl Layers {
             return Changes::default();
         }
         let mut words = vec![0; photo.rgb.len()];
-        colour::words(&photo.rgb, &mut words);
+        packed_rgb::words(&photo.rgb, &mut words);
         let anew = (self.photo.width, self.photo.height, self.parts.len()) != (grid.width, grid.height, grid.tiles() as usize);
         let mut changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
         let before = if anew { &[][..] } else { &self.words };
@@ -148,7 +148,7 @@ impl Layers {
             self.parts = vec![Part::default(); grid.tiles() as usize];
             self.stale = vec![false; grid.tiles() as usize];
             self.since = vec![0; grid.tiles() as usize];
-            self.memory = self.remembers.then(|| Memory::new(*grid));
+            self.memory = self.remembers.then(|| SeenBackground::new(*grid));
             self.ways = vec![None; grid.tiles() as usize];
             self.history.clear();
         } else if self.remembers && when.gone.is_some() {
@@ -275,7 +275,12 @@ fn shaped(tile: u32, masks: LayerMasks) -> Part {
 
 /// Hidden colours of a tile: those of `before` of layers that it has, too; those that were seen; and for the rest such as are made up, which costs
 /// the most by far. And whether all are made anew.
-fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, (part, before): (&Part, &Part), pyramid: &mut Pyramid) -> (Vec<[u8; 3]>, bool) {
+fn coloured(
+    inpainter: &Inpainter,
+    memory: Option<&SeenBackground>,
+    (part, before): (&Part, &Part),
+    pyramid: &mut Pyramid,
+) -> (Vec<[u8; 3]>, bool) {
     let (mut out, mut all_anew) = (Vec::with_capacity(part.texels.hidden.len()), true);
     for l in &part.layers {
         let class = classes(part, l);

@@ -160,7 +160,7 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 }
 
 /// All known networks; the first is the embedded one. The rest is prepared as its publishers do, to the rounding, and
-/// `training/adapters.py` holds them to it: DPT, Depth Anything and `ZoeDepth` by the image processors and the published
+/// `training/compare_adapters.py` holds them to it: DPT, Depth Anything and `ZoeDepth` by the image processors and the published
 /// settings of `transformers`; those that the `MiDaS` project publishes as ONNX are of one size and normalise by themselves,
 /// those exported from its torch hub do neither. `MoGe` brings the photo to its tokens by itself, but in ONNX without antialiasing: it
 /// is given what its own code makes of the photo, for as many tokens as its ONNX documents take.

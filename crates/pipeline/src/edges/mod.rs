@@ -1,15 +1,15 @@
 //! Edge snapping: depth networks blur depth edges into ramps; ramps would land on planes of their own and show as ghost
 //! contours, so their pixels are given to one side or the other by colour (RECIPE, step 1).
 
-mod band;
 mod kernel;
+mod window_rows;
 
 use rayon::prelude::*;
 
 use fearless_simd::Level;
 
-use self::band::Band;
 use self::kernel::Tables;
+use self::window_rows::Band;
 use tmpi_core::{DisparityMap, Photo};
 
 /// Half the window that a ramp is looked for in.

@@ -6,8 +6,8 @@ use moxcms::{
 };
 use rayon::prelude::*;
 
-use super::hdr::Hdr;
-use super::pixels::Sample;
+use super::pq_hlg::Hdr;
+use super::upright_srgb::Sample;
 
 /// Levels of 255 that a profile may differ from sRGB and still count as sRGB: profiles of sRGB itself differ by their rounding.
 const SAME: u8 = 2;

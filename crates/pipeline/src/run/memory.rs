@@ -1,6 +1,6 @@
 //! How much memory making a photo takes, before it is made.
 //!
-//! Peaks of the process were measured (`tests/load/memory.py`) on photographs, on pictures and depth maps of one ramp, of noise and of
+//! Peaks of the process were measured (`tests/load/making_memory.py`) on photographs, on pictures and depth maps of one ramp, of noise and of
 //! blocks, of 0.5 to 50 megapixels, in tiles of 8 pixels to the whole photo, with 1 to 64 planes a tile. [`bytes`] is above all of them.
 
 use super::{MakeError, Options, Other, PlaneCount, Sizes};

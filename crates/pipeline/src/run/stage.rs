@@ -1,8 +1,8 @@
 //! What a stage is, and what drives one after the other.
 
 use super::{MakeError, Models, Movement, Options, Progress, Report, Sink, Sizes, StageTime};
-use crate::clock::{self, Clock};
 use crate::photo::Limits;
+use crate::usage::{self, Clock};
 
 /// One step on the way from a photo to its container, as a value: what it carries on from one photo to the next (the last frame of a
 /// room, say) is its own.
@@ -73,7 +73,7 @@ impl<'a> Context<'a> {
         if let Some(b) = &mut self.report.budget {
             b.outcome_ms = self.report.total_ms;
         }
-        self.report.peak_rss_bytes = clock::peak_rss_bytes();
+        self.report.peak_rss_bytes = usage::peak_rss_bytes();
         self.report
     }
 

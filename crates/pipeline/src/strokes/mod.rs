@@ -3,7 +3,7 @@
 //! Strokes are kept in coordinates of the photo and ask for something of what they cover (nearer, as near as that place), so that they
 //! mean the same on the map of another network. What a stroke covers is found from the photo, see [`Outlines`].
 
-mod before;
+mod original_map;
 mod outline;
 mod read;
 #[cfg(test)]
@@ -12,7 +12,7 @@ mod tests;
 use serde::{Deserialize, Serialize};
 use tmpi_core::{DisparityMap, Photo};
 
-pub use before::{HEAD, before, keep, to_keep};
+pub use original_map::{HEAD, before, keep, to_keep};
 pub use outline::{Outlines, Region};
 pub use read::{StrokeError, patch, read, write};
 

@@ -216,8 +216,8 @@ impl run::Stage for Denoise {
         let clean = match context.options.denoise {
             run::Denoise::Theta => {
                 // Without Θ the options were refused before
-                if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::confidence::wanted(&map.delta)) {
-                    let (clean, confidence) = denoise::confidence::run(theta.as_ref(), photo, &map.delta)?;
+                if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::theta::wanted(&map.delta)) {
+                    let (clean, confidence) = denoise::theta::run(theta.as_ref(), photo, &map.delta)?;
                     map.confidence = Some(confidence);
                     Some(clean)
                 } else {

@@ -8,7 +8,7 @@ use tmpi_render::difference::{psnr, psnr_of};
 use tmpi_render::draw_reference_view;
 
 use super::Encoded;
-use crate::run::{Context, MakeError, PruneError, Stage, prune};
+use crate::run::{Context, MakeError, PruneError, Stage, prune_error};
 
 /// Of so many rows of tiles one is drawn from the container: all of them would take half as long as making.
 const ROWS: u32 = 12;
@@ -34,7 +34,11 @@ impl Stage for Verify {
 }
 
 fn pruned(made: &Encoded, all: bool) -> Result<Option<PruneError>, MakeError> {
-    Ok(if all { Some(prune::verify(&made.scene.photo, &made.geometry)?) } else { prune::sample(&made.scene.photo, &made.geometry)? })
+    Ok(if all {
+        Some(prune_error::verify(&made.scene.photo, &made.geometry)?)
+    } else {
+        prune_error::sample(&made.scene.photo, &made.geometry)?
+    })
 }
 
 /// What a reader of the container sees.

@@ -12,7 +12,7 @@ const PIXELS_PER_RADIUS: f32 = 2.0;
 
 /// Blurs rows of a photo for their mirror images, each pixel by its distance from the border at which it is mirrored.
 #[derive(Clone, Debug, Default)]
-pub struct BorderBlur {
+pub struct MirrorBlur {
     /// Size of the whole photo.
     size: [usize; 2],
     /// From means of 2 × 2 pixels on.
@@ -28,7 +28,7 @@ struct Level<T> {
     texels: T,
 }
 
-impl BorderBlur {
+impl MirrorBlur {
     /// Of a photo of `size` (width, height), of which `rgb` has the rows from `top` on.
     #[must_use]
     pub fn new(rgb: &[[u8; 3]], size: [u32; 2], top: u32) -> Self {
@@ -135,7 +135,7 @@ mod tests {
     fn blurred(rgb: &[[u8; 3]], top: u32, y: u32) -> Vec<[u8; 3]> {
         let mut out = Vec::new();
         let own = &rgb[((y - top) * SIZE[0]) as usize..][..SIZE[0] as usize];
-        BorderBlur::new(rgb, SIZE, top).row(0, y as usize, own, [true, false], &mut out);
+        MirrorBlur::new(rgb, SIZE, top).row(0, y as usize, own, [true, false], &mut out);
         out
     }
 
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn a_photo_of_one_pixel_is_its_colour() {
         let mut out = Vec::new();
-        BorderBlur::new(&[[1, 2, 3]], [1, 1], 0).row(0, 0, &[[1, 2, 3]], [true; 2], &mut out);
+        MirrorBlur::new(&[[1, 2, 3]], [1, 1], 0).row(0, 0, &[[1, 2, 3]], [true; 2], &mut out);
         assert_eq!(out, [[1, 2, 3]]);
     }
 }

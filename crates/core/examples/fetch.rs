@@ -1,4 +1,4 @@
-//! Fetches a container and prints its layers: `cargo run --example layers -p tmpi-core -- 127.0.0.1:8080 /v1/photos/ID/atlas`.
+//! Fetches a container and prints its layers: `cargo run --example fetch -p tmpi-core -- 127.0.0.1:8080 /v1/photos/ID/atlas`.
 
 use std::error::Error;
 use std::io::{Read, Write};

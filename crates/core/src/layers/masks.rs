@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use super::Surface;
 use super::prune::{Behind, Pruning, extent};
-use super::rows::{self, Columns};
+use super::visibility_kernels::{self, Columns};
 use crate::parallel;
 use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
 
@@ -197,9 +197,9 @@ impl Geometry {
         let labelled = tile.planes.iter().enumerate().map(|(j, q)| (Some(j as u8), *q));
         for (label, plane) in labelled.chain(tile.background.map(|q| (None, q))) {
             for (y, own) in s.own.chunks_mut(w).enumerate() {
-                rows::disparities(&us, place.v(r.y + y as u32), &plane, own);
+                visibility_kernels::disparities(&us, place.v(r.y + y as u32), &plane, own);
             }
-            let (behind, depth) = rows::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
+            let (behind, depth) = visibility_kernels::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
             if behind > 0 && !s.all {
                 let layer = Behind { r, place, plane: &plane, depth };
                 out.never_seen += behind - self.keep_seen(&layer, surface, &mut s.hidden, &mut s.pruning);
@@ -241,7 +241,7 @@ struct Scratch {
 /// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
 #[inline(never)]
 fn mask(r: Rect, place: TileFrame, tile: &Tile, label: Option<u8>, plane: Plane, parallax: [f64; 2], s: &mut Scratch) -> Option<LayerMask> {
-    rows::classify(&tile.labels, label, &s.hidden, &mut s.class, &mut s.alpha);
+    visibility_kernels::classify(&tile.labels, label, &s.hidden, &mut s.class, &mut s.alpha);
     if let Some(label) = label {
         soften(&SoftEdge { r, place, tile, label, parallax }, s);
     }
@@ -289,14 +289,14 @@ fn soften(edge: &SoftEdge, s: &mut Scratch) {
     let Scratch { class, alpha, own, visible, sums, ring, .. } = s;
     sums.resize(w * h, 0);
     for (alpha, sums) in alpha.chunks(w).zip(sums.chunks_mut(w)) {
-        rows::sums_of_three(alpha, sums);
+        visibility_kernels::sums_of_three(alpha, sums);
     }
     ring.resize(w, 0);
     for y in 0..h {
         let row = |y: usize| &sums[y * w..][..w];
         let above = if y > 0 { row(y - 1) } else { &[] };
         let below = if y + 1 < h { row(y + 1) } else { &[] };
-        if !rows::ring(&class[y * w..][..w], [above, row(y), below], ring) {
+        if !visibility_kernels::ring(&class[y * w..][..w], [above, row(y), below], ring) {
             continue;
         }
         let lines = 1 + usize::from(y > 0) + usize::from(y + 1 < h);

@@ -166,7 +166,7 @@ pub(super) fn picture(path: &Path, width: u32, height: u32) -> Result<Vec<[u8; 3
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::oracle::OracleDepth;
+    use crate::oracle_depth::OracleDepth;
 
     #[test]
     fn unknown_disparities_are_those_of_what_lies_behind() {

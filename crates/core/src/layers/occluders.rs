@@ -13,12 +13,12 @@ const THIN: u32 = 1;
 
 /// Pixels at which nothing is recalled.
 #[derive(Clone, Debug, Default)]
-pub(super) struct InFront {
+pub(super) struct Occluders {
     mask: Vec<u8>,
     dilation: Dilation,
 }
 
-impl InFront {
+impl Occluders {
     /// Nothing is in front, before the first frame.
     pub fn clear(&mut self) {
         self.dilation.out.clear();
@@ -30,7 +30,7 @@ impl InFront {
     }
 
     /// Room for what is known of as many pixels: 0 for one that lies no nearer than what is remembered there, is not mixed with anything nearer,
-    /// and looks otherwise; else 1. [`InFront::look`] follows.
+    /// and looks otherwise; else 1. [`Occluders::look`] follows.
     pub fn pixels(&mut self, count: usize) -> &mut [u8] {
         self.mask.resize(count, 1);
         &mut self.mask
@@ -59,13 +59,13 @@ mod tests {
 
     const W: usize = 24;
 
-    fn at(front: &InFront, pixel: usize) -> bool {
+    fn at(front: &Occluders, pixel: usize) -> bool {
         front.row(pixel, 1).is_some_and(|v| v != [0])
     }
 
     /// Of a picture of `W` columns, others at `o`: what is in front in its middle row.
     fn in_front(row: &str) -> String {
-        let mut front = InFront::default();
+        let mut front = Occluders::default();
         let others = (0..W).flat_map(|_| row.chars().map(|c| c == 'o'));
         front.pixels(W * W).iter_mut().zip(others).for_each(|(p, other)| *p = u8::from(!other));
         front.look(W as u32);
@@ -83,7 +83,7 @@ mod tests {
 
     #[test]
     fn nothing_is_in_front_before_the_first_frame() {
-        let mut front = InFront::default();
+        let mut front = Occluders::default();
         assert!(!at(&front, 0));
         front.pixels(9).fill(0);
         front.look(3);

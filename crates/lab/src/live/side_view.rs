@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use tmpi_core::live::{Layers, LiveError, Model, When, wire};
+use tmpi_core::live::{Layers, LiveError, Model, When, schema};
 use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Photo, Pose, Scene, TexturedLayer, TileFrame, compose};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, RenderError, Renderer};
@@ -30,7 +30,7 @@ pub(super) struct Reader {
     /// Layers with memory, as on a page; `None`: inpaints every frame separately.
     pub layers: Option<Layers>,
     /// Sent tiles that have not arrived yet.
-    in_flight: VecDeque<wire::Geometry>,
+    in_flight: VecDeque<schema::Geometry>,
     /// Tiles whose layers changed since the previous frame.
     changed: Vec<u32>,
     renderer: Cpu,
@@ -109,7 +109,7 @@ impl Reader {
     ///
     /// # Errors
     /// [`LiveError`] if they cannot be decoded.
-    pub fn receive(&mut self, message: wire::Geometry, late: u32) -> Result<(Vec<u32>, Option<u64>), LiveError> {
+    pub fn receive(&mut self, message: schema::Geometry, late: u32) -> Result<(Vec<u32>, Option<u64>), LiveError> {
         self.in_flight.push_back(message);
         let due = if self.in_flight.len() > late as usize { self.in_flight.pop_front() } else { None };
         let Some((message, model)) = due.zip(self.model.as_mut()) else { return Ok((Vec::new(), None)) };

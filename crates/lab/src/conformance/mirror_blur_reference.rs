@@ -1,4 +1,4 @@
-//! Colours beyond the photo's borders in `f64`, without rounding between: what [`tmpi_core::BorderBlur`] is held against.
+//! Colours beyond the photo's borders in `f64`, without rounding between: what [`tmpi_core::MirrorBlur`] is held against.
 
 use tmpi_core::Photo;
 
@@ -64,7 +64,7 @@ impl Blur {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tmpi_core::BorderBlur;
+    use tmpi_core::MirrorBlur;
 
     #[test]
     fn the_blur_of_the_core_is_that_in_f64_up_to_its_rounding() {
@@ -72,7 +72,7 @@ mod tests {
             let rgb: Vec<[u8; 3]> =
                 (0..width * height).map(|i| [(i * 7919 % 251) as u8, (i % width) as u8, 255 * (i / 9 % 2) as u8]).collect();
             let photo = Photo { width, height, rgb };
-            let (blur, core) = (Blur::new(&photo), BorderBlur::new(&photo.rgb, [width, height], 0));
+            let (blur, core) = (Blur::new(&photo), MirrorBlur::new(&photo.rgb, [width, height], 0));
             let mut worst = 0;
             for y in 0..height {
                 let (mut got, own) = (Vec::new(), &photo.rgb[(y * width) as usize..][..width as usize]);

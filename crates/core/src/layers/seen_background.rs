@@ -3,9 +3,9 @@
 //! A reader of a room keeps it, and shows it in place of the colours that [`super::Inpainter`] makes up. Nothing is sent for it: who came
 //! later has seen less and makes up more. What a texel is, and where, does not depend on it; its colour alone does.
 
-use super::in_front::InFront;
-use super::{LayerMasks, Surface, TileFrame, rows};
-use crate::scene::colour::{apart, of_word};
+use super::occluders::Occluders;
+use super::{LayerMasks, Surface, TileFrame, visibility_kernels};
+use crate::scene::packed_rgb::{apart, of_word};
 use crate::scene::{Class, Grid, Plane, Rect};
 use crate::simd::dispatch;
 
@@ -27,10 +27,10 @@ pub(crate) const MOST: u8 = 5;
 
 /// For each pixel of the frames the farthest surface that was seen there, and stayed for some frames.
 #[derive(Clone, Debug)]
-pub struct Memory {
+pub struct SeenBackground {
     grid: Grid,
     pixels: Pixels,
-    in_front: InFront,
+    in_front: Occluders,
 }
 
 /// What is known of each pixel, a list of each so that vectors take them.
@@ -91,7 +91,7 @@ fn keep_body(known: &mut [u32], known_delta: &mut [f32], steady: &[u8], now: &[u
 }
 
 dispatch!(
-    /// Marks pixels as [`InFront::pixels`] has it.
+    /// Marks pixels as [`Occluders::pixels`] has it.
     mark, mark_body, (in_front: &mut [u8], known: &[u32], known_delta: &[f32], now: &[u32], delta: &[f32])
 );
 
@@ -103,7 +103,7 @@ fn mark_body(in_front: &mut [u8], known: &[u32], known_delta: &[f32], now: &[u32
     }
 }
 
-impl Memory {
+impl SeenBackground {
     /// Knows nothing yet.
     #[must_use]
     pub fn new(grid: Grid) -> Self {
@@ -116,7 +116,7 @@ impl Memory {
             last_delta: vec![f32::NAN; count],
             last_shown: vec![f32::NAN; count],
         };
-        Self { grid, pixels, in_front: InFront::default() }
+        Self { grid, pixels, in_front: Occluders::default() }
     }
 
     /// Forgets everything: a new scene.
@@ -192,7 +192,7 @@ impl Memory {
                 continue;
             }
             let at = y as usize * self.grid.width as usize + rect.x as usize;
-            rows::disparities(&us, place.v(y), plane, &mut delta);
+            visibility_kernels::disparities(&us, place.v(y), plane, &mut delta);
             hold(&delta, &self.pixels.delta[at..at + width], &self.pixels.last_shown[at..at + width], &mut holds);
             if let Some(in_front) = self.in_front.row(at, width) {
                 holds.iter_mut().zip(in_front).for_each(|(holds, in_front)| *holds &= 1 - in_front);
@@ -222,8 +222,8 @@ fn hold_body(delta: &[f32], known: &[f32], shown: &[f32], holds: &mut [u8]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::layers::in_front::GAP;
-    use crate::scene::colour::words;
+    use crate::layers::occluders::GAP;
+    use crate::scene::packed_rgb::words;
     use crate::{Geometry, Inpainter, Intrinsics, Photo, Tile, ViewBox};
 
     const SIDE: u32 = 64;
@@ -244,18 +244,18 @@ mod tests {
     }
 
     /// Takes a photo with the labels of a geometry.
-    fn take(memory: &mut Memory, photo: &Photo, geometry: &Geometry) {
+    fn take(memory: &mut SeenBackground, photo: &Photo, geometry: &Geometry) {
         take_after(memory, photo, geometry, 1);
     }
 
-    fn take_after(memory: &mut Memory, photo: &Photo, geometry: &Geometry, frames: u8) {
+    fn take_after(memory: &mut SeenBackground, photo: &Photo, geometry: &Geometry, frames: u8) {
         let (shown, mut colours) = (geometry.surface(), vec![0; photo.rgb.len()]);
         words(&photo.rgb, &mut colours);
         memory.take(&colours, &shown, &shown.without_mixed(), frames);
     }
 
     /// Looks at a frame for as long as it takes to keep it.
-    fn look(memory: &mut Memory, (photo, geometry): &(Photo, Geometry)) {
+    fn look(memory: &mut SeenBackground, (photo, geometry): &(Photo, Geometry)) {
         (0..=STEADY).for_each(|_| take(memory, photo, geometry));
     }
 
@@ -263,7 +263,7 @@ mod tests {
     fn what_few_frames_a_second_show_is_remembered_as_soon() {
         for (frames, after) in [(1, 15), (3, 5), (5, 3), (200, 3)] {
             let (photo, geometry) = frame(0, 12, stripes);
-            let mut memory = Memory::new(geometry.grid);
+            let mut memory = SeenBackground::new(geometry.grid);
             let known: Vec<usize> = (0..=after)
                 .map(|_| {
                     take_after(&mut memory, &photo, &geometry, frames);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     /// Hidden texels of the wall, with the column of each, and how many were remembered.
-    fn hidden(memory: &Memory, (photo, geometry): &(Photo, Geometry)) -> (Vec<(u32, [u8; 3])>, usize) {
+    fn hidden(memory: &SeenBackground, (photo, geometry): &(Photo, Geometry)) -> (Vec<(u32, [u8; 3])>, usize) {
         let masks = geometry.masks();
         let mut colours = Inpainter::new(photo, geometry).fill_all(&masks);
         let known = memory.recall(0, &masks, &mut colours);
@@ -287,7 +287,7 @@ mod tests {
     #[test]
     fn what_was_seen_is_shown_where_something_stands_now_and_the_rest_is_made_up() {
         let (before, now) = (frame(0, 12, stripes), frame(20, 50, stripes));
-        let mut memory = Memory::new(now.1.grid);
+        let mut memory = SeenBackground::new(now.1.grid);
         assert_eq!((hidden(&memory, &now).1, memory.known()), (0, 0));
         look(&mut memory, &before);
         look(&mut memory, &now);
@@ -296,7 +296,7 @@ mod tests {
         assert!(texels.iter().all(|(x, c)| c[..2] == stripes(*x)[..2]));
         // behind where the thing was all the time nothing was ever seen
         let stays = frame(0, 30, stripes);
-        let mut memory = Memory::new(stays.1.grid);
+        let mut memory = SeenBackground::new(stays.1.grid);
         look(&mut memory, &stays);
         assert_eq!(hidden(&memory, &stays).1, 0);
     }
@@ -304,7 +304,7 @@ mod tests {
     #[test]
     fn what_moves_ahead_of_its_labels_is_not_taken_for_what_lies_behind_it() {
         let thing = |step: u32| frame(2 * step, 12 + 2 * step, stripes);
-        let mut memory = Memory::new(thing(0).1.grid);
+        let mut memory = SeenBackground::new(thing(0).1.grid);
         look(&mut memory, &thing(0));
         for step in 1..=10 {
             take(&mut memory, &thing(step).0, &thing(step.saturating_sub(3)).1);
@@ -319,7 +319,7 @@ mod tests {
     #[test]
     fn what_lies_near_the_thing_in_front_is_a_part_of_it() {
         let (before, now) = (frame(0, 12, stripes), frame(20, 50, stripes));
-        let mut memory = Memory::new(now.1.grid);
+        let mut memory = SeenBackground::new(now.1.grid);
         look(&mut memory, &before);
         look(&mut memory, &now);
         // the wall is at .2, the thing at .8
@@ -334,7 +334,7 @@ mod tests {
     #[test]
     fn a_painted_wall_is_remembered_as_last_seen() {
         let plain = |level: u8| move |_| [level; 3];
-        let mut memory = Memory::new(frame(0, 1, plain(0)).1.grid);
+        let mut memory = SeenBackground::new(frame(0, 1, plain(0)).1.grid);
         for step in 0..20u8 {
             let (photo, geometry) = frame(0, 12, plain(step * 4));
             take(&mut memory, &photo, &geometry);
@@ -348,7 +348,7 @@ mod tests {
 
     #[test]
     fn nothing_holds_once_the_camera_has_moved() {
-        let mut memory = Memory::new(frame(0, 1, stripes).1.grid);
+        let mut memory = SeenBackground::new(frame(0, 1, stripes).1.grid);
         look(&mut memory, &frame(0, 12, stripes));
         assert!(memory.known() > 0);
         let moved = frame(20, 50, |i| stripes(i + 1));

@@ -1,8 +1,8 @@
 //! Texels as the graphics device takes them: strips of texture pages.
 
 use super::{Part, PhotoRows};
-use crate::scene::colour;
-use crate::{BorderBlur, Class, Layer};
+use crate::scene::packed_rgb;
+use crate::{Class, Layer, MirrorBlur};
 
 /// A part of a layer in a strip.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +44,7 @@ impl Piece {
 #[must_use]
 pub fn strip(
     part: &Part,
-    (photo, blur): (&PhotoRows, &BorderBlur),
+    (photo, blur): (&PhotoRows, &MirrorBlur),
     pieces: impl Iterator<Item = Piece>,
     size: (usize, usize),
     straight: bool,
@@ -101,7 +101,7 @@ impl Colours for Rows<'_> {
     fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32] {
         let mut words = std::mem::take(&mut self.words);
         words.resize(count, 0);
-        colour::words(self.rgb(x, y, count), &mut words);
+        packed_rgb::words(self.rgb(x, y, count), &mut words);
         self.words = words;
         &self.words
     }
@@ -110,7 +110,7 @@ impl Colours for Rows<'_> {
 /// What continues the photo beyond its borders.
 struct Blurred<'a> {
     rows: Rows<'a>,
-    blur: &'a BorderBlur,
+    blur: &'a MirrorBlur,
     mirrored: [bool; 2],
     rgb: Vec<[u8; 3]>,
 }
@@ -120,7 +120,7 @@ impl Colours for Blurred<'_> {
         self.rgb.clear();
         self.blur.row(x, y, self.rows.rgb(x, y, count), self.mirrored, &mut self.rgb);
         self.rows.words.resize(count, 0);
-        colour::words(&self.rgb, &mut self.rows.words);
+        packed_rgb::words(&self.rgb, &mut self.rows.words);
         &self.rows.words
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tmpi_core::live::motion::Motion;
+use tmpi_core::live::label_motion::Motion;
 use tmpi_core::{DisparityMap, Geometry, Grid, Intrinsics, Plane, Tile, ViewBox};
 use tmpi_live::align::{Affine, fit};
 

@@ -1,11 +1,11 @@
 //! What the coders of a chunk know before its first tile. A chunk holds few tiles and refers to no other: models that knew nothing would
 //! have learnt the most of it at its end.
 
-use crate::container::range::Bit;
+use crate::container::range_coder::Bit;
 use crate::container::{labels, planes};
 
 /// Probabilities of a 1 in 65 536, in the order of [`Coders::bits`]; learnt from rendered sequences by `tmpi-lab live-bench --learn`.
-const PRIOR: &[u16] = &include!("prior.in");
+const PRIOR: &[u16] = &include!("coder_prior.in");
 
 /// Probabilities in a line of the file.
 const ACROSS: usize = 16;
@@ -66,7 +66,7 @@ impl Learning {
         Ok(())
     }
 
-    /// The probabilities as `prior.in` has them.
+    /// The probabilities as `coder_prior.in` has them.
     #[must_use]
     pub fn finish(&self) -> String {
         let mean = |sum: &u64| sum.checked_div(self.chunks).unwrap_or(1 << 15).to_string();

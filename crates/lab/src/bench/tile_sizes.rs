@@ -1,12 +1,12 @@
 //! Costs of a photo of the paper's size, by tile size and number of planes (the paper's second table), and of plane fitting alone.
 
 use super::measure::median;
-use super::scaling::ProcessRunner;
+use super::photo_size::ProcessRunner;
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::scenes;
 use tmpi_core::{Grid, Rect};
-use tmpi_pipeline::clock::Clock;
 use tmpi_pipeline::planes::{Method, Placement, discretisation_error, place};
+use tmpi_pipeline::usage::Clock;
 use tmpi_pipeline::{Options, Report};
 
 /// The paper's picture size.

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::crc::crc32;
-use super::wire::Band;
+use super::schema::Band;
 use super::{ContainerError, labels};
 use crate::parallel;
 use crate::scene::Grid;

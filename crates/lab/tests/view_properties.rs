@@ -1,11 +1,11 @@
-//! Properties of rendered views. `crates/lab/src/stress` compares the backends with `f64` ray casting, for many scenes and cameras.
+//! Properties of rendered views. `crates/lab/src/conformance` compares the backends with `f64` ray casting, for many scenes and cameras.
 #![allow(clippy::unwrap_used, clippy::cast_precision_loss, clippy::cast_lossless, clippy::cast_possible_truncation, reason = "test")]
 
 use std::sync::Arc;
 
 use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use tmpi_lab::conformance::scenes::{all, camera, flat};
 use tmpi_lab::metrics::psnr;
-use tmpi_lab::stress::scenes::{all, camera, flat};
 use tmpi_render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, corners, select};
 
 fn db(view: &View, photo: &[[u8; 3]]) -> f64 {

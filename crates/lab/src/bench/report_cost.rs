@@ -4,8 +4,8 @@ use super::measure::{Bench, Depth, Figures, median};
 use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use tmpi_core::container;
-use tmpi_pipeline::clock::Clock;
 use tmpi_pipeline::planes::discretisation_error;
+use tmpi_pipeline::usage::Clock;
 use tmpi_pipeline::{Denoise, Movement, Options, Switch};
 
 /// Larger pictures than those of the other experiments: where there are few tiles, samples are most of them.

@@ -1,6 +1,6 @@
 //! Walks the segments of a JPEG file: size, metadata, and the file again without metadata.
 
-use super::frame::{Colour, Frame, Layout, is_frame, tables};
+use super::jpeg_frame::{Colour, Frame, Layout, is_frame, tables};
 use super::segments::{broken, entropy_end, next_marker, segment};
 use super::{Head, Limits, PhotoError};
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use super::MAX_PLANES;
 use crate::layers::{Dilation, Surface, dilate};
-use crate::scene::colour::apart;
+use crate::scene::packed_rgb::apart;
 use crate::simd::dispatch;
 use crate::{Geometry, Plane, Rect, Tile, TileFrame, grown};
 
@@ -239,7 +239,7 @@ fn mark_others_body(was: &[u32], now: &[u32], changed: &mut [u8]) {
 mod tests {
     use super::*;
     use crate::live::{Layers, When};
-    use crate::scene::colour::of_word;
+    use crate::scene::packed_rgb::of_word;
     use crate::{Grid, Intrinsics, Photo, ViewBox};
 
     const W: u32 = 96;

@@ -7,7 +7,7 @@ const LONGEST: u64 = 1 << 16;
 
 /// The picture input of a graph, how the graph begins, and what it gives.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Outline {
+pub struct OnnxGraph {
     /// Name of the first input with four or five extents.
     pub input: String,
     /// Its extents; −1 where any extent will do.
@@ -22,9 +22,9 @@ pub struct Outline {
     pub beside: Vec<String>,
 }
 
-/// Reads the outline of an ONNX file; none where it is not one, or has no input of four or five extents.
+/// Reads the graph of an ONNX file; none where it is not one, or has no input of four or five extents.
 #[must_use]
-pub fn outline(file: &mut (impl BufRead + Seek)) -> Option<Outline> {
+pub fn onnx_graph(file: &mut (impl BufRead + Seek)) -> Option<OnnxGraph> {
     read(file).ok().filter(|o| !o.shape.is_empty())
 }
 
@@ -36,8 +36,8 @@ enum Field {
 
 // Field numbers are those of onnx.proto: ModelProto.graph 7; GraphProto.node 1, initializer 5, input 11, output 12; NodeProto.input 1,
 // name 3, op_type 4; ValueInfoProto.name 1; TensorProto.external_data 13, of StringStringEntryProto.key 1 and value 2
-fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Outline> {
-    let (mut found, mut begun) = (Outline::default(), false);
+fn read(file: &mut (impl BufRead + Seek)) -> io::Result<OnnxGraph> {
+    let (mut found, mut begun) = (OnnxGraph::default(), false);
     while let Some((number, field)) = next(file)? {
         match (number, field) {
             // The graph's fields follow
@@ -210,7 +210,7 @@ mod tests {
 
     #[test]
     fn the_input_of_a_small_graph() {
-        let got = outline(&mut Cursor::new(MEAN)).unwrap();
+        let got = onnx_graph(&mut Cursor::new(MEAN)).unwrap();
         assert_eq!((got.shape, got.normalises, got.outputs), (vec![1, 3, -1, -1], false, vec!["disparity".to_owned()]));
         assert!(got.beside.is_empty());
         assert!(!got.input.is_empty());
@@ -233,20 +233,20 @@ mod tests {
             let graph = [nodes.collect::<Vec<_>>(), field(5, &[7; 300]), port.clone()].concat();
             [vec![8, 7], field(2, b"test"), field(7, &graph), field(8, &[16, 13])].concat()
         };
-        let of = |operators: &[&str]| outline(&mut Cursor::new(file(operators))).unwrap();
+        let of = |operators: &[&str]| onnx_graph(&mut Cursor::new(file(operators))).unwrap();
         let names = [["Identity"; 100].as_slice(), &["Sub", "Div", "Conv"]].concat();
         let convolution = "stem x".into();
-        let want = Outline { input: "image".into(), shape: vec![1, 3, 384, -1], normalises: true, convolution, ..Outline::default() };
+        let want = OnnxGraph { input: "image".into(), shape: vec![1, 3, 384, -1], normalises: true, convolution, ..OnnxGraph::default() };
         assert_eq!(of(&names), want);
         assert!(!of(&["Pad", "Conv", "Sub"]).normalises && !of(&[]).normalises);
     }
 
     #[test]
     fn networks_of_several_inputs_outputs_and_files() {
-        let points = outline(&mut Cursor::new(include_bytes!("../../../../tests/onnx/points.onnx"))).unwrap();
+        let points = onnx_graph(&mut Cursor::new(include_bytes!("../../../../tests/onnx/points.onnx"))).unwrap();
         assert_eq!((points.input.as_str(), points.shape), ("image", vec![1, 3, -1, -1]));
         assert_eq!(points.outputs, ["points", "normal", "mask", "metric_scale"]);
-        let views = outline(&mut Cursor::new(include_bytes!("../../../../tests/onnx/views.onnx"))).unwrap();
+        let views = onnx_graph(&mut Cursor::new(include_bytes!("../../../../tests/onnx/views.onnx"))).unwrap();
         assert_eq!(views.shape, [-1, -1, 3, -1, -1]);
         assert_eq!(
             (views.outputs.as_slice(), views.beside.as_slice()),
@@ -256,9 +256,9 @@ mod tests {
 
     #[test]
     fn what_is_no_network_has_none() {
-        assert_eq!(outline(&mut Cursor::new(b"")), None);
-        assert_eq!(outline(&mut Cursor::new(b"[package]\nname = 1")), None);
-        assert_eq!(outline(&mut Cursor::new(include_bytes!("../../../../tests/onnx/sum_difference.onnx"))), None);
+        assert_eq!(onnx_graph(&mut Cursor::new(b"")), None);
+        assert_eq!(onnx_graph(&mut Cursor::new(b"[package]\nname = 1")), None);
+        assert_eq!(onnx_graph(&mut Cursor::new(include_bytes!("../../../../tests/onnx/sum_difference.onnx"))), None);
     }
 
     proptest! {
@@ -266,8 +266,8 @@ mod tests {
         fn spoilt_files_do_no_harm(at in 0..MEAN.len(), byte in any::<u8>(), length in 0..MEAN.len()) {
             let mut spoilt = MEAN.to_vec();
             spoilt[at] = byte;
-            let _ = outline(&mut Cursor::new(&spoilt));
-            let _ = outline(&mut Cursor::new(&MEAN[..length]));
+            let _ = onnx_graph(&mut Cursor::new(&spoilt));
+            let _ = onnx_graph(&mut Cursor::new(&MEAN[..length]));
         }
     }
 }

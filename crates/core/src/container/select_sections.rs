@@ -2,7 +2,7 @@
 
 use prost::Message;
 
-use super::wire::{Kind, Section};
+use super::schema::{Kind, Section};
 use super::{ContainerError, MAGIC, decode};
 
 /// Names of the sections, in file order; `index` stands for the header and the index, which are always there.
@@ -34,7 +34,7 @@ pub fn select(container: &[u8], names: &[&str]) -> Result<Vec<u8>, ContainerErro
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Newer`].
-pub fn with_section(container: &[u8], kind: Kind, codec: super::wire::Codec, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
+pub fn with_section(container: &[u8], kind: Kind, codec: super::schema::Codec, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let (mut index, body) = decode::split(container)?;
     let (offset, length) = (body.len() as u64, data.len() as u64);
     index.sections.push(Section { kind: kind.into(), codec: codec.into(), offset, length, ..Section::default() });

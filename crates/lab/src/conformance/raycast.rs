@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use super::border_blur::Blur;
+use super::mirror_blur_reference::Blur;
 use tmpi_core::{Camera, Class, Pose, Scene};
 use tmpi_render::{NEAR, OPAQUE, border_margin};
 

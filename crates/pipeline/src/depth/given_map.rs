@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::{DepthError, DepthKind, Read, pfm};
 use tmpi_core::container::PhotoFormat;
 
-use crate::photo::{self, Head, Limits, PhotoError, png};
+use crate::photo::{self, Head, Limits, PhotoError, png_metadata};
 use tmpi_core::{DisparityMap, Photo};
 
 /// Range of neighbouring disparities above which they lie on two surfaces and are not mixed.
@@ -67,7 +67,7 @@ pub(super) fn grey(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
         return Ok(Grey { width, height, values: alike(rgb.as_flattened(), 3)? });
     }
     let bad = |e: &dyn std::fmt::Display| DepthError::Map(e.to_string());
-    let map = png::scan(bytes, limits).map_err(|e| not_a_map(&e))?;
+    let map = png_metadata::scan(bytes, limits).map_err(|e| not_a_map(&e))?;
     let decoder = map.decoder().map_err(|e| bad(&e))?;
     let (colour, pixels) = (decoder.color_type(), map.width as usize * map.height as usize);
     let channels = usize::from(colour.channel_count());
@@ -84,7 +84,7 @@ pub(super) fn grey(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
         }
         other => Err(DepthError::Map(format!("pixels of kind {other:?} are not read"))),
     }?;
-    let (values, (width, height)) = photo::pixels::turned(values, (map.width, map.height), photo::orientation(bytes));
+    let (values, (width, height)) = photo::upright_srgb::turned(values, (map.width, map.height), photo::orientation(bytes));
     Ok(Grey { width, height, values })
 }
 
@@ -142,7 +142,7 @@ pub fn from_map_beside(
 ) -> Result<Read, DepthError> {
     let Grey { width: w, height: h, values } = if pfm::is_pfm(bytes) { pfm::read(bytes, limits)? } else { grey(bytes, limits)? };
     let lies = orientation >= 5 && fits((w, h), (height, width)) && !fits((w, h), (width, height));
-    let (values, (w, h)) = photo::pixels::turned(values, (w, h), if lies { orientation } else { 1 });
+    let (values, (w, h)) = photo::upright_srgb::turned(values, (w, h), if lies { orientation } else { 1 });
     Ok(match kind {
         DepthKind::Disparity | DepthKind::Inverted => {
             let (delta, unknown) = from_disparity(values, w as usize, kind == DepthKind::Inverted)?;

@@ -1,4 +1,4 @@
-//! Photos of every format and feature, and what the program decodes them to, for tests/browser/decode/formats.test.mjs to hold them against
+//! Photos of every format and feature, and what the program decodes them to, for tests/browser/decode/photo-formats.test.mjs to hold them against
 //! a browser.
 //!
 //! `decoded FOLDER` writes each photo, and beside it a file `NAME.rgb` of its upright pixels, three bytes each, row by row; and

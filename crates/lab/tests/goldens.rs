@@ -1,6 +1,6 @@
 //! Twelve kinds of scenes from eight cameras: the reference against its goldens, and the `cpu` and `gpu` backends against the reference.
 //!
-//! `TMPI_BLESS=1 cargo test --release -p tmpi-lab --test pictures` updates the goldens; `TMPI_BLESS=scenes` updates the scenes too.
+//! `TMPI_BLESS=1 cargo test --release -p tmpi-lab --test goldens` updates the goldens; `TMPI_BLESS=scenes` updates the scenes too.
 #![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "test")]
 
 use std::io::Cursor;

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::wire::Kind;
+use super::schema::Kind;
 use super::{ContainerError, PhotoFormat, decode};
 use crate::{Geometry, Grid, Layer, Photo, Texels};
 

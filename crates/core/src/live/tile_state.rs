@@ -1,6 +1,6 @@
 //! What a reader of a room knows of its tiles.
 
-use super::wire::{self, Chunk, Hello};
+use super::schema::{self, Chunk, Hello};
 use super::{LEAST_TILE, LiveError, MAX_PIXELS, VERSION, chunk};
 use crate::container::bounds;
 use crate::{Geometry, Grid, Intrinsics, Tile, ViewBox};
@@ -74,7 +74,7 @@ impl Model {
     ///
     /// # Errors
     /// [`LiveError`] at the first chunk that cannot be read; those before it are taken.
-    pub fn take(&mut self, message: &wire::Geometry) -> Result<Vec<u32>, LiveError> {
+    pub fn take(&mut self, message: &schema::Geometry) -> Result<Vec<u32>, LiveError> {
         let mut changed = Vec::new();
         for chunk in &message.chunks {
             self.take_chunk(chunk, &mut changed)?;

@@ -1,4 +1,4 @@
-//! Decodes containers over and over, picture apart, on one thread: `decode FILE... [ROUNDS]`. For timing, and for callgrind with
+//! Decodes containers over and over, picture apart, on one thread: `decode_loop FILE... [ROUNDS]`. For timing, and for callgrind with
 //! `--toggle-collect='*decode_with*'`.
 
 use std::time::Instant;

@@ -1,19 +1,19 @@
 //! Stiff and extreme cases: every numerical kernel against a plain `f64` reference, each case with the bound that it must hold
 //! and the error that it has (DESIGN, section 7).
 
-mod border_blur;
-mod borders;
 mod clustering;
 mod compositing;
 mod inpainting;
-mod layers;
-mod maps;
+mod live_frames;
+mod map_filters;
 mod matting;
+mod mirror_blur_reference;
 mod photos;
 mod raycast;
+mod readers;
 mod reference;
-mod rooms;
 pub mod scenes;
+mod view_box_corners;
 mod views;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -158,10 +158,10 @@ pub fn run() -> Checked {
     let mut checked = Checked::default();
     let hosts = Hosts::new(&mut checked.skipped);
     clustering::run(&mut checked);
-    maps::run(&mut checked);
-    layers::run(&mut checked);
+    map_filters::run(&mut checked);
+    readers::run(&mut checked);
     matting::run(&mut checked);
-    rooms::run(&mut checked);
+    live_frames::run(&mut checked);
     views::run(&mut checked, &hosts);
     compositing::run(&mut checked, &hosts);
     photos::run(&mut checked, &hosts);
@@ -173,7 +173,7 @@ pub fn run() -> Checked {
 #[must_use]
 pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
     let mut checked = Checked::default();
-    borders::run(&mut checked, folders, models);
+    view_box_corners::run(&mut checked, folders, models);
     checked
 }
 
