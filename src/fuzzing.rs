@@ -6,19 +6,19 @@ use std::str::FromStr;
 
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
-use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{Layers, Model, When};
 use tmpi_core::{DisparityMap, Photo, Rect, container};
-use tmpi_live::depth as measured_depth;
-use tmpi_live::units::Splitter;
+use tmpi_live::access_units::Splitter;
+use tmpi_live::depth_codec as measured_depth;
 use tmpi_pipeline::depth::{self as maps, DepthKind, Read};
 use tmpi_pipeline::{networks, photo, strokes};
 
 use crate::{cli, server};
 
+mod arbitrary;
 mod container_file;
 mod room;
-mod script;
 
 /// Runs a reader on the bytes and panics if it breaks its promise; returns the bound of its memory in bytes.
 pub type Run = fn(&[u8]) -> usize;
@@ -417,11 +417,11 @@ fn same_again<T: FromStr + Display + PartialEq>(text: &str) {
     }
 }
 
-/// The outline of a network's file, read before ONNX Runtime loads it. Promise: none, or a picture input; memory by its bytes.
+/// The graph of a network's file, read before ONNX Runtime loads it. Promise: none, or a picture input; memory by its bytes.
 fn onnx(data: &[u8]) -> usize {
-    if let Some(outline) = networks::outline(&mut std::io::Cursor::new(data)) {
-        assert!(matches!(outline.shape.len(), 4 | 5) && outline.shape.iter().all(|extent| *extent >= -1));
-        assert!(outline.beside.is_sorted());
+    if let Some(graph) = networks::onnx_graph(&mut std::io::Cursor::new(data)) {
+        assert!(matches!(graph.shape.len(), 4 | 5) && graph.shape.iter().all(|extent| *extent >= -1));
+        assert!(graph.beside.is_sorted());
     }
     LEAST + 16 * data.len()
 }

@@ -18,7 +18,7 @@ const CALLERS: [(&str, usize); 7] = [
 ];
 /// Files that mention options.
 const TEXTS: [&str; 3] = ["docker/README.md", "docker/prometheus/alerts.yaml", "docs/threat-model.md"];
-/// Options of other commands in these files: `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py`.
+/// Options of other commands in these files: `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/lint.py`.
 const OPTIONS_OF_OTHERS: [&str; 12] = [
     "--scope",
     "--create",

@@ -18,7 +18,7 @@ import torch
 import transformers as t
 from onnxruntime.transformers.float16 import convert_float_to_float16
 
-from adapters import Path, anything, enliven, export
+from compare_adapters import Path, anything, enliven, export
 
 LAYERS = 12
 

@@ -20,7 +20,7 @@ import losses
 import loop
 import network
 import pack
-import render
+import renderers
 import sources
 from batches import Pictures
 from choose import Choice
@@ -140,8 +140,8 @@ def start_renderers(a, out, packed):
     """Starts the renderers, if any."""
     if not a.renderers:
         return None
-    first = render.FIRST + loop.stream(a.seed, "scenes", loop.reached(out)).randrange(10**9) * 1000
-    return render.Renderers(a.program, a.renderers, out / "rendered", first, render.textures(packed, out / "textures"), a.models)
+    first = renderers.FIRST + loop.stream(a.seed, "scenes", loop.reached(out)).randrange(10**9) * 1000
+    return renderers.Renderers(a.program, a.renderers, out / "rendered", first, renderers.textures(packed, out / "textures"), a.models)
 
 
 class Run:
@@ -154,7 +154,7 @@ class Run:
         self.pictures, self.choice = Pictures(self.device), Choice(pack.sets_of(packed), self.device)
         self.renderers = start_renderers(a, self.out, packed)
         try:
-            for p in [*(p for p in packed if not p.group.startswith(pack.CHOICE)), *map(render.read, scenes)]:
+            for p in [*(p for p in packed if not p.group.startswith(pack.CHOICE)), *map(renderers.read, scenes)]:
                 self.pictures.add(p)
             loop.seed_all(a.seed)
             self.net = initial_network(a.init).to(self.device, memory_format=torch.channels_last)

@@ -11,7 +11,7 @@ import torch
 
 import common
 import sources
-import things
+import thing_metrics
 from network import DepthNet, Shipped, normal
 from paths import DATA
 
@@ -166,21 +166,21 @@ def evaluate(net, sets, **how):
 
 
 def evaluate_things(net, items, **how):
-    """Means of [`things.measure`] over labelled photographs, for the network and for the vertical ramp with the best sign."""
+    """Means of [`thing_metrics.measure`] over labelled photographs, for the network and for the vertical ramp with the best sign."""
     own, ramp, names = [], [], []
     for item in items:
         sample = sources.read_item(item)
         known = np.isfinite(sample.value)
         rows = rows_of(sample.value)
         rows *= np.sign(np.corrcoef(rows[known], sample.value[known])[0, 1]) or 1
-        pair = [things.measure(p, sample) for p in (predicted(net, sample.rgb, **how), rows)]
+        pair = [thing_metrics.measure(p, sample) for p in (predicted(net, sample.rgb, **how), rows)]
         if pair[0] is not None:
             own.append(pair[0])
             ramp.append(pair[1])
             names.append(item.name)
     if not own:
         return None
-    mean = lambda rows: {k: float(np.mean(v)) for k in things.MEASURES if (v := [r[k] for r in rows if k in r])}
+    mean = lambda rows: {k: float(np.mean(v)) for k in thing_metrics.MEASURES if (v := [r[k] for r in rows if k in r])}
     return {"net": mean(own), "ramp": mean(ramp), "pictures": names, "each": own}
 
 
@@ -235,7 +235,7 @@ def main():
     if objects:
         print(f"\nthings of {len(objects['pictures'])} held-out labelled photographs                      net    ramp")
         for k in objects["net"]:
-            print(f"{things.MEASURES[k]:68} {objects['net'][k]:6.3f} {objects['ramp'][k]:6.3f}")
+            print(f"{thing_metrics.MEASURES[k]:68} {objects['net'][k]:6.3f} {objects['ramp'][k]:6.3f}")
 
 
 if __name__ == "__main__":

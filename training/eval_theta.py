@@ -7,8 +7,8 @@ import numpy as np
 import torch
 
 import common
+from onnx_graph import run
 from paths import DATA
-from graph import run
 from theta import TILE, discrete, tiles
 
 

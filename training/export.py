@@ -7,11 +7,11 @@ import torch
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 import common
-import graph
-import manifest
+import onnx_graph
+import run_record
 from common import MODELS, RUNS
-from graph import Graph, check, halved
 from network import Conv, DepthNet, Shipped
+from onnx_graph import Graph, check, halved
 
 LICENCE = "MIT OR Apache-2.0"
 
@@ -19,7 +19,7 @@ LICENCE = "MIT OR Apache-2.0"
 def depth(path, checkpoint):
     net = folded(DepthNet.of(checkpoint))
     g = Graph("tmpi depth")
-    g.output(graph.depth(g, g.input("image", ["n", 3, "h", "w"]), net), "disparity", ["n", 1, "h", "w"])
+    g.output(onnx_graph.depth(g, g.input("image", ["n", 3, "h", "w"]), net), "disparity", ["n", 1, "h", "w"])
     g.save(path, {"licence": f"{LICENCE}; encoder: EfficientNet-Lite2, Apache-2.0"})
     inputs = [{"image": torch.randn(n, 3, h, w)} for n, h, w in ((1, 192, 288), (2, 96, 288), (1, 288, 96))]
     return [check(path, Shipped(net), i) for i in inputs]
@@ -127,9 +127,9 @@ def main():
     path.parent.mkdir(parents=True, exist_ok=True)
     source = a.checkpoint or RUNS / {"depth": "depth/best.pt", "theta": "theta/last.pt", "psi": "psi/last.pt"}[a.model]
     worst = {"depth": depth, "theta": theta, "psi": psi}[a.model](path, source)
-    record = manifest.exported(source, path)
+    record = run_record.exported(source, path)
     if not a.out:
-        manifest.into_card(path.with_suffix(".md"), manifest.block(path, record))
+        run_record.into_card(path.with_suffix(".md"), run_record.block(path, record))
     print(f"{path}: {path.stat().st_size} bytes, ONNX Runtime and PyTorch differ by at most {max(worst):.1e}")
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-import manifest
+import run_record
 
 
 # steps between printed lines with loss and speed
@@ -179,7 +179,7 @@ def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None
     else:
         s = None
         seed_all(plan.seed)
-    manifest.begin(out, step, inputs, wanted)
+    run_record.begin(out, step, inputs, wanted)
     # last, so that nothing above uses the restored generators
     if s is not None:
         restore(s["generators"])
@@ -213,7 +213,7 @@ def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None
             save(out / "last.pt", state)
             save(out / "last_weights.pt", compact_weights(learner.mean, step, rows[-1] if rows else {}))
             write_log(out / "log.csv", rows)
-            manifest.finished(out, step, digest(state))
+            run_record.finished(out, step, digest(state))
     return torch.load(out / "last.pt", weights_only=False, map_location="cpu")
 
 

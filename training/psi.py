@@ -110,7 +110,7 @@ def main():
     rounded = lambda r: {k: round(v, 5) for k, v in r.items()}
     print("first fill", rounded(measure(lambda x: x[:, :3], held)), f"{len(held)} layers", flush=True)
     if a.measure:
-        from graph import run
+        from onnx_graph import run
 
         print("with Ψ    ", rounded(measure(lambda x: torch.from_numpy(run(a.measure, {"layers": x})[0]), held)))
         return

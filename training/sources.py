@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 
 import common
-from label_paint import paint, read  # label files of both formats
 from paths import DATA, HERE
+from rasterise_labels import paint, read  # label files of both formats
 
 
 # kinds of regions, in the maps `kind`

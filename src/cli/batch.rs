@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
+use super::depth_pairs::pairs;
 use super::files::extension;
-use super::pairs::pairs;
 use super::{Usage, note};
 
 /// Extensions of the files in a folder that count as photos.

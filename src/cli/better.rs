@@ -2,7 +2,7 @@
 
 use super::serve::identity;
 use crate::server::{Better, Offer, Renewed};
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
 use tmpi_pipeline::networks::models::registry::{Published, best, folder, worth_fetching};
 

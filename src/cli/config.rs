@@ -17,7 +17,7 @@ use toml::{Table, Value};
 use super::serve::ServeArgs;
 use super::settings::{self, Assignment, Setting};
 use crate::server::Limits;
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 
 /// Show the effective settings of `serve` and their sources, as a file for --config
 #[derive(Clone, Debug, clap::Args)]

@@ -10,7 +10,7 @@ use super::progress::{Bars, DepthAlone};
 use super::{Usage, files, result};
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::depth::to_png;
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::{self, Options, PlaneCount, PlaneMethod, Switch};

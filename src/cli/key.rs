@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tmpi_library::{Key, Scope};
 
-use super::library::LibraryArgs;
+use super::library_args::LibraryArgs;
 use super::result;
 use crate::server::rfc3339;
 

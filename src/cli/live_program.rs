@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use anyhow::{Context as _, bail};
 use tokio::sync::Notify;
 
-use tmpi_live::units::{Splitter, Unit};
+use tmpi_live::access_units::{Splitter, Unit};
 
 /// Most units that wait to be sent; a live source then drops the older ones.
 const WAITING: usize = 4;

@@ -9,18 +9,18 @@ use futures_util::{SinkExt as _, StreamExt as _};
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::Message;
 
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{self as message, Depth, Hello, Video};
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{self as message, Depth, Hello, Video};
 use tmpi_core::live::{VERSION, read, write};
-use tmpi_live::units::codec;
+use tmpi_live::access_units::codec;
 use tmpi_live::video::{self, JPEG, VideoError};
 use tmpi_pipeline::depth::DepthKind;
 
 use super::live_client::{Addresses, Socket, Unreached, micros};
 use super::live_input::{Origin, SOUND, Wanted};
 use super::live_program::is_live;
-use super::live_sound::Sound;
+use super::live_rtp::Sound;
 use super::live_source::{Frame, Source};
 use super::{note, result};
 
@@ -382,8 +382,8 @@ mod tests {
     use std::net::Ipv4Addr;
     use std::sync::atomic::{AtomicU32, Ordering};
 
-    use tmpi_core::live::wire::Credit;
-    use tmpi_live::units::Unit;
+    use tmpi_core::live::schema::Credit;
+    use tmpi_live::access_units::Unit;
     use tokio::net::TcpListener;
     use tokio_tungstenite::accept_async;
 

@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use bytes::Bytes;
 
-use tmpi_live::depth;
-use tmpi_live::units::{Splitter, Unit, is_bidirectional, is_turned};
+use tmpi_live::access_units::{Splitter, Unit, is_bidirectional, is_turned};
+use tmpi_live::depth_codec;
 use tmpi_live::video::{self, JPEG, VideoError};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
 use super::live_input::{Origin, Plan, Wanted};
 use super::live_program::{Program, is_live};
-use super::live_sound::Sound;
+use super::live_rtp::Sound;
 use super::note;
 
 /// A frame to send.
@@ -131,7 +131,7 @@ fn measured(file: &Path, kind: DepthKind, frame: &[u8]) -> anyhow::Result<Bytes>
     let (width, height) = video::size(JPEG, frame)?.with_context(name)?;
     let limits = tmpi_pipeline::photo::Limits::default();
     let (map, _) = maps::from_map(&std::fs::read(file).with_context(name)?, kind, &limits, width, height).with_context(name)?;
-    Ok(depth::pack(&map)?.into())
+    Ok(depth_codec::pack(&map)?.into())
 }
 
 #[cfg(test)]
@@ -139,7 +139,7 @@ mod tests {
     use std::process::Command;
     use std::time::Duration;
 
-    use tmpi_live::units::codec;
+    use tmpi_live::access_units::codec;
     use tmpi_testing::Need;
     use tokio::time::timeout;
 

@@ -11,9 +11,9 @@ use futures_util::StreamExt as _;
 use tokio::time::{sleep_until, timeout};
 use tokio_tungstenite::tungstenite::Message;
 
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{self, Hello, Video};
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{self, Hello, Video};
 use tmpi_core::live::{Layers, Model, When, read};
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_live::video::{self, Decoder};
@@ -293,7 +293,7 @@ impl Shown {
     }
 
     /// Takes tiles; returns how many changed, and whether their frame was rendered.
-    fn tiles(&mut self, tiles: &wire::Geometry, args: &WatchArgs) -> anyhow::Result<(usize, bool)> {
+    fn tiles(&mut self, tiles: &schema::Geometry, args: &WatchArgs) -> anyhow::Result<(usize, bool)> {
         let changed = self.model.take(tiles)?;
         let count = changed.len();
         let Some(pictures) = &mut self.pictures else { return Ok((count, false)) };

@@ -12,7 +12,7 @@ use super::flags::MakeFlags;
 use super::progress::Bars;
 use super::{Usage, files, is_broken_pipe, reasons};
 use tmpi_pipeline::Report;
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Made, Models, Options, Stereo};

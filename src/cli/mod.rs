@@ -4,28 +4,28 @@ mod batch;
 mod better;
 pub(crate) mod config;
 mod depth;
+mod depth_pairs;
 mod export;
 mod files;
 mod flags;
 mod info;
+mod integrity;
 mod key;
-mod library;
+mod library_args;
 mod live;
 mod live_client;
 mod live_input;
 mod live_program;
 mod live_publish;
-mod live_sound;
+mod live_rtp;
 mod live_source;
 mod live_watch;
 mod make;
 mod models;
-mod pairs;
 mod progress;
 mod render;
 mod serve;
 mod settings;
-mod store;
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -53,8 +53,8 @@ enum Command {
     /// Make photos that other nodes serve, like `serve --role work`
     Work(WorkArgs),
     Config(config::ConfigArgs),
-    Fsck(store::FsckArgs),
-    Gc(store::GcArgs),
+    Fsck(integrity::FsckArgs),
+    Gc(integrity::GcArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
     Key(key::KeyArgs),
@@ -164,8 +164,8 @@ fn run(command: Command) -> anyhow::Result<()> {
             }
             result(args.shown.trim_end())
         }
-        Command::Fsck(args) => store::fsck(&args),
-        Command::Gc(args) => store::gc(&args),
+        Command::Fsck(args) => integrity::fsck(&args),
+        Command::Gc(args) => integrity::gc(&args),
         Command::Models(args) => models::run(&args),
         Command::Live(args) => live::run(&args),
         Command::Key(args) => key::run(&args),

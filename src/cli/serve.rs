@@ -12,7 +12,7 @@ use super::better::BetterNetwork;
 use super::settings::{Assignment, applied, assignment};
 use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
-use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
+use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{

@@ -3,7 +3,7 @@
 
 use super::glb::disparity;
 use super::mesh::Space;
-use super::surface::{inpainted, visible_disparity};
+use super::visible_surface::{inpainted, visible_disparity};
 use tmpi_core::{Photo, Scene};
 use tmpi_pipeline::photo::{reduced_size, resize};
 

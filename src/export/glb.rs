@@ -9,9 +9,9 @@ use std::collections::HashMap;
 use serde_json::json;
 
 use super::backdrop::Backdrop;
-use super::gltf::File;
+use super::glb_writer::File;
 use super::mesh::{Corner, Disparity, Space, polygons};
-use super::{ExportError, PhotoFile, pages, photo_file};
+use super::{ExportError, PhotoFile, photo_file, texture_atlas};
 use tmpi_core::container::encode_jpeg;
 use tmpi_core::{Class, Layer, Photo, Scene};
 use tmpi_render::OPAQUE;
@@ -98,7 +98,7 @@ pub fn glb(container: &[u8], scene: &Scene, options: ModelOptions, cancelled: &d
         let vertices = file.vertices(&mesh.positions, &mesh.coordinates);
         file.surface("photo", &vertices, &mesh.pick(parts), material);
     }
-    for (n, page) in pages::pack(scene, &layered).iter().enumerate() {
+    for (n, page) in texture_atlas::pack(scene, &layered).iter().enumerate() {
         if cancelled() {
             return Err(ExportError::Cancelled);
         }
@@ -132,14 +132,14 @@ fn jpeg(photo: &Photo, quality: u8) -> Result<Vec<u8>, ExportError> {
 }
 
 /// Encodes a page of layers (media type, bytes).
-fn page_texture(scene: &Scene, page: &pages::Page, textures: ModelTextures) -> Result<(&'static str, Vec<u8>), ExportError> {
-    let (w, h, rgba) = (page.width, page.height, pages::paint(scene, page));
+fn page_texture(scene: &Scene, page: &texture_atlas::Page, textures: ModelTextures) -> Result<(&'static str, Vec<u8>), ExportError> {
+    let (w, h, rgba) = (page.width, page.height, texture_atlas::paint(scene, page));
     if textures == ModelTextures::Plain || w.max(h) > WEBP_SIDE {
         if rgba.iter().all(|texel| texel[3] == u8::MAX) {
             let rgb: Vec<[u8; 3]> = rgba.iter().map(|&[r, g, b, _]| [r, g, b]).collect();
             return Ok(("image/jpeg", encode_jpeg(w, h, rgb.as_flattened(), OPAQUE_QUALITY)?));
         }
-        return Ok(("image/png", pages::png(w, h, &rgba)?));
+        return Ok(("image/png", texture_atlas::png(w, h, &rgba)?));
     }
     // alpha is lossless
     let coded = webp::Encoder::from_rgba(rgba.as_flattened(), w, h).encode_simple(false, LAYER_QUALITY);

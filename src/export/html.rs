@@ -14,7 +14,7 @@ const PAGE: &str = include_str!("page.html");
 /// Style sheet of the page.
 const STYLE: &str = include_str!("page.css");
 /// Module loader.
-const START: &str = include_str!("start.js");
+const LOADER: &str = include_str!("module-loader.js");
 /// Entry module, with paths relative to the top of the viewer's folders.
 const ENTRY: &str = include_str!("page.js");
 const ENTRY_NAME: &str = "page.js";
@@ -65,7 +65,7 @@ pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
 /// The viewer, linked into one script.
 fn script() -> Result<String, ExportError> {
     let linked = script::link(ENTRY_NAME, &|name| if name == ENTRY_NAME { Some(ENTRY.as_bytes()) } else { assets::file(name) })?;
-    let mut text = format!("{}\nstart({{\n", START.trim_end());
+    let mut text = format!("{}\nstart({{\n", LOADER.trim_end());
     for (name, module) in &linked.modules {
         // writing to a string cannot fail
         let _ = writeln!(text, "{name:?}: {module},");

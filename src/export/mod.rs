@@ -3,15 +3,15 @@
 mod backdrop;
 mod bands;
 mod glb;
-mod gltf;
+mod glb_writer;
 mod html;
 mod mesh;
 mod ora;
-mod pages;
 mod script;
-mod surface;
 #[cfg(test)]
 mod testing;
+mod texture_atlas;
+mod visible_surface;
 mod zip;
 
 pub use glb::{ModelOptions, ModelShape, ModelTextures, glb};

@@ -7,8 +7,8 @@ use ::zip::{CompressionMethod, ZipWriter};
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::surface::{inpainted, visible_disparity};
-use super::{ExportError, bands, pages};
+use super::visible_surface::{inpainted, visible_disparity};
+use super::{ExportError, bands, texture_atlas};
 use tmpi_core::{DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::to_png;
 use tmpi_pipeline::photo::{reduced_size, resize};
@@ -52,7 +52,7 @@ pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, Expor
         }
         let file = format!("data/layer{index}.png");
         let limit = bounds.get(index).copied().unwrap_or(f32::INFINITY);
-        add(&file, &pages::png(width, height, &layer(photo, &map.delta, &band, index as u8, limit))?)?;
+        add(&file, &texture_atlas::png(width, height, &layer(photo, &map.delta, &band, index as u8, limit))?)?;
         let word = if index == 0 {
             ", farthest"
         } else if index == bounds.len() {

@@ -6,8 +6,8 @@ use ::zip::write::SimpleFileOptions;
 use ::zip::{CompressionMethod, ZipWriter};
 use serde_json::json;
 
-use super::surface::visible_disparity;
-use super::{ExportError, pages, photo_file};
+use super::visible_surface::visible_disparity;
+use super::{ExportError, photo_file, texture_atlas};
 use tmpi_core::Scene;
 use tmpi_pipeline::depth::to_png;
 
@@ -43,7 +43,7 @@ pub fn zip(container: &[u8], scene: &Scene, cancelled: &dyn Fn() -> bool) -> Res
         let rect = scene.layers[index].rect;
         texels.clear();
         scene.expand_layer(index, &mut texels);
-        add(name, picture, &pages::png(rect.w, rect.h, &texels)?)?;
+        add(name, picture, &texture_atlas::png(rect.w, rect.h, &texels)?)?;
     }
     Ok(archive.finish()?.into_inner())
 }

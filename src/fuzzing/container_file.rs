@@ -1,11 +1,11 @@
 //! Containers for the fuzzer: valid ones with a few changes, and checksums put right.
 
 use prost::Message as _;
-use tmpi_core::container::wire::Index;
+use tmpi_core::container::schema::Index;
 use tmpi_core::container::{Carried, Carries, HiddenAs, MAGIC, PhotoFormat, encode_in, encode_lossless, readable};
 use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 
-use super::script::{Script, geometry};
+use super::arbitrary::{Script, geometry};
 
 /// Planes a tile, at most: one more than there can be.
 const MOST_PLANES: u32 = 66;

@@ -1,14 +1,14 @@
 //! Rooms for the fuzzer: messages that are valid but for a few changes, with the checksums that they should have.
 
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{self, Hello};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{self, Hello};
 use tmpi_core::live::{MAX_PLANES, Model, chunk};
 
-use super::script::{Script, geometry};
+use super::arbitrary::{Script, geometry};
 
 /// A room of built tiles: what its hello says, and messages of chunks, valid but for what the last bytes of `data` change.
 #[must_use]
-pub fn build(data: &[u8]) -> (Hello, Vec<wire::Geometry>) {
+pub fn build(data: &[u8]) -> (Hello, Vec<schema::Geometry>) {
     let mut script = Script(data);
     let mut geometry = geometry(&mut script, MAX_PLANES as u32 + 1);
     geometry.tiles.iter_mut().for_each(|t| t.planes.truncate(MAX_PLANES));
@@ -21,9 +21,9 @@ pub fn build(data: &[u8]) -> (Hello, Vec<wire::Geometry>) {
             if wanted < 64 { vec![chunk::Area::all(&grid)] } else { chunk::Area::covering(&grid, |t| t % 7 < u32::from(wanted) % 7) };
         let frame = u64::from(script.byte());
         let chunks = areas.into_iter().filter_map(|area| chunk::encode(&grid, area, &geometry.tiles, frame).ok()).collect();
-        wire::Geometry { frame, chunks }
+        schema::Geometry { frame, chunks }
     });
-    let mut messages: Vec<wire::Geometry> = messages.collect();
+    let mut messages: Vec<schema::Geometry> = messages.collect();
     while !script.0.is_empty() {
         let which = script.below(messages.len() as u32) as usize;
         change_message(&mut script, &mut hello, &mut messages[which]);
@@ -33,7 +33,7 @@ pub fn build(data: &[u8]) -> (Hello, Vec<wire::Geometry>) {
 }
 
 /// Changes a field of the hello or of a chunk, or some of its bytes.
-fn change_message(script: &mut Script, hello: &mut Hello, message: &mut wire::Geometry) {
+fn change_message(script: &mut Script, hello: &mut Hello, message: &mut schema::Geometry) {
     let number = |script: &mut Script, field: &mut u32| *field = script.number(u64::from(*field)) as u32;
     if script.below(16) == 1 {
         let Hello { width, height, tile_size, tile_stride, .. } = hello;
@@ -44,7 +44,7 @@ fn change_message(script: &mut Script, hello: &mut Hello, message: &mut wire::Ge
     let Some(chunk) = message.chunks.get_mut(at) else { return };
     match script.below(4) {
         0 => {
-            let wire::Chunk { column, row, columns, rows, planes, .. } = chunk;
+            let schema::Chunk { column, row, columns, rows, planes, .. } = chunk;
             let at = script.below(5) as usize;
             [column, row, columns, rows, planes].into_iter().skip(at).take(1).for_each(|f| number(script, f));
         }
@@ -63,7 +63,7 @@ fn change_message(script: &mut Script, hello: &mut Hello, message: &mut wire::Ge
 }
 
 /// Gives a chunk the checksum that it should have.
-fn set_check(chunk: &mut wire::Chunk) {
+fn set_check(chunk: &mut schema::Chunk) {
     let c = &*chunk;
     let head = [c.column.into(), c.row.into(), c.columns.into(), c.rows.into(), c.version, c.planes.into()].map(u64::to_le_bytes);
     chunk.check = crc32fast::hash(&[head.as_flattened(), &chunk.plane_data, &chunk.label_data].concat());

@@ -10,12 +10,12 @@ use tokio::time::{Instant, interval, sleep, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_util::sync::CancellationToken;
 
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Credit};
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
-use super::origin::{Nodes, Socket};
+use super::origin_node::{Nodes, Socket};
 use super::room::Room;
 use super::tiles::Chunks;
 use super::{COME_BACK, Entry};

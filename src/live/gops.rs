@@ -12,8 +12,8 @@ use bytes::Bytes;
 
 use super::ring::What;
 use super::room::Tiles;
-use tmpi_core::live::wire::Hello;
-use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::schema::Hello;
+use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::write;
 
 /// Most groups, with the growing one.

@@ -7,34 +7,34 @@
 //! | file | what |
 //! |---|---|
 //! | `access` | who may publish and watch |
-//! | `invite` | the state of a room, and tokens for viewers |
-//! | `here` | the state of the handlers, and access checks |
+//! | `room_status` | the state of a room, and tokens for viewers |
+//! | `request_access` | the state of the handlers, and access checks |
 //! | `routes` | the routes, and the upgrade to WebSockets |
 //! | `publisher`, `viewer` | one socket each |
-//! | `sound` | the rate limit of sound |
+//! | `sound_limit` | the rate limit of sound |
 //! | `room` | the state that sockets and threads of a room share |
-//! | `still` | the last frame with its geometry |
+//! | `newest_frame` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
-//! | `fetch` | the newest frame and groups of pictures by plain HTTP |
+//! | `plain_http` | the newest frame and groups of pictures by plain HTTP |
 //! | `tiles` | the tiles of a room as encoded chunks |
-//! | `origin` | which node has a room |
+//! | `origin_node` | which node has a room |
 //! | `edge` | a room that another node has |
 //! | `worker` | the threads that decode frames and make geometry |
 
 mod access;
 mod edge;
-mod fetch;
-mod frames;
 mod gops;
-mod origin;
+mod newest_frame;
+mod origin_node;
+mod plain_http;
 mod publisher;
 mod request_access;
 mod ring;
 mod room;
-mod room_state;
+mod room_status;
 pub(crate) mod routes;
-mod sound;
+mod sound_limit;
 mod tiles;
 mod viewer;
 mod worker;
@@ -51,13 +51,13 @@ pub(crate) use access::check_origin;
 pub use access::{Role, token};
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
-pub use origin::NodeAddress;
+pub use origin_node::NodeAddress;
 pub(crate) use request_access::RoomsContext;
-use tmpi_core::live::wire::Bye;
-use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::schema::Bye;
+use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::write;
 
-use origin::{Lease, Nodes};
+use origin_node::{Lease, Nodes};
 use request_access::{busy, none_publishes};
 use room::Room;
 use tmpi_library::{Library, LibraryError, Origin};
@@ -266,7 +266,7 @@ impl Entry {
             () = tokio::time::sleep(COME_BACK) => false,
             () = stop.cancelled() => false,
             // this node itself may have taken a newer lease
-            () = origin::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.came_with(lease.epoch())),
+            () = origin_node::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.came_with(lease.epoch())),
         };
         // before the room closes, which tells its viewers
         if let Some(lease) = lease {

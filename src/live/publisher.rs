@@ -10,18 +10,18 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout_at};
 use tokio_tungstenite::tungstenite::{self, error::CapacityError};
 
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
-use tmpi_live::{Geometry, Settings, units, video};
+use tmpi_live::{Geometry, Settings, access_units, video};
 
-use super::origin::{Lease, lost};
+use super::origin_node::{Lease, lost};
 use super::request_access::{ENDED, RoomsContext, ended};
 use super::ring::What;
 use super::room::Room;
-use super::sound::Allowance;
+use super::sound_limit::Allowance;
 use super::viewer::gone;
 use super::worker::{Coded, Decoded, Worker};
 use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
@@ -183,7 +183,7 @@ impl Show {
             // the decoder reports unreadable frames
             Ok(_) | Err(_) => return Ok(None),
         };
-        let codec = units::codec(data).filter(|_| codec.starts_with("avc1.")).unwrap_or_else(|| codec.clone());
+        let codec = access_units::codec(data).filter(|_| codec.starts_with("avc1.")).unwrap_or_else(|| codec.clone());
         let fov_x = turned(*fov_x, (*width, *height), size);
         Ok(Some(Hello { codec, width: size.0, height: size.1, fov_x, ..self.hello.clone() }))
     }
@@ -197,9 +197,9 @@ fn turned(fov_x: f64, before: (u32, u32), now: (u32, u32)) -> f64 {
 
 /// Refuses H.264 that browsers' decoders accept but show wrongly.
 fn in_order_and_upright(unit: &[u8]) -> Result<(), &'static str> {
-    if units::is_bidirectional(unit) {
+    if access_units::is_bidirectional(unit) {
         Err(BIDIRECTIONAL)
-    } else if units::is_turned(unit) {
+    } else if access_units::is_turned(unit) {
         Err(TURNED)
     } else {
         Ok(())

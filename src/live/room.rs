@@ -7,12 +7,12 @@ use bytes::Bytes;
 use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{self, Bye, Hello, Statistics};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{self, Bye, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 
-pub use super::frames::{FrameWithTiles, NewestFrame, Tiles};
 use super::gops::{Group, Groups, Part};
+pub use super::newest_frame::{FrameWithTiles, NewestFrame, Tiles};
 use super::ring::{Place, Ring, Step, What};
 use super::tiles::Chunks;
 use super::{Bounds, KEYS};
@@ -214,7 +214,7 @@ impl Room {
     }
 
     /// Passes on tiles that were made here, like [`Self::push`].
-    pub fn push_tiles(&self, epoch: u64, tiles: wire::Geometry) {
+    pub fn push_tiles(&self, epoch: u64, tiles: schema::Geometry) {
         let mut state = self.lock();
         // store before pushing: a viewer that skips in between gets them twice rather than never
         if state.epoch == epoch
@@ -296,7 +296,7 @@ impl Room {
             if let Some((frame, chunks)) = kept.and_then(|kept| kept.newest().zip(kept.newer(known))) {
                 drop(state);
                 viewer.place.told(frame);
-                let tiles = || Ok(write(Kind::Geometry(wire::Geometry { frame, chunks })));
+                let tiles = || Ok(write(Kind::Geometry(schema::Geometry { frame, chunks })));
                 return (frame > known).then(tiles);
             }
         }

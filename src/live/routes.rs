@@ -12,7 +12,7 @@ use utoipa_axum::routes;
 use super::access::{PROTOCOL, Role};
 use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
 use super::room::Watches;
-use super::{fetch, publisher, room_state, viewer};
+use super::{plain_http, publisher, room_status, viewer};
 use crate::server::{ConnectionGuard, Problem};
 
 /// Write buffer of a viewer: the largest message and nothing else.
@@ -23,16 +23,16 @@ const FULL_AGAIN: u64 = 10;
 /// Routes for viewers. Pages of other sites may use them with a token.
 pub fn watching_api() -> OpenApiRouter<RoomsContext> {
     OpenApiRouter::new()
-        .routes(routes!(room_state::state))
+        .routes(routes!(room_status::state))
         .routes(routes!(subscribe))
-        .routes(routes!(fetch::newest))
-        .routes(routes!(fetch::latest_group))
-        .routes(routes!(fetch::group))
+        .routes(routes!(plain_http::newest))
+        .routes(routes!(plain_http::latest_group))
+        .routes(routes!(plain_http::group))
 }
 
 /// Routes for publishers.
 pub fn publishing_api() -> OpenApiRouter<RoomsContext> {
-    OpenApiRouter::new().routes(routes!(room_state::link)).routes(routes!(publish))
+    OpenApiRouter::new().routes(routes!(room_status::link)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;

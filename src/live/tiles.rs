@@ -7,8 +7,8 @@ use bytes::Bytes;
 
 use tmpi_core::Grid;
 use tmpi_core::live::chunk;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{self, Chunk, Hello};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{self, Chunk, Hello};
 use tmpi_core::live::{MAX_MESSAGE, Model, write};
 
 /// Chunks by version and area, and for each tile the chunk with its newest version.
@@ -34,7 +34,7 @@ impl Chunks {
     }
 
     /// Takes the chunks of a message; false if one lies outside the grid.
-    pub fn take(&mut self, message: &wire::Geometry) -> bool {
+    pub fn take(&mut self, message: &schema::Geometry) -> bool {
         self.coded = None;
         message.chunks.iter().all(|chunk| self.take_chunk(chunk))
     }
@@ -95,7 +95,7 @@ impl Chunks {
         if self.coded.is_none() && !self.kept.is_empty() {
             let chunks = self.kept.values().map(|(chunk, _)| chunk.clone()).collect();
             let frame = self.newest().unwrap_or(0);
-            self.coded = Some(write(Kind::Snapshot(wire::Geometry { frame, chunks })));
+            self.coded = Some(write(Kind::Snapshot(schema::Geometry { frame, chunks })));
         }
         self.coded.clone().filter(|bytes| bytes.len() <= MAX_MESSAGE)
     }
@@ -118,9 +118,9 @@ pub mod tests {
         Geometry { grid, intrinsics, view_box, tiles, matted: false }
     }
 
-    pub fn message(geometry: &Geometry, area: Area, version: u64) -> wire::Geometry {
+    pub fn message(geometry: &Geometry, area: Area, version: u64) -> schema::Geometry {
         let chunk = chunk::encode(&geometry.grid, area, &geometry.tiles, version).unwrap();
-        wire::Geometry { frame: version, chunks: vec![chunk] }
+        schema::Geometry { frame: version, chunks: vec![chunk] }
     }
 
     #[test]
@@ -129,7 +129,7 @@ pub mod tests {
         let hello = Model::hello(&first);
         let (mut chunks, mut model) = (Chunks::new(&hello).unwrap(), Model::new(&hello).unwrap());
         assert_eq!(chunks.snapshot(), None);
-        let mut send = |chunks: &mut Chunks, message: &wire::Geometry| {
+        let mut send = |chunks: &mut Chunks, message: &schema::Geometry| {
             assert!(chunks.take(message));
             model.take(message).unwrap();
             let mut fresh = Model::new(&hello).unwrap();

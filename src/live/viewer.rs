@@ -12,9 +12,9 @@ use futures_util::FutureExt as _;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Credit};
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
 use super::request_access::{ENDED, ended};

@@ -11,10 +11,10 @@ use std::time::Instant;
 use bytes::Bytes;
 use tokio::sync::mpsc;
 
-use tmpi_core::live::wire;
+use tmpi_core::live::schema;
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_live::video::{Decoder, FAILED, VideoError};
-use tmpi_live::{Frame, Geometry, depth};
+use tmpi_live::{Frame, Geometry, depth_codec};
 
 use super::PANICS;
 use super::room::{FrameWithTiles, Room};
@@ -162,7 +162,7 @@ impl Slot {
 /// Decodes a frame's picture and measured depth; `None` if it holds no picture.
 fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, VideoError> {
     let Some(photo) = decoder.decode(data)? else { return Ok(None) };
-    let depth = packed.map(|packed| depth::unpack(packed, photo.width, photo.height)).transpose();
+    let depth = packed.map(|packed| depth_codec::unpack(packed, photo.width, photo.height)).transpose();
     let depth = depth.map_err(|e| VideoError::Broken(e.to_string()))?;
     Ok(Some((photo, depth)))
 }
@@ -212,7 +212,7 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
     }
     // sends each tile only once
     if !update.chunks.is_empty() {
-        room.push_tiles(epoch, wire::Geometry { frame: frame.number, chunks: update.chunks });
+        room.push_tiles(epoch, schema::Geometry { frame: frame.number, chunks: update.chunks });
     }
 }
 
@@ -220,7 +220,7 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
 mod tests {
     use std::time::Duration;
 
-    use tmpi_core::live::wire::message::Kind;
+    use tmpi_core::live::schema::message::Kind;
     use tmpi_core::live::{Model, read};
     use tmpi_live::Settings;
     use tmpi_pipeline::Models;

@@ -6,10 +6,10 @@
 
 mod child_main;
 mod exchange;
-mod files;
-mod frames;
 mod photos;
+mod pipe_frames;
 mod scratch;
+mod write_export;
 
 use std::ffi::{OsStr, OsString};
 use std::io;
@@ -24,7 +24,7 @@ use super::exports::Work;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::problem::Problem;
 pub use child_main::serve;
-use frames::read;
+use pipe_frames::read;
 use scratch::Scratch;
 pub use scratch::empty as empty_scratch;
 use tmpi_pipeline::{MakeError, Options, Sink, networks};

@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
+use super::body_source::Source;
 use super::compress;
 use super::problem::Problem;
-use super::source::Source;
 use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};

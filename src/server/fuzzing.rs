@@ -7,13 +7,13 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{Wanted, wanted};
-use super::file_name::file_name;
 use super::form_headers::Bounded;
 use super::hosts::origin;
-use super::options;
+use super::part_name::file_name;
+use super::photo_options;
+use super::photo_settings::Settings;
 use super::proxies::{Announcement, ClientAddress, Network, Proxies, X_FORWARDED_FOR};
 use super::routes::ViewQuery;
-use super::settings::Settings;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
 /// Reads a query for a view of a photo of 60 × 40 pixels.
@@ -66,12 +66,15 @@ pub fn multipart(body: &[u8]) {
             let name = field.name().unwrap_or_default().to_owned();
             let _ = file_name(field.headers());
             let Ok(value) = field.text().await else { return };
-            if let Err(problem) = options::set(&mut read, &name, &value) {
+            if let Err(problem) = photo_options::set(&mut read, &name, &value) {
                 assert!(problem.status == 400 && problem.field.is_some());
             }
         }
-        let text = options::to_text(&read);
-        assert!(options::from_text(&text).is_ok_and(|again| options::to_text(&again) == text), "options are read otherwise than written");
+        let text = photo_options::to_text(&read);
+        assert!(
+            photo_options::from_text(&text).is_ok_and(|again| photo_options::to_text(&again) == text),
+            "options are read otherwise than written"
+        );
     });
 }
 

@@ -14,11 +14,10 @@ use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
 use tracing::{Instrument, Span};
 
-use super::accept::{Peer, Secure};
+use super::accept_loop::{Peer, Secure};
 use super::access::{self, Guard};
 use super::app::App;
-use super::body::Guarded;
-use super::client_limits::{CLIENT, client_address};
+use super::client_slots::{CLIENT, client_address};
 use super::conditional::insert;
 use super::hosts::{Hosts, SECURE};
 use super::limits::Limits;
@@ -26,6 +25,7 @@ use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::proxies::Proxies;
 use super::rates::{RateHeaders, RateKey, Rates};
+use super::request_body::Guarded;
 use super::time_limit::TimeLimit;
 use super::traces::TRACE;
 

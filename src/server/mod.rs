@@ -4,23 +4,22 @@
 //! Requests and workers ([`Limits::workers`]) run on tokio; a bounded pool renders views. A photo that was answered 202 is in the library:
 //! it survives a crash, and the next start resumes it.
 
-mod accept;
+mod accept_loop;
 mod access;
-mod admission;
 mod app;
 mod attachment;
 mod background_tasks;
-mod body;
+mod blocking_pool;
+mod body_source;
 mod build_identity;
 mod cache;
-mod cache_values;
+mod cached;
 mod child;
-mod client_limits;
+mod client_slots;
 mod compress;
 mod conditional;
 mod depth_network;
 mod exports;
-mod file_name;
 mod finished_photo;
 mod form_headers;
 pub(crate) mod fuzzing;
@@ -33,23 +32,24 @@ mod memory;
 mod metrics;
 mod middleware;
 mod minimum_rate;
-mod options;
 mod pages;
-mod pool;
+mod part_name;
+mod photo_options;
+mod photo_settings;
 mod preview_card;
 mod problem;
 mod process_metrics;
 mod proxies;
 mod rates;
+mod request_body;
 mod routes;
-mod settings;
-mod source;
 mod time_limit;
 mod timestamps;
 mod tls;
 mod traces;
 mod units;
 mod upload;
+mod upload_head;
 mod upload_slots;
 mod workers;
 
@@ -63,7 +63,7 @@ use std::time::Instant;
 use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
-pub use accept::ConnectionGuard;
+pub use accept_loop::ConnectionGuard;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
 pub(crate) use conditional::{Coding, Entity, respond};
@@ -328,11 +328,11 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            let endpoint = accept::Endpoint { listener, tls: None, proxies: Proxies::default() };
-            tokio::spawn(async move { accept::serve(endpoint, router, &app.limits, &app.telemetry, &token).await })
+            let endpoint = accept_loop::Endpoint { listener, tls: None, proxies: Proxies::default() };
+            tokio::spawn(async move { accept_loop::serve(endpoint, router, &app.limits, &app.telemetry, &token).await })
         });
-        let endpoint = accept::Endpoint { listener, tls, proxies: app.proxies.clone() };
-        accept::serve(endpoint, router, &app.limits, &app.telemetry, &token).await;
+        let endpoint = accept_loop::Endpoint { listener, tls, proxies: app.proxies.clone() };
+        accept_loop::serve(endpoint, router, &app.limits, &app.telemetry, &token).await;
         if let Some(admin) = admin
             && let Err(error) = admin.await
         {

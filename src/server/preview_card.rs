@@ -5,8 +5,8 @@ use std::fmt::Write as _;
 use super::access;
 use super::app::Shared;
 use super::finished_photo::FinishedPhoto;
-use super::options;
-use super::settings::Settings;
+use super::photo_options;
+use super::photo_settings::Settings;
 use tmpi_library::Photo;
 
 /// Title of a photo without one.
@@ -45,7 +45,7 @@ impl Card {
     pub fn of(app: &Shared, photo: &Photo, base: String) -> Self {
         let (settings, link) = (Settings::of(photo), access::link());
         let view = if let Some(done) = FinishedPhoto::of(photo) {
-            let pose = settings.poster_pose(&options::view_box_of(&photo.options)).unwrap_or_default();
+            let pose = settings.poster_pose(&photo_options::view_box_of(&photo.options)).unwrap_or_default();
             let link = link.as_ref().map(|link| format!("&{link}")).unwrap_or_default();
             let address = format!("{base}/v1/photos/{}/view?{pose}format=jpeg&v={}{link}", photo.id, app.version(&done));
             Some((address, (done.width, done.height)))

@@ -1,6 +1,6 @@
 //! Process metrics, with the names of the Prometheus client libraries.
 
-use tmpi_pipeline::clock::{cpu_seconds, resident_bytes};
+use tmpi_pipeline::usage::{cpu_seconds, resident_bytes};
 
 use super::metrics::{Figure, counter, gauge};
 

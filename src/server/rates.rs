@@ -10,7 +10,7 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, Method, StatusCode};
 use axum::response::Response;
 
-use super::client_limits::client_network;
+use super::client_slots::client_network;
 use super::conditional::insert;
 use super::limits;
 use super::problem::Problem;

@@ -14,15 +14,15 @@ use sha2::{Digest as _, Sha256};
 use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
-use super::admission::Admission;
 use super::app::{App, Shared};
-use super::body;
-use super::file_name::file_name;
 use super::form_headers::Bounded;
 use super::maker::HeadOf;
-use super::options;
+use super::part_name::file_name;
+use super::photo_options;
+use super::photo_settings::{Settings, title_of_file};
 use super::problem::Problem;
-use super::settings::{Settings, title_of_file};
+use super::request_body;
+use super::upload_head::UploadHead;
 use super::upload_slots::UploadSlot;
 use tmpi_library::{Class, Content, Digest, LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::{Options, Stereo};
@@ -118,7 +118,7 @@ impl Chosen {
         } else if name == TITLE {
             self.settings = std::mem::take(&mut self.settings).titled(value)?;
         } else {
-            options::set(&mut self.options, name, value)?;
+            photo_options::set(&mut self.options, name, value)?;
         }
         if self.given.insert(name.replace('_', "-")) { Ok(()) } else { Err(Problem::parameter(name, "is given twice")) }
     }
@@ -138,10 +138,10 @@ const CLASS: &str = "class";
 
 /// Refuses what is neither one of these nor an option, before its value is read.
 fn known(name: &str, kinds: &str) -> Result<(), Problem> {
-    if matches!(name, TITLE | VISIBILITY | CLASS) || options::NAMES.contains(&name.replace('_', "-").as_str()) {
+    if matches!(name, TITLE | VISIBILITY | CLASS) || photo_options::NAMES.contains(&name.replace('_', "-").as_str()) {
         return Ok(());
     }
-    Err(Problem::parameter(name, format!("there is no such {kinds}, {}", options::NAMES.join(", "))))
+    Err(Problem::parameter(name, format!("there is no such {kinds}, {}", photo_options::NAMES.join(", "))))
 }
 
 /// Takes an upload of `owner`, where there are such; when this returns, it is on disk.
@@ -170,9 +170,9 @@ async fn take_chosen(app: &App, chosen: Chosen, request: Request, owner: Option<
         read_multipart(app, &mut parts, request).await?;
     } else {
         let stream = request.into_body().into_data_stream();
-        let (mut admission, options) = (Admission::new(&app.maker), &parts.chosen.options);
-        let look = |bytes: &[u8]| admission.see(bytes, HeadOf::Photo(options));
-        parts.photo = Some(write(app, stream, |e| body::problem(&e), look).await?);
+        let (mut head, options) = (UploadHead::new(&app.maker), &parts.chosen.options);
+        let look = |bytes: &[u8]| head.see(bytes, HeadOf::Photo(options));
+        parts.photo = Some(write(app, stream, |e| request_body::problem(&e), look).await?);
     }
     accept(app, parts, owner).await
 }
@@ -190,9 +190,9 @@ async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Photo, 
     if photo.bytes == 0 {
         return Err(Problem::parameter("photo", "is empty"));
     }
-    let text = options::to_text(&options);
+    let text = photo_options::to_text(&options);
     let depth_digest = depth.as_ref().map(|depth| &depth.digest);
-    let content = PhotoId::of_content(&photo.digest, depth_digest, &options::canonical(&text), app.maker.identity());
+    let content = PhotoId::of_content(&photo.digest, depth_digest, &photo_options::canonical(&text), app.maker.identity());
     let id = app.guard.as_ref().zip(owner.as_ref()).map_or(content, |(guard, owner)| guard.id(owner, content));
     let bytes = photo.bytes + depth.as_ref().map_or(0, |depth| depth.bytes);
     let (photo, depth) = if app.library.find(id).await?.is_some() { (photo, depth) } else { check(app, photo, depth, options).await? };
@@ -258,7 +258,7 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
     let request = request.map(|body| Body::from_stream(Bounded::new(body.into_data_stream(), &boundary)));
     let mut form = Multipart::from_request(request, &()).await.map_err(|e| Problem::bad_request(e.body_text()))?;
-    while let Some(mut field) = form.next_field().await.map_err(|e| body::problem(&e))? {
+    while let Some(mut field) = form.next_field().await.map_err(|e| request_body::problem(&e))? {
         let name = field.name().unwrap_or_default().to_owned();
         if name.len() > MAX_NAME {
             return Err(Problem::parameter(name, format!("the name of a field is longer than {MAX_NAME} bytes")));
@@ -282,17 +282,17 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
             return Err(Problem::parameter(&name, detail));
         }
         if name == "second" {
-            parts.chosen.set("stereo", &options::chosen(&Stereo::Beside))?;
+            parts.chosen.set("stereo", &photo_options::chosen(&Stereo::Beside))?;
         }
         let file = futures_util::stream::iter([Ok(first)]).chain(field);
-        let (mut admission, options) = (Admission::new(&app.maker), &parts.chosen.options);
+        let (mut head, options) = (UploadHead::new(&app.maker), &parts.chosen.options);
         let of = match name.as_str() {
             "depth" => HeadOf::Depth,
             "second" => HeadOf::Second,
             _ => HeadOf::PhotoSoFar(options),
         };
-        let look = |bytes: &[u8]| admission.see(bytes, of);
-        *slot = Some(write(app, file, |e| body::problem(&e), look).await?);
+        let look = |bytes: &[u8]| head.see(bytes, of);
+        *slot = Some(write(app, file, |e| request_body::problem(&e), look).await?);
         if name == "photo" {
             parts.chosen.of_file = file_name;
         }
@@ -302,7 +302,7 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
 
 /// The first bytes of a field; none where it is empty.
 async fn first_bytes(field: &mut axum::extract::multipart::Field<'_>) -> Result<Option<Bytes>, Problem> {
-    while let Some(bytes) = field.chunk().await.map_err(|e| body::problem(&e))? {
+    while let Some(bytes) = field.chunk().await.map_err(|e| request_body::problem(&e))? {
         if !bytes.is_empty() {
             return Ok(Some(bytes));
         }
@@ -312,7 +312,7 @@ async fn first_bytes(field: &mut axum::extract::multipart::Field<'_>) -> Result<
 
 async fn text(name: &str, mut field: axum::extract::multipart::Field<'_>) -> Result<String, Problem> {
     let mut value = Vec::new();
-    while let Some(bytes) = field.chunk().await.map_err(|e| body::problem(&e))? {
+    while let Some(bytes) = field.chunk().await.map_err(|e| request_body::problem(&e))? {
         value.extend_from_slice(&bytes);
         if value.len() > MAX_OPTION {
             return Err(Problem::parameter(name, format!("is longer than {MAX_OPTION} bytes")));

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use super::client_limits::{ClientLimits, ClientPermit, client_address};
+use super::client_slots::{ClientLimits, ClientPermit, client_address};
 use super::limits::Limits;
 
 /// Uploads in progress.
@@ -46,7 +46,7 @@ impl UploadSlots {
 
 #[cfg(test)]
 mod tests {
-    use super::super::client_limits::CLIENT;
+    use super::super::client_slots::CLIENT;
     use super::*;
 
     #[test]

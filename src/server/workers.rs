@@ -19,7 +19,7 @@ use super::exports::{Recipe, WriteRequest, written};
 use super::finished_photo::FinishedPhoto;
 use super::maker::{Fault, Product};
 use super::memory::Priority;
-use super::options;
+use super::photo_options;
 use super::problem::Problem;
 use super::routes::Stage;
 use super::traces::{Job, Parent};
@@ -283,7 +283,7 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
             error => End::Again(Retry::Fault(error.to_string())),
         }),
     };
-    let mut options = options::from_text(&photo.options).map_err(End::Failed)?;
+    let mut options = photo_options::from_text(&photo.options).map_err(End::Failed)?;
     options.strokes = match read(Part::Strokes).await {
         Ok(strokes) => super::app::strokes_of(strokes.as_deref()),
         // the photo can be made without strokes

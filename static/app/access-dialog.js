@@ -3,11 +3,11 @@
 
 import { t } from '../i18n/messages.js';
 import { changeSettings, linksOf, ownerTicket, takeLinksBack } from './api.js';
+import { button, copied, showDialog } from './dialog.js';
 import { element } from './dom.js';
-import { absolute, endingLink, select, USUAL_SECONDS } from './ending-link.js';
-import { button, copied, showDialog } from './share-dialog.js';
+import { absolute, expiringLink, select, USUAL_SECONDS } from './expiring-link.js';
 
-/** @import { Shared } from './share-dialog.js' */
+/** @import { Shared } from './dialog.js' */
 
 /**
  * Shows the dialog.
@@ -26,7 +26,7 @@ export async function open({ id, visibility, changed }) {
   said.setAttribute('role', 'status');
   let now = visibility ?? 'private';
   seen.value = now;
-  const link = endingLink(id, links, t('A link with an end date'));
+  const link = expiringLink(id, links, t('A link with an end date'));
   const ending = element('section', '', element('h3', '', t('A link with an end date')), ...link.parts);
   ending.hidden = now !== 'private';
   seen.addEventListener('change', async () => {

@@ -1,8 +1,8 @@
 // The server's HTTP interface, as far as the pages need it.
 import { problemText } from '../decode/problem.js';
-import { linkOf, withLink } from '../element/link.js';
+import { linkOf, withLink } from '../element/signed-link.js';
+import { formatBytes } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { formatBytes } from '../i18n/text.js';
 
 /** @import { Settings } from '../view/settings.js' */
 /** @import { Stroke } from './outline.js' */

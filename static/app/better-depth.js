@@ -1,9 +1,9 @@
 // Better depth: offers to fetch a better network, shows the progress, and makes photos of the old network again.
 
+import { formatBytes } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { formatBytes } from '../i18n/text.js';
 import { fetchNetwork, getNetwork, getPhoto, makeAgain } from './api.js';
-import { networkName } from './depth-source.js';
+import { networkName } from './depth-summary.js';
 import { element } from './dom.js';
 import { untilMade } from './follow-photo.js';
 

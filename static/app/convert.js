@@ -1,8 +1,8 @@
 // Prepares photos for upload: a file that the browser can show and the server cannot read is converted to JPEG here, and so is one that is
 // too large. A file that neither can read is rejected before the upload, with advice.
 
+import { formatBytes } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { formatBytes } from '../i18n/text.js';
 
 /** The server's default limits (src/server/limits.rs). */
 const MOST_BYTES = 32 * 2 ** 20;

@@ -1,6 +1,6 @@
 // Files of a drop, including those in folders.
 
-/** @import { Found } from './pairs.js' */
+/** @import { Found } from './depth-pairs.js' */
 
 /** Maximum number of files of one drop. */
 const MOST = 500;

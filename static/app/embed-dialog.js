@@ -2,11 +2,11 @@
 
 import { t } from '../i18n/messages.js';
 import { changeSettings, photoUrl } from './api.js';
+import { button, copied, showDialog } from './dialog.js';
 import { element, isLoopback } from './dom.js';
-import { button, copied, showDialog } from './share-dialog.js';
 import { snippets } from './snippets.js';
 
-/** @import { Shared } from './share-dialog.js' */
+/** @import { Shared } from './dialog.js' */
 
 /**
  * Shows the dialog.

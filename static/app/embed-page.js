@@ -1,5 +1,5 @@
 // The photo alone, for frames on other sites: nothing in it changes anything on the server.
-import { linkOf, withLink } from '../element/link.js';
+import { linkOf, withLink } from '../element/signed-link.js';
 import { $ } from './dom.js';
 
 const id = location.pathname.split('/').pop();

@@ -3,12 +3,12 @@
 import { STYLES } from '../film/camera-path.js';
 import { makeFilm } from '../film/film.js';
 import { encoding } from '../film/video.js';
+import { formatBytes, sentence } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { formatBytes, sentence } from '../i18n/text.js';
+import { button, showDialog } from './dialog.js';
 import { element } from './dom.js';
-import { button, showDialog } from './share-dialog.js';
 
-/** @import { Shared } from './share-dialog.js' */
+/** @import { Shared } from './dialog.js' */
 /** @import { FilmOptions } from '../film/plan.js' */
 
 const SECONDS = [2, 4, 8];

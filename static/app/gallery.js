@@ -1,16 +1,16 @@
 // The list of photos: a card for each, one or many deleted at a time.
 
+import { formatBytes, sentence } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { formatBytes, sentence } from '../i18n/text.js';
 import { listPhotos, photoUrl } from './api.js';
+import { deleteLater, isGoing } from './delete-later.js';
 import { $, element, icon } from './dom.js';
 import { isUnderWay, reasonOf } from './follow-photo.js';
 import { photoName } from './photo-name.js';
-import { deleteLater, isGoing } from './undo.js';
 import { say } from './upload-row.js';
 
 /** @import { Photo } from './api.js' */
-/** @import { Deletion } from './undo.js' */
+/** @import { Deletion } from './delete-later.js' */
 
 /** Aspect ratios of cards, width by height: longer pictures are cropped. */
 const NARROWEST = 0.62;

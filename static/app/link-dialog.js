@@ -1,15 +1,15 @@
 // A link to a view of a private photo: others could not open it without the owner's permission, which this dialog gives.
 
-import { linkOf } from '../element/link.js';
+import { linkOf } from '../element/signed-link.js';
+import { moment } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { moment } from '../i18n/text.js';
 import { changeSettings, linksOf } from './api.js';
+import { button, copied, showDialog } from './dialog.js';
 import { element } from './dom.js';
-import { endingLink, USUAL_SECONDS } from './ending-link.js';
-import { button, copied, showDialog } from './share-dialog.js';
+import { expiringLink, USUAL_SECONDS } from './expiring-link.js';
 import { addressAt, canSend } from './view-link.js';
 
-/** @import { Shared } from './share-dialog.js' */
+/** @import { Shared } from './dialog.js' */
 
 /**
  * Shows the dialog.
@@ -21,7 +21,7 @@ export async function open({ id, viewer, changed }) {
   const view = { ...viewer.motion.now };
   const address = addressAt(view);
   if (!links) return byOwnLink(title, address);
-  const link = endingLink(id, links, title, new URL(address).hash);
+  const link = expiringLink(id, links, title, new URL(address).hash);
   const shown = element(
     'section',
     '',

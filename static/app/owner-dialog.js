@@ -1,8 +1,8 @@
 // Confirmations before a browser becomes another owner: the maker of the link would own everything uploaded from here.
 
 import { t } from '../i18n/messages.js';
+import { button, showDialog } from './dialog.js';
 import { element } from './dom.js';
-import { button, showDialog } from './share-dialog.js';
 
 /** True if the user confirms that they made the link for this browser. */
 export const isMine = () =>

@@ -1,7 +1,7 @@
 // The publisher's page of a room.
 
+import { moment, sentence } from '../i18n/format.js';
 import { t, translatePage } from '../i18n/messages.js';
-import { moment, sentence } from '../i18n/text.js';
 import { fetchStatus, headersOf } from '../live/connection.js';
 import { hasOpus } from '../live/microphone.js';
 import { Publisher } from '../live/publisher.js';

@@ -1,7 +1,7 @@
 // The menu with which a photo's owner sets how viewers move: shows the settings, previews changes, and saves them with the photo.
 
 import { t } from '../i18n/messages.js';
-import { STYLES } from '../input/motion.js';
+import { STYLES } from '../input/camera-motion.js';
 import { settingsOf } from '../view/settings.js';
 import { changeSettings, photoUrl } from './api.js';
 import { $ } from './dom.js';

@@ -2,18 +2,18 @@
 
 import { translatePage } from '../i18n/messages.js';
 import { deletePhoto } from './api.js';
+import { enliven } from './card-motion.js';
+import { deleteLater, handedOver } from './delete-later.js';
+import { pairs } from './depth-pairs.js';
 import { $ } from './dom.js';
 import { filesOf } from './drop.js';
 import { isUnderWay } from './follow-photo.js';
 import { refreshSoon, remove, startGallery } from './gallery.js';
-import { enliven } from './lively.js';
-import { pairs } from './pairs.js';
 import { forgetName, photoName } from './photo-name.js';
 import { freshName, publishPage } from './room-name.js';
-import { deleteLater, handedOver } from './undo.js';
 import { forgetRow, resume, startUploads, upload } from './uploads.js';
 
-/** @import { Found } from './pairs.js' */
+/** @import { Found } from './depth-pairs.js' */
 
 /**
  * Options for each choice of quality; the server's defaults apply to the rest.

@@ -1,6 +1,7 @@
 // The row of a photo that is being uploaded or made.
+
+import { sentence } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { sentence } from '../i18n/text.js';
 import { $, element, icon } from './dom.js';
 
 /**

@@ -1,7 +1,7 @@
 // Photos being uploaded or made: a few at a time, active ones first, and their overall progress.
 
+import { queueText, stageText } from '../i18n/format.js';
 import { t } from '../i18n/messages.js';
-import { queueText, stageText } from '../i18n/text.js';
 import { prepared } from './convert.js';
 import { $, element } from './dom.js';
 import { followPhoto } from './follow-photo.js';

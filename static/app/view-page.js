@@ -1,26 +1,26 @@
 // The page of one photo.
 
+import { decimal, formatBytes, queueText, sentence, stageText } from '../i18n/format.js';
 import { t, translatePage } from '../i18n/messages.js';
-import { decimal, formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
 import { hasHeadset } from '../input/xr.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
-import './owner.js';
+import './secret-link.js';
 import { getPhoto, photoUrl } from './api.js';
 import { showBackdrop } from './backdrop.js';
 import { offerBetterDepth } from './better-depth.js';
-import { depthSource } from './depth-source.js';
+import { handOver } from './delete-later.js';
+import { depthSummary } from './depth-summary.js';
 import { $ } from './dom.js';
 import { showPictures } from './downloads.js';
 import { followPhoto, isUnderWay } from './follow-photo.js';
 import { photoName } from './photo-name.js';
 import { photoWithVersion, settingsMenu } from './settings-menu.js';
-import { handOver } from './undo.js';
 import { offsetOfHash, shareLink } from './view-link.js';
 
 /** @import { Photo } from './api.js' */
-/** @import { Shared } from './share-dialog.js' */
+/** @import { Shared } from './dialog.js' */
 
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
@@ -280,7 +280,7 @@ async function showDepthSource() {
   const answer = await fetch(photoUrl(id, version ? `/report?v=${version}` : '/report')).catch(() => null);
   if (!answer?.ok) return;
   const report = await answer.json();
-  line.textContent = depthSource(report);
+  line.textContent = depthSummary(report);
   line.hidden = !line.textContent;
   offerBetterDepth($('better-depth'), { id, model: report.depth_model, made: showAgain });
 }

@@ -1,7 +1,7 @@
 // The viewers' page of a room.
 
+import { sentence } from '../i18n/format.js';
 import { t, translatePage } from '../i18n/messages.js';
-import { sentence } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
 import { pictureDelay, statusText } from '../live/room-status.js';
 import { SoundPlayer } from '../live/sound-player.js';

@@ -1,7 +1,7 @@
 // Decodes a container in bands and joins their layers into the scene that the page uploads and draws.
 import { pieces as piecesOf } from '../draw/border.js';
+import { floatsFit } from '../draw/deep-stacks.js';
 import { instances } from '../draw/instances.js';
-import { floatsFit } from '../draw/soft-stacks.js';
 import { pack } from '../draw/texture-atlas.js';
 import { tileCounts } from './grid.js';
 

@@ -1,6 +1,7 @@
 // A band of a container's tiles, decoded by an instance of the decoder.
+
+import { hasDeepStacks } from '../draw/deep-stacks.js';
 import { inHalves, premultipliedHalves } from '../draw/half-float.js';
-import { hasDeepStacks } from '../draw/soft-stacks.js';
 import { Decoder } from './decoder.js';
 
 /** @import { Piece } from '../draw/border.js' */

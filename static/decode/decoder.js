@@ -1,7 +1,7 @@
 // Decodes a container, or a band of its tiles, in an instance of decoder.wasm (crates/decoder). Pure: no page, no network. The caller
 // decodes the pictures.
 
-import { Instance } from './instance.js';
+import { Instance } from './wasm-instance.js';
 
 /** @import { Layers, SceneHead } from './scene.js' */
 

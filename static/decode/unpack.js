@@ -1,7 +1,7 @@
 // Decompresses zstd sections. It is a separate module because few containers have such sections.
 
-import { Instance } from './instance.js';
 import { compiledFrom } from './module.js';
+import { Instance } from './wasm-instance.js';
 
 /** Number of the container in crates/unpacker's `Output`. */
 const CONTAINER = 2;

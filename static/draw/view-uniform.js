@@ -11,7 +11,7 @@ export const UNIFORM_BYTES = 112;
 
 /**
  * The uniform of a view. `near` returns the reciprocal of the largest target disparity that is drawn, for the camera's translation;
- * `overlay` is an index into `OVERLAYS` (view/display.js).
+ * `overlay` is an index into `OVERLAYS` (view/draw-mode.js).
  * @param {Scene} scene
  * @param {View} view
  * @param {(t: number[]) => number} near

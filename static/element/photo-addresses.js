@@ -1,6 +1,6 @@
 // Addresses beside a container's on a server.
 import { settingsOf } from '../view/settings.js';
-import { linkOf, withLink } from './link.js';
+import { linkOf, withLink } from './signed-link.js';
 
 /**
  * An address beside a container's: `…/ID/atlas?level=1&v=V` → `…/ID/view?v=V`; undefined if it is not a server's address. It keeps the

@@ -1,6 +1,6 @@
 // Handles pointer, touch, wheel and keyboard input.
 
-/** @import { Motion } from './motion.js' */
+/** @import { Motion } from './camera-motion.js' */
 /** @import { Zoom } from './zoom.js' */
 
 /** Camera move per key press, in units of the limits, and zoom factor per key press. */

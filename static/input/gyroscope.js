@@ -1,6 +1,6 @@
 // Moves the camera by tilting the device. The initial orientation is the centre; it drifts slowly, so that people can change posture.
 
-/** @import { Motion } from './motion.js' */
+/** @import { Motion } from './camera-motion.js' */
 
 /** Tilt that moves the camera to the edge of the view box, degrees. */
 const RANGE = 14;

@@ -2,7 +2,7 @@
 
 import { WebGlRenderer } from '../draw/webgl.js';
 import { anglesOf, EYES, HOME } from '../view/camera.js';
-import { softLimit } from './motion.js';
+import { softLimit } from './camera-motion.js';
 
 /** @import { Offset, Scene } from '../decode/scene.js' */
 /** @import { View } from '../view/camera.js' */

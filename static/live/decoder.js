@@ -1,8 +1,8 @@
 // Reads and writes the messages of a room and computes its layers, in an instance of decoder.wasm (crates/live-decoder). Pure: no page, no
 // network. The browser decodes video and sound.
 
-import { Instance } from '../decode/instance.js';
 import { compiledFrom } from '../decode/module.js';
+import { Instance } from '../decode/wasm-instance.js';
 
 /** @import { SceneHead } from '../decode/scene.js' */
 

@@ -20,7 +20,7 @@ import { TileSync } from './tile-sync.js';
 // indirect imports, listed so that the browser fetches all modules at once
 import '../decode/grid.js';
 import '../decode/head.js';
-import '../decode/instance.js';
+import '../decode/wasm-instance.js';
 import '../decode/module.js';
 import '../draw/border.js';
 import '../draw/instances.js';

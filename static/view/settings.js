@@ -9,7 +9,7 @@
  * @property {Offset} [motion] range of motion, as shares of the view box
  * @property {number} [focus] disparity that views rotate about
  * @property {Offset} [start] start position of the camera in the view box
- * @property {string} [idle] style of idle motion, one of `STYLES` (input/motion.js), or `none`
+ * @property {string} [idle] style of idle motion, one of `STYLES` (input/camera-motion.js), or `none`
  * @property {number} [speed] speed factor
  * @property {'private' | 'link'} [visibility] who may see it, on servers with authentication
  * @property {Offset} [poster] camera position of the preview image in lists

@@ -1,19 +1,19 @@
 // State of a viewer that its users read and set: camera, zoom, overlay, stereo and depth of field.
 
-import { CameraControl } from '../input/camera-control.js';
+import { Motion } from '../input/camera-motion.js';
+import { CameraPosition } from '../input/camera-position.js';
 import { Tilt } from '../input/gyroscope.js';
-import { Motion } from '../input/motion.js';
 import { Zoom } from '../input/zoom.js';
-import { Display } from './display.js';
+import { DrawMode } from './draw-mode.js';
 
 /** @import { Offset } from '../decode/scene.js' */
 /** @import { Pose } from './camera.js' */
 /** @import { Settings } from './settings.js' */
 
-/** Base class of `Viewer` (viewer.js), which draws. `camera`, `lens`, `display` and `disposed` are internal to the two classes. */
+/** Base class of `Viewer` (viewer.js), which draws. `camera`, `lens`, `drawMode` and `disposed` are internal to the two classes. */
 export class ViewerState extends EventTarget {
   motion = new Motion();
-  camera = new CameraControl(this.motion);
+  camera = new CameraPosition(this.motion);
   lens = new Zoom();
   disposed = false;
   #tilt = new Tilt(this.motion, () => this.moved());
@@ -24,7 +24,7 @@ export class ViewerState extends EventTarget {
    */
   constructor({ report, offset, settings }) {
     super();
-    this.display = new Display(report);
+    this.drawMode = new DrawMode(report);
     this.motion.setIdle(!this.#reduced.matches);
     if (offset) this.motion.jump(offset);
     this.camera.touched = Boolean(offset);
@@ -131,40 +131,40 @@ export class ViewerState extends EventTarget {
     this.emit('idle', { on });
   }
 
-  /** Overlay over the scene, one of `OVERLAYS` (display.js); has no effect if the server draws. */
+  /** Overlay over the scene, one of `OVERLAYS` (draw-mode.js); has no effect if the server draws. */
   get overlay() {
-    return this.display.overlay;
+    return this.drawMode.overlay;
   }
 
   set overlay(name) {
-    this.display.overlay = name;
+    this.drawMode.overlay = name;
     this.prepare();
     this.render();
   }
 
   /** Whether to draw a view for each eye, side by side; has no effect if the server draws. */
   get stereo() {
-    return this.display.stereo;
+    return this.drawMode.stereo;
   }
 
   set stereo(on) {
-    this.display.stereo = on;
+    this.drawMode.stereo = on;
     this.layout();
   }
 
   /** Strength of the depth of field, 0 to 1; has no effect if the server draws. */
   get blur() {
-    return this.display.depthOfField.blur;
+    return this.drawMode.depthOfField.blur;
   }
 
   set blur(share) {
-    this.display.depthOfField.blur = Math.max(0, Math.min(1, share || 0));
+    this.drawMode.depthOfField.blur = Math.max(0, Math.min(1, share || 0));
     this.render();
   }
 
   /** Disparity in focus. */
   get focus() {
-    return this.display.depthOfField.focus ?? this.pivot;
+    return this.drawMode.depthOfField.focus ?? this.pivot;
   }
 
   /**

@@ -14,10 +14,10 @@ import { Backends } from '../draw/backends.js';
 import { ServerViews } from '../draw/server-views.js';
 import { insistOnContext, leaveContext, lendContext } from '../draw/webgl-contexts.js';
 import { listen } from '../input/gestures.js';
+import { AdaptiveResolution } from './adaptive-resolution.js';
 import { fovX, resized } from './camera.js';
 import { pixelRatio, setPixels } from './canvas-size.js';
 import { Detail } from './detail.js';
-import { FramePacing } from './frame-pacing.js';
 import { LiveView } from './live-view.js';
 import { Stage } from './stage.js';
 import { ViewerState } from './viewer-state.js';
@@ -27,7 +27,7 @@ import { ViewerState } from './viewer-state.js';
 /** @import { Holder } from '../draw/webgl-contexts.js' */
 /** @import { WebGpuRenderer } from '../draw/webgpu.js' */
 /** @import { Headset } from '../input/xr.js' */
-/** @import { Display } from './display.js' */
+/** @import { DrawMode } from './draw-mode.js' */
 /** @import { Live } from './live-view.js' */
 
 /** Pause of idle motion at its turning points if the machine is too slow to draw all pixels in motion, ms. */
@@ -42,7 +42,7 @@ export class Viewer extends ViewerState {
   #backends = null;
   #stage;
   #asleep = false;
-  #pacing;
+  #adaptive;
   /** @type {Detail | null} */
   #detail = null;
   /** @type {{width: number, height: number} | null} */
@@ -78,7 +78,7 @@ export class Viewer extends ViewerState {
     super(options);
     this.root = root;
     this.options = options;
-    this.#pacing = new FramePacing(Boolean(options.live));
+    this.#adaptive = new AdaptiveResolution(Boolean(options.live));
     this.#stage = new Stage(root);
     this.#live = options.live ? new LiveView(this, { stage: this.#stage, draw: (replaces) => this.#draw(replaces) }) : null;
     this.mode = 'loading';
@@ -117,12 +117,12 @@ export class Viewer extends ViewerState {
 
   /** Smoothed time of a frame in ms, or null before the first. */
   get frameMs() {
-    return this.#pacing.ms;
+    return this.#adaptive.ms;
   }
 
   async prepare() {
     try {
-      await this.display.prepare(this.renderer);
+      await this.drawMode.prepare(this.renderer);
     } catch (error) {
       this.emit('error', { message: error.message });
     }
@@ -138,7 +138,7 @@ export class Viewer extends ViewerState {
     const { canvas } = this;
     const view = this.#currentView;
     if (!this.renderer || !view || !canvas || this.stereo) return;
-    this.display.depthOfField.focus = await this.display.disparityAt(this.renderer, { ...view, canvas }, x, y);
+    this.drawMode.depthOfField.focus = await this.drawMode.disparityAt(this.renderer, { ...view, canvas }, x, y);
     this.render();
   }
 
@@ -161,7 +161,7 @@ export class Viewer extends ViewerState {
     const { width, height } = this.lens.size;
     const ratio = pixelRatio();
     const size = this.lens.close ? { width: Math.round(width * ratio), height: Math.round(height * ratio) } : null;
-    return this.display.picture(this.renderer, view, size, size ? this.#detailRenderer : undefined);
+    return this.drawMode.picture(this.renderer, view, size, size ? this.#detailRenderer : undefined);
   }
 
   /** The view to draw, or null until the head of the scene is known. */
@@ -215,20 +215,20 @@ export class Viewer extends ViewerState {
     const view = this.#currentView;
     if (!this.head || !view || this.disposed) return;
     if (this.renderer?.context && this.canvas) {
-      const { depthOfField } = this.display;
-      const times = this.display.draw(this.renderer, { ...view, canvas: this.canvas });
+      const { depthOfField } = this.drawMode;
+      const times = this.drawMode.draw(this.renderer, { ...view, canvas: this.canvas });
       this.#drawDetail({ ...view, canvas: this.canvas });
       if (depthOfField.unfinished) this.wake();
       if (!times) return;
-      const { detail } = this.#pacing;
-      this.#pacing
+      const { detail } = this.#adaptive;
+      this.#adaptive
         .measure(this.renderer, () => this.moving || this.#playing)
         .then((ms) => {
           if (ms === null) return;
           // apply the new resolution in the next frame
-          if (this.#playing && this.#pacing.detail !== detail) this.wake();
+          if (this.#playing && this.#adaptive.detail !== detail) this.wake();
           depthOfField.cost = ms / times;
-          this.emit('frame', { ms: this.#pacing.ms });
+          this.emit('frame', { ms: this.#adaptive.ms });
         });
     } else if (this.mode === 'served') this.#requestView(this.head);
   }
@@ -405,7 +405,7 @@ export class Viewer extends ViewerState {
    * @param {number} width in CSS pixels
    */
   #resolution(width) {
-    const { detail } = this.#pacing;
+    const { detail } = this.#adaptive;
     if (!this.#playing) return this.moving ? detail : 1;
     const own = Math.min(1, (this.head?.width ?? 0) / (width * pixelRatio()));
     return Math.max(detail, this.moving ? own / 2 : own);
@@ -435,12 +435,12 @@ export class Viewer extends ViewerState {
 
   /** Renderer of the finer part, if one is shown. */
   get #detailRenderer() {
-    return this.display.plain ? this.#detail?.shown?.renderer : undefined;
+    return this.drawMode.plain ? this.#detail?.shown?.renderer : undefined;
   }
 
   /**
    * Draws the finer part over the scene, and loads it if it is missing.
-   * @param {Parameters<Display['draw']>[1]} view
+   * @param {Parameters<DrawMode['draw']>[1]} view
    */
   #drawDetail(view) {
     const { canvas, head } = this;
@@ -451,14 +451,14 @@ export class Viewer extends ViewerState {
       const changed = () => this.render();
       this.#detail = new Detail({ atlas, mode, side: this.#backends.side, photo: this.#fullSize, loaded: head, changed });
     }
-    if (this.display.plain)
+    if (this.drawMode.plain)
       this.#detail?.update(this.lens.frame, { width: this.lens.size.width * pixelRatio(), height: this.lens.size.height * pixelRatio() });
     const shown = this.#detailRenderer && this.#detail?.shown;
     this.#stage.detail = shown ? shown.canvas : null;
     if (!shown) return;
     const { width, height } = canvas;
     if (shown.canvas.width !== width || shown.canvas.height !== height) [shown.canvas.width, shown.canvas.height] = [width, height];
-    this.display.draw(shown.renderer, { ...view, canvas: shown.canvas });
+    this.drawMode.draw(shown.renderer, { ...view, canvas: shown.canvas });
   }
 
   wake() {
@@ -478,7 +478,8 @@ export class Viewer extends ViewerState {
     // zooming magnifies the camera's motion
     this.camera.damping = this.lens.now.scale ** -0.5;
     const moving = (!this.camera.holdsPose && this.motion.step(dt)) || closing;
-    if (moving && !closing && this.motion.paused && this.#pacing.detail < 1) this.#turnTimer = setTimeout(() => this.wake(), TURN_PAUSE_MS);
+    if (moving && !closing && this.motion.paused && this.#adaptive.detail < 1)
+      this.#turnTimer = setTimeout(() => this.wake(), TURN_PAUSE_MS);
     else if (moving) {
       this.#lastFrame = now;
       this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));

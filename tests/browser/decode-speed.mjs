@@ -74,7 +74,7 @@ function sizes() {
 
 /** Median of the native decoder on one thread in ms, or null if its example is not built. */
 function nativeMs(file) {
-  const example = join(dirname(program), 'examples/decode');
+  const example = join(dirname(program), 'examples/decode_loop');
   if (!existsSync(example)) return null;
   const env = { ...process.env, RAYON_NUM_THREADS: '1' };
   return Number(

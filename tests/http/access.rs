@@ -10,7 +10,7 @@ use tmpi_render::Backend;
 
 use crate::client::{Response, get, request};
 use crate::fixture::{Running, jpeg, pipeline, rooms, wait_until};
-use crate::keys::{self, Scope};
+use crate::key_fixture::{self, Scope};
 
 /// A host name under which requests from loopback count as strangers, not as this machine's own user.
 pub const HOST: (&str, &str) = ("host", "photos.example");
@@ -278,7 +278,7 @@ fn links_are_valid_for_one_photo_until_they_expire() {
 fn keys_have_scopes_and_are_replaced_while_the_server_runs() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", keys::add(dir.path(), name, scopes, None).unwrap());
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), name, scopes, None).unwrap());
     let (up, read) = (key("site", &[Scope::Upload]), key("site", &[Scope::Read]));
     let (other, admin) = (key("other", &[Scope::Upload, Scope::Read]), key("boss", &[Scope::Admin]));
     let photo = id(&upload(&server, Some(&up), 1));
@@ -307,8 +307,8 @@ fn keys_have_scopes_and_are_replaced_while_the_server_runs() {
     // replace the key: the photos stay
     let new = key("site", &[Scope::Upload, Scope::Read]);
     assert_eq!((by(&new, "GET", &at).status, by(&read, "GET", &at).status), (200, 200));
-    for old in keys::read(dir.path()).unwrap().iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {
-        assert_eq!(keys::remove(dir.path(), "site", Some(&old.id)).unwrap(), 1);
+    for old in key_fixture::read(dir.path()).unwrap().iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {
+        assert_eq!(key_fixture::remove(dir.path(), "site", Some(&old.id)).unwrap(), 1);
     }
     assert_eq!((by(&new, "GET", &at).status, by(&read, "GET", &at).status), (200, 401));
 }
@@ -336,7 +336,7 @@ fn no_secret_is_logged() {
     let server = private(dir.path());
     let ann = secret("z");
     let photo = id(&upload(&server, Some(&ann), 1));
-    let key = format!("Bearer {}", keys::add(dir.path(), "site", &[Scope::Read], None).unwrap());
+    let key = format!("Bearer {}", key_fixture::add(dir.path(), "site", &[Scope::Read], None).unwrap());
     let manage = upload(&server, None, 2)["links"]["manage"].as_str().unwrap().to_owned();
     let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", &ann)], &[]).json();
     let query = link["query"].as_str().unwrap().to_owned();

@@ -6,7 +6,7 @@ use crate::access::{HOST, ask, id, private, private_with, secret, upload};
 use crate::client::get;
 use crate::events::Events;
 use crate::fixture::{Gate, jpeg};
-use crate::keys::{self, Scope};
+use crate::key_fixture::{self, Scope};
 
 /// A stream ends within this time after its credential: the pause between two checks, and some for a busy machine.
 const SOON: Duration = Duration::from_secs(20);
@@ -27,7 +27,7 @@ fn event_streams_end_with_their_credential() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
     let server = private_with(dir.path(), gate.clone());
-    let key = |scopes: &[Scope]| format!("Bearer {}", keys::add(dir.path(), "site", scopes, None).unwrap());
+    let key = |scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), "site", scopes, None).unwrap());
     let (owner, reader) = (key(&[Scope::Upload, Scope::Read]), key(&[Scope::Read]));
     let accepted = ask(&server, "POST", "/v1/photos", &[("authorization", &owner)], &jpeg(1));
     assert_eq!(accepted.status, 202);
@@ -47,9 +47,9 @@ fn event_streams_end_with_their_credential() {
     };
     let (of_owner, of_reader) = (open("", Some(&owner)), open("", Some(&reader)));
     // remove the reader's key; the owner's stays
-    let all = keys::read(dir.path()).unwrap();
+    let all = key_fixture::read(dir.path()).unwrap();
     let gone = all.iter().find(|k| !k.may(Scope::Upload)).unwrap();
-    assert_eq!(keys::remove(dir.path(), "site", Some(&gone.id)).unwrap(), 1);
+    assert_eq!(key_fixture::remove(dir.path(), "site", Some(&gone.id)).unwrap(), 1);
     assert!(ends(of_reader), "the key was removed");
     // a link expires
     let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links?seconds=3"), &[("authorization", &owner)], &[]).json();

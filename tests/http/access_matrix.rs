@@ -8,8 +8,8 @@ use tmpi::server::{Access, Route, routes};
 use crate::access::{HOST, id, private, secret, upload};
 use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg, wait_until};
-use crate::keys::{self, Scope};
-use crate::matrix::{MORE, target};
+use crate::key_fixture::{self, Scope};
+use crate::open_matrix::{MORE, target};
 
 /// What a caller may do with the requested photo and with the server.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -159,7 +159,7 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let ann = secret("a");
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", keys::add(dir.path(), name, scopes, None).unwrap());
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), name, scopes, None).unwrap());
     let site = key("site", &[Scope::Upload, Scope::Read]);
     let (of_ann, of_site) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 1)));
     let (taken_link, taken_back) = link(&server, &ann, &of_ann, 600);

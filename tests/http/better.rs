@@ -13,7 +13,7 @@ use tmpi_pipeline::{MakeError, Models, Options, Sink};
 use crate::access::{HOST, ask, id, private_with, secret, upload};
 use crate::client::{get, post_form, request};
 use crate::fixture::{Running, contents, depth_map, jpeg};
-use crate::keys::{self, Scope};
+use crate::key_fixture::{self, Scope};
 
 const WORSE: &str = "tmpi";
 const BETTER: &str = "depth-anything-v2-small-fp16";
@@ -73,7 +73,7 @@ fn callers_who_may_make_a_photo_again_are_told_of_a_better_network() {
     let maker = Renewing::new();
     let server = private_with(dir.path(), maker.clone());
     let (ann, bob) = (secret("a"), secret("b"));
-    let key = |name: &str, scope| format!("Bearer {}", keys::add(dir.path(), name, &[scope], None).unwrap());
+    let key = |name: &str, scope| format!("Bearer {}", key_fixture::add(dir.path(), name, &[scope], None).unwrap());
     let (reader, boss) = (key("reader", Scope::Read), key("boss", Scope::Admin));
     let photo = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let state = |who: &str| ask(&server, "GET", &photo, &[("authorization", who)], &[]);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use tempfile::tempdir;
-use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::schema::message::Kind;
 
 use super::client;
 use super::fixture::Running;

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use tempfile::tempdir;
 use tmpi::live::{Config as RoomConfig, Rooms};
-use tmpi_core::live::wire::bye::Cause;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Credit, Hello, Sound, Video};
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Credit, Hello, Sound, Video};
 use tmpi_core::live::{Model, VERSION, write};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::Models;

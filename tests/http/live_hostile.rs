@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use tempfile::tempdir;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Hello, Video};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Hello, Video};
 use tmpi_core::live::{VERSION, write};
 use tokio_tungstenite::tungstenite::Message;
 

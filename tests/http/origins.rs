@@ -1,4 +1,4 @@
-//! Cross-origin requests: preflights, hosts and frames. `matrix.rs` has every route.
+//! Cross-origin requests: preflights, hosts and frames. `open_matrix.rs` has every route.
 
 use std::sync::Arc;
 

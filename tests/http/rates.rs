@@ -7,7 +7,7 @@ use tmpi::server::{Limits, Rates};
 use crate::access::{ask, private_within};
 use crate::client::{Response, request};
 use crate::fixture::{Running, jpeg, pipeline};
-use crate::keys::{self, Scope};
+use crate::key_fixture::{self, Scope};
 
 /// The parameter of an item in a list of RFC 9651, such as `r` of `"uploads"` in `"requests";r=1, "uploads";r=2`.
 fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
@@ -21,7 +21,7 @@ fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
     let dir = tempfile::tempdir().unwrap();
     let limits = Limits { rates: Rates { requests: 1000, uploads: 2, views: 3 }, ..Limits::default() };
     let server = private_within(dir.path(), Arc::new(pipeline()), limits);
-    let key = |name: &str| format!("Bearer {}", keys::add(dir.path(), name, &[Scope::Upload, Scope::Read], None).unwrap());
+    let key = |name: &str| format!("Bearer {}", key_fixture::add(dir.path(), name, &[Scope::Upload, Scope::Read], None).unwrap());
     let (site, second_of_site, other) = (key("site"), key("site"), key("other"));
     let upload = |key: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", key), ("prefer", "wait=60")], &jpeg(seed));
     let first = upload(&site, 1);

@@ -3,7 +3,7 @@
 estimates the cost of a million photos and a hundred million page views per day. Other work on the machine has little effect on CPU time."""
 import argparse, collections, os, re, subprocess, tempfile, time
 from pathlib import Path
-import engines
+import services
 from common import Server, Table, check, children, finish, smooth
 
 DAY = 86_400
@@ -39,15 +39,15 @@ class StoreLog:
 
 def start_store(folder):
     log = StoreLog(folder / "store.log")
-    original_start = engines.Engine.start
+    original_start = services.Engine.start
 
     def start(engine):
         engine.process = subprocess.Popen(engine.command, stdout=subprocess.DEVNULL, stderr=open(log.path, "a"), env=engine.env)
-        engines.wait_for_port(engine.port, engine.location.host)
+        services.wait_for_port(engine.port, engine.location.host)
 
-    engines.Engine.start = start
-    engine = engines.s3_server()
-    engines.Engine.start = original_start
+    services.Engine.start = start
+    engine = services.s3_server()
+    services.Engine.start = original_start
     return engine, log
 
 
@@ -60,7 +60,7 @@ def main():
     with tempfile.TemporaryDirectory(prefix="tmpi-load-") as folder:
         engine, log = start_store(Path(folder))
         env = {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{engine.port}", "AWS_ALLOW_HTTP": "true", "AWS_REGION": "us-east-1", "AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test"}
-        database = engines.Postgres(Path(folder))
+        database = services.Postgres(Path(folder))
         options = ("--database", database.url, "--blobs", "s3://photos/tmpi", "--set", "limits.queue=1000")
         serve, work = Server(*options, "--role", "serve", env=env), Server(*options, "--role", "work", env=env)
         # the first photo loads networks and libraries

@@ -519,7 +519,7 @@ def main():
         server.stop()
     if args.only in (None, "edges"):
         # edges imports this module
-        from edges import edges
+        from edge_nodes import edges
         edges(stream, args.full)
     if args.only in (None, "hostile"):
         server = Server()

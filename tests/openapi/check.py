@@ -12,7 +12,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "load"))
 from common import ROOT, Server, check, finish
-from engines import free_port
+from services import free_port
 
 # of sockets and of streams that do not end nothing comes that could be judged
 ENDLESS = "(publish|subscribe|events)$"

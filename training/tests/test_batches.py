@@ -16,7 +16,7 @@ import batches
 import common
 import loop
 import pack
-import render
+import renderers
 import sources
 from tests.test_loop import packed
 
@@ -192,7 +192,7 @@ class Rendering(unittest.TestCase):
         cv2.imwrite(str(scene / "photo.png"), np.zeros((8, 8, 3), np.uint8))
         cv2.imwrite(str(scene / "disparity.png"), np.full((8, 8), 65535, np.uint16))
         (scene / "scene.json").write_text('{"family": "room"}')
-        return render.Renderers(str(program), 2, Path(folder) / "out", render.FIRST, folder)
+        return renderers.Renderers(str(program), 2, Path(folder) / "out", renderers.FIRST, folder)
 
     def test_scenes_have_unique_seeds(self):
         with tempfile.TemporaryDirectory() as folder:

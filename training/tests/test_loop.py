@@ -21,10 +21,10 @@ from torch import nn
 import batches
 import depth
 import loop
-import manifest
 import network
 import pack
 import psi
+import run_record
 import sources
 import theta
 
@@ -93,8 +93,8 @@ class Resume(unittest.TestCase):
             self.assertEqual(loop.digest(parts), loop.digest(whole))
             self.assertEqual((out / "log.csv").read_text(), (self.root / "whole" / "log.csv").read_text())
             self.assertEqual(loop.digest(torch.load(out / "best.pt", weights_only=False)), loop.digest(torch.load(self.root / "whole" / "best.pt", weights_only=False)))
-            self.assertEqual([s["step"] for s in manifest.read(out)["starts"]], [0, stop])
-        self.assertEqual(manifest.read(out)["contents"], loop.digest(whole))
+            self.assertEqual([s["step"] for s in run_record.read(out)["starts"]], [0, stop])
+        self.assertEqual(run_record.read(out)["contents"], loop.digest(whole))
         other = depth_run(self.pack, self.root / "other", seed=2)
         self.assertNotEqual(loop.digest(other["live"]), loop.digest(whole["live"]))
 
@@ -142,7 +142,7 @@ class Resume(unittest.TestCase):
                     line = ["x", "--scenes", scenes, "--out", str(out), "--steps", "4", "--every", "3", *options, *(["--stop", stop] if stop else [])]
                     with mock.patch.object(sys, "argv", line), contextlib.redirect_stdout(io.StringIO()):
                         module.main()
-                found.append(manifest.read(out)["contents"])
+                found.append(run_record.read(out)["contents"])
             self.assertEqual(found[0], found[1], module.__name__)
 
     def test_changed_plans_and_files_are_rejected(self):
@@ -176,23 +176,23 @@ class Resume(unittest.TestCase):
 class Cards(unittest.TestCase):
     def test_cards_have_the_digests_of_the_shipped_files(self):
         for name in ("depth", "theta", "psi"):
-            self.assertEqual(manifest.digest_in(manifest.MODELS / f"{name}.md"), manifest.sha256(manifest.MODELS / f"{name}.onnx"), name)
+            self.assertEqual(run_record.digest_in(run_record.MODELS / f"{name}.md"), run_record.sha256(run_record.MODELS / f"{name}.onnx"), name)
 
     def test_a_card_keeps_hand_written_text(self):
         with tempfile.TemporaryDirectory() as t:
             card, model = Path(t) / "x.md", Path(t) / "x.onnx"
             model.write_bytes(b"first")
             card.write_text("# x\n\nby hand\n")
-            manifest.into_card(card, manifest.block(model, None))
+            run_record.into_card(card, run_record.block(model, None))
             model.write_bytes(b"second")
-            manifest.into_card(card, manifest.block(model, None))
+            run_record.into_card(card, run_record.block(model, None))
             text = card.read_text()
-            self.assertEqual(manifest.digest_in(card), manifest.sha256(model))
-            self.assertEqual((text.count(manifest.BEGIN), text.count("by hand")), (1, 1))
+            self.assertEqual(run_record.digest_in(card), run_record.sha256(model))
+            self.assertEqual((text.count(run_record.BEGIN), text.count("by hand")), (1, 1))
 
     def test_command_lines_contain_no_local_folders(self):
-        words = ["--out=/elsewhere/runs/x", "/elsewhere/y.pt", str(manifest.DATA / "photos"), str(manifest.HERE / "runs"), "runs/z", "--lr=0.1"]
-        self.assertEqual([manifest.plain(w) for w in words], ["--out=x", "y.pt", "$TMPI_DATA/photos", "runs", "runs/z", "--lr=0.1"])
+        words = ["--out=/elsewhere/runs/x", "/elsewhere/y.pt", str(run_record.DATA / "photos"), str(run_record.HERE / "runs"), "runs/z", "--lr=0.1"]
+        self.assertEqual([run_record.plain(w) for w in words], ["--out=x", "y.pt", "$TMPI_DATA/photos", "runs", "runs/z", "--lr=0.1"])
 
     def test_a_card_describes_the_run_of_the_manifest(self):
         with tempfile.TemporaryDirectory() as t:
@@ -202,9 +202,9 @@ class Cards(unittest.TestCase):
             loop.train(root / "run", plan, net, loss_at, {}, measure=lambda mean: {"score": 1.0}, quiet=True)
             model = root / "y.onnx"
             model.write_bytes(b"network")
-            record = manifest.exported(root / "run" / "best.pt", model)
-            text = "\n".join(manifest.block(model, record))
-            for part in (manifest.sha256(model), manifest.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", record["starts"][0]["commit"] or "commit"):
+            record = run_record.exported(root / "run" / "best.pt", model)
+            text = "\n".join(run_record.block(model, record))
+            for part in (run_record.sha256(model), run_record.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", record["starts"][0]["commit"] or "commit"):
                 self.assertIn(part, text)
             self.assertNotIn(t, text)
             self.assertEqual(json.loads((root / "run" / "manifest.json").read_text())["exported"]["file"], "y.onnx")

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 import losses
-import things
+import thing_metrics
 from sources import SKY, SURFACE, THING, Sample
 
 
@@ -129,21 +129,21 @@ class Things(unittest.TestCase):
 
     def test_the_label_itself_scores_perfectly(self):
         t, sample = self.sized()
-        found = things.measure(3 * t + 2, sample)
+        found = thing_metrics.measure(3 * t + 2, sample)
         self.assertEqual(found["order"], 1.0)
         self.assertLess(found["whole"], 1e-6)
 
     def test_a_border_may_be_off_by_at_most_two_pixels(self):
         t, sample = self.sized()
-        found = [things.measure(np.roll(t, n, 1), sample)["border"] for n in range(-4, 5)]
+        found = [thing_metrics.measure(np.roll(t, n, 1), sample)["border"] for n in range(-4, 5)]
         # borders along rows are not moved and stay right
         level = found[4] - found[0]
         self.assertEqual(found[4], 1.0)
         self.assertGreater(min(found[2:7]), 1 - 0.1 * level)
         self.assertLess(max(*found[:2], *found[7:]), 1 - 0.8 * level)
-        self.assertEqual(things.measure(-t, sample).get("border"), 0.0)
+        self.assertEqual(thing_metrics.measure(-t, sample).get("border"), 0.0)
         # the steepness does not matter
-        self.assertGreater(things.measure(cv2.GaussianBlur(t, (0, 0), 2), sample)["border"], 0.9)
+        self.assertGreater(thing_metrics.measure(cv2.GaussianBlur(t, (0, 0), 2), sample)["border"], 0.9)
 
     def test_thin_things_have_their_own_figure(self):
         t, sample = self.sized()
@@ -152,26 +152,26 @@ class Things(unittest.TestCase):
         sample.value[60:150, 128:132] = t[60:150, 128:132] = 1.0
         # labels are unknown at outlines
         sample.value[60:150, [127, 128, 131, 132]] = np.nan
-        self.assertNotIn("thin", things.measure(t, self.sample()))
+        self.assertNotIn("thin", thing_metrics.measure(t, self.sample()))
         for off, least, most in ((0, 0.99, 1), (2, 0.9, 1), (8, 0, 0.2)):
             p = missed.copy()
             p[60:150, 128 + off : 132 + off] = 1.0
-            thin = things.measure(p, sample)["thin"]
+            thin = thing_metrics.measure(p, sample)["thin"]
             self.assertTrue(least <= thin <= most, (off, thin))
-        self.assertLess(things.measure(missed, sample)["thin"], 0.05)
+        self.assertLess(thing_metrics.measure(missed, sample)["thin"], 0.05)
 
     def test_the_inverse_map_has_the_wrong_order(self):
         t, sample = self.sized()
-        self.assertEqual(things.measure(-t, sample)["order"], 0.0)
+        self.assertEqual(thing_metrics.measure(-t, sample)["order"], 0.0)
 
     def test_a_flat_map_is_half_right(self):
         t, sample = self.sized()
-        self.assertEqual(things.measure(0 * t + 1, sample)["order"], 0.5)
+        self.assertEqual(thing_metrics.measure(0 * t + 1, sample)["order"], 0.5)
 
     def test_noise_makes_things_inconsistent(self):
         t, sample = self.sized()
         random = np.random.default_rng(0).normal(size=t.shape)
-        figures = [things.measure(t + s * random, sample)["whole"] for s in (0.01, 0.1)]
+        figures = [thing_metrics.measure(t + s * random, sample)["whole"] for s in (0.01, 0.1)]
         self.assertGreater(figures[1], 3 * figures[0])
 
 

@@ -8,8 +8,8 @@ import torch
 from torch import nn
 
 import export
-import graph
 import network
+import onnx_graph
 
 
 def trained():
@@ -31,11 +31,11 @@ class Network(unittest.TestCase):
         net = export.folded(trained())
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "x.onnx"
-            g = graph.Graph("x")
-            g.output(graph.depth(g, g.input("image", ["n", 3, "h", "w"]), net), "disparity", ["n", 1, "h", "w"])
+            g = onnx_graph.Graph("x")
+            g.output(onnx_graph.depth(g, g.input("image", ["n", 3, "h", "w"]), net), "disparity", ["n", 1, "h", "w"])
             g.save(path, {})
             for n, h, w in ((1, 64, 96), (3, 96, 64)):
-                self.assertLess(graph.check(path, network.Shipped(net), {"image": torch.randn(n, 3, h, w)}), 1e-4)
+                self.assertLess(onnx_graph.check(path, network.Shipped(net), {"image": torch.randn(n, 3, h, w)}), 1e-4)
 
     def test_folding_changes_only_rounding(self):
         net, x = trained(), torch.randn(1, 3, 64, 96)

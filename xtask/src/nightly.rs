@@ -16,22 +16,22 @@ const STEPS: [Step; 18] = [
     Step { name: "OpenAPI", run: python::openapi_requests },
     Step { name: "faults", run: || load("faults.py") },
     Step { name: "crash", run: || load("crash.py") },
-    Step { name: "scale", run: || load("scale.py") },
+    Step { name: "cluster", run: || load("cluster.py") },
     Step { name: "bombs", run: || load("bombs.py") },
-    Step { name: "torture", run: || load("torture.py") },
+    Step { name: "broken files", run: || load("broken_files.py") },
     Step { name: "slow", run: || load("slow.py") },
     Step { name: "views", run: || load("views.py") },
-    Step { name: "start", run: || load("start.py") },
+    Step { name: "start time", run: || load("start_time.py") },
     Step { name: "live", run: || load("live.py") },
-    Step { name: "options", run: || load("options.py") },
-    Step { name: "memory", run: || load("memory.py") },
+    Step { name: "extreme options", run: || load("extreme_options.py") },
+    Step { name: "making memory", run: || load("making_memory.py") },
     Step { name: "mutants", run: mutants },
     Step { name: "fuzz", run: || fuzz::run(&[], fuzz::seconds_each(minutes())) },
 ];
 
 /// Flag: time limit of each step in minutes.
 const MINUTES_FLAG: &str = "--minutes";
-/// Default limit; the longest script, `memory.py`, takes about an hour.
+/// Default limit; the longest script, `making_memory.py`, takes about an hour.
 const MINUTES: u64 = 90;
 static MAX_MINUTES: AtomicU64 = AtomicU64::new(MINUTES);
 

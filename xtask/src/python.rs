@@ -78,7 +78,7 @@ pub fn openapi_requests() -> Result<(), Fault> {
 pub fn deployment() -> Result<(), Fault> {
     let python = if tools::may_install() { environment("deployment", "docker/requirements.txt")? } else { "python3".into() };
     let mut check = Command::new(python);
-    check.arg("docker/check.py").current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
+    check.arg("docker/lint.py").current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
     tools::set_env(&mut check);
     run(check)
 }

@@ -6,8 +6,8 @@ use reqwest::header::ACCEPT;
 use reqwest::{Method, Response};
 use tokio::time::{Instant, sleep};
 
-use crate::answer::{Call, read_answer};
 use crate::photos::photo_path;
+use crate::request::{Call, read_answer};
 use crate::{Client, Error, PhotoState, Progress, State};
 
 /// Pause before the client reads the state again after the event stream ends.

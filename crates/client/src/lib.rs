@@ -28,11 +28,11 @@
 //! # }
 //! ```
 
-mod answer;
 mod error;
 mod events;
 mod form;
 mod photos;
+mod request;
 mod results;
 mod strokes;
 mod types;

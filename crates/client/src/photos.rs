@@ -7,8 +7,8 @@ use reqwest::header::{CONTENT_TYPE, HeaderName};
 use reqwest::{Method, Url};
 use serde::Deserialize;
 
-use crate::answer::Call;
 use crate::form::form;
+use crate::request::Call;
 use crate::{Client, Error, Link, PhotoState, Settings, State, Visibility};
 
 const PREFER: HeaderName = HeaderName::from_static("prefer");

@@ -9,8 +9,8 @@ use reqwest::header::{ETAG, IF_NONE_MATCH};
 use tmpi_core::Scene;
 use tmpi_core::container;
 
-use crate::answer::Call;
 use crate::photos::{photo_path, query};
+use crate::request::Call;
 use crate::{Client, Error, Problem};
 
 /// Interval between state requests while the server writes an export.

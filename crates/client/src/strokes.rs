@@ -4,8 +4,8 @@ use reqwest::Method;
 use reqwest::header::{CONTENT_TYPE, ETAG, IF_MATCH};
 use serde::{Deserialize, Serialize};
 
-use crate::answer::Call;
 use crate::photos::photo_path;
+use crate::request::Call;
 use crate::{Client, Error, PhotoState};
 
 /// How a stroke changes the disparity below it: 0 is infinitely far, 1 is the nearest surface.

@@ -11,8 +11,10 @@ mod parallel;
 pub mod scene;
 pub mod simd;
 
-pub use layers::{Geometry, Inpainter, LayerMask, LayerMasks, Memory, Pyramid, TexturedLayer, Tile, TileFrame, compose, grown, texture};
+pub use layers::{
+    Geometry, Inpainter, LayerMask, LayerMasks, Pyramid, SeenBackground, TexturedLayer, Tile, TileFrame, compose, grown, texture,
+};
 pub use scene::{
-    BorderBlur, Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, Photo, Plane, Pose, Rect, Scene, SceneError, Texels, ViewBox,
+    Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, MirrorBlur, Photo, Plane, Pose, Rect, Scene, SceneError, Texels, ViewBox,
     homography, mat3_mul, mat3_vec,
 };

@@ -1,4 +1,4 @@
-//! Prints the results of the native decoder; tests/browser/decode/photos.test.mjs compares the wasm decoder with them.
+//! Prints the results of the native decoder; tests/browser/decode/native.test.mjs compares the wasm decoder with them.
 //!
 //! `native pixels FILE` writes the decoded photo as RGBA, row by row. `native digests FILE < STRIPS` writes the digest of the layers
 //! (`Scene::digest`) and SHA-256 over all strips of texture pages. For each strip, STRIPS has its width, height and number of pieces,

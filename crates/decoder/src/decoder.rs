@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use tmpi_core::container::{Part, PhotoRows, Piece, decode_rows, strip};
-use tmpi_core::{BorderBlur, Class, Photo, Texels};
+use tmpi_core::{Class, MirrorBlur, Photo, Texels};
 
 /// Results that can be read.
 #[derive(Clone, Copy, Debug)]
@@ -34,7 +34,7 @@ pub struct Decoder {
     container: Vec<u8>,
     photo: PhotoRows,
     /// Blur of the photo, created when a piece beyond its borders is first requested.
-    blur: Option<BorderBlur>,
+    blur: Option<MirrorBlur>,
     hidden: Option<Photo>,
     part: Part,
     numbers: Vec<u8>,
@@ -122,7 +122,7 @@ impl Decoder {
         let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
         let pieces = numbers.as_chunks().0.iter().map(Piece::of);
         let photo = &self.photo;
-        let blur = self.blur.get_or_insert_with(|| BorderBlur::new(&photo.rgb, [photo.width, photo.height], photo.top));
+        let blur = self.blur.get_or_insert_with(|| MirrorBlur::new(&photo.rgb, [photo.width, photo.height], photo.top));
         self.strip = strip(&self.part, (photo, blur), pieces, size, straight).ok_or("a piece does not fit")?;
         Ok(1)
     }

@@ -11,8 +11,8 @@ use std::time::Duration;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use tmpi_core::container;
 use tmpi_core::{Camera, Pose, Scene};
-use tmpi_lab::stress::scenes;
-use tmpi_pipeline::clock::Clock;
+use tmpi_lab::conformance::scenes;
+use tmpi_pipeline::usage::Clock;
 use tmpi_render::{Cpu, Gpu, Renderer};
 
 /// Turns of the interleaved measurement.

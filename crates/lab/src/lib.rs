@@ -1,13 +1,13 @@
 //! Measures and tests tmpi. The program `tmpi-lab` and tests use it; the program `tmpi` does not link it.
 //!
 //! [`metrics`] compares pictures, and [`scenes`] renders scenes with known depth. [`eval`] compares second views with the truth. [`bench`]
-//! reports error against run time, and [`live`] does so for sequences. [`stress`] checks stiff and extreme cases against plain references.
+//! reports error against run time, and [`live`] does so for sequences. [`conformance`] checks stiff and extreme cases against plain references.
 
 pub mod bench;
+pub mod conformance;
 pub mod eval;
 pub mod ghosts;
 pub mod live;
 pub mod metrics;
-pub mod oracle;
+pub mod oracle_depth;
 pub mod scenes;
-pub mod stress;

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::container::decode;
 use tmpi_core::{Camera, DisparityMap, Pose, ViewBox};
 use tmpi_lab::metrics::psnr;
-use tmpi_lab::oracle::OracleDepth;
+use tmpi_lab::oracle_depth::OracleDepth;
 use tmpi_lab::scenes::Scene;
 use tmpi_pipeline::depth::halved;
 use tmpi_pipeline::photo::Limits;

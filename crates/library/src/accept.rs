@@ -9,8 +9,8 @@ use crate::blobs::{Content, Contents};
 use crate::database::Tx;
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
+use crate::ids::PhotoId;
 use crate::jobs::{Asker, Kind, NewJob};
-use crate::names::PhotoId;
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, bytes_of, title_of, to_json};
 use crate::{Library, quota};
 

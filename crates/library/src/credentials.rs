@@ -8,7 +8,7 @@ use sqlx::any::AnyRow;
 
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
-use crate::names::{Digest, Millis, Owner, hex, random};
+use crate::ids::{Digest, Millis, Owner, hex, random};
 use crate::{Library, millis};
 
 /// Prefix of a key.

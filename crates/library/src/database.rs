@@ -10,7 +10,7 @@ use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor as _, Row as _, 
 
 use crate::error::{LibraryError, Result};
 use crate::events::{CHANNEL, Event, Events};
-use crate::names::{Millis, PhotoId};
+use crate::ids::{Millis, PhotoId};
 
 /// Migrations; each runs once, in this order.
 const MIGRATIONS: [&str; 1] = [include_str!("../migrations/1.sql")];

@@ -15,7 +15,7 @@ use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
 use crate::error::Result;
-use crate::names::PhotoId;
+use crate::ids::PhotoId;
 
 /// PostgreSQL's channel.
 pub(crate) const CHANNEL: &str = "tmpi_library";

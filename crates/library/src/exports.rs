@@ -10,9 +10,9 @@ use crate::blobs::{Content, Contents};
 use crate::database::Tx;
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
+use crate::ids::PhotoId;
 use crate::jobs::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
 use crate::leases::{Lease, count};
-use crate::names::PhotoId;
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
 use crate::{Library, millis};
 

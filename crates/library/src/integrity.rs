@@ -10,8 +10,8 @@ use crate::Library;
 use crate::blobs::prefixes;
 use crate::error::{LibraryError, Result};
 use crate::exports::names_of;
+use crate::ids::PhotoId;
 use crate::millis;
-use crate::names::PhotoId;
 use crate::photo::{Blobs, COLUMNS, Part, Photo, PhotoState, json};
 use crate::photos::Filter;
 

@@ -14,7 +14,7 @@ use sqlx::{AssertSqlSafe, Row as _};
 use crate::Library;
 use crate::database::{Lock, Tx};
 use crate::error::{LibraryError, Result, Share};
-use crate::names::{Millis, Owner, PhotoId};
+use crate::ids::{Millis, Owner, PhotoId};
 use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, to_json};
 
 /// Estimated duration of a job before any was measured.

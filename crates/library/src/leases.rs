@@ -16,8 +16,8 @@ use crate::blobs::Contents;
 use crate::database::Tx;
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
+use crate::ids::{Millis, hex, random};
 use crate::jobs::{COLUMNS, Job, Kind};
-use crate::names::{Millis, hex, random};
 use crate::photo::{self, Blobs, Photo, PhotoState, Problem, bytes_of, to_json};
 use crate::{Library, exports, millis};
 

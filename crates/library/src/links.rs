@@ -9,7 +9,7 @@ use sqlx::Row as _;
 
 use crate::database::{Database, Lock};
 use crate::error::{LibraryError, Result};
-use crate::names::{Millis, Owner, PhotoId, hex, random, unhex};
+use crate::ids::{Millis, Owner, PhotoId, hex, random, unhex};
 use crate::photo::Photo;
 
 /// Bytes of the secret and of a signature.

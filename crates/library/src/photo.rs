@@ -10,7 +10,7 @@ use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
 use crate::error::{LibraryError, Result};
-use crate::names::{Digest, Millis, Owner, PhotoId};
+use crate::ids::{Digest, Millis, Owner, PhotoId};
 
 /// State of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

@@ -11,7 +11,7 @@ use crate::accept::photo_in;
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::exports::names_of;
-use crate::names::{Millis, Owner, PhotoId};
+use crate::ids::{Millis, Owner, PhotoId};
 use crate::photo::{COLUMNS, Photo, PhotoState, Problem, title_of, to_json};
 use crate::{Library, accept};
 

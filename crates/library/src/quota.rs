@@ -4,7 +4,7 @@ use sqlx::any::AnyRow;
 use sqlx::{Any, Row as _};
 
 use crate::error::{LibraryError, Quota, Result};
-use crate::names::{Millis, Owner};
+use crate::ids::{Millis, Owner};
 use crate::{Library, database::Tx, millis};
 
 /// Use of an owner: photos, and reservations of resumable uploads except one.

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use sqlx::Row as _;
 
 use crate::exports::names_of;
-use crate::names::{Millis, PhotoId};
+use crate::ids::{Millis, PhotoId};
 use crate::{Library, LibraryError, Result, millis};
 
 /// Photos per query.

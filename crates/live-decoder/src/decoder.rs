@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use prost::bytes::Bytes;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{self, Bye, Hello, Sound, Statistics, Video};
 use tmpi_core::live::{Changes, Colour, I420, KeyFrame, Layers, Model, VERSION, When, key_frame, read, to_rgb, write};
 use tmpi_core::{Class, Photo};
 
@@ -181,7 +181,7 @@ impl Decoder {
         Ok(self.store_numbers(1, &[&numbers[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
     }
 
-    fn take(&mut self, kind: i32, tiles: &wire::Geometry) -> Result<i32, String> {
+    fn take(&mut self, kind: i32, tiles: &schema::Geometry) -> Result<i32, String> {
         let model = self.model.as_mut().ok_or("tiles before HELLO")?;
         let taken = model.take(tiles).map_err(|e| e.to_string())?;
         for t in &taken {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::live::LiveError;
 use tmpi_core::live::chunk::{self, Area};
-use tmpi_core::live::wire::Chunk;
+use tmpi_core::live::schema::Chunk;
 use tmpi_core::{self as core, DisparityMap, Grid, Intrinsics, Photo, Rect, Tile};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::planes::MAX_AUTO_PLANES;
@@ -15,9 +15,9 @@ use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, l
 
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
-use crate::queue::Queue;
 use crate::recheck::{RECHECK, RecheckSettings, Rechecks};
-use crate::reprojection::reprojection_error;
+use crate::reprojection_error::reprojection_error;
+use crate::tile_queue::Queue;
 use crate::{Budget, TileBudget};
 
 mod estimate;

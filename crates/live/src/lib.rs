@@ -10,7 +10,7 @@
 //!    the pixels that did not change; these keep their depth, and new depth joins them without a step.
 //! 4. Changed tiles get new planes, starting from the last ones ([`tmpi_pipeline::planes::place_again`]). Labels change only if that gains
 //!    much.
-//! 5. [`reprojection_error`] compares each new tile with the one sent last. If no point moves by more than a quarter of a pixel, for any
+//! 5. [`reprojection_error()`] compares each new tile with the one sent last. If no point moves by more than a quarter of a pixel, for any
 //!    camera in the view box, the tile is not sent and the room keeps the old one, so that it always has the tiles that its readers have.
 //! 6. The other tiles are encoded as chunks ([`tmpi_core::live::chunk`]).
 //!
@@ -19,21 +19,21 @@
 //! tile waits forever. After a frame whose tiles were sent, there is a short cooldown ([`Settings::cooldown`]); changes during it are sent
 //! after it.
 //!
-//! [`video`] and [`depth`] decode what publishers send, and [`units`] splits their streams. This crate does no I/O and never blocks.
+//! [`video`] and [`depth_codec`] decode what publishers send, and [`access_units`] splits their streams. This crate does no I/O and never blocks.
 
+pub mod access_units;
 pub mod align;
 mod budget;
 pub mod change;
-pub mod depth;
+pub mod depth_codec;
 mod geometry;
-mod queue;
 mod recheck;
-mod reprojection;
-pub mod units;
+mod reprojection_error;
+mod tile_queue;
 pub mod video;
 
 pub use budget::{Budget, TileBudget};
 pub use change::Tolerance;
 pub use geometry::{BUDGET_MS, COOLDOWN, Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, Settings, Update};
 pub use recheck::{RECHECK, RecheckSettings};
-pub use reprojection::reprojection_error;
+pub use reprojection_error::reprojection_error;

@@ -106,7 +106,7 @@ mod h264 {
     use rusty_h264_decoder::DecodeError;
 
     use super::{Decoder, FAILED, I420, KeyFrame, Photo, VideoError, expect_size, key_frame, to_rgb};
-    use crate::units::is_bidirectional;
+    use crate::access_units::is_bidirectional;
 
     /// Decoder for H.264 access units in Annex B format.
     pub struct H264 {
@@ -190,7 +190,7 @@ mod h264 {
         use sha2::{Digest as _, Sha256};
 
         use super::{Decoder as _, H264, VideoError, is_bidirectional};
-        use crate::units::Splitter;
+        use crate::access_units::Splitter;
 
         /// Access units of a stream, and hashes of its frames by another decoder (tests/video/README.md).
         fn sample(name: &str, size: (u32, u32)) -> (H264, Vec<Vec<u8>>, Vec<String>) {
@@ -288,7 +288,7 @@ mod tests {
     #[test]
     fn a_sound_stream_decodes_after_a_damaged_one() {
         let outcomes = |h264: &mut dyn Decoder, stream: &[u8]| {
-            let mut splitter = crate::units::Splitter::default();
+            let mut splitter = crate::access_units::Splitter::default();
             let mut units = splitter.push(stream).unwrap();
             units.extend(splitter.finish());
             units.iter().map(|u| h264.decode(&u.data).map_err(|e| e.to_string())).collect::<Vec<_>>()

@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::process::{Command, Stdio};
 
 use tmpi_core::Photo;
-use tmpi_live::units::{Splitter, codec};
+use tmpi_live::access_units::{Splitter, codec};
 use tmpi_live::video::{self, VideoError};
 use tmpi_testing::Need;
 

@@ -1,7 +1,6 @@
 //! Turns a photo into the container of a tiled multiplane image (paper, sections 3 and 4):
 //! [`photo`] → [`depth`] → [`denoise`] → [`edges`] → [`planes`] → [`layers`] → container. [`run`] drives these stages.
 
-pub mod clock;
 pub mod denoise;
 pub mod depth;
 pub mod edges;
@@ -13,6 +12,7 @@ pub mod planes;
 pub mod run;
 pub mod stereo;
 pub mod strokes;
+pub mod usage;
 
 pub use error::StageError;
 pub use run::{

@@ -1,10 +1,10 @@
 //! A scene is continued beyond the photo's borders by its mirror image, so that no camera of the view box sees past them.
 //!
 //! What is mirrored is the scene, not the picture: planes tilt the other way, and hidden texels stay behind what hides them, so the
-//! continuation moves like the photo does. Its colours are blurred, the more the farther out ([`BorderBlur`]). Derived from the scene when
+//! continuation moves like the photo does. Its colours are blurred, the more the farther out ([`MirrorBlur`]). Derived from the scene when
 //! it is drawn; no container holds it.
 
-use tmpi_core::{BorderBlur, Camera, Mat3, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
+use tmpi_core::{Camera, Mat3, MirrorBlur, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
 
 /// The widest margin, as a share of the photo's longer side. A view box that needs more sees past it at its corners.
 const WIDEST: f64 = 1.0 / 4.0;
@@ -102,15 +102,15 @@ impl Piece {
 /// Expands the texels of a scene's pieces; pieces of a layer that come one after the other share the work.
 pub(super) struct Expander<'a> {
     scene: &'a Scene,
-    blur: Option<&'a BorderBlur>,
+    blur: Option<&'a MirrorBlur>,
     /// All texels of the layer at hand, with the colours of pieces that are mirrored as `of` says.
     layer: Vec<[u8; 4]>,
     of: Option<(usize, [bool; 2])>,
 }
 
 impl<'a> Expander<'a> {
-    /// For pieces of `scene`; `blur` comes from [`border_blur`]. Without it, mirrored pieces stay sharp.
-    pub const fn new(scene: &'a Scene, blur: Option<&'a BorderBlur>) -> Self {
+    /// For pieces of `scene`; `blur` comes from [`mirror_blur`]. Without it, mirrored pieces stay sharp.
+    pub const fn new(scene: &'a Scene, blur: Option<&'a MirrorBlur>) -> Self {
         Self { scene, blur, layer: Vec::new(), of: None }
     }
 
@@ -142,9 +142,9 @@ impl<'a> Expander<'a> {
 }
 
 /// The blur of a scene's mirrored pieces; `None` if it has none.
-pub(super) fn border_blur(scene: &Scene, pieces: &[Piece]) -> Option<BorderBlur> {
+pub(super) fn mirror_blur(scene: &Scene, pieces: &[Piece]) -> Option<MirrorBlur> {
     let size = [scene.photo.width, scene.photo.height];
-    pieces.iter().any(Piece::is_mirrored).then(|| BorderBlur::new(&scene.photo.rgb, size, 0))
+    pieces.iter().any(Piece::is_mirrored).then(|| MirrorBlur::new(&scene.photo.rgb, size, 0))
 }
 
 /// All pieces of a scene, layer after layer in their order, each layer's own place first.
@@ -197,7 +197,7 @@ pub fn margin(scene: &Scene) -> [u32; 2] {
         for pose in corners(&scene.view_box, pivot) {
             let camera = Camera { pose, intrinsics: scene.intrinsics, width: scene.grid.width, height: scene.grid.height };
             for delta in [0.0, 1.0] {
-                let seen = super::footprint::inverted(&homography([0.0, 0.0, delta], &scene.intrinsics, &camera));
+                let seen = super::layer_footprint::inverted(&homography([0.0, 0.0, delta], &scene.intrinsics, &camera));
                 for place in [[0.0, 0.0, 1.0], [w, 0.0, 1.0], [0.0, h, 1.0], [w, h, 1.0]] {
                     let [x, y] = seen.as_ref().map_or([f64::INFINITY; 2], |m| divided(m, place));
                     past = [past[0].max(-x).max(x - w), past[1].max(-y).max(y - h)];
@@ -261,7 +261,7 @@ mod tests {
         let outside: usize = all[1..].iter().map(area).sum();
         assert_eq!(outside, (100 + 2 * x as usize) * (60 + 2 * y as usize) - 6000);
         // mirrored: the disparity is continuous across the border, and texels repeat there but for their blur
-        let blur = border_blur(&scene, &all).unwrap();
+        let blur = mirror_blur(&scene, &all).unwrap();
         let half = scene.grid.half();
         for p in &all {
             let own = &all[0];

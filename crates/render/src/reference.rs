@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::border::{Expander, border_blur, pieces};
-use super::footprint::Footprint;
+use super::border::{Expander, mirror_blur, pieces};
+use super::layer_footprint::Footprint;
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene};
 
@@ -39,7 +39,7 @@ impl Renderer for Reference {
         check(camera)?;
         scene.validate()?;
         let pieces = pieces(scene);
-        let blur = border_blur(scene, &pieces);
+        let blur = mirror_blur(scene, &pieces);
         let mut expander = Expander::new(scene, blur.as_ref());
         let seen: Vec<Seen> = (pieces.iter().enumerate())
             .filter_map(|(index, piece)| {

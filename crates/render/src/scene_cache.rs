@@ -2,10 +2,10 @@
 
 use std::sync::{Arc, Weak};
 
-use tmpi_core::{BorderBlur, Scene, SceneError};
+use tmpi_core::{MirrorBlur, Scene, SceneError};
 
 use super::OPAQUE;
-use super::border::{Expander, Piece, border_blur, pieces};
+use super::border::{Expander, Piece, mirror_blur, pieces};
 use super::cpu::ReferenceView;
 
 /// What the texels of a piece allow to be left out.
@@ -67,7 +67,7 @@ impl Prepared {
     pub fn new(scene: &Scene, blurred: bool) -> Result<Self, SceneError> {
         scene.validate()?;
         let pieces = pieces(scene);
-        let blur = if blurred { border_blur(scene, &pieces) } else { None };
+        let blur = if blurred { mirror_blur(scene, &pieces) } else { None };
         Ok(Self::of(scene, pieces, blur.as_ref()))
     }
 
@@ -79,7 +79,7 @@ impl Prepared {
         Ok(Self::of(scene, pieces, None))
     }
 
-    fn of(scene: &Scene, pieces: Vec<Piece>, blur: Option<&BorderBlur>) -> Self {
+    fn of(scene: &Scene, pieces: Vec<Piece>, blur: Option<&MirrorBlur>) -> Self {
         let contents: Vec<Content> = pieces.iter().map(|p| Content::of(p.alphas(scene))).collect();
         let drawn = |i: usize| contents[i].opaque || contents[i].soft;
         let mut first = Vec::with_capacity(pieces.len());
@@ -120,7 +120,7 @@ impl Prepared {
 /// Writes the texels of pieces into their places, `count` of them.
 ///
 /// Threads of its own, not rayon's: one of those may wait for this scene while it holds what this waits for.
-fn expand(scene: &Scene, blur: Option<&BorderBlur>, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
+fn expand(scene: &Scene, blur: Option<&MirrorBlur>, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(count / THREAD_TEXELS);
     if threads < 2 {
         return expand_some(scene, blur, &mut parts);
@@ -144,7 +144,7 @@ fn expand(scene: &Scene, blur: Option<&BorderBlur>, mut parts: Vec<(&Piece, &mut
     });
 }
 
-fn expand_some(scene: &Scene, blur: Option<&BorderBlur>, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
+fn expand_some(scene: &Scene, blur: Option<&MirrorBlur>, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
     let mut expander = Expander::new(scene, blur);
     for (piece, out) in parts {
         let width = piece.size[0] as usize;
@@ -245,7 +245,7 @@ mod tests {
         let scene = discs(640, 480).1;
         let prepared = Prepared::new(&scene, true).unwrap();
         assert!(prepared.texels.len() > 3 * THREAD_TEXELS && prepared.pieces.iter().any(Piece::is_mirrored));
-        let blur = border_blur(&scene, &prepared.pieces);
+        let blur = mirror_blur(&scene, &prepared.pieces);
         for &i in &prepared.order {
             let (piece, first) = (&prepared.pieces[i], prepared.first[i]);
             let mut own = Vec::new();

@@ -4,9 +4,9 @@
 #[cfg(unix)]
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 mod database;
-#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
-pub mod engines;
 pub mod jpeg;
+#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
+pub mod object_stores;
 pub mod pictures;
 pub mod png;
 
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 #[cfg(unix)]
 pub use database::database;
-pub use engines::Engine;
+pub use object_stores::Engine;
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.
 pub const VARIABLE: &str = "TMPI_REQUIRE";

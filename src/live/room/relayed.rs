@@ -5,8 +5,8 @@ use std::time::Instant;
 use bytes::Bytes;
 use tokio_util::sync::CancellationToken;
 
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Hello};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Hello};
 
 use super::{Room, Viewer, Watches};
 use crate::live::ring::What;

@@ -29,7 +29,7 @@ impl Made {
     /// Pushes a frame of this many bytes, with the changed tiles of an area.
     pub fn next(&mut self, key: bool, bytes: usize, changed: Option<Area>) {
         self.frame += 1;
-        let video = wire::Video { frame: self.frame, key, data: vec![0; bytes].into(), ..wire::Video::default() };
+        let video = schema::Video { frame: self.frame, key, data: vec![0; bytes].into(), ..schema::Video::default() };
         self.room.push(EPOCH, if key { What::Key } else { What::Frame { layer: 0 } }, write(Kind::Video(video)));
         // exactly representable when encoded
         let depth = 0.125 + self.frame as f64 / 64.0;
@@ -72,7 +72,7 @@ impl Watcher {
     }
 
     /// The tiles of a message.
-    pub fn held(tiles: &wire::Geometry) -> BTreeSet<u32> {
+    pub fn held(tiles: &schema::Geometry) -> BTreeSet<u32> {
         let grid = geometry(0.5).grid;
         tiles.chunks.iter().flat_map(|c| chunk::area(c).tiles(&grid).collect::<Vec<_>>()).collect()
     }

@@ -4,7 +4,7 @@ use axum::http::HeaderValue;
 
 use tmpi_library::{Key, Owner, Scope, hex};
 
-use super::manage;
+use super::photo_token;
 use crate::server::problem::Problem;
 
 /// Prefix of an owner's secret.
@@ -55,7 +55,7 @@ pub enum Principal {
 impl Principal {
     /// The caller by an owner's secret or a photo's token; `None` if `text` is neither.
     pub fn of_bearer(text: &str) -> Option<Self> {
-        if manage::is_token(text) {
+        if photo_token::is_token(text) {
             return Some(Self::Manager);
         }
         is_secret(text).then(|| Self::Owner(Owner::of_secret(text), text.to_owned()))

@@ -7,8 +7,8 @@
 mod callers;
 mod cookies;
 mod links;
-mod manage;
 mod permissions;
+mod photo_token;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,11 +20,11 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tmpi_library::{Grant, KEY_PREFIX, Library, Link, Millis, Owner, Photo, PhotoId, SESSION_PREFIX, Scope, Subject};
 
-use super::client_limits::client_address;
+use super::client_slots::client_address;
 use super::hosts::Hosts;
+use super::photo_settings::{Settings, Visibility};
 use super::problem::Problem;
 use super::rates::{RateHeaders, RateKey, Rates};
-use super::settings::{Settings, Visibility};
 use crate::live::check_origin;
 use callers::{Principal, bearer, is_secret, new_secret};
 use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
@@ -199,7 +199,7 @@ impl Guard {
         if check_origin(headers).is_err() {
             return Ok((Principal::Anonymous, None));
         }
-        let token = manage_cookie(headers).filter(|text| manage::is_token(text)).map(str::to_owned);
+        let token = manage_cookie(headers).filter(|text| photo_token::is_token(text)).map(str::to_owned);
         // unconfigured proxies use HTTP/1.0 and name neither the client nor the requested host
         if hosts.is_own(headers) && version != Version::HTTP_10 {
             return Ok((Principal::LocalUser, token));

@@ -6,12 +6,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use super::frames::{StageFrame, kind, read, write};
+use super::pipe_frames::{StageFrame, kind, read, write};
 use super::{GIVES_WAY, VARIABLE};
 use crate::server::exports::{Drawing, Recipe, Work};
 use crate::server::limits::Limits;
 use crate::server::maker::{Fault, Maker, PipelineMaker, Product};
-use crate::server::options;
+use crate::server::photo_options;
 use crate::server::problem::Problem;
 use crate::server::workers::{caught, said};
 use tmpi_pipeline::{Progress, Silent, Sink, strokes};
@@ -108,7 +108,7 @@ fn file(recipe: &[u8], container: &[u8], limits: &Limits, drawing: Drawing<'_>) 
 fn tell_file(output: &FrameWriter<impl Write + Send>, outcome: Result<Vec<u8>, Fault>) {
     match outcome {
         Ok(bytes) => {
-            output.tell(kind::PEAK, &tmpi_pipeline::clock::peak_rss_bytes().to_le_bytes());
+            output.tell(kind::PEAK, &tmpi_pipeline::usage::peak_rss_bytes().to_le_bytes());
             output.tell(kind::FILE, &bytes);
         }
         Err(fault) => output.tell(kind::FAULT, &serde_json::to_vec(&fault).unwrap_or_default()),
@@ -134,7 +134,7 @@ fn one(
     sink: &dyn Sink,
 ) -> Result<Product, Fault> {
     let text: BTreeMap<String, String> = serde_json::from_slice(options).map_err(|e| Fault::Server(e.to_string()))?;
-    let mut options = options::from_text(&text).map_err(Fault::Photo)?;
+    let mut options = photo_options::from_text(&text).map_err(Fault::Photo)?;
     options.strokes = strokes::read(strokes).map_err(|e| Fault::Server(e.to_string()))?;
     caught(|| maker.make(photo, depth, &options, sink))
 }

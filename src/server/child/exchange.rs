@@ -5,7 +5,7 @@ use std::process::{Child, ChildStdin};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Instant;
 
-use super::frames::kind;
+use super::pipe_frames::kind;
 use super::{Frames, KEPT_BYTES, ProcessMaker, TICK, Worker, end, ending};
 use crate::server::maker::Fault;
 use tmpi_pipeline::Sink;

@@ -2,9 +2,9 @@
 
 use super::ProcessMaker;
 use super::exchange::Answer;
-use super::frames::{StageFrame, kind, write};
+use super::pipe_frames::{StageFrame, kind, write};
 use crate::server::maker::{Fault, Product};
-use crate::server::options;
+use crate::server::photo_options;
 use tmpi_pipeline::{MakeError, Options, Progress, STAGES, Sink, strokes};
 
 impl ProcessMaker {
@@ -12,7 +12,7 @@ impl ProcessMaker {
     pub(super) fn make_photo(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         let worker = self.take(false)?;
         let strokes = strokes::write(&options.strokes);
-        let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
+        let options = serde_json::to_vec(&photo_options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
         self.ask(
             worker,
             |input| {

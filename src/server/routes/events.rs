@@ -16,7 +16,7 @@ use super::query::NoQuery;
 use super::state::{PhotoState, Progress};
 use crate::server::access::{Guard, Pass};
 use crate::server::app::App;
-use crate::server::client_limits::{ClientSlot, client_address};
+use crate::server::client_slots::{ClientSlot, client_address};
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 

@@ -12,9 +12,9 @@ use super::derived::Derived;
 use crate::export::{self, ExportError, ExportFormat, ExportOptions};
 use crate::server::app::{App, Export, Shared, Stored, WhenFull};
 use crate::server::attachment::attachment;
+use crate::server::blocking_pool::Class;
 use crate::server::conditional::insert;
 use crate::server::exports::{ExportQuery, Recipe, TITLE};
-use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 

@@ -13,11 +13,11 @@ use super::query::NoQuery;
 use crate::server::access::Guard;
 use crate::server::app::{App, Shared, Stored};
 use crate::server::attachment::attachment;
-use crate::server::body;
 use crate::server::build_identity;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
+use crate::server::request_body;
 use crate::server::timestamps::rfc3339;
 use tmpi_library::{Class, Job, JobState, Kind, LibraryError, Order, Part, Photo, Share};
 
@@ -140,7 +140,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
     let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
     let body = http_body_util::BodyExt::collect(http_body_util::Limited::new(body, MOST)).await.map_err(|e| {
         let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
-        if large { Problem::too_large(MOST) } else { body::problem(&*e) }
+        if large { Problem::too_large(MOST) } else { request_body::problem(&*e) }
     })?;
     let body = body.to_bytes();
     match kind.as_str() {

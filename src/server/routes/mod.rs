@@ -1,7 +1,7 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
 mod admin;
-mod better_network;
+mod better_depth;
 mod derived;
 mod events;
 mod export;
@@ -10,11 +10,11 @@ mod network;
 mod oembed;
 mod openapi_errors;
 mod openapi_values;
-mod owner;
 mod photos;
 mod query;
-mod remake;
+mod remake_answer;
 mod results;
+mod sharing;
 mod state;
 mod strokes;
 mod system;
@@ -83,10 +83,10 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(photos::state, photos::change, photos::delete))
         .routes(routes!(strokes::strokes, strokes::touch_up))
         .routes(routes!(network::again))
-        .routes(routes!(owner::links))
-        .routes(routes!(owner::keep_token, owner::take_back))
-        .routes(routes!(owner::ticket))
-        .routes(routes!(owner::keep))
+        .routes(routes!(sharing::links))
+        .routes(routes!(sharing::keep_token, sharing::take_back))
+        .routes(routes!(sharing::ticket))
+        .routes(routes!(sharing::keep))
         .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))

@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::query::{NoBody, NoQuery, Pairs};
-use super::remake::answer;
+use super::remake_answer::answer;
 use super::state::PhotoState;
 use crate::server::app::{App, Shared};
 use crate::server::depth_network::{Fetching, Offer};

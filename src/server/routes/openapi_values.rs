@@ -5,8 +5,8 @@ use clap::ValueEnum;
 use serde_json::Value;
 
 use crate::export::ExportFormat;
-use crate::server::options::chosen;
-use crate::server::settings::{Idle, SPEED, TITLE, VERSION};
+use crate::server::photo_options::chosen;
+use crate::server::photo_settings::{Idle, SPEED, TITLE, VERSION};
 use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, PlaneMethod, Stereo, Switch};
 use tmpi_render::{Path, PictureFormat, StereoLayout};

@@ -9,16 +9,16 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
-use super::better_network::better_depth;
+use super::better_depth::better_depth;
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
 use crate::server::access::Guard;
 use crate::server::app::{App, Stored};
-use crate::server::body;
 use crate::server::build_identity::short;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, respond_once};
+use crate::server::photo_settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::problem::Problem;
-use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
+use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload;
 use tmpi_library::{Cursor, Event, Filter, LibraryError, Owner, Page, Photo, PhotoState as Phase};
@@ -378,7 +378,7 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
     let body = http_body_util::Limited::new(body, most);
     let patch = http_body_util::BodyExt::collect(body).await.map_err(|e| {
         let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
-        if large { Problem::too_large(most) } else { body::problem(&*e) }
+        if large { Problem::too_large(most) } else { request_body::problem(&*e) }
     })?;
     Ok((parts.headers, patch.to_bytes()))
 }

@@ -7,8 +7,8 @@ use axum::extract::{FromRequest, FromRequestParts, Query, Request};
 use axum::http::Uri;
 use axum::http::request::Parts;
 
-use crate::server::body;
 use crate::server::problem::Problem;
+use crate::server::request_body;
 
 /// Parameters of a query, decoded.
 #[derive(Debug, Default, PartialEq, Eq)]
@@ -98,7 +98,7 @@ impl<S: Sync> FromRequest<S> for NoBody {
         }
         // an empty chunked body counts as none
         while let Some(frame) = http_body_util::BodyExt::frame(&mut body).await {
-            if frame.map_err(|e| body::problem(&e))?.data_ref().is_some_and(|data| !data.is_empty()) {
+            if frame.map_err(|e| request_body::problem(&e))?.data_ref().is_some_and(|data| !data.is_empty()) {
                 return Err(refused());
             }
         }

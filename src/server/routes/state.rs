@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::server::app::Shared;
 use crate::server::finished_photo::FinishedPhoto;
-use crate::server::options;
+use crate::server::photo_options;
+use crate::server::photo_settings::{Settings, Visibility};
 use crate::server::problem::Problem;
-use crate::server::settings::{Settings, Visibility};
 use crate::server::timestamps::rfc3339;
 use tmpi_library::{Kind, LibraryError, Part, Photo, PhotoState as Phase};
 
@@ -198,7 +198,7 @@ impl PhotoState {
     /// The part of the state that the photo's row holds.
     fn of_row(app: &Shared, photo: &Photo) -> Self {
         let (settings, done) = (Settings::of(photo), FinishedPhoto::of(photo));
-        let poster = settings.poster_query(&options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
+        let poster = settings.poster_query(&photo_options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
         let at = |part: &str| format!("/v1/photos/{}{part}", photo.id);
         let version = done.as_ref().map(|done| app.version(done));
         // content at such an address never changes, so browsers need not revalidate

@@ -6,12 +6,12 @@ use axum::response::Response;
 
 use super::photos::merge_patch;
 use super::query::NoQuery;
-use super::remake;
+use super::remake_answer;
 use super::state::PhotoState;
 use crate::server::app::{App, Shared, Stored};
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
+use crate::server::photo_settings::still_as_seen;
 use crate::server::problem::Problem;
-use crate::server::settings::still_as_seen;
 use crate::server::time_limit::TimeLimit;
 use tmpi_library::Content;
 use tmpi_pipeline::strokes::{BYTES, Stroke, patch, write};
@@ -102,11 +102,11 @@ pub async fn touch_up(
     let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
     still_as_seen(&headers, &stored(&before).etag)?;
     let answer = if before == wanted {
-        remake::state(&app, &photo, StatusCode::OK).await
+        remake_answer::state(&app, &photo, StatusCode::OK).await
     } else {
         let asker = Shared::asker(photo.owner.clone());
         let again = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &asker).await?;
-        remake::answer(&app, again, &headers, &clock).await
+        remake_answer::answer(&app, again, &headers, &clock).await
     };
     let etag = stored(&wanted).etag;
     let mut response = answer?;

@@ -11,9 +11,9 @@ use sha2::{Digest, Sha256};
 
 use super::query::NoQuery;
 use crate::server::app::App;
+use crate::server::blocking_pool::Class;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
 use crate::server::metrics::{MEDIA_TYPE, gauge};
-use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::process_metrics;
 use tmpi_library::Class::Batch;
@@ -120,7 +120,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         gauge("tmpi_exports_stored_bytes", "Bytes of files that were written as jobs", counts.exports_bytes as f64),
         gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_kinds(&[Kind::Export, Kind::Film])),
         gauge("tmpi_batch_queued", "Photos of many that wait", batch as f64),
-        gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
+        gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::usage::peak_rss_bytes() as f64),
     ]);
     // some file systems answer slowly
     let shared = App::clone(&app);

@@ -10,10 +10,10 @@ use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
 use crate::server::app::{App, Export, Shared, Stored, WhenFull};
+use crate::server::blocking_pool::Class;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
 use crate::server::finished_photo::FinishedPhoto;
-use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use tmpi_core::{Camera, Scene};

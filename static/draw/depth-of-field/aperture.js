@@ -1,6 +1,7 @@
 // Depth of field: the picture is the mean of views from all over the aperture, which blurs everything away from the focus.
+
+import { SLOW_MS } from '../../view/adaptive-resolution.js';
 import { shifted } from '../../view/camera.js';
-import { SLOW_MS } from '../../view/frame-pacing.js';
 
 /** @import { View } from '../../view/camera.js' */
 /** @import { WebGlRenderer } from '../webgl.js' */

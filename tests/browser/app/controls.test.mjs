@@ -5,8 +5,8 @@ import { createRequire } from 'node:module';
 import { after, before, describe, test } from 'node:test';
 import { launch, openPage, waitForMode } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
+import { serve } from '../support/fake-server.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
-import { serve } from '../support/static-server.mjs';
 import { until as waitUntil } from '../support/until.mjs';
 
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');

@@ -1,7 +1,7 @@
 // Pages and workers list all modules that they need, so that no module waits for another to load.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { files, graph, imports, source } from '../support/modules.mjs';
+import { files, graph, imports, source } from '../support/import-graph.mjs';
 
 const sorted = (names) => [...names].toSorted();
 

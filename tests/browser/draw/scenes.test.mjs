@@ -8,9 +8,9 @@ import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
 import { HOME, lookingAt, POSE_KEYS } from '../../../static/view/camera.js';
 import { disableGraphics, launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
+import { serve } from '../support/fake-server.mjs';
 import { png } from '../support/pictures.mjs';
 import { lab, program } from '../support/program.mjs';
-import { serve } from '../support/static-server.mjs';
 
 const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
 /** Largest fraction of pixels off by more than 8 levels, and largest mean FLIP. */

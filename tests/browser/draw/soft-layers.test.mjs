@@ -2,8 +2,8 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { pieces } from '../../../static/draw/border.js';
+import { hasDeepStacks } from '../../../static/draw/deep-stacks.js';
 import { halfBits, premultipliedHalves } from '../../../static/draw/half-float.js';
-import { hasDeepStacks } from '../../../static/draw/soft-stacks.js';
 import { openPage } from '../support/browser.mjs';
 import { assembledPlaneScene, composite, drawScene, planeScene } from '../support/layers.mjs';
 import { boxSuite } from '../support/suite.mjs';

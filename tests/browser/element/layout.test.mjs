@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, seriousViolations } from '../support/browser.mjs';
-import { serve } from '../support/static-server.mjs';
+import { serve } from '../support/fake-server.mjs';
 import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
 
 describe('layout of the element', () => {

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
 import { launch, openPage } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
-import { serve } from '../support/static-server.mjs';
+import { serve } from '../support/fake-server.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 /** More than the 16 WebGL contexts that Chromium allows per page. */

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
 import { openPage } from '../support/browser.mjs';
-import { serve } from '../support/static-server.mjs';
+import { serve } from '../support/fake-server.mjs';
 import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
 import { until } from '../support/until.mjs';
 

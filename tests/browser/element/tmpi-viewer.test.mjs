@@ -2,8 +2,8 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { fractionDifferent, openPage, pixelsAt } from '../support/browser.mjs';
+import { serve } from '../support/fake-server.mjs';
 import { boxPhoto, readPng } from '../support/pictures.mjs';
-import { serve } from '../support/static-server.mjs';
 import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
 import { until, waitForAnimationFrames } from '../support/until.mjs';
 

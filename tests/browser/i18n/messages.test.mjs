@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage } from '../support/browser.mjs';
-import { files, source } from '../support/modules.mjs';
+import { files, source } from '../support/import-graph.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
 // the modules read the browser's language when they load

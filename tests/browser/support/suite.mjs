@@ -2,7 +2,7 @@
 import { after, before } from 'node:test';
 import { launch, openPage } from './browser.mjs';
 import { boxContainer } from './container.mjs';
-import { serve } from './static-server.mjs';
+import { serve } from './fake-server.mjs';
 
 /** Size of the photo of the box. */
 export const [WIDTH, HEIGHT] = [200, 120];

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use prost::Message;
 
-use super::part::Part;
-use super::wire::{Codec, Index, Kind, Section};
-use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bands, bounds, columns, hidden, labels, planes, select};
+use super::decode_rows::Part;
+use super::schema::{Codec, Index, Kind, Section};
+use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bounds, columns, hidden, label_bands, labels, planes, select_sections};
 use crate::layers::{Surface, texture_tiles};
 use crate::parallel;
 use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, Texels, TexturedLayer, ViewBox};
@@ -54,7 +54,7 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, ContainerError> {
         .map(|s| {
             range(s, body)?;
             Ok(SectionInfo {
-                kind: select::name(s.kind()),
+                kind: select_sections::name(s.kind()),
                 codec: codec(s),
                 offset: start + s.offset,
                 length: s.length,
@@ -77,7 +77,7 @@ pub fn read(bytes: &[u8]) -> Result<(Photo, Geometry), ContainerError> {
 #[cfg(feature = "pictures")]
 pub(super) fn read_rows(bytes: &[u8], rows: Range<u32>) -> Result<(Photo, Geometry), ContainerError> {
     let (index, body) = split(bytes)?;
-    parts(&index, body, &rows, &super::picture::decode)
+    parts(&index, body, &rows, &super::picture_codec::decode)
 }
 
 /// Decodes the geometry of a container; ignores its photo.
@@ -121,7 +121,7 @@ fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: Pictures) -> R
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 #[cfg(feature = "pictures")]
 pub fn decode(bytes: &[u8]) -> Result<Scene, ContainerError> {
-    decode_with(bytes, &super::picture::decode)
+    decode_with(bytes, &super::picture_codec::decode)
 }
 
 /// Like `decode`, but `pictures` decodes the picture sections.
@@ -299,7 +299,7 @@ pub(super) fn layer_geometry(
     let counts: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8).collect();
     let data = range(section, body)?;
     let labels = match section.codec() {
-        Codec::RangeBands => bands::decode(&grid, &counts, &section.bands, data, rows)?,
+        Codec::RangeBands => label_bands::decode(&grid, &counts, &section.bands, data, rows)?,
         _ => labels::decode(&grid, &counts, data)?,
     };
     let mut rest = labels.as_slice();

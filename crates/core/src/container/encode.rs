@@ -3,9 +3,9 @@
 use image::ImageFormat;
 use prost::Message;
 
-use super::select::header;
-use super::wire::{Codec, Index, Kind, Section};
-use super::{Carried, ContainerError, MAJOR, MINOR, bands, bounds, columns, encode_jpeg, encode_lossless, hidden, labels, planes};
+use super::schema::{Codec, Index, Kind, Section};
+use super::select_sections::header;
+use super::{Carried, ContainerError, MAJOR, MINOR, bounds, columns, encode_jpeg, encode_lossless, hidden, label_bands, labels, planes};
 use crate::{Geometry, Grid, Scene};
 
 /// zstd level; sections are small, so the highest ordinary level costs little time.
@@ -56,7 +56,7 @@ pub enum HiddenAs {
 /// [`ContainerError::Encode`] if a codec fails, or if a matted geometry is to carry alphas or hidden colours;
 /// [`ContainerError::Bound`] if the geometry exceeds a limit of readers; [`ContainerError::Broken`] if the planes are inconsistent.
 pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
-    encode_in(bands::rows(&geometry.grid), geometry, scene, carried, carries)
+    encode_in(label_bands::rows(&geometry.grid), geometry, scene, carried, carries)
 }
 
 /// Like [`encode`] with labels in bands of `rows` rows of tiles, or in a single stream for `None`.
@@ -162,7 +162,7 @@ impl File {
     /// Adds the labels of all tiles in bands of `rows` rows of tiles, or in a single stream.
     fn add_labels(&mut self, grid: &Grid, counts: &[u8], all: &[u8], rows: Option<u32>) {
         let Some(rows) = rows else { return self.add(Kind::Labels, Codec::Range, labels::encode(grid, counts, all), 0) };
-        let (data, bands) = bands::encode(grid, counts, all, rows);
+        let (data, bands) = label_bands::encode(grid, counts, all, rows);
         self.add(Kind::Labels, Codec::RangeBands, data, 0);
         if let Some(section) = self.sections.last_mut() {
             section.bands = bands;

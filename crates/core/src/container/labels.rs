@@ -4,7 +4,7 @@
 //! agree, and whether an earlier, overlapping tile has an edge there.
 
 use super::ContainerError;
-use super::range::{Bit, Coder, Decoder, Encoder};
+use super::range_coder::{Bit, Coder, Decoder, Encoder};
 use crate::Grid;
 
 /// Contexts per decision: five bits of agreement, and three states of the overlapping tile.

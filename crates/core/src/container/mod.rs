@@ -1,10 +1,10 @@
 //! The container format: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
 
-mod bands;
 pub(crate) mod bounds;
 pub(crate) mod columns;
 pub(crate) mod crc;
 mod decode;
+mod decode_rows;
 #[cfg(feature = "write")]
 mod encode;
 #[cfg(all(feature = "write", any(test, feature = "fixtures")))]
@@ -13,44 +13,44 @@ pub mod fixtures;
 #[doc(hidden)]
 pub mod fuzzing;
 mod hidden;
+mod label_bands;
 pub(crate) mod labels;
-#[cfg(feature = "write")]
-mod level;
-mod part;
 mod photo;
 #[cfg(feature = "pictures")]
-mod picture;
+mod picture_codec;
 pub(crate) mod planes;
-pub(crate) mod range;
+pub(crate) mod range_coder;
 #[cfg(feature = "write")]
 mod region;
-mod select;
-mod strip;
+#[doc(hidden)]
+pub mod schema;
+mod select_sections;
+#[cfg(feature = "write")]
+mod smaller_level;
+mod texture_strip;
 #[cfg(feature = "unpack")]
 mod unpack;
-#[doc(hidden)]
-pub mod wire;
 
-pub use bands::rows_for;
 pub use bounds::{most_planes, readable};
 pub use decode::{Pictures, SectionInfo, decode_with, read_geometry, read_plain, sections};
 #[cfg(feature = "pictures")]
 pub use decode::{decode, read};
+pub use decode_rows::{Part, PhotoRows, decode_rows, reach};
 #[cfg(feature = "write")]
 pub use encode::{Carries, HiddenAs, SectionBytes, encode, encode_in};
-#[cfg(feature = "write")]
-pub use level::{LEVELS, level};
-pub use part::{Part, PhotoRows, decode_rows, reach};
+pub use label_bands::rows_for;
 pub use photo::{Carried, PhotoFormat};
 #[cfg(feature = "pictures")]
-pub use picture::decode as decode_picture;
+pub use picture_codec::decode as decode_picture;
 #[cfg(feature = "write")]
-pub use picture::{encode_jpeg, encode_lossless};
+pub use picture_codec::{encode_jpeg, encode_lossless};
 #[cfg(feature = "write")]
 pub use region::{RegionPhoto, Tiles, region};
-pub use select::{SECTIONS, select, with_section};
-pub(crate) use strip::texels;
-pub use strip::{Piece, strip};
+pub use select_sections::{SECTIONS, select, with_section};
+#[cfg(feature = "write")]
+pub use smaller_level::{LEVELS, level};
+pub(crate) use texture_strip::texels;
+pub use texture_strip::{Piece, strip};
 #[cfg(feature = "unpack")]
 pub use unpack::unpacked;
 

@@ -1,7 +1,7 @@
 //! The photo's file in a container.
 
 #[cfg(feature = "write")]
-use super::wire::Codec;
+use super::schema::Codec;
 
 /// File format of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,7 +6,7 @@
 
 use super::ContainerError;
 use super::columns::{self, BACKGROUND};
-use super::range::{Bit, Coder, Decoder, Encoder};
+use super::range_coder::{Bit, Coder, Decoder, Encoder};
 use crate::Grid;
 
 /// Contexts of a count: the sum of the counts of the two neighbouring tiles.

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::{ContainerError, decode, level};
+use super::{ContainerError, decode, smaller_level};
 use crate::{Geometry, Grid, Intrinsics, Photo, Rect};
 
 /// A rectangle of whole tiles in a grid; neither range is empty.
@@ -68,17 +68,17 @@ pub fn region(container: &[u8], tiles: &Tiles, level: u8, as_: RegionPhoto) -> R
         return Err(ContainerError::broken("tiles out of range"));
     }
     if (tiles.columns.end - tiles.columns.start, tiles.rows.end - tiles.rows.start) == (grid.columns(), grid.rows()) {
-        return level::level(container, level);
+        return smaller_level::level(container, level);
     }
     let (photo, geometry) = decode::read_rows(container, tiles.rows.clone())?;
     let (rect, geometry) = cut(geometry, tiles);
     let photo = crop(&photo, rect);
-    let (photo, geometry, _) = level::smaller(photo, geometry, level);
+    let (photo, geometry, _) = smaller_level::smaller(photo, geometry, level);
     let carried = match as_ {
-        RegionPhoto::Jpeg => level::carried(&photo)?,
+        RegionPhoto::Jpeg => smaller_level::carried(&photo)?,
         RegionPhoto::Lossless => super::Carried::lossless(&photo)?,
     };
-    level::encode_geometry(photo, &geometry, &carried)
+    smaller_level::encode_geometry(photo, &geometry, &carried)
 }
 
 /// The rectangle of the tiles in pixels, and the geometry of these tiles.

@@ -184,8 +184,8 @@ fn an_unused_section_past_the_end_is_an_error() {
     use prost::Message;
     let whole = bare(&scene(70, 40));
     let (mut index, body) = decode::split(&whole).unwrap();
-    index.sections.push(wire::Section { kind: 77, offset: 1 << 40, length: 1, ..wire::Section::default() });
-    let bytes = [select::header(&whole[4..8], &index.encode_to_vec()), body.to_vec()].concat();
+    index.sections.push(schema::Section { kind: 77, offset: 1 << 40, length: 1, ..schema::Section::default() });
+    let bytes = [select_sections::header(&whole[4..8], &index.encode_to_vec()), body.to_vec()].concat();
     assert!(matches!(super::decode(&bytes), Err(ContainerError::Broken(_))) && sections(&bytes).is_err());
 }
 
@@ -202,7 +202,7 @@ fn an_index_has_a_maximum_length() {
         assert!((1 << 14..1 << 21).contains(&room), "three bytes for its length");
         filled.extend([0xfa, 0x7f, room as u8 | 0x80, (room >> 7) as u8 | 0x80, (room >> 14) as u8]);
         filled.resize(length, 0);
-        super::decode(&[select::header(&whole[4..8], &filled), body.to_vec()].concat())
+        super::decode(&[select_sections::header(&whole[4..8], &filled), body.to_vec()].concat())
     };
     assert_eq!(of_length(bounds::INDEX).unwrap(), decode(&whole).unwrap());
     assert!(of_length(bounds::INDEX + 1).unwrap_err().to_string().contains("too long"));
@@ -239,11 +239,11 @@ fn the_number_of_planes_bounds_unpacked_sections() {
     let packed = container(&scene(150, 300));
     let (index, body) = decode::split(&packed).unwrap();
     let (planes, tiles) = (u64::from(index.planes), u64::from(Grid::new(150, 300, 64).tiles()));
-    for (kind, most) in [(wire::Kind::Planes, tiles + 6 * planes), (wire::Kind::Alpha, 64 * 64 * planes)] {
+    for (kind, most) in [(schema::Kind::Planes, tiles + 6 * planes), (schema::Kind::Alpha, 64 * 64 * planes)] {
         let with_length = |length| {
             let mut index = index.clone();
             index.sections.iter_mut().find(|s| s.kind() == kind).unwrap().raw_length = length;
-            unpacked(&[select::header(&packed[4..8], &index.encode_to_vec()), body.to_vec()].concat()).map(drop)
+            unpacked(&[select_sections::header(&packed[4..8], &index.encode_to_vec()), body.to_vec()].concat()).map(drop)
         };
         assert!(with_length(most).is_ok(), "{kind:?}");
         assert!(with_length(most + 1).unwrap_err().to_string().ends_with("has the wrong length"), "{kind:?}");
@@ -296,7 +296,7 @@ fn a_matted_container_carries_no_derived_sections() {
     let carried = container(&scene(70, 40));
     let (mut index, body) = decode::split(&carried).unwrap();
     index.matted = true;
-    let both = [select::header(&carried[4..8], &index.encode_to_vec()), body.to_vec()].concat();
+    let both = [select_sections::header(&carried[4..8], &index.encode_to_vec()), body.to_vec()].concat();
     assert!(decode(&both).unwrap_err().to_string().contains("matted"));
 }
 

@@ -3,8 +3,8 @@
 use prost::Message;
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
-use super::select::header;
-use super::wire::{Codec, Kind, Section};
+use super::schema::{Codec, Kind, Section};
+use super::select_sections::header;
 use super::{ContainerError, bounds, columns, decode};
 
 /// A zstd block has at least 4 bytes and holds at most 128 KiB.

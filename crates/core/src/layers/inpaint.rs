@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::colour_rows::{self, Sources};
+use super::inpaint_kernels::{self, Sources};
 use super::{Geometry, LayerMasks, Surface, TileFrame};
 use crate::parallel;
 use crate::scene::{Class, Grid, Photo, Plane, Rect};
@@ -91,7 +91,7 @@ impl<'a> Inpainter<'a> {
         for (y, class) in rows {
             let class = &class[(hidden.x - rect.x) as usize..][..hidden.w as usize];
             let row = self.row(place, y, hidden);
-            colour_rows::colours(&pyramid.us[x..], plane, row, pyramid.levels[0].about((y - win.y) as usize), x, class, &mut out);
+            inpaint_kernels::colours(&pyramid.us[x..], plane, row, pyramid.levels[0].about((y - win.y) as usize), x, class, &mut out);
         }
         out
     }
@@ -123,7 +123,7 @@ impl<'a> Inpainter<'a> {
         let width = levels[0].width;
         for (y, out) in (win.y..).step_by(2).zip(levels[0].texels.chunks_mut(width)) {
             let second = if y + 1 < win.y + win.h { self.row(place, y + 1, win) } else { Sources::NONE };
-            colour_rows::gather(us, plane, [self.row(place, y, win), second], out);
+            inpaint_kernels::gather(us, plane, [self.row(place, y, win), second], out);
         }
     }
 
@@ -192,8 +192,8 @@ impl Pyramid {
         let (fine, coarse) = self.levels[..self.used].split_at_mut(n + 1);
         let Level { width, texels, .. } = &mut fine[n];
         for y in ys {
-            let about = coarse.first().map_or(colour_rows::Coarser { near: &[], other: &[] }, |up| up.about(y));
-            colour_rows::push(about, xs.start, &mut texels[y * *width..][xs.clone()]);
+            let about = coarse.first().map_or(inpaint_kernels::Coarser { near: &[], other: &[] }, |up| up.about(y));
+            inpaint_kernels::push(about, xs.start, &mut texels[y * *width..][xs.clone()]);
         }
     }
 }
@@ -216,16 +216,16 @@ impl Level {
     fn pull(&mut self, fine: &Self) {
         for (y, to) in self.texels.chunks_mut(self.width).enumerate() {
             let row = |y: usize| &fine.texels[y * fine.width..][..fine.width];
-            colour_rows::pull(row(2 * y), (2 * y + 1 < fine.height).then(|| row(2 * y + 1)), to);
+            inpaint_kernels::pull(row(2 * y), (2 * y + 1 < fine.height).then(|| row(2 * y + 1)), to);
         }
     }
 
     /// The rows of this level around row `y` of the next finer level.
-    fn about(&self, y: usize) -> colour_rows::Coarser<'_> {
+    fn about(&self, y: usize) -> inpaint_kernels::Coarser<'_> {
         let last = self.height - 1;
         let beside = if y.is_multiple_of(2) { (y / 2).saturating_sub(1) } else { y / 2 + 1 };
         let row = |y: usize| &self.texels[y.min(last) * self.width..][..self.width];
-        colour_rows::Coarser { near: row(y / 2), other: row(beside) }
+        inpaint_kernels::Coarser { near: row(y / 2), other: row(beside) }
     }
 }
 

@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use super::dilation::{Dilation, dilate};
-use super::{Geometry, Surface, TileFrame, grown, rows};
+use super::{Geometry, Surface, TileFrame, grown, visibility_kernels};
 use crate::scene::{Grid, Intrinsics, Plane, Rect, ViewBox};
 
 /// Maximum search distance for an edge that uncovers a hidden texel, in pixels.
@@ -88,7 +88,7 @@ impl Geometry {
         let reach = |parallax: f64, step: f64| (step * parallax + MARGIN).min(MAX_REACH).ceil() as u32;
         let win = grown(*r, reach(parallax.0, *depth), reach(parallax.1, *depth), &self.grid);
         // an occluder in the neighbourhood can be nearer still, and its edge uncovers more
-        let nearest = (win.y..win.y + win.h).map(|y| rows::nearest(surface.row(win.x, y, win.w))).fold(0.0, f32::max);
+        let nearest = (win.y..win.y + win.h).map(|y| visibility_kernels::nearest(surface.row(win.x, y, win.w))).fold(0.0, f32::max);
         // an affine plane is farthest at a corner
         let corner = |x: u32, y: u32| place.disparity(plane, x, y);
         let (right, lower) = (win.x + win.w - 1, win.y + win.h - 1);
@@ -101,7 +101,7 @@ impl Geometry {
         place.columns(near.x, near.w, us);
         open.resize(near.area(), 0);
         for (y, open) in (near.y..).zip(open.chunks_mut(near.w as usize)) {
-            rows::open(us, place.v(y), plane, surface.row(near.x, y, near.w), UNOCCLUDED, open);
+            visibility_kernels::open(us, place.v(y), plane, surface.row(near.x, y, near.w), UNOCCLUDED, open);
         }
         dilate(open, near.w, Rect { x: inner.x - near.x, y: inner.y - near.y, ..inner }, radius, dilation);
         let mut seen = 0;

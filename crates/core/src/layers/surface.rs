@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::rows::Columns;
+use super::visibility_kernels::Columns;
 use super::{Geometry, TileFrame};
 
 /// Difference in δ from which a pixel's colour is mixed with that of a nearer neighbour.

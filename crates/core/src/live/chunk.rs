@@ -1,8 +1,8 @@
 //! Chunks: planes and labels of a rectangle of tiles, coded like a small picture by the coders of the container's sections, which start
-//! from a trained prior ([`super::prior`]).
+//! from a trained prior ([`super::coder_prior`]).
 
-use super::prior::Coders;
-use super::wire::Chunk;
+use super::coder_prior::Coders;
+use super::schema::Chunk;
 use super::{LiveError, MAX_PLANES};
 use crate::container::{columns, crc, labels, planes};
 use crate::{Grid, Tile};

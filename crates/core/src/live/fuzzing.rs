@@ -1,6 +1,6 @@
 //! Entry point for fuzzing.
 
-use super::wire::message::Kind;
+use super::schema::message::Kind;
 use super::{Model, chunk, read};
 use crate::{Geometry, Grid, Intrinsics, ViewBox};
 

@@ -6,13 +6,13 @@
 
 use std::time::Duration;
 
-use super::blocks::Blocks;
-use super::history::{self, History, Shown, When};
-use super::motion::{Motion, Way};
+use super::changed_blocks::Blocks;
+use super::label_motion::{Motion, Way};
+use super::shown_frames::{self, History, Shown, When};
 use crate::container::{Part, texels};
 use crate::layers::{CONTEXT, MAX_FRAMES, STEADY, Surface};
-use crate::scene::colour;
-use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Scene, Texels, grown};
+use crate::scene::packed_rgb;
+use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Photo, Pyramid, Scene, SeenBackground, Texels, grown};
 
 /// Distance, in pixels, that a hidden colour depends on: the inpainting context, plus one pixel of the surface around it.
 const AROUND: u32 = CONTEXT + 1;
@@ -22,7 +22,7 @@ pub(super) const TURNS: u32 = 8;
 /// Duration of a frame at 30 a second. If frames are less frequent, several groups have their turn at once, so that none waits longer.
 pub(super) const TURN: Duration = Duration::from_micros(33_333);
 /// Maximum number of frames, after the frame of the last tiles, in which labels follow motion.
-pub const FOLLOWS: u32 = history::KEPT as u32;
+pub const FOLLOWS: u32 = shown_frames::KEPT as u32;
 
 /// Layers and texels of all tiles, updated from frame to frame.
 #[derive(Default)]
@@ -45,7 +45,7 @@ pub struct Layers {
     remembers: bool,
     /// Number of frames in which labels follow motion.
     follows: u32,
-    memory: Option<Memory>,
+    memory: Option<SeenBackground>,
     /// The frame of the tiles received last, and the number of frames since.
     received: (Shown, u32),
     /// The previous frames, for tiles that arrive late.
@@ -98,7 +98,7 @@ impl Layers {
 
     /// The memory, if these layers have one.
     #[must_use]
-    pub const fn memory(&self) -> Option<&Memory> {
+    pub const fn memory(&self) -> Option<&SeenBackground> {
         self.memory.as_ref()
     }
 
@@ -138,7 +138,7 @@ impl Layers {
             return Changes::default();
         }
         let mut words = vec![0; photo.rgb.len()];
-        colour::words(&photo.rgb, &mut words);
+        packed_rgb::words(&photo.rgb, &mut words);
         let anew = (self.photo.width, self.photo.height, self.parts.len()) != (grid.width, grid.height, grid.tiles() as usize);
         let mut changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
         let before = if anew { &[][..] } else { &self.words };
@@ -151,7 +151,7 @@ impl Layers {
             self.parts = vec![Part::default(); grid.tiles() as usize];
             self.stale = vec![false; grid.tiles() as usize];
             self.since = vec![0; grid.tiles() as usize];
-            self.memory = self.remembers.then(|| Memory::new(*grid));
+            self.memory = self.remembers.then(|| SeenBackground::new(*grid));
             self.ways = vec![None; grid.tiles() as usize];
             self.history.clear();
         } else if self.remembers && when.gone.is_some() {
@@ -280,7 +280,7 @@ fn part_of(tile: u32, masks: LayerMasks) -> Part {
 /// the most. Also returns whether all colours are new.
 fn hidden_colours(
     inpainter: &Inpainter,
-    memory: Option<&Memory>,
+    memory: Option<&SeenBackground>,
     (part, before): (&Part, &Part),
     pyramid: &mut Pyramid,
 ) -> (Vec<[u8; 3]>, bool) {

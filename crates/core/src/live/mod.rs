@@ -4,33 +4,33 @@
 //! may miss any; it gets the chunks of tiles that it does not have yet. [`Model`] is a viewer's knowledge of all tiles, and [`Layers`] are
 //! what it shows of them.
 
-mod blocks;
+mod changed_blocks;
 pub mod chunk;
-mod colour;
+pub mod coder_prior;
 mod fuzzing;
-mod history;
 #[cfg(feature = "video")]
-mod key_frame;
+mod key_frame_header;
+pub mod label_motion;
 mod layers;
-mod model;
-pub mod motion;
-pub mod prior;
 #[doc(hidden)]
-pub mod wire;
+pub mod schema;
+mod shown_frames;
+mod tile_state;
+mod yuv;
 
-pub use colour::{Colour, I420, Matrix, to_rgb};
 #[doc(hidden)]
 pub use fuzzing::message as fuzz_message;
-pub use history::When;
 #[cfg(feature = "video")]
-pub use key_frame::{KeyFrame, KeyFrameError, key_frame};
+pub use key_frame_header::{KeyFrame, KeyFrameError, key_frame};
 pub use layers::{Changes, FOLLOWS, Layers};
-pub use model::Model;
+pub use shown_frames::When;
+pub use tile_state::Model;
+pub use yuv::{Colour, I420, Matrix, to_rgb};
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 use prost::{DecodeError, Message as _};
-use wire::Message;
-use wire::message::Kind;
+use schema::Message;
+use schema::message::Kind;
 
 /// Version of the protocol.
 pub const VERSION: u32 = 1;

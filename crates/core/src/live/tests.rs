@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::chunk::{self, Area};
 use super::layers::{TURN, TURNS};
-use super::wire::{self, Video};
+use super::schema::{self, Video};
 use super::*;
 use crate::layers::STEADY;
 use crate::{Geometry, Grid, Inpainter, Intrinsics, Photo, Plane, Tile, ViewBox};
@@ -52,15 +52,15 @@ proptest! {
         };
         let first = |t: u32| bits >> (t % 64) & 1 == 1;
         let mut model = Model::new(&Model::hello(&whole)).unwrap();
-        let taken = model.take(&wire::Geometry { frame: 1, chunks: chunks(&first, 1) }).unwrap();
+        let taken = model.take(&schema::Geometry { frame: 1, chunks: chunks(&first, 1) }).unwrap();
         prop_assert!(taken.iter().all(|t| first(*t)));
-        let rest = wire::Geometry { frame: 2, chunks: chunks(&|t| !first(t), 2) };
-        let bytes = write(wire::message::Kind::Geometry(rest));
+        let rest = schema::Geometry { frame: 2, chunks: chunks(&|t| !first(t), 2) };
+        let bytes = write(schema::message::Kind::Geometry(rest));
         let Kind::Geometry(rest) = read(bytes).unwrap() else { panic!("another kind") };
         model.take(&rest).unwrap();
         prop_assert_eq!(model.geometry(), Some(&whole));
         // older chunks, and the same ones again
-        prop_assert_eq!(model.take(&wire::Geometry { frame: 1, chunks: chunks(&|_| true, 1) }).unwrap(), Vec::<u32>::new());
+        prop_assert_eq!(model.take(&schema::Geometry { frame: 1, chunks: chunks(&|_| true, 1) }).unwrap(), Vec::<u32>::new());
     }
 
     /// After any sequence of changes, the incremental layers are those of the last tiles and frame alone, and tiles reported as unchanged
@@ -161,7 +161,7 @@ proptest! {
         labels[at] ^= flip;
         bad.label_data = labels.into();
         prop_assert!(chunk::decode(&whole.grid, &bad).is_err());
-        for wrong in [wire::Chunk { column: 1, ..good.clone() }, wire::Chunk { version: 8, ..good.clone() }, wire::Chunk { planes: 1, ..good }] {
+        for wrong in [schema::Chunk { column: 1, ..good.clone() }, schema::Chunk { version: 8, ..good.clone() }, schema::Chunk { planes: 1, ..good }] {
             prop_assert!(chunk::decode(&whole.grid, &wrong).is_err());
         }
     }
@@ -184,7 +184,7 @@ fn a_message_too_long_or_of_no_kind_is_refused() {
 
 #[test]
 fn chunks_are_counted_before_they_take_memory() {
-    let of = |count: usize| write(Kind::Snapshot(wire::Geometry { frame: 1, chunks: vec![wire::Chunk::default(); count] }));
+    let of = |count: usize| write(Kind::Snapshot(schema::Geometry { frame: 1, chunks: vec![schema::Chunk::default(); count] }));
     assert!(read(of(MAX_CHUNKS)).is_ok());
     assert!(read(of(MAX_CHUNKS + 1)).is_err());
     // a field may be split into parts
@@ -200,10 +200,10 @@ fn seeds_of_the_fuzzer_are_messages() {
     let runs = Area::covering(&whole.grid, |t| t % 3 != 1).into_iter().map(chunk).collect();
     let seeds = [
         ("hello", Kind::Hello(Model::hello(&whole))),
-        ("snapshot", Kind::Snapshot(wire::Geometry { frame: 7, chunks: vec![chunk(Area::all(&whole.grid))] })),
-        ("geometry", Kind::Geometry(wire::Geometry { frame: 7, chunks: runs })),
+        ("snapshot", Kind::Snapshot(schema::Geometry { frame: 7, chunks: vec![chunk(Area::all(&whole.grid))] })),
+        ("geometry", Kind::Geometry(schema::Geometry { frame: 7, chunks: runs })),
         ("video", Kind::Video(Video { frame: 3, time: 5, key: true, layer: 1, data: vec![1; 20].into() })),
-        ("bye", Kind::Bye(wire::Bye { reason: "the end".into(), again: true, ..wire::Bye::default() })),
+        ("bye", Kind::Bye(schema::Bye { reason: "the end".into(), again: true, ..schema::Bye::default() })),
     ];
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/message");
     for (name, kind) in seeds {
@@ -222,11 +222,11 @@ fn seeds_of_the_fuzzer_are_messages() {
 fn a_room_beyond_the_bounds_is_refused() {
     let hello = Model::hello(&geometry(130, 100, 64, 0));
     assert!(Model::new(&hello).is_ok());
-    assert!(matches!(Model::new(&wire::Hello { version: VERSION + 1, ..hello.clone() }), Err(LiveError::Newer { .. })));
-    assert!(Model::new(&wire::Hello { width: 1920, height: 1088, ..hello.clone() }).is_ok());
-    assert!(Model::new(&wire::Hello { width: 1920, height: 1089, ..hello.clone() }).is_err());
-    assert!(Model::new(&wire::Hello { tile_size: 16, tile_stride: 14, ..hello.clone() }).is_ok());
-    assert!(Model::new(&wire::Hello { tile_size: 15, tile_stride: 14, ..hello.clone() }).is_err());
-    assert!(Model::new(&wire::Hello { width: 0, ..hello.clone() }).is_err());
-    assert!(Model::new(&wire::Hello { fx: f64::NAN, ..hello }).is_err());
+    assert!(matches!(Model::new(&schema::Hello { version: VERSION + 1, ..hello.clone() }), Err(LiveError::Newer { .. })));
+    assert!(Model::new(&schema::Hello { width: 1920, height: 1088, ..hello.clone() }).is_ok());
+    assert!(Model::new(&schema::Hello { width: 1920, height: 1089, ..hello.clone() }).is_err());
+    assert!(Model::new(&schema::Hello { tile_size: 16, tile_stride: 14, ..hello.clone() }).is_ok());
+    assert!(Model::new(&schema::Hello { tile_size: 15, tile_stride: 14, ..hello.clone() }).is_err());
+    assert!(Model::new(&schema::Hello { width: 0, ..hello.clone() }).is_err());
+    assert!(Model::new(&schema::Hello { fx: f64::NAN, ..hello }).is_err());
 }

@@ -6,7 +6,7 @@ use super::{Axis, BenchError, Curve, Experiment, Point};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks;
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::run::budget::{Costs, Measured, fit};
+use tmpi_pipeline::run::time_budget::{Costs, Measured, fit};
 use tmpi_pipeline::{self, Made, Options};
 
 /// Operating points, as multiples of the default parallax error.

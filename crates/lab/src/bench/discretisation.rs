@@ -5,11 +5,11 @@ use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, experiments};
 use tmpi_core::{DisparityMap, Grid, Photo};
 use tmpi_pipeline::MakeError;
-use tmpi_pipeline::clock::Clock;
-use tmpi_pipeline::denoise::{confidence, local_planes, median_guided};
+use tmpi_pipeline::denoise::{local_planes, median_guided, theta};
 use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, ghost_share, overlap_disagreement, place};
+use tmpi_pipeline::usage::Clock;
 
 /// Planes per tile, as in the paper.
 const PLANES: u32 = 4;
@@ -34,9 +34,9 @@ fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> R
         (Cleaning::Classic, _) => (median_guided::denoise(photo, map), None),
         (Cleaning::Auto, _) => (local_planes::denoise(map), None),
         (Cleaning::Snap, _) => (edges::snap(photo, map), None),
-        (Cleaning::Theta, Some(_)) if !confidence::wanted(map) => (map.clone(), None),
+        (Cleaning::Theta, Some(_)) if !theta::wanted(map) => (map.clone(), None),
         (Cleaning::Theta, Some(theta)) => {
-            let (map, confidence) = confidence::run(theta.as_ref(), photo, map)?;
+            let (map, confidence) = theta::run(theta.as_ref(), photo, map)?;
             (map, Some(confidence))
         }
     })

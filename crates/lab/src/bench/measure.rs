@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::subject::Subject;
 use super::{BenchError, Point};
 use crate::metrics::{self, ssim_map};
-use crate::oracle::OracleDepth;
+use crate::oracle_depth::OracleDepth;
 use tmpi_core::container;
 use tmpi_core::{DisparityMap, Photo, Scene};
 use tmpi_pipeline::Silent;

@@ -6,23 +6,23 @@
 
 mod ablation;
 mod costs;
+mod depth_settings;
 mod discretisation;
 mod drawing;
-mod efficiency;
 mod experiments;
-mod families;
-mod glance;
 mod machine;
 mod measure;
-mod measuring;
 mod mesh;
-mod network;
 mod page;
+mod photo_size;
 mod plot;
-mod ramps;
-mod scaling;
+mod report_cost;
+mod scene_families;
 pub mod serve;
+mod snapping;
 mod subject;
+mod tile_sizes;
+mod verdicts;
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -31,7 +31,7 @@ use serde::Serialize;
 
 pub use machine::Machine;
 pub use page::html;
-use tmpi_pipeline::run::budget::Costs;
+use tmpi_pipeline::run::time_budget::Costs;
 use tmpi_pipeline::{MakeError, Models};
 
 /// Settings of a benchmark.
@@ -219,14 +219,14 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let start = std::time::Instant::now();
     let mut skipped = Vec::new();
     let wants = |id: &str| settings.wants(id);
-    let scaling = if wants("scaling") { scaling::run(settings.quick, &mut skipped, progress) } else { Vec::new() };
+    let scaling = if wants("scaling") { photo_size::run(settings.quick, &mut skipped, progress) } else { Vec::new() };
     let repeats = if settings.quick { 3 } else { 5 };
     let mut first = Vec::new();
     if wants("efficiency") {
-        first.extend(efficiency::table(repeats, &mut skipped, progress));
+        first.extend(tile_sizes::table(repeats, &mut skipped, progress));
     }
     if wants("clustering") {
-        first.push(efficiency::clustering(repeats, progress));
+        first.push(tile_sizes::clustering(repeats, progress));
     }
     progress("rendering scenes");
     let scenes = subject::rendered(settings.quick)?;
@@ -236,15 +236,15 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let known = photos.iter().any(|p| p.disparity.is_some());
     let measured = if known { &photos } else { &scenes };
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
-    experiments.extend(network::run(&bench, measured, settings, &mut skipped, progress)?);
+    experiments.extend(depth_settings::run(&bench, measured, settings, &mut skipped, progress)?);
     if wants("ramps") {
-        experiments.push(ramps::run(&bench, &scenes, progress)?);
+        experiments.push(snapping::run(&bench, &scenes, progress)?);
     }
     if wants("without") {
         experiments.push(ablation::steps(&bench, &scenes, progress)?);
     }
     if wants("families") {
-        experiments.push(families::run(&bench, settings.quick, progress)?);
+        experiments.push(scene_families::run(&bench, settings.quick, progress)?);
     }
     if wants("labels") {
         experiments.push(ablation::labels(&scenes, settings.quick, progress)?);
@@ -270,7 +270,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
         costs = Some(costs::fitted(&bench, &scenes, progress)?);
     }
     if wants("measuring") {
-        experiments.push(measuring::run(&bench, &scenes, settings.quick, progress)?);
+        experiments.push(report_cost::run(&bench, &scenes, settings.quick, progress)?);
     }
     experiments.extend(scaling);
     for e in &mut experiments {

@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 
-use super::glance::Verdict;
 use super::plot::{escaped, number, svg};
+use super::verdicts::Verdict;
 use super::{Experiment, Point, Results};
 
 const STYLE: &str = "

@@ -128,7 +128,7 @@ impl TestServer {
 
     /// Resident memory in MiB; `None` if unknown.
     fn memory(&self) -> Option<f64> {
-        Some(tmpi_pipeline::clock::resident_bytes(Some(self.child.id()))? as f64 / f64::from(1 << 20))
+        Some(tmpi_pipeline::usage::resident_bytes(Some(self.child.id()))? as f64 / f64::from(1 << 20))
     }
 }
 

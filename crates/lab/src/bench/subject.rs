@@ -80,7 +80,7 @@ pub(super) fn large((width, height): (u32, u32)) -> Result<Subject, BenchError> 
 }
 
 /// Renders `count` scenes of each family; families are sorted by name.
-pub(super) fn by_family(count: usize) -> Result<super::families::Families, BenchError> {
+pub(super) fn by_family(count: usize) -> Result<super::scene_families::Families, BenchError> {
     /// Does not overlap with the scenes of [`rendered`].
     const FIRST: u64 = SEED + 50_000;
     const SIZE: (u32, u32) = (384, 256);

@@ -8,7 +8,7 @@ use super::{note, read, result, write};
 use tmpi_lab::bench::serve::{Load, Target};
 use tmpi_lab::bench::{self, Settings};
 use tmpi_lab::live::budget;
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
 /// Measure the error and run time of each approximation on this machine

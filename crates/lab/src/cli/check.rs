@@ -4,8 +4,8 @@ use std::fmt::Write;
 use std::path::PathBuf;
 
 use super::result;
-use tmpi_lab::stress::{self, Checked, Kernel, Verdict};
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_lab::conformance::{self, Checked, Kernel, Verdict};
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
 /// Check each numerical kernel on stiff and extreme cases against an f64 reference
@@ -24,8 +24,11 @@ pub(super) struct CheckArgs {
 pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
     // a panic is a failed case, not a message
     std::panic::set_hook(Box::new(|info| tracing::error!(%info, "a case panicked")));
-    let checked =
-        if args.photos.is_empty() { stress::run() } else { stress::run_on_photos(&args.photos, &models::load(&args.models.settings())?) };
+    let checked = if args.photos.is_empty() {
+        conformance::run()
+    } else {
+        conformance::run_on_photos(&args.photos, &models::load(&args.models.settings())?)
+    };
     drop(std::panic::take_hook());
     result(&if args.json { serde_json::to_string_pretty(&checked)? } else { table(&checked) })?;
     let failed = checked.failed();
@@ -34,7 +37,7 @@ pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
 }
 
 fn table(checked: &Checked) -> String {
-    let widest = |f: &dyn Fn(&stress::Case) -> usize| checked.cases.iter().map(f).max().unwrap_or(0);
+    let widest = |f: &dyn Fn(&conformance::Case) -> usize| checked.cases.iter().map(f).max().unwrap_or(0);
     let name = widest(&|c| c.name.chars().count());
     let (family, subject) = (widest(&|c| c.family.len()), widest(&|c| c.subject.len()));
     let mut out = format!("{:family$}  {:name$}  {:subject$}  {:>9}  {:>9}  verdict  unit\n", "family", "case", "of", "bound", "error");

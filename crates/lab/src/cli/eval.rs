@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{note, result};
 use tmpi_lab::eval::{self, Depth, Settings};
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
 /// Compare second views with the truth for tmpi, plain multiplane images and a mesh, on scenes with known views

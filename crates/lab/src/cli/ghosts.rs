@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::{note, read, result};
 use tmpi_lab::ghosts::{self, Pair};
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
 /// Measure the outlines of things that stay on the background when the view moves, without matting and with it

@@ -11,7 +11,7 @@ use super::{Cli, note, result, size, write};
 use tmpi_core::live::{FOLLOWS, MAX_PIXELS};
 use tmpi_lab::live;
 use tmpi_lab::live::sweep::OperatingPoint;
-use tmpi_pipeline::networks::flags::ModelFlags;
+use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::{self, models};
 
 /// Measure rendered sequences from camera to viewer: error against time and bytes

@@ -6,7 +6,7 @@ mod compare;
 mod eval;
 mod ghosts;
 mod live_bench;
-mod psi_layers;
+mod psi_training_data;
 mod synth;
 
 use std::io::Write;

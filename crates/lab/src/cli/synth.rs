@@ -9,7 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use serde_json::json;
 
-use super::{note, psi_layers, size};
+use super::{note, psi_training_data, size};
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_lab::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 
@@ -157,7 +157,7 @@ fn write_scene(args: &SynthArgs, assets: &Assets, seed: u64, folder: &Path) -> a
         write_picture(folder, "hidden_", &scene.hidden(&camera, 1))?;
     }
     if args.layers {
-        let layers = psi_layers::layers(&scene, &picture, seed % 2 == 1);
+        let layers = psi_training_data::layers(&scene, &picture, seed % 2 == 1);
         std::fs::write(folder.join("layers.npy"), layers)?;
     }
     let mut views = Vec::new();

@@ -1,10 +1,10 @@
 //! Second views against the truth: what each way of making a scene out of a photo and its depth is worth (paper, section 5, table 1).
 
+mod cases;
+mod error_sources;
 pub mod mesh;
 mod public;
-mod scenes;
 mod score;
-mod sources;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,11 +12,11 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use self::scenes::{Case, Truth};
+use self::cases::{Case, Truth};
+use self::error_sources::Parts;
+pub use self::error_sources::Sources;
 pub use self::score::{DepthScore, Score};
 use self::score::{Fit, Mask};
-use self::sources::Parts;
-pub use self::sources::Sources;
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::depth;
@@ -201,7 +201,7 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
     let mut sources: Vec<Vec<Sources>> = vec![Vec::new(); rows.len()];
     let (mut blank, mut views, mut depth_scores, mut cases) = (0, 0, Vec::new(), 0.0);
     for folder in folders {
-        for case in scenes::read(folder, models.depth.as_ref())? {
+        for case in cases::read(folder, models.depth.as_ref())? {
             progress(&case.name);
             cases += 1.0;
             let all: Vec<Made> =
@@ -404,7 +404,7 @@ impl Results {
                 r.planes
             );
         }
-        out += &sources::table(self.depth, &self.rows);
+        out += &error_sources::table(self.depth, &self.rows);
         if let Some(d) = self.depth_score {
             let _ = write!(
                 out,

@@ -6,7 +6,7 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use serde::Deserialize;
 
-use super::scenes::{Case, FOCAL, Truth, bytes, json, map, name, picture};
+use super::cases::{Case, FOCAL, Truth, bytes, json, map, name, picture};
 use super::{EvalError, decoded};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Mat3, Photo, Pose, mat3_vec};
 use tmpi_pipeline::depth::Estimator;
@@ -222,7 +222,7 @@ fn case_of(folder: &Path, intrinsics: Intrinsics, reference: &Frame, frames: &[F
         return Err(EvalError::File { path, reason: "knows no depth".into() });
     };
     let mut delta: Vec<f64> = depth.iter().map(|mm| if known(mm) { (1e3 * nearest / mm).min(1.0) } else { 0.0 }).collect();
-    delta.chunks_mut(width as usize).for_each(super::scenes::complete);
+    delta.chunks_mut(width as usize).for_each(super::cases::complete);
     let truth = DisparityMap { width, height, delta: delta.iter().map(|d| *d as f32).collect() };
     let cameras = chosen(reference, frames, nearest, intrinsics.fx / f64::from(width));
     let view = |(pose, frame): (Pose, &Frame)| {

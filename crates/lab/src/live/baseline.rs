@@ -1,8 +1,8 @@
 //! Baselines for a room's bytes: a JPEG of each frame with the same PSNR as the video, and sound.
 
 use tmpi_core::Photo;
-use tmpi_core::live::wire::Sound;
-use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::schema::Sound;
+use tmpi_core::live::schema::message::Kind;
 use tmpi_live::video;
 use tmpi_render::difference::psnr;
 

@@ -6,7 +6,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use tmpi_live::video::{self, VideoError};
-use tmpi_pipeline::clock::{Clock, peak_rss_bytes};
+use tmpi_pipeline::usage::{Clock, peak_rss_bytes};
 
 use super::sequence::{Kind, Sequence};
 use super::{LiveBenchError, encoder};

@@ -3,17 +3,17 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use tmpi_core::live::{Model, When, wire};
+use tmpi_core::live::{Model, When, schema};
 use tmpi_core::{Photo, Pose};
 use tmpi_live::{Frame, Geometry as Driver, video as codecs};
-use tmpi_pipeline::clock::Clock;
+use tmpi_pipeline::usage::Clock;
 use tmpi_render::difference::psnr;
 use tmpi_render::{PictureFormat, View};
 
+use super::aligned_depth::Truth;
 use super::baseline::as_jpeg;
-use super::reader::{Mean, Moment, Reader, ms};
-use super::scale::Truth;
 use super::sequence::{Kind, SeenSurfaces, Sequence, Shot};
+use super::side_view::{Mean, Moment, Reader, ms};
 use super::totals::{Totals, add, add_bytes};
 use super::{Figures, LiveBenchError, Settings, encoder, room};
 
@@ -39,7 +39,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let (mut last, mut seen) = (None::<Photo>, SeenSurfaces::default());
     let (mut stream, mut messages) = (Vec::new(), Vec::new());
     let empty = room(settings, sequence, settings.frame_ms, false).empty(settings.size.0, settings.size.1);
-    record(&mut messages, wire::message::Kind::Hello(wire::Hello { codec: encoder.codec().into(), ..Model::hello(&empty) }));
+    record(&mut messages, schema::message::Kind::Hello(schema::Hello { codec: encoder.codec().into(), ..Model::hello(&empty) }));
     let mut sums = Totals::default();
     // an odd interval: if every second frame is in the cooldown, views alternate between both kinds
     let views = settings.views | 1;
@@ -69,9 +69,9 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         sums.clocks.push(server_ms);
         update.stages.iter().for_each(|s| add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms)));
         add(&mut f.stages_ms, "chunks", (update.coding_ms, update.coding_ms));
-        let message = wire::Geometry { frame: n.into(), chunks: update.chunks.clone() };
+        let message = schema::Geometry { frame: n.into(), chunks: update.chunks.clone() };
         add_bytes(&mut f, &mut sums.chunks, &message);
-        record(&mut messages, wire::message::Kind::Geometry(message.clone()));
+        record(&mut messages, schema::message::Kind::Geometry(message.clone()));
         if let Some(g) = carried.geometry() {
             sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
             f.left_out_off = f.left_out_off.max(carried.reference().map_or(0, |of| most_off(of, &frame.photo)));
@@ -162,7 +162,7 @@ fn compare_video(sums: &mut Totals, photo: &Photo, shot: &Shot) -> Result<(), Li
 
 /// Size of a room's snapshot at a frame in bytes; `None` if the room is empty.
 fn snapshot(room: &Driver, n: u32) -> Result<Option<f64>, LiveBenchError> {
-    let message = |chunk| wire::message::Kind::Snapshot(wire::Geometry { frame: n.into(), chunks: vec![chunk] });
+    let message = |chunk| schema::message::Kind::Snapshot(schema::Geometry { frame: n.into(), chunks: vec![chunk] });
     Ok(room.snapshot(n.into())?.map(|chunk| tmpi_core::live::write(message(chunk)).len() as f64))
 }
 
@@ -183,13 +183,13 @@ pub(super) fn at(n: u32) -> Duration {
 }
 
 /// A frame as a message, with its number in the room and in the sequence.
-fn video((n, taken): (u32, u32), key: bool, data: &[u8]) -> wire::message::Kind {
+fn video((n, taken): (u32, u32), key: bool, data: &[u8]) -> schema::message::Kind {
     let time = at(taken).as_micros() as u64;
-    wire::message::Kind::Video(wire::Video { frame: n.into(), time, key, layer: 0, data: data.to_vec().into() })
+    schema::message::Kind::Video(schema::Video { frame: n.into(), time, key, layer: 0, data: data.to_vec().into() })
 }
 
 /// Appends a length-prefixed message, as `tmpi live watch --record` does; returns its size in bytes.
-fn record(messages: &mut Vec<u8>, kind: wire::message::Kind) -> f64 {
+fn record(messages: &mut Vec<u8>, kind: schema::message::Kind) -> f64 {
     let bytes = tmpi_core::live::write(kind);
     messages.extend((bytes.len() as u32).to_le_bytes());
     messages.extend_from_slice(&bytes);

@@ -1,14 +1,14 @@
 //! `tmpi-lab live-bench`: runs rendered sequences through encoder, room and reader, and measures error against time and bytes.
 
+mod aligned_depth;
 pub mod baseline;
 pub mod budget;
 pub mod damaged;
 pub mod encode;
 mod measure;
-mod reader;
-mod scale;
 mod seams;
 pub mod sequence;
+mod side_view;
 pub mod sweep;
 mod totals;
 
@@ -19,7 +19,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use tmpi_core::live::chunk::Area;
-use tmpi_core::live::prior::Learning;
+use tmpi_core::live::coder_prior::Learning;
 use tmpi_live::{Geometry, GeometryError, Settings as Room, video};
 use tmpi_pipeline::{Models, Options};
 
@@ -283,7 +283,7 @@ fn encoder(size: (u32, u32), bitrate: Option<u32>) -> Result<Box<dyn Encoder>, L
     })
 }
 
-/// Learns the initial state of the chunk coders (`crates/core/src/live/prior.in`) from the chunks of rendered sequences.
+/// Learns the initial state of the chunk coders (`crates/core/src/live/coder_prior.in`) from the chunks of rendered sequences.
 ///
 /// # Errors
 /// [`LiveBenchError`].

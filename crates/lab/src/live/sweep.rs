@@ -207,7 +207,11 @@ mod tests {
     #[test]
     fn every_point_measures_the_sequences() {
         let models = tmpi_pipeline::Models {
-            depth: std::sync::Arc::new(crate::oracle::OracleDepth(tmpi_core::DisparityMap { width: 0, height: 0, delta: Vec::new() })),
+            depth: std::sync::Arc::new(crate::oracle_depth::OracleDepth(tmpi_core::DisparityMap {
+                width: 0,
+                height: 0,
+                delta: Vec::new(),
+            })),
             theta: None,
             psi: None,
         };

@@ -1,13 +1,13 @@
 //! Accumulates results over the frames of a sequence.
 
-use tmpi_core::live::wire;
+use tmpi_core::live::schema;
 use tmpi_core::{DisparityMap, Geometry, Photo};
 use tmpi_live::Update;
 
 use super::Figures;
 use super::baseline::{AsJpeg, sound_bytes};
-use super::reader::Mean;
 use super::sequence::BEHIND;
+use super::side_view::Mean;
 
 /// Pixels on both sides of the object's edge in which its shown edge may be.
 const EDGE: isize = 14;
@@ -129,12 +129,12 @@ impl Totals {
 }
 
 /// Adds the bytes and chunks of a geometry message.
-pub(super) fn add_bytes(f: &mut Figures, chunks: &mut Mean, message: &wire::Geometry) {
+pub(super) fn add_bytes(f: &mut Figures, chunks: &mut Mean, message: &schema::Geometry) {
     if !message.chunks.is_empty() {
         chunks.add(message.chunks.len() as f64);
         f.label_bytes += message.chunks.iter().map(|c| c.label_data.len() as f64).sum::<f64>();
         f.plane_bytes += message.chunks.iter().map(|c| c.plane_data.len() as f64).sum::<f64>();
-        f.geometry_bytes += tmpi_core::live::write(wire::message::Kind::Geometry(message.clone())).len() as f64;
+        f.geometry_bytes += tmpi_core::live::write(schema::message::Kind::Geometry(message.clone())).len() as f64;
     }
 }
 

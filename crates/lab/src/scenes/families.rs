@@ -3,7 +3,7 @@
 use super::math::{Frame, Rng, V3};
 use super::objects::Build;
 use super::world::World;
-use super::{close, indoor, inside, outdoor, places};
+use super::{close, furnished, indoor, outdoor, places};
 use tmpi_core::Pose;
 
 type Make = fn(&mut Build);
@@ -48,8 +48,8 @@ pub(super) fn compose(rng: &Rng) -> (&'static str, World) {
     let mut w = World::new(rng);
     w.fov = rng.range(30.0, 85.0) + if rng.chance(0.15) { 15.0 } else { 0.0 };
     let mut build = Build { w: &mut w, rng };
-    let name = if inside::inside(&mut build) {
-        inside::NAME
+    let name = if furnished::inside(&mut build) {
+        furnished::NAME
     } else {
         chosen.2(&mut build);
         chosen.0

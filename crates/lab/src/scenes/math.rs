@@ -5,7 +5,7 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 use super::Assets;
 use super::model::Models;
-use super::picture::Patch;
+use super::photo_texture::Patch;
 use tmpi_core::Mat3;
 
 /// A vector, a point or a linear RGB colour.

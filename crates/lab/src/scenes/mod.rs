@@ -1,20 +1,20 @@
 //! Rendered scenes with exact disparity, exact second views and the exact surface behind the visible one.
 //!
 //! A seed determines a scene completely. A small ray tracer renders analytic primitives, so that disparity is exact up to rounding, without
-//! the error of a mesh. Training, benchmarks and the stress tests take their ground truth from here.
+//! the error of a mesh. Training, benchmarks and the conformance checks take their ground truth from here.
 
 mod bvh;
 mod close;
 mod families;
+mod furnished;
 pub mod hidden_colours;
 mod indoor;
-mod inside;
 mod math;
 mod model;
 mod objects;
 mod outdoor;
 mod outline;
-mod picture;
+mod photo_texture;
 mod places;
 mod shape;
 mod texture;
@@ -28,7 +28,7 @@ use world::{Hit, World};
 
 pub use families::FAMILY_COUNT;
 pub use model::{FARTHEST, MAX_TEXELS, MAX_TRIANGLES, Model, ModelError, Models, Up};
-pub use picture::Pictures;
+pub use photo_texture::Pictures;
 
 /// Near plane in metres; families keep objects farther away.
 const NEAR: f64 = 1e-4;

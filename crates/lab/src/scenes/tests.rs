@@ -1,5 +1,5 @@
 use super::math::{Frame, hash3, v3};
-use super::picture::Patch;
+use super::photo_texture::Patch;
 use super::shape::Shape;
 use super::texture::Texture;
 use super::*;

@@ -1,7 +1,7 @@
 //! Procedural textures: the colour of a surface from local position and normal.
 
 use super::math::{Rng, V3, fbm, hash3, smoothstep, v3};
-use super::picture::Patch;
+use super::photo_texture::Patch;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pattern {

@@ -16,7 +16,7 @@ use bytes::Bytes;
 
 use super::{Listed, Source, Write};
 use crate::error::{LibraryError, Result};
-use crate::names::Millis;
+use crate::ids::Millis;
 
 /// Folder for temporary files.
 const INCOMING: &str = "incoming";

@@ -19,7 +19,7 @@ pub(crate) use folder::{Disk, Files};
 pub use folder::{Reserve, Room};
 
 use crate::error::{LibraryError, Result};
-use crate::names::{Digest, Millis, PhotoId, hex, random};
+use crate::ids::{Digest, Millis, PhotoId, hex, random};
 use crate::photo::{Blob, Blobs, Part};
 use folder::Folder;
 use objects::Objects;

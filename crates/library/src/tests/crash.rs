@@ -1,6 +1,6 @@
 //! Crashes at any point: accepted photos are finished, nothing is lost, and nothing is made twice.
 
-use super::files::Forgetful;
+use super::forgetful_disk::Forgetful;
 use super::*;
 
 on_both! {

@@ -6,7 +6,7 @@ mod crash;
 mod credentials;
 mod events;
 mod exports;
-mod files;
+mod forgetful_disk;
 mod photos;
 mod queue;
 mod retention;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use tmpi_core::live::{Model, wire};
+use tmpi_core::live::{Model, schema};
 use tmpi_pipeline::depth::{DepthError, Estimate, Estimator};
 use tmpi_pipeline::run::stages::Snap;
 
@@ -66,7 +66,7 @@ fn a_reader_of_all_chunks_matches_the_room() {
     let (_, mut room) = room(without_cooldown());
     room.next(&frame(0, 20)).unwrap();
     let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
-    reader.take(&wire::Geometry { frame: 0, chunks: room.snapshot(0).unwrap().into_iter().collect() }).unwrap();
+    reader.take(&schema::Geometry { frame: 0, chunks: room.snapshot(0).unwrap().into_iter().collect() }).unwrap();
     for n in 1..12 {
         let before = room.geometry().unwrap().tiles.clone();
         let update = room.next(&frame(n, 20 + 6 * n as u32)).unwrap();
@@ -75,7 +75,7 @@ fn a_reader_of_all_chunks_matches_the_room() {
             assert_eq!(before[t as usize], room.geometry().unwrap().tiles[t as usize], "tile {t} of frame {n}");
         }
         assert!(update.sent.iter().all(|t| update.changed.contains(t)));
-        reader.take(&wire::Geometry { frame: n, chunks: update.chunks }).unwrap();
+        reader.take(&schema::Geometry { frame: n, chunks: update.chunks }).unwrap();
         assert_eq!(reader.geometry(), room.geometry());
     }
 }
@@ -127,13 +127,13 @@ fn readers_get_every_tile_after_a_cut_over_budget() {
     let first = room.next(&scene(0, 0)).unwrap();
     assert!(first.cut && first.sent.len() == 15);
     let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
-    reader.take(&wire::Geometry { frame: 0, chunks: first.chunks }).unwrap();
+    reader.take(&schema::Geometry { frame: 0, chunks: first.chunks }).unwrap();
     let mut sent = std::collections::BTreeSet::new();
     for n in 1..100 {
         let update = room.next(&scene(n, 128)).unwrap();
         assert_eq!(update.cut, n == 1);
         sent.extend(update.sent);
-        reader.take(&wire::Geometry { frame: n, chunks: update.chunks }).unwrap();
+        reader.take(&schema::Geometry { frame: n, chunks: update.chunks }).unwrap();
         assert_eq!(reader.geometry(), room.geometry(), "frame {n}");
         if n == 1 {
             assert!(sent.len() < 15, "the budget delays no tile");
@@ -298,7 +298,7 @@ proptest::proptest! {
             let update = room.next(&frame).unwrap();
             let now = room.geometry().unwrap();
             let model = reader.get_or_insert_with(|| Model::new(&Model::hello(now)).unwrap());
-            model.take(&wire::Geometry { frame: n, chunks: update.chunks.clone() }).unwrap();
+            model.take(&schema::Geometry { frame: n, chunks: update.chunks.clone() }).unwrap();
             proptest::prop_assert_eq!(model.geometry(), Some(now));
             proptest::prop_assert!(update.kept_error <= PARALLAX, "{} px", update.kept_error);
             if let Some(before) = before.take().filter(|_| !update.cut) {

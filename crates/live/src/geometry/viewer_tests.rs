@@ -5,7 +5,7 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
-use tmpi_core::live::{Model, wire};
+use tmpi_core::live::{Model, schema};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 
 use super::*;
@@ -125,7 +125,7 @@ impl ViewedRoom {
         let update = self.room.next(&Frame { number: self.number, at, photo: view.photo(self.number), depth: None }).unwrap();
         let room = self.room.geometry().unwrap();
         let viewer = self.viewer.get_or_insert_with(|| Model::new(&Model::hello(room)).unwrap());
-        viewer.take(&wire::Geometry { frame: self.number, chunks: update.chunks.clone() }).unwrap();
+        viewer.take(&schema::Geometry { frame: self.number, chunks: update.chunks.clone() }).unwrap();
         self.number += 1;
         let sent = viewer.geometry().unwrap();
         let now = sent.surface().all().to_vec();

@@ -161,7 +161,7 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 }
 
 /// All known networks; the first is the embedded one. Input for the others is prepared as their publishers do it, down to the rounding,
-/// and `training/adapters.py` checks this. DPT, Depth Anything and `ZoeDepth` follow the image processors and published settings of
+/// and `training/compare_adapters.py` checks this. DPT, Depth Anything and `ZoeDepth` follow the image processors and published settings of
 /// `transformers`. The ONNX files of the `MiDaS` project have one size and normalise their input themselves; those exported from its
 /// torch hub do neither. `MoGe` resamples the photo to its tokens itself, but without antialiasing in ONNX: it gets what its own code
 /// makes of the photo, for as many tokens as its ONNX documentation takes.

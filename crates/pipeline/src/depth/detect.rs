@@ -5,7 +5,7 @@ use std::io::BufReader;
 use std::path::Path;
 
 use super::{ADAPTERS, Adapter, adapter};
-use crate::networks::{Outline, outline};
+use crate::networks::{OnnxGraph, onnx_graph};
 
 /// Words of a file's name that identify a network, the more specific ones first, and its adapter.
 const WORDS: [(&[&str], &str); 13] = [
@@ -29,9 +29,9 @@ const WORDS: [(&[&str], &str); 13] = [
 /// inputs and outputs, else its fixed size. Returns `None` if nothing identifies it.
 #[must_use]
 pub fn detect(file: &Path) -> Option<&'static Adapter> {
-    let outline = File::open(file).ok().and_then(|f| outline(&mut BufReader::new(f)));
+    let graph = File::open(file).ok().and_then(|f| onnx_graph(&mut BufReader::new(f)));
     let named = file.ancestors().take(4).filter_map(|p| p.file_name()?.to_str()).find_map(by_name);
-    named.map_or_else(|| outline.as_ref().and_then(by_graph), |found| Some(normalised(found, outline.as_ref())))
+    named.map_or_else(|| graph.as_ref().and_then(by_graph), |found| Some(normalised(found, graph.as_ref())))
 }
 
 /// The adapter with the longest name that `name` contains, else the one that its words identify.
@@ -46,35 +46,35 @@ fn by_name(name: &str) -> Option<&'static Adapter> {
     named.or_else(short).or_else(worded)
 }
 
-fn by_graph(outline: &Outline) -> Option<&'static Adapter> {
-    let gives = |name: &str| outline.outputs.iter().any(|o| o == name);
+fn by_graph(graph: &OnnxGraph) -> Option<&'static Adapter> {
+    let gives = |name: &str| graph.outputs.iter().any(|o| o == name);
     let depth = gives("depth") || gives("predicted_depth");
     if gives("points") && gives("mask") && (gives("metric_scale") || gives("scale")) {
         return adapter("moge-2");
     }
     // besides depth it returns sky, a confidence or, for several pictures, their cameras
-    if depth && (gives("sky") || gives("depth_conf") || outline.shape.len() == 5 && (gives("confidence") || gives("extrinsics"))) {
+    if depth && (gives("sky") || gives("depth_conf") || graph.shape.len() == 5 && (gives("confidence") || gives("extrinsics"))) {
         return adapter("depth-anything-3");
     }
-    if depth && outline.convolution.contains("encoder.stem_half") {
+    if depth && graph.convolution.contains("encoder.stem_half") {
         return adapter("zipdepth");
     }
-    let [_, _, h, w] = outline.shape[..] else { return None };
+    let [_, _, h, w] = graph.shape[..] else { return None };
     let name = match (w, h) {
         (256, 256) => "midas-v2.1-small",
         // the name in `transformers`
-        (384, 384) if outline.input == "pixel_values" => "dpt-large",
+        (384, 384) if graph.input == "pixel_values" => "dpt-large",
         (384, 384) => "midas-v2.1",
         (512, 384) => "zoedepth",
         (14.., 14..) if w % 14 == 0 && h % 14 == 0 && (w % 32 != 0 || h % 32 != 0) => "depth-anything-v2",
         _ => return None,
     };
-    adapter(name).map(|found| normalised(found, Some(outline)))
+    adapter(name).map(|found| normalised(found, Some(graph)))
 }
 
 /// Chooses the kind of `MiDaS` file that fits the graph: one kind normalises its input itself, that of the torch hub does not.
-fn normalised(found: &'static Adapter, outline: Option<&Outline>) -> &'static Adapter {
-    let plain = outline.is_some_and(|o| !o.normalises) && matches!(found.name, "midas-v2.1" | "midas-v2.1-small");
+fn normalised(found: &'static Adapter, graph: Option<&OnnxGraph>) -> &'static Adapter {
+    let plain = graph.is_some_and(|o| !o.normalises) && matches!(found.name, "midas-v2.1" | "midas-v2.1-small");
     if plain { adapter(&format!("{}-hub", found.name)).unwrap_or(found) } else { found }
 }
 
@@ -118,7 +118,7 @@ mod tests {
     #[test]
     fn unnamed_files_are_detected_by_their_graph() {
         let of = |input: &str, w, h, normalises| {
-            by_graph(&Outline { input: input.into(), shape: vec![1, 3, h, w], normalises, ..Outline::default() }).map(|a| a.name)
+            by_graph(&OnnxGraph { input: input.into(), shape: vec![1, 3, h, w], normalises, ..OnnxGraph::default() }).map(|a| a.name)
         };
         assert_eq!(of("0", 256, 256, true), Some("midas-v2.1-small"));
         assert_eq!(of("0", 384, 384, true), Some("midas-v2.1"));
@@ -143,7 +143,7 @@ mod tests {
         }
         let of = |shape: &[i64], outputs: &[&str]| {
             let outputs = outputs.iter().map(|o| (*o).to_owned()).collect();
-            by_graph(&Outline { input: "image".into(), shape: shape.to_vec(), outputs, ..Outline::default() }).map(|a| a.name)
+            by_graph(&OnnxGraph { input: "image".into(), shape: shape.to_vec(), outputs, ..OnnxGraph::default() }).map(|a| a.name)
         };
         assert_eq!(of(&[1, 3, 504, 504], &["depth", "sky"]), Some("depth-anything-3"), "not disparity, as its size alone would say");
         assert_eq!(of(&[1, -1, 3, 504, 504], &["depth", "depth_conf", "extrinsics", "intrinsics"]), Some("depth-anything-3"));
@@ -156,9 +156,9 @@ mod tests {
     #[test]
     fn a_midas_name_is_checked_against_the_graph() {
         let small = adapter("midas-v2.1-small").unwrap();
-        let outline = |normalises| Outline { input: "x".into(), shape: vec![1, 3, -1, -1], normalises, ..Outline::default() };
-        assert_eq!(normalised(small, Some(&outline(true))).name, "midas-v2.1-small");
-        assert_eq!(normalised(small, Some(&outline(false))).name, "midas-v2.1-small-hub");
+        let graph = |normalises| OnnxGraph { input: "x".into(), shape: vec![1, 3, -1, -1], normalises, ..OnnxGraph::default() };
+        assert_eq!(normalised(small, Some(&graph(true))).name, "midas-v2.1-small");
+        assert_eq!(normalised(small, Some(&graph(false))).name, "midas-v2.1-small-hub");
         assert_eq!(normalised(small, None).name, "midas-v2.1-small");
     }
 }

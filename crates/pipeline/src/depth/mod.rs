@@ -4,11 +4,11 @@ mod adapter;
 mod detect;
 mod embedded;
 
-mod map;
+mod given_map;
 mod monocular;
 mod onnx_io;
 mod pfm;
-mod png;
+mod png_writer;
 pub mod points;
 mod smooth;
 mod upsample;
@@ -18,10 +18,10 @@ pub use detect::detect;
 pub(crate) use embedded::multi::second_eye;
 pub(crate) use embedded::xmp;
 pub use embedded::{Carried, carried};
-pub(crate) use map::fits;
-pub use map::{check, from_map, from_map_beside, head, resized};
+pub(crate) use given_map::fits;
+pub use given_map::{check, from_map, from_map_beside, head, resized};
 pub use monocular::Monocular;
-pub use png::to_png;
+pub use png_writer::to_png;
 pub use upsample::{halved, upsample};
 
 use tmpi_core::{DisparityMap, Photo};
@@ -140,7 +140,7 @@ impl Read {
     /// Resamples the values of a map of size `(w, h)` to the size of the photo.
     fn new(delta: Vec<f32>, (w, h): (u32, u32), (width, height): (u32, u32)) -> Self {
         let own = DisparityMap { width: w, height: h, delta };
-        let (map, own) = if (w, h) == (width, height) { (own, None) } else { (map::resized(&own, width, height), Some(own)) };
+        let (map, own) = if (w, h) == (width, height) { (own, None) } else { (given_map::resized(&own, width, height), Some(own)) };
         Self { map, size: (w, h), own, filled: None, clipped: None }
     }
 }

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use super::onnx_io::{Ports, Values};
 use super::smooth::smooth;
 use super::{Adapter, DepthError, Estimate, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
-use crate::clock::Clock;
 use crate::networks::{Beside, Config, Network, OnnxError, Session};
 use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes, resize_opencv};
+use crate::usage::Clock;
 use tmpi_core::{DisparityMap, Photo};
 
 /// Percentiles, as shares of pixels, at which the normalised map saturates.

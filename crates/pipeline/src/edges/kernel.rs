@@ -3,7 +3,7 @@
 use fearless_simd::{Level, Simd, f32x8, prelude::*};
 use tmpi_core::simd::dispatch;
 
-use super::band::{Band, LANES, Lanes, REACH, exp2};
+use super::window_rows::{Band, LANES, Lanes, REACH, exp2};
 use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
 
 /// Added to each weight of a side, so that sides far from a colour still compare.
@@ -256,7 +256,7 @@ mod tests {
             let s = band.strip(x, row);
             for k in 0..LANES {
                 let d: [f32; 3] = std::array::from_fn(|c| s.colour[c][k] - own[c]);
-                let like = super::super::band::tests::exp2_of((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * FALL);
+                let like = super::super::window_rows::tests::exp2_of((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * FALL);
                 let weight = like * tables.place[row + RADIUS - y][k] + tables.tiny[k];
                 for (i, value) in [weight, weight * s.delta[k], tables.within[k]].into_iter().enumerate() {
                     low[i][k] += if s.delta[k] <= low_to { value } else { 0.0 };

@@ -1,15 +1,15 @@
 //! Edge snapping. Depth networks blur depth edges into ramps. Ramps would get planes of their own and show as ghost contours, so their
 //! pixels are given to one side or the other by colour.
 
-mod band;
 mod kernel;
+mod window_rows;
 
 use rayon::prelude::*;
 
 use fearless_simd::Level;
 
-use self::band::Band;
 use self::kernel::Tables;
+use self::window_rows::Band;
 use tmpi_core::{DisparityMap, Photo};
 
 /// Radius of the window in which a ramp is detected.

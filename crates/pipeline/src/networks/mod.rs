@@ -1,16 +1,16 @@
 //! ONNX Runtime: the library is loaded at run time, and each session belongs to a named worker thread with a bounded queue.
 
-pub mod flags;
+pub mod cli_flags;
 mod library;
 pub mod models;
-mod outline;
+mod onnx_graph;
 mod session;
 
 #[cfg(test)]
 mod tests;
 
 pub use library::{available, keep_to_yourself};
-pub use outline::{Outline, outline};
+pub use onnx_graph::{OnnxGraph, onnx_graph};
 pub use session::{Beside, Config, Optimisation, Port, Provider, Session};
 
 /// A dense `f32` tensor, row-major.

@@ -2,9 +2,9 @@
 
 use tmpi_core::container::PhotoFormat;
 
-use super::jpeg::Jpeg;
-use super::webp::WebP;
-use super::{Limits, PhotoError, jpeg, png, webp};
+use super::jpeg_metadata::Jpeg;
+use super::webp_metadata::WebP;
+use super::{Limits, PhotoError, jpeg_metadata, png_metadata, webp_metadata};
 
 /// Reads a photo's format and stored size (width, height in pixels) from its headers alone. A server calls this before it queues a job.
 ///
@@ -16,7 +16,7 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)),
     let size = match format {
         PhotoFormat::Jpeg => jpeg(bytes, limits).map(|j| (j.width, j.height))?,
         PhotoFormat::WebP => webp(bytes, limits).map(|w| (w.width, w.height))?,
-        PhotoFormat::Png => png::scan(bytes, limits).map(|p| (p.width, p.height))?,
+        PhotoFormat::Png => png_metadata::scan(bytes, limits).map(|p| (p.width, p.height))?,
     };
     Ok((format, size))
 }
@@ -24,8 +24,8 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)),
 /// Scans the segments of a JPEG. Checks the limits, and that there is data for each of its blocks.
 pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
     // `head` first, so that a complete file gets the same error as one that is still arriving
-    jpeg::head(bytes, limits)?;
-    let jpeg = jpeg::scan(bytes)?;
+    jpeg_metadata::head(bytes, limits)?;
+    let jpeg = jpeg_metadata::scan(bytes)?;
     limits.check_size(jpeg.width, jpeg.height)?;
     jpeg.check_data()?;
     limits.check_memory(jpeg.memory())?;
@@ -34,8 +34,8 @@ pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
 
 /// Scans the chunks of a WebP and checks the limits.
 pub(super) fn webp(bytes: &[u8], limits: &Limits) -> Result<WebP, PhotoError> {
-    webp::head(bytes, limits)?;
-    let webp = webp::scan(bytes)?;
+    webp_metadata::head(bytes, limits)?;
+    let webp = webp_metadata::scan(bytes)?;
     limits.check_size(webp.width, webp.height)?;
     limits.check_memory(webp.memory())?;
     Ok(webp)

@@ -6,8 +6,8 @@ use moxcms::{
 };
 use rayon::prelude::*;
 
-use super::hdr::Hdr;
-use super::pixels::Sample;
+use super::pq_hlg::Hdr;
+use super::upright_srgb::Sample;
 
 /// Largest difference from sRGB, in levels of 255, at which a profile still counts as sRGB: profiles of sRGB itself differ by rounding.
 const SAME: u8 = 2;

@@ -2,7 +2,7 @@
 
 use tmpi_core::container::PhotoFormat;
 
-use super::{Limits, PhotoError, jpeg, png, webp};
+use super::{Limits, PhotoError, jpeg_metadata, png_metadata, webp_metadata};
 
 /// Bytes that suffice to tell any format.
 const FORMAT: usize = 12;
@@ -27,9 +27,9 @@ pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
         return Ok(Head::Needs(FORMAT));
     }
     match super::sniff(bytes)? {
-        PhotoFormat::Jpeg => jpeg::head(bytes, limits),
-        PhotoFormat::Png => png::head(bytes, limits),
-        PhotoFormat::WebP => webp::head(bytes, limits),
+        PhotoFormat::Jpeg => jpeg_metadata::head(bytes, limits),
+        PhotoFormat::Png => png_metadata::head(bytes, limits),
+        PhotoFormat::WebP => webp_metadata::head(bytes, limits),
     }
 }
 

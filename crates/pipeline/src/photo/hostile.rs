@@ -47,13 +47,13 @@ fn scans(count: usize) -> Vec<u8> {
 #[test]
 fn scans_are_counted_before_decoding() {
     let limits = Limits::default();
-    check(&scans(jpeg::MAX_SCANS), &limits).unwrap();
-    assert_eq!(decode(&scans(jpeg::MAX_SCANS), &limits, None).unwrap().photo.at(3, 3), [128; 3]);
+    check(&scans(jpeg_metadata::MAX_SCANS), &limits).unwrap();
+    assert_eq!(decode(&scans(jpeg_metadata::MAX_SCANS), &limits, None).unwrap().photo.at(3, 3), [128; 3]);
     for reduced in [None, Some(4)] {
-        let error = decode(&scans(jpeg::MAX_SCANS + 1), &limits, reduced).unwrap_err();
+        let error = decode(&scans(jpeg_metadata::MAX_SCANS + 1), &limits, reduced).unwrap_err();
         assert!(error.to_string().contains("more than 100 scans"), "{error}");
     }
-    assert!(check(&scans(jpeg::MAX_SCANS + 1), &limits).is_err());
+    assert!(check(&scans(jpeg_metadata::MAX_SCANS + 1), &limits).is_err());
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn memory_is_checked_before_decoding_and_fifty_megapixels_of_any_kind_pass() {
     let memory = |sampling: u8, marker: u8| {
         let parts: Vec<u8> = (1..=3).flat_map(|id| [id, if id == 1 { sampling } else { 0x11 }, 0]).collect();
         let head = [&[8][..], &6000u16.to_be_bytes(), &8192u16.to_be_bytes(), &[3]].concat();
-        jpeg::tests::memory_of(marker, &[head, parts].concat())
+        jpeg_metadata::tests::memory_of(marker, &[head, parts].concat())
     };
     for (sampling, marker) in [(0x11, 0xC0), (0x22, 0xC2), (0x21, 0xC2), (0x11, 0xC2)] {
         let bytes = memory(sampling, marker);

@@ -8,8 +8,8 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use super::frame::{Colour, Layout};
-use super::jpeg::{END, Jpeg, READ_AHEAD};
+use super::jpeg_frame::{Colour, Layout};
+use super::jpeg_metadata::{END, Jpeg, READ_AHEAD};
 use super::{PhotoError, broken};
 use tmpi_core::Photo;
 

@@ -9,30 +9,30 @@ mod check;
 mod colour;
 mod error;
 pub(crate) mod exif;
-mod frame;
 #[doc(hidden)]
 pub mod fuzzing;
-mod hdr;
 mod head;
-mod jpeg;
+mod jpeg_frame;
+mod jpeg_metadata;
 mod jpeg_pixels;
 mod limits;
-pub(crate) mod pixels;
-pub(crate) mod png;
-mod reduced;
+pub(crate) mod png_metadata;
+mod pq_hlg;
+mod reduction_loss;
 mod resample;
-mod resample_bytes;
 mod resample_opencv;
+mod resample_pillow;
 pub(crate) mod segments;
 mod taps;
-mod webp;
+pub(crate) mod upright_srgb;
+mod webp_metadata;
 
 #[cfg(test)]
-mod colours;
+mod colour_tests;
 #[cfg(test)]
 mod hostile;
 #[cfg(test)]
-mod kinds;
+mod jpeg_tests;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
@@ -49,14 +49,14 @@ pub use error::PhotoError;
 pub use head::{Head, head};
 pub use limits::Limits;
 pub use resample::{Filter, reduced_size, resample, resample_by, resize};
-pub use resample_bytes::resample_bytes;
 pub use resample_opencv::{Interpolation, resize_opencv};
+pub use resample_pillow::resample_bytes;
 pub use taps::Taps;
 
 use self::colour::Profile;
 use self::exif::Facts;
-use self::frame::{Colour, Layout};
-pub use self::reduced::Reduction;
+use self::jpeg_frame::{Colour, Layout};
+pub use self::reduction_loss::Reduction;
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
 
@@ -134,8 +134,8 @@ pub(crate) fn orientation(photo: &[u8]) -> u8 {
             let segments = segments::applications(photo);
             Facts::read(segments.iter().filter(|s| s.number == 1).find_map(|s| s.body.strip_prefix(b"Exif\0\0")))
         }
-        Some(PhotoFormat::Png) => png::scan(photo, &Limits::NONE).map_or(Facts::NONE, |png| png.facts()),
-        Some(PhotoFormat::WebP) => webp::scan(photo).map_or(Facts::NONE, |webp| Facts::read(webp.exif.as_deref())),
+        Some(PhotoFormat::Png) => png_metadata::scan(photo, &Limits::NONE).map_or(Facts::NONE, |png| png.facts()),
+        Some(PhotoFormat::WebP) => webp_metadata::scan(photo).map_or(Facts::NONE, |webp| Facts::read(webp.exif.as_deref())),
         None => Facts::NONE,
     };
     facts.orientation
@@ -181,14 +181,14 @@ fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
     if (photo.width, photo.height) != (width, height) {
         let small = resize(&photo, width, height);
         if let (Some(reduction), true) = (&mut reduction, (photo.width, photo.height) == size) {
-            reduction.psnr = Some(reduced::psnr(&small, &photo));
+            reduction.psnr = Some(reduction_loss::psnr(&small, &photo));
         }
         photo = small;
     }
     if (width, height) != size || facts.orientation != 1 {
         carried = None;
     }
-    let photo = pixels::upright(photo, facts.orientation);
+    let photo = upright_srgb::upright(photo, facts.orientation);
     let original = if facts.orientation >= 5 { (size.1, size.0) } else { size };
     let long = f64::from(photo.width.max(photo.height));
     let focal = facts.focal_35.map_or(Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(photo.width), |f| f / 36.0 * long);
@@ -227,7 +227,7 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>, samples: Samp
 }
 
 fn read_png(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {
-    let png = png::scan(bytes, limits)?;
+    let png = png_metadata::scan(bytes, limits)?;
     let mut decoder = png.decoder()?;
     limits.check_memory(decoder.total_bytes())?;
     let icc = decoder.icc_profile().map_err(broken)?;
@@ -275,13 +275,13 @@ fn image_pixels(decoder: impl ImageDecoder, profile: Option<&Profile>, samples: 
             let mut samples = vec![0u8; pixels * channels];
             decoder.read_image(&mut samples).map_err(broken)?;
             let conversion = profile.and_then(|profile| profile.bytes(grey));
-            (pixels::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
+            (upright_srgb::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
         }
         ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
             let mut samples = vec![0u16; pixels * channels];
             decoder.read_image(bytemuck::cast_slice_mut(&mut samples)).map_err(broken)?;
             let conversion = profile.and_then(|profile| profile.words(grey));
-            (pixels::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
+            (upright_srgb::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
         }
         other => return Err(PhotoError::Broken(format!("pixels of kind {other:?} are not supported"))),
     };

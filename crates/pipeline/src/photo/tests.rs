@@ -79,7 +79,7 @@ fn all_eight_orientations_become_upright() {
             8 => 6,
             o => o,
         };
-        let stored = pixels::upright(base.photo.clone(), inverse);
+        let stored = upright_srgb::upright(base.photo.clone(), inverse);
         let image = image::RgbImage::from_raw(stored.width, stored.height, stored.rgb.into_flattened()).unwrap();
         let mut bytes = file(image, ImageFormat::Png);
         let tiff = tiff(orientation.into(), None);
@@ -224,7 +224,7 @@ fn a_file_cut_at_any_length_is_refused_or_damaged() {
             // neither does the padding byte at the end of a WebP
             let harmless = harmless || (format == ImageFormat::WebP && end == whole.len() - 1);
             // a JPEG cut near its end is damaged; its last bytes may hold nothing but the end marker
-            let harmless = harmless || (format == ImageFormat::Jpeg && end >= whole.len() - 2 - jpeg::READ_AHEAD);
+            let harmless = harmless || (format == ImageFormat::Jpeg && end >= whole.len() - 2 - jpeg_metadata::READ_AHEAD);
             let harmless = harmless || cut.as_ref().is_ok_and(|d| format == ImageFormat::Jpeg && d.damaged && end > whole.len() / 2);
             assert!(cut.is_err() || harmless, "{format:?} cut to {end} of {} bytes", whole.len());
         }

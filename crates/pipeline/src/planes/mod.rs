@@ -5,7 +5,7 @@ mod linear;
 mod lloyd;
 mod optimal;
 mod potts;
-mod readable;
+mod reader_bounds;
 mod sample;
 mod slanted;
 mod warm_start;

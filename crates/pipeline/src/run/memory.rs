@@ -1,6 +1,6 @@
 //! Upper bounds of the memory that making a photo takes, known before it is decoded.
 //!
-//! [`bytes`] exceeds every peak of the process that `tests/load/memory.py` measured: on photographs, and on pictures and depth maps of one
+//! [`bytes`] exceeds every peak of the process that `tests/load/making_memory.py` measured: on photographs, and on pictures and depth maps of one
 //! ramp, of noise and of blocks, with 0.5 to 50 megapixels, tiles from 8 pixels to the whole photo, and 1 to 64 planes per tile.
 
 use super::{MakeError, Options, Other, PlaneCount, Sizes};

@@ -2,19 +2,19 @@
 //!
 //! The command line, the server's workers, `tmpi-lab` and the tests all call [`make`].
 
-pub mod budget;
+mod input_sizes;
 mod make;
 pub mod memory;
-mod movement;
 mod options;
+mod parallax_error;
 mod progress;
-mod prune;
+mod prune_error;
 mod report;
-mod sizes;
 mod stage;
 pub mod stages;
 #[cfg(test)]
 mod tests;
+pub mod time_budget;
 
 use std::sync::Arc;
 
@@ -27,12 +27,12 @@ use crate::networks::models::{PSI, THETA};
 use crate::photo::PhotoError;
 pub use crate::photo::Reduction;
 
+pub use input_sizes::{Other, Sizes};
 pub use make::make;
-pub use movement::{Movement, TileError};
 pub use options::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+pub use parallax_error::{Movement, TileError};
 pub use progress::{Progress, Silent, Sink};
 pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, Moved, PlaneError, PruneError, Report, StageTime};
-pub use sizes::{Other, Sizes};
 pub use stage::{Context, Stage};
 pub use stages::STAGES;
 

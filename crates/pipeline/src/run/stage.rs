@@ -1,8 +1,8 @@
 //! The trait of all stages, and the context that runs them.
 
 use super::{MakeError, Models, Movement, Options, Progress, Report, Sink, Sizes, StageTime};
-use crate::clock::{self, Clock};
 use crate::photo::Limits;
+use crate::usage::{self, Clock};
 
 /// One step from a photo to its container. A stage owns the state that it keeps from one photo to the next, such as the last frame of a
 /// room.
@@ -73,7 +73,7 @@ impl<'a> Context<'a> {
         if let Some(b) = &mut self.report.budget {
             b.outcome_ms = self.report.total_ms;
         }
-        self.report.peak_rss_bytes = clock::peak_rss_bytes();
+        self.report.peak_rss_bytes = usage::peak_rss_bytes();
         self.report
     }
 

@@ -19,9 +19,9 @@ use self::census::{Grey, census};
 pub use self::halves::{Halves, Stereo};
 use self::rectify::Rectified;
 use self::sgm::{Range, Views};
-use crate::clock::Clock;
 use crate::depth;
 use crate::photo::{Filter, resample};
+use crate::usage::Clock;
 
 /// Most pixels at which pictures are matched.
 const WORK: f64 = 700_000.0;

@@ -3,7 +3,7 @@
 //! Strokes are stored in coordinates of the photo, and each says how its region changes (nearer, or as near as another place), so that
 //! they mean the same on the map of another network. The region of a stroke is found from the photo, see [`Outlines`].
 
-mod before;
+mod original_map;
 mod outline;
 mod read;
 #[cfg(test)]
@@ -12,7 +12,7 @@ mod tests;
 use serde::{Deserialize, Serialize};
 use tmpi_core::{DisparityMap, Photo};
 
-pub use before::{HEAD, before, keep, to_keep};
+pub use original_map::{HEAD, before, keep, to_keep};
 pub use outline::{Outlines, Region};
 pub use read::{StrokeError, patch, read, write};
 

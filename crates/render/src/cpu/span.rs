@@ -1,7 +1,7 @@
 //! Which pixels of a row a layer covers.
 
 use crate::border::Piece;
-use crate::footprint::{Footprint, Form};
+use crate::layer_footprint::{Footprint, Form};
 use tmpi_core::{Camera, Scene};
 
 /// One condition `a·x + b·y + c ≥ 0` with the reciprocal of `a`.

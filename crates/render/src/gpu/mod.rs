@@ -2,8 +2,8 @@
 
 mod device;
 mod frame;
-mod pack;
 mod scene;
+mod texture_atlas;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, mpsc};

@@ -5,8 +5,8 @@ use half::f16;
 use wgpu::util::DeviceExt;
 
 use super::device::{COLOUR, Device, WIDE};
-use super::pack::{Packing, pack};
-use crate::border::{Expander, Piece, border_blur, pieces};
+use super::texture_atlas::{Packing, pack};
+use crate::border::{Expander, Piece, mirror_blur, pieces};
 use crate::scene_cache::{Content, back_to_front};
 use crate::{OPAQUE, RenderError};
 use tmpi_core::Scene;
@@ -147,7 +147,7 @@ impl Plan {
         let p = &self.packing;
         let texture = device.atlas(p.width, p.height, p.pages, format);
         let mut page = vec![T::zeroed(); p.width as usize * p.height as usize];
-        let (blur, mut texels) = (border_blur(scene, &self.pieces), Vec::new());
+        let (blur, mut texels) = (mirror_blur(scene, &self.pieces), Vec::new());
         let mut expander = Expander::new(scene, blur.as_ref());
         for number in 0..p.pages {
             for (piece, place) in self.pieces.iter().zip(&p.places).filter(|(_, place)| place.page == number) {

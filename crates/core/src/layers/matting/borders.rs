@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::rows::Columns;
+use super::super::visibility_kernels::Columns;
 use super::super::{Geometry, TileFrame};
 use super::matte::{Matte, Side};
 use crate::scene::{Grid, Plane, Rect};

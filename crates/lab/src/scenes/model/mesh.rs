@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::scenes::bvh::{Aabb, Bvh};
 use crate::scenes::math::{V3, v3};
-use crate::scenes::picture::Levels;
+use crate::scenes::photo_texture::Levels;
 
 /// A vertex: position, normal (of length 1, or 0 if there is none) and texture coordinates.
 #[derive(Clone, Copy, Debug)]

@@ -14,7 +14,7 @@ use image::{ImageReader, Limits};
 use super::mesh::{Material, Mesh, Vertex};
 use super::{FARTHEST, MAX_TEXELS, MAX_TRIANGLES, ModelError, Up};
 use crate::scenes::math::{V3, v3};
-use crate::scenes::picture::Levels;
+use crate::scenes::photo_texture::Levels;
 use tmpi_core::Photo;
 
 /// Maximum nesting depth of nodes.

@@ -11,7 +11,7 @@ pub(crate) mod multi;
 mod tests;
 pub(crate) mod xmp;
 
-use super::map::{Grey, grey};
+use super::given_map::{Grey, grey};
 use super::{DepthError, Read};
 use crate::photo::{self, Limits};
 
@@ -125,7 +125,7 @@ impl Carried {
             5..=8 if alike => 1,
             other => other,
         };
-        let (values, (w, h)) = photo::pixels::turned(values, (w, h), orientation);
+        let (values, (w, h)) = photo::upright_srgb::turned(values, (w, h), orientation);
         Ok(Read::new(values, (w, h), (width, height)))
     }
 }

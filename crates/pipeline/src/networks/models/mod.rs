@@ -13,7 +13,7 @@ use std::sync::Arc;
 use crate::Models;
 use crate::depth::{ADAPTERS, Adapter, DepthError, Estimate, Estimator, Monocular, SizeRule};
 use crate::networks::library::Once;
-use crate::networks::{Beside, Config, Network, OnnxError, Session, Tensor, outline};
+use crate::networks::{Beside, Config, Network, OnnxError, Session, Tensor, onnx_graph};
 use tmpi_core::{DisparityMap, Photo};
 
 #[cfg(embedded = "depth")]
@@ -104,7 +104,7 @@ pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
 /// [`ModelFileError`] if one is missing, or if its name points to another folder.
 pub fn beside(file: &Path) -> Result<Vec<(String, PathBuf)>, ModelFileError> {
     let failed = |source| ModelFileError { file: file.to_owned(), source };
-    let names = outline(&mut BufReader::new(File::open(file).map_err(failed)?)).map_or_else(Vec::new, |o| o.beside);
+    let names = onnx_graph(&mut BufReader::new(File::open(file).map_err(failed)?)).map_or_else(Vec::new, |o| o.beside);
     let find = |name: String| {
         let own = file.with_extension("onnx_data");
         let plain = Path::new(&name).file_name().is_some_and(|n| n == name.as_str());

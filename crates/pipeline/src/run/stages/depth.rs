@@ -217,8 +217,8 @@ impl run::Stage for Denoise {
         let clean = match context.options.denoise {
             run::Denoise::Theta => {
                 // `Models::check` has rejected these options if Θ is missing
-                if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::confidence::wanted(&map.delta)) {
-                    let (clean, confidence) = denoise::confidence::run(theta.as_ref(), photo, &map.delta)?;
+                if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::theta::wanted(&map.delta)) {
+                    let (clean, confidence) = denoise::theta::run(theta.as_ref(), photo, &map.delta)?;
                     map.confidence = Some(confidence);
                     Some(clean)
                 } else {

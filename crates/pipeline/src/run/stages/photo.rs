@@ -4,7 +4,7 @@ use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
 
 use crate::photo::{self, Decoded};
-use crate::run::budget::Costs;
+use crate::run::time_budget::Costs;
 use crate::run::{Context, Input, MakeError, Movement, Stage};
 
 /// Stage from the bytes of a file to photo and camera.

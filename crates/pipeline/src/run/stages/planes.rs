@@ -4,7 +4,7 @@ use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 
 use super::{Estimated, Prepared};
 use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
-use crate::run::budget::Costs;
+use crate::run::time_budget::Costs;
 use crate::run::{Budget, Context, MakeError, Movement, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
 use tmpi_core::container::{most_planes, readable};
 

@@ -8,7 +8,7 @@ use tmpi_render::difference::{psnr, psnr_of};
 use tmpi_render::draw_reference_view;
 
 use super::Encoded;
-use crate::run::{Context, MakeError, PruneError, Stage, prune};
+use crate::run::{Context, MakeError, PruneError, Stage, prune_error};
 
 /// One of this many rows of tiles is drawn from the container: to draw all of them would take half as long as making.
 const ROW_STEP: u32 = 12;
@@ -34,7 +34,11 @@ impl Stage for Verify {
 }
 
 fn pruned(made: &Encoded, all: bool) -> Result<Option<PruneError>, MakeError> {
-    Ok(if all { Some(prune::verify(&made.scene.photo, &made.geometry)?) } else { prune::sample(&made.scene.photo, &made.geometry)? })
+    Ok(if all {
+        Some(prune_error::verify(&made.scene.photo, &made.geometry)?)
+    } else {
+        prune_error::sample(&made.scene.photo, &made.geometry)?
+    })
 }
 
 /// Errors of what a reader of the container draws.

@@ -1,0 +1,248 @@
+//! Stiff and extreme cases: every numerical kernel against a plain `f64` reference, each case with the bound that it must hold
+//! and the error that it has (DESIGN, section 7).
+
+mod clustering;
+mod compositing;
+mod inpainting;
+mod live_frames;
+mod map_filters;
+mod matting;
+mod mirror_blur_reference;
+mod photos;
+mod raycast;
+mod readers;
+mod reference;
+pub mod scenes;
+mod view_box_corners;
+mod views;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde::Serialize;
+
+pub use raycast::{cast, cast_in_layer_order};
+#[cfg(test)]
+use tmpi_core::{Camera, Scene};
+use tmpi_pipeline::Models;
+use tmpi_render::{Cpu, Gpu, Reference, Renderer};
+#[cfg(test)]
+use tmpi_render::{RenderError, View};
+
+/// What became of a case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// The error is within the bound.
+    Ok,
+    /// It is not, or the code under test panicked.
+    Fail,
+}
+
+/// One case.
+#[derive(Clone, Debug, Serialize)]
+pub struct Case {
+    /// Family of cases.
+    pub family: &'static str,
+    /// What is stiff or extreme about it.
+    pub name: String,
+    /// The kernel or the renderer under test.
+    pub subject: &'static str,
+    /// What `error` and `bound` count.
+    pub unit: &'static str,
+    /// Largest error allowed.
+    pub bound: f64,
+    /// Error found; none where the code under test panicked or gave something that is no number.
+    pub error: Option<f64>,
+    /// Verdict.
+    pub verdict: Verdict,
+    /// Milliseconds since the case before it, with what was prepared for it.
+    pub ms: f64,
+}
+
+/// All cases of one kernel.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Kernel {
+    /// Family of cases.
+    pub family: &'static str,
+    /// The kernel or the renderer under test.
+    pub subject: &'static str,
+    /// Count of cases.
+    pub cases: usize,
+    /// Count of those that failed.
+    pub failed: usize,
+    /// The error that came nearest to its bound, as a share of that; infinite where there is none.
+    pub nearest: f64,
+    /// Milliseconds that they took.
+    pub ms: f64,
+}
+
+/// Everything that was checked.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Checked {
+    /// All cases, family by family.
+    pub cases: Vec<Case>,
+    /// What could not be checked, and why.
+    pub skipped: Vec<String>,
+    /// When the last case ended.
+    #[serde(skip)]
+    last: Option<Instant>,
+}
+
+impl Checked {
+    /// Count of the cases that failed.
+    #[must_use]
+    pub fn failed(&self) -> usize {
+        self.cases.iter().filter(|c| c.verdict == Verdict::Fail).count()
+    }
+
+    /// The cases by kernel, in the order in which they ran.
+    #[must_use]
+    pub fn kernels(&self) -> Vec<Kernel> {
+        let mut kernels: Vec<Kernel> = Vec::new();
+        for case in &self.cases {
+            let Case { family, subject, .. } = *case;
+            let at = kernels.iter().position(|k| (k.family, k.subject) == (family, subject)).unwrap_or(kernels.len());
+            if at == kernels.len() {
+                kernels.push(Kernel { family, subject, cases: 0, failed: 0, nearest: 0.0, ms: 0.0 });
+            }
+            let kernel = &mut kernels[at];
+            kernel.cases += 1;
+            kernel.failed += usize::from(case.verdict == Verdict::Fail);
+            kernel.ms += case.ms;
+            let share = case.error.map_or(f64::INFINITY, |e| if e > 0.0 { e / case.bound } else { 0.0 });
+            kernel.nearest = kernel.nearest.max(share);
+        }
+        kernels
+    }
+
+    /// Runs `work` for a case and notes its error; a panic is a failure.
+    fn case(
+        &mut self,
+        family: &'static str,
+        name: &str,
+        subject: &'static str,
+        unit: &'static str,
+        bound: f64,
+        work: impl FnOnce() -> f64,
+    ) {
+        let start = Instant::now();
+        let error = catch_unwind(AssertUnwindSafe(work)).ok().filter(|e| e.is_finite());
+        let verdict = if error.is_some_and(|e| e <= bound) { Verdict::Ok } else { Verdict::Fail };
+        let ms = self.last.replace(Instant::now()).unwrap_or(start).elapsed().as_secs_f64() * 1e3;
+        self.cases.push(Case { family, name: name.into(), subject, unit, bound, error, verdict, ms });
+    }
+}
+
+/// The renderers that can be checked here: `reference`, `cpu`, and `gpu` on whatever adapter there is.
+struct Hosts {
+    all: Vec<Arc<dyn Renderer>>,
+}
+
+impl Hosts {
+    fn new(skipped: &mut Vec<String>) -> Self {
+        let mut all: Vec<Arc<dyn Renderer>> = vec![Arc::new(Reference), Arc::new(Cpu::default())];
+        match Gpu::new(true) {
+            Ok(gpu) => all.push(Arc::new(gpu)),
+            Err(reason) => skipped.push(format!("gpu: {reason}")),
+        }
+        Self { all }
+    }
+}
+
+/// Runs all cases.
+#[must_use]
+pub fn run() -> Checked {
+    let mut checked = Checked::default();
+    let hosts = Hosts::new(&mut checked.skipped);
+    clustering::run(&mut checked);
+    map_filters::run(&mut checked);
+    readers::run(&mut checked);
+    matting::run(&mut checked);
+    live_frames::run(&mut checked);
+    views::run(&mut checked, &hosts);
+    compositing::run(&mut checked, &hosts);
+    photos::run(&mut checked, &hosts);
+    inpainting::run(&mut checked, &hosts);
+    checked
+}
+
+/// What the corners of the view box see, on all photos of `folders`.
+#[must_use]
+pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
+    let mut checked = Checked::default();
+    view_box_corners::run(&mut checked, folders, models);
+    checked
+}
+
+/// Count of the cases that fail, for tests that plant faults.
+#[cfg(test)]
+fn failed(cases: impl Fn(&mut Checked)) -> usize {
+    let mut checked = Checked::default();
+    cases(&mut checked);
+    checked.failed()
+}
+
+/// The kernels of which a case fails, for tests that plant faults in one of several.
+#[cfg(test)]
+fn caught(cases: impl Fn(&mut Checked)) -> Vec<&'static str> {
+    let mut checked = Checked::default();
+    cases(&mut checked);
+    checked.kernels().into_iter().filter(|k| k.failed > 0).map(|k| k.subject).collect()
+}
+
+/// A renderer with a fault: a picture that is changed.
+#[cfg(test)]
+struct Faulty {
+    cpu: Cpu,
+    fault: fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError>,
+}
+
+#[cfg(test)]
+impl Faulty {
+    fn hosts(fault: fn(&Cpu, &Arc<Scene>, &Camera) -> Result<View, RenderError>) -> Hosts {
+        Hosts { all: vec![Arc::new(Self { cpu: Cpu::default(), fault })] }
+    }
+}
+
+#[cfg(test)]
+impl Renderer for Faulty {
+    /// That with the widest bounds.
+    fn name(&self) -> &'static str {
+        "gpu"
+    }
+
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        (self.fault)(&self.cpu, scene, camera)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_holds_its_bound() {
+        let checked = run();
+        let _ = tmpi_testing::Need::Gpu.or_skip(if checked.skipped.is_empty() { Ok(()) } else { Err(checked.skipped.join("; ")) });
+        let bad: Vec<&Case> = checked.cases.iter().filter(|c| c.verdict == Verdict::Fail).collect();
+        assert!(bad.is_empty(), "{bad:#?}");
+        assert!(checked.cases.len() > 100);
+    }
+
+    #[test]
+    fn an_error_beyond_its_bound_nan_and_a_panic_fail() {
+        let mut c = Checked::default();
+        c.case("f", "within", "s", "u", 1.0, || 1.0);
+        c.case("f", "beyond", "s", "u", 1.0, || 1.01);
+        c.case("f", "nan", "s", "u", 1.0, || f64::NAN);
+        c.case("f", "panic", "s", "u", 1.0, || panic!("on purpose"));
+        assert_eq!(c.cases.iter().map(|c| c.verdict == Verdict::Ok).collect::<Vec<_>>(), [true, false, false, false]);
+        assert_eq!(c.failed(), 3);
+        let [kernel] = c.kernels().try_into().unwrap();
+        assert_eq!((kernel.cases, kernel.failed, kernel.nearest), (4, 3, f64::INFINITY));
+        assert!(kernel.ms >= 0.0 && kernel.ms < 1e3);
+    }
+}

@@ -1,0 +1,94 @@
+//! Frames with their geometry.
+
+use std::fmt::Display;
+use std::sync::{Arc, OnceLock};
+
+use bytes::Bytes;
+use tokio::sync::OnceCell;
+
+use tmpi_core::container::{self, Carried, Carries, ContainerError};
+use tmpi_core::live::chunk::{self, Area};
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::{LiveError, schema, write};
+use tmpi_core::{Geometry, Photo, Scene, Texels};
+
+use crate::server::Problem;
+
+/// JPEG quality of the picture in a frame's container.
+const QUALITY: u8 = 90;
+
+/// The last frame with its geometry.
+pub struct FrameWithTiles {
+    /// The picture.
+    pub photo: Photo,
+    /// The tiles.
+    pub tiles: Arc<Tiles>,
+    /// The container, written on first use.
+    atlas: OnceCell<Bytes>,
+}
+
+/// All tiles of a frame.
+pub struct Tiles {
+    /// The frame's number.
+    pub frame: u64,
+    /// The tiles.
+    pub geometry: Geometry,
+    /// The encoded message, made on first use.
+    coded: OnceLock<Bytes>,
+}
+
+impl FrameWithTiles {
+    pub fn new(frame: u64, photo: Photo, geometry: Geometry) -> Self {
+        Self { photo, tiles: Arc::new(Tiles { frame, geometry, coded: OnceLock::new() }), atlas: OnceCell::new() }
+    }
+
+    /// The frame as a container, which all callers share.
+    ///
+    /// # Errors
+    /// 500 if it cannot be written.
+    pub async fn container(self: &Arc<Self>) -> Result<Bytes, Problem> {
+        let wrong = |error: &dyn Display| Problem::internal("writing the container of a frame", error);
+        let written = self.atlas.get_or_try_init(|| {
+            let still = Arc::clone(self);
+            async move {
+                let bytes = tokio::task::spawn_blocking(move || contained(still.photo.clone(), &still.tiles.geometry)).await;
+                bytes.map_err(|e| wrong(&e))?.map(Bytes::from).map_err(|e| wrong(&e))
+            }
+        });
+        written.await.cloned()
+    }
+}
+
+fn contained(photo: Photo, geometry: &Geometry) -> Result<Vec<u8>, ContainerError> {
+    let carried = Carried::from_photo(&photo, QUALITY)?;
+    let (grid, intrinsics, view_box) = (geometry.grid, geometry.intrinsics, geometry.view_box);
+    let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
+    container::encode(geometry, &scene, &carried, Carries::default()).map(|(bytes, _)| bytes)
+}
+
+/// The newest frame of a room with its geometry.
+pub struct NewestFrame {
+    /// Its epoch.
+    pub epoch: u64,
+    /// Its number.
+    pub number: u64,
+    /// Its container.
+    pub container: Bytes,
+}
+
+impl Tiles {
+    /// The tiles as a SNAPSHOT message, which all callers share.
+    ///
+    /// # Errors
+    /// [`LiveError`].
+    pub fn snapshot(&self) -> Result<Bytes, LiveError> {
+        if let Some(known) = self.coded.get() {
+            return Ok(known.clone());
+        }
+        let g = &self.geometry;
+        let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame)?;
+        let bytes = write(Kind::Snapshot(schema::Geometry { frame: self.frame, chunks: vec![chunk] }));
+        // concurrent callers encode the same bytes
+        Ok(self.coded.get_or_init(|| bytes).clone())
+    }
+}

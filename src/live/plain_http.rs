@@ -1,0 +1,246 @@
+//! The newest frame and groups of pictures by plain HTTP. An edge forwards these requests to the room's origin.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Extension;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use futures_util::stream;
+use tmpi_library::Origin;
+use tokio::sync::watch;
+use tokio::time::timeout;
+
+use super::access::Role;
+use super::gops::{Group, Part};
+use super::origin_node::Nodes;
+use super::request_access::{RoomAccess, RoomsContext, none_publishes};
+use super::room::{NewestFrame, Room};
+use crate::server::{Coding, ConnectionGuard, Entity, Pairs, Problem, respond};
+use tmpi_core::container::MEDIA_TYPE;
+
+/// How long a request waits for the next group.
+const NEXT_GROUP: Duration = Duration::from_secs(5);
+/// Headers with a frame's number and epoch.
+const FRAME: &str = "x-tmpi-frame";
+const EPOCH: &str = "x-tmpi-epoch";
+/// Media type of a room's messages, each preceded by its length in four bytes, little endian.
+const MESSAGES: &str = "application/vnd.tmpi.live";
+
+/// The node with the frames of a room.
+enum Source {
+    /// This node.
+    RoomsContext(Arc<Room>),
+    /// The room's origin.
+    Origin(Arc<Nodes>, Origin),
+}
+
+impl Source {
+    /// Finds the node with the frames of a room. Requests of other nodes are not forwarded.
+    async fn of(here: &RoomsContext, name: &str, leave: RoomAccess) -> Result<Self, Problem> {
+        if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
+            return Ok(Self::RoomsContext(room));
+        }
+        let elsewhere = if leave == RoomAccess::Node { None } else { here.rooms.elsewhere(name).await? };
+        elsewhere.map(|(nodes, origin)| Self::Origin(nodes, origin)).ok_or_else(none_publishes)
+    }
+}
+
+/// Headers of an origin's answer that are passed on.
+const HANDED_ON: [HeaderName; 3] = [header::CONTENT_TYPE, header::ETAG, header::CACHE_CONTROL];
+
+/// Turns an origin's answer into this node's.
+fn handed_on(answer: Response) -> Response {
+    let (from, body) = answer.into_parts();
+    let mut response = (from.status, body).into_response();
+    for name in HANDED_ON.into_iter().chain([FRAME, EPOCH].map(HeaderName::from_static)) {
+        if let Some(value) = from.headers.get(&name) {
+            response.headers_mut().insert(name, value.clone());
+        }
+    }
+    response
+}
+
+/// The newest frame of a room as a container.
+///
+/// The newest frame with finished planes. `x-tmpi-frame` has its number, and `x-tmpi-epoch` the epoch of its HELLO.
+#[utoipa::path(
+    get, path = "/v1/live/{room}/frames/latest/atlas", tag = "live",
+    params(
+        ("room" = String, Path, description = "Name of the room"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
+    ),
+    responses(
+        (status = 200, description = "The container, like a photo's", body = String, content_type = "application/vnd.tmpi",
+            headers(
+                ("x-tmpi-frame" = u64, description = "Number of the frame"),
+                ("x-tmpi-epoch" = u64, description = "Epoch of the frame"),
+            )),
+        (status = 304, description = "The client has it"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The room has no publisher, or no finished frame yet"),
+        (status = 503, description = "The node that has the room's publisher does not answer"),
+    )
+)]
+pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, leave).await? {
+        Source::RoomsContext(room) => room.newest().await?,
+        Source::Origin(nodes, origin) => {
+            let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
+            return nodes.fetch(&origin, &name, "/frames/latest/atlas", known.into_iter().collect()).await.map(handed_on);
+        }
+    };
+    let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
+    let etag = format!("\"{epoch}-{number}\"");
+    let entity =
+        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: Coding::Plain };
+    let mut response = respond(&headers, entity);
+    response.headers_mut().insert(FRAME, HeaderValue::from(number));
+    response.headers_mut().insert(EPOCH, HeaderValue::from(epoch));
+    Ok(response)
+}
+
+/// Redirect to the newest group of pictures.
+#[utoipa::path(
+    get, path = "/v1/live/{room}/gops/latest", tag = "live",
+    params(
+        ("room" = String, Path, description = "Name of the room"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
+    ),
+    responses(
+        (status = 307, description = "The current group",
+            headers(("Location" = String, description = "Its address, relative to this one"))),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The room has no publisher, or no group yet"),
+        (status = 503, description = "The node that has the room's publisher does not answer"),
+    )
+)]
+pub async fn latest_group(
+    State(here): State<RoomsContext>,
+    Path(name): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, leave).await? {
+        Source::RoomsContext(room) => room.last_group().map(|group| group.to_string()),
+        Source::Origin(nodes, origin) => {
+            let answer = nodes.fetch(&origin, &name, "/gops/latest", HeaderMap::new()).await?;
+            answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned)
+        }
+    };
+    let place = newest.ok_or_else(|| Problem::not_found("nothing has come yet"))?;
+    let query = uri.query().map_or(String::new(), |q| format!("?{q}"));
+    let location = HeaderValue::try_from(format!("{place}{query}")).map_err(|e| Problem::internal("an address", &e))?;
+    Ok((StatusCode::TEMPORARY_REDIRECT, [(header::LOCATION, location)]).into_response())
+}
+
+/// A group of pictures.
+///
+/// HELLO, a SNAPSHOT of the tiles at that time, and the messages of `proto/live.proto` from a key frame to the next, each preceded by its
+/// length in four bytes, little endian. The response streams while the group grows; a complete group never changes. The server keeps the
+/// last few groups, and waits for the next one.
+#[utoipa::path(
+    get, path = "/v1/live/{room}/gops/{group}", tag = "live",
+    params(
+        ("room" = String, Path, description = "Name of the room"),
+        ("group" = String, Path, description = "`EPOCH-N`: the epoch of HELLO and the number of the group, from 0 on"),
+        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
+    ),
+    responses(
+        (status = 200, description = "Messages, as they come", body = String, content_type = "application/vnd.tmpi.live"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No valid token: a page of another site always needs one"),
+        (status = 404, description = "The group does not exist, or not any more"),
+        (status = 503, description = "The node that has the room's publisher does not answer"),
+    )
+)]
+pub async fn group(
+    State(here): State<RoomsContext>,
+    Path((name, group)): Path<(String, String)>,
+    Extension(held): Extension<ConnectionGuard>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let none = || Problem::not_found("the server does not have this group of pictures");
+    let group: Group = group.parse().map_err(|()| none())?;
+    // shared caches may only store responses whose URL has the token
+    let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
+    let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
+    let room = match Source::of(&here, &name, leave).await? {
+        Source::RoomsContext(room) => room,
+        Source::Origin(nodes, origin) => {
+            let answer = nodes.fetch(&origin, &name, &format!("/gops/{group}"), HeaderMap::new()).await?;
+            return Ok((cache_control, handed_on(answer)).into_response());
+        }
+    };
+    let mut pieces = Pieces::new(room, group);
+    // a client that has read the last group may request the next one before it begins
+    let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))?;
+    let Some(first) = first else { return Err(none().retry_after(1)) };
+    let stop = here.stop;
+    let messages = stream::try_unfold((Some(first), pieces, held), move |(first, mut pieces, held)| {
+        let stop = stop.clone();
+        async move {
+            if let Some(first) = first {
+                return Ok(Some((first, (None, pieces, held))));
+            }
+            let next = tokio::select! {
+                next = pieces.next() => next,
+                () = stop.cancelled() => return Err(std::io::Error::other("the server stops")),
+            };
+            match next {
+                Some(piece) => Ok(Some((piece, (None, pieces, held)))),
+                None if pieces.whole => Ok(None),
+                // an error, so that caches see that the response is incomplete
+                None => Err(std::io::Error::other("the group was dropped")),
+            }
+        }
+    });
+    Ok((cache_control, [(header::CONTENT_TYPE, MESSAGES)], Body::from_stream(messages)).into_response())
+}
+
+/// Reads the messages of a group.
+struct Pieces {
+    room: Arc<Room>,
+    /// Notifies of changes of the room.
+    changes: watch::Receiver<u64>,
+    group: Group,
+    /// Number of the next message.
+    at: usize,
+    /// All messages were read.
+    whole: bool,
+}
+
+impl Pieces {
+    fn new(room: Arc<Room>, group: Group) -> Self {
+        Self { changes: room.watch(), room, group, at: 0, whole: false }
+    }
+
+    /// Waits for the next message and prefixes its length; `None` at the end, or if the group was dropped.
+    async fn next(&mut self) -> Option<Bytes> {
+        loop {
+            self.changes.mark_unchanged();
+            match self.room.group(self.group, self.at) {
+                Part::Message(bytes) => {
+                    self.at += 1;
+                    return Some([&(bytes.len() as u32).to_le_bytes()[..], &bytes].concat().into());
+                }
+                Part::End => {
+                    self.whole = true;
+                    return None;
+                }
+                Part::Gone => return None,
+                // cannot fail: `self.room` keeps the sender
+                Part::Wait | Part::NotYet => drop(self.changes.changed().await),
+            }
+        }
+    }
+}

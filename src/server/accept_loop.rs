@@ -1,0 +1,315 @@
+//! The accept loop. Unlike `axum::serve`, it limits the time for request headers and for writing.
+
+use std::io;
+use std::net::IpAddr;
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use axum::Router;
+use hyper::Request;
+use hyper::body::Incoming;
+use hyper::header::{HOST, HeaderValue};
+use hyper::server::conn::{http1, http2};
+use hyper::service::{Service as _, service_fn};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, MissedTickBehavior};
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+use tokio_util::task::task_tracker::TaskTrackerToken;
+
+use super::client_slots::{ClientLimits, ClientPermit};
+use super::http2_streams::{PIECE, StreamHealth, Streams, TrackedBody};
+use super::limits::Limits;
+use super::metrics::{Present, Telemetry};
+use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
+use super::proxies::{self, Proxies};
+use super::tls::{self, Tls};
+
+/// Pause after the system refuses to accept a connection, for example without free file descriptors.
+const BACK_OFF: Duration = Duration::from_millis(100);
+
+/// Receive windows of HTTP/2 in bytes: per stream and per connection.
+const WINDOWS: (u32, u32) = (256 << 10, 1 << 20);
+/// Interval of HTTP/2 pings to a silent client, and time to answer one.
+const PING: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs(20));
+/// Interval of the checks of a connection's streams.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Where connections arrive.
+pub struct Endpoint {
+    /// The listening socket.
+    pub listener: TcpListener,
+    /// TLS, if enabled.
+    pub tls: Option<Tls>,
+    /// Trusted proxies.
+    pub proxies: Proxies,
+}
+
+/// How requests are read, by what was agreed on.
+#[derive(Clone)]
+struct Http {
+    one: http1::Builder,
+    two: http2::Builder<TokioExecutor>,
+}
+
+impl Http {
+    fn new(limits: &Limits) -> Self {
+        let (mut one, mut two) = (http1::Builder::new(), http2::Builder::new(TokioExecutor::new()));
+        one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
+        two.timer(TokioTimer::new()).max_header_list_size(Limits::HEADER_BYTES as u32).max_concurrent_streams(limits.streams_at_once);
+        two.initial_stream_window_size(WINDOWS.0).initial_connection_window_size(WINDOWS.1);
+        two.keep_alive_interval(PING.0).keep_alive_timeout(PING.1);
+        Self { one, two }
+    }
+}
+
+/// Serves connections until `stop`, then gives open ones `limits.drain` to end.
+pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
+    let Endpoint { listener, tls, proxies } = endpoint;
+    let http = Http::new(limits);
+    let room = Arc::new(Semaphore::new(limits.connections));
+    let shares = ClientLimits::new(limits.connections_per_address);
+    let open = TaskTracker::new();
+    loop {
+        let accepted = tokio::select! {
+            biased;
+            () = stop.cancelled() => break,
+            accepted = next(&listener, &room) => accepted,
+        };
+        let (stream, peer, permit) = match accepted {
+            Ok(accepted) => accepted,
+            // only this client failed
+            Err(error) if is_of_the_client(&error) => continue,
+            Err(error) => {
+                tracing::warn!(%error, "accepting a connection");
+                tokio::time::sleep(BACK_OFF).await;
+                continue;
+            }
+        };
+        // a trusted proxy carries many clients' connections, and names each client itself
+        let Some(share) = shares.take((!proxies.trusts(peer)).then_some(peer)) else {
+            tracing::debug!(%peer, "an address has too many connections");
+            continue;
+        };
+        let says = proxies.announces(peer).then(|| shares.clone());
+        let taken = Accepted { stream, from: Peer(peer), announced: false, permit, share };
+        let present = (telemetry.connection(), open.token());
+        let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
+        let acceptor = tls.as_ref().map(Tls::acceptor);
+        tokio::spawn(async move {
+            let taken = match says {
+                Some(shares) => taken.announced(&shares, limits.header_read).await,
+                None => Some(taken),
+            };
+            let Some(Accepted { stream, from, announced, permit, share }) = taken else { return };
+            let little = Arc::new(AtomicBool::new(false));
+            let held = ConnectionGuard { little: Arc::clone(&little), all: Arc::new((permit, share, present)) };
+            let stream = MinimumRate::new(stream, limits.write, limits.write_rate, SmallBuffer { wanted: little, keep: limit_send_buffer });
+            let connection = Connection { http, router, limits, from, announced, held, stop };
+            let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
+            match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
+                Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
+                Ok(Ok(stream)) => connection.one(stream, Some(Secure)).await,
+                Ok(Err(error)) => tracing::debug!(%error, peer = %from.0, "handshake"),
+                Err(_) => tracing::debug!(peer = %from.0, "a TLS handshake takes too long"),
+            }
+        });
+    }
+    drop(listener);
+    open.close();
+    if tokio::time::timeout(limits.drain, open.wait()).await.is_err() {
+        tracing::warn!(open = open.len(), "connections are still open at the end of the drain time");
+    }
+}
+
+/// An accepted connection.
+struct Accepted {
+    stream: TcpStream,
+    from: Peer,
+    /// Whether a proxy announced it by the PROXY protocol.
+    announced: bool,
+    permit: OwnedSemaphorePermit,
+    share: ClientPermit,
+}
+
+impl Accepted {
+    /// Reads the client's address from the PROXY protocol; `None` without one within `limit`, or if the client has too many connections.
+    async fn announced(mut self, shares: &ClientLimits, limit: Duration) -> Option<Self> {
+        let said = tokio::time::timeout(limit, proxies::announced(&mut self.stream)).await;
+        let said = said.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
+        let client = said.inspect_err(|error| tracing::debug!(%error, proxy = %self.from.0, "no PROXY protocol")).ok()?;
+        // also if the proxy names no client: it may be anyone's
+        self.announced = true;
+        if let Some(client) = client {
+            self.share = shares.take(Some(client))?;
+            self.from = Peer(client);
+        }
+        Some(self)
+    }
+}
+
+/// A connection being served.
+struct Connection {
+    http: Http,
+    router: Router,
+    limits: Arc<Limits>,
+    from: Peer,
+    announced: bool,
+    held: ConnectionGuard,
+    stop: CancellationToken,
+}
+
+impl Connection {
+    /// Serves HTTP/1.1.
+    async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
+        let inner = TowerToHyperService::new(self.router);
+        let (from, announced, given) = (self.from, self.announced, self.held.clone());
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            from.put(announced, &mut request);
+            request.extensions_mut().insert(given.clone());
+            if let Some(secure) = secure {
+                request.extensions_mut().insert(secure);
+            }
+            inner.call(request)
+        });
+        let mut connection = pin!(self.http.one.serve_connection(TokioIo::new(stream), service).with_upgrades());
+        let ended = tokio::select! {
+            ended = connection.as_mut() => ended,
+            () = self.stop.cancelled() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+        };
+        if let Err(error) = ended {
+            tracing::debug!(%error, "connection");
+        }
+        drop(self.held);
+    }
+
+    /// Serves HTTP/2, only over TLS.
+    async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
+        let streams = Streams::new();
+        let inner = TowerToHyperService::new(self.router);
+        let (from, announced, given, opened) = (self.from, self.announced, self.held.clone(), Arc::clone(&streams));
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            let open = opened.open();
+            from.put(announced, &mut request);
+            request.extensions_mut().insert(given.clone());
+            request.extensions_mut().insert(Secure);
+            name_host(&mut request);
+            let answer = inner.call(request);
+            async move { answer.await.map(|response| response.map(|body| TrackedBody::new(body, open))) }
+        });
+        let mut connection = pin!(self.http.two.serve_connection(TokioIo::new(stream), service));
+        let mut look = tokio::time::interval(LOOK);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        // the transport may still hold this much of complete answers
+        let rest = Duration::from_secs_f64((2 * PIECE) as f64 / self.limits.write_rate.max(1) as f64);
+        let mut leaving = None;
+        let ended = loop {
+            tokio::select! {
+                ended = connection.as_mut() => break ended,
+                () = self.stop.cancelled(), if leaving.is_none() => {
+                    leaving = Some(Instant::now());
+                    connection.as_mut().graceful_shutdown();
+                }
+                _ = look.tick() => match (streams.look(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
+                    (StreamHealth::Idle, None) => {
+                        leaving = Some(Instant::now());
+                        connection.as_mut().graceful_shutdown();
+                    }
+                    (StreamHealth::Idle, Some(since)) if since.elapsed() <= self.limits.write + rest => {}
+                    (StreamHealth::Stalled | StreamHealth::Idle, _) => {
+                        tracing::debug!(peer = %from.0, "the client does not read its answers");
+                        break Ok(());
+                    }
+                    (StreamHealth::Fine, _) => {}
+                }
+            }
+        };
+        if let Err(error) = ended {
+            tracing::debug!(%error, "connection");
+        }
+        drop(self.held);
+    }
+}
+
+/// Sets the `Host` header of an HTTP/2 request, as in HTTP/1.1.
+fn name_host(request: &mut Request<Incoming>) {
+    let named = request.uri().authority().and_then(|authority| HeaderValue::from_str(authority.as_str()).ok());
+    if let Some(named) = named
+        && !request.headers().contains_key(HOST)
+    {
+        request.headers_mut().insert(HOST, named);
+    }
+}
+
+/// Marks a request that came over TLS.
+#[derive(Clone, Copy, Debug)]
+pub struct Secure;
+
+/// Addresses of a connection; the peer is a proxy if a proxy does not use the PROXY protocol.
+#[derive(Clone, Copy, Debug)]
+pub struct Peer(pub IpAddr);
+
+impl Peer {
+    /// Attaches the addresses to a request, with a header if a proxy `announced` them.
+    fn put(self, announced: bool, request: &mut Request<Incoming>) {
+        request.extensions_mut().insert(self);
+        if announced {
+            proxies::say(request.headers_mut(), self.0);
+        }
+    }
+}
+
+/// Resources of a connection that are limited in number; a WebSocket keeps them after the upgrade.
+#[derive(Clone)]
+pub struct ConnectionGuard {
+    little: Arc<AtomicBool>,
+    #[expect(dead_code, reason = "held until it is dropped")]
+    all: Arc<(OwnedSemaphorePermit, ClientPermit, (Present, TaskTrackerToken))>,
+}
+
+impl ConnectionGuard {
+    /// Makes the system buffer little from the next write on, since live data is soon stale.
+    pub fn limit_send_buffer(&self) {
+        self.little.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Send buffer for live data in bytes. By default the system buffers up to 4 MB, which a viewer who stalls would see before live data.
+#[cfg(target_os = "linux")]
+const UNSENT: u32 = 256 << 10;
+
+/// Errors of one connection, not of the system.
+fn is_of_the_client(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset, NotConnected};
+    matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | NotConnected)
+}
+
+async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, IpAddr, tokio::sync::OwnedSemaphorePermit)> {
+    let permit = Arc::clone(room).acquire_owned().await.map_err(io::Error::other)?;
+    let (stream, peer) = listener.accept().await?;
+    // answers are written in one go, so delaying for more data only adds latency; if this fails, the client has gone
+    let _ = stream.set_nodelay(true);
+    #[cfg(target_os = "linux")]
+    let _ = socket2::SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
+    Ok((stream, peer.ip(), permit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_a_client_do_not_pause_accepting() {
+        assert!(is_of_the_client(&io::ErrorKind::ConnectionAborted.into()) && is_of_the_client(&io::ErrorKind::ConnectionReset.into()));
+        assert!(!is_of_the_client(&io::Error::from_raw_os_error(24)), "no descriptor is left");
+    }
+}

@@ -1,0 +1,192 @@
+//! Rooms whose video changes its size or cannot be shown.
+
+use std::net::SocketAddr;
+use std::process::Command;
+
+use tempfile::tempdir;
+use tmpi_core::live::schema::bye::Cause;
+use tmpi_core::live::schema::message::Kind;
+use tmpi_core::live::schema::{Bye, Hello, Video};
+use tmpi_core::live::{Model, VERSION};
+use tmpi_live::access_units::{Splitter, Unit, codec};
+use tmpi_testing::Need;
+
+use super::client;
+use super::live::{Client, server, server_with};
+
+/// Access units of test pictures that ffmpeg encodes as H.264 with these arguments; `None` without ffmpeg.
+fn film(size: &str, arguments: &[&str]) -> Option<Vec<Unit>> {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1")]);
+    command.args(["-c:v", "libx264", "-preset", "ultrafast", "-bf", "0"]).args(arguments).args(["-f", "h264", "-"]);
+    let out = Need::Ffmpeg.or_skip(command.output())?;
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let mut splitter = Splitter::default();
+    let mut units = splitter.push(&out.stdout).unwrap();
+    units.extend(splitter.finish());
+    Some(units)
+}
+
+/// The same in VP9.
+fn vp9_film(size: &str) -> Option<Vec<Unit>> {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-loglevel", "error", "-f", "lavfi", "-i", &format!("testsrc2=size={size}:rate=10:duration=1"), "-pix_fmt", "yuv420p"]);
+    command.args(["-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "8", "-lag-in-frames", "0", "-auto-alt-ref", "0"]);
+    let out = Need::Ffmpeg.or_skip(command.args(["-g", "5", "-f", "ivf", "-"]).output())?;
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let (mut units, mut rest) = (Vec::new(), &out.stdout[32..]);
+    while let Some((head, after)) = rest.split_first_chunk::<12>() {
+        let (frame, after) = after.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
+        // bit 2: set for frames that refer to others
+        units.push(Unit { data: frame.to_vec(), key: frame[0] & 4 == 0 });
+        rest = after;
+    }
+    Some(units)
+}
+
+/// A publisher of H.264 or VP9.
+struct Camera {
+    client: Client,
+    credit: u32,
+    number: u64,
+}
+
+impl Camera {
+    fn new(addr: SocketAddr, room: &str, first: &Unit, (width, height): (u32, u32)) -> Self {
+        let mut client = Client::at(addr, &format!("/v1/live/{room}/publish"), &[]).unwrap_or_else(|status| panic!("{status}"));
+        let codec = codec(&first.data).unwrap_or_else(|| "vp09.00.10.08".into());
+        client.send(Kind::Hello(Hello { version: VERSION, codec, width, height, ..Hello::default() }));
+        Self { client, credit: 0, number: 0 }
+    }
+
+    /// Sends a frame as soon as there is credit; fails with the reason if the server disconnects.
+    fn send(&mut self, unit: &Unit) -> Result<(), String> {
+        while self.credit == 0 {
+            match self.client.next() {
+                Some(Kind::Credit(credit)) => self.credit += credit.frames,
+                Some(Kind::Bye(bye)) => return Err(bye.reason),
+                other => panic!("{other:?}"),
+            }
+        }
+        self.credit -= 1;
+        let (frame, data) = (self.number, unit.data.clone().into());
+        self.client.send(Kind::Video(Video { frame, time: 33_333 * frame, key: unit.key, layer: 0, data }));
+        self.number += 1;
+        Ok(())
+    }
+
+    /// Sends all frames of a film.
+    fn play(&mut self, film: &[Unit]) {
+        for unit in film {
+            self.send(unit).unwrap();
+        }
+    }
+}
+
+/// Reads until all tiles of frames of this size have arrived.
+fn sees(viewer: &mut Client, size: (u32, u32)) {
+    let mut model = None::<Model>;
+    loop {
+        match viewer.next().expect("the viewer stays connected") {
+            Kind::Hello(hello) => model = ((hello.width, hello.height) == size).then(|| Model::new(&hello).unwrap()),
+            Kind::Geometry(tiles) | Kind::Snapshot(tiles) => {
+                let Some(model) = &mut model else { continue };
+                model.take(&tiles).unwrap();
+                if model.geometry().is_some() {
+                    return;
+                }
+            }
+            Kind::Bye(bye) => panic!("{}", bye.reason),
+            _ => {}
+        }
+    }
+}
+
+/// `ended` of a room's state: why its publisher has gone.
+fn ended(addr: SocketAddr, room: &str) -> Option<String> {
+    client::get(addr, &format!("/v1/live/{room}")).json()["ended"].as_str().map(str::to_owned)
+}
+
+#[test]
+fn viewers_see_a_camera_that_changes_its_size_at_the_new_size() {
+    let [Some(wide), Some(high), Some(large)] =
+        ["320x240", "240x320", "640x360"].map(|size| film(size, &["-pix_fmt", "yuv420p", "-g", "5"]))
+    else {
+        return;
+    };
+    changes_its_size([&wide, &high, &large]);
+}
+
+/// Publishes films of 320×240, 240×320 and 640×360 pixels one after the other; a viewer sees each at its size.
+fn changes_its_size([wide, high, large]: [&[Unit]; 3]) {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
+    camera.play(wide);
+    let mut viewer = Client::watch(server.addr, "attic");
+    sees(&mut viewer, (320, 240));
+    for (film, size) in [(high, (240, 320)), (large, (640, 360)), (wide, (320, 240))] {
+        camera.play(film);
+        sees(&mut viewer, size);
+    }
+    // so does a viewer that connects later
+    sees(&mut Client::watch(server.addr, "attic"), (320, 240));
+}
+
+#[test]
+fn vp9_video_that_changes_its_size_is_shown_at_the_new_size() {
+    let [Some(wide), Some(high), Some(large)] = ["320x240", "240x320", "640x360"].map(vp9_film) else { return };
+    changes_its_size([&wide, &high, &large]);
+}
+
+#[test]
+fn the_size_of_the_frames_counts_not_the_announced_one() {
+    let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut camera = Camera::new(server.addr, "attic", &film[0], (640, 480));
+    camera.play(&film);
+    sees(&mut Client::watch(server.addr, "attic"), (320, 240));
+}
+
+#[test]
+fn video_that_cannot_be_shown_ends_with_a_reason_for_publisher_and_viewers() {
+    let kinds: [(&[&str], &str); 5] = [
+        (&["-pix_fmt", "yuv422p"], "4:2:0"),
+        (&["-pix_fmt", "yuv420p10le"], "8 bits"),
+        (&["-pix_fmt", "yuv420p", "-x264-params", "interlaced=1"], "interlaced"),
+        (&["-pix_fmt", "yuv420p", "-bf", "2", "-x264-params", "b-adapt=0"], "B-frames"),
+        (&["-pix_fmt", "yuv420p", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90"], "upright"),
+    ];
+    let Some(sound) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
+    for (n, (arguments, word)) in kinds.into_iter().enumerate() {
+        let film = film("320x240", arguments).unwrap();
+        let dir = tempdir().unwrap();
+        let server = server_with(dir.path(), |rooms| rooms);
+        let room = format!("attic{n}");
+        let mut camera = Camera::new(server.addr, &room, &film[0], (320, 240));
+        camera.send(&sound[0]).unwrap();
+        let viewer = Client::watch(server.addr, &room);
+        let reason = film.iter().find_map(|unit| camera.send(unit).err()).unwrap_or_else(|| camera.client.bye());
+        assert!(reason.contains(word), "{reason}");
+        let told = viewer.bye();
+        assert!(told.contains(&reason), "watchers are told {told:?}, the publisher {reason:?}");
+        // the room's state keeps the reason for later viewers
+        assert!(ended(server.addr, &room).is_some_and(|ended| ended.contains(&reason)));
+    }
+}
+
+#[test]
+fn viewers_are_told_at_once_that_the_publisher_left() {
+    let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut camera = Camera::new(server.addr, "attic", &film[0], (320, 240));
+    camera.play(&film);
+    let mut viewer = Client::watch(server.addr, "attic");
+    sees(&mut viewer, (320, 240));
+    camera.client.send(Kind::Bye(Bye { reason: "stopped".into(), ..Bye::default() }));
+    // `Left`: the room did not wait for the publisher to return
+    assert_eq!(viewer.farewell().cause(), Cause::Left);
+    assert_eq!(ended(server.addr, "attic"), None);
+}
