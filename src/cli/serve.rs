@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context as _;
+use clap::ArgAction;
 
 use super::better::BetterNetwork;
 use super::settings::{Assignment, applied, assignment};
@@ -16,8 +17,8 @@ use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, ClientAddress, Collector, Config, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Role, Server, Tls, VARIABLE,
-    allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
+    Better, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Role,
+    Server, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -122,6 +123,16 @@ pub(super) struct ServeArgs {
         help = "URL at which other nodes of the same --database reach this one, for example http://10.0.0.3:8080. Every node then serves its rooms"
     )]
     advertise: Option<NodeAddress>,
+    #[arg(
+        long,
+        value_name = "JSON",
+        help = "Webhook for all photos and rooms, {\"url\": …, \"secret\": \"whsec_…\", \"events\": […]}; may be repeated. In the file: tables \
+                [[webhooks]]. Set TMPI_SERVE_WEBHOOKS instead to keep the secret off the list of processes"
+    )]
+    webhooks: Vec<ConfiguredWebhook>,
+    /// Let webhooks that callers add have addresses of this machine and of private networks
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", default_value_t = false, action = ArgAction::Set, value_name = "true|false")]
+    private_webhooks: bool,
     /// Depth network of rooms, as for --depth-model; the embedded one keeps up with a camera, networks that take seconds per photo do not
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE")]
     live_depth_model: DepthModel,
@@ -264,9 +275,40 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
         );
     }
-    let ServeArgs { addr, admin, data, database, blobs, role, pages, mut hosts, tls_cert, tls_key, advertise, .. } = args;
+    let ServeArgs {
+        addr,
+        admin,
+        data,
+        database,
+        blobs,
+        role,
+        pages,
+        mut hosts,
+        tls_cert,
+        tls_key,
+        advertise,
+        webhooks,
+        private_webhooks,
+        ..
+    } = args;
     hosts.extend(advertise.map(|address| address.host().to_owned()));
-    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, role, traces, limits };
+    let config = Config {
+        addr,
+        admin,
+        data,
+        database,
+        blobs,
+        pages,
+        hosts,
+        proxies,
+        public_list,
+        private,
+        role,
+        traces,
+        webhooks,
+        private_webhooks,
+        limits,
+    };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
