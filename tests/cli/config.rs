@@ -229,7 +229,7 @@ fn webhooks_are_tables_of_the_file_and_their_secrets_are_hidden() {
         "webhooks = [{ url = \"http://10.0.0.7/x?key=…\", secret = \"…\", events = [\"photo.done\"] }, \
          { url = \"https://b.example/\", secret = \"…\" }] # file",
     );
-    has_line(&run, "private-webhooks = true # file");
+    has_line(&run, "private-webhooks = \"true\" # file");
     for (webhook, word) in [
         ("url = \"ftp://a\"\nsecret = \"SECRET\"", "url"),
         ("url = \"http://a\"\nsecret = \"SECRET SECRET\"", "secret"),
