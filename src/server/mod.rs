@@ -134,9 +134,6 @@ pub enum ServerError {
     /// The `OpenAPI` document cannot be written.
     #[error("OpenAPI document")]
     OpenApi(#[from] serde_json::Error),
-    /// The system's certificates, which requests to other servers need, cannot be read.
-    #[error("certificates")]
-    Certificates(#[from] reqwest::Error),
 }
 
 /// A server that listens and waits for [`Server::run`].
@@ -148,7 +145,7 @@ pub struct Server {
     role: Role,
     has_objects: bool,
     tls: Option<Tls>,
-    webhooks: Clients,
+    webhooks: Arc<Clients>,
     /// The admin listener, with its address and accepted names.
     admin: Option<(TcpListener, SocketAddr, Vec<String>)>,
     /// Lock of the data directory, until the server is dropped.
@@ -177,7 +174,7 @@ impl Server {
         }
         let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
         library.configure_webhooks(&webhooks).await?;
-        let webhooks = Clients::new(config.webhook_reach())?;
+        let webhooks = Arc::new(Clients::new(config.webhook_reach()));
         let (role, has_objects) = (config.role, config.blobs.is_some());
         let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi }));
         Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, webhooks, admin, lock })

@@ -6,10 +6,11 @@
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::sync::OnceLock;
 
 use ipnet::{Ipv4Net, Ipv6Net};
-use reqwest::Url;
 use reqwest::dns::{Addrs, Name, Resolve, Resolving};
+use reqwest::{Client, ClientBuilder, Url};
 
 /// Longest address in bytes.
 const MOST_URL: usize = 2048;
@@ -141,19 +142,48 @@ fn public_of(all: impl Iterator<Item = SocketAddr>) -> io::Result<Vec<SocketAddr
     if public.is_empty() { Err(io::Error::other("the name has no public address")) } else { Ok(public) }
 }
 
-/// A client that follows no redirects and reaches only addresses within `reach`. Check each URL by [`check`], too: the client does not
-/// resolve numbers.
-///
-/// # Errors
-/// The system's certificates cannot be read.
-pub fn client(reach: Reach) -> reqwest::Result<reqwest::Client> {
+/// Sends requests to addresses within a reach. Its client is made when it is first used: a machine without certificates can run a server
+/// that sends none.
+#[derive(Clone, Debug)]
+pub struct Outbound {
+    reach: Reach,
+    client: OnceLock<Client>,
+}
+
+impl Outbound {
+    /// To addresses within `reach`.
+    #[must_use]
+    pub const fn new(reach: Reach) -> Self {
+        Self { reach, client: OnceLock::new() }
+    }
+
+    /// Which addresses it reaches.
+    #[must_use]
+    pub const fn reach(&self) -> Reach {
+        self.reach
+    }
+
+    /// A client that follows no redirects. Check each URL by [`check`], too: the client does not resolve numbers.
+    ///
+    /// # Errors
+    /// The system's certificates cannot be read.
+    pub fn client(&self) -> reqwest::Result<&Client> {
+        if let Some(client) = self.client.get() {
+            return Ok(client);
+        }
+        let client = builder(self.reach).build()?;
+        Ok(self.client.get_or_init(|| client))
+    }
+}
+
+fn builder(reach: Reach) -> ClientBuilder {
     // keeps a provider that is installed already
     let _ = rustls::crypto::ring::default_provider().install_default();
-    let builder = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none()).referer(false);
+    let builder = Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none()).referer(false);
     let builder = builder.user_agent(concat!("tmpi/", env!("CARGO_PKG_VERSION")));
     match reach {
-        Reach::Public => builder.dns_resolver(PublicAddresses).build(),
-        Reach::Any => builder.build(),
+        Reach::Public => builder.dns_resolver(PublicAddresses),
+        Reach::Any => builder,
     }
 }
 
@@ -279,11 +309,11 @@ mod tests {
     async fn a_name_of_this_machine_is_not_connected_to() {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://localhost:{}/", listener.local_addr().unwrap().port());
-        let refused = client(Reach::Public).unwrap().get(&url).send().await.unwrap_err();
+        let refused = Outbound::new(Reach::Public).client().unwrap().get(&url).send().await.unwrap_err();
         assert_eq!(cause(refused), "the name has no public address");
         let (came, asked) = tokio::join!(listener.accept(), async {
             let wait = std::time::Duration::from_millis(200);
-            client(Reach::Any).unwrap().get(&url).timeout(wait).send().await
+            Outbound::new(Reach::Any).client().unwrap().get(&url).timeout(wait).send().await
         });
         assert!(came.is_ok() && asked.is_err());
     }

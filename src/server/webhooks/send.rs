@@ -1,16 +1,17 @@
 //! The task of a node that sends deliveries.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::http::{StatusCode, header};
-use reqwest::{Client, Response};
+use reqwest::Response;
 use tmpi_library::{Attempt, DeliveryState, Due, Event, LibraryError, Subscription, Verdict};
 use tokio::task::JoinSet;
 
 use super::event::body;
 use super::signature::SigningSecret;
 use crate::server::app::App;
-use crate::server::outbound::{self, Reach, cause};
+use crate::server::outbound::{self, Outbound, Reach, cause};
 
 /// Attempts at a time of this node.
 const AT_ONCE: usize = 8;
@@ -23,23 +24,18 @@ const MOST_ANSWER: usize = 16 << 10;
 const REST: Duration = Duration::from_secs(1);
 
 /// Clients for webhooks.
-#[derive(Clone)]
 pub struct Clients {
     /// Of callers.
-    named: Client,
-    /// Reach of those.
-    reach: Reach,
+    named: Outbound,
     /// Of the configuration.
-    configured: Client,
+    configured: Outbound,
 }
 
 impl Clients {
     /// Clients of which those for webhooks of callers are limited to `reach`.
-    ///
-    /// # Errors
-    /// The system's certificates cannot be read.
-    pub fn new(reach: Reach) -> reqwest::Result<Self> {
-        Ok(Self { named: outbound::client(reach)?, reach, configured: outbound::client(Reach::Any)? })
+    #[must_use]
+    pub const fn new(reach: Reach) -> Self {
+        Self { named: Outbound::new(reach), configured: Outbound::new(Reach::Any) }
     }
 
     /// Makes an attempt.
@@ -60,11 +56,13 @@ impl Clients {
 
     async fn post(&self, due: &Due, seconds: u64, origin: Option<&str>) -> Result<Response, String> {
         let (delivery, webhook) = (&due.delivery, &due.webhook);
-        let (client, reach) = if webhook.configured { (&self.configured, Reach::Any) } else { (&self.named, self.reach) };
-        let url = outbound::url(&webhook.url, reach).map_err(|error| format!("the address {error}"))?;
+        let outbound = if webhook.configured { &self.configured } else { &self.named };
+        let url = outbound::url(&webhook.url, outbound.reach()).map_err(|error| format!("the address {error}"))?;
         let secret = SigningSecret::parse(&webhook.secret).map_err(|error| format!("the secret {error}"))?;
         let body = body(delivery, origin);
-        let request = client
+        let request = outbound
+            .client()
+            .map_err(cause)?
             .post(url)
             .header(header::CONTENT_TYPE, "application/json")
             .header("webhook-id", &delivery.id)
@@ -108,7 +106,7 @@ async fn drain(mut answer: Response) {
 }
 
 /// Sends deliveries until the server stops: those that are due at the start, those that events announce, and those to try again.
-pub async fn deliver(app: App, clients: Clients) {
+pub async fn deliver(app: App, clients: Arc<Clients>) {
     let mut events = app.library.subscribe();
     let mut sending = JoinSet::new();
     loop {
@@ -145,20 +143,20 @@ async fn news(events: &mut Subscription) -> bool {
 }
 
 /// Begins due attempts; returns how long to wait for the next one, `None` if none is pending.
-async fn begin(app: &App, clients: &Clients, sending: &mut JoinSet<()>) -> Result<Option<Duration>, LibraryError> {
+async fn begin(app: &App, clients: &Arc<Clients>, sending: &mut JoinSet<()>) -> Result<Option<Duration>, LibraryError> {
     let Some(wait) = app.library.next_delivery().await? else { return Ok(None) };
     let free = AT_ONCE - sending.len();
     if !wait.is_zero() || free == 0 {
         return Ok(Some(wait.min(LOOK)));
     }
     for due in app.library.take_deliveries(free).await? {
-        sending.spawn(attempt(App::clone(app), clients.clone(), due));
+        sending.spawn(attempt(App::clone(app), Arc::clone(clients), due));
     }
     Ok(Some(LOOK))
 }
 
 /// Makes and records an attempt. One that cannot be recorded is made again.
-async fn attempt(app: App, clients: Clients, due: Due) {
+async fn attempt(app: App, clients: Arc<Clients>, due: Due) {
     let (delivery, webhook) = (due.delivery.id.as_str(), due.webhook.id.as_str());
     let attempted = async {
         let seconds = app.library.now().await?.max(0) as u64 / 1000;
