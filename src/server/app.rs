@@ -28,6 +28,7 @@ use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
 use super::proxies::Proxies;
 use super::rates::Rates;
+use super::sources::Sources;
 use super::traces;
 use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
@@ -103,6 +104,8 @@ pub struct Shared {
     pub build: String,
     /// Addresses that webhooks of callers may have.
     pub webhook_reach: Reach,
+    /// Fetches photos by address.
+    pub sources: Sources,
     /// `https://HOST` of this server, if it serves TLS under a name.
     pub origin: OnceLock<String>,
     /// Directory that replaces the embedded pages, for development.
@@ -125,9 +128,8 @@ impl Shared {
     /// State of a server that listens at `addr`.
     #[must_use]
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: Parts) -> Self {
-        let webhook_reach = config.webhook_reach();
-        let Config { admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
-        let Parts { maker, renderer, telemetry, openapi } = parts;
+        let Config { webhook_reach, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
+        let Parts { maker, renderer, telemetry, openapi, sources } = parts;
         Self {
             guard: private.then(|| Guard::new(library.clone())),
             library,
@@ -155,6 +157,7 @@ impl Shared {
             proxies,
             public_list,
             webhook_reach,
+            sources,
             origin: OnceLock::new(),
             pages,
             openapi,
@@ -426,6 +429,8 @@ pub struct Parts {
     pub telemetry: Arc<Telemetry>,
     /// The `OpenAPI` document.
     pub openapi: Bytes,
+    /// Fetches photos by address.
+    pub sources: Sources,
 }
 
 /// Parses strokes. Damaged ones are logged and count as none.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use super::limits::Limits;
 use super::outbound::Reach;
 use super::proxies::Proxies;
+use super::sources::{SourceHost, Sources};
 use super::traces::Collector;
 use super::webhooks::ConfiguredWebhook;
 
@@ -51,8 +52,12 @@ pub struct Config {
     pub traces: Option<Collector>,
     /// Webhooks for all photos and rooms.
     pub webhooks: Vec<ConfiguredWebhook>,
-    /// Whether webhooks of callers may have addresses of this machine and of private networks.
-    pub private_webhooks: bool,
+    /// Addresses that webhooks of callers may have.
+    pub webhook_reach: Reach,
+    /// Hosts from which photos are fetched; by default none are.
+    pub source_hosts: Vec<SourceHost>,
+    /// Addresses that these hosts may have.
+    pub source_reach: Reach,
     /// Limits.
     pub limits: Limits,
 }
@@ -75,14 +80,16 @@ impl Config {
             role: Role::All,
             traces: None,
             webhooks: Vec::new(),
-            private_webhooks: false,
+            webhook_reach: Reach::Public,
+            source_hosts: Vec::new(),
+            source_reach: Reach::Public,
             limits: Limits::default(),
         }
     }
 
-    /// Addresses that webhooks of callers may have.
-    pub(super) const fn webhook_reach(&self) -> Reach {
-        if self.private_webhooks { Reach::Any } else { Reach::Public }
+    /// What fetches photos by address.
+    pub(super) fn sources(&self) -> Sources {
+        Sources::new(self.source_hosts.clone(), self.source_reach)
     }
 
     /// Location and limits of the library.

@@ -46,12 +46,14 @@ mod rates;
 mod routes;
 mod settings;
 mod source;
+mod sources;
 mod time_limit;
 mod timestamps;
 mod tls;
 mod traces;
 mod units;
 mod upload;
+mod upload_by_address;
 mod upload_slots;
 mod webhooks;
 mod workers;
@@ -75,10 +77,12 @@ pub use depth_network::{Better, Offer, Renewed};
 pub use idle_trim::allocate_in_one_place;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
+pub use outbound::Reach;
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use routes::{Access, Route, openapi, openapi_of, routes};
 pub(crate) use routes::{NoBody, Pairs};
+pub use sources::SourceHost;
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
@@ -174,9 +178,10 @@ impl Server {
         }
         let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
         library.configure_webhooks(&webhooks).await?;
-        let webhooks = Arc::new(Clients::new(config.webhook_reach()));
+        let webhooks = Arc::new(Clients::new(config.webhook_reach));
+        let sources = config.sources();
         let (role, has_objects) = (config.role, config.blobs.is_some());
-        let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi }));
+        let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi, sources }));
         Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, webhooks, admin, lock })
     }
 

@@ -139,7 +139,26 @@ impl Resolve for PublicAddresses {
 /// The public ones among the addresses of a name.
 fn public_of(all: impl Iterator<Item = SocketAddr>) -> io::Result<Vec<SocketAddr>> {
     let public: Vec<SocketAddr> = all.filter(|address| is_public(address.ip())).collect();
-    if public.is_empty() { Err(io::Error::other("the name has no public address")) } else { Ok(public) }
+    if public.is_empty() { Err(io::Error::other(NotPublic)) } else { Ok(public) }
+}
+
+/// A name has no public address.
+#[derive(Debug, thiserror::Error)]
+#[error("the name has no public address")]
+struct NotPublic;
+
+/// Whether a request failed because its name has no public address.
+#[must_use]
+pub fn is_not_public(error: &reqwest::Error) -> bool {
+    let mut next: Option<&(dyn std::error::Error + 'static)> = Some(error);
+    while let Some(error) = next {
+        let inner = error.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
+        if error.is::<NotPublic>() || inner.is_some_and(<dyn std::error::Error + Send + Sync>::is::<NotPublic>) {
+            return true;
+        }
+        next = error.source();
+    }
+    false
 }
 
 /// Sends requests to addresses within a reach. Its client is made when it is first used: a machine without certificates can run a server
@@ -155,6 +174,12 @@ impl Outbound {
     #[must_use]
     pub const fn new(reach: Reach) -> Self {
         Self { reach, client: OnceLock::new() }
+    }
+
+    /// With another client.
+    #[cfg(test)]
+    pub fn of(reach: Reach, client: Client) -> Self {
+        Self { reach, client: OnceLock::from(client) }
     }
 
     /// Which addresses it reaches.
@@ -176,7 +201,8 @@ impl Outbound {
     }
 }
 
-fn builder(reach: Reach) -> ClientBuilder {
+/// Makes such a client.
+pub fn builder(reach: Reach) -> ClientBuilder {
     // keeps a provider that is installed already
     let _ = rustls::crypto::ring::default_provider().install_default();
     let builder = Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none()).referer(false);
@@ -310,6 +336,7 @@ mod tests {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://localhost:{}/", listener.local_addr().unwrap().port());
         let refused = Outbound::new(Reach::Public).client().unwrap().get(&url).send().await.unwrap_err();
+        assert!(is_not_public(&refused));
         assert_eq!(cause(refused), "the name has no public address");
         let (came, asked) = tokio::join!(listener.accept(), async {
             let wait = std::time::Duration::from_millis(200);

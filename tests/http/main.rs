@@ -40,6 +40,7 @@ mod retention;
 mod second;
 mod settings;
 mod sharing;
+mod sources;
 mod strokes;
 mod tls;
 mod traces;

@@ -161,3 +161,12 @@ CREATE TABLE deliveries (
 CREATE INDEX deliveries_by_turn ON deliveries (state, run_after, id);
 CREATE INDEX deliveries_by_webhook ON deliveries (webhook, id);
 CREATE INDEX deliveries_in_flight ON deliveries (lease_until) WHERE lease_until IS NOT NULL;
+
+-- What the sources of photos said of them. A digest is of the owner, the address and all that makes the photo the same.
+CREATE TABLE sources (
+    digest TEXT PRIMARY KEY,
+    photo TEXT NOT NULL REFERENCES photos (id) ON DELETE CASCADE,
+    etag TEXT,
+    last_modified TEXT
+);
+CREATE INDEX sources_by_photo ON sources (photo);

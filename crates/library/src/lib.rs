@@ -24,6 +24,7 @@ mod photos;
 mod quota;
 mod retention;
 mod rooms;
+mod sources;
 mod statistics;
 #[cfg(test)]
 mod tests;
@@ -54,6 +55,7 @@ pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Filter, Page};
 pub use retention::Swept;
 pub use rooms::{Claim, Origin};
+pub use sources::Source;
 pub use statistics::{OutcomeCounts, Statistics};
 pub use webhooks::{Disabled, EventType, MOST_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
 
