@@ -47,6 +47,8 @@ const PREFIX: &str = "TMPI_SERVE_";
 const FILE: &str = "config";
 /// The option for settings without an option of their own.
 const SET: &str = "set";
+/// The option whose values are tables of the file.
+const WEBHOOKS: &str = "webhooks";
 /// Options that are not settings.
 const NO_SETTINGS: [&str; 4] = [FILE, SET, "schema", "help"];
 
@@ -220,7 +222,7 @@ fn values(option: &Arg, value: &Value) -> Result<Vec<String>, String> {
     };
     match value {
         Value::Array(all) if matches!(option.get_action(), ArgAction::Append) || option.get_value_delimiter().is_some() => {
-            all.iter().map(one).collect()
+            all.iter().map(|value| if value.is_table() && is_webhooks(option) { Ok(json(value)) } else { one(value) }).collect()
         }
         value => one(value).map(|v| vec![v]),
     }
@@ -311,8 +313,25 @@ pub(super) fn schema(command: &Command) -> serde_json::Value {
     settings::file_schema(command, |option| option.get_long().is_some_and(|long| setting(command, long).is_some()))
 }
 
+/// Whether an option's values are tables of the file.
+fn is_webhooks(option: &Arg) -> bool {
+    option.get_long() == Some(WEBHOOKS)
+}
+
+/// A webhook as TOML, with its secret hidden.
+fn webhook(value: &str) -> String {
+    let webhook: serde_json::Value = serde_json::from_str(value).unwrap_or_default();
+    let text = |text: String| serde_json::Value::String(text);
+    let url = text(without_secrets(webhook["url"].as_str().unwrap_or_default()));
+    let events = if webhook["events"].is_array() { format!(", events = {}", webhook["events"]) } else { String::new() };
+    format!("{{ url = {url}, secret = {}{events} }}", text("…".into()))
+}
+
 /// A value as TOML, with the secrets in URLs hidden.
 fn literal(value: &str, option: &Arg) -> String {
+    if is_webhooks(option) {
+        return webhook(value);
+    }
     let whole = value.parse::<i64>().is_ok_and(|n| n.to_string() == value);
     if whole {
         return value.to_owned();
@@ -342,9 +361,10 @@ pub(super) fn without_secrets(address: &str) -> String {
 /// Hides the secrets of an error's invalid value.
 pub(super) fn told_without_secrets(mut error: clap::Error) -> clap::Error {
     if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue)
-        && (value.contains('@') || value.contains("://"))
+        && (value.contains('@') || value.contains("://") || value.starts_with('{'))
     {
-        let value = ContextValue::String(without_secrets(value));
+        // a webhook has a secret
+        let value = ContextValue::String(if value.starts_with('{') { "…".to_owned() } else { without_secrets(value) });
         error.insert(ContextKind::InvalidValue, value);
     }
     error

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::Context as _;
+use clap::ArgAction;
 
 use super::better::BetterNetwork;
 use super::settings::{Assignment, applied, assignment};
@@ -16,16 +17,12 @@ use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, ClientAddress, Collector, Config, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Role, Server, Tls, VARIABLE,
-    allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
+    Better, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Reach, Role,
+    Server, SourceHost, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
 use tmpi_render::{self, Backend};
-
-/// Open files needed besides connections.
-#[cfg(unix)]
-const SPARE_FILES: u64 = 512;
 
 /// Run the server: take photos over HTTP and serve the 3D photos made from them
 #[derive(Clone, Debug, clap::Args)]
@@ -122,6 +119,26 @@ pub(super) struct ServeArgs {
         help = "URL at which other nodes of the same --database reach this one, for example http://10.0.0.3:8080. Every node then serves its rooms"
     )]
     advertise: Option<NodeAddress>,
+    #[arg(
+        long,
+        value_name = "JSON",
+        help = "Webhook for all photos and rooms, {\"url\": …, \"secret\": \"whsec_…\", \"events\": […]}; may be repeated. In the file: tables \
+                [[webhooks]]. Set TMPI_SERVE_WEBHOOKS instead to keep the secret off the list of processes"
+    )]
+    webhooks: Vec<ConfiguredWebhook>,
+    /// Let webhooks that callers add have addresses of this machine and of private networks
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", default_value_t = false, action = ArgAction::Set, value_name = "true|false")]
+    private_webhooks: bool,
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "HOST[,HOST…]",
+        help = "Hosts from which the server fetches photos for callers that name an address: a.example, *.b.example, c.example:8443 or http://d.example"
+    )]
+    source_hosts: Vec<SourceHost>,
+    /// Fetch photos from addresses of this machine and of private networks, too
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", default_value_t = false, action = ArgAction::Set, value_name = "true|false")]
+    private_sources: bool,
     /// Depth network of rooms, as for --depth-model; the embedded one keeps up with a camera, networks that take seconds per photo do not
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE")]
     live_depth_model: DepthModel,
@@ -255,7 +272,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         tracing::error!("photos without a depth map wait until ONNX Runtime is available. {error}");
     }
     #[cfg(unix)]
-    open_files(limits.connections as u64 + SPARE_FILES);
+    open_files::raise(limits.connections as u64);
     let renderer = tmpi_render::select_within(args.backend, limits.cache.scenes).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
     let maker = ProcessMaker::new(maker, args.for_makers, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
@@ -264,9 +281,45 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
         );
     }
-    let ServeArgs { addr, admin, data, database, blobs, role, pages, mut hosts, tls_cert, tls_key, advertise, .. } = args;
+    let ServeArgs {
+        addr,
+        admin,
+        data,
+        database,
+        blobs,
+        role,
+        pages,
+        mut hosts,
+        tls_cert,
+        tls_key,
+        advertise,
+        webhooks,
+        private_webhooks,
+        source_hosts,
+        private_sources,
+        ..
+    } = args;
     hosts.extend(advertise.map(|address| address.host().to_owned()));
-    let config = Config { addr, admin, data, database, blobs, pages, hosts, proxies, public_list, private, role, traces, limits };
+    let reach = |is_private| if is_private { Reach::Any } else { Reach::Public };
+    let config = Config {
+        addr,
+        admin,
+        data,
+        database,
+        blobs,
+        pages,
+        hosts,
+        proxies,
+        public_list,
+        private,
+        role,
+        traces,
+        webhooks,
+        webhook_reach: reach(private_webhooks),
+        source_hosts,
+        source_reach: reach(private_sources),
+        limits,
+    };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -301,27 +354,6 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Raises the limit of open files to `wanted`, as far as the system allows.
-#[cfg(unix)]
-#[allow(unsafe_code, reason = "two calls of libc on a struct of ours")]
-#[allow(clippy::unnecessary_cast, clippy::useless_conversion, reason = "the width differs by system")]
-fn open_files(wanted: u64) {
-    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-    // SAFETY: the struct outlives the call, which only writes it
-    if unsafe { libc::getrlimit(libc::RLIMIT_NOFILE, &raw mut limit) } != 0 {
-        return;
-    }
-    let most = (limit.rlim_max as u64).min(wanted);
-    if (limit.rlim_cur as u64) < most {
-        limit.rlim_cur = most as libc::rlim_t;
-        // SAFETY: the struct outlives the call, which only reads it
-        let _ = unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) };
-    }
-    if most < wanted {
-        tracing::warn!(most, wanted, "the limit of open files is too low: raise it, or lower limits.connections");
-    }
-}
-
 /// Identifies the networks on which photos depend: a photo is made again with another network.
 pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
@@ -351,5 +383,7 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
 }
 
 mod checks;
+#[cfg(unix)]
+mod open_files;
 #[cfg(test)]
 mod tests;

@@ -136,6 +136,7 @@ pub struct Rooms {
     named: Mutex<HashMap<String, Named>>,
     address: Option<NodeAddress>,
     nodes: OnceLock<Arc<Nodes>>,
+    library: OnceLock<Library>,
 }
 
 struct Named {
@@ -169,7 +170,7 @@ impl Rooms {
     /// Starts without rooms.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, bounds: Bounds::default(), named: Mutex::default(), address: None, nodes: OnceLock::new() }
+        Self { config, bounds: Bounds::default(), named: Mutex::default(), address: None, nodes: OnceLock::new(), library: OnceLock::new() }
     }
 
     /// Replaces the default limits.
@@ -186,11 +187,12 @@ impl Rooms {
         self
     }
 
-    /// Starts sharing by this library, if [`Self::shared`] was called, until the server stops.
+    /// Tells this library of rooms; starts sharing by it, if [`Self::shared`] was called, until the server stops.
     pub(crate) fn start(&self, library: &Library, stop: &CancellationToken) {
+        // a server runs only once
+        drop(self.library.set(library.clone()));
         let Some(address) = &self.address else { return };
         match Nodes::new(library.clone(), address.clone(), stop.clone()) {
-            // a server runs only once
             Ok(nodes) => drop(self.nodes.set(Arc::new(nodes))),
             Err(error) => tracing::error!(%error, "cannot share rooms with other nodes"),
         }
@@ -248,6 +250,15 @@ impl Rooms {
         Ok(origin.map(|origin| (Arc::clone(nodes), origin)))
     }
 
+    /// Tells the library that a room begins or ends, unless its lease does.
+    async fn tell(&self, name: &str, is_live: bool) {
+        let Some(library) = self.library.get().filter(|_| self.nodes.get().is_none()) else { return };
+        let told = if is_live { library.start_room(name).await } else { library.end_room(name).await };
+        if let Err(error) = told {
+            tracing::warn!(%error, room = name, "cannot tell webhooks of a room");
+        }
+    }
+
     /// Makes this node an edge of a room, unless it is one already or the publisher is here.
     fn follow(&self, entry: Entry) {
         if let Some(nodes) = self.nodes.get()
@@ -271,6 +282,8 @@ impl Entry {
         // before the room closes, which tells its viewers
         if let Some(lease) = lease {
             lease.release().await;
+        } else if self.room.is_empty() {
+            self.rooms.tell(&self.name, false).await;
         }
         if moved {
             Arc::clone(&self.rooms).follow(self);

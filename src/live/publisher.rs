@@ -109,6 +109,8 @@ async fn session<'a>(
             tracing::warn!(%error, room = entry.name, "cannot claim a room");
             Refused::for_now("the database of rooms cannot be reached")
         })?);
+    } else {
+        rooms.tell(&entry.name, true).await;
     }
     match published(socket, room, hello, here, Until { lease: lease.as_ref(), ends }).await {
         Ok(Gone::Said) => room.end(gone(Cause::Left)),

@@ -24,9 +24,11 @@ use super::limits::Limits;
 use super::maker::Maker;
 use super::memory::Memory;
 use super::metrics::Telemetry;
+use super::outbound::Reach;
 use super::problem::Problem;
 use super::proxies::Proxies;
 use super::rates::Rates;
+use super::sources::Sources;
 use super::traces;
 use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
@@ -100,6 +102,12 @@ pub struct Shared {
     pub guard: Option<Guard>,
     /// Everything besides the container that derived bytes depend on: program and backend.
     pub build: String,
+    /// Addresses that webhooks of callers may have.
+    pub webhook_reach: Reach,
+    /// Fetches photos by address.
+    pub sources: Sources,
+    /// `https://HOST` of this server, if it serves TLS under a name.
+    pub origin: OnceLock<String>,
     /// Directory that replaces the embedded pages, for development.
     pub pages: Option<PathBuf>,
     /// The `OpenAPI` document.
@@ -120,8 +128,8 @@ impl Shared {
     /// State of a server that listens at `addr`.
     #[must_use]
     pub fn new(config: Config, addr: SocketAddr, library: Library, parts: Parts) -> Self {
-        let Config { admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
-        let Parts { maker, renderer, telemetry, openapi } = parts;
+        let Config { webhook_reach, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
+        let Parts { maker, renderer, telemetry, openapi, sources } = parts;
         Self {
             guard: private.then(|| Guard::new(library.clone())),
             library,
@@ -148,6 +156,9 @@ impl Shared {
             hosts: Hosts::new(addr, &hosts),
             proxies,
             public_list,
+            webhook_reach,
+            sources,
+            origin: OnceLock::new(),
             pages,
             openapi,
             rooms: OnceLock::new(),
@@ -155,6 +166,15 @@ impl Shared {
             stop: CancellationToken::new(),
             asked_to_leave: CancellationToken::new(),
             has_admin: admin.is_some(),
+        }
+    }
+
+    /// Sets [`Shared::origin`] of a server that serves TLS at `port`.
+    pub fn set_origin(&self, port: u16) {
+        let port = if port == 443 { String::new() } else { format!(":{port}") };
+        if let Some(name) = self.hosts.first() {
+            // a server runs once
+            let _ = self.origin.set(format!("https://{name}{port}"));
         }
     }
 
@@ -409,6 +429,8 @@ pub struct Parts {
     pub telemetry: Arc<Telemetry>,
     /// The `OpenAPI` document.
     pub openapi: Bytes,
+    /// Fetches photos by address.
+    pub sources: Sources,
 }
 
 /// Parses strokes. Damaged ones are logged and count as none.

@@ -27,6 +27,12 @@ impl Hosts {
         Self { bound: bound.ip(), names: names.iter().map(|n| plain(n)).collect() }
     }
 
+    /// The first of the given names.
+    #[must_use]
+    pub fn first(&self) -> Option<&str> {
+        self.names.first().map(String::as_str)
+    }
+
     /// Checks the host of a request.
     ///
     /// # Errors

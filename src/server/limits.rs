@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use tmpi_library::Reserve;
+use tmpi_library::{RETRIES, Reserve};
 use tmpi_pipeline::photo;
 
 use super::units::{DAY, In, MEGA, MIB, SECOND};
@@ -157,6 +157,9 @@ pub struct Limits {
     /// Time from the start to the first integrity check.
     #[serde(skip)]
     pub look_over_first: Duration,
+    /// Pauses after failed attempts to deliver an event to a webhook; after one more, the delivery fails.
+    #[serde(skip)]
+    pub retries: Vec<Duration>,
 }
 
 /// Requests a minute. By default off on loopback and behind an untrusted proxy, where all clients share an address.
@@ -300,6 +303,7 @@ impl Limits {
             retain_bytes: some(self.retention.bytes),
             exports_for: self.exports.keep,
             exports_bytes: self.exports.bytes,
+            retries: self.retries.clone(),
         }
     }
 
@@ -375,6 +379,7 @@ impl Default for Limits {
             keep_alive: Duration::from_secs(15),
             retain_sweep: Duration::from_hours(1),
             look_over_first: Duration::from_mins(1),
+            retries: RETRIES.to_vec(),
         }
     }
 }

@@ -114,6 +114,7 @@ pub struct Telemetry {
     freed: Counter,
     connections: Gauge,
     in_flight: Gauge,
+    deliveries: Family<Outcome, Counter>,
     spans: Family<Outcome, Counter>,
     traces: Option<Traces>,
 }
@@ -136,6 +137,7 @@ impl Default for Telemetry {
             freed: Counter::default(),
             connections: Gauge::default(),
             in_flight: Gauge::default(),
+            deliveries: Family::default(),
             spans: Family::default(),
             traces: None,
             registry: Registry::default(),
@@ -156,6 +158,11 @@ impl Default for Telemetry {
         registry.register("tmpi_retired_bytes", "Bytes of photos that went by themselves", t.freed.clone());
         registry.register("tmpi_connections", "Open connections", t.connections.clone());
         registry.register("tmpi_requests_in_flight", "Requests under way", t.in_flight.clone());
+        registry.register(
+            "tmpi_deliveries",
+            "Attempts to deliver events to webhooks, by what became of the delivery",
+            t.deliveries.clone(),
+        );
         registry.register("tmpi_trace_spans", "Spans of traces, by what became of them", t.spans.clone());
         Self { registry, ..t }
     }
@@ -234,6 +241,11 @@ impl Telemetry {
             self.retired.get_or_create(&Retired { reason }).inc_by(count);
         }
         self.freed.inc_by(swept.bytes);
+    }
+
+    /// Records an attempt to deliver an event to a webhook: `delivered`, `retried` or `failed`.
+    pub fn delivery(&self, outcome: &'static str) {
+        self.deliveries.get_or_create(&Outcome { outcome }).inc();
     }
 
     /// Counts a connection, until the result is dropped.

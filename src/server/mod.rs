@@ -18,6 +18,7 @@ mod child;
 mod client_slots;
 mod compress;
 mod conditional;
+mod config;
 mod depth_network;
 mod exports;
 mod finished_photo;
@@ -32,6 +33,7 @@ mod memory;
 mod metrics;
 mod middleware;
 mod minimum_rate;
+mod outbound;
 mod pages;
 mod part_name;
 mod photo_options;
@@ -43,14 +45,17 @@ mod proxies;
 mod rates;
 mod request_body;
 mod routes;
+mod sources;
 mod time_limit;
 mod timestamps;
 mod tls;
 mod traces;
 mod units;
 mod upload;
+mod upload_by_address;
 mod upload_head;
 mod upload_slots;
+mod webhooks;
 mod workers;
 
 use std::fs::File;
@@ -67,102 +72,34 @@ pub use accept_loop::ConnectionGuard;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
 pub(crate) use conditional::{Coding, Entity, respond};
+pub use config::{Config, Role};
 pub use depth_network::{Better, Offer, Renewed};
 pub use idle_trim::allocate_in_one_place;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
+pub use outbound::Reach;
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use routes::{Access, Route, openapi, openapi_of, routes};
 pub(crate) use routes::{NoBody, Pairs};
+pub use sources::SourceHost;
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
+pub use webhooks::ConfiguredWebhook;
 
 use app::{App, Parts, Shared};
 use metrics::Telemetry;
 pub(crate) use metrics::{Figure, gauge};
 pub(crate) use timestamps::rfc3339;
 use traces::Traces;
+use webhooks::Clients;
 use workers::Workers;
 
-use tmpi_library::Library;
+use tmpi_library::{Library, NewWebhook};
 pub use tmpi_library::{PhotoId, Reserve, hex};
 use tmpi_render::Renderer;
 
 use crate::live::{self, Rooms};
-
-/// Role of a node.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Role {
-    /// It serves and makes photos.
-    #[default]
-    All,
-    /// It serves photos that other nodes make.
-    Serve,
-    /// It makes photos that other nodes serve.
-    Work,
-}
-
-/// Configuration of a server.
-#[derive(Clone, Debug)]
-pub struct Config {
-    /// Address and port; port 0 takes a free one.
-    pub addr: SocketAddr,
-    /// Address and port of the admin listener (metrics, shutdown, deletion), which has no authentication. Without it metrics are at
-    /// [`Config::addr`], signals shut the server down, and admin keys delete photos.
-    pub admin: Option<SocketAddr>,
-    /// Data directory; created if missing.
-    pub data: PathBuf,
-    /// Database that several nodes share, `postgres://…`; by default SQLite in the data directory.
-    pub database: Option<String>,
-    /// Object store that several nodes share, `s3://…`, `gs://…` or `az://…`; by default a folder in the data directory.
-    pub blobs: Option<String>,
-    /// Directory that replaces the embedded pages.
-    pub pages: Option<PathBuf>,
-    /// Accepted `Host` names besides loopback and the server's address, without ports: those that proxies forward.
-    pub hosts: Vec<String>,
-    /// Trusted proxies.
-    pub proxies: Proxies,
-    /// Lists all photos to every caller, not only to this machine's own user.
-    pub public_list: bool,
-    /// Private access: only owners see their photos, see [`access`].
-    pub private: bool,
-    /// Role of this node.
-    pub role: Role,
-    /// Collector of traces; none by default.
-    pub traces: Option<Collector>,
-    /// Limits.
-    pub limits: Limits,
-}
-
-impl Config {
-    /// Open access and default limits.
-    #[must_use]
-    pub fn new(addr: SocketAddr, data: PathBuf) -> Self {
-        Self {
-            addr,
-            admin: None,
-            data,
-            database: None,
-            blobs: None,
-            pages: None,
-            hosts: Vec::new(),
-            proxies: Proxies::default(),
-            public_list: false,
-            private: false,
-            role: Role::All,
-            traces: None,
-            limits: Limits::default(),
-        }
-    }
-
-    /// Location and limits of the library.
-    fn library(&self) -> tmpi_library::Config {
-        let Self { data, database, blobs, limits, .. } = self;
-        let reserve = limits.reserve();
-        tmpi_library::Config { data: data.clone(), database: database.clone(), blobs: blobs.clone(), limits: limits.library(), reserve }
-    }
-}
 
 /// A hint for an error of listening.
 fn hint(error: &std::io::Error) -> &'static str {
@@ -212,6 +149,7 @@ pub struct Server {
     role: Role,
     has_objects: bool,
     tls: Option<Tls>,
+    webhooks: Arc<Clients>,
     /// The admin listener, with its address and accepted names.
     admin: Option<(TcpListener, SocketAddr, Vec<String>)>,
     /// Lock of the data directory, until the server is dropped.
@@ -238,9 +176,13 @@ impl Server {
             // the process that held them has ended
             library.reclaim().await?;
         }
+        let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
+        library.configure_webhooks(&webhooks).await?;
+        let webhooks = Arc::new(Clients::new(config.webhook_reach));
+        let sources = config.sources();
         let (role, has_objects) = (config.role, config.blobs.is_some());
-        let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi }));
-        Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, admin, lock })
+        let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi, sources }));
+        Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, webhooks, admin, lock })
     }
 
     /// Adds rooms.
@@ -278,7 +220,7 @@ impl Server {
     /// Serves until `stop` is ready or an operator requests a shutdown, and for [`Limits::lame_duck`] more. Then it accepts no more
     /// connections and gives running requests and jobs [`Limits::drain`] to end. The next start resumes the other jobs.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
-        let Self { listener, addr: _, app, rooms, role, has_objects, tls, admin, lock } = self;
+        let Self { listener, addr, app, rooms, role, has_objects, tls, webhooks: clients, admin, lock } = self;
         let token = app.stop.clone();
         let workers = (role != Role::Serve).then(|| Workers::start(&app));
         let signal = tokio::spawn({
@@ -302,6 +244,10 @@ impl Server {
         upkeep.spawn(background_tasks::probe(Arc::clone(&app), has_objects));
         upkeep.spawn(background_tasks::sweep(Arc::clone(&app)));
         upkeep.spawn(background_tasks::forget(Arc::clone(&app)));
+        if tls.is_some() {
+            app.set_origin(addr.port());
+        }
+        upkeep.spawn(webhooks::deliver(Arc::clone(&app), clients));
         upkeep.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
         if !has_objects {
             // an object store checks its own contents

@@ -35,7 +35,7 @@ const MAX_OPTION: usize = 1024;
 const BUFFER: usize = 256 << 10;
 
 /// A file that was written while it came in; it goes with this, unless the library has taken it.
-struct Written {
+pub(super) struct Written {
     file: Fresh,
     digest: Digest,
     bytes: u64,
@@ -74,7 +74,7 @@ impl Drop for Fresh {
 ///
 /// # Errors
 /// 429 where as many come in already as may, 503 while the server stops.
-async fn leave(app: &App) -> Result<UploadSlot<'_>, Problem> {
+pub(super) async fn leave(app: &App) -> Result<UploadSlot<'_>, Problem> {
     if app.stop.is_cancelled() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
     }
@@ -86,23 +86,27 @@ async fn leave(app: &App) -> Result<UploadSlot<'_>, Problem> {
 }
 
 /// Everything of an upload.
-struct Parts {
-    photo: Option<Written>,
-    depth: Option<Written>,
-    chosen: Chosen,
+pub(super) struct Parts {
+    /// The photo.
+    pub photo: Option<Written>,
+    /// Its depth map.
+    pub depth: Option<Written>,
+    /// Everything else.
+    pub chosen: Chosen,
 }
 
 /// Options, each given once.
 #[derive(Default)]
-struct Chosen {
-    options: Options,
+pub(super) struct Chosen {
+    /// Options of the photo.
+    pub options: Options,
     given: BTreeSet<String>,
     /// How urgent making the photo is.
     class: Class,
     /// With the title that the upload names.
-    settings: Settings,
+    pub settings: Settings,
     /// Name of the photo's file: the title, where the upload names none, and where a second eye is.
-    of_file: Option<String>,
+    pub of_file: Option<String>,
 }
 
 impl Chosen {
@@ -110,7 +114,7 @@ impl Chosen {
     ///
     /// # Errors
     /// 400 that names it: it is wrong, or given a second time, in whatever spelling.
-    fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
+    pub fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
         if name == VISIBILITY {
             self.settings = std::mem::take(&mut self.settings).seen_by(value)?;
         } else if name == CLASS {
@@ -137,7 +141,7 @@ const VISIBILITY: &str = "visibility";
 const CLASS: &str = "class";
 
 /// Refuses what is neither one of these nor an option, before its value is read.
-fn known(name: &str, kinds: &str) -> Result<(), Problem> {
+pub(super) fn known(name: &str, kinds: &str) -> Result<(), Problem> {
     if matches!(name, TITLE | VISIBILITY | CLASS) || photo_options::NAMES.contains(&name.replace('_', "-").as_str()) {
         return Ok(());
     }
@@ -155,7 +159,11 @@ pub async fn take(app: &App, query: &[(String, String)], request: Request, owner
     take_chosen(app, chosen, request, owner).await
 }
 
-fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
+/// The options of a query.
+///
+/// # Errors
+/// 400 that names a wrong one.
+pub(super) fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
     let mut chosen = Chosen::default();
     for (name, value) in query {
         known(name, "option; there are title, visibility, class")?;
@@ -178,7 +186,7 @@ async fn take_chosen(app: &App, chosen: Chosen, request: Request, owner: Option<
 }
 
 /// Checks an upload and has it accepted.
-async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Photo, Problem> {
+pub(super) async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Photo, Problem> {
     let Parts { photo, depth, chosen } = parts;
     let Chosen { mut options, class, settings: told, of_file, .. } = chosen;
     let title = told.title.clone().or_else(|| of_file.as_deref().and_then(title_of_file));
@@ -215,7 +223,7 @@ async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Photo, 
 }
 
 /// A photo that was known, with the title and the visibility that its upload names.
-async fn told_again(app: &App, mut photo: Photo, told: &Settings) -> Result<Photo, Problem> {
+pub(super) async fn told_again(app: &App, mut photo: Photo, told: &Settings) -> Result<Photo, Problem> {
     loop {
         let (before, id) = (Settings::of(&photo), photo.id);
         let settings = before.told_again(told);
@@ -331,7 +339,7 @@ async fn create(path: &Path) -> std::io::Result<File> {
 }
 
 /// Writes a stream to a file, each piece once `look` has seen it and refused nothing.
-async fn write<S, E>(
+pub(super) async fn write<S, E>(
     app: &App,
     mut stream: S,
     problem: impl Fn(E) -> Problem,

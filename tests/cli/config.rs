@@ -215,3 +215,29 @@ fn work_accepts_settings_of_serve_and_needs_a_database() {
     let help = f.run(&["work", "--help"]).succeeds().out;
     assert!(help.contains("--database") && !help.contains("--role <") && help.contains("127.0.0.1:0"), "{help}");
 }
+
+#[test]
+fn webhooks_are_tables_of_the_file_and_their_secrets_are_hidden() {
+    let f = Folder::new();
+    let secret = format!("whsec_{}", "A".repeat(32));
+    let file = "private-webhooks = true\n[[webhooks]]\nurl = \"http://10.0.0.7/x?key=hidden\"\nsecret = \"SECRET\"\nevents = [\"photo.done\"]\n\
+                [[webhooks]]\nurl = \"https://b.example/\"\nsecret = \"SECRET\"\n";
+    f.write("tmpi.toml", file.replace("SECRET", &secret).as_bytes());
+    let run = config(&f, &[], &["--config", "tmpi.toml"]).succeeds();
+    has_line(
+        &run,
+        "webhooks = [{ url = \"http://10.0.0.7/x?key=…\", secret = \"…\", events = [\"photo.done\"] }, \
+         { url = \"https://b.example/\", secret = \"…\" }] # file",
+    );
+    has_line(&run, "private-webhooks = \"true\" # file");
+    for (webhook, word) in [
+        ("url = \"ftp://a\"\nsecret = \"SECRET\"", "url"),
+        ("url = \"http://a\"\nsecret = \"SECRET SECRET\"", "secret"),
+        ("url = \"http://a\"\nsecret = \"SECRET\"\nevents = [\"photo.eaten\"]", "photo.done"),
+        ("url = \"http://a\"", "url, secret and events"),
+    ] {
+        f.write("tmpi.toml", format!("[[webhooks]]\n{webhook}").replace("SECRET", &secret).as_bytes());
+        let refused = config(&f, &[], &["--config", "tmpi.toml"]).fails(2, &["--webhooks", word]);
+        assert!(!refused.contains("AAAA"), "{refused}");
+    }
+}

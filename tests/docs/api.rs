@@ -103,11 +103,15 @@ fn route(document: &Value, method: &str, path: &str, operation: &Value) -> Strin
     if !parameters.is_empty() {
         text += &format!("\n| parameter | in | type | what |\n|---|---|---|---|\n{parameters}");
     }
-    let mut bodies = operation["requestBody"]["content"].as_object().into_iter().flatten();
+    let bodies = operation["requestBody"]["content"].as_object().into_iter().flatten();
     let named = |(media, body): (&String, &Value)| Some((media.clone(), body["schema"]["$ref"].as_str()?.rsplit('/').next()?.to_owned()));
-    if let Some((media, name)) = bodies.find_map(named) {
-        let rows = fields(&document["components"]["schemas"][name], str::to_owned);
-        text += &format!("\n| field of `{media}` | type | what |\n|---|---|---|\n{rows}");
+    let mut shown = Vec::new();
+    for (media, name) in bodies.filter_map(named) {
+        if !shown.contains(&name) {
+            let rows = fields(&document["components"]["schemas"][&name], str::to_owned);
+            text += &format!("\n| field of `{media}` | type | what |\n|---|---|---|\n{rows}");
+            shown.push(name);
+        }
     }
     let answer = |(status, answer): (&String, &Value)| format!("| {status} | {} |\n", described(answer));
     let answers: String = operation["responses"].as_object().unwrap().iter().map(answer).collect();

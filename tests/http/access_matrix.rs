@@ -71,6 +71,13 @@ impl Caller {
         self.headers.iter().any(|(_, value)| value.contains("tmpi_o_"))
     }
 
+    /// True if it is known as an owner.
+    fn is_owner(&self) -> bool {
+        let is_known =
+            |(name, value): &(&str, String)| value.contains("tmpi_k_") || value.contains("tmpi_o_") && (*name != "cookie" || !self.foreign);
+        self.here || self.headers.iter().any(is_known)
+    }
+
     fn manager(self) -> Self {
         Self { manager: true, ..self }
     }
@@ -89,12 +96,13 @@ impl Caller {
         if !self.here && !headers.iter().any(|(name, _)| *name == "host") {
             headers.push(HOST);
         }
+        let takes_json = method == "PATCH" || method == "POST" && route.path == "/v1/webhooks";
         let body = match method {
             "POST" if route.path == "/v1/photos" => jpeg(1),
-            "PATCH" => b"{}".to_vec(),
+            _ if takes_json => b"{}".to_vec(),
             _ => Vec::new(),
         };
-        if method == "PATCH" {
+        if takes_json {
             headers.push(("content-type", "application/json"));
         }
         if method == "OPTIONS" {
@@ -119,9 +127,14 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
         // a photo's token is valid for that photo only
         (_, "/v1/photos") if caller.manager => (403, Some("scope")),
+        _ if path.starts_with("/v1/webhooks") && (caller.manager || matches!(may, May::Read | May::Metrics)) => (403, Some("scope")),
         ("POST", "/v1/photos") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
         ("GET" | "HEAD", "/v1/photos") if matches!(may, May::Upload | May::Metrics) => (403, Some("scope")),
         _ if caller.foreign && !safe => (403, Some("cross-site")),
+        _ if path.starts_with("/v1/webhooks") && !caller.is_owner() => (403, Some("no-owner")),
+        ("POST", "/v1/webhooks") => (400, Some("parameter")),
+        (_, "/v1/webhooks") => (200, None),
+        _ if path.starts_with("/v1/webhooks/") => (404, Some("not-found")),
         (_, "/v1/live/{room}/publish") if caller.foreign => (403, Some("cross-site")),
         _ if path.starts_with("/v1/live/") && (caller.foreign || !caller.here) => (403, Some("token")),
         (_, "/v1/live/{room}" | "/v1/live/{room}/token") => (200, None),

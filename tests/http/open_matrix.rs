@@ -91,6 +91,9 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
             _ if route.path.ends_with("/publish") || route.path.ends_with("/subscribe") => (426, Some("upgrade")),
             _ => (404, Some("not-found")),
         },
+        _ if route.path.starts_with("/v1/webhooks") && caller.lists == 403 => (403, Some("not-yours")),
+        "POST" if route.path == "/v1/webhooks" => (400, Some("parameter")),
+        _ if route.path.starts_with("/v1/webhooks/") => (404, Some("not-found")),
         "GET" | "HEAD" if route.path == "/v1/photos" && caller.lists == 403 => (403, Some("list-closed")),
         "GET" | "HEAD" | "POST" if route.path == "/v1/network" && caller.lists == 403 => (403, Some("not-yours")),
         "POST" if route.path == "/v1/network" => (200, None),
@@ -111,7 +114,7 @@ fn call(server: &Running, caller: &Caller, method: &str, path: &str) -> Response
     headers.extend(caller.host.map(|host| ("host", host)));
     let body = match method {
         "POST" if path == "/v1/photos" => jpeg(1),
-        "PATCH" => {
+        "PATCH" | "POST" if method == "PATCH" || path == "/v1/webhooks" => {
             headers.push(("content-type", "application/json"));
             b"{}".to_vec()
         }

@@ -10,6 +10,9 @@ use crate::client::{Response, get, post_form, request};
 use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
 use crate::live::{Publisher, frame};
 
+/// A webhook at an address that does not exist.
+const WEBHOOK: &[u8] = br#"{"url": "https://nowhere.invalid/"}"#;
+
 fn start() -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
@@ -30,6 +33,8 @@ fn every_route_of_the_document_answers_as_it_says() {
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
     let newest = get(server.addr, "/v1/live/attic/gops/latest");
     let first = format!("{}-0", newest.header("location").unwrap().split('-').next().unwrap());
+    let json: &[(&str, &str)] = &[("content-type", "application/json")];
+    let webhook = request(server.addr, "POST", "/v1/webhooks", json, WEBHOOK).json()["id"].as_str().unwrap().to_owned();
     let mut deletions = Vec::new();
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
@@ -37,7 +42,8 @@ fn every_route_of_the_document_answers_as_it_says() {
             // a new export for each call: a previous call may have deleted it or made the photo again
             let key = if path.contains("{key}") { written(&server, &photo) } else { String::new() };
             let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
-            let path = path.replace("{id}", &photo).replace("{key}", &key).replace("{room}", "attic").replace("{group}", &first);
+            let id = if path.starts_with("/v1/webhooks") { &webhook } else { &photo };
+            let path = path.replace("{id}", id).replace("{key}", &key).replace("{room}", "attic").replace("{group}", &first);
             let call = (method.to_uppercase(), path, operation);
             if method == "delete" && key.is_empty() {
                 deletions.push(call);
@@ -70,6 +76,7 @@ fn written(server: &Running, photo: &str) -> String {
 fn check(server: &Running, (method, path, operation): &(String, String, &Value)) {
     let (headers, body): (&[_], _) = match method.as_str() {
         "POST" if path == "/v1/photos" => (&[], jpeg(2)),
+        "POST" if path == "/v1/webhooks" => (&[("content-type", "application/json")], WEBHOOK.to_vec()),
         "PATCH" => (&[("content-type", "application/json")], b"{}".to_vec()),
         _ => (&[], Vec::new()),
     };
@@ -175,7 +182,7 @@ fn words_of_the_document_are_those_that_are_taken() {
     assert_eq!(described, taken, "the document has exactly the fields that the server takes");
     let schemas = document["components"]["schemas"].as_object().unwrap();
     let closed: Vec<&String> = schemas.iter().filter(|(_, s)| s["additionalProperties"] == false).map(|(name, _)| name).collect();
-    assert_eq!(closed, ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm"]);
+    assert_eq!(closed, ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm", "WebhookOrder", "WebhookPatch"]);
     let json: &[(&str, &str)] = &[("content-type", "application/merge-patch+json")];
     for (path, body, field) in [
         ("", r#"{"halo": 1}"#, "halo"),

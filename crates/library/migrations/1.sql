@@ -117,7 +117,56 @@ CREATE TABLE upkeep (
 
 CREATE TABLE rooms (
     name TEXT PRIMARY KEY,
+    -- empty if a single node has all rooms
     origin TEXT NOT NULL,
     epoch BIGINT NOT NULL,
-    lease_until BIGINT NOT NULL
+    lease_until BIGINT NOT NULL,
+    -- 1 from `room.started` to `room.ended`
+    live BIGINT NOT NULL
 );
+
+-- Addresses that are told of events: without an owner, of all photos and rooms.
+CREATE TABLE webhooks (
+    id TEXT PRIMARY KEY,
+    owner TEXT REFERENCES owners (owner),
+    -- 1 if it is from the configuration
+    configured BIGINT NOT NULL,
+    url TEXT NOT NULL,
+    secret TEXT NOT NULL,
+    events TEXT NOT NULL,
+    created_at BIGINT NOT NULL,
+    disabled_at BIGINT,
+    reason TEXT,
+    failing_since BIGINT
+);
+CREATE INDEX webhooks_by_owner ON webhooks (owner);
+
+-- Events to tell. They outlive their photos and take no worker, so they are no jobs. Without a reference to webhooks, so that the removal
+-- of a webhook can neither delay nor fail the transaction of an event.
+CREATE TABLE deliveries (
+    id TEXT PRIMARY KEY,
+    webhook TEXT NOT NULL,
+    event TEXT NOT NULL,
+    data TEXT NOT NULL,
+    created_at BIGINT NOT NULL,
+    run_after BIGINT NOT NULL,
+    attempts BIGINT NOT NULL,
+    lease_until BIGINT,
+    state TEXT NOT NULL,
+    status BIGINT,
+    error TEXT,
+    took_ms BIGINT,
+    ended_at BIGINT
+);
+CREATE INDEX deliveries_by_turn ON deliveries (state, run_after, id);
+CREATE INDEX deliveries_by_webhook ON deliveries (webhook, id);
+CREATE INDEX deliveries_in_flight ON deliveries (lease_until) WHERE lease_until IS NOT NULL;
+
+-- What the sources of photos said of them. A digest is of the owner, the address and all that makes the photo the same.
+CREATE TABLE sources (
+    digest TEXT PRIMARY KEY,
+    photo TEXT NOT NULL REFERENCES photos (id) ON DELETE CASCADE,
+    etag TEXT,
+    last_modified TEXT
+);
+CREATE INDEX sources_by_photo ON sources (photo);

@@ -108,8 +108,11 @@ impl Library {
         }
     }
 
-    /// Moves a photo to the head of the list.
-    async fn list_first(&self, id: PhotoId) -> Result<Photo> {
+    /// Moves a photo to the head of the list, as a second upload does.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn list_first(&self, id: PhotoId) -> Result<Photo> {
         let mut tx = self.database().write().await?;
         photo_in(&mut tx, id).await?;
         let update = format!("UPDATE photos SET listed_at = $1 WHERE id = $2 RETURNING {COLUMNS}");

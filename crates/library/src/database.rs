@@ -28,6 +28,8 @@ pub(crate) enum Lock {
     Migrations = 0x746d_7069,
     Queue,
     Secret,
+    Webhooks,
+    Deliveries,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -70,6 +70,12 @@ pub enum LibraryError {
         /// The limit.
         limit: u64,
     },
+    /// The owner has as many webhooks as one may have.
+    #[error("there are {limit} webhooks, as many as one may have")]
+    TooManyWebhooks {
+        /// The limit.
+        limit: u64,
+    },
     /// The caller no longer holds the job. Its result is discarded.
     #[error("the lease is lost")]
     LeaseLost,

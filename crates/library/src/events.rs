@@ -46,6 +46,8 @@ pub enum Event {
     Deleted(PhotoId),
     /// A key, a session, or links to a photo were revoked: check the access of open connections again.
     Revoked,
+    /// A delivery to a webhook waits.
+    Delivery,
     /// Some events were lost: read again what you follow.
     Gap,
 }
@@ -88,7 +90,7 @@ impl Receivers {
             Event::Progress { photo, progress: said } => drop(progress.insert(*photo, said.clone())),
             Event::Photo(photo) | Event::Deleted(photo) => drop(progress.remove(photo)),
             Event::Gap => progress.clear(),
-            Event::Revoked => {}
+            Event::Revoked | Event::Delivery => {}
         }
         drop(progress);
         // fails without receivers

@@ -8,12 +8,14 @@ use sqlx::{AssertSqlSafe, Row as _};
 use crate::accept::{is_refusal, photo_in};
 use crate::blobs::{Content, Contents};
 use crate::database::Tx;
+use crate::deliveries::{Facts, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::PhotoId;
 use crate::jobs::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
 use crate::leases::{Lease, count};
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
+use crate::webhooks::EventType;
 use crate::{Library, millis};
 
 /// Each export counts as at least this fraction of the limit of all, which bounds their number.
@@ -125,6 +127,8 @@ impl Library {
         let job = Job::from_row(&row.ok_or(LibraryError::LeaseLost)?)?;
         let gone = self.trim(&mut tx, &job.id).await?;
         count(&mut tx, &job, Some(lease.age())).await?;
+        let facts = Facts::of_export(&job, &lease.photo, None);
+        announce(&mut tx, EventType::ExportDone, lease.photo.owner.as_ref(), &facts).await?;
         tx.tell(Event::Photo(job.photo));
         tx.commit().await?;
         Ok((job, gone))

@@ -14,12 +14,14 @@ use sqlx::{AssertSqlSafe, Row as _};
 use crate::accept::{is_refusal, names_of, photo_in};
 use crate::blobs::Contents;
 use crate::database::Tx;
+use crate::deliveries::{self, Facts, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::{Millis, hex, random};
 use crate::jobs::{COLUMNS, Job, Kind};
 use crate::photo::{self, Blobs, Photo, PhotoState, Problem, bytes_of, to_json};
-use crate::{Library, exports, millis};
+use crate::webhooks::EventType;
+use crate::{Library, exports, millis, rooms};
 
 /// Longest lease: one that ends later was granted before the clock was set back.
 const MOST_LEASE: Duration = Duration::from_mins(10);
@@ -178,7 +180,7 @@ impl Library {
             if let Some(lease) = self.take(kinds, lasts).await? {
                 return Ok(Some(lease));
             }
-            let news = async { while matches!(events.next().await, Some(Event::Progress { .. } | Event::Revoked)) {} };
+            let news = async { while matches!(events.next().await, Some(Event::Progress { .. } | Event::Revoked | Event::Delivery)) {} };
             tokio::select! {
                 biased;
                 () = &mut stop => return Ok(None),
@@ -207,7 +209,7 @@ impl Library {
         Ok(jobs)
     }
 
-    /// Requeues all running jobs. That does not count as an attempt, but each waits longer every time, because one of them may have crashed
+    /// Requeues all running jobs, lets deliveries under way be tried again, and ends all rooms. That does not count as an attempt, but each waits longer every time, because one of them may have crashed
     /// the server. Only for a process that is the only one with workers.
     ///
     /// # Errors
@@ -220,7 +222,10 @@ impl Library {
             self.put_back(&mut tx, &job, &token, &Retry::Fault("the server ended during the job".into())).await?;
             tx.commit().await?;
         }
-        Ok(())
+        let mut tx = self.database().write().await?;
+        deliveries::release(&mut tx).await?;
+        rooms::end_all(&mut tx).await?;
+        tx.commit().await
     }
 
     /// Requeues jobs of dead workers, each in its own transaction, so that none locks the rows of two.
@@ -320,6 +325,7 @@ impl Library {
         let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
         replaced.extend(names_of(&old));
         count(&mut tx, &lease.job, Some(lease.age())).await?;
+        announce(&mut tx, EventType::PhotoDone, photo.owner.as_ref(), &Facts::of_photo(&photo, None)).await?;
         tx.tell(Event::Photo(lease.job.photo));
         tx.commit().await?;
         Ok((photo, replaced))
@@ -356,9 +362,19 @@ impl Library {
             let update = sqlx::query(update).bind(PhotoState::Failed.name()).bind(text).bind(tx.now);
             update.bind(job.photo.to_string()).execute(tx.on()).await?;
         }
+        self.announce_failure(tx, job, problem).await?;
         count(tx, job, None).await?;
         tx.tell(Event::Photo(job.photo));
         Ok(())
+    }
+
+    async fn announce_failure(&self, tx: &mut Tx, job: &Job, problem: &Problem) -> Result<()> {
+        let photo = self.read_photo(tx.on(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
+        let (event, facts) = match job.kind {
+            Kind::Make => (EventType::PhotoFailed, Facts::of_photo(&photo, Some(problem))),
+            Kind::Export | Kind::Film => (EventType::ExportFailed, Facts::of_export(job, &photo, Some(problem))),
+        };
+        announce(tx, event, photo.owner.as_ref(), &facts).await
     }
 
     /// Requeues a job.

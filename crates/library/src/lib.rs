@@ -1,4 +1,4 @@
-//! Storage of a server: photos and their jobs, owners and their keys, links, rooms.
+//! Storage of a server: photos and their jobs, owners and their keys, links, rooms, webhooks.
 //!
 //! A library is SQLite and a folder on one machine, or PostgreSQL and an object store for several. Rows are the truth; contents lie in the
 //! blob store. A blob is written before the row that refers to it and deleted after it, so a crash leaves at most orphans, which
@@ -10,6 +10,7 @@ mod accept;
 mod blobs;
 mod credentials;
 mod database;
+mod deliveries;
 mod error;
 mod events;
 mod exports;
@@ -23,9 +24,11 @@ mod photos;
 mod quota;
 mod retention;
 mod rooms;
+mod sources;
 mod statistics;
 #[cfg(test)]
 mod tests;
+mod webhooks;
 
 use std::collections::HashSet;
 use std::fmt;
@@ -39,6 +42,7 @@ use serde_json::Value;
 pub use accept::{Accepted, Outcome, Upload};
 pub use blobs::{BlobStore, Content, Contents, Reserve, Room};
 pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
+pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, Due, ExportFacts, Facts, RETRIES, Verdict};
 pub use error::{LibraryError, Quota, Result, Service, Share};
 pub use events::{Event, Subscription};
 pub use exports::{Order, Ordered};
@@ -51,7 +55,9 @@ pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Filter, Page};
 pub use retention::Swept;
 pub use rooms::{Claim, Origin};
+pub use sources::Source;
 pub use statistics::{OutcomeCounts, Statistics};
+pub use webhooks::{Disabled, EventType, MOST_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
 
 use database::Database;
 use leases::{Held, Reached};
@@ -81,6 +87,8 @@ pub struct Limits {
     pub exports_for: Duration,
     /// Bytes that all exports may take.
     pub exports_bytes: u64,
+    /// Pauses after failed attempts of a delivery to a webhook; after one more it fails.
+    pub retries: Vec<Duration>,
 }
 
 impl Default for Limits {
@@ -95,6 +103,7 @@ impl Default for Limits {
             retain_bytes: None,
             exports_for: Duration::from_hours(1),
             exports_bytes: 1 << 30,
+            retries: RETRIES.to_vec(),
         }
     }
 }

@@ -8,11 +8,13 @@ use serde_json::Value;
 use sqlx::{Any, AssertSqlSafe, Executor};
 
 use crate::accept::photo_in;
+use crate::deliveries::{Facts, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::exports::names_of;
 use crate::ids::{Millis, Owner, PhotoId};
 use crate::photo::{COLUMNS, Photo, PhotoState, Problem, title_of, to_json};
+use crate::webhooks::EventType;
 use crate::{Library, accept};
 
 /// Views recorded per transaction.
@@ -174,6 +176,7 @@ impl Library {
         let jobs = sqlx::query("DELETE FROM jobs WHERE photo = $1 RETURNING result").bind(id.to_string());
         let mut names = names_of(&jobs.fetch_all(tx.on()).await?)?;
         sqlx::query("DELETE FROM photos WHERE id = $1").bind(id.to_string()).execute(tx.on()).await?;
+        announce(&mut tx, EventType::PhotoDeleted, photo.owner.as_ref(), &Facts::of_photo(&photo, None)).await?;
         tx.tell(Event::Deleted(id));
         tx.commit().await?;
         names.extend(accept::names_of(&photo.blobs));

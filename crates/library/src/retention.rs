@@ -6,9 +6,10 @@ use std::time::{Duration, Instant};
 
 use sqlx::Row as _;
 
+use crate::deliveries;
 use crate::exports::names_of;
 use crate::ids::{Millis, PhotoId};
-use crate::{Library, LibraryError, Result, millis};
+use crate::{Library, LibraryError, Result, millis, rooms};
 
 /// Photos per query.
 const PART: i64 = 256;
@@ -113,9 +114,10 @@ impl Library {
         Ok(deleted)
     }
 
-    /// Removes unused exports, and expired sessions, reservations and rooms; returns the number of exports.
+    /// Removes unused exports, expired sessions, reservations and rooms, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
+        rooms::end_abandoned(&mut tx).await?;
         let (now, limits) = (tx.now, self.limits());
         let delete = "DELETE FROM jobs WHERE (state = 'done' AND used_at <= $1) OR (state = 'failed' AND used_at <= $2) RETURNING result";
         let (done, failed) = (now - millis(limits.exports_for), now - millis(FAILED_FOR.min(limits.exports_for)));
@@ -123,10 +125,11 @@ impl Library {
         for (delete, until) in [
             ("DELETE FROM sessions WHERE expires_at <= $1", now),
             ("DELETE FROM reservations WHERE expires_at <= $1", now),
-            ("DELETE FROM rooms WHERE lease_until <= $1", now - millis(ROOM_FOR)),
+            ("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1", now - millis(ROOM_FOR)),
         ] {
             sqlx::query(delete).bind(until).execute(tx.on()).await?;
         }
+        deliveries::sweep(&mut tx).await?;
         tx.commit().await?;
         self.blobs().discard(names_of(&deleted)?).await;
         Ok(deleted.len() as u64)

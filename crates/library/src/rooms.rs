@@ -4,7 +4,10 @@ use std::time::Duration;
 
 use sqlx::Row as _;
 
+use crate::database::Tx;
+use crate::deliveries::{Facts, announce};
 use crate::error::{LibraryError, Result};
+use crate::webhooks::EventType;
 use crate::{Library, millis};
 
 /// Longest lease of a room: one that ends later was granted before the clock was set back.
@@ -35,7 +38,8 @@ impl Library {
     /// [`LibraryError::RoomTaken`], [`LibraryError::Unavailable`].
     pub async fn claim_room(&self, room: &str, address: &str, claim: Claim, lasts: Duration) -> Result<Origin> {
         let mut tx = self.database().write().await?;
-        let insert = "INSERT INTO rooms (name, origin, epoch, lease_until) VALUES ($1, $2, $4, $3) ON CONFLICT (name) DO UPDATE SET
+        let insert =
+            "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, $2, $4, $3, 0) ON CONFLICT (name) DO UPDATE SET
             origin = excluded.origin, lease_until = excluded.lease_until,
             epoch = CASE WHEN excluded.epoch > rooms.epoch THEN excluded.epoch ELSE rooms.epoch + 1 END
             WHERE rooms.lease_until <= $4 OR rooms.lease_until > $5 OR rooms.origin = excluded.origin OR $6 = 1 RETURNING epoch";
@@ -46,6 +50,7 @@ impl Library {
             let select = sqlx::query("SELECT origin FROM rooms WHERE name = $1").bind(room.to_owned());
             return Err(LibraryError::RoomTaken { origin: select.fetch_one(tx.on()).await?.try_get("origin")? });
         };
+        start(&mut tx, room).await?;
         tx.commit().await?;
         Ok(Origin { address: address.to_owned(), epoch: row.try_get("epoch")? })
     }
@@ -55,7 +60,9 @@ impl Library {
     /// # Errors
     /// [`LibraryError::LeaseLost`] if another node has taken it, [`LibraryError::Unavailable`].
     pub async fn renew_room(&self, room: &str, origin: &Origin, lasts: Duration) -> Result<()> {
-        self.set_room(room, origin, millis(lasts.min(MOST_LEASE))).await
+        let mut tx = self.database().write().await?;
+        set(&mut tx, room, origin, millis(lasts.min(MOST_LEASE))).await?;
+        tx.commit().await
     }
 
     /// Releases a room at once.
@@ -63,15 +70,32 @@ impl Library {
     /// # Errors
     /// As [`Library::renew_room`].
     pub async fn release_room(&self, room: &str, origin: &Origin) -> Result<()> {
-        self.set_room(room, origin, 0).await
+        let mut tx = self.database().write().await?;
+        set(&mut tx, room, origin, 0).await?;
+        end(&mut tx, room).await?;
+        tx.commit().await
     }
 
-    async fn set_room(&self, room: &str, origin: &Origin, lasts: i64) -> Result<()> {
+    /// Tells webhooks that someone publishes in a room of a node that shares its rooms with no other; such rooms have no leases.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn start_room(&self, room: &str) -> Result<()> {
         let mut tx = self.database().write().await?;
-        let update = sqlx::query("UPDATE rooms SET lease_until = $1 WHERE name = $2 AND epoch = $3").bind(tx.now + lasts);
-        if update.bind(room.to_owned()).bind(origin.epoch).execute(tx.on()).await?.rows_affected() == 0 {
-            return Err(LibraryError::LeaseLost);
-        }
+        let insert = "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, '', $2, 0, 0)
+            ON CONFLICT (name) DO UPDATE SET origin = excluded.origin";
+        sqlx::query(insert).bind(room.to_owned()).bind(tx.now).execute(tx.on()).await?;
+        start(&mut tx, room).await?;
+        tx.commit().await
+    }
+
+    /// Tells webhooks that the publisher of such a room has left for good.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn end_room(&self, room: &str) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        end(&mut tx, room).await?;
         tx.commit().await
     }
 
@@ -85,4 +109,47 @@ impl Library {
         let row = select.fetch_optional(self.database().reader()).await?;
         row.map(|row| Ok(Origin { address: row.try_get("origin")?, epoch: row.try_get("epoch")? })).transpose()
     }
+}
+
+/// Sets how long a lease lasts from now.
+async fn set(tx: &mut Tx, room: &str, origin: &Origin, lasts: i64) -> Result<()> {
+    let update = sqlx::query("UPDATE rooms SET lease_until = $1 WHERE name = $2 AND epoch = $3").bind(tx.now + lasts);
+    let updated = update.bind(room.to_owned()).bind(origin.epoch).execute(tx.on()).await?.rows_affected();
+    if updated == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
+}
+
+/// Announces that a room is live, unless it was.
+async fn start(tx: &mut Tx, room: &str) -> Result<()> {
+    let update = sqlx::query("UPDATE rooms SET live = 1 WHERE name = $1 AND live = 0").bind(room.to_owned());
+    if update.execute(tx.on()).await?.rows_affected() == 0 {
+        return Ok(());
+    }
+    announce(tx, EventType::RoomStarted, None, &Facts::of_room(room)).await
+}
+
+/// Announces that a room is live no more, unless it was not.
+async fn end(tx: &mut Tx, room: &str) -> Result<()> {
+    let update = sqlx::query("UPDATE rooms SET live = 0 WHERE name = $1 AND live = 1").bind(room.to_owned());
+    if update.execute(tx.on()).await?.rows_affected() == 0 {
+        return Ok(());
+    }
+    announce(tx, EventType::RoomEnded, None, &Facts::of_room(room)).await
+}
+
+/// Ends all rooms. Only for a process that is alone.
+pub(crate) async fn end_all(tx: &mut Tx) -> Result<()> {
+    end_of(tx, "SELECT name FROM rooms WHERE live = 1 AND lease_until < $1", i64::MAX).await
+}
+
+/// Ends the rooms of nodes that have died.
+pub(crate) async fn end_abandoned(tx: &mut Tx) -> Result<()> {
+    let until = tx.now - millis(MOST_LEASE);
+    end_of(tx, "SELECT name FROM rooms WHERE live = 1 AND origin <> '' AND lease_until <= $1", until).await
+}
+
+async fn end_of(tx: &mut Tx, select: &'static str, until: i64) -> Result<()> {
+    for row in sqlx::query(select).bind(until).fetch_all(tx.on()).await? {
+        end(tx, &row.try_get::<String, _>("name")?).await?;
+    }
+    Ok(())
 }

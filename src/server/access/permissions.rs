@@ -15,7 +15,7 @@ pub enum Permission {
     Change,
     /// The caller's own photo.
     Own,
-    /// The right to upload.
+    /// The right to upload, and to be told of one's photos.
     Upload,
     /// The right to list the caller's photos.
     List,
@@ -74,6 +74,14 @@ const TABLE: &[(&str, &str, Permission)] = &[
     // all readers of the photo share the file
     ("DELETE", "/v1/photos/{id}/exports/{key}", Change),
     ("GET", "/oembed", Read),
+    // the handlers refuse callers that are no owner, and hide the webhooks of others
+    ("GET", "/v1/webhooks", Upload),
+    ("POST", "/v1/webhooks", Upload),
+    ("GET", "/v1/webhooks/{id}", Upload),
+    ("PATCH", "/v1/webhooks/{id}", Upload),
+    ("DELETE", "/v1/webhooks/{id}", Upload),
+    ("POST", "/v1/webhooks/{id}/test", Upload),
+    ("GET", "/v1/webhooks/{id}/deliveries", Upload),
     ("POST", "/v1/live/{room}/token", Room),
 ];
 

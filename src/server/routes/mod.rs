@@ -20,6 +20,8 @@ mod strokes;
 mod system;
 mod view;
 mod view_query;
+mod webhook_state;
+mod webhooks;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
@@ -58,6 +60,7 @@ use crate::live;
     tags(
         (name = "photos", description = "Photos and what is made of them"),
         (name = "live", description = "Rooms, in which photos move"),
+        (name = "webhooks", description = "Requests that tell other servers of events"),
         (name = "system", description = "Health, metrics and this document")
     ),
     components(schemas(Problem))
@@ -93,6 +96,10 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(exports::order))
         .routes(routes!(exports::state, exports::cancel))
         .routes(routes!(exports::file))
+        .routes(routes!(webhooks::add, webhooks::list))
+        .routes(routes!(webhooks::state, webhooks::change, webhooks::delete))
+        .routes(routes!(webhooks::test))
+        .routes(routes!(webhooks::deliveries))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::openapi))

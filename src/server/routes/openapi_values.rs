@@ -7,6 +7,7 @@ use serde_json::Value;
 use crate::export::ExportFormat;
 use crate::server::photo_options::chosen;
 use crate::server::photo_settings::{Idle, SPEED, TITLE, VERSION};
+use tmpi_library::EventType;
 use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, PlaneMethod, Stereo, Switch};
 use tmpi_render::{Path, PictureFormat, StereoLayout};
@@ -33,7 +34,7 @@ impl Text {
 }
 
 /// Schemas whose parsers refuse unknown fields.
-const CLOSED: [&str; 6] = ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm"];
+const CLOSED: [&str; 8] = ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm", "WebhookOrder", "WebhookPatch"];
 
 /// Writes allowed values, closed schemas and security schemes into `document`.
 pub fn put(document: &mut Value) {
@@ -67,6 +68,11 @@ pub fn put(document: &mut Value) {
         ("view_box", Text::Pattern("^[^,]+,[^,]+,[^,]+$")),
     ] {
         text.put(&mut form[field]);
+    }
+    for name in ["WebhookOrder", "WebhookPatch"] {
+        let fields = &mut document["components"]["schemas"][name]["properties"];
+        Text::Words(EventType::ALL.map(|event| event.name().to_owned()).into()).put(&mut fields["events"]["items"]);
+        fields["url"]["format"] = "uri".into();
     }
     let stills = PictureFormat::ALL.map(|f| chosen(&f));
     let exports = [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Ora, ExportFormat::Zip].map(|f| f.extension().to_owned());

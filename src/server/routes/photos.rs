@@ -20,7 +20,8 @@ use crate::server::photo_settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::problem::Problem;
 use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
-use crate::server::upload;
+use crate::server::upload_by_address::SourceOrder;
+use crate::server::{upload, upload_by_address};
 use tmpi_library::{Cursor, Event, Filter, LibraryError, Owner, Page, Photo, PhotoState as Phase};
 
 /// Part of the time limit of a request that is left to answer it.
@@ -84,7 +85,8 @@ pub struct UploadForm {
 
 /// Upload a photo.
 ///
-/// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`).
+/// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`), or a JSON object that
+/// names a `source` from which the server fetches the picture, if its operator permits that.
 /// Once this answers, the photo is on disk and is made even if the server is restarted. Photo, depth map and options give
 /// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again. It takes the title and the visibility that
 /// the upload names.
@@ -97,6 +99,7 @@ pub struct UploadForm {
     ),
     request_body(description = "The photo", content(
         (UploadForm = "multipart/form-data"),
+        (SourceOrder = "application/json"),
         (String = "image/jpeg"),
         (String = "image/png"),
         (String = "image/webp"),
@@ -110,13 +113,15 @@ pub struct UploadForm {
         (status = 202, description = "Accepted: it is on disk and waits, or is being made, or was done before", body = PhotoState,
             headers(("Location" = String, description = "Address of the photo"))),
         (status = 400, description = "A field or an option is wrong; `field` names it"),
-        (status = 403, description = "The owner has as many photos, or as many bytes, as one may have; or the key may not upload"),
+        (status = 403, description = "The owner has as many photos, or as many bytes, as one may have; or the key may not upload; or the server does not fetch from that source"),
         (status = 408, description = "The body came too slowly"),
         (status = 413, description = "Body or photo is too large"),
         (status = 415, description = "Not a JPEG, PNG or WebP picture"),
-        (status = 422, description = "The picture is damaged"),
+        (status = 422, description = "The picture is damaged, or its source refuses it"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
+        (status = 502, description = "The source is at fault"),
         (status = 503, description = "The server is stopping"),
+        (status = 504, description = "The source is too slow"),
         (status = 507, description = "The disk is full"),
     )
 )]
@@ -128,7 +133,11 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimi
     if let Some(owner) = &owner {
         app.library.check_quota(owner, length_told(request.headers()), None).await?;
     }
-    let photo = upload::take(&app, &query, request, owner).await?;
+    let photo = if upload_by_address::is_address(request.headers()) {
+        upload_by_address::take(&app, &query, request, owner, &clock).await?
+    } else {
+        upload::take(&app, &query, request, owner).await?
+    };
     accepted(&app, photo, &clock, wait, is_new).await
 }
 

@@ -12,6 +12,7 @@ mod queue;
 mod retention;
 mod rooms;
 mod schema;
+mod webhooks;
 
 use std::collections::BTreeMap;
 use std::future::Future;

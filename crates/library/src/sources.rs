@@ -1,0 +1,46 @@
+//! What the sources of photos said of them, so that they can be asked whether that has changed.
+
+use sqlx::Row as _;
+
+use crate::Library;
+use crate::error::{LibraryError, Result};
+use crate::ids::{Digest, PhotoId};
+
+/// The photo that was made of a source, and what the source said of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// The photo.
+    pub photo: PhotoId,
+    /// Its entity tag at the source.
+    pub etag: Option<String>,
+    /// When it changed last, in the words of the source.
+    pub last_modified: Option<String>,
+}
+
+impl Library {
+    /// The photo of a source, if it is remembered; `digest` is of the address and all else that makes the photo the same.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn source(&self, digest: &Digest) -> Result<Option<Source>> {
+        let select = sqlx::query("SELECT photo, etag, last_modified FROM sources WHERE digest = $1").bind(digest.as_str().to_owned());
+        let Some(row) = select.fetch_optional(self.database().reader()).await? else { return Ok(None) };
+        let photo: String = row.try_get("photo")?;
+        let photo = photo.parse().map_err(|e| LibraryError::stored("photo", e))?;
+        Ok(Some(Source { photo, etag: row.try_get("etag")?, last_modified: row.try_get("last_modified")? }))
+    }
+
+    /// Remembers a source until its photo is deleted.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`] if the photo is deleted, [`LibraryError::Unavailable`].
+    pub async fn remember_source(&self, digest: &Digest, source: &Source) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        let insert = "INSERT INTO sources (digest, photo, etag, last_modified) VALUES ($1, $2, $3, $4)
+            ON CONFLICT (digest) DO UPDATE SET photo = excluded.photo, etag = excluded.etag, last_modified = excluded.last_modified";
+        crate::accept::photo_in(&mut tx, source.photo).await?;
+        let insert = sqlx::query(insert).bind(digest.as_str().to_owned()).bind(source.photo.to_string());
+        insert.bind(source.etag.clone()).bind(source.last_modified.clone()).execute(tx.on()).await?;
+        tx.commit().await
+    }
+}

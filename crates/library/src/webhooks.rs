@@ -1,0 +1,296 @@
+//! Webhooks: addresses that are told of events. Those of the configuration, and those that an administrator adds, are told of all photos
+//! and rooms; those of an owner, of its photos.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use sqlx::any::AnyRow;
+use sqlx::{AssertSqlSafe, Row as _};
+
+use crate::Library;
+use crate::database::{Lock, Tx};
+use crate::error::{LibraryError, Result};
+use crate::ids::{Digest, Millis, Owner, hex, random};
+
+/// Webhooks of one owner, and those for all photos, besides the configuration's.
+pub const MOST_WEBHOOKS: u64 = 16;
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum EventType {
+    /// A photo is made.
+    #[serde(rename = "photo.done")]
+    PhotoDone,
+    /// A photo cannot be made.
+    #[serde(rename = "photo.failed")]
+    PhotoFailed,
+    /// A photo is deleted, by a caller or by retention.
+    #[serde(rename = "photo.deleted")]
+    PhotoDeleted,
+    /// An export or a film is written.
+    #[serde(rename = "export.done")]
+    ExportDone,
+    /// An export or a film cannot be written.
+    #[serde(rename = "export.failed")]
+    ExportFailed,
+    /// Someone publishes in a room.
+    #[serde(rename = "room.started")]
+    RoomStarted,
+    /// A room's publisher has left for good.
+    #[serde(rename = "room.ended")]
+    RoomEnded,
+    /// Somebody tests a webhook; no webhook has to ask for it.
+    #[serde(rename = "ping")]
+    Ping,
+}
+
+impl EventType {
+    /// All that a webhook can ask for.
+    pub const ALL: [Self; 7] =
+        [Self::PhotoDone, Self::PhotoFailed, Self::PhotoDeleted, Self::ExportDone, Self::ExportFailed, Self::RoomStarted, Self::RoomEnded];
+
+    /// Its name, as receivers see it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::PhotoDone => "photo.done",
+            Self::PhotoFailed => "photo.failed",
+            Self::PhotoDeleted => "photo.deleted",
+            Self::ExportDone => "export.done",
+            Self::ExportFailed => "export.failed",
+            Self::RoomStarted => "room.started",
+            Self::RoomEnded => "room.ended",
+            Self::Ping => "ping",
+        }
+    }
+
+    /// The event of [`Self::ALL`] with this name.
+    #[must_use]
+    pub fn of_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|event| event.name() == name)
+    }
+
+    pub(crate) fn of_column(name: &str) -> Result<Self> {
+        Self::of_name(name).or_else(|| (name == Self::Ping.name()).then_some(Self::Ping)).ok_or_else(|| LibraryError::stored("event", name))
+    }
+}
+
+/// A webhook.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Webhook {
+    /// Its id.
+    pub id: String,
+    /// Whose photos it is told of; `None` for all photos and rooms.
+    pub owner: Option<Owner>,
+    /// Whether it is from the configuration.
+    pub configured: bool,
+    /// Where events go.
+    pub url: String,
+    /// The secret that signs them, as text.
+    pub secret: String,
+    /// The events that it asks for.
+    pub events: Vec<EventType>,
+    /// When it was added.
+    pub created_at: Millis,
+    /// Since when and why it gets no events; `None` if it does.
+    pub disabled: Option<Disabled>,
+    /// Since when every attempt has failed.
+    pub failing_since: Option<Millis>,
+}
+
+/// Since when and why a webhook gets no events.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Disabled {
+    /// Since when.
+    pub at: Millis,
+    /// Why.
+    pub reason: String,
+}
+
+impl fmt::Debug for Webhook {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // without the secret
+        f.debug_struct("Webhook").field("id", &self.id).field("url", &self.url).field("disabled", &self.disabled).finish_non_exhaustive()
+    }
+}
+
+impl Webhook {
+    pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
+        let (owner, events, at): (Option<String>, String, Option<Millis>) =
+            (row.try_get("owner")?, row.try_get("events")?, row.try_get("disabled_at")?);
+        let reason: Option<String> = row.try_get("reason")?;
+        Ok(Self {
+            id: row.try_get("id")?,
+            owner: owner.map(Owner::from_column),
+            configured: row.try_get::<i64, _>("configured")? != 0,
+            url: row.try_get("url")?,
+            secret: row.try_get("secret")?,
+            events: events_of(&events)?,
+            created_at: row.try_get("created_at")?,
+            disabled: at.map(|at| Disabled { at, reason: reason.unwrap_or_default() }),
+            failing_since: row.try_get("failing_since")?,
+        })
+    }
+}
+
+/// Where events go and which.
+#[derive(Clone)]
+pub struct NewWebhook {
+    /// Address.
+    pub url: String,
+    /// The secret that signs them, as text.
+    pub secret: String,
+    /// The events.
+    pub events: Vec<EventType>,
+}
+
+impl fmt::Debug for NewWebhook {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // without the secret
+        f.debug_struct("NewWebhook").field("url", &self.url).field("events", &self.events).finish_non_exhaustive()
+    }
+}
+
+/// A change of a webhook; what is `None` stays.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct WebhookChange {
+    /// Where events go.
+    pub url: Option<String>,
+    /// The events.
+    pub events: Option<Vec<EventType>>,
+    /// Whether it gets events.
+    pub enabled: Option<bool>,
+}
+
+/// Names of events in a column.
+fn names_of(events: &[EventType]) -> String {
+    events.iter().map(|event| event.name()).collect::<Vec<_>>().join(",")
+}
+
+fn events_of(column: &str) -> Result<Vec<EventType>> {
+    column.split(',').filter(|name| !name.is_empty()).map(EventType::of_column).collect()
+}
+
+/// Id of a webhook of the configuration: the same address is the same webhook.
+fn configured_id(url: &str) -> String {
+    format!("wh_{}", Digest::of(url.as_bytes()).as_str().get(..32).unwrap_or_default())
+}
+
+const INSERT: &str = "INSERT INTO webhooks (id, owner, configured, url, secret, events, created_at) VALUES ($1, $2, $3, $4, $5, $6, $7)";
+
+impl Library {
+    /// Adds a webhook for the photos of an owner, or for all.
+    ///
+    /// # Errors
+    /// [`LibraryError::TooManyWebhooks`], [`LibraryError::Unavailable`].
+    pub async fn add_webhook(&self, owner: Option<&Owner>, new: &NewWebhook) -> Result<Webhook> {
+        let mut tx = self.database().write().await?;
+        if let Some(owner) = owner {
+            tx.lock_owner(owner.as_str()).await?;
+        }
+        tx.lock(Lock::Webhooks).await?;
+        let owner = owner.map(|owner| owner.as_str().to_owned());
+        let count = "SELECT COUNT(*) AS count FROM webhooks WHERE configured = 0 AND COALESCE(owner, '') = $1";
+        let count = sqlx::query(count).bind(owner.clone().unwrap_or_default()).fetch_one(tx.on()).await?.try_get::<i64, _>("count")?;
+        if count as u64 >= MOST_WEBHOOKS {
+            return Err(LibraryError::TooManyWebhooks { limit: MOST_WEBHOOKS });
+        }
+        let insert = sqlx::query(AssertSqlSafe(format!("{INSERT} RETURNING *"))).bind(format!("wh_{}", hex(&random::<16>()?)));
+        let insert = insert.bind(owner).bind(0_i64).bind(new.url.clone()).bind(new.secret.clone()).bind(names_of(&new.events));
+        let webhook = Webhook::from_row(&insert.bind(tx.now).fetch_one(tx.on()).await?)?;
+        tx.commit().await?;
+        Ok(webhook)
+    }
+
+    /// Makes the webhooks of the configuration those of the library. One that was disabled stays so while its address does.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn configure_webhooks(&self, all: &[NewWebhook]) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        tx.lock(Lock::Webhooks).await?;
+        let ids: Vec<String> = all.iter().map(|webhook| configured_id(&webhook.url)).collect();
+        for row in sqlx::query("SELECT id FROM webhooks WHERE configured = 1").fetch_all(tx.on()).await? {
+            let id: String = row.try_get("id")?;
+            if !ids.contains(&id) {
+                remove(&mut tx, &id).await?;
+            }
+        }
+        for (id, webhook) in ids.into_iter().zip(all) {
+            let insert = format!("{INSERT} ON CONFLICT (id) DO UPDATE SET secret = excluded.secret, events = excluded.events");
+            let insert = sqlx::query(AssertSqlSafe(insert)).bind(id).bind(None::<String>).bind(1_i64).bind(webhook.url.clone());
+            let insert = insert.bind(webhook.secret.clone()).bind(names_of(&webhook.events)).bind(tx.now);
+            insert.execute(tx.on()).await?;
+        }
+        tx.commit().await
+    }
+
+    /// The webhooks of an owner, or all with `None`, oldest first.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn webhooks(&self, owner: Option<&Owner>) -> Result<Vec<Webhook>> {
+        let select = sqlx::query("SELECT * FROM webhooks WHERE $1 = '' OR owner = $1 ORDER BY created_at, id");
+        let rows = select.bind(owner.map_or("", Owner::as_str).to_owned()).fetch_all(self.database().reader()).await?;
+        rows.iter().map(Webhook::from_row).collect()
+    }
+
+    /// A webhook.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn webhook(&self, id: &str) -> Result<Webhook> {
+        let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(id.to_owned());
+        let row = select.fetch_optional(self.database().reader()).await?;
+        Webhook::from_row(&row.ok_or(LibraryError::NotFound("webhook"))?)
+    }
+
+    /// Changes a webhook. One that is disabled fails its pending deliveries.
+    ///
+    /// # Errors
+    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    pub async fn change_webhook(&self, id: &str, change: &WebhookChange) -> Result<Webhook> {
+        let mut tx = self.database().write().await?;
+        match change.enabled {
+            Some(true) => {
+                let enable = "UPDATE webhooks SET disabled_at = NULL, reason = NULL, failing_since = NULL WHERE id = $1";
+                sqlx::query(enable).bind(id.to_owned()).execute(tx.on()).await?;
+            }
+            Some(false) => disable(&mut tx, id, "a caller disabled it").await?,
+            None => {}
+        }
+        let update = "UPDATE webhooks SET url = COALESCE($1, url), events = COALESCE($2, events) WHERE id = $3 RETURNING *";
+        let update = sqlx::query(update).bind(change.url.clone()).bind(change.events.as_deref().map(names_of)).bind(id.to_owned());
+        let row = update.fetch_optional(tx.on()).await?.ok_or(LibraryError::NotFound("webhook"))?;
+        tx.commit().await?;
+        Webhook::from_row(&row)
+    }
+
+    /// Removes a webhook and its deliveries; false if it does not exist.
+    ///
+    /// # Errors
+    /// [`LibraryError::Unavailable`].
+    pub async fn remove_webhook(&self, id: &str) -> Result<bool> {
+        let mut tx = self.database().write().await?;
+        let removed = remove(&mut tx, id).await?;
+        tx.commit().await?;
+        Ok(removed)
+    }
+}
+
+async fn remove(tx: &mut Tx, id: &str) -> Result<bool> {
+    sqlx::query("DELETE FROM deliveries WHERE webhook = $1").bind(id.to_owned()).execute(tx.on()).await?;
+    let delete = sqlx::query("DELETE FROM webhooks WHERE id = $1").bind(id.to_owned());
+    Ok(delete.execute(tx.on()).await?.rows_affected() > 0)
+}
+
+/// Disables a webhook, and fails its pending deliveries.
+pub(crate) async fn disable(tx: &mut Tx, id: &str, reason: &str) -> Result<()> {
+    let update = sqlx::query("UPDATE webhooks SET disabled_at = $1, reason = $2 WHERE id = $3 AND disabled_at IS NULL").bind(tx.now);
+    update.bind(reason.to_owned()).bind(id.to_owned()).execute(tx.on()).await?;
+    let fail =
+        "UPDATE deliveries SET state = 'failed', lease_until = NULL, ended_at = $1, error = $2 WHERE webhook = $3 AND state = 'pending'";
+    let fail = sqlx::query(fail).bind(tx.now).bind(format!("the webhook was disabled: {reason}")).bind(id.to_owned());
+    fail.execute(tx.on()).await?;
+    Ok(())
+}

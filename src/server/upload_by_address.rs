@@ -1,0 +1,219 @@
+//! Uploads by address: a JSON object that names a photo of another server in place of its bytes.
+
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::extract::Request;
+use axum::http::{HeaderMap, StatusCode, header};
+use percent_encoding::percent_decode_str;
+use reqwest::Url;
+use serde_json::{Map, Value};
+
+use super::app::App;
+use super::maker::HeadOf;
+use super::photo_options;
+use super::problem::Problem;
+use super::request_body::{self, CutOff, Guarded};
+use super::sources::{Fetched, SourceError, Validators};
+use super::time_limit::TimeLimit;
+use super::upload::{self, Chosen, Parts, Written};
+use super::upload_head::UploadHead;
+use tmpi_library::{Digest, LibraryError, Owner, Photo, PhotoState, Source};
+
+/// Most bytes of the object.
+const MOST: usize = 16 << 10;
+/// Time to fetch everything.
+const PATIENCE: Duration = Duration::from_mins(2);
+/// Names of the fields with addresses.
+const SOURCE: &str = "source";
+const DEPTH: &str = "depth_source";
+
+/// A photo of another server. It takes the options of the form, too.
+#[derive(utoipa::ToSchema)]
+#[allow(dead_code, reason = "describes the body in the OpenAPI document; fields are read by hand so that errors name them")]
+pub struct SourceOrder {
+    /// Address of the photo, of a host that the operator lists.
+    #[schema(format = "uri")]
+    source: String,
+    /// Address of its depth map.
+    #[schema(format = "uri")]
+    depth_source: Option<String>,
+    /// What to call the photo; else the name of the file at the address.
+    title: Option<String>,
+}
+
+/// Whether a request names a photo in place of sending it.
+#[must_use]
+pub fn is_address(headers: &HeaderMap) -> bool {
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).and_then(|v| v.split(';').next());
+    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+}
+
+/// The addresses of an upload, and its options.
+struct Order {
+    source: Url,
+    depth: Option<Url>,
+    chosen: Chosen,
+}
+
+/// A fetched file, and what its source says of it.
+struct File {
+    written: Written,
+    said: Validators,
+}
+
+/// What a source is known by: the caller, the address, the options and the program.
+struct Known {
+    digest: Digest,
+    /// The photo that was made of it, and what the source said.
+    photo: Option<(Photo, Validators)>,
+}
+
+/// Fetches a photo for `owner`, if there are owners, and has it accepted; when this returns, it is on disk.
+///
+/// # Errors
+/// 400 that names a wrong field, 403 if the server does not fetch from there, 502 and 504 if the source is at fault, and those of
+/// [`upload::take`].
+pub async fn take(
+    app: &App,
+    query: &[(String, String)],
+    request: Request,
+    owner: Option<Owner>,
+    clock: &TimeLimit,
+) -> Result<Photo, Problem> {
+    if !app.sources.is_on() {
+        let detail = "this server fetches no photos; tmpi serve --source-hosts lists the hosts from which it does";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "no-sources", detail));
+    }
+    let Order { source, depth, chosen } = read(app, upload::chosen(query)?, request).await?;
+    let _leave = upload::leave(app).await?;
+    clock.allow(app.limits.request + PATIENCE);
+    // a depth map that has changed needs the photo, too
+    let known = if depth.is_none() { known(app, &source, &chosen, owner.as_ref()).await? } else { None };
+    let before = known.as_ref().and_then(|known| known.photo.as_ref());
+    let fetched = async {
+        let options = &chosen.options;
+        let photo = fetch(app, SOURCE, source, before.map(|(_, said)| said), HeadOf::Photo(options)).await?;
+        let depth = match depth {
+            Some(depth) => fetch(app, DEPTH, depth, None, HeadOf::Depth).await?.map(|file| file.written),
+            None => None,
+        };
+        Ok((photo, depth))
+    };
+    let (photo, depth) = tokio::time::timeout(PATIENCE, fetched).await.unwrap_or_else(|_| Err(problem(SOURCE, &SourceError::Slow)))?;
+    match (photo, before) {
+        (Some(File { written, said }), _) => {
+            let photo = upload::accept(app, Parts { photo: Some(written), depth, chosen }, owner).await?;
+            if let Some(known) = known {
+                remember(app, known.digest, &photo, said).await;
+            }
+            Ok(photo)
+        }
+        (None, Some((photo, _))) => {
+            let photo = app.library.list_first(photo.id).await?;
+            upload::told_again(app, photo, &chosen.settings).await
+        }
+        (None, None) => Err(Problem::internal("a source", &"it says that a photo has not changed that was not asked for")),
+    }
+}
+
+/// Reads the object: addresses, and options as a form has them.
+async fn read(app: &App, mut chosen: Chosen, request: Request) -> Result<Order, Problem> {
+    let body = http_body_util::BodyExt::collect(http_body_util::Limited::new(request.into_body(), MOST)).await.map_err(|e| {
+        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
+        if large { Problem::too_large(MOST) } else { request_body::problem(&*e) }
+    })?;
+    let fields: Map<String, Value> =
+        serde_json::from_slice(&body.to_bytes()).map_err(|e| Problem::bad_request(format!("the body must be a JSON object: {e}")))?;
+    let (mut source, mut depth) = (None, None);
+    for (name, value) in fields {
+        let text = match value {
+            Value::Null => continue,
+            Value::String(text) => text,
+            Value::Number(number) => number.to_string(),
+            _ => return Err(Problem::parameter(name, "must be a text or a number")),
+        };
+        match name.as_str() {
+            SOURCE => source = Some(app.sources.address(&text).map_err(|e| problem(SOURCE, &e))?),
+            DEPTH => depth = Some(app.sources.address(&text).map_err(|e| problem(DEPTH, &e))?),
+            _ => {
+                upload::known(&name, "field; there are source, depth_source, title, visibility, class")?;
+                chosen.set(&name, &text)?;
+            }
+        }
+    }
+    let source = source.ok_or_else(|| Problem::parameter(SOURCE, "is missing"))?;
+    chosen.of_file = file_name(&source);
+    Ok(Order { source, depth, chosen })
+}
+
+/// The name of the file at an address.
+fn file_name(url: &Url) -> Option<String> {
+    let last = url.path_segments()?.next_back().filter(|last| !last.is_empty())?;
+    percent_decode_str(last).decode_utf8().ok().map(std::borrow::Cow::into_owned)
+}
+
+/// What is known of a source.
+async fn known(app: &App, source: &Url, chosen: &Chosen, owner: Option<&Owner>) -> Result<Option<Known>, Problem> {
+    let options = photo_options::canonical(&photo_options::to_text(&chosen.options));
+    let owner = owner.map_or("", Owner::as_str);
+    let digest = Digest::of(format!("{owner}\n{source}\n{}\n{options}", app.maker.identity()).as_bytes());
+    let Some(Source { photo, etag, last_modified }) = app.library.source(&digest).await? else {
+        return Ok(Some(Known { digest, photo: None }));
+    };
+    let photo = app.library.find(photo).await?.filter(|photo| !matches!(photo.state, PhotoState::Failed | PhotoState::Damaged));
+    Ok(Some(Known { digest, photo: photo.map(|photo| (photo, Validators { etag, last_modified })) }))
+}
+
+/// Remembers what a source said, if it can be asked by that. The photo is accepted whether this works or not.
+async fn remember(app: &App, digest: Digest, photo: &Photo, said: Validators) {
+    let Validators { etag, last_modified } = said;
+    if etag.is_none() && last_modified.is_none() {
+        return;
+    }
+    match app.library.remember_source(&digest, &Source { photo: photo.id, etag, last_modified }).await {
+        // it was deleted meanwhile
+        Ok(()) | Err(LibraryError::NotFound(_)) => {}
+        Err(error) => tracing::warn!(%error, "cannot remember a source; it is fetched again"),
+    }
+}
+
+/// Fetches a file into the folder of incoming uploads; `None` if it is the `known` one.
+async fn fetch(app: &App, field: &str, url: Url, known: Option<&Validators>, of: HeadOf<'_>) -> Result<Option<File>, Problem> {
+    let (body, said) = match app.sources.fetch(url, known).await.map_err(|e| problem(field, &e))? {
+        Fetched::Photo(body, said) => (body, said),
+        Fetched::NotModified => return Ok(None),
+    };
+    let (guarded, _rest) = Guarded::new(body, &app.limits, TimeLimit::new(PATIENCE));
+    let mut admission = UploadHead::new(&app.maker);
+    let look = |bytes: &[u8]| admission.see(bytes, of).map_err(|problem| problem.field(field));
+    let written = upload::write(app, Body::new(guarded).into_data_stream(), |e| cut_off(field, &e), look).await?;
+    Ok(Some(File { written, said }))
+}
+
+/// The answer to a source that ends early.
+fn cut_off(field: &str, error: &axum::Error) -> Problem {
+    let of = |status, kind, detail: String| Problem::new(status, kind, detail).field(field);
+    match CutOff::find(error) {
+        Some(CutOff::TooLarge(limit)) => {
+            of(StatusCode::PAYLOAD_TOO_LARGE, "source-too-large", format!("the source's file is over the limit of {limit} bytes"))
+        }
+        Some(CutOff::TooSlow(_) | CutOff::BelowRate(_)) => {
+            of(StatusCode::GATEWAY_TIMEOUT, "source-too-slow", "the source sends its file too slowly".into())
+        }
+        None => of(StatusCode::BAD_GATEWAY, "source-failed", "the source ends within its file".into()),
+    }
+}
+
+/// The answer to a source that cannot be fetched.
+fn problem(field: &str, error: &SourceError) -> Problem {
+    let (status, kind) = match error {
+        SourceError::Address(_) => return Problem::parameter(field, error),
+        SourceError::Host(_) => (StatusCode::FORBIDDEN, "source-host"),
+        SourceError::NotPublic(_) => (StatusCode::FORBIDDEN, "source-address"),
+        SourceError::Refused(_) => (StatusCode::UNPROCESSABLE_ENTITY, "source-refused"),
+        SourceError::Failed(_) => (StatusCode::BAD_GATEWAY, "source-failed"),
+        SourceError::Slow => (StatusCode::GATEWAY_TIMEOUT, "source-too-slow"),
+    };
+    Problem::new(status, kind, error.to_string()).field(field)
+}

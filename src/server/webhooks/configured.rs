@@ -1,0 +1,80 @@
+//! Webhooks of the configuration, which are told of all photos and rooms.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::Deserialize;
+use tmpi_library::NewWebhook;
+
+use super::{SigningSecret, events};
+use crate::server::outbound::{self, Reach};
+
+/// A webhook of the configuration. It may have any address.
+#[derive(Clone)]
+pub struct ConfiguredWebhook(NewWebhook);
+
+impl fmt::Debug for ConfiguredWebhook {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(&self.0, f)
+    }
+}
+
+impl ConfiguredWebhook {
+    /// As the library stores it.
+    #[must_use]
+    pub const fn stored(&self) -> &NewWebhook {
+        &self.0
+    }
+}
+
+/// Its fields.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fields {
+    url: String,
+    secret: String,
+    #[serde(default)]
+    events: Vec<String>,
+}
+
+impl FromStr for ConfiguredWebhook {
+    type Err = String;
+
+    /// Reads a JSON object of `url`, `secret` and `events`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let Fields { url, secret, events: names } = serde_json::from_str(text)
+            // the error of another text would repeat the secret
+            .map_err(|error| {
+                format!("an object of url, secret and events is expected: line {}, column {}", error.line(), error.column())
+            })?;
+        outbound::url(&url, Reach::Any).map_err(|error| format!("url: {error}"))?;
+        SigningSecret::parse(&secret).map_err(|error| format!("secret: {error}"))?;
+        Ok(Self(NewWebhook { url, secret, events: events(&names).map_err(|error| format!("events: {error}"))? }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_webhook_of_the_configuration_is_checked() {
+        let secret = format!("whsec_{}", "A".repeat(32));
+        let read = |text: &str| text.replace("SECRET", &secret).parse::<ConfiguredWebhook>();
+        let one = read(r#"{"url": "http://127.0.0.1:9/x", "secret": "SECRET", "events": ["photo.done", "photo.done"]}"#).unwrap();
+        assert_eq!((one.stored().url.as_str(), one.stored().events.len()), ("http://127.0.0.1:9/x", 1));
+        assert!(!format!("{one:?}").contains("AAAA"));
+        assert_eq!(read(r#"{"url": "http://a", "secret": "SECRET"}"#).unwrap().stored().events.len(), 7);
+        for (wrong, word) in [
+            (r#"{"url": "ftp://a", "secret": "SECRET"}"#, "url"),
+            (r#"{"url": "http://a", "secret": "SECRE"}"#, "secret"),
+            (r#"{"url": "http://a", "secret": "SECRET", "events": ["ping"]}"#, "events"),
+            (r#"{"url": "http://a"}"#, "expected"),
+            (r#"{"url": "http://a", "secret": "SECRET", "more": 1}"#, "expected"),
+            ("[]", "expected"),
+        ] {
+            let error = read(wrong).unwrap_err();
+            assert!(error.contains(word) && !error.contains("AAAA"), "{wrong}: {error}");
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! The body of a webhook's request. It is small: receivers fetch the rest.
+
+use serde_json::{Value, json};
+use tmpi_library::{Delivery, EventType, ExportFacts, Facts, PhotoId};
+
+use crate::server::exports::Recipe;
+use crate::server::problem::Problem;
+use crate::server::timestamps::rfc3339;
+
+/// The body of a delivery: type, time and data. `origin` is `https://HOST` of this server, if it knows that; paths then become addresses,
+/// too.
+#[must_use]
+pub fn body(delivery: &Delivery, origin: Option<&str>) -> String {
+    json!({ "type": delivery.event.name(), "timestamp": rfc3339(delivery.created_at), "data": data(delivery, origin) }).to_string()
+}
+
+/// The data of a delivery.
+#[must_use]
+pub fn data(delivery: &Delivery, origin: Option<&str>) -> Value {
+    let Facts { photo, title, export, problem, room } = &delivery.facts;
+    let mut data = match (photo, export, room) {
+        (Some(photo), Some(export), _) => of_export(*photo, export, delivery.event),
+        (Some(photo), None, _) => of_photo(*photo, delivery.event),
+        (None, _, Some(room)) => json!({ "room": room, "path": format!("/live/{room}") }),
+        (None, _, None) => json!({}),
+    };
+    if let Some(title) = title {
+        data["title"] = title.as_str().into();
+    }
+    if let Some(problem) = problem {
+        let Problem { kind, detail, field, .. } = Problem::of_library(problem);
+        data["problem"] = json!({ "type": kind, "detail": detail });
+        if let Some(field) = field {
+            data["problem"]["field"] = field.as_ref().into();
+        }
+    }
+    if let Some((origin, path)) = origin.zip(data["path"].as_str()) {
+        data["url"] = format!("{origin}{path}").into();
+    }
+    data
+}
+
+fn of_photo(photo: PhotoId, event: EventType) -> Value {
+    let path = format!("/v1/photos/{photo}");
+    match event {
+        EventType::PhotoDeleted => json!({ "id": photo, "state": "deleted" }),
+        EventType::PhotoFailed => json!({ "id": photo, "state": "failed", "path": path }),
+        _ => json!({ "id": photo, "state": "done", "path": path, "page": format!("/view/{photo}") }),
+    }
+}
+
+fn of_export(photo: PhotoId, export: &ExportFacts, event: EventType) -> Value {
+    let ExportFacts { key, payload, .. } = export;
+    let (_, ending) = payload.as_str().and_then(Recipe::kind).unwrap_or_default();
+    let path = format!("/v1/photos/{photo}/exports/{key}");
+    let mut data = json!({ "photo": photo, "key": key, "format": ending, "state": "failed", "path": path });
+    if event == EventType::ExportDone {
+        data["state"] = "done".into();
+        data["file"] = format!("{path}/file").into();
+    }
+    data
+}
+
+#[cfg(test)]
+mod tests {
+    use tmpi_library::{DeliveryState, Kind};
+
+    use super::*;
+
+    fn told(event: EventType, facts: Facts) -> Value {
+        let (created_at, state) = (1_767_225_600_001, DeliveryState::Pending);
+        let (run_after, attempts) = (created_at, 1);
+        let delivery = Delivery {
+            id: "msg_1".into(),
+            event,
+            facts,
+            created_at,
+            run_after,
+            attempts,
+            state,
+            status: None,
+            error: None,
+            took_ms: None,
+            ended_at: None,
+        };
+        serde_json::from_str(&body(&delivery, Some("https://photos.example"))).unwrap()
+    }
+
+    #[test]
+    fn a_body_has_what_a_receiver_needs_to_fetch_the_rest() {
+        let photo = PhotoId::from_bytes([7; 16]);
+        let facts = Facts { photo: Some(photo), title: Some("A \"title\"".into()), ..Facts::default() };
+        let path = format!("/v1/photos/{photo}");
+        let done = told(EventType::PhotoDone, facts.clone());
+        assert_eq!(
+            done,
+            json!({ "type": "photo.done", "timestamp": "2026-01-01T00:00:00.001Z", "data": {
+                "id": photo, "state": "done", "title": "A \"title\"", "path": path, "page": format!("/view/{photo}"),
+                "url": format!("https://photos.example{path}") } })
+        );
+        let problem = Some(tmpi_library::Problem { field: Some("photo".into()), ..tmpi_library::Problem::new("broken-photo", "why") });
+        let failed = told(EventType::PhotoFailed, Facts { problem: problem.clone(), ..facts.clone() });
+        assert_eq!(failed["data"]["problem"], json!({ "type": "urn:tmpi:problem:broken-photo", "detail": "why", "field": "photo" }));
+        assert_eq!(
+            told(EventType::PhotoDeleted, facts.clone())["data"],
+            json!({ "id": photo, "state": "deleted", "title": "A \"title\"" })
+        );
+        let export = ExportFacts { key: "k".into(), kind: Kind::Film, payload: "path=orbit&format=mp4".into() };
+        let written = told(EventType::ExportDone, Facts { export: Some(export.clone()), ..facts.clone() });
+        assert_eq!(written["data"]["file"], format!("{path}/exports/k/file"));
+        assert_eq!((&written["data"]["format"], &written["data"]["state"]), (&"mp4".into(), &"done".into()));
+        let unwritten = told(EventType::ExportFailed, Facts { export: Some(export), problem, ..facts });
+        assert!(unwritten["data"]["file"].is_null() && unwritten["data"]["problem"].is_object());
+        let room = told(EventType::RoomStarted, Facts { room: Some("attic".into()), ..Facts::default() });
+        assert_eq!((&room["data"]["room"], &room["data"]["path"]), (&"attic".into(), &"/live/attic".into()));
+        assert_eq!(told(EventType::Ping, Facts::default())["data"], json!({}));
+    }
+}

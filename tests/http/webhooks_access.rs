@@ -1,0 +1,83 @@
+//! Webhooks of owners on a server with `--access private`.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde_json::{Value, json};
+use tmpi::server::{Config, Reach, Server};
+use tmpi_render::Backend;
+
+use crate::access::{ask, id, secret, upload};
+use crate::client::Response;
+use crate::fixture::{Running, pipeline};
+use crate::key_fixture::{self, Scope};
+use crate::receiver::{Answer, Receiver};
+
+fn start(data: &Path) -> Running {
+    let config = Config {
+        hosts: vec!["photos.example".into()],
+        private: true,
+        webhook_reach: Reach::Any,
+        ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned())
+    };
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap() })
+}
+
+fn send(server: &Running, who: &str, method: &str, path: &str, body: &Value) -> Response {
+    let body = if body.is_null() { String::new() } else { body.to_string() };
+    ask(server, method, path, &[("authorization", who), ("content-type", "application/json")], body.as_bytes())
+}
+
+fn add(server: &Running, who: &str, url: &str) -> String {
+    let answer = send(server, who, "POST", "/v1/webhooks", &json!({ "url": url }));
+    assert_eq!(answer.status, 201, "{}", String::from_utf8_lossy(&answer.body));
+    id(&answer.json())
+}
+
+fn photos(receiver: &Receiver) -> Vec<String> {
+    let mut all: Vec<String> = receiver.got().iter().map(|got| got.json()["data"]["id"].as_str().unwrap().to_owned()).collect();
+    all.sort();
+    all
+}
+
+#[test]
+fn owners_are_told_of_their_photos_and_administrators_of_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = start(dir.path());
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), name, scopes, None).unwrap());
+    let (ann, site, boss) = (secret("a"), key("site", &[Scope::Upload]), key("boss", &[Scope::Admin]));
+    let receivers: Vec<Receiver> = (0..3).map(|_| Receiver::start(|_| Answer::of(200))).collect();
+    let [of_ann, of_site, of_boss] = [(&ann, 0), (&site, 1), (&boss, 2)].map(|(who, n)| add(&server, who, &receivers[n].url));
+    let (photo, other) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 2)));
+    receivers[2].wait("photo.done", 2);
+    receivers[1].wait("photo.done", 1);
+    receivers[0].wait("photo.done", 1);
+    let mut both = vec![photo.clone(), other.clone()];
+    both.sort();
+    assert_eq!([&receivers[0], &receivers[1], &receivers[2]].map(photos), [vec![photo], vec![other], both]);
+    let listed = |who: &str| {
+        let list = send(&server, who, "GET", "/v1/webhooks", &Value::Null).json();
+        list["webhooks"].as_array().unwrap().iter().map(id).collect::<Vec<_>>()
+    };
+    assert_eq!((listed(&ann), listed(&site)), (vec![of_ann.clone()], vec![of_site.clone()]));
+    assert_eq!(listed(&boss), [of_ann.clone(), of_site.clone(), of_boss.clone()]);
+    for (method, path, body) in [
+        ("GET", String::new(), Value::Null),
+        ("PATCH", String::new(), json!({ "enabled": false })),
+        ("DELETE", String::new(), Value::Null),
+        ("GET", "/deliveries".into(), Value::Null),
+        ("POST", "/test".into(), Value::Null),
+    ] {
+        for (who, webhook) in [(&ann, &of_site), (&ann, &of_boss), (&site, &of_ann)] {
+            send(&server, who, method, &format!("/v1/webhooks/{webhook}{path}"), &body).problem(404);
+        }
+    }
+    // an administrator manages those of others
+    assert_eq!(send(&server, &boss, "DELETE", &format!("/v1/webhooks/{of_ann}"), &Value::Null).status, 204);
+    assert!(listed(&ann).is_empty());
+    let refused = ask(&server, "GET", "/v1/webhooks", &[], &[]).problem(403);
+    assert_eq!(refused["type"], "urn:tmpi:problem:no-owner");
+    let reads = key("site", &[Scope::Read]);
+    assert_eq!(send(&server, &reads, "GET", "/v1/webhooks", &Value::Null).problem(403)["type"], "urn:tmpi:problem:scope");
+}
