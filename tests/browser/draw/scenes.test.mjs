@@ -16,6 +16,8 @@ const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
 /** Largest fraction of pixels off by more than 8 levels, and largest mean FLIP. */
 const MOST_OFF = 0.015;
 const MOST_FLIP = 0.02;
+/** A small page, for fast software rendering. */
+const SMALL = { reducedMotion: 'reduce', viewport: { width: 480, height: 460 } };
 /** The scenes have twice the default view box. */
 const REACH = 0.06;
 
@@ -62,7 +64,7 @@ describe('scenes', () => {
     let [worstOff, worstFlip] = [0, 0];
     for (const scene of scenes) {
       const server = await serve({ atlas: readFileSync(join(FOLDER, scene)) });
-      const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+      const { page, context, errors } = await openPage(browser, SMALL);
       if (mode === 'webgl') await disableGraphics(page, { webgl: true });
       await page.goto(`${server.url}/view/box`);
       await waitForMode(page, mode);
