@@ -10,7 +10,7 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{Layers, Model, When};
 use tmpi_core::{DisparityMap, Photo, Rect, container};
 use tmpi_live::access_units::Splitter;
-use tmpi_live::depth_codec as measured_depth;
+use tmpi_live::measured_depth;
 use tmpi_pipeline::depth::{self as maps, DepthKind, Read};
 use tmpi_pipeline::{networks, photo, strokes};
 

@@ -15,9 +15,9 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
+use super::chunk_store::Chunks;
 use super::origin_node::{Nodes, Socket};
 use super::room::Room;
-use super::tiles::Chunks;
 use super::{COME_BACK, Entry};
 
 /// Silence after which the origin counts as lost: it sends something every second.

@@ -13,19 +13,19 @@
 //! | `publisher`, `viewer` | one socket each |
 //! | `sound_limit` | the rate limit of sound |
 //! | `room` | the state that sockets and threads of a room share |
-//! | `newest_frame` | the last frame with its geometry |
+//! | `snapshot` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
 //! | `plain_http` | the newest frame and groups of pictures by plain HTTP |
-//! | `tiles` | the tiles of a room as encoded chunks |
+//! | `chunk_store` | the tiles of a room as encoded chunks |
 //! | `origin_node` | which node has a room |
 //! | `edge` | a room that another node has |
 //! | `worker` | the threads that decode frames and make geometry |
 
 mod access;
+mod chunk_store;
 mod edge;
 mod gops;
-mod newest_frame;
 mod origin_node;
 mod plain_http;
 mod publisher;
@@ -34,8 +34,8 @@ mod ring;
 mod room;
 mod room_status;
 pub(crate) mod routes;
+mod snapshot;
 mod sound_limit;
-mod tiles;
 mod viewer;
 mod worker;
 

@@ -11,10 +11,10 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Bye, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 
+use super::chunk_store::Chunks;
 use super::gops::{Group, Groups, Part};
-pub use super::newest_frame::{FrameWithTiles, NewestFrame, Tiles};
 use super::ring::{Place, Ring, Step, What};
-use super::tiles::Chunks;
+pub use super::snapshot::{FrameWithTiles, NewestFrame, Tiles};
 use super::{Bounds, KEYS};
 use crate::server::Problem;
 

@@ -14,7 +14,7 @@ use tokio::sync::mpsc;
 use tmpi_core::live::schema;
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_live::video::{Decoder, FAILED, VideoError};
-use tmpi_live::{Frame, Geometry, depth_codec};
+use tmpi_live::{Frame, Geometry, measured_depth};
 
 use super::PANICS;
 use super::room::{FrameWithTiles, Room};
@@ -162,7 +162,7 @@ impl Slot {
 /// Decodes a frame's picture and measured depth; `None` if it holds no picture.
 fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, VideoError> {
     let Some(photo) = decoder.decode(data)? else { return Ok(None) };
-    let depth = packed.map(|packed| depth_codec::unpack(packed, photo.width, photo.height)).transpose();
+    let depth = packed.map(|packed| measured_depth::unpack(packed, photo.width, photo.height)).transpose();
     let depth = depth.map_err(|e| VideoError::Broken(e.to_string()))?;
     Ok(Some((photo, depth)))
 }

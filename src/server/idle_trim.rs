@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use super::app::App;
+use super::app_state::App;
 
 /// Checks per [`Limits::idle`](super::Limits::idle).
 const CHECKS: u32 = 8;

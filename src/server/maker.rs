@@ -12,9 +12,9 @@ use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::build_identity;
-use super::depth_network::Offer;
 use super::exports::Work;
 use super::limits::Limits;
+use super::network_download::Offer;
 use super::problem::Problem;
 
 /// The stored results of a photo.

@@ -16,7 +16,7 @@ use tracing::{Instrument, Span};
 
 use super::accept_loop::{Peer, Secure};
 use super::access::{self, Guard};
-use super::app::App;
+use super::app_state::App;
 use super::client_slots::{CLIENT, client_address};
 use super::conditional::insert;
 use super::hosts::{Hosts, SECURE};

@@ -6,9 +6,8 @@
 
 mod accept_loop;
 mod access;
-mod app;
+mod app_state;
 mod attachment;
-mod background_tasks;
 mod blocking_pool;
 mod body_source;
 mod build_identity;
@@ -19,26 +18,26 @@ mod client_slots;
 mod compress;
 mod conditional;
 mod config;
-mod depth_network;
 mod exports;
 mod finished_photo;
-mod form_headers;
 pub(crate) mod fuzzing;
+mod header_limit;
 mod hosts;
-mod http2_streams;
 mod idle_trim;
 mod limits;
+mod link_preview;
+mod maintenance;
 mod maker;
 mod memory;
 mod metrics;
 mod middleware;
 mod minimum_rate;
+mod network_download;
 mod outbound;
 mod pages;
-mod part_name;
+mod part_filename;
 mod photo_options;
 mod photo_settings;
-mod preview_card;
 mod problem;
 mod process_metrics;
 mod proxies;
@@ -46,6 +45,7 @@ mod rates;
 mod request_body;
 mod routes;
 mod sources;
+mod stream_health;
 mod time_limit;
 mod timestamps;
 mod tls;
@@ -73,10 +73,10 @@ pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
 pub(crate) use conditional::{Coding, Entity, respond};
 pub use config::{Config, Role};
-pub use depth_network::{Better, Offer, Renewed};
 pub use idle_trim::allocate_in_one_place;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
+pub use network_download::{Better, Offer, Renewed};
 pub use outbound::Reach;
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
@@ -87,7 +87,7 @@ pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
 
-use app::{App, Parts, Shared};
+use app_state::{App, Parts, Shared};
 use metrics::Telemetry;
 pub(crate) use metrics::{Figure, gauge};
 pub(crate) use timestamps::rfc3339;
@@ -241,9 +241,9 @@ impl Server {
             }
         });
         let mut upkeep = tokio::task::JoinSet::new();
-        upkeep.spawn(background_tasks::probe(Arc::clone(&app), has_objects));
-        upkeep.spawn(background_tasks::sweep(Arc::clone(&app)));
-        upkeep.spawn(background_tasks::forget(Arc::clone(&app)));
+        upkeep.spawn(maintenance::probe(Arc::clone(&app), has_objects));
+        upkeep.spawn(maintenance::sweep(Arc::clone(&app)));
+        upkeep.spawn(maintenance::forget(Arc::clone(&app)));
         if tls.is_some() {
             app.set_origin(addr.port());
         }
@@ -251,7 +251,7 @@ impl Server {
         upkeep.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
         if !has_objects {
             // an object store checks its own contents
-            upkeep.spawn(background_tasks::look_over(Arc::clone(&app)));
+            upkeep.spawn(maintenance::look_over(Arc::clone(&app)));
         }
         // nodes that only make photos have no rooms
         let rooms = rooms.filter(|_| role != Role::Work);

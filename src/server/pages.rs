@@ -9,11 +9,11 @@ use axum::response::Response;
 use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
-use super::app::App;
+use super::app_state::App;
 use super::compress;
 use super::conditional::{Coding, Entity, REVALIDATE, respond};
 use super::hosts::origin;
-use super::preview_card::Card;
+use super::link_preview::Card;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 use tmpi_library::hex;

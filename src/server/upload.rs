@@ -14,10 +14,10 @@ use sha2::{Digest as _, Sha256};
 use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
-use super::app::{App, Shared};
-use super::form_headers::Bounded;
+use super::app_state::{App, Shared};
+use super::header_limit::Bounded;
 use super::maker::HeadOf;
-use super::part_name::file_name;
+use super::part_filename::file_name;
 use super::photo_options;
 use super::photo_settings::{Settings, title_of_file};
 use super::problem::Problem;

@@ -9,7 +9,7 @@ use percent_encoding::percent_decode_str;
 use reqwest::Url;
 use serde_json::{Map, Value};
 
-use super::app::App;
+use super::app_state::App;
 use super::maker::HeadOf;
 use super::photo_options;
 use super::problem::Problem;

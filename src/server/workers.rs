@@ -14,7 +14,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
-use super::app::App;
+use super::app_state::App;
 use super::exports::{Recipe, WriteRequest, written};
 use super::finished_photo::FinishedPhoto;
 use super::maker::{Fault, Product};
@@ -285,7 +285,7 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
     };
     let mut options = photo_options::from_text(&photo.options).map_err(End::Failed)?;
     options.strokes = match read(Part::Strokes).await {
-        Ok(strokes) => super::app::strokes_of(strokes.as_deref()),
+        Ok(strokes) => super::app_state::strokes_of(strokes.as_deref()),
         // the photo can be made without strokes
         Err(End::Failed(_)) => Vec::new(),
         Err(again) => return Err(again),

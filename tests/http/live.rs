@@ -346,7 +346,7 @@ fn measured_depth_is_used_and_sound_is_forwarded_unchanged() {
     // the measured depth differs from brightness
     let (width, height) = SIZE;
     let map = DisparityMap { width, height, delta: (0..width * height).map(|i| if i % width < 80 { 0.25 } else { 0.75 }).collect() };
-    let data = tmpi_live::depth_codec::pack(&map).unwrap();
+    let data = tmpi_live::measured_depth::pack(&map).unwrap();
     let mut viewer = None;
     for n in 0..4 {
         publisher.client.send(Kind::Depth(Depth { frame: n, data: data.clone().into() }));

@@ -10,8 +10,8 @@ use crate::database::Tx;
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::PhotoId;
-use crate::jobs::{Asker, Kind, NewJob};
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, bytes_of, title_of, to_json};
+use crate::queue::{Asker, Kind, NewJob};
 use crate::{Library, quota};
 
 /// A complete upload.

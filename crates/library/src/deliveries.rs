@@ -16,8 +16,8 @@ use crate::database::{Lock, Tx};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::{Millis, Owner, PhotoId, hex, random};
-use crate::jobs::{Job, Kind};
 use crate::photo::{Photo, Problem, json, to_json};
+use crate::queue::{Job, Kind};
 use crate::webhooks::{EventType, Webhook, disable};
 use crate::{Library, millis};
 

@@ -12,9 +12,9 @@ use crate::deliveries::{Facts, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::PhotoId;
-use crate::jobs::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
 use crate::leases::{Lease, count};
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
+use crate::queue::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
 use crate::webhooks::EventType;
 use crate::{Library, millis};
 

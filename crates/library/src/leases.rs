@@ -18,8 +18,8 @@ use crate::deliveries::{self, Facts, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::{Millis, hex, random};
-use crate::jobs::{COLUMNS, Job, Kind};
 use crate::photo::{self, Blobs, Photo, PhotoState, Problem, bytes_of, to_json};
+use crate::queue::{COLUMNS, Job, Kind};
 use crate::webhooks::EventType;
 use crate::{Library, exports, millis, rooms};
 

@@ -16,14 +16,14 @@ mod events;
 mod exports;
 mod ids;
 mod integrity;
-mod jobs;
 mod leases;
-mod links;
 mod photo;
 mod photos;
+mod queue;
 mod quota;
 mod retention;
 mod rooms;
+mod signed_links;
 mod sources;
 mod statistics;
 #[cfg(test)]
@@ -48,13 +48,13 @@ pub use events::{Event, Subscription};
 pub use exports::{Order, Ordered};
 pub use ids::{Digest, IdError, Millis, Owner, PhotoId, hex};
 pub use integrity::{Collected, Damage};
-pub use jobs::{Asker, Job, JobState, Kind, Position};
 pub use leases::{Lease, Made, Retry};
-pub use links::{Grant, Link, Secret, Subject};
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Filter, Page};
+pub use queue::{Asker, Job, JobState, Kind, Position};
 pub use retention::Swept;
 pub use rooms::{Claim, Origin};
+pub use signed_links::{Grant, Link, Secret, Subject};
 pub use sources::Source;
 pub use statistics::{OutcomeCounts, Statistics};
 pub use webhooks::{Disabled, EventType, MOST_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
@@ -183,7 +183,7 @@ impl Library {
         let incoming = config.data.join("blobs").join("incoming");
         blobs::create_private(&incoming)?;
         Box::pin(pair(&database, &blobs)).await?;
-        let secret = links::secret(&database).await?;
+        let secret = signed_links::secret(&database).await?;
         Ok(Self(Arc::new(Inner {
             database,
             blobs,
@@ -271,7 +271,7 @@ impl Library {
 
 /// Refuses a blob store of another library: `gc` would delete its blobs as orphans.
 async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
-    let id = links::stored_secret(database, "library").await?;
+    let id = signed_links::stored_secret(database, "library").await?;
     match blobs.library().await? {
         Some(of) if of == id => Ok(()),
         Some(_) => {

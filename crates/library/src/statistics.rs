@@ -7,8 +7,8 @@ use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
 use crate::error::Result;
-use crate::jobs::{JobState, Kind};
 use crate::photo::{Class, PhotoState, class_of, state_of};
+use crate::queue::{JobState, Kind};
 use crate::{Library, LibraryError};
 
 /// Outcomes of the jobs of a kind since the library was created.

@@ -15,9 +15,9 @@ use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, l
 
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
-use crate::recheck::{RECHECK, RecheckSettings, Rechecks};
+use crate::depth_recheck::{RECHECK, RecheckSettings, Rechecks};
+use crate::plane_queue::Queue;
 use crate::reprojection_error::reprojection_error;
-use crate::tile_queue::Queue;
 use crate::{Budget, TileBudget};
 
 mod estimate;

@@ -19,21 +19,21 @@
 //! tile waits forever. After a frame whose tiles were sent, there is a short cooldown ([`Settings::cooldown`]); changes during it are sent
 //! after it.
 //!
-//! [`video`] and [`depth_codec`] decode what publishers send, and [`access_units`] splits their streams. This crate does no I/O and never blocks.
+//! [`video`] and [`measured_depth`] decode what publishers send, and [`access_units`] splits their streams. This crate does no I/O and never blocks.
 
 pub mod access_units;
 pub mod align;
-mod budget;
 pub mod change;
-pub mod depth_codec;
+mod depth_recheck;
+mod frame_budget;
 mod geometry;
-mod recheck;
+pub mod measured_depth;
+mod plane_queue;
 mod reprojection_error;
-mod tile_queue;
 pub mod video;
 
-pub use budget::{Budget, TileBudget};
 pub use change::Tolerance;
+pub use depth_recheck::{RECHECK, RecheckSettings};
+pub use frame_budget::{Budget, TileBudget};
 pub use geometry::{BUDGET_MS, COOLDOWN, Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, Settings, Update};
-pub use recheck::{RECHECK, RecheckSettings};
 pub use reprojection_error::reprojection_error;

@@ -6,7 +6,7 @@
 
 mod callers;
 mod cookies;
-mod links;
+mod link_query;
 mod permissions;
 mod photo_token;
 
@@ -29,8 +29,8 @@ use crate::live::check_origin;
 use callers::{Principal, bearer, is_secret, new_secret};
 use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
 pub use cookies::{set_manage, set_owner};
-use links::LinkInUrl;
-pub(super) use links::{link_of_url, query_of, take_link};
+use link_query::LinkInUrl;
+pub(super) use link_query::{link_of_url, query_of, take_link};
 use permissions::{Permission, permission, refusal};
 
 /// Lifetime of a ticket.

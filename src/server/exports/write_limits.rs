@@ -8,7 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::recipe::Recipe;
 use super::write::{Work, late};
-use crate::server::app::Shared;
+use crate::server::app_state::Shared;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::maker::Fault;
 use crate::server::memory::Priority;

@@ -15,7 +15,7 @@ use tokio::time::Instant;
 use super::query::NoQuery;
 use super::state::{PhotoState, Progress};
 use crate::server::access::{Guard, Pass};
-use crate::server::app::App;
+use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;

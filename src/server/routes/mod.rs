@@ -1,11 +1,11 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
-mod admin;
-mod better_depth;
-mod derived;
+mod admin_listener;
+mod depth_upgrade;
+mod derived_answer;
 mod events;
-mod export;
-mod exports;
+mod export_download;
+mod export_jobs;
 mod network;
 mod oembed;
 mod openapi_errors;
@@ -36,10 +36,10 @@ use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::app::App;
+use super::app_state::App;
 use super::limits::Limits;
 use super::middleware;
-pub(super) use admin::router as admin_router;
+pub(super) use admin_listener::router as admin_router;
 pub(crate) use query::{NoBody, Pairs};
 pub(super) use state::Progress as Stage;
 pub(super) use view_query::ViewQuery;
@@ -75,7 +75,7 @@ fn open_api() -> OpenApiRouter<App> {
         .routes(routes!(results::report))
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
-        .routes(routes!(export::export))
+        .routes(routes!(export_download::export))
         .routes(routes!(oembed::oembed))
 }
 
@@ -93,9 +93,9 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
-        .routes(routes!(exports::order))
-        .routes(routes!(exports::state, exports::cancel))
-        .routes(routes!(exports::file))
+        .routes(routes!(export_jobs::order))
+        .routes(routes!(export_jobs::state, export_jobs::cancel))
+        .routes(routes!(export_jobs::file))
         .routes(routes!(webhooks::add, webhooks::list))
         .routes(routes!(webhooks::state, webhooks::change, webhooks::delete))
         .routes(routes!(webhooks::test))

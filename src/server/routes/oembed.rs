@@ -6,9 +6,9 @@ use axum::http::{StatusCode, Uri};
 use serde::Serialize;
 
 use super::query::Pairs;
-use crate::server::app::App;
+use crate::server::app_state::App;
 use crate::server::hosts;
-use crate::server::preview_card::Card;
+use crate::server::link_preview::Card;
 use crate::server::problem::Problem;
 
 /// Default longest sides of a frame in pixels.

@@ -9,11 +9,11 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
-use super::better_depth::better_depth;
+use super::depth_upgrade::better_depth;
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
 use crate::server::access::Guard;
-use crate::server::app::{App, Stored};
+use crate::server::app_state::{App, Stored};
 use crate::server::build_identity::short;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, respond_once};
 use crate::server::photo_settings::{PATCH_BYTES, Settings, still_as_seen};

@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::photos::{prefer_wait, wait_for};
 use super::state::PhotoState;
-use crate::server::app::App;
+use crate::server::app_state::App;
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;

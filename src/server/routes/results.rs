@@ -5,7 +5,7 @@ use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
 use super::query::{OnlyVersion, Pairs};
-use crate::server::app::{App, Shared, Stored};
+use crate::server::app_state::{App, Shared, Stored};
 use crate::server::conditional::{Coding, Entity, kept, respond};
 use crate::server::problem::Problem;
 use tmpi_core::Rect;

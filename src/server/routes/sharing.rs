@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::query::{NoBody, NoQuery, Pairs};
 use crate::server::access;
-use crate::server::app::App;
+use crate::server::app_state::App;
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 

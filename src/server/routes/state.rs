@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::server::app::Shared;
+use crate::server::app_state::Shared;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::photo_options;
 use crate::server::photo_settings::{Settings, Visibility};

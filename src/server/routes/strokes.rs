@@ -8,7 +8,7 @@ use super::photos::merge_patch;
 use super::query::NoQuery;
 use super::remake_answer;
 use super::state::PhotoState;
-use crate::server::app::{App, Shared, Stored};
+use crate::server::app_state::{App, Shared, Stored};
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::photo_settings::still_as_seen;
 use crate::server::problem::Problem;

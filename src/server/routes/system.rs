@@ -10,7 +10,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::query::NoQuery;
-use crate::server::app::App;
+use crate::server::app_state::App;
 use crate::server::blocking_pool::Class;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
 use crate::server::metrics::{MEDIA_TYPE, gauge};

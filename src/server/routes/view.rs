@@ -9,7 +9,7 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Shared, Stored, WhenFull};
+use crate::server::app_state::{App, Export, Shared, Stored, WhenFull};
 use crate::server::blocking_pool::Class;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
@@ -20,7 +20,7 @@ use tmpi_core::{Camera, Scene};
 use tmpi_library::Photo;
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_multiview, encode};
 
-use super::derived::Derived;
+use super::derived_answer::Derived;
 use super::view_query::ViewQuery;
 
 /// The format that the client prefers; PNG without a preference. `None` if it accepts none.

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::server::app::Shared;
+use crate::server::app_state::Shared;
 use crate::server::timestamps::rfc3339;
 use crate::server::webhooks::data;
 use tmpi_library::{Delivery, DeliveryState, EventType, Webhook};

@@ -12,7 +12,7 @@ use super::photos::merge_patch;
 use super::query::{NoBody, NoQuery, Pairs};
 use super::webhook_state::{DeliveryList, DeliveryRecord, WebhookList, WebhookOrder, WebhookPatch, WebhookState, WebhookTest};
 use crate::server::access::Guard;
-use crate::server::app::{App, Shared};
+use crate::server::app_state::{App, Shared};
 use crate::server::conditional::insert;
 use crate::server::outbound;
 use crate::server::problem::Problem;

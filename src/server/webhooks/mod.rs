@@ -4,17 +4,17 @@
 //! |---|---|
 //! | `configured` | the webhooks of the configuration |
 //! | `event` | the body of a request |
-//! | `send` | the task that sends them |
+//! | `dispatch` | the task that sends them |
 //! | `signature` | secrets, and signatures by them |
 
 mod configured;
+mod dispatch;
 mod event;
-mod send;
 mod signature;
 
 pub use configured::ConfiguredWebhook;
+pub use dispatch::{Clients, deliver};
 pub use event::data;
-pub use send::{Clients, deliver};
 pub use signature::SigningSecret;
 
 use tmpi_library::EventType;

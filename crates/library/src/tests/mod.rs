@@ -7,11 +7,11 @@ mod credentials;
 mod events;
 mod exports;
 mod forgetful_disk;
+mod opening;
 mod photos;
 mod queue;
 mod retention;
 mod rooms;
-mod schema;
 mod webhooks;
 
 use std::collections::BTreeMap;

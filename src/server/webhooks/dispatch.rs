@@ -10,7 +10,7 @@ use tokio::task::JoinSet;
 
 use super::event::body;
 use super::signature::SigningSecret;
-use crate::server::app::App;
+use crate::server::app_state::App;
 use crate::server::outbound::{self, Outbound, Reach, cause};
 
 /// Attempts at a time of this node.

@@ -5,7 +5,7 @@ use std::time::Duration;
 use axum::http::{HeaderMap, HeaderName};
 use axum::response::Response;
 
-use crate::server::app::{Shared, Stored};
+use crate::server::app_state::{Shared, Stored};
 use crate::server::build_identity;
 use crate::server::conditional::{Coding, Entity, insert, kept, known_as, not_modified, respond};
 use crate::server::finished_photo::FinishedPhoto;

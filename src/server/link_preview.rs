@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::access;
-use super::app::Shared;
+use super::app_state::Shared;
 use super::finished_photo::FinishedPhoto;
 use super::photo_options;
 use super::photo_settings::Settings;

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::query::NoQuery;
 use crate::server::access::Guard;
-use crate::server::app::{App, Shared, Stored};
+use crate::server::app_state::{App, Shared, Stored};
 use crate::server::attachment::attachment;
 use crate::server::build_identity;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};

@@ -8,9 +8,9 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::Response;
 use tokio_util::sync::CancellationToken;
 
-use super::derived::Derived;
+use super::derived_answer::Derived;
 use crate::export::{self, ExportError, ExportFormat, ExportOptions};
-use crate::server::app::{App, Export, Shared, Stored, WhenFull};
+use crate::server::app_state::{App, Export, Shared, Stored, WhenFull};
 use crate::server::attachment::attachment;
 use crate::server::blocking_pool::Class;
 use crate::server::conditional::insert;

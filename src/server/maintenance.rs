@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tmpi_library::{Event, LibraryError};
 
-use super::app::App;
+use super::app_state::App;
 
 /// Interval of the checks, and the shorter one during a fault: photos are made as soon as it is fixed.
 const PROBE: Duration = Duration::from_secs(2);

@@ -15,7 +15,7 @@ use utoipa_axum::routes;
 
 use super::query::NoQuery;
 use super::{foreign, no_method, openapi_errors, system};
-use crate::server::app::App;
+use crate::server::app_state::App;
 use crate::server::hosts::Hosts;
 use crate::server::middleware;
 use crate::server::problem::Problem;

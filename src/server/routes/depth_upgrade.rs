@@ -1,6 +1,6 @@
 //! Whether this node's network would give a photo better depth.
 
-use crate::server::app::{Shared, Stored};
+use crate::server::app_state::{Shared, Stored};
 use tmpi_library::{Part, Photo};
 use tmpi_pipeline::networks::models::registry::better_than;
 
