@@ -152,7 +152,7 @@ fn files_make_room_for_others_and_expire_without_downloads() {
     let (dir, server, photo) = start(keeping(Exports { keep: Duration::from_millis(300), ..Exports::default() }));
     let ordered = order(server.addr, &photo, "format=glb");
     wait_until("it has gone", || get(server.addr, ordered.header("location").unwrap()).status == 404);
-    assert_eq!(files(dir.path()), 0);
+    wait_until("its file is deleted", || files(dir.path()) == 0);
 }
 
 #[test]
