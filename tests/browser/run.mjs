@@ -14,8 +14,8 @@ const SLOWEST = 10;
 const FILE_MS = 10 * 60_000;
 /** Browser test files that run in parallel. On two cores, five files took 121 and 117 s one by one, 99 and 97 s in pairs (`TMPI_PAGES_AT_ONCE=1`, `2`). */
 const BROWSER_CONCURRENCY = Number(process.env.TMPI_PAGES_AT_ONCE || Math.min(2, availableParallelism()));
-/** Files with timing tests, which run alone. */
-const TIMED = /^(?:live|input)\/|^element\/room/;
+/** Files that measure time, which run alone. */
+const TIMED = /^live\/(?:faults|hidden-page|room|streams)\.|^element\/room/;
 
 const browserUse = new Map();
 /** Whether a module, or one that it imports, may start a browser. */
