@@ -10,8 +10,9 @@ use std::time::Duration;
 use axum::body::{Body, HttpBody};
 use axum::http::StatusCode;
 use bytes::Bytes;
-use http_body_util::BodyExt;
+use http_body_util::{BodyExt, LengthLimitError, Limited};
 use hyper::body::{Frame, SizeHint};
+use serde_json::{Map, Value};
 use tokio::time::{Instant, Sleep};
 
 use super::limits::Limits;
@@ -69,6 +70,26 @@ pub fn problem(error: &(dyn Error + 'static)) -> Problem {
         }
         None => Problem::bad_request(format!("the request's body cannot be read: {}", root(error))),
     }
+}
+
+/// Reads a body of at most `most` bytes.
+///
+/// # Errors
+/// 413 if it is larger, or [`problem`].
+pub async fn read(body: Body, most: usize) -> Result<Bytes, Problem> {
+    let body = Limited::new(body, most).collect().await.map_err(|error| match error.downcast_ref::<LengthLimitError>() {
+        Some(_) => Problem::too_large(most),
+        None => problem(&*error),
+    })?;
+    Ok(body.to_bytes())
+}
+
+/// Parses a JSON object.
+///
+/// # Errors
+/// 400.
+pub fn json_object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
+    serde_json::from_slice(body).map_err(|e| Problem::bad_request(format!("the body must be a JSON object: {e}")))
 }
 
 /// The unread rest of a body.

@@ -80,7 +80,7 @@ pub enum SourceError {
     #[error("{0}")]
     Address(AddressError),
     /// The address, or one that it redirects to, is of a host that is not listed.
-    #[error("{0} is no host from which this server fetches photos; tmpi serve --source-hosts lists them")]
+    #[error("this server does not fetch photos from {0}; tmpi serve --source-hosts lists the hosts")]
     Host(String),
     /// The name of a listed host has no public address.
     #[error("{0} has no public address")]

@@ -1,4 +1,4 @@
-//! Uploads by address: a JSON object that names a photo of another server in place of its bytes.
+//! Uploads by address: a JSON object with the address of a photo instead of its bytes.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use percent_encoding::percent_decode_str;
 use reqwest::Url;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use super::app_state::App;
 use super::maker::HeadOf;
@@ -42,7 +42,7 @@ pub struct SourceOrder {
     title: Option<String>,
 }
 
-/// Whether a request names a photo in place of sending it.
+/// Whether a request names the address of a photo instead of sending the photo.
 #[must_use]
 pub fn is_address(headers: &HeaderMap) -> bool {
     let is_json = |value: &HeaderValue| {
@@ -66,10 +66,10 @@ struct File {
     said: Validators,
 }
 
-/// What a source is known by: the caller, the address, the options and the program.
+/// Key of a source, from the caller, the address, the options and the program, and what is stored under it.
 struct Known {
     digest: Digest,
-    /// The photo that was made of it, and what the source said.
+    /// The photo made from it, and the source's validators.
     photo: Option<(Photo, Validators)>,
 }
 
@@ -117,18 +117,13 @@ pub async fn take(
             let photo = app.library.list_first(photo.id).await?;
             upload::told_again(app, photo, &chosen.settings).await
         }
-        (None, None) => Err(Problem::internal("a source", &"it says that a photo has not changed that was not asked for")),
+        (None, None) => Err(Problem::internal("a source", &"it answers 304 to a request without validators")),
     }
 }
 
 /// Reads the object: addresses, and options as a form has them.
 async fn read(app: &App, mut chosen: Chosen, request: Request) -> Result<Order, Problem> {
-    let body = http_body_util::BodyExt::collect(http_body_util::Limited::new(request.into_body(), MOST)).await.map_err(|e| {
-        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
-        if large { Problem::too_large(MOST) } else { request_body::problem(&*e) }
-    })?;
-    let fields: Map<String, Value> =
-        serde_json::from_slice(&body.to_bytes()).map_err(|e| Problem::bad_request(format!("the body must be a JSON object: {e}")))?;
+    let fields = request_body::json_object(&request_body::read(request.into_body(), MOST).await?)?;
     let (mut source, mut depth) = (None, None);
     for (name, value) in fields {
         let text = match value {

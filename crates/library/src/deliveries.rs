@@ -189,7 +189,7 @@ pub enum Verdict {
     Delivered,
     /// It did not take it, and may ask for a pause.
     Refused(Option<Duration>),
-    /// It wants no events any more.
+    /// The receiver accepts no more events.
     Gone,
 }
 

@@ -138,11 +138,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
     let (parts, body) = request.into_parts();
     let kind = parts.headers.get(CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-    let body = http_body_util::BodyExt::collect(http_body_util::Limited::new(body, MOST)).await.map_err(|e| {
-        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
-        if large { Problem::too_large(MOST) } else { request_body::problem(&*e) }
-    })?;
-    let body = body.to_bytes();
+    let body = request_body::read(body, MOST).await?;
     match kind.as_str() {
         _ if body.is_empty() => {}
         "application/x-www-form-urlencoded" => {

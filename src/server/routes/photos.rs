@@ -384,12 +384,7 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
         let detail = format!("{what} are application/merge-patch+json or application/json");
         return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
     }
-    let body = http_body_util::Limited::new(body, most);
-    let patch = http_body_util::BodyExt::collect(body).await.map_err(|e| {
-        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
-        if large { Problem::too_large(most) } else { request_body::problem(&*e) }
-    })?;
-    Ok((parts.headers, patch.to_bytes()))
+    Ok((parts.headers, request_body::read(body, most).await?))
 }
 
 /// Delete a photo and everything that was made of it.

@@ -1,4 +1,4 @@
-//! Webhooks of an owner; an administrator's are told of all photos and rooms.
+//! Webhooks of an owner. An administrator's webhooks receive the events of all photos and rooms.
 
 use axum::Json;
 use axum::extract::{Path, Request, State};
@@ -16,6 +16,7 @@ use crate::server::app_state::{App, Shared};
 use crate::server::conditional::insert;
 use crate::server::outbound;
 use crate::server::problem::Problem;
+use crate::server::request_body;
 use crate::server::webhooks::{SigningSecret, events};
 use tmpi_library::{EventType, LibraryError, NewWebhook, Owner, Webhook, WebhookChange};
 
@@ -73,8 +74,7 @@ impl Whose {
 /// The fields of a body, each one of `names`.
 async fn fields(request: Request, names: &[&str]) -> Result<Map<String, Value>, Problem> {
     let (_, body) = merge_patch(request, MOST, "webhooks").await?;
-    let fields: Map<String, Value> =
-        serde_json::from_slice(&body).map_err(|e| Problem::bad_request(format!("the body must be a JSON object: {e}")))?;
+    let fields = request_body::json_object(&body)?;
     match fields.keys().find(|name| !names.contains(&name.as_str())) {
         Some(name) => Err(Problem::parameter(name, format!("there is no such field; there are {}", names.join(", ")))),
         None => Ok(fields),
