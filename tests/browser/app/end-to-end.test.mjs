@@ -9,6 +9,7 @@ import {
   filePixels,
   fractionDifferent,
   launch,
+  MOTION,
   openPage,
   pixelsAt,
   seriousViolations,
@@ -56,7 +57,7 @@ describe('the whole program', () => {
   });
 
   test('uploads, shows, downloads and deletes a photo', async () => {
-    const { page, context, errors } = await openPage(browser);
+    const { page, context, errors } = await openPage(browser, MOTION);
     await page.addInitScript(() => {
       window.stagesShown = [];
       new MutationObserver(() => {
@@ -142,7 +143,8 @@ describe('the whole program', () => {
 
   test('a real photo looks the same in browser and server', async (t) => {
     if (!existsSync(realPhoto)) return skip(t, 'data', 'TMPI_DATA has no photos');
-    const { page, context, errors } = await openPage(browser);
+    // the page loads all of the photo's pixels only for a large screen
+    const { page, context, errors } = await openPage(browser, { viewport: { width: 1280, height: 800 } });
     const state = await makePhoto(server.url, readFileSync(realPhoto));
     await page.goto(`${server.url}/view/${state.id}`);
     await waitForMode(page, 'gpu');
@@ -187,7 +189,7 @@ describe('the whole program', () => {
   });
 
   test('the demo page shows three elements, one from another origin', async () => {
-    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    const { page, context, errors } = await openPage(browser);
     await page.goto(`${server.url}/demo`);
     for (const i of [0, 1, 2]) {
       await page.evaluate((n) => document.querySelectorAll('tmpi-viewer')[n].scrollIntoView(), i);
@@ -205,7 +207,7 @@ describe('the whole program', () => {
   });
 
   test('the owner’s settings are saved with the photo', async () => {
-    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    const { page, context, errors } = await openPage(browser);
     const other = await makePhoto(server.url, boxPhoto(240, 150), boxDepth(240, 150));
     await page.goto(`${server.url}/view/${other.id}`);
     await waitForMode(page, 'gpu');

@@ -17,7 +17,7 @@ const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
 const MOST_OFF = 0.015;
 const MOST_FLIP = 0.02;
 /** A small page, for fast software rendering. */
-const SMALL = { reducedMotion: 'reduce', viewport: { width: 480, height: 460 } };
+const SMALL = { viewport: { width: 480, height: 460 } };
 /** The scenes have twice the default view box. */
 const REACH = 0.06;
 

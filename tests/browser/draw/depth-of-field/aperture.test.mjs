@@ -4,12 +4,12 @@ import { describe, test } from 'node:test';
 import { apertureAt } from '../../../../static/draw/depth-of-field/aperture.js';
 import { disableGraphics, openPage, pixelsAt, waitForMode } from '../../support/browser.mjs';
 import { BOX, inBox } from '../../support/pictures.mjs';
-import { boxSuite, REDUCED_MOTION } from '../../support/suite.mjs';
+import { boxSuite } from '../../support/suite.mjs';
 
 const WIDTH = 400;
 const HEIGHT = 240;
 /** A small page, for fast software rendering. */
-const SMALL = { ...REDUCED_MOTION, viewport: { width: 480, height: 460 } };
+const SMALL = { viewport: { width: 480, height: 460 } };
 
 /** Sharpness of the box's left and right edges: the largest step between neighbours near them, averaged over rows. */
 function sharpness(pixels) {
