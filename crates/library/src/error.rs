@@ -150,3 +150,8 @@ impl From<sqlx::Error> for LibraryError {
 
 /// Result of the library.
 pub type Result<T> = std::result::Result<T, LibraryError>;
+
+/// Whether an error guarantees that nothing was committed. After other errors the blobs stay for `gc`.
+pub(crate) const fn is_refusal(error: &LibraryError) -> bool {
+    !matches!(error, LibraryError::Unavailable { .. } | LibraryError::Internal(_))
+}

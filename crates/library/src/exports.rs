@@ -5,16 +5,17 @@ use std::time::Duration;
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::accept::{is_refusal, photo_in};
 use crate::blobs::{Content, Contents};
 use crate::database::Tx;
 use crate::deliveries::{Facts, announce};
-use crate::error::{LibraryError, Result};
+use crate::error::{LibraryError, Result, is_refusal};
 use crate::events::Event;
 use crate::ids::PhotoId;
-use crate::leases::{Lease, count};
+use crate::leases::Lease;
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
+use crate::photos::locked_photo;
 use crate::queue::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
+use crate::statistics::count_outcome;
 use crate::webhooks::EventType;
 use crate::{Library, millis};
 
@@ -63,7 +64,7 @@ impl Library {
         }
         let mut tx = self.database().write().await?;
         tx.lock_jobs(order.photo.id).await?;
-        let photo = photo_in(&mut tx, order.photo.id).await?;
+        let photo = locked_photo(&mut tx, order.photo.id).await?;
         if photo.version != order.photo.version {
             return Err(LibraryError::Changed);
         }
@@ -126,7 +127,7 @@ impl Library {
         let row = update.bind(lease.job.id.clone()).bind(lease.token()).fetch_optional(tx.on()).await?;
         let job = Job::from_row(&row.ok_or(LibraryError::LeaseLost)?)?;
         let gone = self.trim(&mut tx, &job.id).await?;
-        count(&mut tx, &job, Some(lease.age())).await?;
+        count_outcome(&mut tx, &job, Some(lease.age())).await?;
         let facts = Facts::of_export(&job, &lease.photo, None);
         announce(&mut tx, EventType::ExportDone, lease.photo.owner.as_ref(), &facts).await?;
         tx.tell(Event::Photo(job.photo));
@@ -145,7 +146,7 @@ impl Library {
             if all > most {
                 let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND state = 'done' RETURNING result");
                 let deleted = delete.bind(row.try_get::<String, _>("id")?).fetch_all(tx.on()).await?;
-                gone.extend(names_of(&deleted)?);
+                gone.extend(file_names(&deleted)?);
             }
         }
         Ok(gone)
@@ -172,7 +173,7 @@ impl Library {
         let deleted = delete.fetch_all(tx.on()).await?;
         tx.tell(Event::Photo(photo));
         tx.commit().await?;
-        self.blobs().discard(names_of(&deleted)?).await;
+        self.blobs().discard(file_names(&deleted)?).await;
         Ok(!deleted.is_empty())
     }
 }
@@ -180,11 +181,11 @@ impl Library {
 /// Removes the exports of a photo; returns the names of their blobs.
 pub(crate) async fn remove_of(tx: &mut Tx, photo: PhotoId) -> Result<Vec<String>> {
     let delete = sqlx::query("DELETE FROM jobs WHERE photo = $1 AND kind IN ('export', 'film') RETURNING result");
-    names_of(&delete.bind(photo.to_string()).fetch_all(tx.on()).await?)
+    file_names(&delete.bind(photo.to_string()).fetch_all(tx.on()).await?)
 }
 
 /// Names of the blobs of deleted jobs.
-pub(crate) fn names_of(deleted: &[sqlx::any::AnyRow]) -> Result<Vec<String>> {
+pub(crate) fn file_names(deleted: &[sqlx::any::AnyRow]) -> Result<Vec<String>> {
     let files: Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
     Ok(files?.into_iter().flatten().map(|blob| blob.name).collect())
 }

@@ -11,15 +11,16 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::accept::{is_refusal, names_of, photo_in};
 use crate::blobs::Contents;
 use crate::database::Tx;
 use crate::deliveries::{self, Facts, announce};
-use crate::error::{LibraryError, Result};
+use crate::error::{LibraryError, Result, is_refusal};
 use crate::events::Event;
 use crate::ids::{Millis, hex, random};
-use crate::photo::{self, Blobs, Photo, PhotoState, Problem, bytes_of, to_json};
+use crate::photo::{self, Blobs, Photo, PhotoState, Problem, blob_names, bytes_of, to_json};
+use crate::photos::locked_photo;
 use crate::queue::{COLUMNS, Job, Kind};
+use crate::statistics::{count_death, count_outcome};
 use crate::webhooks::EventType;
 use crate::{Library, exports, millis, rooms};
 
@@ -292,7 +293,7 @@ impl Library {
     /// after which the lease still holds.
     pub async fn finish(&self, lease: &Lease, made: Made) -> Result<Photo> {
         let blobs = self.blobs().store(lease.job.photo, made.contents).await?;
-        let written = names_of(&blobs);
+        let written = blob_names(&blobs);
         match self.keep(lease, &made.details, blobs).await {
             Ok((photo, replaced)) => {
                 self.blobs().discard_later(replaced).await;
@@ -311,7 +312,7 @@ impl Library {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(lease.job.photo).await?;
         end(&mut tx, lease).await?;
-        let before = photo_in(&mut tx, lease.job.photo).await?;
+        let before = locked_photo(&mut tx, lease.job.photo).await?;
         let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
         all.extend(blobs);
         let update = format!(
@@ -323,8 +324,8 @@ impl Library {
         let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
         // exports of the previous version
         let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
-        replaced.extend(names_of(&old));
-        count(&mut tx, &lease.job, Some(lease.age())).await?;
+        replaced.extend(blob_names(&old));
+        count_outcome(&mut tx, &lease.job, Some(lease.age())).await?;
         announce(&mut tx, EventType::PhotoDone, photo.owner.as_ref(), &Facts::of_photo(&photo, None)).await?;
         tx.tell(Event::Photo(lease.job.photo));
         tx.commit().await?;
@@ -363,7 +364,7 @@ impl Library {
             update.bind(job.photo.to_string()).execute(tx.on()).await?;
         }
         self.announce_failure(tx, job, problem).await?;
-        count(tx, job, None).await?;
+        count_outcome(tx, job, None).await?;
         tx.tell(Event::Photo(job.photo));
         Ok(())
     }
@@ -452,25 +453,6 @@ impl Lease {
 async fn set_state(tx: &mut Tx, job: &Job, state: PhotoState) -> Result<()> {
     let update = sqlx::query("UPDATE photos SET state = $1 WHERE id = $2").bind(state.name()).bind(job.photo.to_string());
     update.execute(tx.on()).await?;
-    Ok(())
-}
-
-/// Counts the end of a job: after `took` milliseconds, or without a result.
-pub(crate) async fn count(tx: &mut Tx, job: &Job, took: Option<Millis>) -> Result<()> {
-    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, $2, $3, $4, 0) ON CONFLICT (kind) DO UPDATE SET
-        mean_ms = CASE WHEN excluded.finished = 0 THEN outcomes.mean_ms WHEN outcomes.finished = 0 THEN excluded.mean_ms
-            ELSE 0.8 * outcomes.mean_ms + 0.2 * excluded.mean_ms END,
-        finished = outcomes.finished + excluded.finished, failed = outcomes.failed + excluded.failed";
-    let finished = i64::from(took.is_some());
-    let insert = sqlx::query(insert).bind(job.kind.name()).bind(took.unwrap_or_default() as f64).bind(finished).bind(1 - finished);
-    insert.execute(tx.on()).await?;
-    Ok(())
-}
-
-async fn count_death(tx: &mut Tx, kind: Kind) -> Result<()> {
-    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, 0, 0, 0, 1)
-        ON CONFLICT (kind) DO UPDATE SET died = outcomes.died + 1";
-    sqlx::query(insert).bind(kind.name()).execute(tx.on()).await?;
     Ok(())
 }
 

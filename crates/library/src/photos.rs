@@ -7,15 +7,15 @@ use std::sync::PoisonError;
 use serde_json::Value;
 use sqlx::{Any, AssertSqlSafe, Executor};
 
-use crate::accept::photo_in;
+use crate::Library;
+use crate::database::Tx;
 use crate::deliveries::{Facts, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
-use crate::exports::names_of;
+use crate::exports::file_names;
 use crate::ids::{Millis, Owner, PhotoId};
-use crate::photo::{COLUMNS, Photo, PhotoState, Problem, title_of, to_json};
+use crate::photo::{COLUMNS, Photo, PhotoState, Problem, blob_names, title_of, to_json};
 use crate::webhooks::EventType;
-use crate::{Library, accept};
 
 /// Views recorded per transaction.
 const VIEWS: usize = 500;
@@ -133,7 +133,7 @@ impl Library {
     /// [`LibraryError::Changed`], [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
     pub async fn set_settings(&self, seen: &Photo, settings: &Value) -> Result<Photo> {
         let mut tx = self.database().write().await?;
-        let before = photo_in(&mut tx, seen.id).await?;
+        let before = locked_photo(&mut tx, seen.id).await?;
         if before.settings_version != seen.settings_version || before.accepted_at != seen.accepted_at {
             return Err(LibraryError::Changed);
         }
@@ -168,18 +168,18 @@ impl Library {
     pub async fn delete(&self, id: PhotoId, accepted_at: Option<Millis>) -> Result<bool> {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(id).await?;
-        let photo = match photo_in(&mut tx, id).await {
+        let photo = match locked_photo(&mut tx, id).await {
             Ok(photo) if accepted_at.is_none_or(|at| at == photo.accepted_at) => photo,
             Ok(_) | Err(LibraryError::NotFound(_)) => return Ok(false),
             Err(error) => return Err(error),
         };
         let jobs = sqlx::query("DELETE FROM jobs WHERE photo = $1 RETURNING result").bind(id.to_string());
-        let mut names = names_of(&jobs.fetch_all(tx.on()).await?)?;
+        let mut names = file_names(&jobs.fetch_all(tx.on()).await?)?;
         sqlx::query("DELETE FROM photos WHERE id = $1").bind(id.to_string()).execute(tx.on()).await?;
         announce(&mut tx, EventType::PhotoDeleted, photo.owner.as_ref(), &Facts::of_photo(&photo, None)).await?;
         tx.tell(Event::Deleted(id));
         tx.commit().await?;
-        names.extend(accept::names_of(&photo.blobs));
+        names.extend(blob_names(&photo.blobs));
         self.blobs().discard(names).await;
         Ok(true)
     }
@@ -239,4 +239,12 @@ impl Library {
         tx.commit().await?;
         Ok(marked)
     }
+}
+
+/// A photo, with its row locked.
+pub(crate) async fn locked_photo(tx: &mut Tx, id: PhotoId) -> Result<Photo> {
+    let id = id.to_string();
+    tx.lock_photo(&id).await?;
+    let row = sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM photos WHERE id = $1"))).bind(id).fetch_optional(tx.on()).await?;
+    Photo::from_row(&row.ok_or(LibraryError::NotFound("photo"))?)
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use sqlx::Row as _;
 
 use crate::deliveries;
-use crate::exports::names_of;
+use crate::exports::file_names;
 use crate::ids::{Millis, PhotoId};
 use crate::{Library, LibraryError, Result, millis, rooms};
 
@@ -131,7 +131,7 @@ impl Library {
         }
         deliveries::sweep(&mut tx).await?;
         tx.commit().await?;
-        self.blobs().discard(names_of(&deleted)?).await;
+        self.blobs().discard(file_names(&deleted)?).await;
         Ok(deleted.len() as u64)
     }
 

@@ -6,9 +6,11 @@ use std::time::Duration;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
+use crate::database::Tx;
 use crate::error::Result;
+use crate::ids::Millis;
 use crate::photo::{Class, PhotoState, class_of, state_of};
-use crate::queue::{JobState, Kind};
+use crate::queue::{Job, JobState, Kind};
 use crate::{Library, LibraryError};
 
 /// Outcomes of the jobs of a kind since the library was created.
@@ -98,4 +100,23 @@ impl Library {
         }
         Ok(statistics)
     }
+}
+
+/// Records the end of a job: after `took` milliseconds, or without a result.
+pub(crate) async fn count_outcome(tx: &mut Tx, job: &Job, took: Option<Millis>) -> Result<()> {
+    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, $2, $3, $4, 0) ON CONFLICT (kind) DO UPDATE SET
+        mean_ms = CASE WHEN excluded.finished = 0 THEN outcomes.mean_ms WHEN outcomes.finished = 0 THEN excluded.mean_ms
+            ELSE 0.8 * outcomes.mean_ms + 0.2 * excluded.mean_ms END,
+        finished = outcomes.finished + excluded.finished, failed = outcomes.failed + excluded.failed";
+    let finished = i64::from(took.is_some());
+    let insert = sqlx::query(insert).bind(job.kind.name()).bind(took.unwrap_or_default() as f64).bind(finished).bind(1 - finished);
+    insert.execute(tx.on()).await?;
+    Ok(())
+}
+
+pub(crate) async fn count_death(tx: &mut Tx, kind: Kind) -> Result<()> {
+    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, 0, 0, 0, 1)
+        ON CONFLICT (kind) DO UPDATE SET died = outcomes.died + 1";
+    sqlx::query(insert).bind(kind.name()).execute(tx.on()).await?;
+    Ok(())
 }

@@ -127,6 +127,6 @@ pub async fn again(
     let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), class_of);
     let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
     let photo = app.photo(&id).await?;
-    let again = app.library.make_again(&photo, class, &Shared::asker(photo.owner.clone())).await?;
+    let again = app.library.remake(&photo, class, &Shared::asker(photo.owner.clone())).await?;
     answer(&app, again, &headers, &clock).await
 }

@@ -80,9 +80,9 @@ async fn a_photo_made_again_keeps_its_results_until_then(bed: Bed) {
     assert!(matches!(library.touch_up(&before, strokes(), &owner("ann")).await, Err(LibraryError::NotReady)));
     let after = make_next(&library).await;
     assert_ne!(after.blobs[&Part::Container].name, before.blobs[&Part::Container].name);
-    assert!(matches!(library.make_again(&before, Class::Batch, &owner("ann")).await, Err(LibraryError::Changed)), "an older version");
+    assert!(matches!(library.remake(&before, Class::Batch, &owner("ann")).await, Err(LibraryError::Changed)), "an older version");
     assert_eq!(bed.blobs(&library).await.len(), 4);
-    library.make_again(&after, Class::Batch, &owner("ann")).await.unwrap();
+    library.remake(&after, Class::Batch, &owner("ann")).await.unwrap();
     assert_eq!(make_next(&library).await.version, 3);
 }
 

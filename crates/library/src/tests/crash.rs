@@ -81,7 +81,7 @@ async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
                 return;
             }
             // interrupted after the commit: once more
-            library.make_again(&photo, Class::Batch, &Asker::default()).await.unwrap();
+            library.remake(&photo, Class::Batch, &Asker::default()).await.unwrap();
             make_next(&library).await;
             return;
         }

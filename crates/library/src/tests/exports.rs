@@ -41,7 +41,7 @@ async fn an_export_of_another_version_goes(bed: Bed) {
     write_next(&library, b"file").await;
     order(&library, &before, "glb", &owner("ann")).await.unwrap();
     let late = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
-    let queued = library.make_again(&before, Class::Interactive, &owner("ann")).await.unwrap();
+    let queued = library.remake(&before, Class::Interactive, &owner("ann")).await.unwrap();
     assert!(matches!(order(&library, &queued, "html", &owner("ann")).await, Err(LibraryError::NotReady)));
     let after = make_next(&library).await;
     assert!(matches!(library.renew(&late, None).await, Err(LibraryError::LeaseLost)));
