@@ -6,9 +6,10 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `access` | who may publish and watch |
-//! | `room_status` | the state of a room, and tokens for viewers |
+//! | `room_token` | the tokens with which people publish and watch |
 //! | `request_access` | the state of the handlers, and access checks |
+//! | `room_state` | the state of a room, for its pages |
+//! | `watch_token` | tokens for viewers |
 //! | `routes` | the routes, and the upgrade to WebSockets |
 //! | `publisher`, `viewer` | one socket each |
 //! | `sound_limit` | the rate limit of sound |
@@ -22,7 +23,6 @@
 //! | `edge` | a room that another node has |
 //! | `worker` | the threads that decode frames and make geometry |
 
-mod access;
 mod chunk_store;
 mod edge;
 mod gops;
@@ -32,11 +32,13 @@ mod publisher;
 mod request_access;
 mod ring;
 mod room;
-mod room_status;
+mod room_state;
+mod room_token;
 pub(crate) mod routes;
 mod snapshot;
 mod sound_limit;
 mod viewer;
+mod watch_token;
 mod worker;
 
 use std::collections::HashMap;
@@ -47,12 +49,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use tmpi_pipeline::Models;
 
-pub(crate) use access::check_origin;
-pub use access::{Role, token};
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
 pub use origin_node::NodeAddress;
-pub(crate) use request_access::RoomsContext;
+pub(crate) use request_access::{RoomsContext, check_origin};
+pub use room_token::{Role, room_token};
 use tmpi_core::live::schema::Bye;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::write;

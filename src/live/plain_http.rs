@@ -14,11 +14,11 @@ use tmpi_library::Origin;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::access::Role;
 use super::gops::{Group, Part};
 use super::origin_node::Nodes;
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::{NewestFrame, Room};
+use super::room_token::Role;
 use crate::server::{Coding, ConnectionGuard, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 

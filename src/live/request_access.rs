@@ -1,13 +1,14 @@
-//! Access checks of the rooms' handlers.
+//! Access checks of the rooms' handlers: this machine's own user and holders of a token may publish or watch.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, StatusCode, Uri, header};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use super::access::{Role, check_origin, end_of, token_of};
+use super::room_token::{Role, token_expiry, token_in_headers};
 use super::{Rooms, is_name};
 use crate::server::{Pairs, Problem};
 
@@ -31,10 +32,10 @@ impl RoomsContext {
         if role == Role::Publish {
             same_site.clone()?;
         }
-        let token = asked.get("token").or_else(|| token_of(headers));
+        let token = asked.get("token").or_else(|| token_in_headers(headers));
         let leave = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
             (_, Some(token), Some(nodes)) if role == Role::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
-            (Some(key), Some(token), _) => end_of(key, role, room, token, seconds()).map(|ends| RoomAccess::Until(deadline(ends))),
+            (Some(key), Some(token), _) => token_expiry(key, role, room, token, seconds()).map(|ends| RoomAccess::Until(deadline(ends))),
             _ => (same_site.is_ok() && (self.own)(headers)).then_some(RoomAccess::Until(None)),
         };
         let leave = leave.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "this room requires a token").field("token"))?;
@@ -81,4 +82,45 @@ pub(super) fn none_publishes() -> Problem {
 
 pub(super) fn busy() -> Problem {
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "the limit of rooms is reached").retry_after(5)
+}
+
+/// Refuses requests from pages of other sites: browsers let a page open web sockets to any server, but send the page's origin.
+///
+/// # Errors
+/// 403.
+pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
+    let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not come into a room");
+    if let Some(site) = headers.get("sec-fetch-site") {
+        return if site == "same-origin" || site == "none" { Ok(()) } else { Err(foreign()) };
+    }
+    // not a browser, or one that sends no origin
+    let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
+    let origin = origin.to_str().ok().and_then(|o| o.parse::<Uri>().ok()).and_then(|o| o.authority().cloned());
+    let host = headers.get(header::HOST).and_then(|h| h.to_str().ok()).and_then(|h| h.parse::<Authority>().ok());
+    if origin.is_some() && origin == host {
+        return Ok(());
+    }
+    Err(foreign())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pages_of_other_sites_stay_out() {
+        let headers = |pairs: &[(&'static str, &'static str)]| {
+            let pairs = [&[("host", "localhost:8080")], pairs].concat();
+            let header = |(name, value)| (header::HeaderName::from_static(name), header::HeaderValue::from_static(value));
+            check_origin(&pairs.into_iter().map(header).collect()).is_ok()
+        };
+        assert!(headers(&[]) && headers(&[("origin", "http://localhost:8080")]));
+        for origin in ["http://localhost:8081", "https://example.org", "null"] {
+            assert!(!headers(&[("origin", origin)]), "{origin}");
+        }
+        for (site, good) in [("same-origin", true), ("none", true), ("same-site", false), ("cross-site", false), ("", false)] {
+            assert_eq!(headers(&[("sec-fetch-site", site)]), good, "{site}");
+        }
+        assert!(!headers(&[("sec-fetch-site", "cross-site"), ("origin", "http://localhost:8080")]));
+    }
 }

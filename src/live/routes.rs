@@ -9,10 +9,10 @@ use axum::response::Response;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::access::{PROTOCOL, Role};
 use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
 use super::room::Watches;
-use super::{plain_http, publisher, room_status, viewer};
+use super::room_token::{PROTOCOL, Role};
+use super::{plain_http, publisher, room_state, viewer, watch_token};
 use crate::server::{ConnectionGuard, Problem};
 
 /// Write buffer of a viewer: the largest message and nothing else.
@@ -23,7 +23,7 @@ const FULL_AGAIN: u64 = 10;
 /// Routes for viewers. Pages of other sites may use them with a token.
 pub fn watching_api() -> OpenApiRouter<RoomsContext> {
     OpenApiRouter::new()
-        .routes(routes!(room_status::state))
+        .routes(routes!(room_state::state))
         .routes(routes!(subscribe))
         .routes(routes!(plain_http::newest))
         .routes(routes!(plain_http::latest_group))
@@ -32,7 +32,7 @@ pub fn watching_api() -> OpenApiRouter<RoomsContext> {
 
 /// Routes for publishers.
 pub fn publishing_api() -> OpenApiRouter<RoomsContext> {
-    OpenApiRouter::new().routes(routes!(room_status::link)).routes(routes!(publish))
+    OpenApiRouter::new().routes(routes!(watch_token::watch_token)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;

@@ -24,7 +24,7 @@ use super::limits::Limits;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::proxies::Proxies;
-use super::rates::{RateHeaders, RateKey, Rates};
+use super::rate_limit::{RateHeaders, RateKey, Rates};
 use super::request_body::Guarded;
 use super::time_limit::TimeLimit;
 use super::traces::TRACE;

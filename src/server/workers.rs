@@ -18,7 +18,7 @@ use super::app_state::App;
 use super::exports::{Recipe, WriteRequest, written};
 use super::finished_photo::FinishedPhoto;
 use super::maker::{Fault, Product};
-use super::memory::Priority;
+use super::memory_budget::Priority;
 use super::photo_options;
 use super::problem::Problem;
 use super::routes::Stage;

@@ -24,7 +24,7 @@ use super::client_slots::client_address;
 use super::hosts::Hosts;
 use super::photo_settings::{Settings, Visibility};
 use super::problem::Problem;
-use super::rates::{RateHeaders, RateKey, Rates};
+use super::rate_limit::{RateHeaders, RateKey, Rates};
 use crate::live::check_origin;
 use callers::{Principal, bearer, is_secret, new_secret};
 use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};

@@ -53,7 +53,7 @@ const TABLE: &[(&str, &str, Permission)] = &[
     ("GET", "/v1/photos/{id}", Read),
     ("PATCH", "/v1/photos/{id}", Change),
     ("DELETE", "/v1/photos/{id}", Change),
-    ("POST", "/v1/photos/{id}/again", Change),
+    ("POST", "/v1/photos/{id}/remake", Change),
     ("POST", "/v1/photos/{id}/links", Change),
     ("POST", "/v1/photos/{id}/manage", Change),
     // a token does not entitle its holder to revoke it for others

@@ -11,7 +11,7 @@ use super::write::{Work, late};
 use crate::server::app_state::Shared;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::maker::Fault;
-use crate::server::memory::Priority;
+use crate::server::memory_budget::Priority;
 use crate::server::problem::Problem;
 use tmpi_pipeline::{Progress, Sink};
 

@@ -12,8 +12,8 @@ use serde::Serialize;
 use tmpi_library::{Event as Happened, Kind, Photo, PhotoId, PhotoState as Phase, Subscription};
 use tokio::time::Instant;
 
+use super::photo_state::{PhotoState, Progress};
 use super::query::NoQuery;
-use super::state::{PhotoState, Progress};
 use crate::server::access::{Guard, Pass};
 use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};

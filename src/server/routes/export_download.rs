@@ -11,9 +11,9 @@ use tokio_util::sync::CancellationToken;
 use super::derived_answer::Derived;
 use crate::export::{self, ExportError, ExportFormat, ExportOptions};
 use crate::server::app_state::{App, Export, Shared, Stored, WhenFull};
-use crate::server::attachment::attachment;
 use crate::server::blocking_pool::Class;
 use crate::server::conditional::insert;
+use crate::server::content_disposition::content_disposition;
 use crate::server::exports::{ExportQuery, Recipe, TITLE};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
@@ -89,7 +89,7 @@ pub async fn export(
     };
     let Export(stored) = app.exports.get((version, derived.made.clone()), Box::pin(write)).await?;
     let mut response = derived.answer(&headers, stored, format.media_type(), &timing);
-    insert(&mut response, header::CONTENT_DISPOSITION, &attachment(&photo, format.extension()));
+    insert(&mut response, header::CONTENT_DISPOSITION, &content_disposition(&photo, format.extension()));
     Ok(response)
 }
 

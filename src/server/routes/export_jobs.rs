@@ -12,9 +12,9 @@ use serde::Serialize;
 use super::query::NoQuery;
 use crate::server::access::Guard;
 use crate::server::app_state::{App, Shared, Stored};
-use crate::server::attachment::attachment;
 use crate::server::build_identity;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
+use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
 use crate::server::request_body;
@@ -303,7 +303,7 @@ pub async fn file(
     let etag = format!("\"{key}-{}\"", blob.digest.as_str().get(..16).unwrap_or_default());
     let entity = Entity { source: stored.source, etag: &etag, content_type, cache_control: REVALIDATE, coding: Coding::Plain };
     let mut response = respond(&headers, entity);
-    insert(&mut response, CONTENT_DISPOSITION, &attachment(&photo, ending));
+    insert(&mut response, CONTENT_DISPOSITION, &content_disposition(&photo, ending));
     Ok(response)
 }
 

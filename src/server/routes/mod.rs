@@ -10,12 +10,12 @@ mod network;
 mod oembed;
 mod openapi_errors;
 mod openapi_values;
+mod photo_state;
 mod photos;
 mod query;
-mod remake_answer;
+mod remake;
 mod results;
 mod sharing;
-mod state;
 mod strokes;
 mod system;
 mod view;
@@ -40,8 +40,8 @@ use super::app_state::App;
 use super::limits::Limits;
 use super::middleware;
 pub(super) use admin_listener::router as admin_router;
+pub(super) use photo_state::Progress as Stage;
 pub(crate) use query::{NoBody, Pairs};
-pub(super) use state::Progress as Stage;
 pub(super) use view_query::ViewQuery;
 
 use super::pages;
@@ -85,7 +85,7 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
         .routes(routes!(strokes::strokes, strokes::touch_up))
-        .routes(routes!(network::again))
+        .routes(routes!(remake::remake))
         .routes(routes!(sharing::links))
         .routes(routes!(sharing::keep_token, sharing::take_back))
         .routes(routes!(sharing::ticket))

@@ -10,8 +10,8 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
 use super::depth_upgrade::better_depth;
+use super::photo_state::{PhotoList, PhotoState};
 use super::query::{NoQuery, Pairs};
-use super::state::{PhotoList, PhotoState};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, Stored};
 use crate::server::build_identity::short;

@@ -4,10 +4,10 @@ use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::Response;
 
+use super::photo_state::PhotoState;
 use super::photos::merge_patch;
 use super::query::NoQuery;
-use super::remake_answer;
-use super::state::PhotoState;
+use super::remake;
 use crate::server::app_state::{App, Shared, Stored};
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::photo_settings::still_as_seen;
@@ -102,11 +102,11 @@ pub async fn touch_up(
     let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
     still_as_seen(&headers, &stored(&before).etag)?;
     let answer = if before == wanted {
-        remake_answer::state(&app, &photo, StatusCode::OK).await
+        remake::state(&app, &photo, StatusCode::OK).await
     } else {
         let asker = Shared::asker(photo.owner.clone());
-        let again = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &asker).await?;
-        remake_answer::answer(&app, again, &headers, &clock).await
+        let queued = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &asker).await?;
+        remake::answer(&app, queued, &headers, &clock).await
     };
     let etag = stored(&wanted).etag;
     let mut response = answer?;

@@ -17,7 +17,7 @@ use crate::server::conditional::insert;
 use crate::server::outbound;
 use crate::server::problem::Problem;
 use crate::server::request_body;
-use crate::server::webhooks::{SigningSecret, events};
+use crate::server::webhooks::{SigningSecret, event_types};
 use tmpi_library::{EventType, LibraryError, NewWebhook, Owner, Webhook, WebhookChange};
 
 /// Most bytes of a webhook's fields.
@@ -94,7 +94,7 @@ fn asked(fields: &Map<String, Value>) -> Result<Option<Vec<EventType>>, Problem>
     let Some(value) = fields.get("events") else { return Ok(None) };
     let names: Option<Vec<&str>> = value.as_array().and_then(|all| all.iter().map(Value::as_str).collect());
     let names = names.ok_or_else(|| Problem::parameter("events", "must be a list of texts"))?;
-    events(&names).map(Some).map_err(|error| Problem::parameter("events", error))
+    event_types(&names).map(Some).map_err(|error| Problem::parameter("events", error))
 }
 
 /// Add a webhook.

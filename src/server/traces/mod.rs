@@ -3,7 +3,7 @@
 //! Each request is a span; making its photo is a child of it, on any node, and each stage is a child of that. Work of a request that waits
 //! for a slot (views, smaller levels, files) is a child of the request, too. Without a collector there are no spans.
 
-mod send;
+mod exporter;
 mod span;
 
 use std::net::IpAddr;
@@ -21,7 +21,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 
 use super::metrics::Outcome;
-pub use send::check as check_collector;
+pub use exporter::check as check_collector;
 pub use span::{Current, Job, Parent, TRACE, Work, current, parent};
 use tmpi_library::PhotoId;
 
@@ -64,7 +64,7 @@ impl Traces {
     /// # Errors
     /// If the address is not valid.
     pub(super) fn open(to: &Collector, counts: Counts) -> Result<Self, CollectorError> {
-        let processor = send::processor(&to.url, counts).map_err(|why| CollectorError { url: to.url.clone(), why })?;
+        let processor = exporter::processor(&to.url, counts).map_err(|why| CollectorError { url: to.url.clone(), why })?;
         let mut resource = Resource::builder().with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION")));
         // the SDK reads the standard variable if it is set
         if std::env::var_os("OTEL_SERVICE_NAME").is_none() {

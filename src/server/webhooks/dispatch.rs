@@ -8,7 +8,7 @@ use reqwest::Response;
 use tmpi_library::{Attempt, DeliveryState, Due, Event, LibraryError, Subscription, Verdict};
 use tokio::task::JoinSet;
 
-use super::event::body;
+use super::payload::body;
 use super::signature::SigningSecret;
 use crate::server::app_state::App;
 use crate::server::outbound::{self, Outbound, Reach, cause};

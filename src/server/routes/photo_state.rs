@@ -133,7 +133,7 @@ pub struct PhotoState {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
     /// Name of this node's network, if it is better than the one that estimated the photo's depth; only in answers to `GET` of this state,
-    /// and only if the caller may have the photo made again (`POST …/again`). With several nodes on one store, another node may make it.
+    /// and only if the caller may have the photo made again (`POST …/remake`). With several nodes on one store, another node may make it.
     #[schema(example = "depth-anything-v2-small-fp16")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub better_depth: Option<String>,

@@ -124,7 +124,7 @@ impl Rates {
     /// The additional limit of a request, by its method and route.
     fn class(&self, method: &Method, path: &str) -> Option<&Buckets> {
         match (method, path) {
-            (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
+            (&Method::POST, "/v1/photos" | "/v1/photos/{id}/remake") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
             // HEAD renders, too, to know the length
             (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export")
             | (&Method::POST, "/v1/photos/{id}/exports") => self.views.as_ref(),
