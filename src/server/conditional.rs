@@ -140,6 +140,30 @@ fn is_wanted(headers: &HeaderMap, etag: &str) -> bool {
     tags.peek().is_none() || tags.filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|v| v.trim() == "*" || v.trim() == etag)
 }
 
+/// Checks that the client saw the current version (`If-Match`, RFC 9110, section 13.1.1).
+///
+/// # Errors
+/// 412 if `If-Match` names other versions than `etag`. In a tag of two parts with a dash between them only the first counts: it covers
+/// what clients can change.
+pub fn check_if_match(headers: &HeaderMap, etag: &str) -> Result<(), Problem> {
+    let mut seen = headers.get_all(header::IF_MATCH).iter().peekable();
+    if seen.peek().is_none() {
+        return Ok(());
+    }
+    let part =
+        |tag: &str| tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')).map(|t| t.split('-').next().unwrap_or_default().to_owned());
+    // strong comparison: a weak tag matches nothing
+    let matches = seen
+        .filter_map(|v| v.to_str().ok())
+        .flat_map(|v| v.split(','))
+        .any(|v| v.trim() == "*" || part(v.trim()).is_some_and(|p| Some(p) == part(etag)));
+    if matches {
+        return Ok(());
+    }
+    let detail = format!("the photo was changed meanwhile; it is {etag} now");
+    Err(Problem::new(StatusCode::PRECONDITION_FAILED, "changed", detail).field("If-Match"))
+}
+
 /// Answers a GET or HEAD: 200, 206, 304, 412 or 416.
 #[must_use]
 pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
@@ -340,6 +364,18 @@ mod tests {
                 let map: HeaderMap = [(header::RANGE, value)].into_iter().collect();
                 let _ = respond(&map, Entity { source: Bytes::from(vec![0; length]).into(), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE, coding: Coding::Plain });
             }
+        }
+    }
+
+    #[test]
+    fn only_the_version_that_was_seen_may_be_changed() {
+        use axum::http::{HeaderMap, HeaderValue, header};
+        let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
+        assert!(check_if_match(&HeaderMap::new(), "\"a\"").is_ok());
+        assert!(check_if_match(&with("\"b\", \"a\""), "\"a\"").is_ok() && check_if_match(&with("*"), "\"a\"").is_ok());
+        assert!(check_if_match(&with("\"a-1\""), "\"a-2\"").is_ok(), "only the second part of the tag has changed");
+        for other in ["\"b\"", "W/\"a\"", "a", "\"a", "\"b-1\""] {
+            assert_eq!(check_if_match(&with(other), "\"a-1\"").unwrap_err().status, 412, "{other}");
         }
     }
 }

@@ -53,6 +53,8 @@ mod traces;
 mod units;
 mod upload;
 mod upload_by_address;
+mod upload_fields;
+mod upload_file;
 mod upload_head;
 mod upload_slots;
 mod webhooks;

@@ -15,8 +15,8 @@ use super::query::{NoQuery, Pairs};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, Stored};
 use crate::server::build_identity::short;
-use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, respond_once};
-use crate::server::photo_settings::{PATCH_BYTES, Settings, still_as_seen};
+use crate::server::conditional::{Coding, Entity, REVALIDATE, check_if_match, insert, respond, respond_once};
+use crate::server::photo_settings::{PATCH_BYTES, Settings};
 use crate::server::problem::Problem;
 use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
@@ -134,9 +134,9 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimi
         app.library.check_quota(owner, length_told(request.headers()), None).await?;
     }
     let photo = if upload_by_address::is_address(request.headers()) {
-        upload_by_address::take(&app, &query, request, owner, &clock).await?
+        upload_by_address::fetch_upload(&app, &query, request, owner, &clock).await?
     } else {
-        upload::take(&app, &query, request, owner).await?
+        upload::upload(&app, &query, request, owner).await?
     };
     accepted(&app, photo, &clock, wait, is_new).await
 }
@@ -359,7 +359,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
     let mut photo = app.photo(&id).await?;
     let (headers, patch) = merge_patch(request, PATCH_BYTES, "settings").await?;
     let changed = loop {
-        still_as_seen(&headers, &state_now(&app, &photo, None).await?.etag)?;
+        check_if_match(&headers, &state_now(&app, &photo, None).await?.etag)?;
         let settings = Settings::of(&photo).patched(&patch)?;
         match app.library.set_settings(&photo, &settings.to_value()).await {
             // somebody was quicker: it is looked at again
@@ -405,7 +405,7 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
 )]
 pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id).await?;
-    still_as_seen(&headers, &state_now(&app, &photo, None).await?.etag)?;
+    check_if_match(&headers, &state_now(&app, &photo, None).await?.etag)?;
     let deleted = app.library.delete(photo.id, Some(photo.accepted_at)).await?;
     app.forget(photo.id).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }

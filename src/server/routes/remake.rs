@@ -13,7 +13,7 @@ use crate::server::app_state::{App, Shared};
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
-use crate::server::upload::class_of;
+use crate::server::upload_fields::class_of;
 use tmpi_library::{Class, Photo, PhotoState as Phase};
 
 /// Make a photo again.

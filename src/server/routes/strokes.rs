@@ -9,8 +9,7 @@ use super::photos::merge_patch;
 use super::query::NoQuery;
 use super::remake;
 use crate::server::app_state::{App, Shared, Stored};
-use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
-use crate::server::photo_settings::still_as_seen;
+use crate::server::conditional::{Coding, Entity, REVALIDATE, check_if_match, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use tmpi_library::Content;
@@ -100,7 +99,7 @@ pub async fn touch_up(
     let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
     let before = app.strokes(&photo).await?;
     let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
-    still_as_seen(&headers, &stored(&before).etag)?;
+    check_if_match(&headers, &stored(&before).etag)?;
     let answer = if before == wanted {
         remake::state(&app, &photo, StatusCode::OK).await
     } else {
