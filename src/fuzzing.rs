@@ -7,7 +7,7 @@ use std::str::FromStr;
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::{Layers, Model, When};
+use tmpi_core::live::{FrameTiming, Layers, TileState};
 use tmpi_core::{DisparityMap, Photo, Rect, container};
 use tmpi_live::access_units::Splitter;
 use tmpi_live::measured_depth;
@@ -43,7 +43,7 @@ pub const TARGETS: [(&str, Run); 28] = [
     ("exif", exif),
     ("icc", icc),
     ("depth", depth),
-    ("carried", carried),
+    ("embedded_depth", embedded_depth),
     ("multipart", multipart),
     ("patch", patch),
     ("strokes", touch_up),
@@ -137,7 +137,7 @@ fn read_all(file: &[u8]) {
         assert!(small.is_none_or(|s| s.validate().is_ok() && s.grid.width <= width && s.grid.height <= height));
     }
     let region = Rect { x: width / 3, y: height / 3, w: width.div_ceil(4), h: height.div_ceil(4) };
-    if let Ok(Some(tiles)) = container::Tiles::over_region(file, region) {
+    if let Ok(Some(tiles)) = container::TileRect::over_region(file, region) {
         let part = readable(container::region(file, &tiles, 0, container::RegionPhoto::Lossless));
         assert!(part.is_none_or(|part| part.grid.width >= region.w && part.grid.height >= region.h));
     }
@@ -189,7 +189,7 @@ const PHOTO: photo::Limits = photo::Limits {
 const DECODER: usize = 24 << 20;
 
 /// A photo of any format, at its own size and reduced. Promise: the early check agrees with the check of the whole file; decoding refuses
-/// a checked photo only for its data; the photo is consistent; the file as carried decodes to the same photo; memory by bytes and pixels.
+/// a checked photo only for its data; the photo is consistent; the stripped file decodes to the same photo; memory by bytes and pixels.
 fn photo(data: &[u8]) -> usize {
     let checked = photo::check(data, &PHOTO);
     for end in [data.len().min(32), data.len() / 2] {
@@ -204,9 +204,9 @@ fn photo(data: &[u8]) -> usize {
                 assert!(checked.is_ok(), "decoded a photo that the check refuses");
                 assert_eq!(got.photo.rgb.len(), got.photo.width as usize * got.photo.height as usize);
                 assert!(got.intrinsics.is_valid());
-                if let Some(file) = got.carried {
+                if let Some(file) = got.stripped {
                     let again = photo::decode(&file, &PHOTO, None).map(|d| d.photo);
-                    assert!(again.is_ok_and(|p| p == got.photo), "the carried file is another photo");
+                    assert!(again.is_ok_and(|p| p == got.photo), "the stripped file is another photo");
                 }
             }
             Err(photo::PhotoError::Broken(text)) => assert!(!text.contains("the decoder failed"), "a decoder panicked"),
@@ -240,8 +240,8 @@ fn depth(data: &[u8]) -> usize {
 }
 
 /// A photo with embedded depth. Promise: as for a user's depth map.
-fn carried(data: &[u8]) -> usize {
-    if let Ok(Some(found)) = maps::carried(data)
+fn embedded_depth(data: &[u8]) -> usize {
+    if let Ok(Some(found)) = maps::embedded_depth(data)
         && let Ok(Read { map, .. }) = found.read(&PHOTO, 21, 13)
     {
         assert_eq!(map.delta.len(), 21 * 13);
@@ -278,7 +278,7 @@ fn room(data: &[u8]) -> usize {
     let (hello, messages) = room::build(data);
     let pixels = hello.width as usize * hello.height as usize;
     let most = LEAST + 8 * ROOM + 64 * data.len();
-    let Ok(mut model) = Model::new(&hello) else { return most };
+    let Ok(mut model) = TileState::new(&hello) else { return most };
     for message in messages {
         let bytes = tmpi_core::live::write(Kind::Geometry(message.clone()));
         let again = tmpi_core::live::read(bytes);
@@ -292,7 +292,7 @@ fn room(data: &[u8]) -> usize {
     }
     if pixels as u64 <= SLOW {
         let photo = Photo { width: hello.width, height: hello.height, rgb: vec![[7; 3]; pixels] };
-        let changes = Layers::default().update(geometry, |_| true, photo, When::default());
+        let changes = Layers::default().update(geometry, |_| true, photo, FrameTiming::default());
         assert_eq!(changes.texels.len(), geometry.tiles.len());
     }
     most + 2048 * pixels

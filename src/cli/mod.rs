@@ -115,7 +115,7 @@ pub fn main() -> ExitCode {
     // SAFETY: the program has no other thread yet
     #[allow(unsafe_code, reason = "the one call before all others")]
     unsafe {
-        tmpi_pipeline::networks::keep_to_yourself();
+        tmpi_pipeline::networks::disable_telemetry();
         tmpi_render::without_a_display();
     };
     let (name, cli) = match parsed() {

@@ -2,7 +2,7 @@
 
 use prost::Message as _;
 use tmpi_core::container::schema::Index;
-use tmpi_core::container::{Carried, Carries, HiddenAs, MAGIC, PhotoFormat, encode_in, encode_lossless, readable};
+use tmpi_core::container::{EncodedPhoto, HiddenCodec, MAGIC, OptionalSections, PhotoFormat, encode_in, encode_lossless, readable};
 use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 
 use super::arbitrary::{Script, geometry};
@@ -61,23 +61,23 @@ pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     let (width, height) = (geometry.grid.width, geometry.grid.height);
     let photo = Photo { width, height, rgb: (0..width * height).map(|i| [(i % width) as u8, (i / width) as u8, 90]).collect() };
     let how = script.byte();
-    let carried = match how & 3 {
-        0 => Carried::from_photo(&photo, 80).ok()?,
-        1 => Carried::lossless(&photo).ok()?,
+    let photo_file = match how & 3 {
+        0 => EncodedPhoto::from_photo(&photo, 80).ok()?,
+        1 => EncodedPhoto::lossless(&photo).ok()?,
         _ => {
             let bytes = encode_lossless(image::ImageFormat::Png, width, height, photo.rgb.as_flattened()).ok()?;
-            Carried { bytes, format: PhotoFormat::Png }
+            EncodedPhoto { bytes, format: PhotoFormat::Png }
         }
     };
-    let hidden = [None, None, Some(HiddenAs::Png), Some(HiddenAs::Jpeg(80))][usize::from(how >> 2 & 3)];
+    let hidden = [None, None, Some(HiddenCodec::Png), Some(HiddenCodec::Jpeg(80))][usize::from(how >> 2 & 3)];
     let geometry = Geometry { matted: how >> 6 & 1 == 1, ..geometry };
-    let carries = if geometry.matted { Carries::default() } else { Carries { alpha: how >> 4 & 1 == 1, hidden } };
+    let optional = if geometry.matted { OptionalSections::default() } else { OptionalSections { alpha: how >> 4 & 1 == 1, hidden } };
     let mut scene = compose(photo.clone(), &geometry, texture(&photo, &geometry, geometry.masks()));
-    if carries.alpha {
+    if optional.alpha {
         scene.texels.alpha.iter_mut().filter(|a| (1..255).contains(*a)).step_by(3).for_each(|a| *a = 17);
     }
     let rows = (how >> 5 & 1 == 1).then(|| 1 + script.below(4));
-    let (bytes, _) = encode_in(rows, &geometry, &scene, &carried, carries).ok()?;
+    let (bytes, _) = encode_in(rows, &geometry, &scene, &photo_file, optional).ok()?;
     let (mut index, body) = apart(&bytes)?;
     let mut body = body.to_vec();
     while !script.0.is_empty() {

@@ -2,7 +2,7 @@
 
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Hello};
-use tmpi_core::live::{MAX_PLANES, Model, chunk};
+use tmpi_core::live::{MAX_PLANES, TileState, chunk};
 
 use super::arbitrary::{Script, geometry};
 
@@ -12,7 +12,7 @@ pub fn build(data: &[u8]) -> (Hello, Vec<schema::Geometry>) {
     let mut script = Script(data);
     let mut geometry = geometry(&mut script, MAX_PLANES as u32 + 1);
     geometry.tiles.iter_mut().for_each(|t| t.planes.truncate(MAX_PLANES));
-    let mut hello = Model::hello(&geometry);
+    let mut hello = TileState::hello(&geometry);
     let messages = (0..=script.below(3)).map(|_| {
         let grid = geometry.grid;
         let wanted = script.byte();

@@ -13,7 +13,7 @@ use tokio_tungstenite::tungstenite::{self, error::CapacityError};
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Video};
-use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
+use tmpi_core::live::{MAX_PIXELS, TileState, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{Geometry, Settings, access_units, video};
 
@@ -344,7 +344,7 @@ fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
         settings.options.fov_x = Some(fov_x);
         settings.options.validate().map_err(|e| e.to_string())?;
     }
-    let told = Model::hello(&settings.empty(width, height));
+    let told = TileState::hello(&settings.empty(width, height));
     Ok((settings, Hello { codec, fov_x, sound, sound_rate, sound_channels, ..told }))
 }
 

@@ -221,7 +221,7 @@ mod tests {
     use std::time::Duration;
 
     use tmpi_core::live::schema::message::Kind;
-    use tmpi_core::live::{Model, read};
+    use tmpi_core::live::{TileState, read};
     use tmpi_live::Settings;
     use tmpi_pipeline::Models;
     use tmpi_pipeline::depth::{DepthError, Estimator};
@@ -250,10 +250,10 @@ mod tests {
         let settings = Settings { frame_ms: 1e-3, ..Settings::default() };
         let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
         let (room, mut driver) = (Room::new(Bounds::default()), Geometry::new(models, settings.clone()));
-        let epoch = room.publish(Model::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
+        let epoch = room.publish(TileState::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
         let mut viewer = room.join(crate::live::room::Watches::Itself).unwrap();
-        let mut model = Model::new(&Model::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();
-        let mut read_all = |model: &mut Model| loop {
+        let mut model = TileState::new(&TileState::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();
+        let mut read_all = |model: &mut TileState| loop {
             let bytes = match room.next(&mut viewer) {
                 Next::Send(bytes) => bytes,
                 Next::Hello(_) | Next::Tiles => match room.tiles(&mut viewer) {
@@ -300,7 +300,7 @@ mod tests {
     #[test]
     fn a_decoder_that_panics_and_geometry_that_cannot_be_begun_are_told_of() {
         let room = Arc::new(Room::new(Bounds::default()));
-        let epoch = room.publish(Model::hello(&Settings::default().empty(160, 120)), 0, 1);
+        let epoch = room.publish(TileState::hello(&Settings::default().empty(160, 120)), 0, 1);
         let (done, mut told) = mpsc::channel(16);
         let start = |decodes: bool| {
             let geometry = || -> Geometry { panic!("as planned") };

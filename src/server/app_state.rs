@@ -32,7 +32,7 @@ use super::sources::Sources;
 use super::traces;
 use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
-use tmpi_core::container::{self, RegionPhoto, Tiles};
+use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Rect, Scene};
 use tmpi_library::{Asker, Library, LibraryError, Owner, Part, Photo, PhotoId, PhotoState};
 use tmpi_pipeline::strokes::{self, Stroke};
@@ -352,10 +352,10 @@ impl Shared {
     }
 
     /// The tiles over a region of a photo.
-    async fn tiles(&self, photo: &Photo, region: Rect) -> Result<Tiles, Problem> {
+    async fn tiles(&self, photo: &Photo, region: Rect) -> Result<TileRect, Problem> {
         let slot = self.pool.enter(Class::Derived, 0).await?;
         let whole = self.container_of(photo).await?;
-        let tiles = slot.run(move || Tiles::over_region(&whole, region).map_err(|e| Problem::from(&e))).await??;
+        let tiles = slot.run(move || TileRect::over_region(&whole, region).map_err(|e| Problem::from(&e))).await??;
         tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))
     }
 

@@ -11,7 +11,7 @@ use super::body_source::Source;
 use super::cache::{Key, Value};
 use super::problem::Problem;
 use tmpi_core::Scene;
-use tmpi_core::container::Tiles;
+use tmpi_core::container::TileRect;
 use tmpi_library::{Blob, BlobStore, LibraryError, Part, PhotoId, hex};
 
 /// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
@@ -203,7 +203,7 @@ pub struct Derived {
     /// `1 / 2^level` of the size.
     pub level: u8,
     /// Only these tiles.
-    pub tiles: Option<Tiles>,
+    pub tiles: Option<TileRect>,
     /// Only these sections, by their index in [`tmpi_core::container::SECTIONS`].
     pub sections: Option<Vec<u8>>,
 }

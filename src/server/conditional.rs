@@ -369,7 +369,6 @@ mod tests {
 
     #[test]
     fn only_the_version_that_was_seen_may_be_changed() {
-        use axum::http::{HeaderMap, HeaderValue, header};
         let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
         assert!(check_if_match(&HeaderMap::new(), "\"a\"").is_ok());
         assert!(check_if_match(&with("\"b\", \"a\""), "\"a\"").is_ok() && check_if_match(&with("*"), "\"a\"").is_ok());

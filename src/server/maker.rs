@@ -204,7 +204,7 @@ impl PipelineMaker {
     /// Refuses sizes that take too much with `options`, or give containers that no reader accepts.
     fn check_size(&self, sizes: &Sizes, options: &Options) -> Result<(), MakeError> {
         let options = options.fitted(sizes, &self.limits)?;
-        let (width, height) = photo::reduced_size(options.shown(sizes.file), options.max_size);
+        let (width, height) = photo::reduced_size(options.photo_size(sizes.file), options.max_size);
         Ok(options.check_readable(width, height)?)
     }
 

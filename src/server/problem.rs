@@ -292,7 +292,7 @@ impl From<&MakeError> for Problem {
     fn from(error: &MakeError) -> Self {
         match error {
             MakeError::Photo(e) => e.into(),
-            MakeError::Depth(DepthError::Map(_) | DepthError::Carried(_) | DepthError::NotCarried) => {
+            MakeError::Depth(DepthError::Map(_) | DepthError::Embedded(_) | DepthError::NotEmbedded) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
             MakeError::Depth(DepthError::Second(_)) => {
@@ -390,7 +390,7 @@ mod tests {
             PhotoError::TooManyPixels { width: 2, height: 1, limit: 1 }.into(),
             PhotoError::Unsupported.into(),
             depth(DepthError::Map("x".into())),
-            depth(DepthError::NotCarried),
+            depth(DepthError::NotEmbedded),
             depth(DepthError::Second("x".into())),
             depth(DepthError::NoSecond),
             depth(DepthError::Sphere),

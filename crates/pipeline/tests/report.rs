@@ -25,7 +25,7 @@ impl Estimator for NoNetwork {
     }
 
     fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
-        Err(DepthError::NotCarried)
+        Err(DepthError::NotEmbedded)
     }
 }
 

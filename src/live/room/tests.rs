@@ -2,7 +2,7 @@ use std::collections::BTreeSet;
 
 use futures_util::FutureExt as _;
 use tmpi_core::live::chunk::{self, Area};
-use tmpi_core::live::{Model, read};
+use tmpi_core::live::{TileState, read};
 use tmpi_core::{Geometry, Photo};
 
 use super::*;
@@ -20,7 +20,7 @@ pub struct Made {
 impl Made {
     pub fn new() -> Self {
         let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
-        assert_eq!(room.publish(Model::hello(&tiles), 0, EPOCH), EPOCH);
+        assert_eq!(room.publish(TileState::hello(&tiles), 0, EPOCH), EPOCH);
         let mut made = Self { room, tiles, frame: 0 };
         made.next(true, 10, Some(Area::all(&made.tiles.grid)));
         made
@@ -52,7 +52,7 @@ impl Made {
 /// A viewer.
 pub struct Watcher {
     viewer: Viewer,
-    pub model: Model,
+    pub model: TileState,
     frames: usize,
     /// Tiles of each GEOMETRY message of the room.
     pub given: Vec<BTreeSet<u32>>,
@@ -65,7 +65,7 @@ impl Watcher {
 
     /// Joins a room with such tiles.
     pub fn at(room: &Room, tiles: &Geometry) -> Self {
-        let model = Model::new(&Model::hello(tiles)).unwrap();
+        let model = TileState::new(&TileState::hello(tiles)).unwrap();
         let mut watcher = Self { viewer: room.join(Watches::Itself).unwrap(), model, frames: 0, given: Vec::new() };
         watcher.read(room);
         watcher
@@ -153,7 +153,7 @@ fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() 
     let mut viewer = Watcher::new(&made);
     let all: BTreeSet<u32> = (0..made.tiles.grid.tiles()).collect();
     made.room.unpublish();
-    assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
+    assert_eq!(made.room.publish(TileState::hello(&made.tiles), 0, 0), EPOCH + 1);
     made.room.push(EPOCH + 1, What::Key, vec![0; 10].into());
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
     made.room.keep(EPOCH + 1, FrameWithTiles::new(0, photo, made.tiles.clone()), |_| {});
@@ -164,7 +164,7 @@ fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() 
 #[test]
 fn tiles_sent_before_the_first_whole_frame_reach_new_viewers() {
     let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
-    room.publish(Model::hello(&tiles), 0, EPOCH);
+    room.publish(TileState::hello(&tiles), 0, EPOCH);
     let mut made = Made { room, tiles, frame: 9 };
     let columns = Area { columns: 1, ..Area::all(&made.tiles.grid) };
     for column in 0..made.tiles.grid.columns() {
@@ -242,7 +242,7 @@ fn tiles_of_the_next_epoch_are_not_sent_after_the_hello_of_the_last_one() {
     let mut viewer = made.room.join(Watches::Itself).unwrap();
     assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH));
     made.tiles = geometry(0.25);
-    assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
+    assert_eq!(made.room.publish(TileState::hello(&made.tiles), 0, 0), EPOCH + 1);
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
     made.room.keep(EPOCH + 1, FrameWithTiles::new(1, photo, made.tiles.clone()), |_| {});
     assert!(made.room.tiles(&mut viewer).is_none());

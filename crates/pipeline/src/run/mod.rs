@@ -27,7 +27,7 @@ use crate::networks::models::{PSI, THETA};
 use crate::photo::PhotoError;
 pub use crate::photo::Reduction;
 
-pub use input_sizes::{Other, Sizes};
+pub use input_sizes::{ExtraPicture, Sizes};
 pub use make::make;
 pub use options::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 pub use parallax_error::{Movement, TileError};

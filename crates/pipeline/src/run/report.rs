@@ -204,7 +204,7 @@ pub struct Report {
     pub width: u32,
     /// Height of the scene in pixels.
     pub height: u32,
-    /// Name of the depth network, or `given` (a map in a file of its own), `carried` (a map embedded in the photo's file) or `stereo`
+    /// Name of the depth network, or `given` (a map in a file of its own), `embedded` (a map embedded in the photo's file) or `stereo`
     /// (measured against a second picture).
     pub depth_model: String,
     /// Times of all stages, in order.

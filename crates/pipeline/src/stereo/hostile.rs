@@ -75,7 +75,7 @@ fn is_estimated(report: &Report, why: Option<&str>) {
 }
 
 fn beside_it() -> Options {
-    Options { stereo: Stereo::Beside, ..Options::default() }
+    Options { stereo: Stereo::ExternalData, ..Options::default() }
 }
 
 fn only_depth() -> Options {
@@ -95,7 +95,7 @@ fn the_first_eye_after_a_photo_is_used_however_many_pictures_follow() {
     for behind in [&[][..], &[(THUMBNAIL, &small[..])], &[(0, &b), (THUMBNAIL, &b)]] {
         let file = multi_picture(&a, behind);
         is_estimated(&made(&file, None, &options).unwrap(), None);
-        assert!(matches!(made(&file, None, &only_depth()), Err(MakeError::Depth(DepthError::NotCarried))));
+        assert!(matches!(made(&file, None, &only_depth()), Err(MakeError::Depth(DepthError::NotEmbedded))));
     }
     let many = [vec![(THUMBNAIL, &small[..]); 14], vec![(EYE, &b)]].concat();
     for behind in [&[(EYE, &b[..])][..], &[(THUMBNAIL, &small), (EYE, &b)], &[(FIRST_EYE, &b), (EYE, &even), (EYE, &a)], &many] {
@@ -183,12 +183,12 @@ fn a_picture_after_a_photo_takes_no_more_memory_than_the_photo() {
     is_estimated(&made(&larger, None, &Options::default()).unwrap(), Some("larger than that of the first"));
     let sizes = |file: &[u8], options: &Options| crate::Sizes::of(file, None, options, &Limits::default()).unwrap();
     let auto = Options::default();
-    assert_eq!(sizes(&larger, &auto).other, None);
+    assert_eq!(sizes(&larger, &auto).extra, None);
     // a second picture counts only if it is measured
     let both = multi_picture(&a, &[(EYE, &jpeg(&second()))]);
-    assert_eq!(sizes(&both, &auto).other, Some(crate::run::Other::Eye((W, H))));
+    assert_eq!(sizes(&both, &auto).extra, Some(crate::run::ExtraPicture::SecondPicture((W, H))));
     for off in [Options { stereo: Stereo::None, ..auto.clone() }, Options { photo_depth: Switch::Off, ..auto.clone() }] {
-        assert_eq!(sizes(&both, &off).other, None);
+        assert_eq!(sizes(&both, &off).extra, None);
         assert_eq!(made(&both, None, &off).unwrap().depth_model, "constant");
     }
     let report = made(&both, None, &auto).unwrap();
@@ -263,7 +263,7 @@ proptest! {
         file[at] = value;
         file.truncate(cut.max(2));
         if let Ok(report) = made(&file, None, &Options::default()) {
-            prop_assert!(["stereo", "constant", "carried"].contains(&report.depth_model.as_str()));
+            prop_assert!(["stereo", "constant", "embedded"].contains(&report.depth_model.as_str()));
         }
     }
 }
