@@ -100,7 +100,6 @@ pub(super) async fn accept(app: &App, parts: UploadParts, owner: Option<Owner>) 
         settings: settings.to_value(),
         photo: photo.content(),
         depth: depth.as_ref().map(ReceivedFile::content),
-        reservation: None,
     };
     let accepted = app.library.accept(upload).await?;
     match accepted.outcome {

@@ -41,7 +41,6 @@ fn upload(n: u64) -> Upload {
         settings: serde_json::json!({}),
         photo,
         depth: None,
-        reservation: None,
     }
 }
 

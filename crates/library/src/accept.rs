@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 use sqlx::AssertSqlSafe;
 
+use crate::Library;
 use crate::blobs::{Content, Contents};
 use crate::error::{LibraryError, Result, is_refusal};
 use crate::events::Event;
@@ -13,7 +14,6 @@ use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, b
 use crate::photos::locked_photo;
 use crate::queue::{Asker, Kind, NewJob};
 use crate::remake::Remake;
-use crate::{Library, quota};
 
 /// A complete upload.
 #[derive(Debug)]
@@ -32,8 +32,6 @@ pub struct Upload {
     pub photo: Content,
     /// Its depth map.
     pub depth: Option<Content>,
-    /// Its reservation, by [`Library::reserve`].
-    pub reservation: Option<String>,
 }
 
 impl Upload {
@@ -116,7 +114,7 @@ impl Library {
 
     async fn accept_new(&self, mut upload: Upload) -> Result<Accepted> {
         if let Some(owner) = &upload.asker.owner {
-            self.check_quota(owner, upload.bytes(), upload.reservation.as_deref()).await?;
+            self.check_quota(owner, upload.bytes()).await?;
         }
         let photo = std::mem::replace(&mut upload.photo, Content::of_bytes(Vec::new()));
         let mut contents = Contents::from([(Part::Upload, photo)]);
@@ -145,7 +143,7 @@ impl Library {
         let owner = upload.asker.owner.as_ref();
         if let Some(owner) = owner {
             tx.lock_owner(owner.as_str()).await?;
-            self.check_quota_in(&mut tx, owner, bytes as u64, upload.reservation.as_deref()).await?;
+            self.check_quota_in(&mut tx, owner, bytes as u64).await?;
         }
         let insert = format!(
             "INSERT INTO photos (id, owner, accepted_at, listed_at, viewed_at, class, title, options, settings, settings_version, link_generation,
@@ -156,9 +154,6 @@ impl Library {
         let insert = insert.bind(upload.class.rank()).bind(title_of(&upload.settings).map(str::to_owned)).bind(to_json(&upload.options)?);
         let insert = insert.bind(to_json(&upload.settings)?).bind(PhotoState::Queued.name()).bind(to_json(blobs)?).bind(bytes);
         let Some(row) = insert.fetch_optional(tx.on()).await? else { return Ok(None) };
-        if let Some(reservation) = &upload.reservation {
-            quota::release(&mut tx, reservation).await?;
-        }
         let job = NewJob { kind: Kind::Make, photo: upload.id, version: 1, key: None, class: upload.class, asker: &upload.asker };
         self.enqueue(&mut tx, &job, &Value::from(upload.asker.trace.clone())).await?;
         tx.tell(Event::Photo(upload.id));

@@ -114,7 +114,7 @@ impl Library {
         Ok(deleted)
     }
 
-    /// Removes unused exports, expired sessions, reservations and rooms, and the log of deliveries beyond its limits; returns the number of exports.
+    /// Removes unused exports, expired sessions and rooms, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
         rooms::end_abandoned(&mut tx).await?;
@@ -124,7 +124,6 @@ impl Library {
         let deleted = sqlx::query(delete).bind(done).bind(failed).fetch_all(tx.on()).await?;
         for (delete, until) in [
             ("DELETE FROM sessions WHERE expires_at <= $1", now),
-            ("DELETE FROM reservations WHERE expires_at <= $1", now),
             ("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1", now - millis(ROOM_FOR)),
         ] {
             sqlx::query(delete).bind(until).execute(tx.on()).await?;

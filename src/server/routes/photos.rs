@@ -131,7 +131,7 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimi
     let (owner, is_new) = uploader(&app)?;
     // before the body comes
     if let Some(owner) = &owner {
-        app.library.check_quota(owner, length_told(request.headers()), None).await?;
+        app.library.check_quota(owner, length_told(request.headers())).await?;
     }
     let photo = if upload_by_address::is_address(request.headers()) {
         upload_by_address::fetch_upload(&app, &query, request, owner, &clock).await?

@@ -7,7 +7,6 @@ on_both! {
     a_photo_made_again_keeps_its_results_until_then,
     no_more_photos_get_in_than_the_quota_allows,
     no_more_bytes_get_in_than_the_quota_allows,
-    a_reservation_counts_until_it_is_a_photo,
     a_full_queue_and_a_greedy_owner_are_refused,
     a_settings_change_needs_the_version_it_saw,
 }
@@ -118,28 +117,6 @@ async fn no_more_photos_get_in_than_the_quota_allows(bed: Bed) {
 async fn no_more_bytes_get_in_than_the_quota_allows(bed: Bed) {
     // each has 8 bytes
     assert_eq!(taken(&bed, &Limits { quota_bytes: Some(47), ..Limits::default() }).await, 5);
-}
-
-async fn a_reservation_counts_until_it_is_a_photo(bed: Bed) {
-    let library = bed.node_with(Limits { quota_bytes: Some(20), ..Limits::default() }).await;
-    let ann = owner("ann").owner.unwrap();
-    let hour = Duration::from_hours(1);
-    library.reserve("one", &ann, 15, hour).await.unwrap();
-    assert!(matches!(
-        library.reserve("two", &ann, 6, hour).await,
-        Err(LibraryError::QuotaExceeded { quota: Quota::Bytes, used: 15, asked: 6, limit: 20 })
-    ));
-    library.reserve("one", &ann, 20, hour).await.unwrap();
-    assert!(library.check_quota(&ann, 1, None).await.is_err() && library.check_quota(&ann, 20, Some("one")).await.is_ok());
-    assert!(library.accept(upload(1, owner("ann"))).await.is_err());
-    library.accept(Upload { reservation: Some("one".into()), ..upload(1, owner("ann")) }).await.unwrap();
-    assert!(library.check_quota(&ann, 13, None).await.is_ok() && library.check_quota(&ann, 14, None).await.is_err(), "a photo of 7");
-    library.reserve("two", &ann, 13, hour).await.unwrap();
-    library.release_reservation("two").await.unwrap();
-    library.reserve("three", &ann, 13, Duration::from_secs(1)).await.unwrap();
-    bed.jump(1_000);
-    library.0.clock.lock().unwrap().take();
-    assert!(library.check_quota(&ann, 13, None).await.is_ok(), "the reservation has expired");
 }
 
 async fn a_full_queue_and_a_greedy_owner_are_refused(bed: Bed) {

@@ -144,7 +144,6 @@ pub fn upload(n: u32, asker: Asker) -> Upload {
         settings: json!({"title": format!("Photo {n}")}),
         photo,
         depth: None,
-        reservation: None,
     }
 }
 

@@ -6,7 +6,7 @@ const DAY: i64 = 86_400_000;
 on_both! {
     photos_go_by_their_age_but_not_by_a_clock_that_jumps,
     the_least_recently_viewed_photos_make_room,
-    exports_sessions_and_reservations_go_with_their_time,
+    exports_and_sessions_expire,
 }
 
 async fn photos_go_by_their_age_but_not_by_a_clock_that_jumps(bed: Bed) {
@@ -51,7 +51,7 @@ async fn the_least_recently_viewed_photos_make_room(bed: Bed) {
     assert_eq!(sweeper.sweep().await.unwrap(), Swept::default());
 }
 
-async fn exports_sessions_and_reservations_go_with_their_time(bed: Bed) {
+async fn exports_and_sessions_expire(bed: Bed) {
     let library = bed.node_with(Limits { exports_for: Duration::from_hours(1), ..Limits::default() }).await;
     let photo = done(&library, 1, owner("ann")).await;
     let (asker, ann) = (owner("ann"), owner("ann").owner.unwrap());
@@ -62,7 +62,6 @@ async fn exports_sessions_and_reservations_go_with_their_time(bed: Bed) {
         library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
     }
     library.open_session(&ann, None, Duration::from_mins(1)).await.unwrap();
-    library.reserve("one", &ann, 1, Duration::from_mins(1)).await.unwrap();
     assert_eq!(library.sweep().await.unwrap(), Swept::default());
     bed.jump(DAY / 48);
     library.fetched(&library.job(Kind::Film, photo.id, Some("a")).await.unwrap()).await.unwrap();
@@ -70,6 +69,6 @@ async fn exports_sessions_and_reservations_go_with_their_time(bed: Bed) {
     assert_eq!(library.sweep().await.unwrap(), Swept { exports: 1, ..Swept::default() });
     assert!(library.job(Kind::Film, photo.id, Some("a")).await.is_ok() && library.job(Kind::Film, photo.id, Some("b")).await.is_err());
     assert_eq!(bed.blobs(&library).await.len(), 4);
-    let left = sqlx::query("SELECT hash FROM sessions UNION SELECT id FROM reservations").fetch_all(library.database().reader()).await;
+    let left = sqlx::query("SELECT hash FROM sessions").fetch_all(library.database().reader()).await;
     assert_eq!(left.unwrap().len(), 0);
 }
