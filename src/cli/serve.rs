@@ -169,7 +169,7 @@ enum Access {
 /// Share of the traces started here that is sent. Traces from elsewhere follow the sampled flag of their `traceparent`.
 const SHARE: &str = "OTEL_TRACES_SAMPLER_ARG";
 /// Fewest bytes of the token key.
-const LEAST_KEY: usize = 32;
+const MIN_KEY: usize = 32;
 
 impl ServeArgs {
     /// The arguments of `tmpi work`: a node that only makes photos.
@@ -200,8 +200,8 @@ impl ServeArgs {
     /// The key that signs tokens.
     fn room_key(&self) -> anyhow::Result<Option<Vec<u8>>> {
         let key = self.live_key.as_deref().map(files::read).transpose()?;
-        if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
-            return Err(Usage(format!("--live-key: the key must have at least {LEAST_KEY} bytes")).into());
+        if key.as_ref().is_some_and(|k| k.len() < MIN_KEY) {
+            return Err(Usage(format!("--live-key: the key must have at least {MIN_KEY} bytes")).into());
         }
         Ok(key)
     }

@@ -66,12 +66,12 @@ impl Script<'_> {
 }
 
 /// Most pixels of a container that is built: those of a photo of 640×480.
-const MOST_PIXELS: u32 = 640 * 480;
+const MAX_PIXELS: u32 = 640 * 480;
 
 /// A grid, with planes and labels for each of its tiles, as a script says.
 pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
     let width = script.side(1024);
-    let height = script.side(MOST_PIXELS / width).min(MOST_PIXELS / width).max(1);
+    let height = script.side(MAX_PIXELS / width).min(MAX_PIXELS / width).max(1);
     let sizes = [64, 64, 64, 32, 16, 8, 80, 33];
     let grid = Grid::new(width, height, sizes[script.below(8) as usize]);
     // a few tiles are said one by one, the others are like them

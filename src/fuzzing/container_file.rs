@@ -8,7 +8,7 @@ use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 use super::arbitrary::{Script, geometry};
 
 /// Planes a tile, at most: one more than there can be.
-const MOST_PLANES: u32 = 66;
+const MAX_PLANES: u32 = 66;
 /// Bytes before the index: magic, version, length of the index.
 const HEAD: usize = 12;
 
@@ -51,7 +51,7 @@ fn set_checksums(index: &mut Index, body: &[u8]) -> bool {
 #[must_use]
 pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     let mut script = Script(data);
-    let geometry = geometry(&mut script, MOST_PLANES);
+    let geometry = geometry(&mut script, MAX_PLANES);
     if !geometry.tiles.iter().flat_map(|t| t.planes.iter().chain(&t.background)).all(Plane::is_finite) {
         return None;
     }

@@ -66,7 +66,7 @@ fn deadline(ends: u64) -> Option<Instant> {
 }
 
 /// Reason for closing a socket whose token has ended.
-pub(super) const ENDED: &str = "the invitation has ended";
+pub(super) const ENDED: &str = "the token has expired";
 
 /// Completes at `at`; never without one.
 pub(super) async fn ended(at: Option<Instant>) {

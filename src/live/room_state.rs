@@ -12,7 +12,7 @@ use super::room_token::Role;
 use crate::server::Problem;
 
 /// Longest state of a room from its origin, in bytes.
-const MOST_STATE: usize = 4096;
+const MAX_STATE: usize = 4096;
 
 /// State of a room.
 #[derive(Default, Deserialize, Serialize, ToSchema)]
@@ -75,6 +75,6 @@ pub(super) async fn state(
 async fn at_origin(here: &RoomsContext, name: &str) -> Result<Option<RoomState>, Problem> {
     let Some((nodes, origin)) = here.rooms.elsewhere(name).await? else { return Ok(None) };
     let Ok(answer) = nodes.fetch(&origin, name, "", HeaderMap::new()).await else { return Ok(None) };
-    let body = axum::body::to_bytes(answer.into_body(), MOST_STATE).await.unwrap_or_default();
+    let body = axum::body::to_bytes(answer.into_body(), MAX_STATE).await.unwrap_or_default();
     Ok(serde_json::from_slice(&body).ok())
 }

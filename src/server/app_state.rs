@@ -34,7 +34,7 @@ use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Rect, Scene};
-use tmpi_library::{Asker, Library, LibraryError, Owner, Part, Photo, PhotoId, PhotoState};
+use tmpi_library::{Library, LibraryError, Owner, Part, Photo, PhotoId, PhotoState, Requester};
 use tmpi_pipeline::strokes::{self, Stroke};
 use tmpi_render::Renderer;
 
@@ -218,8 +218,8 @@ impl Shared {
 
     /// The queue's view of this request's caller.
     #[must_use]
-    pub fn asker(owner: Option<Owner>) -> Asker {
-        Asker { owner, address: client_address(), trace: traces::parent().map(traces::Parent::into_text) }
+    pub fn requester(owner: Option<Owner>) -> Requester {
+        Requester { owner, address: client_address(), trace: traces::parent().map(traces::Parent::into_text) }
     }
 
     /// The photo of a path, if the caller may access it.
@@ -233,7 +233,7 @@ impl Shared {
         if self.guard.as_ref().is_some_and(|guard| !guard.allows(&photo)) {
             return Err(none());
         }
-        self.library.viewed(id);
+        self.library.note_view(id);
         Ok(photo)
     }
 
@@ -333,7 +333,7 @@ impl Shared {
         let names = sections.map(<[_]>::to_vec);
         let make = async {
             let slot = self.pool.enter(Class::Derived, done.scene_bytes()).await?;
-            let (whole, disk) = (self.container_of(photo).await?, self.disk());
+            let (whole, disk) = (self.container_of(photo).await?, self.temp_folder());
             let make = move || {
                 let mut bytes = Vec::from(whole);
                 if let Some(tiles) = &made.tiles {
@@ -372,7 +372,7 @@ impl Shared {
 
     /// The disk for unnamed temporary files.
     #[must_use]
-    pub fn disk(&self) -> TempFolder {
+    pub fn temp_folder(&self) -> TempFolder {
         TempFolder { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }
 

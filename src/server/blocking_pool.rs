@@ -259,10 +259,10 @@ mod tests {
     async fn one_address_has_half_of_the_places_to_wait() {
         let pool = pool(1, 4, 9);
         let _busy = pool.enter(Class::Interactive, 1).await.unwrap();
-        let ask = |asker: Option<&str>| {
+        let ask = |client: Option<&str>| {
             let pool = Arc::clone(&pool);
-            let asker = asker.map(|a| a.parse().unwrap());
-            tokio::spawn(CLIENT.scope(asker, async move { pool.enter(Class::Interactive, 1).await.is_ok() }))
+            let client = client.map(|a| a.parse().unwrap());
+            tokio::spawn(CLIENT.scope(client, async move { pool.enter(Class::Interactive, 1).await.is_ok() }))
         };
         let greedy: Vec<_> = (0..2).map(|_| ask(Some("192.0.2.1"))).collect();
         while pool.waiting(Class::Interactive) < 2 {

@@ -132,7 +132,7 @@ pub struct TempFolder {
 
 impl TempFolder {
     fn keep(&self, bytes: &[u8]) -> Result<File, LibraryError> {
-        self.blobs.room_for(bytes.len() as u64)?;
+        self.blobs.check_space(bytes.len() as u64)?;
         let written = tempfile::tempfile_in(&self.folder).and_then(|mut file| file.write_all(bytes).map(|()| file));
         written.map_err(|error| match error.kind() {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => LibraryError::StorageFull,
@@ -151,7 +151,7 @@ impl Value for Stored {
 }
 
 /// Least weight of an export, to bound the number of open files.
-const LEAST_EXPORT: usize = 4 << 20;
+const MIN_EXPORT: usize = 4 << 20;
 
 /// An export file; its weight is disk space.
 #[derive(Clone, Debug)]
@@ -159,7 +159,7 @@ pub struct Export(pub Stored);
 
 impl Value for Export {
     fn weight(&self) -> usize {
-        self.0.source.len().max(LEAST_EXPORT)
+        self.0.source.len().max(MIN_EXPORT)
     }
 }
 

@@ -47,8 +47,8 @@ pub async fn sweep(app: App) {
         match app.library.sweep().await {
             Ok(swept) => {
                 app.telemetry.swept(&swept);
-                if swept.by_age + swept.by_room > 0 {
-                    tracing::info!(by_age = swept.by_age, by_room = swept.by_room, bytes = swept.bytes, "retention deleted photos");
+                if swept.by_age + swept.by_space > 0 {
+                    tracing::info!(by_age = swept.by_age, by_space = swept.by_space, bytes = swept.bytes, "retention deleted photos");
                 }
             }
             Err(error) => tracing::warn!(%error, "cannot apply retention; the next sweep retries"),
@@ -65,7 +65,7 @@ pub async fn sweep(app: App) {
 pub async fn look_over(app: App) {
     tokio::time::sleep(app.limits.look_over_first).await;
     loop {
-        let pause = match app.library.check_next(app.limits.look_over).await {
+        let pause = match app.library.verify_next(app.limits.look_over).await {
             Ok(Some(photo)) => Duration::from_secs_f64(photo.bytes as f64 / app.limits.look_over_rate as f64),
             Ok(None) => NONE_DUE.min(app.limits.look_over),
             Err(error) => {

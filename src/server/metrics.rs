@@ -151,7 +151,7 @@ impl Default for Telemetry {
         registry.register("tmpi_view_seconds", "Duration of the phases of drawing a view", t.view_phases.clone());
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
         registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
-        for reason in ["age", "room"] {
+        for reason in ["age", "space"] {
             // create it now: Prometheus does not see the first increment of a new counter
             drop(t.retired.get_or_create(&Retired { reason }));
         }
@@ -237,7 +237,7 @@ impl Telemetry {
 
     /// Records photos that retention deleted.
     pub fn swept(&self, swept: &Swept) {
-        for (reason, count) in [("age", swept.by_age), ("room", swept.by_room)] {
+        for (reason, count) in [("age", swept.by_age), ("space", swept.by_space)] {
             self.retired.get_or_create(&Retired { reason }).inc_by(count);
         }
         self.freed.inc_by(swept.bytes);

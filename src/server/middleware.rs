@@ -70,7 +70,7 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     let route = matched.as_ref().map_or("none", MatchedPath::as_str);
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
     let peer = peer.map(|peer| checks.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
-    let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
+    let client = peer.filter(|ip| !ip.to_canonical().is_loopback());
     let trace = app.telemetry.traces().and_then(|to| to.request(known_method(&method), route, request.headers(), peer));
     let span = span(&id, peer, &method, request.uri().path());
     if let Some(trace) = &trace {
@@ -78,7 +78,7 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     }
     let secure = request.extensions().get::<Secure>().is_some();
     let answered = answer(app, checks, request, next).instrument(span.clone());
-    let mut response = TRACE.scope(trace.clone(), CLIENT.scope(asker, SECURE.scope(secure, answered))).await;
+    let mut response = TRACE.scope(trace.clone(), CLIENT.scope(client, SECURE.scope(secure, answered))).await;
     response = finish(response, &id).await;
     if secure {
         put_secure(&mut response, &app.limits);

@@ -290,7 +290,7 @@ impl Server {
             tracing::error!(%error, "draining jobs");
         }
         upkeep.shutdown().await;
-        if let Err(error) = app.library.note_views().await {
+        if let Err(error) = app.library.save_views().await {
             tracing::warn!(%error, "cannot record when photos were viewed");
         }
         app.library.close().await;

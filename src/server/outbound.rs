@@ -13,7 +13,7 @@ use reqwest::dns::{Addrs, Name, Resolve, Resolving};
 use reqwest::{Client, ClientBuilder, Url};
 
 /// Longest address in bytes.
-const MOST_URL: usize = 2048;
+const MAX_URL: usize = 2048;
 
 /// Addresses that a request may reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,7 +99,7 @@ pub fn is_public(address: IpAddr) -> bool {
 /// # Errors
 /// [`AddressError`].
 pub fn url(text: &str, reach: Reach) -> Result<Url, AddressError> {
-    let url: Url = text.parse().ok().filter(|_| text.len() <= MOST_URL).ok_or(AddressError::Malformed)?;
+    let url: Url = text.parse().ok().filter(|_| text.len() <= MAX_URL).ok_or(AddressError::Malformed)?;
     check(&url, reach)?;
     Ok(url)
 }
@@ -322,7 +322,7 @@ mod tests {
             assert_eq!(url(text, Reach::Public).err(), wrong, "{text}");
         }
         assert!(url("http://127.0.0.1/", Reach::Any).is_ok());
-        assert_eq!(url(&format!("https://a/{}", "x".repeat(MOST_URL)), Reach::Any), Err(Malformed));
+        assert_eq!(url(&format!("https://a/{}", "x".repeat(MAX_URL)), Reach::Any), Err(Malformed));
     }
 
     #[test]

@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
 use tmpi_core::container::ContainerError;
-use tmpi_library::{LibraryError, Quota, Service, Share};
+use tmpi_library::{LibraryError, QueueLimit, Quota, Service};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::StageError;
 use tmpi_pipeline::depth::DepthError;
@@ -20,8 +20,8 @@ pub const MEDIA_TYPE: &str = "application/problem+json";
 /// Prefix of problem types.
 const KINDS: &str = "urn:tmpi:problem:";
 /// Most bytes of foreign text that a problem repeats: of a name, and in all.
-const MOST_NAME: usize = 64;
-const MOST_DETAIL: usize = 1024;
+const MAX_NAME: usize = 64;
+const MAX_DETAIL: usize = 1024;
 
 /// The first `most` bytes of `text`.
 fn clipped(mut text: String, most: usize) -> String {
@@ -71,7 +71,7 @@ impl Problem {
             kind: format!("{KINDS}{kind}").into(),
             title: status.canonical_reason().unwrap_or("Error").into(),
             status: status.as_u16(),
-            detail: clipped(detail.into(), MOST_DETAIL).into(),
+            detail: clipped(detail.into(), MAX_DETAIL).into(),
             field: None,
             request_id: None,
             retry_after: None,
@@ -87,7 +87,7 @@ impl Problem {
     /// Names the field at fault.
     #[must_use]
     pub fn field(mut self, name: impl Into<String>) -> Self {
-        self.field = Some(clipped(name.into(), MOST_NAME).into());
+        self.field = Some(clipped(name.into(), MAX_NAME).into());
         self
     }
 
@@ -108,7 +108,7 @@ impl Problem {
     /// A parameter, option or form field is wrong.
     pub fn parameter(name: impl Into<String>, detail: impl std::fmt::Display) -> Self {
         let name = name.into();
-        let name = clipped(name, MOST_NAME);
+        let name = clipped(name, MAX_NAME);
         Self::new(StatusCode::BAD_REQUEST, "parameter", format!("{name}: {detail}")).field(name)
     }
 
@@ -235,9 +235,9 @@ impl From<LibraryError> for Problem {
             LibraryError::Changed => Self::new(StatusCode::PRECONDITION_FAILED, "changed", "it was changed meanwhile").field("If-Match"),
             LibraryError::QueueFull { waiting, share, retry_after, .. } => {
                 let detail = match share {
-                    Share::All => format!("{waiting} are waiting already"),
-                    Share::Owner => "half of the places to wait are yours already".to_owned(),
-                    Share::Address => "half of the places to wait are of your address already".to_owned(),
+                    QueueLimit::All => format!("{waiting} are waiting already"),
+                    QueueLimit::Owner => "half of the places to wait are yours already".to_owned(),
+                    QueueLimit::Address => "half of the places to wait are of your address already".to_owned(),
                 };
                 let seconds = retry_after.as_secs_f64().ceil() as u64;
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(seconds.max(1))
@@ -413,7 +413,7 @@ mod tests {
     #[test]
     fn foreign_text_is_repeated_in_part() {
         let p = Problem::parameter("ä".repeat(1 << 20), "ö".repeat(1 << 20));
-        assert!(p.field.as_ref().unwrap().len() <= MOST_NAME + 3 && p.detail.len() <= MOST_DETAIL + 3);
+        assert!(p.field.as_ref().unwrap().len() <= MAX_NAME + 3 && p.detail.len() <= MAX_DETAIL + 3);
         assert!(p.field.unwrap().starts_with('ä'));
     }
 

@@ -72,15 +72,15 @@ impl Buckets {
         (most > 0).then(|| Self { name, most, full: Mutex::default() })
     }
 
-    /// Takes a token of `asker`'s bucket, if it has one.
-    fn take(&self, asker: &RateKey, now: Instant) -> BucketState {
+    /// Takes a token of `client`'s bucket, if it has one.
+    fn take(&self, client: &RateKey, now: Instant) -> BucketState {
         let each = WINDOW / self.most;
         let mut all = self.full.lock().unwrap_or_else(PoisonError::into_inner);
-        let missing = all.get(asker).map_or(Duration::ZERO, |full| full.saturating_duration_since(now));
+        let missing = all.get(client).map_or(Duration::ZERO, |full| full.saturating_duration_since(now));
         let fits = missing + each <= WINDOW;
         let after = if fits { missing + each } else { missing };
         if fits {
-            if all.len() >= MOST && !all.contains_key(asker) {
+            if all.len() >= MOST && !all.contains_key(client) {
                 all.retain(|_, full| *full > now);
                 if all.len() >= MOST {
                     // keep those with the most requests, so that a flood of addresses does not reset their buckets
@@ -90,7 +90,7 @@ impl Buckets {
                     all.retain(|_, full| *full > middle);
                 }
             }
-            all.insert(asker.clone(), now + after);
+            all.insert(client.clone(), now + after);
         }
         let left = (WINDOW.saturating_sub(after).as_nanos() / each.as_nanos().max(1)) as u32;
         let wait = (!fits).then(|| seconds_up((missing + each).saturating_sub(WINDOW)));
@@ -136,20 +136,20 @@ impl Rates {
     ///
     /// # Errors
     /// 429 that names the exceeded limit and says when to retry.
-    pub fn count(&self, asker: Option<RateKey>, request: &Request) -> (RateHeaders, Result<(), Problem>) {
+    pub fn count(&self, client: Option<RateKey>, request: &Request) -> (RateHeaders, Result<(), Problem>) {
         let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-        self.take(asker, request.method(), path)
+        self.take(client, request.method(), path)
     }
 
-    fn take(&self, asker: Option<RateKey>, method: &Method, path: &str) -> (RateHeaders, Result<(), Problem>) {
+    fn take(&self, client: Option<RateKey>, method: &Method, path: &str) -> (RateHeaders, Result<(), Problem>) {
         let mut told = RateHeaders::default();
-        let Some(asker) = asker else { return (told, Ok(())) };
+        let Some(client) = client else { return (told, Ok(())) };
         let now = Instant::now();
         for buckets in self.requests.iter().chain(self.class(method, path)) {
-            let standing = buckets.take(&asker, now);
+            let standing = buckets.take(&client, now);
             told.0.push(standing);
             if let Some(seconds) = standing.wait {
-                let of = if matches!(asker, RateKey::Key(_)) { "key" } else { "address" };
+                let of = if matches!(client, RateKey::Key(_)) { "key" } else { "address" };
                 let detail = format!("{} are {} a minute at most for a {of}", standing.name, standing.most);
                 let problem = Problem::registered(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", detail).retry_after(seconds.max(1));
                 return (told, Err(problem));
@@ -207,7 +207,7 @@ mod tests {
         assert_eq!(address("2001:db8::1"), address("2001:db8::2"));
         assert_ne!(address("2001:db8::1"), address("2001:db8:0:1::1"));
         let rates = Rates::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
-        let take = |asker| rates.take(asker, &Method::GET, "/").1;
+        let take = |client| rates.take(client, &Method::GET, "/").1;
         assert!((0..9).all(|_| take(RateKey::of(None, None)).is_ok()));
         let one = || Some(address("192.0.2.1"));
         assert!(take(one()).is_ok());

@@ -94,7 +94,7 @@ pub(super) async fn accept(app: &App, parts: UploadParts, owner: Option<Owner>) 
     let (photo, depth) = if app.library.find(id).await?.is_some() { (photo, depth) } else { check(app, photo, depth, options).await? };
     let upload = Upload {
         id,
-        asker: Shared::asker(owner),
+        requester: Shared::requester(owner),
         class,
         options: text,
         settings: settings.to_value(),

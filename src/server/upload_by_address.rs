@@ -116,7 +116,7 @@ pub async fn fetch_upload(
             Ok(photo)
         }
         (None, Some((photo, _))) => {
-            let photo = app.library.list_first(photo.id).await?;
+            let photo = app.library.move_to_front(photo.id).await?;
             upload::update_settings(app, photo, &fields.settings).await
         }
         (None, None) => Err(Problem::internal("a source", &"it answers 304 to a request without validators")),

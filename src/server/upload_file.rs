@@ -81,7 +81,7 @@ where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
     let disk = |e: std::io::Error| Problem::store(&e);
-    app.library.blobs().room_for(0)?;
+    app.library.blobs().check_space(0)?;
     let path = TempPath::within(app.library.incoming());
     let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(&path.0).await.map_err(disk)?);
     let mut hash = Sha256::new();

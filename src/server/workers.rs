@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
 use bytes::Bytes;
-use tmpi_library::{Content, Contents, Event, Kind, Lease, LibraryError, Made, Part, Retry};
+use tmpi_library::{Content, Contents, Event, JobKind, Lease, LibraryError, Part, PhotoResults, Retry};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -26,8 +26,8 @@ use super::traces::{Job, Parent};
 use tmpi_pipeline::{Options, Progress, Sink};
 
 /// Kinds of jobs of workers that make photos, and of those that write files.
-const MAKES: &[Kind] = &[Kind::Make];
-const WRITES: &[Kind] = &[Kind::Export, Kind::Film];
+const MAKES: &[JobKind] = &[JobKind::Make];
+const WRITES: &[JobKind] = &[JobKind::Export, JobKind::Film];
 /// Renewals within the term of a lease, of which some may fail.
 const RENEWALS: u32 = 4;
 /// Pause before a retry if the library is unreachable.
@@ -79,7 +79,7 @@ impl Doing {
 }
 
 /// Takes jobs until the server stops.
-async fn work(app: App, kinds: &'static [Kind], abort: Arc<AtomicBool>) {
+async fn work(app: App, kinds: &'static [JobKind], abort: Arc<AtomicBool>) {
     loop {
         match Box::pin(app.library.next(kinds, app.limits.lease, app.stop.cancelled())).await {
             Ok(Some(lease)) => Box::pin(one(&app, &lease, &abort)).await,
@@ -102,8 +102,8 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
     let doing = Doing { app: Arc::clone(app), lost: Arc::default(), abort: Arc::clone(abort), tell };
     let job = async {
         match kind {
-            Kind::Make => make(lease, &doing, told).await,
-            Kind::Export | Kind::Film => write(lease, &doing, told).await,
+            JobKind::Make => make(lease, &doing, told).await,
+            JobKind::Export | JobKind::Film => write(lease, &doing, told).await,
         }
     };
     let outcome = tokio::select! {
@@ -115,11 +115,11 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
     }
     let took = start.elapsed();
     match kind {
-        Kind::Make => {
+        JobKind::Make => {
             app.telemetry.job(outcome, took);
             app.telemetry.class_job(lease.job.class.name(), outcome, took);
         }
-        Kind::Export | Kind::Film => app.telemetry.class_job("export", outcome, took),
+        JobKind::Export | JobKind::Film => app.telemetry.class_job("export", outcome, took),
     }
     tracing::info!(%photo, kind = kind.name(), outcome, ms = took.as_millis() as u64, "job");
 }
@@ -186,7 +186,7 @@ async fn hold<T: Send + 'static>(
 }
 
 async fn tell_again(lease: &Lease, doing: &Doing, said: &serde_json::Value) {
-    if let Err(error) = doing.app.library.tell_progress(lease, said.clone()).await {
+    if let Err(error) = doing.app.library.send_progress(lease, said.clone()).await {
         tracing::debug!(%error, "progress");
     }
 }
@@ -342,7 +342,7 @@ async fn keep(lease: &Lease, doing: &Doing, product: Product) -> &'static str {
         Ok(contents) => contents,
         Err(error) => return end(lease, doing, End::Failed(Problem::internal("taking digests", &error))).await,
     };
-    match doing.app.library.finish(lease, Made { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
+    match doing.app.library.finish(lease, PhotoResults { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
         Ok(_) => "done",
         Err(LibraryError::LeaseLost) => "deleted",
         Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("cannot store the results: {error}")))).await,

@@ -50,7 +50,7 @@ fn a_socket_closes_when_its_token_expires() {
     let mut viewer = come("subscribe", tmpi::live::Role::Watch).unwrap();
     assert!(matches!(viewer.next(), Some(Kind::Hello(_))));
     for client in [viewer, publisher] {
-        assert_eq!(client.bye(), "the invitation has ended");
+        assert_eq!(client.bye(), "the token has expired");
     }
     assert_eq!(come("subscribe", tmpi::live::Role::Watch).err(), Some(403));
 }

@@ -12,7 +12,7 @@ use crate::events::Event;
 use crate::ids::PhotoId;
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, title_of, to_json};
 use crate::photos::locked_photo;
-use crate::queue::{Asker, Kind, NewJob};
+use crate::queue::{JobKind, NewJob, Requester};
 use crate::remake::Remake;
 
 /// A complete upload.
@@ -21,7 +21,7 @@ pub struct Upload {
     /// Its id; see [`Secret::photo_id`](crate::Secret::photo_id).
     pub id: PhotoId,
     /// The caller, who owns the photo.
-    pub asker: Asker,
+    pub requester: Requester,
     /// How urgent its making is.
     pub class: Class,
     /// Options as text, all of them.
@@ -77,7 +77,7 @@ impl Library {
             PhotoState::Done | PhotoState::Damaged => Outcome::Healed,
         };
         if outcome == Outcome::Known {
-            return match self.list_first(photo.id).await {
+            return match self.move_to_front(photo.id).await {
                 Ok(photo) => Ok(Accepted { photo, outcome }),
                 // deleted meanwhile
                 Err(LibraryError::NotFound(_)) => self.accept_new(upload).await,
@@ -86,12 +86,12 @@ impl Library {
         }
         let mut contents = Contents::from([(Part::Upload, upload.photo)]);
         contents.extend(upload.depth.map(|depth| (Part::Depth, depth)));
-        let remake = Remake { class: upload.class, asker: &upload.asker, from: Some(photo.state) };
+        let remake = Remake { class: upload.class, requester: &upload.requester, from: Some(photo.state) };
         match self.remake_with(&photo, contents, remake).await {
-            Ok(photo) => Ok(Accepted { photo: self.list_first(photo.id).await?, outcome }),
+            Ok(photo) => Ok(Accepted { photo: self.move_to_front(photo.id).await?, outcome }),
             // a concurrent upload of the same photo was faster
             Err(LibraryError::Changed | LibraryError::NotReady) => {
-                Ok(Accepted { photo: self.list_first(photo.id).await?, outcome: Outcome::Known })
+                Ok(Accepted { photo: self.move_to_front(photo.id).await?, outcome: Outcome::Known })
             }
             Err(error) => Err(error),
         }
@@ -101,19 +101,19 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
-    pub async fn list_first(&self, id: PhotoId) -> Result<Photo> {
+    pub async fn move_to_front(&self, id: PhotoId) -> Result<Photo> {
         let mut tx = self.database().write().await?;
         locked_photo(&mut tx, id).await?;
         let update = format!("UPDATE photos SET listed_at = $1 WHERE id = $2 RETURNING {COLUMNS}");
         let update = sqlx::query(AssertSqlSafe(update)).bind(tx.now).bind(id.to_string());
-        let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
-        tx.tell(Event::Photo(id));
+        let photo = Photo::from_row(&update.fetch_one(tx.connection()).await?)?;
+        tx.notify(Event::Photo(id));
         tx.commit().await?;
         Ok(photo)
     }
 
     async fn accept_new(&self, mut upload: Upload) -> Result<Accepted> {
-        if let Some(owner) = &upload.asker.owner {
+        if let Some(owner) = &upload.requester.owner {
             self.check_quota(owner, upload.bytes()).await?;
         }
         let photo = std::mem::replace(&mut upload.photo, Content::of_bytes(Vec::new()));
@@ -140,7 +140,7 @@ impl Library {
     async fn insert(&self, upload: &Upload, blobs: &Blobs) -> Result<Option<Photo>> {
         let mut tx = self.database().write().await?;
         let bytes = bytes_of(blobs);
-        let owner = upload.asker.owner.as_ref();
+        let owner = upload.requester.owner.as_ref();
         if let Some(owner) = owner {
             tx.lock_owner(owner.as_str()).await?;
             self.check_quota_in(&mut tx, owner, bytes as u64).await?;
@@ -153,10 +153,11 @@ impl Library {
         let insert = sqlx::query(AssertSqlSafe(insert)).bind(upload.id.to_string()).bind(owner.map(|o| o.as_str().to_owned())).bind(now);
         let insert = insert.bind(upload.class.rank()).bind(title_of(&upload.settings).map(str::to_owned)).bind(to_json(&upload.options)?);
         let insert = insert.bind(to_json(&upload.settings)?).bind(PhotoState::Queued.name()).bind(to_json(blobs)?).bind(bytes);
-        let Some(row) = insert.fetch_optional(tx.on()).await? else { return Ok(None) };
-        let job = NewJob { kind: Kind::Make, photo: upload.id, version: 1, key: None, class: upload.class, asker: &upload.asker };
-        self.enqueue(&mut tx, &job, &Value::from(upload.asker.trace.clone())).await?;
-        tx.tell(Event::Photo(upload.id));
+        let Some(row) = insert.fetch_optional(tx.connection()).await? else { return Ok(None) };
+        let job =
+            NewJob { kind: JobKind::Make, photo: upload.id, version: 1, key: None, class: upload.class, requester: &upload.requester };
+        self.enqueue(&mut tx, &job, &Value::from(upload.requester.trace.clone())).await?;
+        tx.notify(Event::Photo(upload.id));
         tx.commit().await?;
         Photo::from_row(&row).map(Some)
     }

@@ -7,7 +7,7 @@ use crate::photo::Part;
 
 /// The limit of the queue that is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Share {
+pub enum QueueLimit {
     /// That of the whole queue.
     All,
     /// That of one owner: half of the queue.
@@ -54,7 +54,7 @@ pub enum LibraryError {
         /// Size of that share.
         places: u64,
         /// Which limit is reached.
-        share: Share,
+        share: QueueLimit,
         /// When a place is likely to be free.
         retry_after: Duration,
     },

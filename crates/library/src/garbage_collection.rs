@@ -44,7 +44,7 @@ impl Library {
         let claim = "INSERT INTO upkeep (task, ran_at) VALUES ($1, $2)
             ON CONFLICT (task) DO UPDATE SET ran_at = excluded.ran_at WHERE upkeep.ran_at <= $3";
         let claim = sqlx::query(claim).bind(task).bind(tx.now).bind(tx.now - millis(period));
-        let claimed = claim.execute(tx.on()).await?.rows_affected() > 0;
+        let claimed = claim.execute(tx.connection()).await?.rows_affected() > 0;
         tx.commit().await?;
         Ok(claimed)
     }

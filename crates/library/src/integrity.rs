@@ -37,7 +37,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`]: it cannot be told now.
-    pub async fn check_next(&self, period: Duration) -> Result<Option<Photo>> {
+    pub async fn verify_next(&self, period: Duration) -> Result<Option<Photo>> {
         let mut tx = self.database().write().await?;
         let lock = if tx.has_row_locks() { "FOR UPDATE SKIP LOCKED" } else { "" };
         let claim = format!(
@@ -46,11 +46,11 @@ impl Library {
              RETURNING {COLUMNS}"
         );
         let claim = sqlx::query(AssertSqlSafe(claim)).bind(tx.now).bind(tx.now - millis(period));
-        let photo = claim.fetch_optional(tx.on()).await?.map(|row| Photo::from_row(&row)).transpose()?;
+        let photo = claim.fetch_optional(tx.connection()).await?.map(|row| Photo::from_row(&row)).transpose()?;
         tx.commit().await?;
         if let Some(photo) = &photo {
             let found = self.verify(photo).await?;
-            self.take_out(photo, &found).await?;
+            self.mark_if_damaged(photo, &found).await?;
         }
         Ok(photo)
     }
@@ -81,7 +81,7 @@ impl Library {
             let page = self.list(&Filter::default(), after, PART).await?;
             for photo in &page.photos {
                 let found = self.verify(photo).await?;
-                self.take_out(photo, &found).await?;
+                self.mark_if_damaged(photo, &found).await?;
                 // a photo that was deleted or made again meanwhile is not damaged
                 if !found.is_empty() && self.find(photo.id).await?.is_some_and(|now| now.blobs == photo.blobs) {
                     all.extend(found);
@@ -95,7 +95,7 @@ impl Library {
     }
 
     /// Marks a photo as damaged if one of its results is.
-    pub(crate) async fn take_out(&self, photo: &Photo, found: &[Damage]) -> Result<()> {
+    pub(crate) async fn mark_if_damaged(&self, photo: &Photo, found: &[Damage]) -> Result<()> {
         match found.iter().find(|damage| damage.part.is_result()) {
             Some(damage) if photo.state == PhotoState::Done => self.mark_damaged(photo, &damage.to_string()).await.map(drop),
             _ => Ok(()),

@@ -33,7 +33,7 @@ impl Library {
         if !self.has_quota(owner) {
             return Ok(());
         }
-        let row = sqlx::query(USED).bind(owner.as_str().to_owned()).fetch_one(tx.on()).await?;
+        let row = sqlx::query(USED).bind(owner.as_str().to_owned()).fetch_one(tx.connection()).await?;
         self.fits(&row, bytes)
     }
 

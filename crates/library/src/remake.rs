@@ -9,13 +9,13 @@ use crate::error::{LibraryError, Result, is_refusal};
 use crate::events::Event;
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, to_json};
 use crate::photos::locked_photo;
-use crate::queue::{Asker, Kind, NewJob};
+use crate::queue::{JobKind, NewJob, Requester};
 
 /// How to make a photo again.
 #[derive(Clone, Copy)]
 pub(crate) struct Remake<'a> {
     pub(crate) class: Class,
-    pub(crate) asker: &'a Asker,
+    pub(crate) requester: &'a Requester,
     /// The required current state.
     pub(crate) from: Option<PhotoState>,
 }
@@ -27,16 +27,16 @@ impl Library {
     /// # Errors
     /// [`LibraryError::NotReady`] while it is being made, [`LibraryError::Changed`], [`LibraryError::NotFound`],
     /// [`LibraryError::QueueFull`].
-    pub async fn remake(&self, seen: &Photo, class: Class, asker: &Asker) -> Result<Photo> {
-        self.remake_with(seen, Contents::new(), Remake { class, asker, from: None }).await
+    pub async fn remake(&self, seen: &Photo, class: Class, requester: &Requester) -> Result<Photo> {
+        self.remake_with(seen, Contents::new(), Remake { class, requester, from: None }).await
     }
 
     /// Replaces a photo's touch-up, JSON for the pipeline, and queues it to be made again.
     ///
     /// # Errors
     /// As [`Library::remake`].
-    pub async fn touch_up(&self, seen: &Photo, strokes: Content, asker: &Asker) -> Result<Photo> {
-        let remake = Remake { class: Class::Interactive, asker, from: None };
+    pub async fn touch_up(&self, seen: &Photo, strokes: Content, requester: &Requester) -> Result<Photo> {
+        let remake = Remake { class: Class::Interactive, requester, from: None };
         self.remake_with(seen, Contents::from([(Part::Strokes, strokes)]), remake).await
     }
 
@@ -81,11 +81,12 @@ impl Library {
         );
         let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Queued.name()).bind(remake.class.rank());
         let update = update.bind(to_json(&all)?).bind(bytes_of(&all)).bind(seen.id.to_string());
-        let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
-        let asker = Asker { owner: photo.owner.clone().or_else(|| remake.asker.owner.clone()), ..remake.asker.clone() };
-        let job = NewJob { kind: Kind::Make, photo: seen.id, version: photo.version, key: None, class: remake.class, asker: &asker };
-        self.enqueue(&mut tx, &job, &Value::from(asker.trace.clone())).await?;
-        tx.tell(Event::Photo(seen.id));
+        let photo = Photo::from_row(&update.fetch_one(tx.connection()).await?)?;
+        let requester = Requester { owner: photo.owner.clone().or_else(|| remake.requester.owner.clone()), ..remake.requester.clone() };
+        let job =
+            NewJob { kind: JobKind::Make, photo: seen.id, version: photo.version, key: None, class: remake.class, requester: &requester };
+        self.enqueue(&mut tx, &job, &Value::from(requester.trace.clone())).await?;
+        tx.notify(Event::Photo(seen.id));
         tx.commit().await?;
         Ok((photo, replaced))
     }

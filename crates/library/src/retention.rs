@@ -24,7 +24,7 @@ pub struct Swept {
     /// Photos deleted for their age.
     pub by_age: u64,
     /// Photos deleted for space.
-    pub by_room: u64,
+    pub by_space: u64,
     /// Bytes of both.
     pub bytes: u64,
     /// Exports.
@@ -50,7 +50,7 @@ impl Library {
     /// # Errors
     /// [`LibraryError::Unavailable`], possibly after some deletions.
     pub async fn sweep(&self) -> Result<Swept> {
-        self.note_views().await?;
+        self.save_views().await?;
         let mut swept = Swept::default();
         if let Some(time) = self.limits().retain {
             let before = self.trusted_now().await?.saturating_sub(millis(time));
@@ -81,7 +81,7 @@ impl Library {
                 return Ok(());
             }
             let going = self.candidates(select, Millis::MAX).await?;
-            if self.delete_all(&going, over, &mut swept.by_room, &mut swept.bytes).await? == 0 {
+            if self.delete_all(&going, over, &mut swept.by_space, &mut swept.bytes).await? == 0 {
                 return Ok(());
             }
         }
@@ -121,12 +121,12 @@ impl Library {
         let (now, limits) = (tx.now, self.limits());
         let delete = "DELETE FROM jobs WHERE (state = 'done' AND used_at <= $1) OR (state = 'failed' AND used_at <= $2) RETURNING result";
         let (done, failed) = (now - millis(limits.exports_for), now - millis(FAILED_FOR.min(limits.exports_for)));
-        let deleted = sqlx::query(delete).bind(done).bind(failed).fetch_all(tx.on()).await?;
+        let deleted = sqlx::query(delete).bind(done).bind(failed).fetch_all(tx.connection()).await?;
         for (delete, until) in [
             ("DELETE FROM sessions WHERE expires_at <= $1", now),
             ("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1", now - millis(ROOM_FOR)),
         ] {
-            sqlx::query(delete).bind(until).execute(tx.on()).await?;
+            sqlx::query(delete).bind(until).execute(tx.connection()).await?;
         }
         deliveries::sweep(&mut tx).await?;
         tx.commit().await?;

@@ -10,7 +10,7 @@ use crate::database::Tx;
 use crate::error::Result;
 use crate::ids::Millis;
 use crate::photo::{Class, PhotoState, class_of, state_of};
-use crate::queue::{Job, JobState, Kind};
+use crate::queue::{Job, JobKind, JobState};
 use crate::{Library, LibraryError};
 
 /// Outcomes of the jobs of a kind since the library was created.
@@ -34,9 +34,9 @@ pub struct Statistics {
     /// Bytes of photos with their results.
     pub bytes: u64,
     /// Waiting jobs, by kind and class.
-    pub waiting: BTreeMap<(Kind, Class), u64>,
+    pub waiting: BTreeMap<(JobKind, Class), u64>,
     /// Running jobs, by kind.
-    pub working: BTreeMap<Kind, u64>,
+    pub working: BTreeMap<JobKind, u64>,
     /// Finished exports.
     pub exports: u64,
     /// Bytes of exports.
@@ -44,13 +44,13 @@ pub struct Statistics {
     /// Longest current wait of a job.
     pub longest_wait: Duration,
     /// Outcomes of jobs, by kind.
-    pub outcomes: BTreeMap<Kind, OutcomeCounts>,
+    pub outcomes: BTreeMap<JobKind, OutcomeCounts>,
 }
 
 impl Statistics {
     /// Waiting jobs of a kind, of all classes.
     #[must_use]
-    pub fn waiting_of(&self, kind: Kind) -> u64 {
+    pub fn waiting_of(&self, kind: JobKind) -> u64 {
         self.waiting.iter().filter(|((of, _), _)| *of == kind).map(|(_, n)| n).sum()
     }
 }
@@ -77,7 +77,7 @@ impl Library {
         let now = self.now().await?;
         for row in sqlx::query(jobs).fetch_all(reader).await? {
             let (kind, state): (String, String) = (row.try_get("kind")?, row.try_get("state")?);
-            let (kind, n) = (Kind::of_name(&kind)?, number(&row, "n")?);
+            let (kind, n) = (JobKind::of_name(&kind)?, number(&row, "n")?);
             match JobState::ALL.into_iter().find(|known| known.name() == state) {
                 Some(JobState::Queued) => {
                     *statistics.waiting.entry((kind, class_of(&row)?)).or_default() += n;
@@ -96,7 +96,9 @@ impl Library {
         for row in sqlx::query("SELECT kind, finished, failed, died, mean_ms FROM outcomes").fetch_all(reader).await? {
             let kind: String = row.try_get("kind")?;
             let (finished, failed, died) = (number(&row, "finished")?, number(&row, "failed")?, number(&row, "died")?);
-            statistics.outcomes.insert(Kind::of_name(&kind)?, OutcomeCounts { finished, failed, died, mean_ms: row.try_get("mean_ms")? });
+            statistics
+                .outcomes
+                .insert(JobKind::of_name(&kind)?, OutcomeCounts { finished, failed, died, mean_ms: row.try_get("mean_ms")? });
         }
         Ok(statistics)
     }
@@ -110,13 +112,13 @@ pub(crate) async fn count_outcome(tx: &mut Tx, job: &Job, took: Option<Millis>) 
         finished = outcomes.finished + excluded.finished, failed = outcomes.failed + excluded.failed";
     let finished = i64::from(took.is_some());
     let insert = sqlx::query(insert).bind(job.kind.name()).bind(took.unwrap_or_default() as f64).bind(finished).bind(1 - finished);
-    insert.execute(tx.on()).await?;
+    insert.execute(tx.connection()).await?;
     Ok(())
 }
 
-pub(crate) async fn count_death(tx: &mut Tx, kind: Kind) -> Result<()> {
+pub(crate) async fn count_death(tx: &mut Tx, kind: JobKind) -> Result<()> {
     let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, 0, 0, 0, 1)
         ON CONFLICT (kind) DO UPDATE SET died = outcomes.died + 1";
-    sqlx::query(insert).bind(kind.name()).execute(tx.on()).await?;
+    sqlx::query(insert).bind(kind.name()).execute(tx.connection()).await?;
     Ok(())
 }

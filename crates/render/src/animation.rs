@@ -12,7 +12,7 @@ use super::{MotionRange, View, looking_at};
 use tmpi_core::{Camera, Intrinsics, Pose};
 
 /// Longest time that `ffmpeg` may run: the longest film of the largest frames takes about a minute of one core.
-const MOST_TIME: Duration = Duration::from_mins(5);
+const MAX_TIME: Duration = Duration::from_mins(5);
 /// How often the end of `ffmpeg` is looked for.
 const TICK: Duration = Duration::from_millis(2);
 /// Bytes of what `ffmpeg` says that are told.
@@ -77,7 +77,7 @@ impl Path {
 }
 
 /// Most of each side that is left out of a film.
-const MOST_HIDDEN: f64 = 0.025;
+const MAX_HIDDEN: f64 = 0.025;
 
 /// Places on the ellipse of a way at which the photo's borders are looked at.
 const LOOKS: u32 = 8;
@@ -103,7 +103,7 @@ fn overscan(camera: &Camera, range: &MotionRange) -> f64 {
         past.fold(1.0, f64::min)
     };
     let shown = (0..LOOKS).map(needed).fold(1.0, f64::min);
-    1.0 / shown.max(1.0 - 2.0 * MOST_HIDDEN)
+    1.0 / shown.max(1.0 - 2.0 * MAX_HIDDEN)
 }
 
 /// The lens that shows everything `by` times as large, while what is at `place` (shares of width and height) stays there.
@@ -200,7 +200,7 @@ impl Animation {
     /// # Errors
     /// [`AnimationError::Missing`], [`AnimationError::Failed`].
     pub fn start(format: AnimationFormat, size: (u32, u32), quality: u8) -> Result<Self, AnimationError> {
-        Self::start_for(MOST_TIME, format, size, quality)
+        Self::start_for(MAX_TIME, format, size, quality)
     }
 
     fn start_for(time: Duration, format: AnimationFormat, size: (u32, u32), quality: u8) -> Result<Self, AnimationError> {

@@ -287,7 +287,7 @@ impl Guard {
     pub async fn still_allows(&self, Pass(caller): &Pass, photo: &Photo) -> bool {
         // a failed lookup denies
         let good = match &caller.who {
-            Principal::Key(key) => self.library.is_still_good(key).await.unwrap_or(false),
+            Principal::Key(key) => self.library.is_valid(key).await.unwrap_or(false),
             Principal::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => {
                 self.library.find_session(kept).await.is_ok_and(|found| found.is_some())
             }

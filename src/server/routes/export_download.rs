@@ -80,7 +80,7 @@ pub async fn export(
                 None if cheap => export::html(&container, TITLE).map_err(problem),
                 None => shared.written(&recipe, (&container, &done), &gone),
             };
-            let stored = Stored::derived(Some(&name), bytes?, &shared.disk(), WhenFull::Refuse)?;
+            let stored = Stored::derived(Some(&name), bytes?, &shared.temp_folder(), WhenFull::Refuse)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;

@@ -19,7 +19,7 @@ use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
 use crate::server::request_body;
 use crate::server::timestamps::rfc3339;
-use tmpi_library::{Class, Job, JobState, Kind, LibraryError, Order, Part, Photo, Share};
+use tmpi_library::{Class, ExportOrder, Job, JobKind, JobState, LibraryError, Part, Photo, QueueLimit};
 
 /// Most bytes of the parameters.
 const MOST: usize = 4 << 10;
@@ -196,20 +196,20 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
     let key = build_identity::short(&format!("file {} {text}", app.version(&done)));
-    let order = Order {
+    let order = ExportOrder {
         photo: &photo,
         key: &key,
-        kind: if matches!(recipe, Recipe::Film(..)) { Kind::Film } else { Kind::Export },
+        kind: if matches!(recipe, Recipe::Film(..)) { JobKind::Film } else { JobKind::Export },
         payload: text.into(),
         class: Class::Interactive,
-        asker: &Shared::asker(Guard::owner()),
+        requester: &Shared::requester(Guard::owner()),
     };
-    match app.library.order(&order).await {
+    match app.library.order_export(&order).await {
         Ok(ordered) => Ok(ExportState::of(&app, &ordered.job).answer(StatusCode::OK)),
         Err(LibraryError::QueueFull { share, retry_after, .. }) => {
             let detail = match share {
-                Share::All => "too many files are waiting to be written (exports.waiting)",
-                Share::Owner | Share::Address => "your files already take half of the queue",
+                QueueLimit::All => "too many files are waiting to be written (exports.waiting)",
+                QueueLimit::Owner | QueueLimit::Address => "your files already take half of the queue",
             };
             Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(retry_after.as_secs().max(1)))
         }
@@ -221,7 +221,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
 async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
     let none = || Problem::not_found("the photo has no such file: it was not ordered, or is deleted; order it again");
     let (_, done) = Shared::done(photo).map_err(|_| none())?;
-    let job = match app.library.job(Kind::Export, photo.id, Some(key)).await {
+    let job = match app.library.job(JobKind::Export, photo.id, Some(key)).await {
         Err(LibraryError::NotFound(_)) => return Err(none()),
         job => job?,
     };
@@ -290,12 +290,12 @@ pub async fn file(
     let stored = match Stored::of_blob(app.library.blobs(), Part::Export, blob).await {
         Err(error @ LibraryError::Damaged { .. }) => {
             tracing::error!(photo = %photo.id, key, %error, "an export file is damaged; the next order writes it again");
-            app.library.cancel(photo.id, &key).await?;
+            app.library.cancel_export(photo.id, &key).await?;
             return Err(Problem::not_found("the file is deleted; order it again"));
         }
         opened => opened?,
     };
-    if let Err(error) = app.library.fetched(&job).await {
+    if let Err(error) = app.library.note_export_fetch(&job).await {
         tracing::warn!(%error, key, "cannot record a fetch; the file may be deleted early");
     }
     // without checking today's limits: the file was written under earlier ones
@@ -319,6 +319,6 @@ pub async fn file(
 pub async fn cancel(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id).await?;
     find(&app, &photo, &key).await?;
-    app.library.cancel(photo.id, &key).await?;
+    app.library.cancel_export(photo.id, &key).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -10,7 +10,7 @@ use crate::server::photo_options;
 use crate::server::photo_settings::{Settings, Visibility};
 use crate::server::problem::Problem;
 use crate::server::timestamps::rfc3339;
-use tmpi_library::{Kind, LibraryError, Part, Photo, PhotoState as Phase};
+use tmpi_library::{JobKind, LibraryError, Part, Photo, PhotoState as Phase};
 
 /// State of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
@@ -179,8 +179,8 @@ impl PhotoState {
         let mut state = Self::of_row(app, photo);
         match photo.state {
             Phase::Queued => {
-                state.position = app.library.position(Kind::Make, photo.id, None).await?.map(|position| position.ahead);
-                state.waits_for = match app.library.job(Kind::Make, photo.id, None).await {
+                state.position = app.library.position(JobKind::Make, photo.id, None).await?.map(|position| position.ahead);
+                state.waits_for = match app.library.job(JobKind::Make, photo.id, None).await {
                     Ok(job) => job.problem.filter(|problem| problem.kind == "fault").map(|problem| problem.detail),
                     Err(LibraryError::NotFound(_)) => None,
                     Err(error) => return Err(error.into()),

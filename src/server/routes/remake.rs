@@ -48,7 +48,7 @@ pub async fn remake(
     let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), class_of);
     let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
     let photo = app.photo(&id).await?;
-    let queued = app.library.remake(&photo, class, &Shared::asker(photo.owner.clone())).await?;
+    let queued = app.library.remake(&photo, class, &Shared::requester(photo.owner.clone())).await?;
     answer(&app, queued, &headers, &clock).await
 }
 

@@ -103,8 +103,8 @@ pub async fn touch_up(
     let answer = if before == wanted {
         remake::state(&app, &photo, StatusCode::OK).await
     } else {
-        let asker = Shared::asker(photo.owner.clone());
-        let queued = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &asker).await?;
+        let requester = Shared::requester(photo.owner.clone());
+        let queued = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &requester).await?;
         remake::answer(&app, queued, &headers, &clock).await
     };
     let etag = stored(&wanted).etag;

@@ -105,7 +105,7 @@ pub async fn view(
     let drawn = async {
         let (bytes, took) = draw(&app, (&photo, &done), &query, size, format).await?;
         timing = took;
-        let (name, disk) = (derived.made.clone(), app.disk());
+        let (name, disk) = (derived.made.clone(), app.temp_folder());
         let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &disk, full));
         keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
     };

@@ -55,7 +55,7 @@ pub struct Crop {
 }
 
 /// Smallest side of a crop as a fraction: about a pixel of the largest photo.
-const LEAST_CROP: f64 = 1e-4;
+const MIN_CROP: f64 = 1e-4;
 
 impl std::str::FromStr for Crop {
     type Err = &'static str;
@@ -65,7 +65,7 @@ impl std::str::FromStr for Crop {
         let numbers: Vec<f64> = text.split(',').map(|v| v.trim().parse().map_err(|_| WRONG)).collect::<Result<_, _>>()?;
         let &[x, y, w, h] = numbers.as_slice() else { return Err(WRONG) };
         // rounding may make it slightly too wide
-        let within = |from: f64, length: f64| from >= 0.0 && length >= LEAST_CROP && from + length <= 1.0 + LEAST_CROP;
+        let within = |from: f64, length: f64| from >= 0.0 && length >= MIN_CROP && from + length <= 1.0 + MIN_CROP;
         if within(x, w) && within(y, h) { Ok(Self { corner: [x, y], size: [w, h] }) } else { Err(WRONG) }
     }
 }

@@ -24,7 +24,7 @@ use tmpi_library::{EventType, LibraryError, NewWebhook, Owner, Webhook, WebhookC
 const MOST: usize = 16 << 10;
 /// Deliveries on a page, if the client does not say, and at most.
 const USUAL_PAGE: usize = 50;
-const MOST_PAGE: usize = 200;
+const MAX_PAGE: usize = 200;
 
 /// Whose webhooks a caller manages.
 enum Whose {
@@ -280,8 +280,8 @@ pub async fn deliveries(State(app): State<App>, Path(id): Path<String>, uri: Uri
     Whose::of(&app, &headers)?.find(&app, &id).await?;
     let pairs = Pairs::read(&uri, &["limit", "after"])?;
     let limit = pairs.get("limit").map_or(Ok(USUAL_PAGE), |text| {
-        let n = text.parse().ok().filter(|n| (1..=MOST_PAGE).contains(n));
-        n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {MOST_PAGE}, not {text:?}")))
+        let n = text.parse().ok().filter(|n| (1..=MAX_PAGE).contains(n));
+        n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {MAX_PAGE}, not {text:?}")))
     })?;
     let page = app.library.deliveries(&id, pairs.get("after"), limit).await?;
     Ok(own(DeliveryList {

@@ -43,13 +43,13 @@ async fn of_twins_at_a_time_one_is_new(bed: Bed) {
     assert_eq!(new, 1);
     assert_eq!(bed.blobs(&nodes[0]).await.len(), 1, "blobs of concurrent uploads are deleted");
     make_next(&nodes[1]).await;
-    assert!(nodes[0].take(&Kind::ALL, LEASE).await.unwrap().is_none());
+    assert!(nodes[0].take(&JobKind::ALL, LEASE).await.unwrap().is_none());
 }
 
 async fn a_failed_photo_is_tried_again_and_a_damaged_one_healed(bed: Bed) {
     let library = bed.node().await;
     library.accept(photo(1)).await.unwrap();
-    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     let problem = Problem::new("lost", "the upload is damaged");
     library.fail(&lease, &problem).await.unwrap();
     assert_eq!(library.get(lease.photo.id).await.unwrap().problem, Some(problem));
@@ -104,7 +104,7 @@ async fn taken(bed: &Bed, limits: &Limits) -> usize {
     }
     assert_eq!(bed.blobs(&nodes[0]).await.len(), taken, "what is refused is deleted");
     nodes[0].accept(upload(99, owner("bob"))).await.unwrap();
-    let mut local = upload(98, Asker { owner: Some(Owner::local_user()), ..Asker::default() });
+    let mut local = upload(98, Requester { owner: Some(Owner::local_user()), ..Requester::default() });
     local.id = PhotoId::from_bytes([9; 16]);
     nodes[0].accept(local).await.unwrap();
     taken
@@ -129,14 +129,14 @@ async fn a_full_queue_and_a_greedy_owner_are_refused(bed: Bed) {
         answer => answer.map(|_| None).unwrap(),
     };
     let mut answers = Vec::new();
-    for (n, asker) in
+    for (n, requester) in
         [owner("ann"), owner("ann"), owner("ann"), address("192.0.2.1"), address("192.0.2.1"), address("192.0.2.1")].into_iter().enumerate()
     {
-        answers.push(share(library.accept(upload(n as u32, asker)).await));
+        answers.push(share(library.accept(upload(n as u32, requester)).await));
     }
-    assert_eq!(answers, [None, None, Some(Share::Owner), None, None, Some(Share::All)]);
+    assert_eq!(answers, [None, None, Some(QueueLimit::Owner), None, None, Some(QueueLimit::All)]);
     make_next(&library).await;
-    assert_eq!(share(library.accept(upload(7, address("192.0.2.1"))).await), Some(Share::Address));
+    assert_eq!(share(library.accept(upload(7, address("192.0.2.1"))).await), Some(QueueLimit::Address));
     assert_eq!(share(library.accept(upload(7, owner("bob"))).await), None);
     assert_eq!(bed.blobs(&library).await.len(), 5 + 2, "what is refused is deleted");
 }

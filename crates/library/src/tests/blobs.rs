@@ -10,10 +10,11 @@ on_both! {
 async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
     let library = bed.node().await;
     let photo = done(&library, 1, owner("ann")).await;
-    let asker = owner("ann");
-    let order = Order { photo: &photo, key: "a", kind: Kind::Film, payload: json!({}), class: Class::Interactive, asker: &asker };
-    library.order(&order).await.unwrap();
-    let lease = library.take(&[Kind::Film], LEASE).await.unwrap().unwrap();
+    let requester = owner("ann");
+    let order =
+        ExportOrder { photo: &photo, key: "a", kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
+    library.order_export(&order).await.unwrap();
+    let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
     library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
     let orphan = |n: u8| Contents::from([(Part::Upload, Content::of_bytes(vec![n; 9]))]);
     let old = library.blobs().store(photo.id, orphan(1)).await.unwrap().remove(&Part::Upload).unwrap();

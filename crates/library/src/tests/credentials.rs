@@ -22,7 +22,7 @@ async fn keys_come_end_and_are_removed(bed: Bed) {
     assert!(library.find_key(&one.secret[..one.secret.len() - 1]).await.unwrap().is_none());
     assert_eq!(library.keys().await.unwrap().len(), 2);
     later(&bed, &library, day);
-    assert!(!library.is_still_good(&two.key).await.unwrap() && library.is_still_good(&one.key).await.unwrap());
+    assert!(!library.is_valid(&two.key).await.unwrap() && library.is_valid(&one.key).await.unwrap());
     let mut events = library.subscribe();
     assert_eq!(library.remove_keys("site", Some(&one.key.id)).await.unwrap(), 1);
     assert_eq!(events.next().await, Some(Event::Revoked));

@@ -16,14 +16,14 @@ async fn a_photo_is_followed_from_its_acceptance_to_its_end(bed: Bed) {
     let mut events = node.subscribe();
     let id = worker.accept(photo(1)).await.unwrap().photo.id;
     assert_eq!(next(&mut events).await, Event::Photo(id));
-    let lease = worker.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = worker.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     assert_eq!(next(&mut events).await, Event::Photo(id));
     let progress = json!({"stage": "depth", "step": 2});
-    worker.tell_progress(&lease, progress.clone()).await.unwrap();
+    worker.send_progress(&lease, progress.clone()).await.unwrap();
     assert_eq!(next(&mut events).await, Event::Progress { photo: id, progress: progress.clone() });
     assert_eq!(node.progress_of(id), Some(progress.clone()), "new followers get the last progress");
     worker.renew(&lease, Some(&progress)).await.unwrap();
-    assert_eq!(node.job(Kind::Make, id, None).await.unwrap().progress, Some(progress));
+    assert_eq!(node.job(JobKind::Make, id, None).await.unwrap().progress, Some(progress));
     worker.finish(&lease, made(&worker, &lease).await).await.unwrap();
     assert_eq!(next(&mut events).await, Event::Photo(id));
     assert_eq!((node.progress_of(id), node.get(id).await.unwrap().state), (None, PhotoState::Done));

@@ -16,7 +16,7 @@ async fn nodes_that_open_at_a_time_make_one_schema(bed: Bed) {
     let mut secrets = Vec::new();
     for node in opened {
         let node = node.await.unwrap();
-        secrets.push(node.secret().sign(Grant::Watch, Subject::Room("attic"), 1).to_string());
+        secrets.push(node.secret().sign(Grant::Relay, Subject::Room("attic"), 1).to_string());
         node.close().await;
     }
     secrets.dedup();
@@ -30,7 +30,7 @@ async fn nodes_that_open_at_a_time_make_one_schema(bed: Bed) {
 async fn a_schema_of_a_later_program_is_refused(bed: Bed) {
     let library = bed.node().await;
     let mut tx = library.database().write().await.unwrap();
-    sqlx::query("INSERT INTO migrations (version) VALUES (1000)").execute(tx.on()).await.unwrap();
+    sqlx::query("INSERT INTO migrations (version) VALUES (1000)").execute(tx.connection()).await.unwrap();
     tx.commit().await.unwrap();
     library.close().await;
     let again = match &bed.url {

@@ -10,7 +10,7 @@ use super::report::Moved;
 const SAMPLES: usize = 1 << 16;
 /// Least distance of a surface from a camera of the view box, as a share of its distance from the reference camera. In a box that reaches
 /// into a surface, a disparity error would shift the surface's points without bound.
-const LEAST_DISTANCE: f64 = 0.05;
+const MIN_DISTANCE: f64 = 0.05;
 
 /// Largest shift in pixels that a disparity error causes in views from a view box.
 ///
@@ -48,7 +48,7 @@ impl Movement {
 
     /// Distance of a surface from the nearest camera of the view box, as a share of its distance from the reference camera.
     fn distance(&self, delta: f64) -> f64 {
-        (1.0 - self.view_box.z * delta).max(LEAST_DISTANCE)
+        (1.0 - self.view_box.z * delta).max(MIN_DISTANCE)
     }
 
     /// Shift between two maps of the same size, over all pixels.

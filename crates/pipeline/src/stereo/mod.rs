@@ -40,7 +40,7 @@ const SPECK: f64 = 1e-3;
 /// The same at the small size, where the range must not follow such pieces.
 const SMALL_SPECK: f64 = 4e-3;
 /// Fewest pixels of a connected piece, however small the picture.
-const LEAST_SPECK: usize = 32;
+const MIN_SPECK: usize = 32;
 /// Least share of the pixels that must be measured.
 const ENOUGH: f64 = 0.25;
 /// Least range of disparity, in pixels of the matched size.
@@ -235,7 +235,7 @@ fn matched(pair: &[Grey; 2], range: Range, speck: f64) -> Vec<f32> {
     let [own, other] = [census(&pair[0]), census(&pair[1])];
     let mut disparity = sgm::disparity(&Views { width, height, grey: &pair[0].values, own: &own, other: &other }, range);
     let least = ((width * height) as f64 * speck).ceil() as usize;
-    fuse::drop_specks(&mut disparity, width, least.max(LEAST_SPECK));
+    fuse::drop_specks(&mut disparity, width, least.max(MIN_SPECK));
     disparity
 }
 

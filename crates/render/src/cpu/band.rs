@@ -32,7 +32,7 @@ pub(super) struct Band {
 }
 
 /// Soft samples that room is kept for from one band to the next.
-const MOST_KEPT: usize = 1 << 16;
+const MAX_KEPT: usize = 1 << 16;
 
 /// Less than this share of what lies behind cannot be seen in 8 bits, and further products would leave the normal range of `f32`.
 const DARK: f32 = 1e-6;
@@ -48,7 +48,7 @@ impl Band {
         self.blend(out);
         // a scene of many soft layers is not kept room for
         self.soft.clear();
-        self.soft.shrink_to(MOST_KEPT);
+        self.soft.shrink_to(MAX_KEPT);
     }
 
     /// Every draw, with the vectors that this processor has.
