@@ -181,7 +181,7 @@ impl ServeArgs {
     }
 
     /// The rooms; `None` if they are disabled.
-    fn rooms(&self, photos: &Models, bounds: live::Bounds) -> anyhow::Result<Option<Rooms>> {
+    fn rooms(&self, photos: &Models, bounds: live::RoomLimits) -> anyhow::Result<Option<Rooms>> {
         if bounds.rooms == 0 {
             return Ok(None);
         }
@@ -190,7 +190,7 @@ impl ServeArgs {
             Some(settings) => models::load(&settings)?,
             None => photos.clone(),
         };
-        let rooms = Rooms::new(live::Config { models, frame_ms: bounds.budget_ms, key }).bounded(bounds);
+        let rooms = Rooms::new(live::Config { models, frame_ms: bounds.budget_ms, key }).with_limits(bounds);
         Ok(Some(match self.advertise.clone() {
             Some(address) => rooms.shared(address),
             None => rooms,

@@ -14,7 +14,7 @@ use tmpi_library::Origin;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::gops::{Group, Part};
+use super::gops::{Group, GroupPart};
 use super::origin_node::Nodes;
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::{NewestFrame, Room};
@@ -40,11 +40,11 @@ enum Source {
 
 impl Source {
     /// Finds the node with the frames of a room. Requests of other nodes are not forwarded.
-    async fn of(here: &RoomsContext, name: &str, leave: RoomAccess) -> Result<Self, Problem> {
+    async fn of(here: &RoomsContext, name: &str, access: RoomAccess) -> Result<Self, Problem> {
         if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
             return Ok(Self::RoomsContext(room));
         }
-        let elsewhere = if leave == RoomAccess::Node { None } else { here.rooms.elsewhere(name).await? };
+        let elsewhere = if access == RoomAccess::Node { None } else { here.rooms.remote_origin(name).await? };
         elsewhere.map(|(nodes, origin)| Self::Origin(nodes, origin)).ok_or_else(none_publishes)
     }
 }
@@ -87,8 +87,8 @@ fn handed_on(answer: Response) -> Response {
     )
 )]
 pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let newest = match Source::of(&here, &name, leave).await? {
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, access).await? {
         Source::RoomsContext(room) => room.newest().await?,
         Source::Origin(nodes, origin) => {
             let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
@@ -127,8 +127,8 @@ pub async fn latest_group(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let newest = match Source::of(&here, &name, leave).await? {
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, access).await? {
         Source::RoomsContext(room) => room.last_group().map(|group| group.to_string()),
         Source::Origin(nodes, origin) => {
             let answer = nodes.fetch(&origin, &name, "/gops/latest", HeaderMap::new()).await?;
@@ -168,13 +168,13 @@ pub async fn group(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let none = || Problem::not_found("the server does not have this group of pictures");
     let group: Group = group.parse().map_err(|()| none())?;
     // shared caches may only store responses whose URL has the token
     let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
-    let room = match Source::of(&here, &name, leave).await? {
+    let room = match Source::of(&here, &name, access).await? {
         Source::RoomsContext(room) => room,
         Source::Origin(nodes, origin) => {
             let answer = nodes.fetch(&origin, &name, &format!("/gops/{group}"), HeaderMap::new()).await?;
@@ -229,17 +229,17 @@ impl Pieces {
         loop {
             self.changes.mark_unchanged();
             match self.room.group(self.group, self.at) {
-                Part::Message(bytes) => {
+                GroupPart::Message(bytes) => {
                     self.at += 1;
                     return Some([&(bytes.len() as u32).to_le_bytes()[..], &bytes].concat().into());
                 }
-                Part::End => {
+                GroupPart::End => {
                     self.whole = true;
                     return None;
                 }
-                Part::Gone => return None,
+                GroupPart::Gone => return None,
                 // cannot fail: `self.room` keeps the sender
-                Part::Wait | Part::NotYet => drop(self.changes.changed().await),
+                GroupPart::Wait | GroupPart::NotYet => drop(self.changes.changed().await),
             }
         }
     }

@@ -52,13 +52,13 @@ pub(super) async fn state(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Json<RoomState>, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let may_publish = here.check(&name, Role::Publish, &uri, &headers).await.is_ok();
     let room = here.rooms.get(&name);
     let full = room.as_ref().is_some_and(|room| room.is_full());
     let state = match room.filter(|room| !room.is_edge()) {
-        Some(room) => RoomState { publishing: room.is_publishing(), viewers: room.everyone(), ..RoomState::default() },
-        None if leave == RoomAccess::Node => RoomState::default(),
+        Some(room) => RoomState { publishing: room.is_publishing(), viewers: room.all_viewers(), ..RoomState::default() },
+        None if access == RoomAccess::Node => RoomState::default(),
         None => at_origin(&here, &name).await?.unwrap_or_default(),
     };
     let ended = here
@@ -73,7 +73,7 @@ pub(super) async fn state(
 
 /// State of a room from its origin; `None` if no other node has the room, or the origin does not answer.
 async fn at_origin(here: &RoomsContext, name: &str) -> Result<Option<RoomState>, Problem> {
-    let Some((nodes, origin)) = here.rooms.elsewhere(name).await? else { return Ok(None) };
+    let Some((nodes, origin)) = here.rooms.remote_origin(name).await? else { return Ok(None) };
     let Ok(answer) = nodes.fetch(&origin, name, "", HeaderMap::new()).await else { return Ok(None) };
     let body = axum::body::to_bytes(answer.into_body(), MAX_STATE).await.unwrap_or_default();
     Ok(serde_json::from_slice(&body).ok())

@@ -10,7 +10,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
-use super::room::Watches;
+use super::room::ViewerKind;
 use super::room_token::{PROTOCOL, Role};
 use super::{plain_http, publisher, room_state, viewer, watch_token};
 use crate::server::{ConnectionGuard, Problem};
@@ -74,7 +74,7 @@ async fn publish(
     // room for the other fields; a frame of up to twice the limit is read and refused with its size
     let bounds = here.rooms.bounds;
     let upgrade = bounded(upgrade, 2 * bounds.frame.max(bounds.sound) + 1024)?;
-    let entry = here.rooms.enter(&name).ok_or_else(busy)?;
+    let entry = here.rooms.open(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         held.limit_send_buffer();
         publisher::serve(socket, entry, &here, ends).await;
@@ -109,14 +109,14 @@ async fn subscribe(
     headers: HeaderMap,
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let upgrade = bounded(upgrade, 1024)?;
-    let (room, ends, kind) = match leave {
-        RoomAccess::Until(ends) => (here.rooms.visit(&name).await?, ends, Watches::Itself),
+    let (room, ends, kind) = match access {
+        RoomAccess::Until(ends) => (here.rooms.watch_room(&name).await?, ends, ViewerKind::Local),
         // only the origin serves edges
-        RoomAccess::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0)),
+        RoomAccess::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, ViewerKind::Edge(0)),
     };
-    if kind == Watches::Itself && room.is_full() {
+    if kind == ViewerKind::Local && room.is_full() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", viewer::FULL).retry_after(FULL_AGAIN));
     }
     Ok(upgrade.on_upgrade(async move |socket| {

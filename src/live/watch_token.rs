@@ -46,9 +46,9 @@ pub(super) async fn watch_token(
     _: NoBody,
 ) -> Result<Json<WatchToken>, Problem> {
     here.check(&name, Role::Publish, &uri, &headers).await?;
-    let asked = Pairs::read(&uri, &["token"])?;
+    let query = Pairs::read(&uri, &["token"])?;
     let token = here.rooms.config.key.as_ref().and_then(|key| {
-        let (given, now) = (asked.get("token").or_else(|| token_in_headers(&headers)), seconds());
+        let (given, now) = (query.get("token").or_else(|| token_in_headers(&headers)), seconds());
         let end = given.and_then(|given| token_expiry(key, Role::Publish, &name, given, now)).unwrap_or(now + LIFETIME.as_secs());
         room_token(key, Role::Watch, &name, end)
     });

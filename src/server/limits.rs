@@ -116,7 +116,7 @@ pub struct Limits {
     /// Caches.
     pub cache: Caches,
     /// Rooms.
-    pub live: live::Bounds,
+    pub live: live::RoomLimits,
 
     /// Photos made at a time: `--workers`.
     #[serde(skip)]
@@ -365,7 +365,7 @@ impl Default for Limits {
             retention: Retention::default(),
             exports: Exports::default(),
             cache: Caches::default(),
-            live: live::Bounds::default(),
+            live: live::RoomLimits::default(),
             // one job keeps all cores busy
             workers: 1,
             header_read: Self::HEADER_READ,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tempfile::tempdir;
-use tmpi::live::{Bounds, Config as RoomConfig, Rooms};
+use tmpi::live::{Config as RoomConfig, RoomLimits, Rooms};
 use tmpi::server::{Config, Server};
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Sound, Video};
@@ -192,8 +192,8 @@ pub fn hello() -> Hello {
 #[test]
 fn rooms_keep_to_their_configured_limits() {
     let dir = tempdir().unwrap();
-    let bounds = Bounds { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..Bounds::default() };
-    let server = server_with(dir.path(), |rooms| rooms.bounded(bounds));
+    let bounds = RoomLimits { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..RoomLimits::default() };
+    let server = server_with(dir.path(), |rooms| rooms.with_limits(bounds));
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
     assert!(matches!(Client::at(server.addr, "/v1/live/cellar/publish", &[]), Err(503)), "a second room");

@@ -19,7 +19,7 @@ pub struct Made {
 
 impl Made {
     pub fn new() -> Self {
-        let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
+        let (room, tiles) = (Room::new(RoomLimits::default()), geometry(0.5));
         assert_eq!(room.publish(TileState::hello(&tiles), 0, EPOCH), EPOCH);
         let mut made = Self { room, tiles, frame: 0 };
         made.next(true, 10, Some(Area::all(&made.tiles.grid)));
@@ -30,14 +30,14 @@ impl Made {
     pub fn next(&mut self, key: bool, bytes: usize, changed: Option<Area>) {
         self.frame += 1;
         let video = schema::Video { frame: self.frame, key, data: vec![0; bytes].into(), ..schema::Video::default() };
-        self.room.push(EPOCH, if key { What::Key } else { What::Frame { layer: 0 } }, write(Kind::Video(video)));
+        self.room.push(EPOCH, if key { MessageKind::Key } else { MessageKind::Frame { layer: 0 } }, write(Kind::Video(video)));
         // exactly representable when encoded
         let depth = 0.125 + self.frame as f64 / 64.0;
         for tile in changed.into_iter().flat_map(|area| area.tiles(&self.tiles.grid)) {
             self.tiles.tiles[tile as usize] = geometry(depth).tiles[tile as usize].clone();
         }
         let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-        self.room.keep(EPOCH, FrameWithTiles::new(self.frame, photo, self.tiles.clone()), |_| {});
+        self.room.set_newest_frame(EPOCH, FrameWithTiles::new(self.frame, photo, self.tiles.clone()), |_| {});
         if let Some(area) = changed {
             self.room.push_tiles(EPOCH, message(&self.tiles, area, self.frame));
         }
@@ -66,7 +66,7 @@ impl Watcher {
     /// Joins a room with such tiles.
     pub fn at(room: &Room, tiles: &Geometry) -> Self {
         let model = TileState::new(&TileState::hello(tiles)).unwrap();
-        let mut watcher = Self { viewer: room.join(Watches::Itself).unwrap(), model, frames: 0, given: Vec::new() };
+        let mut watcher = Self { viewer: room.join(ViewerKind::Local).unwrap(), model, frames: 0, given: Vec::new() };
         watcher.read(room);
         watcher
     }
@@ -89,17 +89,17 @@ impl Watcher {
         let mut told = Vec::new();
         loop {
             match room.next(&mut self.viewer) {
-                Next::Send(bytes) if matches!(read(bytes.clone()), Ok(Kind::Geometry(_) | Kind::Snapshot(_))) => {
+                NextStep::Send(bytes) if matches!(read(bytes.clone()), Ok(Kind::Geometry(_) | Kind::Snapshot(_))) => {
                     let tiles = self.take(bytes);
                     self.given.push(tiles);
                 }
-                Next::Send(_) => self.frames += 1,
-                Next::Hello(_) | Next::Tiles => {
+                NextStep::Send(_) => self.frames += 1,
+                NextStep::Hello(_) | NextStep::Tiles => {
                     let sent = room.tiles(&mut self.viewer).map(|bytes| self.take(bytes.unwrap()));
                     told.push(sent.unwrap_or_default());
                 }
-                Next::Wait => return told,
-                Next::Closed => panic!("the room is closed"),
+                NextStep::Wait => return told,
+                NextStep::Closed => panic!("the room is closed"),
             }
         }
     }
@@ -154,21 +154,21 @@ fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() 
     let all: BTreeSet<u32> = (0..made.tiles.grid.tiles()).collect();
     made.room.unpublish();
     assert_eq!(made.room.publish(TileState::hello(&made.tiles), 0, 0), EPOCH + 1);
-    made.room.push(EPOCH + 1, What::Key, vec![0; 10].into());
+    made.room.push(EPOCH + 1, MessageKind::Key, vec![0; 10].into());
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-    made.room.keep(EPOCH + 1, FrameWithTiles::new(0, photo, made.tiles.clone()), |_| {});
+    made.room.set_newest_frame(EPOCH + 1, FrameWithTiles::new(0, photo, made.tiles.clone()), |_| {});
     made.frame = 0;
     assert_eq!(viewer.read(&made.room), [all]);
 }
 
 #[test]
 fn tiles_sent_before_the_first_whole_frame_reach_new_viewers() {
-    let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
+    let (room, tiles) = (Room::new(RoomLimits::default()), geometry(0.5));
     room.publish(TileState::hello(&tiles), 0, EPOCH);
     let mut made = Made { room, tiles, frame: 9 };
     let columns = Area { columns: 1, ..Area::all(&made.tiles.grid) };
     for column in 0..made.tiles.grid.columns() {
-        made.room.push(EPOCH, What::Key, vec![0; 10].into());
+        made.room.push(EPOCH, MessageKind::Key, vec![0; 10].into());
         made.room.push_tiles(EPOCH, message(&made.tiles, Area { column, ..columns }, u64::from(column)));
     }
     let whole = Watcher::new(&made);
@@ -177,7 +177,7 @@ fn tiles_sent_before_the_first_whole_frame_reach_new_viewers() {
     made.next(true, 10, None);
     made.tiles = geometry(0.25);
     made.room.push_tiles(EPOCH, message(&made.tiles, Area::all(&made.tiles.grid), made.frame + 1));
-    made.room.push(EPOCH, What::Key, vec![0; 10].into());
+    made.room.push(EPOCH, MessageKind::Key, vec![0; 10].into());
     let fresh = Watcher::new(&made);
     assert_eq!(fresh.model.geometry().map(|g| &g.tiles), Some(&made.tiles.tiles));
 }
@@ -215,7 +215,7 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
     }
     assert!(!asked(&made));
     // a viewer that cannot decode gets nothing before a key frame
-    healthy.viewer.lose();
+    healthy.viewer.skip_to_key();
     let frames = healthy.frames;
     made.next(false, 10, None);
     healthy.read(&made.room);
@@ -227,25 +227,25 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
 
 #[test]
 fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_gone() {
-    let room = Room::new(Bounds::default());
-    let viewers: Vec<_> = (0..Bounds::VIEWERS).map_while(|_| room.join(Watches::Itself)).collect();
-    assert_eq!(viewers.len(), Bounds::VIEWERS);
-    assert!(room.is_full() && room.join(Watches::Itself).is_none());
-    assert!(room.join(Watches::Edge(0)).is_some(), "an edge takes no viewer's place");
-    room.part(&viewers[0]);
-    assert!(!room.is_full() && room.join(Watches::Itself).is_some());
+    let room = Room::new(RoomLimits::default());
+    let viewers: Vec<_> = (0..RoomLimits::VIEWERS).map_while(|_| room.join(ViewerKind::Local)).collect();
+    assert_eq!(viewers.len(), RoomLimits::VIEWERS);
+    assert!(room.is_full() && room.join(ViewerKind::Local).is_none());
+    assert!(room.join(ViewerKind::Edge(0)).is_some(), "an edge takes no viewer's place");
+    room.leave(&viewers[0]);
+    assert!(!room.is_full() && room.join(ViewerKind::Local).is_some());
 }
 
 #[test]
 fn tiles_of_the_next_epoch_are_not_sent_after_the_hello_of_the_last_one() {
     let mut made = Made::new();
-    let mut viewer = made.room.join(Watches::Itself).unwrap();
-    assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH));
+    let mut viewer = made.room.join(ViewerKind::Local).unwrap();
+    assert!(matches!(made.room.next(&mut viewer), NextStep::Hello(hello) if hello.epoch == EPOCH));
     made.tiles = geometry(0.25);
     assert_eq!(made.room.publish(TileState::hello(&made.tiles), 0, 0), EPOCH + 1);
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-    made.room.keep(EPOCH + 1, FrameWithTiles::new(1, photo, made.tiles.clone()), |_| {});
+    made.room.set_newest_frame(EPOCH + 1, FrameWithTiles::new(1, photo, made.tiles.clone()), |_| {});
     assert!(made.room.tiles(&mut viewer).is_none());
-    assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH + 1));
+    assert!(matches!(made.room.next(&mut viewer), NextStep::Hello(hello) if hello.epoch == EPOCH + 1));
     assert!(made.room.tiles(&mut viewer).is_some());
 }
