@@ -9,7 +9,7 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use clap::ArgAction;
 
-use super::better::BetterNetwork;
+use super::better_network::BetterNetwork;
 use super::settings::{Assignment, applied, assignment};
 use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
@@ -17,8 +17,8 @@ use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Reach, Role,
-    Server, SourceHost, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
+    AddressPolicy, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, ProcessMaker,
+    Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal, use_one_malloc_arena,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -262,12 +262,12 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let maker = PipelineMaker::new(models.clone(), limits.photo()).identified(&identity(&settings)?);
     if makes_for_another {
         let drawing = || tmpi_render::select_within(args.backend, limits.cache.scenes).map_err(|e| format!("renderer: {e}"));
-        make_for_a_server(&maker, &limits, &drawing);
+        run_child(&maker, &limits, &drawing);
         return Ok(());
     }
-    keep_from_others();
+    disable_process_inspection();
     let rooms = args.rooms(&models, limits.live)?;
-    allocate_in_one_place();
+    use_one_malloc_arena();
     if let Err(error) = tmpi_pipeline::networks::available() {
         tracing::error!("photos without a depth map wait until ONNX Runtime is available. {error}");
     }
@@ -275,7 +275,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     open_files::raise(limits.connections as u64);
     let renderer = tmpi_render::select_within(args.backend, limits.cache.scenes).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
-    let maker = ProcessMaker::new(maker, args.for_makers, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
+    let maker =
+        ProcessMaker::new(maker, args.for_makers, &args.data).with_better_network(better.map(|b| Box::new(b) as Box<dyn NetworkUpgrade>));
     if !private && !args.addr.ip().is_loopback() {
         tracing::warn!(
             "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
@@ -300,7 +301,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         ..
     } = args;
     hosts.extend(advertise.map(|address| address.host().to_owned()));
-    let reach = |is_private| if is_private { Reach::Any } else { Reach::Public };
+    let reach = |is_private| if is_private { AddressPolicy::Any } else { AddressPolicy::Public };
     let config = Config {
         addr,
         admin,
@@ -315,9 +316,9 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         role,
         traces,
         webhooks,
-        webhook_reach: reach(private_webhooks),
+        webhook_addresses: reach(private_webhooks),
         source_hosts,
-        source_reach: reach(private_sources),
+        source_addresses: reach(private_sources),
         limits,
     };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;

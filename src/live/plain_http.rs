@@ -19,7 +19,7 @@ use super::origin_node::Nodes;
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::{NewestFrame, Room};
 use super::room_token::Role;
-use crate::server::{Coding, ConnectionGuard, Entity, Pairs, Problem, respond};
+use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
 /// How long a request waits for the next group.
@@ -98,7 +98,7 @@ pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, 
     let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
     let etag = format!("\"{epoch}-{number}\"");
     let entity =
-        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: Coding::Plain };
+        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: ContentCoding::Plain };
     let mut response = respond(&headers, entity);
     response.headers_mut().insert(FRAME, HeaderValue::from(number));
     response.headers_mut().insert(EPOCH, HeaderValue::from(epoch));

@@ -7,7 +7,7 @@ use axum::http::{HeaderMap, header};
 use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 
-use crate::server::{hex, same};
+use crate::server::{constant_time_eq, hex};
 
 /// What a token allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ pub fn room_token(key: &[u8], role: Role, room: &str, expires: u64) -> Option<St
 pub fn token_expiry(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Option<u64> {
     let (expires, signed) = token.split_once('.')?;
     let expires = expires.parse::<u64>().ok()?;
-    let same = |role| signature(key, role, room, expires).is_some_and(|good| same(hex(&good).as_bytes(), signed.as_bytes()));
+    let same = |role| signature(key, role, room, expires).is_some_and(|good| constant_time_eq(hex(&good).as_bytes(), signed.as_bytes()));
     let roles: &[Role] = if role == Role::Watch { &[Role::Watch, Role::Publish] } else { &[Role::Publish] };
     let good = roles.iter().fold(false, |any, role| any | same(*role));
     (good && now < expires).then_some(expires)

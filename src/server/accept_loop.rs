@@ -219,7 +219,7 @@ impl Connection {
                     leaving = Some(Instant::now());
                     connection.as_mut().graceful_shutdown();
                 }
-                _ = look.tick() => match (streams.look(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
+                _ = look.tick() => match (streams.check(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
                     (StreamHealth::Idle, None) => {
                         leaving = Some(Instant::now());
                         connection.as_mut().graceful_shutdown();

@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Config;
 use super::access::Guard;
-use super::blocking_pool::{Class, Pool, Slot};
+use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::build_identity;
 use super::cache::Cache;
 pub use super::cache_values::{Derived, Export, Stored, TempFolder, Version, WhenFull};
@@ -21,13 +21,13 @@ use super::finished_photo::FinishedPhoto;
 use super::hosts::Hosts;
 use super::limits::Limits;
 use super::maker::Maker;
-use super::memory_budget::Memory;
+use super::memory_budget::MemoryBudget;
 use super::metrics::Telemetry;
 use super::network_download::Download;
-use super::outbound::Reach;
+use super::outbound::AddressPolicy;
 use super::problem::Problem;
 use super::proxies::Proxies;
-use super::rate_limit::Rates;
+use super::rate_limit::RateLimiter;
 use super::sources::Sources;
 use super::traces;
 use super::upload_slots::UploadSlots;
@@ -39,7 +39,7 @@ use tmpi_pipeline::strokes::{self, Stroke};
 use tmpi_render::Renderer;
 
 /// Shared state; cheap to clone.
-pub type App = Arc<Shared>;
+pub type App = Arc<AppState>;
 
 /// Time after which a fault of the server counts as over; failed jobs are retried at least every minute.
 const TROUBLE: Duration = Duration::from_mins(2);
@@ -51,13 +51,13 @@ struct Trouble {
 }
 
 /// State of the server.
-pub struct Shared {
+pub struct AppState {
     /// Photos, jobs, owners, keys and rooms, in the database and the blob store.
     pub library: Library,
     /// Makes photos.
     pub maker: Arc<dyn Maker>,
     /// Memory of running jobs.
-    pub memory: Memory,
+    pub memory: MemoryBudget,
     /// Limits.
     pub limits: Arc<Limits>,
     /// Counters.
@@ -75,11 +75,11 @@ pub struct Shared {
     /// Files to download and films, on disk.
     pub exports: Cache<(Version, String), Export>,
     /// Where views are drawn.
-    pub pool: Pool,
+    pub pool: BlockingPool,
     /// Uploads in progress.
     pub uploads: UploadSlots,
     /// Rate limits.
-    pub rates: Rates,
+    pub rates: RateLimiter,
     /// Permits to read an upload whole.
     pub changes: Arc<Semaphore>,
     /// Slots for event streams.
@@ -103,7 +103,7 @@ pub struct Shared {
     /// Everything besides the container that derived bytes depend on: program and backend.
     pub build: String,
     /// Addresses that webhooks of callers may have.
-    pub webhook_reach: Reach,
+    pub webhook_addresses: AddressPolicy,
     /// Fetches photos by address.
     pub sources: Sources,
     /// `https://HOST` of this server, if it serves TLS under a name.
@@ -124,26 +124,26 @@ pub struct Shared {
     pub has_admin: bool,
 }
 
-impl Shared {
+impl AppState {
     /// State of a server that listens at `addr`.
     #[must_use]
-    pub fn new(config: Config, addr: SocketAddr, library: Library, parts: Parts) -> Self {
-        let Config { webhook_reach, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
-        let Parts { maker, renderer, telemetry, openapi, sources } = parts;
+    pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
+        let Config { webhook_addresses, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
+        let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
         Self {
             guard: private.then(|| Guard::new(library.clone())),
             library,
-            memory: Memory::new(limits.job_memory),
+            memory: MemoryBudget::new(limits.job_memory),
             maker,
             download: Download::default(),
-            scenes: Cache::resting(limits.cache.scenes, limits.idle),
-            files: Cache::resting(limits.cache.files, limits.idle),
-            levels: Cache::resting(limits.cache.files / 4, limits.idle),
-            views: Cache::resting(limits.cache.views, limits.idle),
+            scenes: Cache::with_idle_timeout(limits.cache.scenes, limits.idle),
+            files: Cache::with_idle_timeout(limits.cache.files, limits.idle),
+            levels: Cache::with_idle_timeout(limits.cache.files / 4, limits.idle),
+            views: Cache::with_idle_timeout(limits.cache.views, limits.idle),
             exports: Cache::new(limits.cache.exports),
-            pool: Pool::new(&limits),
+            pool: BlockingPool::new(&limits),
             uploads: UploadSlots::new(&limits),
-            rates: Rates::new(&limits.rates),
+            rates: RateLimiter::new(&limits.rates),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: ClientSlots::new(limits.streams),
             storage: Mutex::default(),
@@ -156,7 +156,7 @@ impl Shared {
             hosts: Hosts::new(addr, &hosts),
             proxies,
             public_list,
-            webhook_reach,
+            webhook_addresses,
             sources,
             origin: OnceLock::new(),
             pages,
@@ -169,7 +169,7 @@ impl Shared {
         }
     }
 
-    /// Sets [`Shared::origin`] of a server that serves TLS at `port`.
+    /// Sets [`AppState::origin`] of a server that serves TLS at `port`.
     pub fn set_origin(&self, port: u16) {
         let port = if port == 443 { String::new() } else { format!(":{port}") };
         if let Some(name) = self.hosts.first() {
@@ -309,7 +309,7 @@ impl Shared {
     /// [`tmpi_core::container::LEVELS`]), with some `sections`.
     ///
     /// # Errors
-    /// As [`Shared::file`]; 400 if the region is not within the photo, 503 if too many are being made.
+    /// As [`AppState::file`]; 400 if the region is not within the photo, 503 if too many are being made.
     pub async fn container(
         &self,
         photo: &Photo,
@@ -332,7 +332,7 @@ impl Shared {
         let made = key.clone();
         let names = sections.map(<[_]>::to_vec);
         let make = async {
-            let slot = self.pool.enter(Class::Derived, done.scene_bytes()).await?;
+            let slot = self.pool.enter(WorkClass::Derived, done.scene_bytes()).await?;
             let (whole, disk) = (self.container_of(photo).await?, self.temp_folder());
             let make = move || {
                 let mut bytes = Vec::from(whole);
@@ -353,7 +353,7 @@ impl Shared {
 
     /// The tiles over a region of a photo.
     async fn tiles(&self, photo: &Photo, region: Rect) -> Result<TileRect, Problem> {
-        let slot = self.pool.enter(Class::Derived, 0).await?;
+        let slot = self.pool.enter(WorkClass::Derived, 0).await?;
         let whole = self.container_of(photo).await?;
         let tiles = slot.run(move || TileRect::over_region(&whole, region).map_err(|e| Problem::from(&e))).await??;
         tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))
@@ -362,7 +362,7 @@ impl Shared {
     /// The container of a photo. If it is damaged, the photo is marked as damaged.
     ///
     /// # Errors
-    /// As [`Shared::file`].
+    /// As [`AppState::file`].
     pub async fn container_of(&self, photo: &Photo) -> Result<Bytes, Problem> {
         match self.library.blobs().read(Part::Container, photo.blob(Part::Container)?).await {
             Ok(bytes) => Ok(bytes),
@@ -379,7 +379,7 @@ impl Shared {
     /// The decoded scene of a photo, and the time of decoding if it was not cached. Enter `slot` with [`FinishedPhoto::scene_bytes`].
     ///
     /// # Errors
-    /// As [`Shared::file`].
+    /// As [`AppState::file`].
     pub async fn scene(&self, photo: &Photo, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
         let (version, _) = Self::done(photo)?;
         let mut took = None;
@@ -420,7 +420,7 @@ impl Shared {
 }
 
 /// Parts of a server besides its library.
-pub struct Parts {
+pub struct AppParts {
     /// Makes photos.
     pub maker: Arc<dyn Maker>,
     /// Renders views.

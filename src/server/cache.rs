@@ -47,7 +47,7 @@ impl<K: Key, V: Value> Cache<K, V> {
 
     /// A cache in memory, which also drops entries unused for `rest`, at the next [`Self::settle`] at the latest.
     #[must_use]
-    pub fn resting(budget: usize, rest: Duration) -> Self {
+    pub fn with_idle_timeout(budget: usize, rest: Duration) -> Self {
         Self::built(budget, Kept::builder().time_to_idle(rest))
     }
 
@@ -263,7 +263,7 @@ mod tests {
 
     #[tokio::test]
     async fn unused_entries_are_dropped() {
-        let cache = Cache::<u32, usize>::resting(100 * KIB, Duration::from_millis(20));
+        let cache = Cache::<u32, usize>::with_idle_timeout(100 * KIB, Duration::from_millis(20));
         assert!(put(&cache, 1, KIB).await);
         while cache.bytes() > 0 {
             tokio::time::sleep(Duration::from_millis(5)).await;

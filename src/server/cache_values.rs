@@ -84,7 +84,7 @@ impl Stored {
         }
     }
 
-    /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_as`] recognizes them before
+    /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_etag`] recognizes them before
     /// they are made again. Large ones go into an unnamed file, so that slow readers hold no memory; the last reader frees it. Blocks.
     ///
     /// # Errors

@@ -19,9 +19,9 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::exports::Work;
+use super::exports::ExportTask;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
-use super::network_download::{Better, Offer, Renewed};
+use super::network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
 use super::problem::Problem;
 pub use child_main::serve;
 use pipe_frames::read;
@@ -47,9 +47,9 @@ pub struct ProcessMaker {
     /// Parent folder of the processes' temporary files.
     scratch: PathBuf,
     /// Downloads a better network; processes that start later use it.
-    better: Option<Box<dyn Better>>,
+    better: Option<Box<dyn NetworkUpgrade>>,
     /// Maker identity and network after the download.
-    renewed: OnceLock<Renewed>,
+    renewed: OnceLock<InstalledNetwork>,
 }
 
 /// The frames of a process until it ends.
@@ -141,7 +141,7 @@ fn is_passed(name: &OsStr) -> bool {
 /// dumps.
 #[cfg(target_os = "linux")]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
-pub fn keep_from_others() {
+pub fn disable_process_inspection() {
     // SAFETY: it takes no pointer
     if unsafe { libc::prctl(libc::PR_SET_DUMPABLE, 0, 0, 0, 0) } != 0 {
         tracing::warn!(error = %io::Error::last_os_error(), "other processes of this user can read the memory of this one");
@@ -150,7 +150,7 @@ pub fn keep_from_others() {
 
 /// Not available on other systems.
 #[cfg(not(target_os = "linux"))]
-pub fn keep_from_others() {}
+pub fn disable_process_inspection() {}
 
 impl ProcessMaker {
     /// A maker that checks photos itself, and starts a process ahead of the first photo. `arguments` is the command line of the processes
@@ -175,7 +175,7 @@ impl ProcessMaker {
 
     /// The same maker, with a network that it may download while it runs.
     #[must_use]
-    pub fn with_better(self, better: Option<Box<dyn Better>>) -> Self {
+    pub fn with_better_network(self, better: Option<Box<dyn NetworkUpgrade>>) -> Self {
         Self { better, ..self }
     }
 
@@ -245,11 +245,11 @@ impl Maker for ProcessMaker {
         self.renewed.get().map_or_else(|| self.checks.network(), |renewed| &renewed.network)
     }
 
-    fn better(&self) -> Option<Offer> {
+    fn better(&self) -> Option<NetworkOffer> {
         self.better.as_ref().filter(|_| self.renewed.get().is_none()).map(|better| better.offer())
     }
 
-    fn fetch_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+    fn download_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {
         let better = self.better.as_ref().ok_or("there is no better network")?;
         let renewed = better.fetch(progress)?;
         // one download runs at a time
@@ -287,7 +287,7 @@ impl Maker for ProcessMaker {
         ended > 0
     }
 
-    fn export(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+    fn export(&self, work: &ExportTask<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
         self.write_file(work, sink)
     }
 

@@ -6,7 +6,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 
 use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
-use super::conditional::{Wanted, wanted};
+use super::conditional::{RequestedRange, requested_range};
 use super::header_limit::Bounded;
 use super::hosts::origin;
 use super::part_filename::file_name;
@@ -46,7 +46,7 @@ pub fn view(uri: &Uri) {
 
 /// Reads a range of `length` bytes.
 pub fn range(headers: &HeaderMap, length: usize) {
-    if let Wanted::Part(r) = wanted(headers, "\"tag\"", length) {
+    if let RequestedRange::Part(r) = requested_range(headers, "\"tag\"", length) {
         assert!(r.start < r.end && r.end <= length);
     }
 }

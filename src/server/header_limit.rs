@@ -30,7 +30,7 @@ enum At {
 }
 
 /// The bytes of a form as they arrive, up to a header that is too long.
-pub struct Bounded<S> {
+pub struct LimitedHeaders<S> {
     stream: S,
     /// Finds the first delimiter; the parser accepts it at any position.
     first: Finder<'static>,
@@ -44,7 +44,7 @@ pub struct Bounded<S> {
     tail: Vec<u8>,
 }
 
-impl<S> Bounded<S> {
+impl<S> LimitedHeaders<S> {
     /// A form whose parts are separated by `boundary`.
     #[must_use]
     pub fn new(stream: S, boundary: &str) -> Self {
@@ -97,7 +97,7 @@ impl<S> Bounded<S> {
     }
 }
 
-impl<S, E> Stream for Bounded<S>
+impl<S, E> Stream for LimitedHeaders<S>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
     E: Into<Box<dyn Error + Send + Sync>>,
@@ -134,7 +134,7 @@ mod tests {
     }
 
     fn passes(form: &[u8], pieces: usize) -> bool {
-        let mut bounded = Bounded::new(futures_util::stream::empty::<Result<Bytes, std::io::Error>>(), "b");
+        let mut bounded = LimitedHeaders::new(futures_util::stream::empty::<Result<Bytes, std::io::Error>>(), "b");
         form.chunks(pieces).all(|piece| bounded.see(piece).is_ok())
     }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::access;
-use super::app_state::Shared;
+use super::app_state::AppState;
 use super::finished_photo::FinishedPhoto;
 use super::photo_options;
 use super::photo_settings::Settings;
@@ -42,7 +42,7 @@ pub struct Card {
 impl Card {
     /// The card for this request's caller, who knows the server as `base`. If a link gave the caller access, all addresses contain it.
     #[must_use]
-    pub fn of(app: &Shared, photo: &Photo, base: String) -> Self {
+    pub fn of(app: &AppState, photo: &Photo, base: String) -> Self {
         let (settings, link) = (Settings::of(photo), access::link());
         let view = if let Some(done) = FinishedPhoto::of(photo) {
             let pose = settings.poster_pose(&photo_options::view_box_of(&photo.options)).unwrap_or_default();

@@ -62,12 +62,12 @@ pub async fn sweep(app: App) {
 }
 
 /// Checks the stored files of photos periodically, to find damage before a client does.
-pub async fn look_over(app: App) {
-    tokio::time::sleep(app.limits.look_over_first).await;
+pub async fn verify_photos(app: App) {
+    tokio::time::sleep(app.limits.verify_first).await;
     loop {
-        let pause = match app.library.verify_next(app.limits.look_over).await {
-            Ok(Some(photo)) => Duration::from_secs_f64(photo.bytes as f64 / app.limits.look_over_rate as f64),
-            Ok(None) => NONE_DUE.min(app.limits.look_over),
+        let pause = match app.library.verify_next(app.limits.verify_interval).await {
+            Ok(Some(photo)) => Duration::from_secs_f64(photo.bytes as f64 / app.limits.verify_rate as f64),
+            Ok(None) => NONE_DUE.min(app.limits.verify_interval),
             Err(error) => {
                 tracing::warn!(%error, "cannot check a photo now");
                 PROBE

@@ -12,9 +12,9 @@ use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::build_identity;
-use super::exports::Work;
+use super::exports::ExportTask;
 use super::limits::Limits;
-use super::network_download::Offer;
+use super::network_download::NetworkOffer;
 use super::problem::Problem;
 
 /// The stored results of a photo.
@@ -69,7 +69,7 @@ pub trait Maker: Send + Sync + 'static {
     }
 
     /// A better network to download; `None` if there is none, or it is installed.
-    fn better(&self) -> Option<Offer> {
+    fn better(&self) -> Option<NetworkOffer> {
         None
     }
 
@@ -77,7 +77,7 @@ pub trait Maker: Send + Sync + 'static {
     ///
     /// # Errors
     /// Why the download failed, as text.
-    fn fetch_better(&self, _progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+    fn download_better(&self, _progress: &mut dyn FnMut(u64)) -> Result<(), String> {
         Err("there is no better network".into())
     }
 
@@ -115,8 +115,8 @@ pub trait Maker: Send + Sync + 'static {
     ///
     /// # Errors
     /// [`Fault`].
-    fn export(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
-        work.here(sink)
+    fn export(&self, work: &ExportTask<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+        work.run(sink)
     }
 
     /// Makes a photo; blocks.

@@ -11,7 +11,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
-use super::traces::{Collector, CollectorError, Job, Parent, Traces};
+use super::traces::{Collector, CollectorError, JobSpan, Parent, Traces};
 use tmpi_library::{PhotoId, Swept};
 
 /// Media type of the text.
@@ -203,8 +203,8 @@ impl Telemetry {
 
     /// Starts the span of making a photo, for the `attempt`th time from 1, within `parent`.
     #[must_use]
-    pub fn begin_job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> Job {
-        self.traces.as_ref().map_or_else(Job::default, |traces| Job::new(traces.job(parent, id, attempt)))
+    pub fn begin_job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> JobSpan {
+        self.traces.as_ref().map_or_else(JobSpan::default, |traces| JobSpan::new(traces.job(parent, id, attempt)))
     }
 
     /// Records an answered request.

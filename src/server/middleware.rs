@@ -24,8 +24,8 @@ use super::limits::Limits;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::proxies::Proxies;
-use super::rate_limit::{RateHeaders, RateKey, Rates};
-use super::request_body::Guarded;
+use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
+use super::request_body::LimitedBody;
 use super::time_limit::TimeLimit;
 use super::traces::TRACE;
 
@@ -57,7 +57,7 @@ struct Checks<'a> {
     /// Access control.
     guard: Option<&'a Guard>,
     /// Rate limits.
-    rates: Option<&'a Rates>,
+    rates: Option<&'a RateLimiter>,
 }
 
 /// Wraps a request.
@@ -136,7 +136,7 @@ async fn answer(app: &App, checks: Checks<'_>, request: Request, next: Next) -> 
         request
     } else {
         request.map(|body| {
-            let (guarded, left) = Guarded::new(body, &limits, clock.clone());
+            let (guarded, left) = LimitedBody::new(body, &limits, clock.clone());
             rest = Some(left);
             Body::new(guarded)
         })

@@ -71,15 +71,15 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept_loop::ConnectionGuard;
-pub(crate) use access::same;
-pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
-pub(crate) use conditional::{Coding, Entity, respond};
+pub(crate) use access::constant_time_eq;
+pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run_child};
+pub(crate) use conditional::{ContentCoding, Entity, respond};
 pub use config::{Config, Role};
-pub use idle_trim::allocate_in_one_place;
+pub use idle_trim::use_one_malloc_arena;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
-pub use network_download::{Better, Offer, Renewed};
-pub use outbound::Reach;
+pub use network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
+pub use outbound::AddressPolicy;
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use routes::{Access, Route, openapi, openapi_of, routes};
@@ -89,7 +89,7 @@ pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
 
-use app_state::{App, Parts, Shared};
+use app_state::{App, AppParts, AppState};
 use metrics::Telemetry;
 pub(crate) use metrics::{Figure, gauge};
 pub(crate) use timestamps::rfc3339;
@@ -180,10 +180,10 @@ impl Server {
         }
         let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
         library.configure_webhooks(&webhooks).await?;
-        let webhooks = Arc::new(Clients::new(config.webhook_reach));
+        let webhooks = Arc::new(Clients::new(config.webhook_addresses));
         let sources = config.sources();
         let (role, has_objects) = (config.role, config.blobs.is_some());
-        let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi, sources }));
+        let app = Arc::new(AppState::new(config, addr, library, AppParts { maker, renderer, telemetry, openapi, sources }));
         Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, webhooks, admin, lock })
     }
 
@@ -253,7 +253,7 @@ impl Server {
         upkeep.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
         if !has_objects {
             // an object store checks its own contents
-            upkeep.spawn(maintenance::look_over(Arc::clone(&app)));
+            upkeep.spawn(maintenance::verify_photos(Arc::clone(&app)));
         }
         // nodes that only make photos have no rooms
         let rooms = rooms.filter(|_| role != Role::Work);

@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 
 use super::app_state::App;
 use super::compress;
-use super::conditional::{Coding, Entity, REVALIDATE, respond};
+use super::conditional::{ContentCoding, Entity, REVALIDATE, respond};
 use super::hosts::origin;
 use super::link_preview::Card;
 use super::problem::Problem;
@@ -55,7 +55,7 @@ pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<Strin
     let card = origin(&headers).map(|base| Card::of(&app, &photo, base));
     if let Some(card) = card {
         let page = card.introduce(&String::from_utf8_lossy(&file.bytes));
-        file = File { etag: tag(page.as_bytes()), bytes: page.into(), coding: Coding::Gzip };
+        file = File { etag: etag_of(page.as_bytes()), bytes: page.into(), coding: ContentCoding::Gzip };
     }
     Ok(send(file, &headers, name, Frames::Own))
 }
@@ -129,18 +129,18 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
 struct File {
     bytes: Bytes,
     etag: String,
-    coding: Coding,
+    coding: ContentCoding,
 }
 
 async fn load(app: &App, name: &str) -> Result<File, Problem> {
     if let Some(dir) = &app.pages {
         let path = within(dir, name).ok_or_else(|| missing(name))?;
         let bytes = tokio::fs::read(path).await.map_err(|_| missing(name))?;
-        let etag = tag(&bytes);
-        return Ok(File { bytes: bytes.into(), etag, coding: if is_text(name) { Coding::Gzip } else { Coding::Plain } });
+        let etag = etag_of(&bytes);
+        return Ok(File { bytes: bytes.into(), etag, coding: if is_text(name) { ContentCoding::Gzip } else { ContentCoding::Plain } });
     }
     let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
-    let coding = if is_text(name) { Coding::Coded(coded(at)) } else { Coding::Plain };
+    let coding = if is_text(name) { ContentCoding::Coded(coded(at)) } else { ContentCoding::Plain };
     Ok(File { bytes: Bytes::from_static(FILES[at].1), etag: tags()[at].clone(), coding })
 }
 
@@ -173,7 +173,7 @@ fn within(dir: &Path, name: &str) -> Option<PathBuf> {
     name.components().all(|c| matches!(c, Component::Normal(_))).then(|| dir.join(name))
 }
 
-fn tag(bytes: &[u8]) -> String {
+fn etag_of(bytes: &[u8]) -> String {
     format!("\"{}\"", hex(&Sha256::digest(bytes)[..16]))
 }
 
@@ -192,7 +192,7 @@ fn coded(at: usize) -> Option<Bytes> {
 
 fn tags() -> &'static [String] {
     static TAGS: OnceLock<Vec<String>> = OnceLock::new();
-    TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| tag(bytes)).collect())
+    TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| etag_of(bytes)).collect())
 }
 
 #[cfg(test)]

@@ -100,7 +100,7 @@ impl Buckets {
 
 /// All rate limits of a server.
 #[derive(Debug)]
-pub struct Rates {
+pub struct RateLimiter {
     requests: Option<Buckets>,
     uploads: Option<Buckets>,
     views: Option<Buckets>,
@@ -110,7 +110,7 @@ pub struct Rates {
 #[derive(Debug, Default)]
 pub struct RateHeaders(Vec<BucketState>);
 
-impl Rates {
+impl RateLimiter {
     /// The rates of `limits`.
     #[must_use]
     pub fn new(limits: &limits::Rates) -> Self {
@@ -206,7 +206,7 @@ mod tests {
     fn a_network_of_64_bits_is_one_and_who_cannot_be_told_apart_is_not_counted() {
         assert_eq!(address("2001:db8::1"), address("2001:db8::2"));
         assert_ne!(address("2001:db8::1"), address("2001:db8:0:1::1"));
-        let rates = Rates::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
+        let rates = RateLimiter::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
         let take = |client| rates.take(client, &Method::GET, "/").1;
         assert!((0..9).all(|_| take(RateKey::of(None, None)).is_ok()));
         let one = || Some(address("192.0.2.1"));
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn a_head_request_for_a_view_counts_as_a_view() {
-        let rates = Rates::new(&limits::Rates { views: 1, ..limits::Rates::default() });
+        let rates = RateLimiter::new(&limits::Rates { views: 1, ..limits::Rates::default() });
         for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
             let take = |method| rates.take(Some(RateKey::Key(n.to_string())), &method, path).1;
             assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");

@@ -8,8 +8,8 @@ use axum::http::{HeaderMap, StatusCode, header};
 use bytes::Bytes;
 use futures_util::StreamExt;
 
-use super::app_state::{App, Shared};
-use super::header_limit::Bounded;
+use super::app_state::{App, AppState};
+use super::header_limit::LimitedHeaders;
 use super::maker::HeadOf;
 use super::part_filename::file_name;
 use super::photo_options;
@@ -94,7 +94,7 @@ pub(super) async fn accept(app: &App, parts: UploadParts, owner: Option<Owner>) 
     let (photo, depth) = if app.library.find(id).await?.is_some() { (photo, depth) } else { check(app, photo, depth, options).await? };
     let upload = Upload {
         id,
-        requester: Shared::requester(owner),
+        requester: AppState::requester(owner),
         class,
         options: text,
         settings: settings.to_value(),
@@ -155,7 +155,7 @@ pub fn is_form(content_type: &str) -> bool {
 async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) -> Result<(), Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
-    let request = request.map(|body| Body::from_stream(Bounded::new(body.into_data_stream(), &boundary)));
+    let request = request.map(|body| Body::from_stream(LimitedHeaders::new(body.into_data_stream(), &boundary)));
     let mut form = Multipart::from_request(request, &()).await.map_err(|e| Problem::bad_request(e.body_text()))?;
     while let Some(mut field) = form.next_field().await.map_err(|e| request_body::problem(&e))? {
         let name = field.name().unwrap_or_default().to_owned();

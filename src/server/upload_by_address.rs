@@ -13,7 +13,7 @@ use super::app_state::App;
 use super::maker::HeadOf;
 use super::photo_options;
 use super::problem::Problem;
-use super::request_body::{self, CutOff, Guarded};
+use super::request_body::{self, CutOff, LimitedBody};
 use super::sources::{Fetched, SourceError, Validators};
 use super::time_limit::TimeLimit;
 use super::upload::{self, UploadParts};
@@ -185,7 +185,7 @@ async fn fetch(app: &App, field: &str, url: Url, known: Option<&Validators>, of:
         Fetched::Photo(body, validators) => (body, validators),
         Fetched::NotModified => return Ok(None),
     };
-    let (guarded, _rest) = Guarded::new(body, &app.limits, TimeLimit::new(PATIENCE));
+    let (guarded, _rest) = LimitedBody::new(body, &app.limits, TimeLimit::new(PATIENCE));
     let mut head = UploadHead::new(&app.maker);
     let check = |bytes: &[u8]| head.see(bytes, of).map_err(|problem| problem.field(field));
     let file = receive(app, Body::new(guarded).into_data_stream(), |e| cut_off(field, &e), check).await?;

@@ -15,14 +15,14 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::app_state::App;
-use super::exports::{Recipe, WriteRequest, written};
+use super::exports::{Recipe, WriteRequest, write_export};
 use super::finished_photo::FinishedPhoto;
 use super::maker::{Fault, Product};
 use super::memory_budget::Priority;
 use super::photo_options;
 use super::problem::Problem;
 use super::routes::Stage;
-use super::traces::{Job, Parent};
+use super::traces::{JobSpan, Parent};
 use tmpi_pipeline::{Options, Progress, Sink};
 
 /// Kinds of jobs of workers that make photos, and of those that write files.
@@ -246,7 +246,7 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
 struct JobSink<'a> {
     doing: &'a Doing,
     deadline: Instant,
-    job: &'a Job,
+    job: &'a JobSpan,
 }
 
 impl Sink for JobSink<'_> {
@@ -308,7 +308,7 @@ async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -
         let unwanted = || here.is_over() || app.stop.is_cancelled();
         let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, unwanted) else { return (Err(Fault::Cancelled), job) };
         let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo), job: &job };
-        let made = caught(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
+        let made = catch_panic(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
         job.made();
         (made, job)
     });
@@ -367,7 +367,7 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
     let here = doing.clone();
     let bytes = hold(lease, doing, told, move || {
         let unwanted = || here.is_over() || here.app.stop.is_cancelled();
-        written(&here.app, &recipe, (&container, &done), &WriteRequest { unwanted: &unwanted, is_low_priority: true })
+        write_export(&here.app, &recipe, (&container, &done), &WriteRequest { unwanted: &unwanted, is_low_priority: true })
     });
     let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
     let file = match bytes.await {
@@ -391,13 +391,13 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
 
 /// Turns a panic into a failure of the photo. The maker borrows none of the server's state mutably, so a panic cannot leave it
 /// inconsistent.
-pub(super) fn caught(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
+pub(super) fn catch_panic(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
     catch_unwind(AssertUnwindSafe(make))
-        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &said(panic.as_ref())))))
+        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &panic_message(panic.as_ref())))))
 }
 
 /// The message of a panic.
-pub(super) fn said(panic: &(dyn Any + Send)) -> String {
+pub(super) fn panic_message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
 }

@@ -21,7 +21,7 @@ pub const TITLE: &str = "3D photo";
 pub type Drawing<'a> = &'a (dyn Fn() -> Result<Arc<dyn Renderer>, String> + Sync);
 
 /// An export file to write.
-pub struct Work<'a> {
+pub struct ExportTask<'a> {
     /// Its recipe.
     pub recipe: &'a Recipe,
     /// The photo's container.
@@ -32,12 +32,12 @@ pub struct Work<'a> {
     pub is_low_priority: bool,
 }
 
-impl Work<'_> {
+impl ExportTask<'_> {
     /// Writes it in this process.
     ///
     /// # Errors
     /// [`Fault::Cancelled`] once `sink` says so, [`Fault::Photo`] for anything else.
-    pub fn here(&self, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+    pub fn run(&self, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
         let unread = |e| Fault::Photo(Problem::from(&e));
         match self.recipe {
             Recipe::File { format: export::ExportFormat::Html, .. } => export::html(self.container, TITLE).map_err(|e| fault(&e)),
@@ -61,7 +61,7 @@ fn is_over(sink: &dyn Sink) -> bool {
 
 /// The answer if writing takes too long.
 #[must_use]
-pub fn late() -> Problem {
+pub fn timeout_problem() -> Problem {
     let detail = "writing the file takes longer than it may (exports.timeout): ask for fewer frames, a smaller size or another format";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
 }

@@ -1,6 +1,6 @@
 //! Whether this node's network would give a photo better depth.
 
-use crate::server::app_state::{Shared, Stored};
+use crate::server::app_state::{AppState, Stored};
 use tmpi_library::{Part, Photo};
 use tmpi_pipeline::networks::models::registry::better_than;
 
@@ -12,7 +12,7 @@ struct MadeBy {
 
 /// Name of this node's network, if it is better than the one that estimated the photo's depth and the caller may have the photo made again.
 /// `None` if the depth was uploaded or came with the photo, or if the report cannot be read.
-pub(super) async fn better_depth(app: &Shared, photo: &Photo) -> Option<String> {
+pub(super) async fn better_depth(app: &AppState, photo: &Photo) -> Option<String> {
     let network = app.maker.network().to_owned();
     let worse = better_than(&network);
     if worse.is_empty() || app.guard.as_ref().is_some_and(|guard| !guard.may_change(photo)) {

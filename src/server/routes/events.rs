@@ -14,7 +14,7 @@ use tokio::time::Instant;
 
 use super::photo_state::{PhotoState, Progress};
 use super::query::NoQuery;
-use crate::server::access::{Guard, Pass};
+use crate::server::access::{Admission, Guard};
 use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};
 use crate::server::conditional::insert;
@@ -44,7 +44,7 @@ struct Listener {
     queued: Option<u64>,
     ended: bool,
     /// The client's rights, with private access.
-    pass: Option<Pass>,
+    pass: Option<Admission>,
     _place: ClientSlot,
 }
 
@@ -204,7 +204,7 @@ pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) 
         stage,
         queued: None,
         ended: false,
-        pass: Guard::pass(),
+        pass: Guard::admission(),
         _place: place,
     };
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));

@@ -11,9 +11,9 @@ use serde::Serialize;
 
 use super::query::NoQuery;
 use crate::server::access::Guard;
-use crate::server::app_state::{App, Shared, Stored};
+use crate::server::app_state::{App, AppState, Stored};
 use crate::server::build_identity;
-use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
@@ -96,7 +96,7 @@ pub struct ExportState {
 }
 
 impl ExportState {
-    fn of(app: &Shared, job: &Job) -> Self {
+    fn of(app: &AppState, job: &Job) -> Self {
         let state = match job.state {
             JobState::Queued => ExportStateName::Queued,
             JobState::Working => ExportStateName::Working,
@@ -192,7 +192,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
 pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let pairs = parameters(request).await?;
-    let (_, done) = Shared::done(&photo)?;
+    let (_, done) = AppState::done(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
     let key = build_identity::short(&format!("file {} {text}", app.version(&done)));
@@ -202,7 +202,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
         kind: if matches!(recipe, Recipe::Film(..)) { JobKind::Film } else { JobKind::Export },
         payload: text.into(),
         class: Class::Interactive,
-        requester: &Shared::requester(Guard::owner()),
+        requester: &AppState::requester(Guard::owner()),
     };
     match app.library.order_export(&order).await {
         Ok(ordered) => Ok(ExportState::of(&app, &ordered.job).answer(StatusCode::OK)),
@@ -220,7 +220,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
 /// The job of an ordered file, if it belongs to the photo's current version.
 async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
     let none = || Problem::not_found("the photo has no such file: it was not ordered, or is deleted; order it again");
-    let (_, done) = Shared::done(photo).map_err(|_| none())?;
+    let (_, done) = AppState::done(photo).map_err(|_| none())?;
     let job = match app.library.job(JobKind::Export, photo.id, Some(key)).await {
         Err(LibraryError::NotFound(_)) => return Err(none()),
         job => job?,
@@ -301,7 +301,7 @@ pub async fn file(
     // without checking today's limits: the file was written under earlier ones
     let (content_type, ending) = Recipe::kind(recipe_of(&job)).unwrap_or(("application/octet-stream", "bin"));
     let etag = format!("\"{key}-{}\"", blob.digest.as_str().get(..16).unwrap_or_default());
-    let entity = Entity { source: stored.source, etag: &etag, content_type, cache_control: REVALIDATE, coding: Coding::Plain };
+    let entity = Entity { source: stored.source, etag: &etag, content_type, cache_control: REVALIDATE, coding: ContentCoding::Plain };
     let mut response = respond(&headers, entity);
     insert(&mut response, CONTENT_DISPOSITION, &content_disposition(&photo, ending));
     Ok(response)

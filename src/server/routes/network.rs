@@ -7,8 +7,8 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::query::{NoBody, NoQuery};
-use crate::server::app_state::{App, Shared};
-use crate::server::network_download::{Fetching, Offer};
+use crate::server::app_state::{App, AppState};
+use crate::server::network_download::{DownloadState, NetworkOffer};
 use crate::server::problem::Problem;
 use tmpi_pipeline::networks::models::registry::better_than;
 
@@ -23,7 +23,7 @@ pub struct Network {
     better_than: &'static [&'static str],
     /// A better network to download; missing if there is none, or it is installed.
     #[serde(skip_serializing_if = "Option::is_none")]
-    better: Option<Offer>,
+    better: Option<NetworkOffer>,
     /// Bytes downloaded; only during the download.
     #[serde(skip_serializing_if = "Option::is_none")]
     fetched_bytes: Option<u64>,
@@ -32,19 +32,19 @@ pub struct Network {
     problem: Option<String>,
 }
 
-fn network_now(app: &Shared) -> Network {
+fn network_now(app: &AppState) -> Network {
     let (maker, state) = (&app.maker, app.download.state());
     let (fetched_bytes, problem) = match state {
-        Fetching::Idle => (None, None),
-        Fetching::UnderWay(bytes) => (Some(bytes), None),
-        Fetching::Failed(problem) => (None, Some(problem)),
+        DownloadState::Idle => (None, None),
+        DownloadState::UnderWay(bytes) => (Some(bytes), None),
+        DownloadState::Failed(problem) => (None, Some(problem)),
     };
     let name = maker.network().to_owned();
     Network { better_than: better_than(&name), name, better: maker.better(), fetched_bytes, problem }
 }
 
 /// Refuses remote callers, if the access guard has not checked already.
-fn own(app: &Shared, headers: &HeaderMap) -> Result<(), Problem> {
+fn own(app: &AppState, headers: &HeaderMap) -> Result<(), Problem> {
     // with private access the guard has checked for the local user or an admin key
     if app.guard.is_some() || app.hosts.is_own(headers) {
         return Ok(());

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::server::app_state::Shared;
+use crate::server::app_state::AppState;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::photo_options;
 use crate::server::photo_settings::{Settings, Visibility};
@@ -175,7 +175,7 @@ impl PhotoState {
     ///
     /// # Errors
     /// 503 if the library is unreachable.
-    pub async fn of(app: &Shared, photo: &Photo) -> Result<Self, Problem> {
+    pub async fn of(app: &AppState, photo: &Photo) -> Result<Self, Problem> {
         let mut state = Self::of_row(app, photo);
         match photo.state {
             Phase::Queued => {
@@ -196,7 +196,7 @@ impl PhotoState {
     }
 
     /// The part of the state that the photo's row holds.
-    fn of_row(app: &Shared, photo: &Photo) -> Self {
+    fn of_row(app: &AppState, photo: &Photo) -> Self {
         let (settings, done) = (Settings::of(photo), FinishedPhoto::of(photo));
         let poster = settings.poster_query(&photo_options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
         let at = |part: &str| format!("/v1/photos/{}{part}", photo.id);

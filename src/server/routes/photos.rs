@@ -15,7 +15,7 @@ use super::query::{NoQuery, Pairs};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, Stored};
 use crate::server::build_identity::short;
-use crate::server::conditional::{Coding, Entity, REVALIDATE, check_if_match, insert, respond, respond_once};
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond, respond_uncached};
 use crate::server::photo_settings::{PATCH_BYTES, Settings};
 use crate::server::problem::Problem;
 use crate::server::request_body;
@@ -255,7 +255,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         Some(text) => Some(cursor(&app, text).await.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))?),
         None => None,
     };
-    let page = match app.guard.as_ref().filter(|_| !Guard::has_all()).map(|_| Guard::owner()) {
+    let page = match app.guard.as_ref().filter(|_| !Guard::is_admin()).map(|_| Guard::owner()) {
         // a stranger has none
         Some(None) => Page { photos: Vec::new(), next: None },
         Some(owner) => app.library.list(&Filter { owner, ..Filter::default() }, after, limit).await?,
@@ -267,7 +267,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         photos.push(PhotoState::of(&app, photo).await?);
     }
     let list = serde_json::to_vec(&PhotoList { photos, next }).map_err(|e| Problem::internal("writing the list", &e))?;
-    Ok(respond_once(request.headers(), list.into(), "application/json"))
+    Ok(respond_uncached(request.headers(), list.into(), "application/json"))
 }
 
 /// A place in the list: that of a page before, or of a photo.
@@ -301,7 +301,7 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
             etag: &state.etag,
             content_type: "application/json",
             cache_control: REVALIDATE,
-            coding: Coding::Gzip,
+            coding: ContentCoding::Gzip,
         },
     ))
 }
@@ -322,8 +322,13 @@ pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery
     let settings = Settings::of(&app.photo(&id).await?);
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = Stored::new(bytes);
-    let entity =
-        Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE, coding: Coding::Gzip };
+    let entity = Entity {
+        source: file.source,
+        etag: &file.etag,
+        content_type: "application/json",
+        cache_control: REVALIDATE,
+        coding: ContentCoding::Gzip,
+    };
     Ok(respond(&headers, entity))
 }
 

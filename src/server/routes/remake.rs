@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use super::photo_state::PhotoState;
 use super::photos::{prefer_wait, wait_for};
 use super::query::{NoBody, Pairs};
-use crate::server::app_state::{App, Shared};
+use crate::server::app_state::{App, AppState};
 use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
@@ -48,7 +48,7 @@ pub async fn remake(
     let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), class_of);
     let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
     let photo = app.photo(&id).await?;
-    let queued = app.library.remake(&photo, class, &Shared::requester(photo.owner.clone())).await?;
+    let queued = app.library.remake(&photo, class, &AppState::requester(photo.owner.clone())).await?;
     answer(&app, queued, &headers, &clock).await
 }
 

@@ -186,13 +186,13 @@ pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBod
     };
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(guard) = &app.guard
-        && let Some(owner) = access::to_be()
+        && let Some(owner) = access::named_owner()
     {
         if !replace && guard.is_another(&headers, &owner).await? {
             let detail = "the browser has another owner's secret, which would be lost; replace=true overwrites it";
             return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
         }
-        access::set_owner(&mut response, &headers, &guard.to_keep(&owner).await?);
+        access::set_owner(&mut response, &headers, &guard.session_cookie(&owner).await?);
     }
     Ok(response)
 }

@@ -8,8 +8,8 @@ use super::photo_state::PhotoState;
 use super::photos::merge_patch;
 use super::query::NoQuery;
 use super::remake;
-use crate::server::app_state::{App, Shared, Stored};
-use crate::server::conditional::{Coding, Entity, REVALIDATE, check_if_match, insert, respond};
+use crate::server::app_state::{App, AppState, Stored};
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use tmpi_library::Content;
@@ -55,8 +55,13 @@ pub struct StrokesPatch {
 pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let file = stored(&app.strokes(&photo).await?);
-    let entity =
-        Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE, coding: Coding::Gzip };
+    let entity = Entity {
+        source: file.source,
+        etag: &file.etag,
+        content_type: "application/json",
+        cache_control: REVALIDATE,
+        coding: ContentCoding::Gzip,
+    };
     Ok(respond(&headers, entity))
 }
 
@@ -103,7 +108,7 @@ pub async fn touch_up(
     let answer = if before == wanted {
         remake::state(&app, &photo, StatusCode::OK).await
     } else {
-        let requester = Shared::requester(photo.owner.clone());
+        let requester = AppState::requester(photo.owner.clone());
         let queued = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &requester).await?;
         remake::answer(&app, queued, &headers, &clock).await
     };

@@ -11,8 +11,8 @@ use sha2::{Digest, Sha256};
 
 use super::query::NoQuery;
 use crate::server::app_state::App;
-use crate::server::blocking_pool::Class;
-use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
+use crate::server::blocking_pool::WorkClass;
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, respond, respond_uncached};
 use crate::server::metrics::{MEDIA_TYPE, gauge};
 use crate::server::problem::Problem;
 use crate::server::process_metrics;
@@ -112,9 +112,9 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
             app.limits.work_memory as f64,
         ),
         gauge("tmpi_job_memory_limit_bytes", "Memory that photos under way may have", app.limits.job_memory as f64),
-        gauge("tmpi_views_waiting", "Views that wait to be drawn", waiting(Class::Interactive)),
-        gauge("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
-        gauge("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
+        gauge("tmpi_views_waiting", "Views that wait to be drawn", waiting(WorkClass::Interactive)),
+        gauge("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(WorkClass::Derived)),
+        gauge("tmpi_exports_waiting", "Films and files that wait to be written", waiting(WorkClass::Export)),
         gauge("tmpi_views_waiting_limit", "Views that may wait, and, apart from them, levels and parts", app.limits.views_waiting as f64),
         gauge("tmpi_exports_waiting_limit", "Films and files that may wait", app.limits.exports.waiting as f64),
         gauge("tmpi_exports_stored_bytes", "Bytes of files that were written as jobs", counts.exports_bytes as f64),
@@ -137,7 +137,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     });
     figures.extend(looked.await.unwrap_or_default());
     match app.telemetry.text(&figures) {
-        Ok(text) => respond_once(&headers, text.into(), MEDIA_TYPE),
+        Ok(text) => respond_uncached(&headers, text.into(), MEDIA_TYPE),
         Err(error) => Problem::internal("writing metrics", &error).into_response(),
     }
 }
@@ -159,7 +159,7 @@ pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
             etag: &etag,
             content_type: "application/json",
             cache_control: REVALIDATE,
-            coding: Coding::Gzip,
+            coding: ContentCoding::Gzip,
         },
     )
 }

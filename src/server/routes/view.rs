@@ -9,8 +9,8 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app_state::{App, Export, Shared, Stored, WhenFull};
-use crate::server::blocking_pool::Class;
+use crate::server::app_state::{App, AppState, Export, Stored, WhenFull};
+use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
 use crate::server::finished_photo::FinishedPhoto;
@@ -89,7 +89,7 @@ pub async fn view(
 ) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let query = ViewQuery::read(&uri, &app.limits)?;
-    let (version, done) = Shared::done(&photo)?;
+    let (version, done) = AppState::done(&photo)?;
     let size = query.size((done.width, done.height), &app.limits)?;
     let still = query.moving.map(|_| PictureFormat::default());
     let format = picked(query.format.or(still), &headers)?;
@@ -144,7 +144,7 @@ async fn draw(
     let renderer = Unless { gone: gone.clone(), renderer: Arc::clone(&app.renderer) };
     let _guard = gone.drop_guard();
     let asked = Instant::now();
-    let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
+    let class = if query.moving.is_some() { WorkClass::Export } else { WorkClass::Interactive };
     // decode inside the slot, so that waiting requests hold no scene
     let slot = app.pool.enter(class, done.scene_bytes()).await?;
     let waited = asked.elapsed();
@@ -153,7 +153,7 @@ async fn draw(
         let (container, shared, done) = (app.container_of(photo).await?, Arc::clone(app), done.clone());
         let written = slot.run(move || {
             let start = Instant::now();
-            let bytes = shared.written(&recipe, (&container, &done), &renderer.gone)?;
+            let bytes = shared.write_export(&recipe, (&container, &done), &renderer.gone)?;
             Ok::<_, Problem>((bytes, start.elapsed()))
         });
         let (bytes, rendering) = written.await??;

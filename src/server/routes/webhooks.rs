@@ -12,7 +12,7 @@ use super::photos::merge_patch;
 use super::query::{NoBody, NoQuery, Pairs};
 use super::webhook_state::{DeliveryList, DeliveryRecord, WebhookList, WebhookOrder, WebhookPatch, WebhookState, WebhookTest};
 use crate::server::access::Guard;
-use crate::server::app_state::{App, Shared};
+use crate::server::app_state::{App, AppState};
 use crate::server::conditional::insert;
 use crate::server::outbound;
 use crate::server::problem::Problem;
@@ -39,12 +39,12 @@ impl Whose {
     ///
     /// # Errors
     /// 403 if the caller is no owner, or with open access not this machine's own user.
-    fn of(app: &Shared, headers: &HeaderMap) -> Result<Self, Problem> {
+    fn of(app: &AppState, headers: &HeaderMap) -> Result<Self, Problem> {
         let refused = |kind, detail| Err(Problem::new(StatusCode::FORBIDDEN, kind, detail));
         match (&app.guard, Guard::owner()) {
             (None, _) if app.hosts.is_own(headers) => Ok(Self::All),
             (None, _) => refused("not-yours", "only this machine's own user can manage webhooks, at a loopback address"),
-            (Some(_), _) if Guard::has_all() => Ok(Self::All),
+            (Some(_), _) if Guard::is_admin() => Ok(Self::All),
             (Some(_), Some(owner)) => Ok(Self::Of(owner)),
             (Some(_), None) => refused("no-owner", "only a caller with a key or an owner's secret has webhooks"),
         }
@@ -61,7 +61,7 @@ impl Whose {
     ///
     /// # Errors
     /// 404.
-    async fn find(&self, app: &Shared, id: &str) -> Result<Webhook, Problem> {
+    async fn find(&self, app: &AppState, id: &str) -> Result<Webhook, Problem> {
         let none = || Problem::not_found(format!("there is no webhook {id:?}"));
         let webhook = app.library.webhook(id).await.map_err(|error| match error {
             LibraryError::NotFound(_) => none(),
@@ -82,10 +82,10 @@ async fn fields(request: Request, names: &[&str]) -> Result<Map<String, Value>, 
 }
 
 /// Where events go, if a field says so.
-fn url(app: &Shared, fields: &Map<String, Value>) -> Result<Option<String>, Problem> {
+fn url(app: &AppState, fields: &Map<String, Value>) -> Result<Option<String>, Problem> {
     let Some(value) = fields.get("url") else { return Ok(None) };
     let text = value.as_str().ok_or_else(|| Problem::parameter("url", "must be a text"))?;
-    outbound::url(text, app.webhook_reach).map_err(|error| Problem::parameter("url", error))?;
+    outbound::url(text, app.webhook_addresses).map_err(|error| Problem::parameter("url", error))?;
     Ok(Some(text.to_owned()))
 }
 

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use tmpi_library::{EventType, NewWebhook};
 
 use super::SigningSecret;
-use crate::server::outbound::{self, Reach};
+use crate::server::outbound::{self, AddressPolicy};
 
 /// A webhook of the configuration. It may have any address.
 #[derive(Clone)]
@@ -47,7 +47,7 @@ impl FromStr for ConfiguredWebhook {
             .map_err(|error| {
                 format!("an object of url, secret and events is expected: line {}, column {}", error.line(), error.column())
             })?;
-        outbound::url(&url, Reach::Any).map_err(|error| format!("url: {error}"))?;
+        outbound::url(&url, AddressPolicy::Any).map_err(|error| format!("url: {error}"))?;
         SigningSecret::parse(&secret).map_err(|error| format!("secret: {error}"))?;
         Ok(Self(NewWebhook { url, secret, events: event_types(&names).map_err(|error| format!("events: {error}"))? }))
     }

@@ -11,7 +11,7 @@ use tokio::task::JoinSet;
 use super::payload::body;
 use super::signature::SigningSecret;
 use crate::server::app_state::App;
-use crate::server::outbound::{self, Outbound, Reach, cause};
+use crate::server::outbound::{self, AddressPolicy, Outbound, cause};
 
 /// Attempts at a time of this node.
 const AT_ONCE: usize = 8;
@@ -34,8 +34,8 @@ pub struct Clients {
 impl Clients {
     /// Clients of which those for webhooks of callers are limited to `reach`.
     #[must_use]
-    pub const fn new(reach: Reach) -> Self {
-        Self { named: Outbound::new(reach), configured: Outbound::new(Reach::Any) }
+    pub const fn new(reach: AddressPolicy) -> Self {
+        Self { named: Outbound::new(reach), configured: Outbound::new(AddressPolicy::Any) }
     }
 
     /// Makes an attempt.

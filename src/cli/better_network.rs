@@ -1,7 +1,7 @@
 //! The better depth network that a server offers to fetch.
 
 use super::serve::identity;
-use crate::server::{Better, Offer, Renewed};
+use crate::server::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
 use tmpi_pipeline::networks::models::download::{Digest, RemoteFile, fetch};
 use tmpi_pipeline::networks::models::registry::{PublishedModel, best_in, folder, recommended_download};
@@ -26,19 +26,19 @@ impl BetterNetwork {
     }
 }
 
-impl Better for BetterNetwork {
-    fn offer(&self) -> Offer {
+impl NetworkUpgrade for BetterNetwork {
+    fn offer(&self) -> NetworkOffer {
         let PublishedModel { name, bytes, licence, .. } = *self.published;
-        Offer { name: name.into(), bytes: self.pinned.then_some(bytes), licence: licence.into() }
+        NetworkOffer { name: name.into(), bytes: self.pinned.then_some(bytes), licence: licence.into() }
     }
 
-    fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<Renewed, String> {
+    fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<InstalledNetwork, String> {
         let url = self.url.as_deref().unwrap_or(self.published.url);
         let wanted = RemoteFile { url, bytes: self.pinned.then_some(self.published.bytes), sha256: self.sha256 };
         fetch(&wanted, &self.published.file(), |have, _| progress(have)).map_err(|e| e.to_string())?;
         // the network that a server started now would use
         let (adapter, file) = best_in(&folder()).ok_or("the fetched network has disappeared")?;
         let settings = self.flags.with_network(adapter, file);
-        Ok(Renewed { network: settings.name().to_owned(), identity: identity(&settings).map_err(|e| format!("{e:#}"))? })
+        Ok(InstalledNetwork { network: settings.name().to_owned(), identity: identity(&settings).map_err(|e| format!("{e:#}"))? })
     }
 }
