@@ -239,13 +239,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_definition_is_sound() {
+    fn clap_accepts_the_command_line() {
         Cli::command().debug_assert();
         command().debug_assert();
     }
 
     #[test]
-    fn each_reason_is_told_once() {
+    fn each_reason_is_printed_once() {
         let io = || std::io::Error::other("in use");
         let once = anyhow::Error::new(io()).context("cannot listen");
         assert_eq!(reasons(&once), "cannot listen: in use");

@@ -124,7 +124,7 @@ pub mod tests {
     }
 
     #[test]
-    fn a_snapshot_gives_what_all_messages_would_and_keeps_no_more_chunks_than_tiles() {
+    fn a_snapshot_equals_all_messages_and_keeps_at_most_one_chunk_per_tile() {
         let (first, all) = (geometry(0.5), Area::all(&geometry(0.5).grid));
         let hello = TileState::hello(&first);
         let (mut chunks, mut model) = (Chunks::new(&hello).unwrap(), TileState::new(&hello).unwrap());
@@ -152,7 +152,7 @@ pub mod tests {
     }
 
     #[test]
-    fn what_is_newer_is_given_as_it_came_unless_it_is_more_than_all() {
+    fn newer_chunks_are_sent_unchanged_unless_a_snapshot_is_smaller() {
         let first = geometry(0.5);
         let all = Area::all(&first.grid);
         let mut chunks = Chunks::new(&TileState::hello(&first)).unwrap();

@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn a_decoder_that_panics_and_geometry_that_cannot_be_begun_are_told_of() {
+    fn panics_of_decoder_and_geometry_are_reported() {
         let room = Arc::new(Room::new(RoomLimits::default()));
         let epoch = room.publish(TileState::hello(&Settings::default().empty(160, 120)), 0, 1);
         let (done, mut told) = mpsc::channel(16);

@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_group_goes_from_a_key_frame_to_another_and_lasts_a_second_at_least() {
+    fn a_group_ends_at_the_first_key_frame_after_a_second() {
         let (mut groups, hello, start) = (Groups::default(), Arc::default(), Instant::now());
         let mut push = |what, byte: u8, ms| groups.push(what, &Bytes::from(vec![byte]), start + Duration::from_millis(ms), &hello, None);
         push(MessageKind::Sound, 0, 0);
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_is_bounded_and_what_was_told_never_changes() {
+    fn kept_groups_are_bounded_and_never_change() {
         let (mut groups, hello, start) = (Groups::default(), Arc::default(), Instant::now());
         let mut told: Vec<Option<(Vec<Bytes>, GroupPart)>> = Vec::new();
         for n in 0..400u64 {

@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pages_of_other_sites_stay_out() {
+    fn requests_from_pages_of_other_sites_are_refused() {
         let headers = |pairs: &[(&'static str, &'static str)]| {
             let pairs = [&[("host", "localhost:8080")], pairs].concat();
             let header = |(name, value)| (header::HeaderName::from_static(name), header::HeaderValue::from_static(value));

@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_good_for_its_room_role_and_time_alone() {
+    fn a_token_is_valid_for_its_room_role_and_time_only() {
         let key = b"a key";
         let watch = room_token(key, Role::Watch, "attic", 1000).unwrap();
         let publish = room_token(key, Role::Publish, "attic", 1000).unwrap();
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_come_as_bearers_or_among_protocols() {
+    fn tokens_come_as_bearers_or_as_websocket_protocols() {
         let of =
             |name, value| token_in_headers(&[(name, axum::http::HeaderValue::from_static(value))].into_iter().collect()).map(str::to_owned);
         assert_eq!(of(header::AUTHORIZATION, "Bearer 1000.ab").as_deref(), Some("1000.ab"));

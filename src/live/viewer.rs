@@ -198,7 +198,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn credit_says_whether_somebody_looks_and_comes_no_more_often_than_tabs_are_changed() {
+    fn credit_messages_are_rate_limited_and_others_refused() {
         let start = Instant::now();
         let mut words = Words { left: f64::from(WORDS), at: start };
         let said = |frames| Credit { frames, key: frames > 0, viewers: 0 };

@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn one_more_than_may_wait_is_refused() {
+    async fn a_full_waiting_line_refuses_the_next() {
         let pool = pool(1, 1, 9);
         let first = pool.enter(WorkClass::Interactive, 1).await.unwrap();
         let second = tokio::spawn({
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn no_class_holds_up_another() {
+    async fn classes_do_not_delay_each_other() {
         let pool = pool(1, 9, 9);
         let _film = pool.enter(WorkClass::Export, 1).await.unwrap();
         assert!(waits(pool.enter(WorkClass::Export, 1)).await);
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_film_of_a_large_photo_holds_up_no_view() {
+    async fn a_film_of_a_large_photo_does_not_delay_views() {
         let pool = pool(1, 9, 10);
         let film = pool.enter(WorkClass::Export, 8 * UNIT).await.unwrap();
         let large = pool.enter(WorkClass::Interactive, 8 * UNIT).await.unwrap();
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn one_address_has_half_of_the_places_to_wait() {
+    async fn one_address_may_use_half_of_the_waiting_line() {
         let pool = pool(1, 4, 9);
         let _busy = pool.enter(WorkClass::Interactive, 1).await.unwrap();
         let ask = |client: Option<&str>| {

@@ -188,14 +188,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_failure_is_not_kept() {
+    async fn a_failed_computation_is_not_cached() {
         let cache: Cache<u32, usize> = Cache::new(100 * KIB);
         assert_eq!(cache.get(1, async { Err("no") }).await, Err("no"));
         assert!(put(&cache, 1, 1).await);
     }
 
     #[tokio::test]
-    async fn a_caller_that_leaves_does_not_end_the_computation_for_others() {
+    async fn a_cancelled_caller_does_not_cancel_the_computation_for_others() {
         let cache: Cache<u32, usize> = Cache::new(100 * KIB);
         for key in 0..1000 {
             let never = cache.get(key, std::future::pending::<Result<usize, ()>>());
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn entries_of_a_photo_can_be_forgotten() {
+    async fn entries_of_a_photo_can_be_removed() {
         let cache = Cache::new(100 * KIB);
         for key in 0..10 {
             put(&cache, key, 1).await;

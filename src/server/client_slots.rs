@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_has_its_share_and_gives_it_back() {
+    fn an_address_has_its_share_and_returns_it() {
         let shares = ClientLimits::new(2);
         let take = |address: &str| shares.take(Some(address.parse().unwrap()));
         let first = (take("192.0.2.1").unwrap(), take("192.0.2.1").unwrap());

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_takes_gzip() {
+    fn accept_encoding_decides_gzip() {
         let with = |value: &'static str| accepts_gzip(&[(header::ACCEPT_ENCODING, HeaderValue::from_static(value))].into_iter().collect());
         for yes in ["gzip", "br, GZIP;q=0.5", "*", "deflate, *;q=0.1", "gzip;q=1, *;q=0"] {
             assert!(with(yes), "{yes}");
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_gets_smaller_is_coded() {
+    fn bytes_are_compressed_only_if_that_makes_them_smaller() {
         assert!(gzip(&[7; LEAST], Compression::default()).is_some());
         assert!(gzip(&[7; LEAST - 1], Compression::default()).is_none());
         let mut seed = 7u32;
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coded_answer_has_a_tag_of_its_own() {
+    fn a_compressed_answer_has_its_own_etag() {
         assert_eq!(gzip_etag("\"a-b\""), "\"a-b-gzip\"");
     }
 }

@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_as_in_the_standard() {
+    fn ranges_follow_rfc_9110() {
         assert_eq!(range("bytes=0-499", 1000), RequestedRange::Part(0..500));
         assert_eq!(range("bytes=500-", 1000), RequestedRange::Part(500..1000));
         assert_eq!(range("bytes=-500", 1000), RequestedRange::Part(500..1000));
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn if_range_needs_the_very_tag() {
+    fn if_range_needs_the_same_strong_etag() {
         let with = |tag| requested_range(&headers(&[(header::RANGE, "bytes=0-1"), (header::IF_RANGE, tag)]), "\"e\"", 9);
         assert_eq!(with("\"e\""), RequestedRange::Part(0..2));
         for other in ["\"f\"", "W/\"e\"", "Sat, 29 Oct 1994 19:43:31 GMT"] {
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn another_version_than_the_one_that_is_wanted_is_not_sent() {
+    fn if_match_with_another_version_is_412() {
         let with = |tag| {
             let entity = Entity {
                 source: Bytes::from_static(b"abc").into(),
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thing_in_two_codings() {
+    fn each_coding_has_its_own_etag_and_length() {
         let plain = Bytes::from(b"text and more text, ".repeat(100));
         let get = |pairs: &[(header::HeaderName, &str)], coding| {
             respond(
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn tags_that_tell_how_the_bytes_were_made() {
+    fn etags_of_derived_bytes_begin_with_a_hash_of_their_inputs() {
         let with = |tags: &str| known_etag(&headers(&[(header::IF_NONE_MATCH, tags)]), "cafe").map(str::to_owned);
         assert_eq!(with("\"a\", W/\"cafe-0123456789abcdef\"").as_deref(), Some("\"cafe-0123456789abcdef\""));
         for other in ["*", "\"cafe\"", "\"cafe-\"", "\"cafe-0123456789abcdeg\"", "\"cafes-0123456789abcdef\"", "cafe-0123456789abcdef"] {
@@ -347,14 +347,14 @@ mod tests {
     }
 
     #[test]
-    fn only_the_version_that_was_asked_for_is_kept_for_ever() {
+    fn only_the_requested_version_is_cached_forever() {
         let kept = |asked| cache_control_for(asked, || "a".to_owned()).contains("immutable");
         assert_eq!((kept(Some("a")), kept(Some("b")), kept(None)), (true, false, false));
     }
 
     proptest! {
         #[test]
-        fn a_part_lies_within_and_is_never_empty(text in "bytes=[0-9]{0,4}-[0-9]{0,4}", length in 0usize..3000) {
+        fn a_range_lies_within_the_content_and_is_never_empty(text in "bytes=[0-9]{0,4}-[0-9]{0,4}", length in 0usize..3000) {
             if let RequestedRange::Part(r) = range(&text, length) { prop_assert!(r.start < r.end && r.end <= length); }
         }
 
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_version_that_was_seen_may_be_changed() {
+    fn if_match_protects_changes() {
         let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
         assert!(check_if_match(&HeaderMap::new(), "\"a\"").is_ok());
         assert!(check_if_match(&with("\"b\", \"a\""), "\"a\"").is_ok() && check_if_match(&with("*"), "\"a\"").is_ok());

@@ -178,7 +178,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_title_leaves_its_place(title in any::<String>(), quote in prop::sample::select(vec!['"', '\'', '<', '>', '&'])) {
+        fn no_title_escapes_its_html_element(title in any::<String>(), quote in prop::sample::select(vec!['"', '\'', '<', '>', '&'])) {
             let plain = card("T");
             let hostile = card(&format!("{title}{quote}{title}"));
             // as many tags and quotes as with a harmless title: none opened or closed

@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fits_is_had_at_once_and_the_rest_waits_or_gives_up() {
+    fn memory_that_fits_is_granted_at_once_and_others_wait_or_give_up() {
         let memory = MemoryBudget::new(10);
         let (first, second) = (memory.wait_for(6, Priority::Normal, || true).unwrap(), memory.wait_for(4, Priority::Low, || true).unwrap());
         assert!(memory.wait_for(1, Priority::Normal, || true).is_none() && memory.taken() == 10);
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn who_came_first_has_it_first_and_what_gives_way_last() {
+    fn memory_is_first_come_first_served_with_low_priority_last() {
         let memory = MemoryBudget::new(10);
         let held = memory.wait_for(10, Priority::Normal, || true).unwrap();
         let order = Mutex::new(Vec::new());

@@ -275,7 +275,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_are_taken_only_where_harmless() {
+    fn only_harmless_request_ids_are_kept() {
         let with = |id: &str| request_id(&[(REQUEST_ID, HeaderValue::from_str(id).unwrap())].into_iter().collect());
         assert_eq!(with("abc-1_2.3"), "abc-1_2.3");
         assert_eq!(with(&"x".repeat(MAX_ID)).len(), MAX_ID);

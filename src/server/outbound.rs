@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_public_however_its_number_is_written() {
+    fn addresses_are_checked_in_every_notation() {
         use AddressError::{Credentials, Malformed, NotPublic, Scheme};
         for (text, wrong) in [
             ("https://example.org/hook?a=b", None),
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_name_only_public_addresses_count() {
+    fn only_public_addresses_of_a_name_are_used() {
         let of = |all: &[&str]| public_of(all.iter().map(|a| SocketAddr::new(a.parse().unwrap(), 0))).map(|a| a.len()).ok();
         assert_eq!((of(&["127.0.0.1", "1.1.1.1", "::1"]), of(&["127.0.0.1"]), of(&[])), (Some(1), None, None));
     }

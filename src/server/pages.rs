@@ -200,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_name_leads_out() {
+    fn no_name_escapes_the_folder() {
         let dir = Path::new("/pages");
         assert_eq!(within(dir, "a/b.js"), Some("/pages/a/b.js".into()));
         for bad in ["../x", "a/../../x", "/etc/passwd", "./x/../../y"] {

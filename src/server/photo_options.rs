@@ -167,14 +167,14 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn defaults_survive_the_way_through_text() {
+    fn default_options_read_back_from_text() {
         let text = to_text(&Options::default());
         assert_eq!(from_text(&text).unwrap(), Options::default());
         assert!(text.keys().all(|k| NAMES.contains(&k.as_str())));
     }
 
     #[test]
-    fn every_name_is_known_with_either_dash() {
+    fn option_names_accept_dashes_and_underscores() {
         for name in NAMES {
             let value = match name {
                 "denoise" | "refine" | "snap" | "photo-depth" => "off",

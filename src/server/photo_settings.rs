@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_of_moving_have_the_names_of_films() {
+    fn idle_motions_have_the_names_of_film_paths() {
         for name in Path::NAMES.into_iter().chain(["none"]) {
             let one = Settings::default().patched(format!(r#"{{"idle": "{name}", "speed": 4}}"#).as_bytes()).unwrap();
             assert_eq!((String::from(one.idle.clone().unwrap()).as_str(), one.speed), (name, Some(4.0)));
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn errors_name_their_field() {
         for (patch, field) in [
             (r#"{"titel": "x"}"#, Some("titel")),
             (r#"{"title": ""}"#, Some("title")),
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn files_name_their_photos() {
+    fn a_file_name_becomes_the_title() {
         for (file, title) in [
             ("By the sea.jpg", Some("By the sea")),
             ("IMG_2041.HEIC", Some("IMG_2041")),

@@ -404,21 +404,21 @@ mod tests {
     }
 
     #[test]
-    fn what_broke_inside_is_not_told() {
+    fn internal_errors_are_not_disclosed() {
         let p = Problem::from(&MakeError::Atlas(ContainerError::Encode("secret path".into())));
         assert_eq!(p.status, 500);
         assert!(!p.detail.contains("secret"));
     }
 
     #[test]
-    fn foreign_text_is_repeated_in_part() {
+    fn errors_quote_only_part_of_long_input() {
         let p = Problem::parameter("ä".repeat(1 << 20), "ö".repeat(1 << 20));
         assert!(p.field.as_ref().unwrap().len() <= MAX_NAME + 3 && p.detail.len() <= MAX_DETAIL + 3);
         assert!(p.field.unwrap().starts_with('ä'));
     }
 
     #[test]
-    fn an_option_is_named() {
+    fn an_error_names_its_option() {
         let p = Problem::from(&MakeError::Generate(StageError::Option { field: "quality", range: "1 to 100", value: "0".into() }));
         assert_eq!((p.status, p.field.as_deref()), (400, Some("quality")));
     }

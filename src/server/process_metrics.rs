@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn the_process_tells_what_it_takes() {
+    fn process_metrics_have_values() {
         let before = value("process_open_fds");
         let files: Vec<_> = (0..50).map(|_| std::fs::File::open("/dev/null").unwrap()).collect();
         // concurrent tests open and close some

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bucket_empties_and_fills_for_each_by_itself() {
+    fn each_client_has_its_own_bucket() {
         let (buckets, start) = (Buckets::new("uploads", 3).unwrap(), Instant::now());
         let (ann, bob) = (address("192.0.2.1"), RateKey::of(Some("site".into()), Some("192.0.2.1".parse().unwrap())).unwrap());
         let left: Vec<_> = (0..3).map(|_| buckets.take(&ann, start).left).collect();
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_of_64_bits_is_one_and_who_cannot_be_told_apart_is_not_counted() {
+    fn an_ipv6_network_is_one_client_and_unknown_clients_are_not_counted() {
         assert_eq!(address("2001:db8::1"), address("2001:db8::2"));
         assert_ne!(address("2001:db8::1"), address("2001:db8:0:1::1"));
         let rates = RateLimiter::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn buckets_that_are_full_are_forgotten_where_there_are_too_many() {
+    fn full_buckets_are_dropped_first() {
         let (buckets, start) = (Buckets::new("requests", 1).unwrap(), Instant::now());
         for n in 0..MOST {
             buckets.take(&RateKey::Key(n.to_string()), start);
@@ -255,7 +255,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn never_more_than_a_bucket_and_what_came_since(most in 1..200_u32, pauses in prop::collection::vec(0..5000_u64, 1..300)) {
+        fn no_client_gets_more_than_a_full_bucket_and_its_refill(most in 1..200_u32, pauses in prop::collection::vec(0..5000_u64, 1..300)) {
             let (buckets, start) = (Buckets::new("requests", most).unwrap(), Instant::now());
             let (mut now, mut let_in) = (start, Vec::new());
             for pause in pauses {

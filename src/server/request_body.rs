@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn at_the_limit_and_one_over() {
+    async fn bodies_at_the_limit_pass_and_one_byte_more_fails() {
         let second = Duration::from_secs(1);
         assert_eq!(read(Body::from(vec![0; 100]), 100, second).await.unwrap().len(), 100);
         assert_eq!(read(Body::from(vec![0; 101]), 100, second).await.unwrap_err().status, 413);
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn pauses_end_it_but_slowness_does_not() {
+    async fn pauses_and_low_rates_cut_a_body_off() {
         let drip = |pause, bytes: &'static [u8]| {
             Body::from_stream(futures_util::stream::unfold(0, move |n| async move {
                 tokio::time::sleep(Duration::from_millis(pause)).await;
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_rest_can_be_drained() {
+    async fn the_unread_rest_can_be_drained() {
         let clock = TimeLimit::new(Duration::from_secs(1));
         let (guarded, rest) = LimitedBody::new(pieces(&[40, 60, 50]), &Limits { body: 30, ..Limits::default() }, clock.clone());
         assert!(clock.deadline().is_none());

@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_option_is_given_once_however_it_is_spelt() {
+    fn an_option_is_given_once_in_either_spelling() {
         let mut fields = UploadFields::default();
         fields.set("max-size", "90").unwrap();
         fields.set("title", "A title").unwrap();

@@ -462,7 +462,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn after_an_outage_other_workers_have_a_lease_s_time_to_renew() {
+    fn after_an_outage_leases_get_time_to_be_renewed() {
         let (reached, lease) = (Connectivity::default(), Duration::from_millis(30));
         reached.note(true);
         assert!(reached.for_long(lease), "at the start nothing is known of an outage");

@@ -190,7 +190,7 @@ mod tests {
     const HOUR: Duration = Duration::from_hours(1);
 
     #[test]
-    fn a_jump_ahead_is_believed_after_a_day() {
+    fn a_clock_that_jumps_ahead_is_trusted_after_a_day() {
         let start = Instant::now();
         let (day, year) = (millis(HOUR * 24), millis(HOUR * 24 * 365));
         let mut clock = TrustedClock::start(day, Some(day), start);
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_long_after_the_newest_photo_is_no_time_yet() {
+    fn a_start_long_after_the_newest_photo_is_not_trusted_at_once() {
         let start = Instant::now();
         let year = millis(HOUR * 24 * 365);
         let mut clock = TrustedClock::start(year, Some(7), start);

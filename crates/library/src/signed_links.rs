@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_link_is_good_for_its_grant_subject_and_time_alone() {
+    fn a_link_is_valid_for_its_grant_subject_and_time_only() {
         let secret = Secret([7; BYTES]);
         let attic = Subject::Room("attic");
         let link = secret.sign(Grant::Relay, attic, 1000);

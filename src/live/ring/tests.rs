@@ -110,7 +110,7 @@ fn a_hidden_viewer_gets_only_sound_then_resumes_with_a_key_frame_and_no_sound_tw
 }
 
 #[test]
-fn higher_layers_go_before_anything_is_skipped() {
+fn higher_temporal_layers_are_dropped_before_anything_is_skipped() {
     let (mut ring, now) = (Ring::default(), Instant::now());
     let mut cursor = ring.begin(now);
     ring.push(MessageKind::Key, message(0, 100), now);
@@ -125,7 +125,7 @@ fn higher_layers_go_before_anything_is_skipped() {
 }
 
 #[test]
-fn a_frame_that_may_refer_to_one_that_was_left_out_is_left_out_too() {
+fn frames_that_may_refer_to_a_dropped_frame_are_dropped() {
     let (mut ring, now) = (Ring::default(), Instant::now());
     let mut cursor = ring.begin(now);
     ring.push(MessageKind::Key, message(0, 100), now);

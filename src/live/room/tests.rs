@@ -106,7 +106,7 @@ impl Watcher {
 }
 
 #[test]
-fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who_comes_then() {
+fn after_a_skip_a_viewer_gets_the_changed_tiles() {
     let mut made = Made::new();
     let mut slow = Watcher::new(&made);
     assert!(slow.model.geometry().is_some(), "a new viewer gets all tiles");
@@ -127,7 +127,7 @@ fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who
 }
 
 #[test]
-fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once() {
+fn a_skip_sends_only_changed_tiles_and_a_cut_sends_all_once() {
     let mut made = Made::new();
     let mut slow = Watcher::new(&made);
     for _ in 0..5 {
@@ -148,7 +148,7 @@ fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once(
 }
 
 #[test]
-fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() {
+fn another_publisher_begins_with_all_tiles() {
     let mut made = Made::new();
     let mut viewer = Watcher::new(&made);
     let all: BTreeSet<u32> = (0..made.tiles.grid.tiles()).collect();
@@ -183,7 +183,7 @@ fn tiles_sent_before_the_first_whole_frame_reach_new_viewers() {
 }
 
 #[test]
-fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_once_a_second() {
+fn key_frames_are_requested_at_most_once_a_second_while_a_viewer_waits() {
     let mut made = Made::new();
     let asked = |made: &Made| made.room.keys.notified().now_or_never().is_some();
     let mut healthy = Watcher::new(&made);
@@ -226,7 +226,7 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
 }
 
 #[test]
-fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_gone() {
+fn a_full_room_has_a_place_again_after_a_viewer_leaves() {
     let room = Room::new(RoomLimits::default());
     let viewers: Vec<_> = (0..RoomLimits::VIEWERS).map_while(|_| room.join(ViewerKind::Local)).collect();
     assert_eq!(viewers.len(), RoomLimits::VIEWERS);

@@ -121,7 +121,7 @@ mod tests {
     use crate::server::routes;
 
     #[test]
-    fn every_route_has_a_need_and_every_need_a_route() {
+    fn every_route_has_a_permission_and_every_permission_a_route() {
         let all = routes::routes();
         for route in &all {
             for method in &route.methods {

@@ -80,7 +80,7 @@ fn invalid_answers_of_a_process_fail_only_its_photo() {
 }
 
 #[test]
-fn an_idle_process_ends_after_its_rest() {
+fn an_idle_process_ends_after_its_timeout() {
     let dir = tempfile::tempdir().unwrap();
     let maker = maker(|| Ok(shell("cat > /dev/null")), dir.path());
     maker.prepare();

@@ -423,7 +423,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn preferences_as_in_the_standard() {
+    fn accept_preferences_follow_rfc_9110() {
         let with =
             |text: &str| prefer_wait(&[(HeaderName::from_static("prefer"), HeaderValue::from_str(text).unwrap())].into_iter().collect());
         assert_eq!(with("wait=10"), Some(10));

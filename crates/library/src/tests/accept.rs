@@ -1,17 +1,17 @@
 use super::*;
 
 on_both! {
-    an_upload_is_accepted_once_and_known_after,
-    of_twins_at_a_time_one_is_new,
-    a_failed_photo_is_tried_again_and_a_damaged_one_healed,
-    a_photo_made_again_keeps_its_results_until_then,
-    no_more_photos_get_in_than_the_quota_allows,
-    no_more_bytes_get_in_than_the_quota_allows,
+    a_repeated_upload_is_known,
+    one_of_two_simultaneous_uploads_is_new,
+    a_repeated_upload_retries_failed_photos_and_heals_damaged_ones,
+    a_remade_photo_keeps_its_results_until_it_is_done,
+    the_quota_of_photos_is_never_exceeded,
+    the_quota_of_bytes_is_never_exceeded,
     a_full_queue_and_a_greedy_owner_are_refused,
     a_settings_change_needs_the_version_it_saw,
 }
 
-async fn an_upload_is_accepted_once_and_known_after(bed: Bed) {
+async fn a_repeated_upload_is_known(bed: Bed) {
     let library = bed.node().await;
     let first = library.accept(upload(1, owner("ann"))).await.unwrap();
     assert_eq!((first.outcome, first.photo.state, first.photo.bytes), (Outcome::New, PhotoState::Queued, 7));
@@ -30,7 +30,7 @@ async fn an_upload_is_accepted_once_and_known_after(bed: Bed) {
     assert_eq!(bed.blobs(&library).await.len(), 3);
 }
 
-async fn of_twins_at_a_time_one_is_new(bed: Bed) {
+async fn one_of_two_simultaneous_uploads_is_new(bed: Bed) {
     let nodes = [bed.node().await, bed.node().await];
     let twins = (0..16).map(|n| {
         let node = nodes[n % 2].clone();
@@ -46,7 +46,7 @@ async fn of_twins_at_a_time_one_is_new(bed: Bed) {
     assert!(nodes[0].take(&JobKind::ALL, LEASE).await.unwrap().is_none());
 }
 
-async fn a_failed_photo_is_tried_again_and_a_damaged_one_healed(bed: Bed) {
+async fn a_repeated_upload_retries_failed_photos_and_heals_damaged_ones(bed: Bed) {
     let library = bed.node().await;
     library.accept(photo(1)).await.unwrap();
     let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
@@ -69,7 +69,7 @@ async fn a_failed_photo_is_tried_again_and_a_damaged_one_healed(bed: Bed) {
     assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Healed);
 }
 
-async fn a_photo_made_again_keeps_its_results_until_then(bed: Bed) {
+async fn a_remade_photo_keeps_its_results_until_it_is_done(bed: Bed) {
     let library = bed.node().await;
     let before = done(&library, 1, owner("ann")).await;
     let strokes = || Content::of_bytes(b"[]".as_slice());
@@ -110,11 +110,11 @@ async fn taken(bed: &Bed, limits: &Limits) -> usize {
     taken
 }
 
-async fn no_more_photos_get_in_than_the_quota_allows(bed: Bed) {
+async fn the_quota_of_photos_is_never_exceeded(bed: Bed) {
     assert_eq!(taken(&bed, &Limits { quota_photos: Some(5), ..Limits::default() }).await, 5);
 }
 
-async fn no_more_bytes_get_in_than_the_quota_allows(bed: Bed) {
+async fn the_quota_of_bytes_is_never_exceeded(bed: Bed) {
     // each has 8 bytes
     assert_eq!(taken(&bed, &Limits { quota_bytes: Some(47), ..Limits::default() }).await, 5);
 }

@@ -2,9 +2,9 @@ use super::*;
 
 on_both! {
     gc_deletes_blobs_without_references_after_a_day,
-    fsck_finds_what_is_missing_short_and_changed,
+    fsck_finds_missing_truncated_and_changed_blobs,
     a_store_of_another_library_is_refused,
-    blobs_are_collected_once_a_day_by_one_of_all_nodes,
+    garbage_collection_runs_once_a_day_on_one_node,
 }
 
 async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
@@ -29,7 +29,7 @@ async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
     assert_eq!(library.fsck().await.unwrap(), []);
 }
 
-async fn fsck_finds_what_is_missing_short_and_changed(bed: Bed) {
+async fn fsck_finds_missing_truncated_and_changed_blobs(bed: Bed) {
     let library = bed.node().await;
     let mut photos = Vec::new();
     for n in 0..4 {
@@ -60,7 +60,7 @@ async fn fsck_finds_what_is_missing_short_and_changed(bed: Bed) {
 }
 
 #[tokio::test]
-async fn an_upload_that_was_written_as_it_came_is_moved() {
+async fn an_uploaded_file_is_moved_not_copied() {
     let bed = Bed::sqlite();
     let library = bed.node().await;
     let path = library.incoming().join("upload");
@@ -107,7 +107,7 @@ async fn a_store_of_another_library_is_refused(bed: Bed) {
     assert!(refusal(&bed, &empty).await.contains("the same --blobs"), "its photos would be missing");
 }
 
-async fn blobs_are_collected_once_a_day_by_one_of_all_nodes(bed: Bed) {
+async fn garbage_collection_runs_once_a_day_on_one_node(bed: Bed) {
     let (one, other) = (bed.node().await, bed.node().await);
     assert_eq!(one.gc_if_due().await.unwrap(), Some(Collected::default()));
     assert_eq!((one.gc_if_due().await.unwrap(), other.gc_if_due().await.unwrap()), (None, None));

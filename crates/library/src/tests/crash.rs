@@ -4,10 +4,10 @@ use super::forgetful_disk::Forgetful;
 use super::*;
 
 on_both! {
-    an_acceptance_cut_off_anywhere_is_whole_or_nothing,
-    a_making_cut_off_anywhere_is_made_once,
-    a_deletion_cut_off_anywhere_is_whole_or_nothing,
-    workers_and_uploads_that_die_at_random_lose_and_double_nothing,
+    an_interrupted_acceptance_is_atomic,
+    an_interrupted_making_is_done_once,
+    an_interrupted_deletion_is_atomic,
+    workers_and_uploads_that_die_at_random_lose_and_duplicate_nothing,
 }
 
 /// More polls than any operation here takes.
@@ -37,7 +37,7 @@ async fn is_consistent(bed: &Bed, library: &Library, photos: usize) {
     assert_eq!(there, referred);
 }
 
-async fn an_acceptance_cut_off_anywhere_is_whole_or_nothing(bed: Bed) {
+async fn an_interrupted_acceptance_is_atomic(bed: Bed) {
     let library = bed.node_with(Limits { queue: 1000, ..Limits::default() }).await;
     let mut completed = 0;
     for polls in 0..MAX_POLLS {
@@ -59,7 +59,7 @@ async fn an_acceptance_cut_off_anywhere_is_whole_or_nothing(bed: Bed) {
     panic!("it never completes");
 }
 
-async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
+async fn an_interrupted_making_is_done_once(bed: Bed) {
     let library = bed.node_with(Limits { attempts: 1000, ..Limits::default() }).await;
     let id = library.accept(photo(1)).await.unwrap().photo.id;
     for polls in 0..MAX_POLLS {
@@ -93,7 +93,7 @@ async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
     panic!("it never completes");
 }
 
-async fn a_deletion_cut_off_anywhere_is_whole_or_nothing(bed: Bed) {
+async fn an_interrupted_deletion_is_atomic(bed: Bed) {
     let library = bed.node().await;
     for polls in 0..MAX_POLLS {
         let photo = match library.find(upload(1, owner("ann")).id).await.unwrap() {
@@ -153,7 +153,7 @@ async fn works(library: Library, bed: Arc<Bed>, all: u64, mut seed: u64) {
     }
 }
 
-async fn workers_and_uploads_that_die_at_random_lose_and_double_nothing(bed: Bed) {
+async fn workers_and_uploads_that_die_at_random_lose_and_duplicate_nothing(bed: Bed) {
     const PHOTOS: u32 = 200;
     let bed = Arc::new(bed);
     let limits = Limits { queue: 10_000, attempts: 10_000, ..Limits::default() };
@@ -188,7 +188,7 @@ async fn forgetful(bed: &Bed) -> (Library, Arc<Forgetful>) {
 }
 
 #[tokio::test]
-async fn what_was_answered_survives_a_machine_that_stops() {
+async fn accepted_uploads_survive_a_power_failure() {
     for steps in 0.. {
         let bed = Bed::sqlite();
         let (library, files) = forgetful(&bed).await;
@@ -210,7 +210,7 @@ async fn what_was_answered_survives_a_machine_that_stops() {
 }
 
 #[tokio::test]
-async fn a_full_disk_refuses_uploads_and_keeps_makings_waiting() {
+async fn a_full_disk_refuses_uploads_and_delays_makings() {
     let bed = Bed::sqlite();
     let (library, files) = forgetful(&bed).await;
     library.accept(photo(1)).await.unwrap();

@@ -2,9 +2,9 @@ use super::*;
 
 on_both! {
     an_export_is_written_once_and_kept,
-    an_export_of_another_version_goes,
-    a_failed_export_is_tried_again,
-    exports_have_places_and_room_of_their_own,
+    exports_of_the_previous_version_are_deleted,
+    a_failed_export_can_be_ordered_again,
+    exports_have_their_own_queue_and_disk_limits,
 }
 
 async fn order(library: &Library, photo: &Photo, key: &str, requester: &Requester) -> Result<OrderedExport> {
@@ -34,7 +34,7 @@ async fn an_export_is_written_once_and_kept(bed: Bed) {
     assert_eq!(bed.blobs(&library).await.len(), 3);
 }
 
-async fn an_export_of_another_version_goes(bed: Bed) {
+async fn exports_of_the_previous_version_are_deleted(bed: Bed) {
     let library = bed.node().await;
     let before = done(&library, 1, owner("ann")).await;
     order(&library, &before, "zip", &owner("ann")).await.unwrap();
@@ -51,7 +51,7 @@ async fn an_export_of_another_version_goes(bed: Bed) {
     assert!(order(&library, &after, "zip", &owner("ann")).await.unwrap().new);
 }
 
-async fn a_failed_export_is_tried_again(bed: Bed) {
+async fn a_failed_export_can_be_ordered_again(bed: Bed) {
     let library = bed.node_with(Limits { attempts: 1, ..Limits::default() }).await;
     let photo = done(&library, 1, owner("ann")).await;
     order(&library, &photo, "zip", &owner("ann")).await.unwrap();
@@ -64,7 +64,7 @@ async fn a_failed_export_is_tried_again(bed: Bed) {
     assert_eq!(write_next(&library, b"file").await.attempts, 0);
 }
 
-async fn exports_have_places_and_room_of_their_own(bed: Bed) {
+async fn exports_have_their_own_queue_and_disk_limits(bed: Bed) {
     let library = bed.node_with(Limits { exports: 4, exports_bytes: 10, ..Limits::default() }).await;
     let photo = done(&library, 1, owner("ann")).await;
     for (key, is_taken) in [("a", true), ("b", true), ("c", false)] {

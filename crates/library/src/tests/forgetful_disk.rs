@@ -143,7 +143,7 @@ impl Files for Forgetful {
 
 #[cfg(unix)]
 #[test]
-fn a_disk_tells_its_room() {
+fn the_disk_reports_its_free_space() {
     use crate::blobs::Disk;
     let dir = tempfile::tempdir().unwrap();
     assert!(Disk.disk_space(dir.path()).is_some() && Disk.disk_space(&dir.path().join("none")).is_none());

@@ -6,7 +6,7 @@ on_both! {
     pages_are_newest_first_by_owner_state_and_title,
     pages_stay_in_place_while_photos_come_and_go,
     deleting_leaves_neither_rows_nor_blobs,
-    taking_links_back_ends_those_of_before,
+    revoking_links_ends_earlier_ones,
     statistics_count_all,
 }
 
@@ -96,7 +96,7 @@ async fn deleting_leaves_neither_rows_nor_blobs(bed: Bed) {
     assert_eq!(library.accept(upload(1, owner("ann"))).await.unwrap().outcome, Outcome::New);
 }
 
-async fn taking_links_back_ends_those_of_before(bed: Bed) {
+async fn revoking_links_ends_earlier_ones(bed: Bed) {
     let library = bed.node().await;
     let before = library.accept(upload(1, owner("ann"))).await.unwrap().photo;
     let secret = bed.node().await.secret().clone();

@@ -8,15 +8,15 @@ const DAY: i64 = 86_400_000;
 on_both! {
     many_workers_make_a_photo_once,
     two_owners_take_turns,
-    what_somebody_waits_for_comes_first_but_not_always,
+    interactive_jobs_come_first_but_not_always,
     a_dead_workers_job_is_taken_again_and_its_result_discarded,
-    a_worker_keeps_its_lease_however_the_clock_jumps,
-    a_photo_that_takes_down_its_workers_fails,
+    a_worker_keeps_its_lease_when_the_clock_jumps,
+    a_photo_that_crashes_its_workers_fails,
     a_fault_of_the_server_only_costs_time,
-    a_position_counts_what_comes_before,
+    a_position_counts_the_jobs_ahead,
     a_deleted_photos_worker_loses_its_lease,
     a_check_takes_a_damaged_photo_out_of_service,
-    waiting_workers_hear_of_a_job,
+    waiting_workers_are_notified_of_a_job,
 }
 
 async fn many_workers_make_a_photo_once(bed: Bed) {
@@ -67,7 +67,7 @@ async fn two_owners_take_turns(bed: Bed) {
     assert_eq!(make_next(&library).await.owner, owner("bob").owner, "behind one of the other's seven");
 }
 
-async fn what_somebody_waits_for_comes_first_but_not_always(bed: Bed) {
+async fn interactive_jobs_come_first_but_not_always(bed: Bed) {
     let library = bed.node().await;
     for n in 0..6 {
         let class = if n % 2 == 0 { Class::Batch } else { Class::Interactive };
@@ -109,7 +109,7 @@ async fn a_dead_workers_job_is_taken_again_and_its_result_discarded(bed: Bed) {
     assert_eq!(bed.blobs(&slow).await.len(), 3, "the late results are deleted");
 }
 
-async fn a_worker_keeps_its_lease_however_the_clock_jumps(bed: Bed) {
+async fn a_worker_keeps_its_lease_when_the_clock_jumps(bed: Bed) {
     for jump in [DAY, -DAY] {
         let library = bed.node().await;
         let n = if jump > 0 { 1 } else { 2 };
@@ -134,7 +134,7 @@ async fn a_worker_keeps_its_lease_however_the_clock_jumps(bed: Bed) {
     }
 }
 
-async fn a_photo_that_takes_down_its_workers_fails(bed: Bed) {
+async fn a_photo_that_crashes_its_workers_fails(bed: Bed) {
     let library = bed.node_with(Limits { attempts: 3, ..Limits::default() }).await;
     let id = library.accept(photo(1)).await.unwrap().photo.id;
     for died in 1..=3 {
@@ -183,7 +183,7 @@ async fn a_fault_of_the_server_only_costs_time(bed: Bed) {
     make_next(&library).await;
 }
 
-async fn a_position_counts_what_comes_before(bed: Bed) {
+async fn a_position_counts_the_jobs_ahead(bed: Bed) {
     let library = bed.node().await;
     let mut ids = Vec::new();
     for (n, requester) in [owner("ann"), owner("ann"), owner("bob")].into_iter().enumerate() {
@@ -229,7 +229,7 @@ async fn a_check_takes_a_damaged_photo_out_of_service(bed: Bed) {
     assert!(bad.problem.unwrap().detail.starts_with("container is damaged: it is missing"));
 }
 
-async fn waiting_workers_hear_of_a_job(bed: Bed) {
+async fn waiting_workers_are_notified_of_a_job(bed: Bed) {
     let (node, worker) = (bed.node().await, bed.node().await);
     let workers: Vec<_> = (0..3)
         .map(|_| {

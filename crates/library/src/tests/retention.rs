@@ -4,12 +4,12 @@ use super::*;
 const DAY: i64 = 86_400_000;
 
 on_both! {
-    photos_go_by_their_age_but_not_by_a_clock_that_jumps,
-    the_least_recently_viewed_photos_make_room,
+    photos_expire_by_age_but_not_by_a_clock_that_jumps,
+    the_least_recently_viewed_photos_are_deleted_for_space,
     exports_and_sessions_expire,
 }
 
-async fn photos_go_by_their_age_but_not_by_a_clock_that_jumps(bed: Bed) {
+async fn photos_expire_by_age_but_not_by_a_clock_that_jumps(bed: Bed) {
     let limits = Limits { retain: Some(Duration::from_hours(47)), ..Limits::default() };
     let library = bed.node_with(limits.clone()).await;
     let old = done(&library, 1, owner("a")).await;
@@ -31,7 +31,7 @@ async fn photos_go_by_their_age_but_not_by_a_clock_that_jumps(bed: Bed) {
     }
 }
 
-async fn the_least_recently_viewed_photos_make_room(bed: Bed) {
+async fn the_least_recently_viewed_photos_are_deleted_for_space(bed: Bed) {
     let library = bed.node().await;
     let mut photos = Vec::new();
     for n in 0..5 {

@@ -2,13 +2,13 @@ use super::*;
 
 on_both! {
     an_event_goes_to_its_owners_webhooks_and_those_for_all,
-    a_delivery_is_tried_again_and_fails_in_the_end,
+    a_delivery_is_retried_and_finally_fails,
     a_webhook_has_two_deliveries_under_way_in_order,
-    the_attempt_of_a_dead_process_is_made_again,
+    the_attempt_of_a_dead_process_is_repeated,
     a_webhook_that_is_gone_or_fails_for_days_is_disabled,
-    webhooks_of_the_configuration_follow_it,
+    configured_webhooks_follow_the_configuration,
     the_log_of_deliveries_is_bounded,
-    each_end_of_a_job_and_a_room_is_told,
+    the_end_of_each_job_and_room_is_announced,
 }
 
 fn to(url: &str) -> NewWebhook {
@@ -60,7 +60,7 @@ async fn an_event_goes_to_its_owners_webhooks_and_those_for_all(bed: Bed) {
     library.add_webhook(Some(&bob), &to("bob")).await.unwrap();
 }
 
-async fn a_delivery_is_tried_again_and_fails_in_the_end(bed: Bed) {
+async fn a_delivery_is_retried_and_finally_fails(bed: Bed) {
     let pauses = [Duration::from_secs(10), Duration::from_secs(100)];
     let library = bed.node_with(Limits { retries: pauses.to_vec(), ..Limits::default() }).await;
     let webhook = library.add_webhook(None, &to("x")).await.unwrap();
@@ -117,7 +117,7 @@ async fn a_webhook_has_two_deliveries_under_way_in_order(bed: Bed) {
     assert_eq!((page.deliveries.len(), page.next), (3, None));
 }
 
-async fn the_attempt_of_a_dead_process_is_made_again(bed: Bed) {
+async fn the_attempt_of_a_dead_process_is_repeated(bed: Bed) {
     let library = bed.node().await;
     let webhook = library.add_webhook(None, &to("x")).await.unwrap();
     library.ping(&webhook.id).await.unwrap();
@@ -166,7 +166,7 @@ async fn a_webhook_that_is_gone_or_fails_for_days_is_disabled(bed: Bed) {
     assert!(matches!(library.change_webhook(&webhook.id, &change).await, Err(LibraryError::NotFound("webhook"))));
 }
 
-async fn webhooks_of_the_configuration_follow_it(bed: Bed) {
+async fn configured_webhooks_follow_the_configuration(bed: Bed) {
     let library = bed.node().await;
     let own = library.add_webhook(None, &to("by a caller")).await.unwrap();
     library.configure_webhooks(&[to("a"), to("b")]).await.unwrap();
@@ -214,7 +214,7 @@ async fn the_log_of_deliveries_is_bounded(bed: Bed) {
     assert_eq!(count().await, 1000);
 }
 
-async fn each_end_of_a_job_and_a_room_is_told(bed: Bed) {
+async fn the_end_of_each_job_and_room_is_announced(bed: Bed) {
     let library = bed.node_with(Limits { attempts: 1, exports_bytes: 100, ..Limits::default() }).await;
     library.add_webhook(None, &to("x")).await.unwrap();
     let photo = done(&library, 1, owner("ann")).await;
