@@ -93,7 +93,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let hint = if film_alone { format!("; for a film give --path {}", tmpi_render::Path::NAMES.join("|")) } else { String::new() };
     let format = format.ok_or_else(|| Usage(format!("--output {} must end in {endings}{hint}", args.output.display())))?;
     if format == PictureFormat::Mpo && (args.stereo != Some(StereoLayout::SideBySide) || args.path.is_some()) {
-        return Err(Usage(format!("--output {}: .mpo goes with --stereo sbs", args.output.display())).into());
+        return Err(Usage(format!("--output {}: .mpo requires --stereo sbs", args.output.display())).into());
     }
     let bytes = files::read(&args.input)?;
     let scene = Arc::new(container::decode(&bytes).with_context(|| args.input.display().to_string())?);

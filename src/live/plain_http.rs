@@ -95,7 +95,7 @@ pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, 
             return nodes.fetch(&origin, &name, "/frames/latest/atlas", known.into_iter().collect()).await.map(handed_on);
         }
     };
-    let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
+    let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
     let etag = format!("\"{epoch}-{number}\"");
     let entity =
         Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: ContentCoding::Plain };
@@ -135,7 +135,7 @@ pub async fn latest_group(
             answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned)
         }
     };
-    let place = newest.ok_or_else(|| Problem::not_found("nothing has come yet"))?;
+    let place = newest.ok_or_else(|| Problem::not_found("the room has no group of pictures yet"))?;
     let query = uri.query().map_or(String::new(), |q| format!("?{q}"));
     let location = HeaderValue::try_from(format!("{place}{query}")).map_err(|e| Problem::internal("an address", &e))?;
     Ok((StatusCode::TEMPORARY_REDIRECT, [(header::LOCATION, location)]).into_response())

@@ -89,7 +89,7 @@ pub(super) fn busy() -> Problem {
 /// # Errors
 /// 403.
 pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
-    let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not come into a room");
+    let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "pages of other sites may not do this");
     if let Some(site) = headers.get("sec-fetch-site") {
         return if site == "same-origin" || site == "none" { Ok(()) } else { Err(foreign()) };
     }

@@ -22,7 +22,7 @@ use super::room::{NextStep, Room, Viewer, ViewerKind};
 use super::{HEARTBEAT, disconnect};
 
 /// Reason for refusing a viewer of a full room.
-pub const FULL: &str = "as many watch the room as may";
+pub const FULL: &str = "the room is full";
 const GONE: &str = "the publisher has gone";
 
 /// The farewell to viewers after the publisher has gone.

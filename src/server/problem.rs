@@ -232,30 +232,28 @@ impl From<LibraryError> for Problem {
                 let detail = "the photo is being made; it can be made again once it is done";
                 Self::new(StatusCode::CONFLICT, "not-ready", detail).retry_after(1)
             }
-            LibraryError::Changed => Self::new(StatusCode::PRECONDITION_FAILED, "changed", "it was changed meanwhile").field("If-Match"),
+            LibraryError::Changed => Self::new(StatusCode::PRECONDITION_FAILED, "changed", "it has changed meanwhile").field("If-Match"),
             LibraryError::QueueFull { waiting, share, retry_after, .. } => {
                 let detail = match share {
-                    QueueLimit::All => format!("{waiting} are waiting already"),
-                    QueueLimit::Owner => "half of the places to wait are yours already".to_owned(),
-                    QueueLimit::Address => "half of the places to wait are of your address already".to_owned(),
+                    QueueLimit::All => format!("{waiting} photos are waiting already"),
+                    QueueLimit::Owner => "your photos already take half of the queue".to_owned(),
+                    QueueLimit::Address => "photos from your address already take half of the queue".to_owned(),
                 };
                 let seconds = retry_after.as_secs_f64().ceil() as u64;
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(seconds.max(1))
             }
             LibraryError::QuotaExceeded { quota, used, asked, limit } => {
                 let detail = match quota {
-                    Quota::Photos => format!(
-                        "you have {used} photos, and {limit} is the limit (quotas.photos): delete one, and there is room for another"
-                    ),
+                    Quota::Photos => format!("you have {used} photos; the limit is {limit} (quotas.photos). Delete one to upload another"),
                     Quota::Bytes => format!(
-                        "your photos take {used} bytes, this one {asked}, and {limit} is the limit (quotas.size): delete some, and there is room"
+                        "your photos take {used} bytes and this one {asked}; the limit is {limit} (quotas.size). Delete some to upload it"
                     ),
                 };
                 Self::new(StatusCode::FORBIDDEN, "quota", detail)
             }
             LibraryError::StorageFull => Self::full(),
             LibraryError::Damaged { .. } => {
-                let detail = format!("{text}: upload the photo again, and it is made anew");
+                let detail = format!("{text}: upload the photo again to repair it");
                 Self::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", detail)
             }
             LibraryError::Invalid(detail) => Self::bad_request(detail),

@@ -29,10 +29,10 @@ pub enum CutOff {
     #[error("the request's body is over the limit of {0} bytes")]
     TooLarge(usize),
     /// Nothing came for that long.
-    #[error("nothing of the request's body came for {0:?}")]
+    #[error("no bytes of the request's body arrived for {0:?}")]
     TooSlow(Duration),
     /// It came with fewer bytes a second.
-    #[error("the request's body came with less than {0} bytes a second")]
+    #[error("the request's body arrived at less than {0} bytes a second")]
     BelowRate(u64),
 }
 

@@ -88,7 +88,7 @@ pub async fn fetch_upload(
     clock: &TimeLimit,
 ) -> Result<Photo, Problem> {
     if !app.sources.is_on() {
-        let detail = "this server fetches no photos; tmpi serve --source-hosts lists the hosts from which it does";
+        let detail = "this server does not fetch photos: tmpi serve --source-hosts lists the hosts that it may fetch from";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-sources", detail));
     }
     let Addresses { source, depth, fields } = read(app, of_query(query)?, request).await?;
@@ -132,7 +132,7 @@ async fn read(app: &App, mut fields: UploadFields, request: Request) -> Result<A
             Value::Null => continue,
             Value::String(text) => text,
             Value::Number(number) => number.to_string(),
-            _ => return Err(Problem::parameter(name, "must be a text or a number")),
+            _ => return Err(Problem::parameter(name, "must be text or a number")),
         };
         match name.as_str() {
             SOURCE => source = Some(app.sources.address(&text).map_err(|e| problem(SOURCE, &e))?),

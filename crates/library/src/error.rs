@@ -44,10 +44,10 @@ pub enum LibraryError {
     #[error("the photo is being made")]
     NotReady,
     /// It has changed since the caller read it.
-    #[error("it was changed meanwhile")]
+    #[error("it has changed meanwhile")]
     Changed,
     /// The queue is full.
-    #[error("{waiting} jobs wait, and {share:?} may have {places} places")]
+    #[error("{waiting} jobs wait; the limit ({share:?}) is {places}")]
     QueueFull {
         /// Number of waiting jobs.
         waiting: u64,
@@ -71,7 +71,7 @@ pub enum LibraryError {
         limit: u64,
     },
     /// The owner has as many webhooks as one may have.
-    #[error("there are {limit} webhooks, as many as one may have")]
+    #[error("the limit of {limit} webhooks is reached")]
     TooManyWebhooks {
         /// The limit.
         limit: u64,

@@ -396,7 +396,7 @@ impl Library {
         };
         if died == 1 && job.attempts + 1 >= self.limits().attempts {
             let times = job.attempts + 1;
-            let problem = Problem::new("gave-up", format!("it took down the process that worked on it {times} times"));
+            let problem = Problem::new("gave-up", format!("it crashed its worker process {times} times"));
             self.fail_in(tx, job, token, &problem).await?;
             return count_death(tx, job.kind).await;
         }

@@ -87,7 +87,7 @@ impl FromStr for Link {
             let (expires, signature) = text.split_once('.')?;
             Some(Self { expires: expires.parse().ok()?, signature: unhex(signature)? })
         };
-        read(text).ok_or_else(|| LibraryError::Invalid("this is not a link".into()))
+        read(text).ok_or_else(|| LibraryError::Invalid("the link is malformed".into()))
     }
 }
 

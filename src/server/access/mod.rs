@@ -154,11 +154,11 @@ impl Guard {
             Permission::Upload => who.require_scope(Scope::Upload, "upload")?,
             Permission::List => who.require_scope(Scope::Read, "read")?,
             Permission::Metrics if !who.has_scope(Scope::Metrics) => {
-                let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope metrics or admin";
+                let detail = "only this machine's own user, at a loopback address, and keys with the scope metrics or admin may do this";
                 return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
             Permission::Admin if !who.is_admin() => {
-                let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope admin";
+                let detail = "only this machine's own user, at a loopback address, and keys with the scope admin may do this";
                 return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
             _ => {}

@@ -51,7 +51,7 @@ impl Recipe {
             return Ok(Self::Film(Box::new(query), size));
         }
         if let Some((_, film)) = pairs.iter().find(|(name, value)| name == "format" && AnimationFormat::from_extension(value).is_some()) {
-            return Err(Problem::parameter("path", format!("is wanted for {film}: one of {}", Path::NAMES.join(", "))));
+            return Err(Problem::parameter("path", format!("is required for {film}: one of {}", Path::NAMES.join(", "))));
         }
         let query = ExportQuery::of(Pairs::of(pairs, &["format", "shape", "textures"])?)?;
         Ok(Self::File { format: query.format, model: query.model() })

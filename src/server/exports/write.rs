@@ -62,7 +62,7 @@ fn is_over(sink: &dyn Sink) -> bool {
 /// The answer if writing takes too long.
 #[must_use]
 pub fn timeout_problem() -> Problem {
-    let detail = "writing the file takes longer than it may (exports.timeout): ask for fewer frames, a smaller size or another format";
+    let detail = "writing the file exceeds the time limit (exports.timeout): request fewer frames, a smaller size or another format";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
 }
 
@@ -75,7 +75,7 @@ fn fault(error: &ExportError) -> Fault {
 }
 
 fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unless<'_>) -> Result<Vec<u8>, Fault> {
-    let Some(moving) = query.moving else { return Err(Fault::Photo(Problem::parameter("path", "is wanted for a film"))) };
+    let Some(moving) = query.moving else { return Err(Fault::Photo(Problem::parameter("path", "is required for a film"))) };
     let (camera, rig, range) = (query.camera(scene, size), query.rig(scene), MotionRange::of(scene));
     let photo = |problem: Problem| Fault::Photo(problem);
     let draw = |camera: &Camera| match &rig {

@@ -58,12 +58,12 @@ pub fn write_export(
     (container, done): (&[u8], &FinishedPhoto),
     wanted: &WriteRequest<'_>,
 ) -> Result<Vec<u8>, Problem> {
-    let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export is not wanted any more").retry_after(1);
+    let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export was cancelled").retry_after(1);
     let sink = Until(wanted, Instant::now() + app.limits.exports.timeout);
     let over = || sink.cancelled() || Instant::now() >= sink.1;
     let way = if wanted.is_low_priority { Priority::Low } else { Priority::Normal };
     let Some(_memory) = app.memory.wait_for(recipe.memory(done), way, over) else {
-        let busy = "there was no memory for this file in the time that it may take (limits.job-memory, exports.timeout)";
+        let busy = "no memory for this file became free within its time limit (limits.job-memory, exports.timeout)";
         let busy = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", busy).retry_after(10);
         return Err(if sink.cancelled() { cancelled() } else { busy() });
     };

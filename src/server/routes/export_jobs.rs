@@ -155,7 +155,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
                     serde_json::Value::Null => continue,
                     serde_json::Value::String(text) => text,
                     serde_json::Value::Number(number) => number.to_string(),
-                    _ => return Err(Problem::parameter(name, "must be a text or a number")),
+                    _ => return Err(Problem::parameter(name, "must be text or a number")),
                 };
                 pairs.push((name, text));
             }
@@ -219,7 +219,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
 
 /// The job of an ordered file, if it belongs to the photo's current version.
 async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
-    let none = || Problem::not_found("the photo has no such file: it was not ordered, or is deleted; order it again");
+    let none = || Problem::not_found("the photo has no such file: it was not ordered, or was deleted; order it again");
     let (_, done) = AppState::done(photo).map_err(|_| none())?;
     let job = match app.library.job(JobKind::Export, photo.id, Some(key)).await {
         Err(LibraryError::NotFound(_)) => return Err(none()),

@@ -242,7 +242,7 @@ pub struct ListQuery {
 pub async fn list(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     if app.guard.is_none() && !app.public_list && !app.hosts.is_own(request.headers()) {
         let detail =
-            "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --access public opens the list to all";
+            "only this machine's own user, at a loopback address, may list photos; tmpi serve --access public opens the list to all";
         return Err(Problem::new(StatusCode::FORBIDDEN, "list-closed", detail));
     }
     let pairs = Pairs::read(request.uri(), &["limit", "after"])?;

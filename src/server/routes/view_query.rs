@@ -171,7 +171,7 @@ impl ViewQuery {
         let path = path.transpose()?;
         let frames = given.take("frames").map(|text| {
             let value = text.parse().ok().filter(|v| path.is_some() && FRAMES.contains(v));
-            let detail = format!("goes with path and must be from {} to {}, not {text:?}", FRAMES.start(), FRAMES.end());
+            let detail = format!("requires path and must be from {} to {}, not {text:?}", FRAMES.start(), FRAMES.end());
             value.ok_or_else(|| Problem::parameter("frames", detail))
         });
         let frames = frames.transpose()?;
@@ -196,15 +196,15 @@ impl ViewQuery {
         let stereo = stereo.transpose()?;
         let quilt = given.take("quilt").map(|text| Arrangement::quilt(&text).map_err(|e| Problem::parameter("quilt", e))).transpose()?;
         if stereo.is_some() && quilt.is_some() {
-            return Err(Problem::parameter("quilt", "goes without stereo"));
+            return Err(Problem::parameter("quilt", "cannot be combined with stereo"));
         }
         for (name, value) in [("ipd", ipd), ("focus", focus)] {
             if value.is_some() && stereo.is_none() && quilt.is_none() {
-                return Err(Problem::parameter(name, "goes with stereo or quilt"));
+                return Err(Problem::parameter(name, "requires stereo or quilt"));
             }
         }
         if format == Some(PictureFormat::Mpo) && stereo != Some(StereoLayout::SideBySide) {
-            return Err(Problem::parameter("format", "mpo goes with stereo=sbs"));
+            return Err(Problem::parameter("format", "mpo requires stereo=sbs"));
         }
         Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, moving, frames, version })
     }

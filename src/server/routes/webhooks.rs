@@ -84,7 +84,7 @@ async fn fields(request: Request, names: &[&str]) -> Result<Map<String, Value>, 
 /// Where events go, if a field says so.
 fn url(app: &AppState, fields: &Map<String, Value>) -> Result<Option<String>, Problem> {
     let Some(value) = fields.get("url") else { return Ok(None) };
-    let text = value.as_str().ok_or_else(|| Problem::parameter("url", "must be a text"))?;
+    let text = value.as_str().ok_or_else(|| Problem::parameter("url", "must be text"))?;
     outbound::url(text, app.webhook_addresses).map_err(|error| Problem::parameter("url", error))?;
     Ok(Some(text.to_owned()))
 }
@@ -93,7 +93,7 @@ fn url(app: &AppState, fields: &Map<String, Value>) -> Result<Option<String>, Pr
 fn asked(fields: &Map<String, Value>) -> Result<Option<Vec<EventType>>, Problem> {
     let Some(value) = fields.get("events") else { return Ok(None) };
     let names: Option<Vec<&str>> = value.as_array().and_then(|all| all.iter().map(Value::as_str).collect());
-    let names = names.ok_or_else(|| Problem::parameter("events", "must be a list of texts"))?;
+    let names = names.ok_or_else(|| Problem::parameter("events", "must be a list of event names"))?;
     event_types(&names).map(Some).map_err(|error| Problem::parameter("events", error))
 }
 
