@@ -261,7 +261,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let models = models::load(&settings)?;
     let maker = PipelineMaker::new(models.clone(), limits.photo()).identified(&identity(&settings)?);
     if makes_for_another {
-        let drawing = || tmpi_render::select_within(args.backend, limits.cache.scenes).map_err(|e| format!("renderer: {e}"));
+        let drawing = || tmpi_render::select_with_cache(args.backend, limits.cache.scenes).map_err(|e| format!("renderer: {e}"));
         run_child(&maker, &limits, &drawing);
         return Ok(());
     }
@@ -273,7 +273,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     }
     #[cfg(unix)]
     open_files::raise(limits.connections as u64);
-    let renderer = tmpi_render::select_within(args.backend, limits.cache.scenes).context("renderer")?;
+    let renderer = tmpi_render::select_with_cache(args.backend, limits.cache.scenes).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
     let maker =
         ProcessMaker::new(maker, args.for_makers, &args.data).with_better_network(better.map(|b| Box::new(b) as Box<dyn NetworkUpgrade>));

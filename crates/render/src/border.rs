@@ -222,7 +222,7 @@ pub fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
 
 /// True where a camera stands within the view box, up to rounding; what cameras outside it see is not known to be without holes.
 #[must_use]
-pub fn holds(v: &ViewBox, pose: &Pose) -> bool {
+pub fn contains_pose(v: &ViewBox, pose: &Pose) -> bool {
     let within = |at: f64, extent: f64| at.abs() <= extent + 1e-9;
     within(pose.tx, v.x) && within(pose.ty, v.y) && within(pose.tz, v.z)
 }

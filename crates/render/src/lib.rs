@@ -16,12 +16,12 @@ mod scene_cache;
 mod testing;
 
 pub use animation::{Animation, AnimationError, AnimationFormat, Path, RATE};
-pub use border::{corners, holds, looking_at, margin as border_margin};
+pub use border::{contains_pose, corners, looking_at, margin as border_margin};
 pub use cpu::{Cpu, draw_reference_view};
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::{Gpu, without_a_display};
 pub use motion_range::MotionRange;
-pub use multiview::{Arrangement, EYES, MAX_QUILT, Rig, StereoLayout, draw_multiview, pivot};
+pub use multiview::{Arrangement, EYE_DISTANCE, MAX_QUILT, Rig, StereoLayout, draw_multiview, pivot};
 pub use reference::Reference;
 
 use std::sync::Arc;
@@ -130,14 +130,14 @@ fn check(camera: &Camera) -> Result<(), RenderError> {
 /// # Errors
 /// [`RenderError::Adapter`] where `gpu` is asked for and there is no adapter.
 pub fn select(backend: Backend) -> Result<Arc<dyn Renderer>, RenderError> {
-    select_within(backend, Cpu::CACHE_BYTES)
+    select_with_cache(backend, Cpu::CACHE_BYTES)
 }
 
 /// The same, with at most `cache_bytes` of expanded texels kept in the processor's memory.
 ///
 /// # Errors
 /// As [`select`].
-pub fn select_within(backend: Backend, cache_bytes: usize) -> Result<Arc<dyn Renderer>, RenderError> {
+pub fn select_with_cache(backend: Backend, cache_bytes: usize) -> Result<Arc<dyn Renderer>, RenderError> {
     let cpu = || Cpu::new(cache_bytes);
     match backend {
         Backend::Reference => Ok(Arc::new(Reference)),

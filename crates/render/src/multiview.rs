@@ -63,7 +63,7 @@ pub struct Rig {
 }
 
 /// Distance of the eyes where none is given: a thirtieth of the distance to the nearest thing, as stereographers have it.
-pub const EYES: f64 = 1.0 / 30.0;
+pub const EYE_DISTANCE: f64 = 1.0 / 30.0;
 
 /// Most views of a quilt.
 pub const MAX_QUILT: u32 = 100;

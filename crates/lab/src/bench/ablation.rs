@@ -15,7 +15,7 @@ use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::networks::Network;
 use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::planes::{Method, NEIGHBOUR_COST, Placement, overlap_disagreement, place};
-use tmpi_pipeline::{MakeError, Movement, Options};
+use tmpi_pipeline::{MakeError, Options, Parallax};
 use tmpi_render::{Cpu, Reference, Renderer};
 
 /// The step that is disabled or replaced.
@@ -103,7 +103,7 @@ impl<'a> Prepared<'a> {
         let options = Options::default();
         let (w, h) = (self.photo.width, self.photo.height);
         let grid = Grid::new(w, h, 64);
-        let most = Movement::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
+        let most = Parallax::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
         let placement = options.placement(options.max_error, most);
         let placement = match without {
             Without::Slant => Placement { method: Method::Optimal, most: 64, ..placement },

@@ -37,21 +37,21 @@ impl Case {
 }
 
 /// All scenes below a folder, by name: those that `tmpi-lab synth --views N` wrote, and rectified stereo pairs (`left.png`, `right.png`,
-/// `disp_left.png` and `meta.json` with `scale`: the file's values over it are pixels, 0 is unknown); and what [`public::of`] takes, in the
+/// `disp_left.png` and `meta.json` with `scale`: the file's values over it are pixels, 0 is unknown); and what [`public_datasets::of`] takes, in the
 /// folder itself, too.
 pub(super) fn read(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, EvalError> {
     let entries = std::fs::read_dir(folder).map_err(|e| EvalError::file(folder, &e))?;
     let mut folders: Vec<PathBuf> =
         entries.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>().map_err(|e| EvalError::file(folder, &e))?;
     folders.sort();
-    let mut cases = public::of(folder, depth)?;
+    let mut cases = public_datasets::of(folder, depth)?;
     for f in folders.iter().filter(|f| f.is_dir()) {
         if f.join("scene.json").exists() {
             cases.push(rendered(f)?);
         } else if f.join("disp_left.png").exists() {
             cases.push(pair(f)?);
         } else {
-            cases.extend(public::of(f, depth)?);
+            cases.extend(public_datasets::of(f, depth)?);
         }
     }
     if cases.is_empty() {

@@ -3,7 +3,7 @@
 mod cases;
 mod error_sources;
 pub mod mesh;
-mod public;
+mod public_datasets;
 mod score;
 
 use std::path::{Path, PathBuf};

@@ -112,7 +112,7 @@ impl Mask {
                 |(a, b): (&[u8; 3], &[u8; 3])| a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(*b)) / 255.0).powi(power)).sum::<f64>();
             mean(pixels.map(|both| off(both) / 3.0), of)
         };
-        let decibels = |mse: f64| if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::EQUAL) } else { metrics::EQUAL };
+        let decibels = |mse: f64| if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::MAX_PSNR) } else { metrics::MAX_PSNR };
         let psnr = decibels(difference(2, &self.inside).unwrap_or(0.0));
         let of = |mask: &[bool]| difference(2, mask).map_or(psnr, decibels);
         let (borders, uncovered, l1) = (of(&self.beside), of(&self.uncovered), difference(1, &self.inside).unwrap_or(0.0));
@@ -326,7 +326,7 @@ mod tests {
         view[15 * w + 15] = [0; 3];
         view[0] = [0; 3];
         let same = mask.score(&view, &truth);
-        assert!((same.psnr - metrics::EQUAL).abs() < 1e-12 && same.l1 == 0.0);
+        assert!((same.psnr - metrics::MAX_PSNR).abs() < 1e-12 && same.l1 == 0.0);
         view[5 * w + 5] = [151; 3];
         let n = mask.inside.iter().filter(|b| **b).count() as f64;
         let other = mask.score(&view, &truth);

@@ -30,13 +30,13 @@ mod webp_metadata;
 #[cfg(test)]
 mod colour_tests;
 #[cfg(test)]
+mod corpus_tests;
+#[cfg(test)]
 mod hostile;
 #[cfg(test)]
 mod jpeg_tests;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod wild;
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};

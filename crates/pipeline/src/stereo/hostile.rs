@@ -222,7 +222,7 @@ fn a_non_finite_estimate_keeps_measured_pixels() {
     let measured = || measure(&photo, &second()).unwrap();
     let joined = |estimate: &dyn Fn(usize) -> f32| {
         let estimate = DisparityMap { width: W, height: H, delta: (0..size).map(estimate).collect() };
-        measured().joined(&photo, &estimate)
+        measured().fuse(&photo, &estimate)
     };
     let known: Vec<bool> = measured().disparity.iter().map(|d| d.is_finite()).collect();
     let ramp = |i: usize| (i / W as usize) as f32 / H as f32;

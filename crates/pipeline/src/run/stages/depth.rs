@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Photo};
 
 use crate::run::{self, Context, MakeError, Switch};
-use crate::stereo::{self, Joined, Measured, Stereo};
+use crate::stereo::{self, FusedDisparity, Measured, Stereo};
 use crate::{denoise, depth, edges, photo};
 
 /// Stage from a photo and the source of its disparity to a disparity map.
@@ -182,7 +182,7 @@ impl run::Stage for Depth {
                 size.map_or_else(|| network.estimate(photo).map(depth::Estimate::from), |size| network.estimate_at(photo, size))?;
             self.network_ms = if self.size.is_some() { estimate.network_ms } else { 0.0 };
             if let Some(measured) = measured {
-                let Joined { map, own, figures } = measured.joined(photo, &estimate.map);
+                let FusedDisparity { map, own, figures } = measured.fuse(photo, &estimate.map);
                 context.report.depth_model = "stereo".into();
                 let (width, height) = own.as_ref().map_or((width, height), |own| (own.width, own.height));
                 context.report.input.depth = Some(run::InputDepth { source: "stereo".into(), width, height, stretched: false });

@@ -5,7 +5,7 @@ use tmpi_core::{Intrinsics, Photo};
 
 use crate::photo::{self, Decoded};
 use crate::run::time_budget::Costs;
-use crate::run::{Context, Input, MakeError, Movement, Stage};
+use crate::run::{Context, Input, MakeError, Parallax, Stage};
 
 /// Stage from the bytes of a file to photo and camera.
 #[derive(Debug, Default)]
@@ -64,7 +64,7 @@ impl Stage for Prepare {
         context.report.input = Input { width: original.0, height: original.1, bytes: file.len(), damaged, ..context.report.input.clone() };
         (context.report.width, context.report.height) = (photo.width, photo.height);
         context.report.error.reduction = reduction;
-        context.movement = Some(Movement::new(intrinsics, options.view_box));
+        context.movement = Some(Parallax::new(intrinsics, options.view_box));
         Ok(Prepared { photo, intrinsics, format, uploaded, reduced, second_half })
     }
 }

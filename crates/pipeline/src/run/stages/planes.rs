@@ -5,7 +5,7 @@ use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 use super::{Prepared, WeightedDisparity};
 use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::time_budget::Costs;
-use crate::run::{Budget, Context, MakeError, Movement, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
+use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
 use tmpi_core::container::{most_planes, readable};
 
 /// Stage from disparity to planes and labels of every tile.
@@ -93,7 +93,7 @@ impl Stage for Planes {
         let (options, delta) = (context.options, &map.delta);
         let (w, h) = (delta.width, delta.height);
         let grid = options.grid(w, h);
-        let movement = Movement::new(prepared.intrinsics, options.view_box);
+        let movement = Parallax::new(prepared.intrinsics, options.view_box);
         let most_px = movement.most(Rect { x: 0, y: 0, w, h });
         let mut max_error = options.max_error;
         if let Some(asked) = options.budget_ms {
