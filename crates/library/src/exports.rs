@@ -12,7 +12,7 @@ use crate::error::{LibraryError, Result, is_refusal};
 use crate::events::Event;
 use crate::ids::PhotoId;
 use crate::leases::Lease;
-use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
+use crate::photo::{Blob, Class, Part, Photo, PhotoState, file_names, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{COLUMNS, Job, JobKind, JobState, NewJob, Requester, id_of};
 use crate::statistics::count_outcome;
@@ -182,10 +182,4 @@ impl Library {
 pub(crate) async fn remove_of(tx: &mut Tx, photo: PhotoId) -> Result<Vec<String>> {
     let delete = sqlx::query("DELETE FROM jobs WHERE photo = $1 AND kind IN ('export', 'film') RETURNING result");
     file_names(&delete.bind(photo.to_string()).fetch_all(tx.connection()).await?)
-}
-
-/// Names of the blobs of deleted jobs.
-pub(crate) fn file_names(deleted: &[sqlx::any::AnyRow]) -> Result<Vec<String>> {
-    let files: Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
-    Ok(files?.into_iter().flatten().map(|blob| blob.name).collect())
 }

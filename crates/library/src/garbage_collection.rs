@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use crate::blobs::prefixes;
 use crate::error::Result;
-use crate::exports::file_names;
-use crate::photo::{Blobs, json};
+use crate::photo::{Blobs, file_names, json};
 use crate::{Library, millis};
 
 /// Age at which a blob without references is deleted: by then its writer has committed the reference or died.

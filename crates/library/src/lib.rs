@@ -8,6 +8,7 @@
 
 mod accept;
 mod blobs;
+mod completion;
 mod credentials;
 mod database;
 mod deliveries;
@@ -43,6 +44,7 @@ use serde_json::Value;
 
 pub use accept::{Accepted, Outcome, Upload};
 pub use blobs::{BlobStore, Content, Contents, DiskSpace, Reserve};
+pub use completion::{PhotoResults, Retry};
 pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
 pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, DueDelivery, EventData, ExportData, RETRIES, Verdict};
 pub use error::{LibraryError, QueueLimit, Quota, Result, Service};
@@ -51,7 +53,7 @@ pub use exports::{ExportOrder, OrderedExport};
 pub use garbage_collection::Collected;
 pub use ids::{Digest, IdError, Millis, Owner, PhotoId, hex};
 pub use integrity::Damage;
-pub use leases::{Lease, PhotoResults, Retry};
+pub use leases::Lease;
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Filter, Page};
 pub use queue::{Job, JobKind, JobState, Position, Requester};

@@ -12,9 +12,8 @@ use crate::database::Tx;
 use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
-use crate::exports::file_names;
 use crate::ids::{Millis, Owner, PhotoId};
-use crate::photo::{COLUMNS, Photo, PhotoState, Problem, blob_names, title_of, to_json};
+use crate::photo::{COLUMNS, Photo, PhotoState, Problem, blob_names, file_names, title_of, to_json};
 use crate::webhooks::EventType;
 
 /// Views recorded per transaction.

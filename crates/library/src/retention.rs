@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use sqlx::Row as _;
 
 use crate::deliveries;
-use crate::exports::file_names;
 use crate::ids::{Millis, PhotoId};
+use crate::photo::file_names;
 use crate::{Library, LibraryError, Result, millis, rooms};
 
 /// Photos per query.
