@@ -259,7 +259,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let (limits, private, public_list) = (args.limits()?, args.is_private(), args.access == Some(Access::Public));
     let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies, args.client_address));
     let models = models::load(&settings)?;
-    let maker = PipelineMaker::new(models.clone(), limits.photo()).identified(&identity(&settings)?);
+    let maker = PipelineMaker::new(models.clone(), limits.photo()).with_identity(&identity(&settings)?);
     if makes_for_another {
         let drawing = || tmpi_render::select_with_cache(args.backend, limits.cache.scenes).map_err(|e| format!("renderer: {e}"));
         run_child(&maker, &limits, &drawing);

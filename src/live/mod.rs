@@ -64,7 +64,7 @@ use room::Room;
 use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
 
-use crate::server::{Figure, Problem, gauge};
+use crate::server::{Metric, Problem, gauge};
 
 /// Longest silence of a publisher, also before its first message.
 const SILENCE: Duration = Duration::from_secs(10);
@@ -207,7 +207,7 @@ impl Rooms {
     }
 
     /// Metrics.
-    pub(crate) fn counts(&self) -> Vec<Figure> {
+    pub(crate) fn counts(&self) -> Vec<Metric> {
         let (all, edges) = {
             let rooms = self.lock();
             (rooms.len(), rooms.values().filter(|named| named.room.is_edge()).count())

@@ -15,7 +15,7 @@ use super::access::Guard;
 use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::build_identity;
 use super::cache::Cache;
-pub use super::cache_values::{Derived, Export, Stored, TempFolder, Version, WhenFull};
+pub use super::cache_values::{Derived, DiskFullPolicy, Export, StoredFile, TempFolder, Version};
 use super::client_slots::{ClientSlots, client_address};
 use super::finished_photo::FinishedPhoto;
 use super::hosts::Hosts;
@@ -67,11 +67,11 @@ pub struct AppState {
     /// The download of the better depth network.
     pub download: Download,
     /// Small files, and open ones.
-    pub files: Cache<(Version, Part), Stored>,
+    pub files: Cache<(Version, Part), StoredFile>,
     /// Smaller levels and parts of containers.
-    pub levels: Cache<(Version, Derived), Stored>,
+    pub levels: Cache<(Version, Derived), StoredFile>,
     /// Encoded views by version and parameters.
-    pub views: Cache<(Version, String), Stored>,
+    pub views: Cache<(Version, String), StoredFile>,
     /// Files to download and films, on disk.
     pub exports: Cache<(Version, String), Export>,
     /// Where views are drawn.
@@ -241,7 +241,7 @@ impl AppState {
     ///
     /// # Errors
     /// 409 with a `Retry-After` if it is not finished, the photo's own problem if it failed, 404 if it is deleted.
-    pub fn done(photo: &Photo) -> Result<(Version, FinishedPhoto), Problem> {
+    pub fn finished(photo: &Photo) -> Result<(Version, FinishedPhoto), Problem> {
         match photo.state {
             PhotoState::Done => {
                 let done = FinishedPhoto::of(photo).ok_or_else(|| Problem::internal("a photo", &"its details are not understood"))?;
@@ -264,11 +264,11 @@ impl AppState {
     ///
     /// # Errors
     /// 404 if it was deleted meanwhile; 500 also if it is damaged, in which case the photo is marked as damaged.
-    pub async fn file(&self, photo: &Photo, part: Part) -> Result<Stored, Problem> {
-        let (version, _) = Self::done(photo)?;
+    pub async fn file(&self, photo: &Photo, part: Part) -> Result<StoredFile, Problem> {
+        let (version, _) = Self::finished(photo)?;
         let open = async {
             let blob = photo.blob(part)?;
-            match Stored::of_blob(self.library.blobs(), part, blob).await {
+            match StoredFile::of_blob(self.library.blobs(), part, blob).await {
                 Ok(stored) => Ok(stored),
                 Err(error) => Err(Box::pin(self.unread(photo, error)).await),
             }
@@ -315,11 +315,11 @@ impl AppState {
         photo: &Photo,
         (level, region): (u8, Option<Rect>),
         sections: Option<&[&'static str]>,
-    ) -> Result<Stored, Problem> {
+    ) -> Result<StoredFile, Problem> {
         if (level, region, sections) == (0, None, None) {
             return self.file(photo, Part::Container).await;
         }
-        let (version, done) = Self::done(photo)?;
+        let (version, done) = Self::finished(photo)?;
         let tiles = if let Some(region) = region { Some(self.tiles(photo, region).await?) } else { None };
         let place = |name: &&str| container::SECTIONS.iter().position(|s| s == name).map(|i| i as u8);
         let mut places = sections.map(|names| names.iter().filter_map(place).collect::<Vec<_>>());
@@ -344,7 +344,7 @@ impl AppState {
                 if let Some(names) = names {
                     bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
                 }
-                Stored::derived(None, bytes, &disk, WhenFull::Memory)
+                StoredFile::derived(None, bytes, &disk, DiskFullPolicy::Memory)
             };
             slot.run(make).await?
         };
@@ -381,7 +381,7 @@ impl AppState {
     /// # Errors
     /// As [`AppState::file`].
     pub async fn scene(&self, photo: &Photo, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
-        let (version, _) = Self::done(photo)?;
+        let (version, _) = Self::finished(photo)?;
         let mut took = None;
         let decode = async {
             let start = std::time::Instant::now();
@@ -395,27 +395,27 @@ impl AppState {
     }
 
     /// Drops cache entries that were unused for [`Limits::idle`].
-    pub async fn settle(&self) {
-        self.scenes.settle().await;
-        self.files.settle().await;
-        self.levels.settle().await;
-        self.views.settle().await;
+    pub async fn evict_idle(&self) {
+        self.scenes.evict_idle().await;
+        self.files.evict_idle().await;
+        self.levels.evict_idle().await;
+        self.views.evict_idle().await;
     }
 
     /// Frees disk space of files that can be made again.
-    pub async fn free_disk(&self) {
+    pub async fn free_temp_space(&self) {
         self.exports.clear().await;
         self.views.clear().await;
         self.levels.clear().await;
     }
 
     /// Drops the cache entries of a photo.
-    pub async fn forget(&self, photo: PhotoId) {
-        self.scenes.forget(photo).await;
-        self.views.forget(photo).await;
-        self.files.forget(photo).await;
-        self.levels.forget(photo).await;
-        self.exports.forget(photo).await;
+    pub async fn evict_photo(&self, photo: PhotoId) {
+        self.scenes.evict_photo(photo).await;
+        self.views.evict_photo(photo).await;
+        self.files.evict_photo(photo).await;
+        self.levels.evict_photo(photo).await;
+        self.exports.evict_photo(photo).await;
     }
 }
 

@@ -26,7 +26,7 @@ const OPEN_FILE: usize = 1 << 20;
 
 /// A result file of a photo, or a derived one.
 #[derive(Clone, Debug)]
-pub struct Stored {
+pub struct StoredFile {
     /// Its bytes.
     pub source: Source,
     /// Strong entity tag with its quotes.
@@ -35,14 +35,14 @@ pub struct Stored {
 
 /// What to do with large derived bytes if the disk is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WhenFull {
+pub enum DiskFullPolicy {
     /// Keep them in memory: views and levels, whose bytes the cache counts.
     Memory,
     /// Refuse them: exports, whose cache is sized for disk.
     Refuse,
 }
 
-impl Stored {
+impl StoredFile {
     /// Bytes with their tag.
     #[must_use]
     pub fn of(source: Source, etag: Arc<str>) -> Self {
@@ -89,7 +89,7 @@ impl Stored {
     ///
     /// # Errors
     /// 507 if the disk has no space beyond the reserve and they may not stay in memory, 500.
-    pub fn derived(made: Option<&str>, bytes: Vec<u8>, disk: &TempFolder, full: WhenFull) -> Result<Self, Problem> {
+    pub fn derived(made: Option<&str>, bytes: Vec<u8>, disk: &TempFolder, full: DiskFullPolicy) -> Result<Self, Problem> {
         let Self { source, etag } = match made {
             Some(made) => Self::derived_in_memory(made, bytes),
             None => Self::new(bytes),
@@ -97,7 +97,7 @@ impl Stored {
         let source = match source {
             Source::Memory(bytes) if bytes.len() > LARGE => match disk.keep(&bytes) {
                 Ok(file) => Source::File(Arc::new(file), bytes.len()),
-                Err(LibraryError::StorageFull) if full == WhenFull::Memory => Source::Memory(bytes),
+                Err(LibraryError::StorageFull) if full == DiskFullPolicy::Memory => Source::Memory(bytes),
                 Err(error) => return Err(error.into()),
             },
             source => source,
@@ -141,7 +141,7 @@ impl TempFolder {
     }
 }
 
-impl Value for Stored {
+impl Value for StoredFile {
     fn weight(&self) -> usize {
         match &self.source {
             Source::Memory(bytes) => bytes.len(),
@@ -155,7 +155,7 @@ const MIN_EXPORT: usize = 4 << 20;
 
 /// An export file; its weight is disk space.
 #[derive(Clone, Debug)]
-pub struct Export(pub Stored);
+pub struct Export(pub StoredFile);
 
 impl Value for Export {
     fn weight(&self) -> usize {

@@ -293,7 +293,7 @@ impl Maker for ProcessMaker {
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         // earlier photos' memory in a process must not be missing for this one
-        let large = self.memory(photo, depth, options) > self.checks.most_memory() / 2;
+        let large = self.memory(photo, depth, options) > self.checks.max_memory() / 2;
         if large {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }

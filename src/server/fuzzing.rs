@@ -12,7 +12,7 @@ use super::hosts::origin;
 use super::part_filename::file_name;
 use super::photo_options;
 use super::photo_settings::Settings;
-use super::proxies::{Announcement, ClientAddress, Network, Proxies, X_FORWARDED_FOR};
+use super::proxies::{ClientAddress, Network, Proxies, ProxyHeader, X_FORWARDED_FOR};
 use super::routes::ViewQuery;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
@@ -92,14 +92,14 @@ pub fn patch(patch: &[u8]) {
 
 /// Reads a PROXY protocol header, whole and every prefix of it.
 pub fn announcement(bytes: &[u8]) {
-    let whole = Announcement::read(bytes);
+    let whole = ProxyHeader::read(bytes);
     if let Ok(announcement) = &whole {
         assert!((1..=bytes.len()).contains(&announcement.length), "{announcement:?} of {} bytes", bytes.len());
         // a prefix gives no result
         for end in 0..announcement.length {
-            assert!(Announcement::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
+            assert!(ProxyHeader::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
         }
-        assert_eq!(Announcement::read(&bytes[..announcement.length]).ok().as_ref(), Some(announcement), "what follows changes it");
+        assert_eq!(ProxyHeader::read(&bytes[..announcement.length]).ok().as_ref(), Some(announcement), "what follows changes it");
     }
 }
 

@@ -29,7 +29,7 @@ pub async fn trim_when_idle(app: App) {
     let mut released = Activity::default();
     loop {
         tokio::time::sleep((app.limits.idle / CHECKS).max(Duration::from_millis(10))).await;
-        app.settle().await;
+        app.evict_idle().await;
         let shared = App::clone(&app);
         let settled = tokio::task::spawn_blocking(move || {
             shared.renderer.settle();

@@ -28,7 +28,7 @@ pub struct Picture {
 
 /// The card of a photo.
 #[derive(Debug)]
-pub struct Card {
+pub struct PreviewCard {
     /// `scheme://host` of the server, as in the request.
     base: String,
     id: String,
@@ -39,7 +39,7 @@ pub struct Card {
     view: Option<(String, (u32, u32))>,
 }
 
-impl Card {
+impl PreviewCard {
     /// The card for this request's caller, who knows the server as `base`. If a link gave the caller access, all addresses contain it.
     #[must_use]
     pub fn of(app: &AppState, photo: &Photo, base: String) -> Self {
@@ -88,7 +88,7 @@ impl Card {
 
     /// The viewer's page with the photo's title and the card's tags in its head.
     #[must_use]
-    pub fn introduce(&self, page: &str) -> String {
+    pub fn insert_tags(&self, page: &str) -> String {
         let title = escaped(&self.title);
         let titled = match (page.find("<title>"), page.find("</title>")) {
             (Some(from), Some(to)) if from < to => format!("{}<title>{title} – tmpi{}", &page[..from], &page[to..]),
@@ -159,9 +159,9 @@ mod tests {
 
     use super::*;
 
-    fn card(title: &str) -> Card {
+    fn card(title: &str) -> PreviewCard {
         let view = Some(("https://h:1/x?a=1".into(), (4000, 3000)));
-        Card { base: "https://h:1".into(), id: "0".repeat(32), title: title.into(), link: String::new(), view }
+        PreviewCard { base: "https://h:1".into(), id: "0".repeat(32), title: title.into(), link: String::new(), view }
     }
 
     #[test]
@@ -184,7 +184,7 @@ mod tests {
             // as many tags and quotes as with a harmless title: none opened or closed
             let count = |html: &str| ['<', '>', '"'].map(|c| html.matches(c).count());
             let page = "<head><title>x</title></head>";
-            prop_assert_eq!(count(&hostile.introduce(page)), count(&plain.introduce(page)));
+            prop_assert_eq!(count(&hostile.insert_tags(page)), count(&plain.insert_tags(page)));
             prop_assert_eq!(count(&hostile.frame((800, 800)).0), count(&plain.frame((800, 800)).0));
         }
     }

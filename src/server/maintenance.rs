@@ -24,7 +24,7 @@ pub async fn probe(app: App, has_objects: bool) {
         let trouble = match app.library.check().await {
             Ok(()) => app.maker.lacks(),
             Err(LibraryError::StorageFull) => {
-                app.free_disk().await;
+                app.free_temp_space().await;
                 Some("the data directory has no room left")
             }
             Err(error) => {
@@ -78,11 +78,11 @@ pub async fn verify_photos(app: App) {
 }
 
 /// Drops the cache entries of deleted photos, whichever node deleted them.
-pub async fn forget(app: App) {
+pub async fn evict_deleted(app: App) {
     let mut events = app.library.subscribe();
     while let Some(event) = events.next().await {
         if let Event::Deleted(photo) = event {
-            app.forget(photo).await;
+            app.evict_photo(photo).await;
         }
     }
 }

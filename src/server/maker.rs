@@ -142,13 +142,13 @@ impl PipelineMaker {
 
     /// Memory for making photos, in bytes.
     #[must_use]
-    pub fn most_memory(&self) -> u64 {
+    pub fn max_memory(&self) -> u64 {
         self.limits.memory
     }
 
     /// With networks that `text` identifies.
     #[must_use]
-    pub fn identified(self, text: &str) -> Self {
+    pub fn with_identity(self, text: &str) -> Self {
         Self { identity: format!("{} {text}", build_identity::PIPELINE), ..self }
     }
 }

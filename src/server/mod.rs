@@ -91,7 +91,7 @@ pub use webhooks::ConfiguredWebhook;
 
 use app_state::{App, AppParts, AppState};
 use metrics::Telemetry;
-pub(crate) use metrics::{Figure, gauge};
+pub(crate) use metrics::{Metric, gauge};
 pub(crate) use timestamps::rfc3339;
 use traces::Traces;
 use webhooks::Clients;
@@ -245,7 +245,7 @@ impl Server {
         let mut upkeep = tokio::task::JoinSet::new();
         upkeep.spawn(maintenance::probe(Arc::clone(&app), has_objects));
         upkeep.spawn(maintenance::sweep(Arc::clone(&app)));
-        upkeep.spawn(maintenance::forget(Arc::clone(&app)));
+        upkeep.spawn(maintenance::evict_deleted(Arc::clone(&app)));
         if tls.is_some() {
             app.set_origin(addr.port());
         }

@@ -13,7 +13,7 @@ use super::app_state::App;
 use super::compress;
 use super::conditional::{ContentCoding, Entity, REVALIDATE, respond};
 use super::hosts::origin;
-use super::link_preview::Card;
+use super::link_preview::PreviewCard;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 use tmpi_library::hex;
@@ -52,9 +52,9 @@ pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<Strin
     let name = "app/view-page.html";
     let Ok(photo) = app.photo(&id).await else { return not_found(&app, name, Frames::Own).await };
     let mut file = load(&app, name).await?;
-    let card = origin(&headers).map(|base| Card::of(&app, &photo, base));
+    let card = origin(&headers).map(|base| PreviewCard::of(&app, &photo, base));
     if let Some(card) = card {
-        let page = card.introduce(&String::from_utf8_lossy(&file.bytes));
+        let page = card.insert_tags(&String::from_utf8_lossy(&file.bytes));
         file = File { etag: etag_of(page.as_bytes()), bytes: page.into(), coding: ContentCoding::Gzip };
     }
     Ok(send(file, &headers, name, Frames::Own))
@@ -86,7 +86,7 @@ pub async fn publish(State(app): State<App>, headers: HeaderMap) -> Result<Respo
 }
 
 /// Fallback for unknown addresses: a page for people, a problem for programs.
-pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn not_found(State(app): State<App>, method: Method, headers: HeaderMap) -> Result<Response, Problem> {
     // browsers declare a navigation; for other clients, the preferred type decides
     let dest = headers.get("sec-fetch-dest").map(HeaderValue::as_bytes);
     let accepts = headers.get(header::ACCEPT).and_then(|a| a.to_str().ok());

@@ -73,11 +73,11 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     let o = options;
     let mut all = BTreeMap::new();
     let mut put = |name: &str, value: String| all.insert(name.to_owned(), value);
-    put("denoise", chosen(&o.denoise));
-    put("depth-kind", chosen(&o.depth_kind));
+    put("denoise", value_name(&o.denoise));
+    put("depth-kind", value_name(&o.depth_kind));
     put("max-error", o.max_error.to_string());
-    put("photo-depth", chosen(&o.photo_depth));
-    put("plane-method", chosen(&o.plane_method));
+    put("photo-depth", value_name(&o.photo_depth));
+    put("plane-method", value_name(&o.plane_method));
     put(
         "planes",
         match o.planes {
@@ -86,9 +86,9 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
         },
     );
     put("quality", o.quality.to_string());
-    put("refine", chosen(&o.refine));
-    put("snap", chosen(&o.snap));
-    put("stereo", chosen(&o.stereo));
+    put("refine", value_name(&o.refine));
+    put("snap", value_name(&o.snap));
+    put("stereo", value_name(&o.stereo));
     put(
         "tile",
         match o.tile {
@@ -130,7 +130,7 @@ pub fn from_text(text: &BTreeMap<String, String>) -> Result<Options, Problem> {
 }
 
 /// The name of a choice.
-pub fn chosen<T: ValueEnum>(value: &T) -> String {
+pub fn value_name<T: ValueEnum>(value: &T) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }
 

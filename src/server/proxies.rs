@@ -84,7 +84,7 @@ impl Proxies {
 
     /// Whether connections from there begin with the PROXY protocol.
     #[must_use]
-    pub fn announces(&self, peer: IpAddr) -> bool {
+    pub fn uses_proxy_protocol(&self, peer: IpAddr) -> bool {
         self.told == ClientAddress::ProxyProtocol && self.trusts(peer)
     }
 
@@ -135,7 +135,7 @@ fn address(text: &str) -> Option<IpAddr> {
 }
 
 /// Sets a header with the client from the PROXY protocol, as an HTTP proxy does; such a client is never this machine's own user.
-pub fn say(headers: &mut HeaderMap, client: IpAddr) {
+pub fn set_forwarded(headers: &mut HeaderMap, client: IpAddr) {
     if let Ok(value) = HeaderValue::try_from(client.to_string()) {
         headers.insert(X_FORWARDED_FOR, value);
     }
@@ -145,7 +145,7 @@ pub fn say(headers: &mut HeaderMap, client: IpAddr) {
 ///
 /// # Errors
 /// An I/O error; [`io::ErrorKind::InvalidData`] if the connection begins otherwise.
-pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
+pub async fn read_proxy_protocol(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
     let mut bytes = [0; MOST];
     loop {
         // peek, so that the bytes after the header stay in the socket
@@ -153,8 +153,8 @@ pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
         if seen == 0 {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        match Announcement::read(&bytes[..seen]) {
-            Ok(Announcement { client, length }) => {
+        match ProxyHeader::read(&bytes[..seen]) {
+            Ok(ProxyHeader { client, length }) => {
                 stream.read_exact(&mut bytes[..length]).await?;
                 return Ok(client);
             }
@@ -166,14 +166,14 @@ pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
 
 /// A PROXY protocol header.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Announcement {
+pub struct ProxyHeader {
     /// The client; `None` for a connection of the proxy itself.
     pub client: Option<IpAddr>,
     /// Length of the header in bytes.
     pub length: usize,
 }
 
-impl Announcement {
+impl ProxyHeader {
     /// # Errors
     /// [`Error::BufferTooShort`] if more bytes are needed.
     pub fn read(bytes: &[u8]) -> Result<Self, Error> {

@@ -181,7 +181,7 @@ async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) ->
             return Err(Problem::parameter(&name, detail));
         }
         if name == "second" {
-            parts.fields.set("stereo", &photo_options::chosen(&Stereo::Beside))?;
+            parts.fields.set("stereo", &photo_options::value_name(&Stereo::Beside))?;
         }
         let file = futures_util::stream::iter([Ok(first)]).chain(field);
         let (mut head, options) = (UploadHead::new(&app.maker), &parts.fields.options);

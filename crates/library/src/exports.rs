@@ -26,7 +26,7 @@ const FETCHED: Duration = Duration::from_mins(1);
 
 /// A request for an export.
 #[derive(Clone, Debug)]
-pub struct ExportOrder<'a> {
+pub struct NewExport<'a> {
     /// The finished photo, as the caller read it.
     pub photo: &'a Photo,
     /// Name among the exports of this photo: equal parameters have equal names.
@@ -56,7 +56,7 @@ impl Library {
     /// # Errors
     /// [`LibraryError::NotReady`] if the photo is not done, [`LibraryError::Changed`] if it was made again meanwhile,
     /// [`LibraryError::QueueFull`].
-    pub async fn order_export(&self, order: &ExportOrder<'_>) -> Result<OrderedExport> {
+    pub async fn order_export(&self, order: &NewExport<'_>) -> Result<OrderedExport> {
         match self.job(order.kind, order.photo.id, Some(order.key)).await {
             Ok(job) if job.state != JobState::Failed && job.version == order.photo.version => return Ok(OrderedExport { job, new: false }),
             Ok(_) | Err(LibraryError::NotFound(_)) => {}

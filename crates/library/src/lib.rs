@@ -49,7 +49,7 @@ pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
 pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, DueDelivery, EventData, ExportData, RETRIES, Verdict};
 pub use error::{LibraryError, QueueLimit, Quota, Result, Service};
 pub use events::{Event, Subscription};
-pub use exports::{ExportOrder, OrderedExport};
+pub use exports::{NewExport, OrderedExport};
 pub use garbage_collection::Collected;
 pub use ids::{Digest, IdError, Millis, Owner, PhotoId, hex};
 pub use integrity::Damage;

@@ -153,11 +153,11 @@ fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static s
         Arrangement::Stereo(_) => None,
     });
     let crop = q.crop.map(|c| format!("{},{},{},{}", c.corner[0], c.corner[1], c.size[0], c.size[1]));
-    let moving = q.moving.map(|m| (ending(m.format), way(m.path), m.frames));
+    let film = q.film.map(|m| (ending(m.format), way(m.path), m.frames));
     let all = [
-        ("path", moving.map(|m| m.1.to_owned())),
-        ("format", moving.map(|m| m.0.to_owned())),
-        ("frames", moving.map(|m| m.2.to_string())),
+        ("path", film.map(|m| m.1.to_owned())),
+        ("format", film.map(|m| m.0.to_owned())),
+        ("frames", film.map(|m| m.2.to_string())),
         ("w", Some(width.to_string())),
         ("h", Some(height.to_string())),
         ("tx", pose(q.tx)),

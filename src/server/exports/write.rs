@@ -75,7 +75,7 @@ fn fault(error: &ExportError) -> Fault {
 }
 
 fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unless<'_>) -> Result<Vec<u8>, Fault> {
-    let Some(moving) = query.moving else { return Err(Fault::Photo(Problem::parameter("path", "is required for a film"))) };
+    let Some(film) = query.film else { return Err(Fault::Photo(Problem::parameter("path", "is required for a film"))) };
     let (camera, rig, range) = (query.camera(scene, size), query.rig(scene), MotionRange::of(scene));
     let photo = |problem: Problem| Fault::Photo(problem);
     let draw = |camera: &Camera| match &rig {
@@ -83,13 +83,13 @@ fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unle
         None => renderer.render(scene, camera),
     };
     let mut animation = None;
-    for frame in 0..moving.frames {
-        let camera = moving.path.camera(&camera, frame, moving.frames, &range);
+    for frame in 0..film.frames {
+        let camera = film.path.camera(&camera, frame, film.frames, &range);
         let view =
             draw(&camera).map_err(|e| if matches!(e, RenderError::Cancelled) { Fault::Cancelled } else { photo(Problem::from(&e)) })?;
         let size = (view.width, view.height);
         if animation.is_none() {
-            animation = Some(Animation::start(moving.format, size, DEFAULT_QUALITY).map_err(|e| photo(Problem::from(&e)))?);
+            animation = Some(Animation::start(film.format, size, DEFAULT_QUALITY).map_err(|e| photo(Problem::from(&e)))?);
         }
         if let Some(animation) = &mut animation {
             animation.push(&view).map_err(|e| photo(Problem::from(&e)))?;

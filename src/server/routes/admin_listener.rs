@@ -65,7 +65,7 @@ async fn purge(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Re
     let nothing = || Problem::not_found(format!("there is no photo {id:?}"));
     let photo: PhotoId = id.parse().map_err(|_| nothing())?;
     let known = app.library.delete(photo, None).await?;
-    app.forget(photo).await;
+    app.evict_photo(photo).await;
     if !known {
         return Err(nothing());
     }

@@ -1,6 +1,6 @@
 //! Whether this node's network would give a photo better depth.
 
-use crate::server::app_state::{AppState, Stored};
+use crate::server::app_state::{AppState, StoredFile};
 use tmpi_library::{Part, Photo};
 use tmpi_pipeline::networks::models::registry::better_than;
 
@@ -19,7 +19,7 @@ pub(super) async fn better_depth(app: &AppState, photo: &Photo) -> Option<String
         return None;
     }
     // a request for the report itself answers with the error
-    let Stored { source, .. } = app.file(photo, Part::Report).await.ok()?;
+    let StoredFile { source, .. } = app.file(photo, Part::Report).await.ok()?;
     let MadeBy { depth_model } = serde_json::from_slice(&source.head(source.len()).await.ok()?).ok()?;
     worse.iter().any(|kind| depth_model.starts_with(kind)).then_some(network)
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use axum::http::{HeaderMap, HeaderName};
 use axum::response::Response;
 
-use crate::server::app_state::{AppState, Stored};
+use crate::server::app_state::{AppState, StoredFile};
 use crate::server::build_identity;
 use crate::server::conditional::{ContentCoding, Entity, cache_control_for, insert, known_etag, not_modified, respond};
 use crate::server::finished_photo::FinishedPhoto;
@@ -30,7 +30,7 @@ impl Derived {
     }
 
     /// The answer, with the time of each phase if it was made for this request.
-    pub fn answer(&self, headers: &HeaderMap, stored: Stored, content_type: &str, timing: &[(&str, Duration)]) -> Response {
+    pub fn answer(&self, headers: &HeaderMap, stored: StoredFile, content_type: &str, timing: &[(&str, Duration)]) -> Response {
         let entity = Entity {
             source: stored.source,
             etag: &stored.etag,

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::derived_answer::Derived;
 use crate::export::{self, ExportError, ExportFormat, ExportOptions};
-use crate::server::app_state::{App, AppState, Export, Stored, WhenFull};
+use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile};
 use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
 use crate::server::content_disposition::content_disposition;
@@ -54,7 +54,7 @@ pub async fn export(
     let photo = app.photo(&id).await?;
     let query = ExportQuery::read(&uri)?;
     let (format, model, asked) = (query.format, query.model(), query.version);
-    let (version, done) = AppState::done(&photo)?;
+    let (version, done) = AppState::finished(&photo)?;
     let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?} {model:?}"));
     if let Some(response) = derived.known(&headers) {
         return Ok(response);
@@ -80,7 +80,7 @@ pub async fn export(
                 None if cheap => export::html(&container, TITLE).map_err(problem),
                 None => shared.write_export(&recipe, (&container, &done), &gone),
             };
-            let stored = Stored::derived(Some(&name), bytes?, &shared.temp_folder(), WhenFull::Refuse)?;
+            let stored = StoredFile::derived(Some(&name), bytes?, &shared.temp_folder(), DiskFullPolicy::Refuse)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::query::NoQuery;
 use crate::server::access::Guard;
-use crate::server::app_state::{App, AppState, Stored};
+use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::build_identity;
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use crate::server::content_disposition::content_disposition;
@@ -19,7 +19,7 @@ use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
 use crate::server::request_body;
 use crate::server::timestamps::rfc3339;
-use tmpi_library::{Class, ExportOrder, Job, JobKind, JobState, LibraryError, Part, Photo, QueueLimit};
+use tmpi_library::{Class, Job, JobKind, JobState, LibraryError, NewExport, Part, Photo, QueueLimit};
 
 /// Most bytes of the parameters.
 const MOST: usize = 4 << 10;
@@ -192,11 +192,11 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
 pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let pairs = parameters(request).await?;
-    let (_, done) = AppState::done(&photo)?;
+    let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
     let key = build_identity::short(&format!("file {} {text}", app.version(&done)));
-    let order = ExportOrder {
+    let order = NewExport {
         photo: &photo,
         key: &key,
         kind: if matches!(recipe, Recipe::Film(..)) { JobKind::Film } else { JobKind::Export },
@@ -220,7 +220,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
 /// The job of an ordered file, if it belongs to the photo's current version.
 async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
     let none = || Problem::not_found("the photo has no such file: it was not ordered, or was deleted; order it again");
-    let (_, done) = AppState::done(photo).map_err(|_| none())?;
+    let (_, done) = AppState::finished(photo).map_err(|_| none())?;
     let job = match app.library.job(JobKind::Export, photo.id, Some(key)).await {
         Err(LibraryError::NotFound(_)) => return Err(none()),
         job => job?,
@@ -287,7 +287,7 @@ pub async fn file(
         (None, Some(problem)) if job.state == JobState::Failed => return Err(Problem::of_library(problem)),
         (None, _) => return Err(Problem::new(StatusCode::CONFLICT, "not-ready", "the file is not written yet").retry_after(LATER)),
     };
-    let stored = match Stored::of_blob(app.library.blobs(), Part::Export, blob).await {
+    let stored = match StoredFile::of_blob(app.library.blobs(), Part::Export, blob).await {
         Err(error @ LibraryError::Damaged { .. }) => {
             tracing::error!(photo = %photo.id, key, %error, "an export file is damaged; the next order writes it again");
             app.library.cancel_export(photo.id, &key).await?;

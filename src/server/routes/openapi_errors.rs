@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::server::problem::MEDIA_TYPE;
 
 /// Gives every answer of `document` with a status from 400 on a problem document (RFC 9457) as its body.
-pub fn put(document: &mut Value) {
+pub fn add_errors(document: &mut Value) {
     let content = json!({MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}});
     let paths = document["paths"].as_object_mut().into_iter().flat_map(|paths| paths.values_mut());
     let operations = paths.filter_map(Value::as_object_mut).flat_map(|path| path.values_mut());

@@ -13,7 +13,7 @@ use super::depth_upgrade::better_depth;
 use super::photo_state::{PhotoList, PhotoState};
 use super::query::{NoQuery, Pairs};
 use crate::server::access::Guard;
-use crate::server::app_state::{App, Stored};
+use crate::server::app_state::{App, StoredFile};
 use crate::server::build_identity::short;
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond, respond_uncached};
 use crate::server::photo_settings::{PATCH_BYTES, Settings};
@@ -321,7 +321,7 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
 pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let settings = Settings::of(&app.photo(&id).await?);
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
-    let file = Stored::new(bytes);
+    let file = StoredFile::new(bytes);
     let entity = Entity {
         source: file.source,
         etag: &file.etag,
@@ -333,11 +333,11 @@ pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery
 }
 
 /// The state as it is sent. The first half of its tag names the settings, which alone can be changed, the second half all of it.
-async fn state_now(app: &App, photo: &Photo, better_depth: Option<String>) -> Result<Stored, Problem> {
+async fn state_now(app: &App, photo: &Photo, better_depth: Option<String>) -> Result<StoredFile, Problem> {
     let state = PhotoState { better_depth, ..PhotoState::of(app, photo).await? };
     let wrong = |e| Problem::internal("writing a photo's state", &e);
     let (settings, all) = (serde_json::to_string(&state.settings).map_err(wrong)?, serde_json::to_vec(&state).map_err(wrong)?);
-    Ok(Stored::derived_in_memory(&short(&settings), all))
+    Ok(StoredFile::derived_in_memory(&short(&settings), all))
 }
 
 /// Change the settings of a photo.
@@ -412,7 +412,7 @@ pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
     let photo = app.photo(&id).await?;
     check_if_match(&headers, &state_now(&app, &photo, None).await?.etag)?;
     let deleted = app.library.delete(photo.id, Some(photo.accepted_at)).await?;
-    app.forget(photo.id).await;
+    app.evict_photo(photo.id).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }
 

@@ -55,7 +55,7 @@ pub async fn remake(
 /// The state of a queued photo: 200 if it is made within the time of `Prefer: wait` and of the request, its problem if it fails, else 202.
 pub(super) async fn answer(app: &App, photo: Photo, headers: &HeaderMap, clock: &TimeLimit) -> Result<Response, Problem> {
     // drop cache entries of the old version
-    app.forget(photo.id).await;
+    app.evict_photo(photo.id).await;
     let wait = prefer_wait(headers);
     let photo = wait_for(app, photo, clock, wait).await?;
     let ready = photo.state.is_final();

@@ -8,7 +8,7 @@ use super::photo_state::PhotoState;
 use super::photos::merge_patch;
 use super::query::NoQuery;
 use super::remake;
-use crate::server::app_state::{App, AppState, Stored};
+use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
@@ -16,8 +16,8 @@ use tmpi_library::Content;
 use tmpi_pipeline::strokes::{BYTES, Stroke, patch, write};
 
 /// Strokes as JSON, with an entity tag of its bytes.
-fn stored(strokes: &[Stroke]) -> Stored {
-    Stored::new(write(strokes))
+fn stored(strokes: &[Stroke]) -> StoredFile {
+    StoredFile::new(write(strokes))
 }
 
 /// Strokes over a photo.

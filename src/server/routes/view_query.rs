@@ -36,7 +36,7 @@ const USUAL_SIDE: u32 = 640;
 
 /// A camera that moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Moving {
+pub struct FilmOptions {
     /// Its path.
     pub path: Path,
     /// Number of frames.
@@ -119,7 +119,7 @@ pub struct ViewQuery {
     /// `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom` (into the nearest thing): an animation along this path of the camera, 30 frames a
     /// second, with at most 640 pixels a side if you give no size. Needs ffmpeg on the server.
     #[param(value_type = Option<String>, rename = "path")]
-    pub moving: Option<Moving>,
+    pub film: Option<FilmOptions>,
     /// Frames of an animation, 60 if it is not given.
     #[param(minimum = 2, maximum = 240)]
     pub frames: Option<u32>,
@@ -175,13 +175,13 @@ impl ViewQuery {
             value.ok_or_else(|| Problem::parameter("frames", detail))
         });
         let frames = frames.transpose()?;
-        let moving = path.map(|path| {
+        let film = path.map(|path| {
             let text = given.take("format").unwrap_or_else(|| "webp".into());
             let format = AnimationFormat::from_extension(&text);
             let format = format.ok_or_else(|| Problem::parameter("format", format!("must be webp or mp4 with path, not {text:?}")))?;
-            Ok::<_, Problem>(Moving { path, frames: frames.unwrap_or(USUAL_FRAMES), format })
+            Ok::<_, Problem>(FilmOptions { path, frames: frames.unwrap_or(USUAL_FRAMES), format })
         });
-        let moving = moving.transpose()?;
+        let film = film.transpose()?;
         let format = given.take("format").map(|text| {
             let known = PictureFormat::from_extension(&text);
             known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg, webp or mpo, not {text:?}")))
@@ -206,7 +206,7 @@ impl ViewQuery {
         if format == Some(PictureFormat::Mpo) && stereo != Some(StereoLayout::SideBySide) {
             return Err(Problem::parameter("format", "mpo requires stereo=sbs"));
         }
-        Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, moving, frames, version })
+        Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, film, frames, version })
     }
 
     /// Size of each view of a photo of `photo` pixels. Without a size in the query, views of large photos are reduced to the limits.
@@ -217,7 +217,7 @@ impl ViewQuery {
         let (columns, rows) = self.arrangement().map_or((1, 1), Arrangement::grid);
         self.renders_within(Limits::RENDERS)?;
         let (most_wide, most_high) = (limits.view_side / columns, limits.view_side / rows);
-        let frames = self.moving.map_or(1, |m| u64::from(m.frames));
+        let frames = self.film.map_or(1, |m| u64::from(m.frames));
         let most = limits.view_pixels / (u64::from(columns) * u64::from(rows)) * FILM / frames.max(FILM);
         let [cw, ch] = self.crop.map_or([1.0; 2], |c| c.size);
         let (pw, ph) = (f64::from(photo.0) * cw, f64::from(photo.1) * ch);
@@ -227,14 +227,14 @@ impl ViewQuery {
             (Some(w), None) => (w, side(f64::from(w) * ph / pw)),
             (None, Some(h)) => (side(f64::from(h) * pw / ph), h),
             (None, None) => {
-                let side = if self.moving.is_some() { USUAL_SIDE } else { limits.view_side };
+                let side = if self.film.is_some() { USUAL_SIDE } else { limits.view_side };
                 let (most_wide, most_high) = (most_wide.min(side), most_high.min(side));
                 let scale = (most as f64 / (pw * ph)).sqrt().min(f64::from(most_wide) / pw).min(f64::from(most_high) / ph).min(1.0);
                 // rounded down, so that the product stays within the limit
                 return Ok((((pw * scale) as u32).max(1), ((ph * scale) as u32).max(1)));
             }
         };
-        let webp = self.moving.is_some_and(|m| m.format == AnimationFormat::WebP);
+        let webp = self.film.is_some_and(|m| m.format == AnimationFormat::WebP);
         if webp && (w > WEBP_SIDE / columns || h > WEBP_SIDE / rows) {
             let field = if self.w.is_some() { "w" } else { "h" };
             return Err(Problem::parameter(field, format!("WebP animations have at most {WEBP_SIDE} pixels a side; format=mp4 has more")));
@@ -251,9 +251,9 @@ impl ViewQuery {
     /// Limits the number of pictures: each has a cost, however small it is.
     fn renders_within(&self, most: u32) -> Result<(), Problem> {
         let views = self.arrangement().map_or(1, Arrangement::views);
-        let frames = self.moving.map_or(1, |m| m.frames);
+        let frames = self.film.map_or(1, |m| m.frames);
         if views * frames > most {
-            let field = if self.moving.is_some() { "frames" } else { "quilt" };
+            let field = if self.film.is_some() { "frames" } else { "quilt" };
             return Err(Problem::parameter(field, format!("{frames} frames of {views} views are over the limit of {most} pictures")));
         }
         Ok(())

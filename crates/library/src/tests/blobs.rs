@@ -12,7 +12,7 @@ async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
     let photo = done(&library, 1, owner("ann")).await;
     let requester = owner("ann");
     let order =
-        ExportOrder { photo: &photo, key: "a", kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
+        NewExport { photo: &photo, key: "a", kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
     library.order_export(&order).await.unwrap();
     let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
     library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();

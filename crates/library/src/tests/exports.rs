@@ -9,7 +9,7 @@ on_both! {
 
 async fn order(library: &Library, photo: &Photo, key: &str, requester: &Requester) -> Result<OrderedExport> {
     let payload = json!({"format": key});
-    library.order_export(&ExportOrder { photo, key, kind: JobKind::Export, payload, class: Class::Batch, requester }).await
+    library.order_export(&NewExport { photo, key, kind: JobKind::Export, payload, class: Class::Batch, requester }).await
 }
 
 async fn write_next(library: &Library, file: &[u8]) -> Job {

@@ -80,7 +80,7 @@ async fn deleting_leaves_neither_rows_nor_blobs(bed: Bed) {
     let (payload, requester) = (json!({"format": "zip"}), owner("ann"));
     for key in ["a", "b"] {
         let order =
-            ExportOrder { photo: &photo, key, kind: JobKind::Export, payload: payload.clone(), class: Class::Batch, requester: &requester };
+            NewExport { photo: &photo, key, kind: JobKind::Export, payload: payload.clone(), class: Class::Batch, requester: &requester };
         library.order_export(&order).await.unwrap();
     }
     let lease = library.take(&[JobKind::Export], LEASE).await.unwrap().unwrap();

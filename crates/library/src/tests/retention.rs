@@ -57,7 +57,7 @@ async fn exports_and_sessions_expire(bed: Bed) {
     let (requester, ann) = (owner("ann"), owner("ann").owner.unwrap());
     for key in ["a", "b"] {
         let order =
-            ExportOrder { photo: &photo, key, kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
+            NewExport { photo: &photo, key, kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
         library.order_export(&order).await.unwrap();
         let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
         library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();

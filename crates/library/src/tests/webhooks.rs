@@ -223,7 +223,7 @@ async fn the_end_of_each_job_and_room_is_announced(bed: Bed) {
     library.fail(&lease, &Problem::new("broken-photo", "why")).await.unwrap();
     let requester = owner("bob");
     for key in ["a", "b"] {
-        let order = ExportOrder {
+        let order = NewExport {
             photo: &photo,
             key,
             kind: JobKind::Film,
