@@ -180,7 +180,7 @@ pub fn openapi_of(limits: &Limits, has_admin: bool) -> serde_json::Result<Bytes>
     let mut document = serde_json::to_value(document)?;
     openapi_values::add_values(&mut document);
     openapi_errors::add_errors(&mut document);
-    openapi_values::put_link(&mut document, limits.link.as_secs());
+    openapi_values::add_link_limit(&mut document, limits.link.as_secs());
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
 

@@ -23,7 +23,7 @@ mod tests {
     #[test]
     fn only_errors_get_a_body() {
         let mut document = json!({"paths": {"/a": {"get": {"responses": {"204": {}, "304": {}, "400": {}, "503": {"description": "x"}}}}}});
-        put(&mut document);
+        add_errors(&mut document);
         let answers = &document["paths"]["/a"]["get"]["responses"];
         assert!(answers["204"] == json!({}) && answers["304"] == json!({}));
         for status in ["400", "503"] {

@@ -126,7 +126,7 @@ fn settings(schemas: &mut Value) {
 }
 
 /// Writes the longest lifetime of a link.
-pub fn put_link(document: &mut Value, most: u64) {
+pub fn add_link_limit(document: &mut Value, most: u64) {
     let parameters = document["paths"]["/v1/photos/{id}/links"]["post"]["parameters"].as_array_mut();
     if let Some(seconds) = parameters.into_iter().flatten().find(|p| p["name"] == "seconds") {
         seconds["schema"]["maximum"] = most.into();
