@@ -26,7 +26,7 @@ use super::problem::Problem;
 pub use child_main::serve;
 use pipe_frames::read;
 use scratch::Scratch;
-pub use scratch::empty as empty_scratch;
+pub use scratch::remove_leftovers;
 use tmpi_pipeline::{MakeError, Options, Sink, networks};
 
 /// Environment variable that marks a process that makes photos for a server.
@@ -42,7 +42,7 @@ const KEPT_BYTES: u64 = 768 << 20;
 pub struct ProcessMaker {
     checks: PipelineMaker,
     /// Idle processes.
-    idle: Mutex<Vec<Worker>>,
+    idle: Mutex<Vec<ChildProcess>>,
     command: Box<dyn Fn() -> io::Result<Command> + Send + Sync>,
     /// Parent folder of the processes' temporary files.
     scratch: PathBuf,
@@ -55,7 +55,7 @@ pub struct ProcessMaker {
 /// The frames of a process until it ends.
 type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
 
-struct Worker {
+struct ChildProcess {
     /// When it made its last photo; `None` if it has made none.
     made: Option<Instant>,
     /// Whether it started with the better network.
@@ -69,7 +69,7 @@ struct Worker {
     scratch: Scratch,
 }
 
-impl Drop for Worker {
+impl Drop for ChildProcess {
     fn drop(&mut self) {
         end(&mut self.child);
         let _ = self.child.wait();
@@ -179,7 +179,7 @@ impl ProcessMaker {
         Self { better, ..self }
     }
 
-    fn start(&self, is_low_priority: bool) -> io::Result<Worker> {
+    fn start(&self, is_low_priority: bool) -> io::Result<ChildProcess> {
         // before the process looks for its network
         let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
@@ -205,15 +205,15 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { made: None, renewed, is_low_priority, child, input, output: told, scratch })
+        Ok(ChildProcess { made: None, renewed, is_low_priority, child, input, output: told, scratch })
     }
 
-    fn keep(&self, worker: Worker) {
+    fn keep(&self, worker: ChildProcess) {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(worker);
     }
 
     /// An idle or new process of this priority, with a folder for temporary files.
-    fn take(&self, is_low_priority: bool) -> Result<Worker, Fault> {
+    fn take(&self, is_low_priority: bool) -> Result<ChildProcess, Fault> {
         let worker = self.waiting(is_low_priority).map_or_else(|| self.start(is_low_priority), Ok);
         let worker = worker.map_err(|e| Fault::Server(format!("cannot start a process to make photos: {e}")))?;
         if let Err(error) = worker.scratch.make() {
@@ -224,7 +224,7 @@ impl ProcessMaker {
     }
 
     /// An idle process of this priority.
-    fn waiting(&self, is_low_priority: bool) -> Option<Worker> {
+    fn waiting(&self, is_low_priority: bool) -> Option<ChildProcess> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         while let Some(at) = idle.iter().rposition(|worker| worker.is_low_priority == is_low_priority) {
             let mut worker = idle.swap_remove(at);

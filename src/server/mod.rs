@@ -316,7 +316,7 @@ async fn listen(addr: SocketAddr) -> Result<(TcpListener, SocketAddr), ServerErr
 fn claim(data: &Path, incoming: &Path) -> std::io::Result<File> {
     let lock = File::options().create(true).truncate(false).write(true).open(data.join("lock"))?;
     lock.try_lock().map_err(|_| std::io::Error::other("another process serves from there"))?;
-    child::empty_scratch(data)?;
+    child::remove_leftovers(data)?;
     for entry in std::fs::read_dir(incoming)? {
         std::fs::remove_file(entry?.path())?;
     }

@@ -144,9 +144,9 @@ fn children_of_a_process_end_with_it_and_its_temporary_files_are_removed() {
 #[test]
 fn leftovers_of_earlier_processes_are_removed_at_the_start() {
     let dir = tempfile::tempdir().unwrap();
-    empty_scratch(dir.path()).unwrap();
+    remove_leftovers(dir.path()).unwrap();
     let left = scratch::folder(dir.path()).join("7/film");
     std::fs::create_dir_all(&left).unwrap();
-    empty_scratch(dir.path()).unwrap();
+    remove_leftovers(dir.path()).unwrap();
     assert!(!left.exists() && dir.path().exists());
 }
