@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{EvalError, public};
+use super::{EvalError, public_datasets};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Pose, ViewBox};
 use tmpi_pipeline::depth::Estimator;
 
