@@ -27,7 +27,7 @@ pub enum Stereo {
     /// In the photo's lower half.
     TopBottom,
     /// In a file of its own, given instead of a depth map.
-    ExternalData,
+    Beside,
     /// Nowhere: the photo is read as a single picture.
     None,
 }
@@ -68,7 +68,7 @@ impl Stereo {
         match self {
             Self::LeftRight => Some(Halves::LeftRight),
             Self::TopBottom => Some(Halves::TopBottom),
-            Self::Auto | Self::ExternalData | Self::None => None,
+            Self::Auto | Self::Beside | Self::None => None,
         }
     }
 
@@ -77,7 +77,7 @@ impl Stereo {
     /// # Errors
     /// [`DepthError::Sphere`], [`DepthError::NoSecond`].
     pub fn check(self, photo: &[u8], given: bool) -> Result<(), DepthError> {
-        if self == Self::ExternalData && !given {
+        if self == Self::Beside && !given {
             return Err(DepthError::NoSecond);
         }
         if self != Self::None && is_panorama(photo) { Err(DepthError::Sphere) } else { Ok(()) }

@@ -75,7 +75,7 @@ fn is_estimated(report: &Report, why: Option<&str>) {
 }
 
 fn beside_it() -> Options {
-    Options { stereo: Stereo::ExternalData, ..Options::default() }
+    Options { stereo: Stereo::Beside, ..Options::default() }
 }
 
 fn only_depth() -> Options {

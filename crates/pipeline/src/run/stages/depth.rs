@@ -46,9 +46,9 @@ pub enum Source<'a> {
 #[derive(Clone, Debug)]
 pub enum SecondPicture<'a> {
     /// A file of its own.
-    Beside(&'a [u8]),
+    OwnFile(&'a [u8]),
     /// A file embedded in the photo's.
-    Within(&'a [u8]),
+    Embedded(&'a [u8]),
     /// The other half of the photo's picture.
     Half(Photo),
 }
@@ -64,7 +64,7 @@ impl<'a> Source<'a> {
         let (wanted, stereo) = (context.options.photo_depth, context.options.stereo);
         stereo.check(photo, given.is_some())?;
         match given {
-            Some(second) if stereo == Stereo::Beside => return Ok(Self::Second(SecondPicture::Beside(second))),
+            Some(second) if stereo == Stereo::Beside => return Ok(Self::Second(SecondPicture::OwnFile(second))),
             Some(given) => return Ok(Self::Given(given, photo::orientation(photo))),
             // the second half is cut off after decoding
             None if stereo.halves().is_some() => return Ok(Self::Network),
@@ -76,7 +76,7 @@ impl<'a> Source<'a> {
         match depth::embedded_depth(photo) {
             Ok(Some(embedded)) => Ok(Self::Embedded(embedded)),
             Ok(None) => match depth::second_picture(photo).filter(|_| stereo == Stereo::Auto) {
-                Some(Ok(second)) => Ok(Self::Second(SecondPicture::Within(second))),
+                Some(Ok(second)) => Ok(Self::Second(SecondPicture::Embedded(second))),
                 Some(Err(problem)) if wanted == Switch::On => Err(depth::DepthError::Second(problem.into()).into()),
                 Some(Err(problem)) => {
                     context.report.input.depth_problem = Some(problem.into());
@@ -110,10 +110,10 @@ impl SecondPicture<'_> {
     /// [`MakeError`] if a file of its own cannot be read, or if measuring fails and the option `photo_depth` is on.
     fn measure(self, photo: &Photo, context: &mut Context) -> Result<Option<Measured>, MakeError> {
         let decoded = |file: &[u8]| photo::decode(file, context.limits, Some(photo.width.max(photo.height))).map(|d| d.photo);
-        let given = matches!(self, Self::Beside(_));
+        let given = matches!(self, Self::OwnFile(_));
         let second = match self {
             Self::Half(half) => Ok(half),
-            Self::Beside(file) | Self::Within(file) => decoded(file).map_err(|e| depth::DepthError::Second(e.to_string())),
+            Self::OwnFile(file) | Self::Embedded(file) => decoded(file).map_err(|e| depth::DepthError::Second(e.to_string())),
         };
         let problem = match second.map(|second| stereo::measure(photo, &second)) {
             Ok(Ok(measured)) => return Ok(Some(measured)),
