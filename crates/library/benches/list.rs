@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use sqlx::{AnyConnection, Connection as _, Executor as _};
-use tmpi_library::{Requester, Class, Config, Content, Filter, Library, PhotoId, Upload};
+use tmpi_library::{Class, Config, Content, Filter, Library, PhotoId, Requester, Upload};
 
 /// Photos of the library, of 100 owners.
 const PHOTOS: u32 = 100_000;
