@@ -52,7 +52,7 @@ use tmpi_pipeline::Models;
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
 pub use origin_node::NodeAddress;
-pub(crate) use request_access::{RoomsContext, check_origin};
+pub(crate) use request_access::RoomsContext;
 pub use room_token::{Role, room_token};
 use tmpi_core::live::schema::Bye;
 use tmpi_core::live::schema::message::Kind;

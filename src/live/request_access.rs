@@ -3,14 +3,13 @@
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use axum::http::uri::Authority;
-use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::http::{HeaderMap, StatusCode, Uri};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::room_token::{Role, token_expiry, token_in_headers};
 use super::{Rooms, is_name};
-use crate::server::{Pairs, Problem};
+use crate::server::{Pairs, Problem, check_origin};
 
 /// State of the handlers.
 #[derive(Clone)]
@@ -82,45 +81,4 @@ pub(super) fn none_publishes() -> Problem {
 
 pub(super) fn busy() -> Problem {
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "the limit of rooms is reached").retry_after(5)
-}
-
-/// Refuses requests from pages of other sites: browsers let a page open web sockets to any server, but send the page's origin.
-///
-/// # Errors
-/// 403.
-pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
-    let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "pages of other sites may not do this");
-    if let Some(site) = headers.get("sec-fetch-site") {
-        return if site == "same-origin" || site == "none" { Ok(()) } else { Err(foreign()) };
-    }
-    // not a browser, or one that sends no origin
-    let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
-    let origin = origin.to_str().ok().and_then(|o| o.parse::<Uri>().ok()).and_then(|o| o.authority().cloned());
-    let host = headers.get(header::HOST).and_then(|h| h.to_str().ok()).and_then(|h| h.parse::<Authority>().ok());
-    if origin.is_some() && origin == host {
-        return Ok(());
-    }
-    Err(foreign())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn requests_from_pages_of_other_sites_are_refused() {
-        let headers = |pairs: &[(&'static str, &'static str)]| {
-            let pairs = [&[("host", "localhost:8080")], pairs].concat();
-            let header = |(name, value)| (header::HeaderName::from_static(name), header::HeaderValue::from_static(value));
-            check_origin(&pairs.into_iter().map(header).collect()).is_ok()
-        };
-        assert!(headers(&[]) && headers(&[("origin", "http://localhost:8080")]));
-        for origin in ["http://localhost:8081", "https://example.org", "null"] {
-            assert!(!headers(&[("origin", origin)]), "{origin}");
-        }
-        for (site, good) in [("same-origin", true), ("none", true), ("same-site", false), ("cross-site", false), ("", false)] {
-            assert_eq!(headers(&[("sec-fetch-site", site)]), good, "{site}");
-        }
-        assert!(!headers(&[("sec-fetch-site", "cross-site"), ("origin", "http://localhost:8080")]));
-    }
 }

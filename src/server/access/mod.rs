@@ -21,11 +21,11 @@ use axum::response::{IntoResponse, Response};
 use tmpi_library::{Grant, KEY_PREFIX, Library, Link, Millis, Owner, Photo, PhotoId, SESSION_PREFIX, Scope, Subject};
 
 use super::client_slots::client_address;
+use super::cross_site::check_origin;
 use super::hosts::Hosts;
 use super::photo_settings::{Settings, Visibility};
 use super::problem::Problem;
 use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
-use crate::live::check_origin;
 use callers::{Principal, bearer, is_secret, new_secret};
 use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
 pub use cookies::{set_manage, set_owner};
