@@ -10,7 +10,7 @@ use std::sync::Arc;
 use image::{ExtendedColorType, ImageEncoder};
 use tmpi_core::container;
 use tmpi_core::{Camera, Pose, Scene, ViewBox};
-use tmpi_lab::metrics::{flip, share_over};
+use tmpi_lab::metrics::{flip, share_off};
 use tmpi_lab::scenes;
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks::models;
@@ -155,7 +155,7 @@ struct Difference {
 
 impl Difference {
     fn between(got: &View, want: &View) -> Self {
-        Self { share: share_over(&got.rgba, &want.rgba, LEVELS), flip: flip(&rgb(want), &rgb(got), want.width as usize) }
+        Self { share: share_off(&got.rgba, &want.rgba, LEVELS), flip: flip(&rgb(want), &rgb(got), want.width as usize) }
     }
 
     fn within(self, most: Self) -> bool {

@@ -316,7 +316,7 @@ fn figures(s: &Subject) -> Figures {
         let (levels, share) = pruning(&small, &geometry);
         // the two renderers differ at the borders of quads
         all.push(("prune.max_abs", f64::from(prune.max_abs), f64::from(levels), 8.0));
-        all.push(("prune.share_off", prune.share_over, share, 1e-3));
+        all.push(("prune.share_off", prune.share_off, share, 1e-3));
     }
     all
 }

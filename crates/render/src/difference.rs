@@ -20,7 +20,7 @@ pub const MAX_PSNR: f64 = 99.0;
 
 /// Share of pixels, 0 to 1, of which some channel differs by more than `levels`.
 #[must_use]
-pub fn share_over<const N: usize>(a: &[[u8; N]], b: &[[u8; N]], levels: u8) -> f64 {
+pub fn share_off<const N: usize>(a: &[[u8; N]], b: &[[u8; N]], levels: u8) -> f64 {
     if a.is_empty() {
         return 0.0;
     }
@@ -43,7 +43,7 @@ mod tests {
         assert!((psnr(&[0, 0], &[255, 255]) - 0.0).abs() < 1e-12);
         assert!((psnr(&[100; 100], &[101; 100]) - 48.130_803_6).abs() < 1e-6);
         assert!((psnr(&[7], &[7]) - MAX_PSNR).abs() < 1e-12);
-        assert!((share_over(&[[0, 0], [9, 0]], &[[8, 8], [0, 0]], 8) - 0.5).abs() < 1e-12);
+        assert!((share_off(&[[0, 0], [9, 0]], &[[8, 8], [0, 0]], 8) - 0.5).abs() < 1e-12);
         assert_eq!(max_abs(&[[0, 5]], &[[3, 1]]), 4);
     }
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::measure::{Bench, median};
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point};
-use crate::metrics::share_over;
+use crate::metrics::share_off;
 use tmpi_core::container;
 use tmpi_core::{Camera, Pose, Scene};
 use tmpi_pipeline::Silent;
@@ -58,7 +58,7 @@ pub(super) fn run(
             let mut figures = Vec::new();
             if width <= 1280 {
                 let want = Reference.render(&scene, &camera)?;
-                figures.push(("% of pixels off the reference by more than 8 levels", 100.0 * share_over(&view.rgba, &want.rgba, 8)));
+                figures.push(("% of pixels off the reference by more than 8 levels", 100.0 * share_off(&view.rgba, &want.rgba, 8)));
             }
             let megapixels = f64::from(camera.width) * f64::from(camera.height) / 1e6;
             let setting = format!("{}×{}", camera.width, camera.height);

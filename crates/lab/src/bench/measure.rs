@@ -175,7 +175,7 @@ impl Bench<'_> {
         );
         if let Some(p) = r.error.prune {
             all.push(("largest difference, levels", p.max_abs.into()));
-            all.push(("wrongly pruned, % of pixels", p.share_over * 100.0));
+            all.push(("wrongly pruned, % of pixels", p.share_off * 100.0));
         }
         all.push(("verifying, ms", stages(&|n| n == "verify", false)));
         let scene = Arc::new(container::decode(&file)?);

@@ -6,7 +6,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{read, result};
-use tmpi_lab::metrics::{flip, max_abs, psnr, share_over, ssim_map};
+use tmpi_lab::metrics::{flip, max_abs, psnr, share_off, ssim_map};
 
 /// A pixel counts as different above this many of 255 levels.
 const LEVELS: u8 = 8;
@@ -41,7 +41,7 @@ pub(super) fn run(args: &CompareArgs) -> anyhow::Result<()> {
     let ssim = ssim_map(&a, &b, width);
     let ssim = ssim.iter().map(|v| f64::from(*v)).sum::<f64>() / ssim.len().max(1) as f64;
     let (psnr, flip, share, most) =
-        (psnr(a.as_flattened(), b.as_flattened()), flip(&a, &b, width), share_over(&a, &b, LEVELS), max_abs(&a, &b));
+        (psnr(a.as_flattened(), b.as_flattened()), flip(&a, &b, width), share_off(&a, &b, LEVELS), max_abs(&a, &b));
     if args.json {
         return result(&json!({ "psnr": psnr, "ssim": ssim, "flip": flip, "share_off": share, "max_abs": most }).to_string());
     }

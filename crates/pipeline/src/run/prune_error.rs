@@ -5,7 +5,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use tmpi_core::{Camera, Class, Geometry, Intrinsics, LayerMask, Photo, Pose, Rect, Scene, TexturedLayer, compose, texture};
-use tmpi_render::difference::{max_abs, share_over};
+use tmpi_render::difference::{max_abs, share_off};
 use tmpi_render::{Cpu, RenderError, Renderer};
 
 use super::PruneError;
@@ -53,7 +53,7 @@ pub fn sample(photo: &Photo, geometry: &Geometry) -> Result<Option<PruneError>, 
     let changes = starts.par_iter().map(one).collect::<Result<Vec<PruneError>, _>>()?;
     Ok(changes.into_iter().reduce(|a, b| PruneError {
         max_abs: a.max_abs.max(b.max_abs),
-        share_over: a.share_over.max(b.share_over),
+        share_off: a.share_off.max(b.share_off),
         tiles: a.tiles + b.tiles,
     }))
 }
@@ -86,7 +86,7 @@ fn compare(photo: &Photo, geometry: &Geometry, cameras: impl Fn(&Scene) -> Vec<C
     for camera in cameras(&all) {
         let (a, b) = (cpu.render(&all, &camera)?.rgba, cpu.render(&kept, &camera)?.rgba);
         change.max_abs = change.max_abs.max(max_abs(&a, &b));
-        change.share_over = change.share_over.max(share_over(&a, &b, LEVELS));
+        change.share_off = change.share_off.max(share_off(&a, &b, LEVELS));
     }
     Ok(change)
 }
@@ -156,7 +156,7 @@ mod tests {
     fn pruned_texels_are_invisible_from_the_view_box() {
         let (photo, geometry) = scene(ViewBox { x: 0.05, y: 0.03, z: 0.02 });
         assert!(geometry.masks()[0].never_seen > 0);
-        assert_eq!(verify(&photo, &geometry).unwrap(), PruneError { max_abs: 0, share_over: 0.0, tiles: 1 });
+        assert_eq!(verify(&photo, &geometry).unwrap(), PruneError { max_abs: 0, share_off: 0.0, tiles: 1 });
         let count = |b: &Geometry| cameras(&layers_of(&photo, b)).len();
         assert_eq!(count(&geometry), 8 + 6);
     }

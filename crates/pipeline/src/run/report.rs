@@ -131,7 +131,7 @@ pub struct PruneError {
     /// Largest difference of any channel, in levels, 0 to 255.
     pub max_abs: u8,
     /// Share of pixels, 0 to 1, that differ by more than 8 levels, in the view where this share is largest.
-    pub share_over: f64,
+    pub share_off: f64,
     /// Number of tiles in the compared views: all with `verify-prune`, else some of those with the most planes, each cut out with its
     /// neighbours.
     pub tiles: usize,

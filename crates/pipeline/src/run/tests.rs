@@ -95,7 +95,7 @@ fn pruning_is_measured_on_some_tiles_or_with_verify_prune_on_all() {
     let stairs = map(700, 500, |x, y| ((x / 50 + y / 40) % 5) as f32 / 5.0 + 0.1);
     let sampled = made(&photo(700, 500), &stairs, &plain()).report;
     let some = sampled.error.prune.unwrap();
-    assert!(some.tiles < sampled.tiles && some.tiles >= 4 && some.share_over < 0.02, "{some:?}");
+    assert!(some.tiles < sampled.tiles && some.tiles >= 4 && some.share_off < 0.02, "{some:?}");
     let all = made(&photo(700, 500), &stairs, &Options { verify_prune: true, ..plain() }).report;
     assert_eq!(all.error.prune.unwrap().tiles, all.tiles);
 }
