@@ -421,7 +421,7 @@ fn same_again<T: FromStr + Display + PartialEq>(text: &str) {
 fn onnx(data: &[u8]) -> usize {
     if let Some(graph) = networks::onnx_graph(&mut std::io::Cursor::new(data)) {
         assert!(matches!(graph.shape.len(), 4 | 5) && graph.shape.iter().all(|extent| *extent >= -1));
-        assert!(graph.beside.is_sorted());
+        assert!(graph.external_data.is_sorted());
     }
     LEAST + 16 * data.len()
 }

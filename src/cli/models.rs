@@ -7,7 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::{Usage, note, reasons, result};
-use tmpi_pipeline::networks::models::beside;
+use tmpi_pipeline::networks::models::external_data_files;
 use tmpi_pipeline::networks::models::download::{Digest, RemoteFile, fetch};
 use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, default_model, folder, published, recommended_download};
 
@@ -67,7 +67,7 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
 
 fn list(json: bool) -> anyhow::Result<()> {
     for p in &PUBLISHED {
-        let here = p.file().is_file() && beside(&p.file()).is_ok();
+        let here = p.file().is_file() && external_data_files(&p.file()).is_ok();
         if json {
             let line = json!({
                 "name": p.name, "adapter": p.adapter, "url": p.url, "bytes": p.bytes, "sha256": p.sha256, "licence": p.licence,

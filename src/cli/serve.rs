@@ -360,7 +360,7 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
     let mut digest: Option<String> = None;
     if let Some(file) = &settings.depth_file {
-        let weights = models::beside(file)?.into_iter().map(|(_, file)| file);
+        let weights = models::external_data_files(file)?.into_iter().map(|(_, file)| file);
         for file in std::iter::once(file.clone()).chain(weights) {
             let bytes = std::fs::read(&file).with_context(|| file.display().to_string())?;
             // for one file its digest, for several their digests concatenated

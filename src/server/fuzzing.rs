@@ -7,7 +7,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{RequestedRange, requested_range};
-use super::header_limit::Bounded;
+use super::header_limit::LimitedHeaders;
 use super::hosts::origin;
 use super::part_filename::file_name;
 use super::photo_options;
@@ -55,7 +55,7 @@ pub fn range(headers: &HeaderMap, length: usize) {
 pub fn multipart(body: &[u8]) {
     // in pieces, as they arrive
     let pieces: Vec<_> = body.chunks(7).map(|piece| Ok::<_, std::io::Error>(bytes::Bytes::copy_from_slice(piece))).collect();
-    let bounded = Bounded::new(futures_util::stream::iter(pieces), "x");
+    let bounded = LimitedHeaders::new(futures_util::stream::iter(pieces), "x");
     let mut request = Request::new(Body::from_stream(bounded));
     request.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("multipart/form-data; boundary=x"));
     let Ok(runtime) = tokio::runtime::Builder::new_current_thread().build() else { return };

@@ -50,7 +50,7 @@ pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Respons
 /// the same page with status 404; the page itself explains it.
 pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = "app/view-page.html";
-    let Ok(photo) = app.photo(&id).await else { return not_found(&app, name, Frames::Own).await };
+    let Ok(photo) = app.photo(&id).await else { return missing_page(&app, name, Frames::Own).await };
     let mut file = load(&app, name).await?;
     let card = origin(&headers).map(|base| PreviewCard::of(&app, &photo, base));
     if let Some(card) = card {
@@ -65,7 +65,7 @@ pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<Stri
     let name = "app/embed-page.html";
     // the access check also makes a link set its cookie
     if app.photo(&id).await.is_err() {
-        return not_found(&app, name, Frames::Anybody).await;
+        return missing_page(&app, name, Frames::Anybody).await;
     }
     page(&app, &headers, name, Frames::Anybody).await
 }
@@ -94,11 +94,11 @@ pub async fn not_found(State(app): State<App>, method: Method, headers: HeaderMa
     if !person || !matches!(method, Method::GET | Method::HEAD) {
         return Err(Problem::not_found("there is nothing at this address"));
     }
-    not_found(&app, "app/missing-page.html", Frames::Own).await
+    missing_page(&app, "app/missing-page.html", Frames::Own).await
 }
 
 /// A page with status 404.
-async fn not_found(app: &App, name: &str, frames: Frames) -> Result<Response, Problem> {
+async fn missing_page(app: &App, name: &str, frames: Frames) -> Result<Response, Problem> {
     // without the request's headers: no ranges and no 304
     let mut response = page(app, &HeaderMap::new(), name, frames).await?;
     *response.status_mut() = StatusCode::NOT_FOUND;

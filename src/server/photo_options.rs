@@ -136,7 +136,7 @@ pub fn value_name<T: ValueEnum>(value: &T) -> String {
 
 fn choice<T: ValueEnum>(name: &str, value: &str) -> Result<T, Problem> {
     T::from_str(value, true).map_err(|_| {
-        let all: Vec<String> = T::value_variants().iter().map(chosen).collect();
+        let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
         Problem::parameter(name, format!("must be one of {}, not {value:?}", all.join(", ")))
     })
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 use ipnet::IpNet;
-use proxy_header::{Error, ParseConfig, ProxyHeader};
+use proxy_header::{Error, ParseConfig};
 use tokio::io::AsyncReadExt as _;
 use tokio::net::TcpStream;
 
@@ -177,7 +177,7 @@ impl ProxyHeader {
     /// # Errors
     /// [`Error::BufferTooShort`] if more bytes are needed.
     pub fn read(bytes: &[u8]) -> Result<Self, Error> {
-        let (header, length) = ProxyHeader::parse(bytes, ParseConfig { include_tlvs: false, ..ParseConfig::default() })?;
+        let (header, length) = proxy_header::ProxyHeader::parse(bytes, ParseConfig { include_tlvs: false, ..ParseConfig::default() })?;
         Ok(Self { client: header.proxied_address().map(|address| address.source.ip().to_canonical()), length })
     }
 }

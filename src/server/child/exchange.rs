@@ -93,7 +93,7 @@ fn listen<A: Answer>(child: &mut Child, output: &Frames, answer: &mut A, sink: &
             Ok(Ok(frame)) => frame,
             Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(NoResult::Lost(Fault::Crashed(ending(child)))),
             Err(RecvTimeoutError::Timeout) => match sink.deadline() {
-                Some(deadline) if Instant::now() >= deadline => return Err(NoResult::Lost(answer.timeout_problem())),
+                Some(deadline) if Instant::now() >= deadline => return Err(NoResult::Lost(answer.late())),
                 _ => continue,
             },
         };
