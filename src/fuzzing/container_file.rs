@@ -1,4 +1,4 @@
-//! Containers for the fuzzer: valid ones with a few changes, and checksums put right.
+//! Containers for the fuzzer: valid ones with a few changes and corrected checksums.
 
 use prost::Message as _;
 use tmpi_core::container::schema::Index;
@@ -7,12 +7,12 @@ use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 
 use super::arbitrary::{Script, geometry};
 
-/// Planes a tile, at most: one more than there can be.
+/// Maximum number of planes per tile: one more than the format allows.
 const MAX_PLANES: u32 = 66;
 /// Bytes before the index: magic, version, length of the index.
 const HEAD: usize = 12;
 
-/// The index of a container, and what follows it.
+/// Splits a container into its index and the bytes that follow.
 fn apart(bytes: &[u8]) -> Option<(Index, &[u8])> {
     let length = u32::from_le_bytes(bytes.get(8..HEAD)?.try_into().ok()?) as usize;
     let (index, body) = bytes[HEAD..].split_at_checked(length)?;
@@ -24,14 +24,14 @@ fn together(version: &[u8], index: &Index, body: &[u8]) -> Vec<u8> {
     [&MAGIC[..], version, &(index.len() as u32).to_le_bytes(), &index, body].concat()
 }
 
-/// The container with the checksums that its bands should have, so that what lies behind them is read; none where it has no bands.
+/// Corrects the checksums of a container's bands, so that a reader gets past them; `None` if the container has no bands.
 #[must_use]
 pub fn with_checksums(bytes: &[u8]) -> Option<Vec<u8>> {
     let (mut index, body) = apart(bytes)?;
     set_checksums(&mut index, body).then(|| together(&bytes[4..8], &index, body))
 }
 
-/// Whether there were any.
+/// Corrects the checksums of all bands; returns whether there are any.
 fn set_checksums(index: &mut Index, body: &[u8]) -> bool {
     let mut bands = 0;
     for section in &mut index.sections {
@@ -46,8 +46,8 @@ fn set_checksums(index: &mut Index, body: &[u8]) -> bool {
     bands > 0
 }
 
-/// A container that is valid but for what the last bytes of `data` change in it, with the checksums that it should have; none where no container
-/// can be written of what `data` says.
+/// Builds a container that is valid except for the changes that the last bytes of `data` make. Its checksums are correct. `None` if no
+/// container can be written from `data`.
 #[must_use]
 pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     let mut script = Script(data);

@@ -53,7 +53,7 @@ pub fn range(headers: &HeaderMap, length: usize) {
 
 /// Reads the options of a form whose boundary is `x`.
 pub fn multipart(body: &[u8]) {
-    // in pieces, as they arrive
+    // in pieces, as a connection delivers them
     let pieces: Vec<_> = body.chunks(7).map(|piece| Ok::<_, std::io::Error>(bytes::Bytes::copy_from_slice(piece))).collect();
     let bounded = LimitedHeaders::new(futures_util::stream::iter(pieces), "x");
     let mut request = Request::new(Body::from_stream(bounded));
@@ -90,12 +90,12 @@ pub fn patch(patch: &[u8]) {
     }
 }
 
-/// Reads a PROXY protocol header, whole and every prefix of it.
+/// Reads a PROXY protocol header, and every prefix of it.
 pub fn announcement(bytes: &[u8]) {
     let whole = ProxyHeader::read(bytes);
     if let Ok(announcement) = &whole {
         assert!((1..=bytes.len()).contains(&announcement.length), "{announcement:?} of {} bytes", bytes.len());
-        // a prefix gives no result
+        // no prefix is enough
         for end in 0..announcement.length {
             assert!(ProxyHeader::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
         }
@@ -103,7 +103,7 @@ pub fn announcement(bytes: &[u8]) {
     }
 }
 
-/// Reads the client, scheme and host of a request from headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`,
+/// Reads a request's client, scheme and host from the headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`,
 /// `Host`.
 pub fn forwarded(values: [&str; 5]) {
     let names = [header::FORWARDED, X_FORWARDED_FOR, X_FORWARDED_FOR, HeaderName::from_static("x-forwarded-proto"), header::HOST];
@@ -123,7 +123,8 @@ pub fn forwarded(values: [&str; 5]) {
     }
 }
 
-/// Takes a link out of a URL, and out of the URL that it names.
+/// Takes the link out of a URL, and checks that the rest has none and that the link survives writing and reading. Also reads the link in
+/// the URL that its parameter `url` names.
 pub fn link(uri: &Uri) {
     if let Some((rest, link)) = take_link(uri) {
         assert!(take_link(&rest).is_none(), "{rest} still has a link");
