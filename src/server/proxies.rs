@@ -260,7 +260,7 @@ mod tests {
                 tokio::time::sleep(AGAIN * 2).await;
             }
         };
-        let (client, ()) = tokio::join!(announced(&mut stream), writes);
+        let (client, ()) = tokio::join!(read_proxy_protocol(&mut stream), writes);
         let mut left = Vec::new();
         if client.is_ok() {
             stream.read_to_end(&mut left).await.unwrap();
