@@ -38,6 +38,13 @@ pub struct Entity<'a> {
     pub coding: ContentCoding,
 }
 
+impl<'a> Entity<'a> {
+    /// JSON that clients revalidate.
+    pub const fn json(source: Source, etag: &'a str) -> Self {
+        Self { source, etag, content_type: "application/json", cache_control: REVALIDATE, coding: ContentCoding::Gzip }
+    }
+}
+
 /// Whether an answer may be compressed.
 #[derive(Clone, Debug)]
 pub enum ContentCoding {

@@ -151,7 +151,7 @@ pub fn is_form(content_type: &str) -> bool {
     content_type.split(';').next().is_some_and(|v| v.trim().eq_ignore_ascii_case("multipart/form-data"))
 }
 
-/// Reads a form. Ignores empty fields, as browsers send those that nobody filled in.
+/// Reads a form. Ignores empty fields, because browsers send fields that the user left empty.
 async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) -> Result<(), Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;

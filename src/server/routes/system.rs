@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 use super::query::NoQuery;
 use crate::server::app_state::App;
 use crate::server::blocking_pool::WorkClass;
-use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, respond, respond_uncached};
+use crate::server::conditional::{Entity, respond, respond_uncached};
 use crate::server::metrics::{MEDIA_TYPE, gauge};
 use crate::server::problem::Problem;
 use crate::server::process_metrics;
@@ -152,14 +152,5 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
 )]
 pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
     let etag = format!("\"{}\"", hex(&Sha256::digest(&app.openapi)[..16]));
-    respond(
-        &headers,
-        Entity {
-            source: app.openapi.clone().into(),
-            etag: &etag,
-            content_type: "application/json",
-            cache_control: REVALIDATE,
-            coding: ContentCoding::Gzip,
-        },
-    )
+    respond(&headers, Entity::json(app.openapi.clone().into(), &etag))
 }

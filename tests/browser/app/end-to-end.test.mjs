@@ -9,6 +9,7 @@ import {
   filePixels,
   fractionDifferent,
   launch,
+  MOTION,
   openPage,
   pixelsAt,
   seriousViolations,
@@ -56,7 +57,7 @@ describe('the whole program', () => {
   });
 
   test('uploads, shows, downloads and deletes a photo', async () => {
-    const { page, context, errors } = await openPage(browser);
+    const { page, context, errors } = await openPage(browser, MOTION);
     await page.addInitScript(() => {
       window.stagesShown = [];
       new MutationObserver(() => {
@@ -78,9 +79,9 @@ describe('the whole program', () => {
     await open.click();
     await waitForMode(page, 'gpu');
     assert.equal(await page.locator('#title').textContent(), 'garden');
-    await page.locator('#stage').focus();
-    await page.keyboard.press('ArrowRight');
-    await page.waitForFunction(() => window.viewer.pose.tx > 1e-3);
+    const first = await page.evaluate(() => window.viewer.pose.tx);
+    await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 1e-3, first);
+    await page.emulateMedia({ reducedMotion: 'reduce' });
     // the frame time appears after the first measurement
     await page.waitForFunction(() => /\d kB · [\d.]+ ms/.test(document.getElementById('facts').textContent));
     const [download] = await Promise.all([

@@ -135,7 +135,7 @@ describe('gestures', () => {
       await drag([6, -100], [150, 130]);
       await page.waitForFunction(() => scrollY > 40, null, { timeout: 5000 }).catch(() => assert.fail(`${what}: the page does not scroll`));
       assert.deepEqual(await raw(), before, `${what}: the camera stays`);
-      // momentum scrolling has stopped after ten still frames
+      // momentum scrolling has stopped after ten still checks, 20 ms apart
       await page.evaluate(() => Object.assign(window, { lastY: -1, still: 0 }));
       await page.waitForFunction(() => {
         window.still = window.lastY === scrollY ? window.still + 1 : 0;
