@@ -219,7 +219,7 @@ impl Shared {
     /// The queue's view of this request's caller.
     #[must_use]
     pub fn asker(owner: Option<Owner>) -> Asker {
-        Asker { owner, address: client_address(), trace: traces::parent().map(traces::Parent::into_text) }
+        Asker { owner, address: client_address(), trace: traces::parent() }
     }
 
     /// The photo of a path, if the caller may access it.

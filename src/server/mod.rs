@@ -39,7 +39,6 @@ mod part_filename;
 mod photo_options;
 mod photo_settings;
 mod problem;
-mod process_metrics;
 mod proxies;
 mod rates;
 mod request_body;
@@ -88,8 +87,8 @@ pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
 
 use app_state::{App, Parts, Shared};
+pub(crate) use metrics::Figure;
 use metrics::Telemetry;
-pub(crate) use metrics::{Figure, gauge};
 pub(crate) use timestamps::rfc3339;
 use traces::Traces;
 use webhooks::Clients;
