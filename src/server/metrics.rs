@@ -9,9 +9,9 @@ use prometheus_client::metrics::counter::{ConstCounter, Counter};
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::metrics::histogram::Histogram;
-use prometheus_client::registry::{Metric, Registry};
+use prometheus_client::registry::{self, Registry};
 
-use super::traces::{Collector, CollectorError, Job, Traces};
+use super::traces::{Collector, CollectorError, JobSpan, Traces};
 use tmpi_library::{Class, PhotoId, Swept};
 use tmpi_pipeline::usage::cpu_seconds;
 
@@ -28,7 +28,7 @@ struct Answered {
 }
 
 /// A gauge that is counted elsewhere: name, help text, and value.
-pub type Figure = (&'static str, &'static str, f64);
+pub type Metric = (&'static str, &'static str, f64);
 
 /// Labels with values from closed sets.
 type Labels<const N: usize> = [(&'static str, &'static str); N];
@@ -59,7 +59,7 @@ pub struct Telemetry {
 }
 
 /// Registers a metric.
-fn added<M: Metric + Clone>(name: &str, help: &str, metric: M, to: &mut Registry) -> M {
+fn added<M: registry::Metric + Clone>(name: &str, help: &str, metric: M, to: &mut Registry) -> M {
     to.register(name, help, metric.clone());
     metric
 }
@@ -90,7 +90,7 @@ impl Default for Telemetry {
             registry: to,
         };
         // created now: Prometheus does not see the first increment of a new counter, and alerts look for durations that do not come
-        for reason in ["age", "room"] {
+        for reason in ["age", "space"] {
             drop(telemetry.retired.get_or_create(&[("reason", reason)]));
         }
         for class in [Class::Interactive, Class::Batch] {
@@ -101,16 +101,16 @@ impl Default for Telemetry {
 }
 
 /// Counts one, until it is dropped.
-pub struct Present(Gauge);
+pub struct GaugeGuard(Gauge);
 
-impl Present {
+impl GaugeGuard {
     fn of(gauge: &Gauge) -> Self {
         gauge.inc();
         Self(gauge.clone())
     }
 }
 
-impl Drop for Present {
+impl Drop for GaugeGuard {
     fn drop(&mut self) {
         self.0.dec();
     }
@@ -133,8 +133,8 @@ impl Telemetry {
 
     /// Starts the span of making a photo, for the `attempt`th time from 1, within `parent`.
     #[must_use]
-    pub fn begin_job(&self, parent: Option<&str>, id: PhotoId, attempt: u32) -> Job {
-        self.traces.as_ref().map_or_else(Job::default, |traces| traces.job(parent, id, attempt))
+    pub fn begin_job(&self, parent: Option<&str>, id: PhotoId, attempt: u32) -> JobSpan {
+        self.traces.as_ref().map_or_else(JobSpan::default, |traces| traces.job(parent, id, attempt))
     }
 
     /// Records an answered request.
@@ -161,7 +161,7 @@ impl Telemetry {
 
     /// Records photos that retention deleted.
     pub fn swept(&self, swept: &Swept) {
-        for (reason, count) in [("age", swept.by_age), ("room", swept.by_room)] {
+        for (reason, count) in [("age", swept.by_age), ("space", swept.by_space)] {
             self.retired.get_or_create(&[("reason", reason)]).inc_by(count);
         }
         self.freed.inc_by(swept.bytes);
@@ -173,20 +173,20 @@ impl Telemetry {
     }
 
     /// Counts a connection, until the result is dropped.
-    pub fn connection(&self) -> Present {
-        Present::of(&self.connections)
+    pub fn connection(&self) -> GaugeGuard {
+        GaugeGuard::of(&self.connections)
     }
 
     /// Counts a running request, until the result is dropped.
-    pub fn in_flight(&self) -> Present {
-        Present::of(&self.in_flight)
+    pub fn in_flight(&self) -> GaugeGuard {
+        GaugeGuard::of(&self.in_flight)
     }
 
     /// All metrics as text, with `figures` from elsewhere.
     ///
     /// # Errors
     /// Does not happen in practice.
-    pub fn text(&self, figures: &[Figure]) -> Result<String, std::fmt::Error> {
+    pub fn text(&self, figures: &[Metric]) -> Result<String, std::fmt::Error> {
         let mut now = Registry::default();
         let since = self.since.duration_since(UNIX_EPOCH).unwrap_or_default();
         let own = [

@@ -56,7 +56,7 @@ pub struct CollectorError {
 pub fn check_collector(url: &str) -> Result<(), String> {
     let address: Uri = url.parse().map_err(|e| format!("{e}"))?;
     let is_one = matches!(address.scheme_str(), Some("http" | "https")) && address.authority().is_some();
-    if is_one { Ok(()) } else { Err("an address as http://127.0.0.1:4318 is wanted".into()) }
+    if is_one { Ok(()) } else { Err("must be an address such as http://127.0.0.1:4318".into()) }
 }
 
 /// Sends spans in batches, on its own thread. Of those that wait, it keeps a bounded number.
@@ -113,7 +113,7 @@ impl Traces {
 
     /// Starts the span of making a photo, within the span that [`parent`] told, if any.
     #[must_use]
-    pub fn job(&self, parent: Option<&str>, id: PhotoId, attempt: u32) -> Job {
+    pub fn job(&self, parent: Option<&str>, id: PhotoId, attempt: u32) -> JobSpan {
         let attributes = [
             KeyValue::new("tmpi.photo", id.to_string()),
             KeyValue::new("tmpi.job.class", "photo"),
@@ -121,7 +121,7 @@ impl Traces {
         ];
         let builder = SpanBuilder::from_name("job").with_kind(SpanKind::Consumer).with_attributes(attributes);
         let carrier: HashMap<_, _> = parent.map(|parent| (PARENT.to_owned(), parent.to_owned())).into_iter().collect();
-        Job { span: self.start(builder, &carrier), stage: Mutex::default() }
+        JobSpan { span: self.start(builder, &carrier), stage: Mutex::default() }
     }
 
     /// Starts a span within the `traceparent` of a carrier; without a valid one it begins a new trace.
@@ -179,13 +179,13 @@ pub fn answered(request: &Context, status: u16) {
 
 /// The span of a photo being made; ends when it is dropped.
 #[derive(Debug, Default)]
-pub struct Job {
+pub struct JobSpan {
     span: Context,
     /// The current stage.
     stage: Mutex<(&'static str, Context)>,
 }
 
-impl Job {
+impl JobSpan {
     /// Ends the last stage and starts the next.
     pub fn stage(&self, name: &'static str) {
         let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
