@@ -15,10 +15,11 @@ use opentelemetry::propagation::{Extractor, TextMapPropagator as _};
 use opentelemetry::trace::{SpanBuilder, SpanKind, Status, TraceContextExt as _, Tracer as _, TracerProvider as _};
 use opentelemetry::{Context, KeyValue};
 use opentelemetry_http::HeaderExtractor;
-use opentelemetry_otlp::{Protocol, SpanExporter, WithExportConfig as _};
+use opentelemetry_otlp::{Protocol, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
 use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::propagation::TraceContextPropagator;
 use opentelemetry_sdk::trace::{BatchConfigBuilder, BatchSpanProcessor, Sampler, SdkTracer, SdkTracerProvider};
+use reqwest::redirect::Policy;
 use tmpi_library::PhotoId;
 
 /// Longest wait of a span before it is sent.
@@ -64,8 +65,12 @@ fn processor(url: &str) -> Result<BatchSpanProcessor, String> {
     check_collector(url)?;
     // keeps a provider that is installed already
     let _ = rustls::crypto::ring::default_provider().install_default();
+    let client = reqwest::blocking::Client::builder().timeout(PATIENCE).redirect(Policy::none());
+    // its constructor may not run in an asynchronous context
+    let client = std::thread::spawn(|| client.build()).join().map_err(|_| "the HTTP client panicked")?;
     let exporter = SpanExporter::builder()
         .with_http()
+        .with_http_client(client.map_err(|e| e.to_string())?)
         .with_protocol(Protocol::HttpBinary)
         .with_timeout(PATIENCE)
         .with_endpoint(format!("{}/v1/traces", url.trim_end_matches('/')))
