@@ -17,8 +17,8 @@ use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Reach, Role,
-    Server, SourceHost, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
+    Better, Collector, Config, ConfiguredWebhook, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Reach, Role, Server,
+    SourceHost, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -83,13 +83,10 @@ pub(super) struct ServeArgs {
         long,
         value_delimiter = ',',
         value_name = "NETWORK[,NETWORK…]",
-        help = "Proxies in front of the server, whose client address header it trusts: addresses, networks such as 10.0.0.0/8, or `private` for \
+        help = "Proxies in front of the server, whose X-Forwarded-For it trusts: addresses, networks such as 10.0.0.0/8, or `private` for \
                 all private networks and this machine"
     )]
     trusted_proxies: Vec<Network>,
-    /// Header in which those proxies name the client; ignored from others
-    #[arg(long, value_enum, requires = "trusted_proxies", default_value_t, value_name = "HOW")]
-    client_address: ClientAddress,
     /// Renderer of views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -257,7 +254,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         args.check()?;
     }
     let (limits, private, public_list) = (args.limits()?, args.is_private(), args.access == Some(Access::Public));
-    let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies, args.client_address));
+    let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies));
     let models = models::load(&settings)?;
     let maker = PipelineMaker::new(models.clone(), limits.photo()).identified(&identity(&settings)?);
     if makes_for_another {

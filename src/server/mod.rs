@@ -79,7 +79,7 @@ pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 pub use network_download::{Better, Offer, Renewed};
 pub use outbound::Reach;
 pub use problem::Problem;
-pub use proxies::{ClientAddress, Network, Proxies};
+pub use proxies::{Network, Proxies};
 pub use routes::{Access, Route, openapi, openapi_of, routes};
 pub(crate) use routes::{NoBody, Pairs};
 pub use sources::SourceHost;
