@@ -30,7 +30,6 @@ use super::proxies::Proxies;
 use super::rates::Rates;
 use super::sources::Sources;
 use super::traces;
-use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
@@ -77,7 +76,7 @@ pub struct Shared {
     /// Where views are drawn.
     pub pool: Pool,
     /// Uploads in progress.
-    pub uploads: UploadSlots,
+    pub uploads: ClientSlots,
     /// Rate limits.
     pub rates: Rates,
     /// Permits to read an upload whole.
@@ -142,7 +141,7 @@ impl Shared {
             views: Cache::resting(limits.cache.views, limits.idle),
             exports: Cache::new(limits.cache.exports),
             pool: Pool::new(&limits),
-            uploads: UploadSlots::new(&limits),
+            uploads: ClientSlots::new(limits.queue.saturating_add(limits.uploads_beyond)),
             rates: Rates::new(&limits.rates),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: ClientSlots::new(limits.streams),

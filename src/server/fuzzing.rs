@@ -9,7 +9,6 @@ use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{Wanted, wanted};
 use super::header_limit::Bounded;
 use super::hosts::origin;
-use super::part_filename::file_name;
 use super::photo_options;
 use super::photo_settings::Settings;
 use super::proxies::{Network, Proxies, X_FORWARDED_FOR};
@@ -64,7 +63,6 @@ pub fn multipart(body: &[u8]) {
         let mut read = tmpi_pipeline::Options::default();
         while let Ok(Some(field)) = form.next_field().await {
             let name = field.name().unwrap_or_default().to_owned();
-            let _ = file_name(field.headers());
             let Ok(value) = field.text().await else { return };
             if let Err(problem) = photo_options::set(&mut read, &name, &value) {
                 assert!(problem.status == 400 && problem.field.is_some());

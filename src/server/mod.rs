@@ -35,7 +35,6 @@ mod minimum_rate;
 mod network_download;
 mod outbound;
 mod pages;
-mod part_filename;
 mod photo_options;
 mod photo_settings;
 mod problem;
@@ -54,7 +53,6 @@ mod units;
 mod upload;
 mod upload_by_address;
 mod upload_head;
-mod upload_slots;
 mod webhooks;
 mod workers;
 
