@@ -25,7 +25,7 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::client_slots::{ClientLimits, ClientPermit};
 use super::limits::Limits;
-use super::metrics::{Present, Telemetry};
+use super::metrics::{GaugeGuard, Telemetry};
 use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
 use super::proxies::Proxies;
 use super::stream_health::{PIECE, StreamHealth, Streams, TrackedBody};
@@ -185,7 +185,7 @@ impl Connection {
                     leaving = Some(Instant::now());
                     connection.as_mut().graceful_shutdown();
                 }
-                _ = look.tick() => match (streams.look(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
+                _ = look.tick() => match (streams.check(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
                     (StreamHealth::Idle, None) => {
                         leaving = Some(Instant::now());
                         connection.as_mut().graceful_shutdown();
@@ -229,7 +229,7 @@ pub struct Peer(pub IpAddr);
 pub struct ConnectionGuard {
     little: Arc<AtomicBool>,
     #[expect(dead_code, reason = "held until it is dropped")]
-    all: Arc<(OwnedSemaphorePermit, ClientPermit, (Present, TaskTrackerToken))>,
+    all: Arc<(OwnedSemaphorePermit, ClientPermit, (GaugeGuard, TaskTrackerToken))>,
 }
 
 impl ConnectionGuard {

@@ -6,8 +6,8 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 
 use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
-use super::conditional::{Wanted, wanted};
-use super::header_limit::Bounded;
+use super::conditional::{RequestedRange, requested_range};
+use super::header_limit::LimitedHeaders;
 use super::hosts::origin;
 use super::photo_options;
 use super::photo_settings::Settings;
@@ -45,16 +45,16 @@ pub fn view(uri: &Uri) {
 
 /// Reads a range of `length` bytes.
 pub fn range(headers: &HeaderMap, length: usize) {
-    if let Wanted::Part(r) = wanted(headers, "\"tag\"", length) {
+    if let RequestedRange::Part(r) = requested_range(headers, "\"tag\"", length) {
         assert!(r.start < r.end && r.end <= length);
     }
 }
 
 /// Reads the options of a form whose boundary is `x`.
 pub fn multipart(body: &[u8]) {
-    // in pieces, as they arrive
+    // in pieces, as a connection delivers them
     let pieces: Vec<_> = body.chunks(7).map(|piece| Ok::<_, std::io::Error>(bytes::Bytes::copy_from_slice(piece))).collect();
-    let bounded = Bounded::new(futures_util::stream::iter(pieces), "x");
+    let bounded = LimitedHeaders::new(futures_util::stream::iter(pieces), "x");
     let mut request = Request::new(Body::from_stream(bounded));
     request.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("multipart/form-data; boundary=x"));
     let Ok(runtime) = tokio::runtime::Builder::new_current_thread().build() else { return };
@@ -88,7 +88,7 @@ pub fn patch(patch: &[u8]) {
     }
 }
 
-/// Reads the client, scheme and host of a request from headers of proxies: `X-Forwarded-For` twice, `X-Forwarded-Proto`, `Host`.
+/// Reads a request's client, scheme and host from the headers of proxies: `X-Forwarded-For` twice, `X-Forwarded-Proto`, `Host`.
 pub fn forwarded(values: [&str; 4]) {
     let names = [X_FORWARDED_FOR, X_FORWARDED_FOR, HeaderName::from_static("x-forwarded-proto"), header::HOST];
     let headers: HeaderMap =
@@ -104,7 +104,8 @@ pub fn forwarded(values: [&str; 4]) {
     }
 }
 
-/// Takes a link out of a URL, and out of the URL that it names.
+/// Takes the link out of a URL, and checks that the rest has none and that the link survives writing and reading. Also reads the link in
+/// the URL that its parameter `url` names.
 pub fn link(uri: &Uri) {
     if let Some((rest, link)) = take_link(uri) {
         assert!(take_link(&rest).is_none(), "{rest} still has a link");

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_strangers_say_of_where_they_come_from_counts_for_nothing() {
+    fn headers_of_untrusted_peers_are_ignored() {
         let (none, one) = (Proxies::default(), trusted(&["10.0.0.1"]));
         let said = [("x-forwarded-for", "192.0.2.1"), ("forwarded", "for=192.0.2.2")];
         assert_eq!(client(&none, "10.0.0.1", &said), "10.0.0.1");
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_by_several_trusted_proxies_is_gone_back_to_its_start() {
+    fn a_chain_of_trusted_proxies_leads_to_the_client() {
         let all = trusted(&["private"]);
         let of = |way: &str| client(&all, "127.0.0.1", &[("x-forwarded-for", way)]);
         assert_eq!(of("198.51.100.9, 192.0.2.1, 10.1.2.3,172.31.0.9"), "192.0.2.1");
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn networks_are_written_as_operators_write_them() {
+    fn networks_are_read_in_cidr_notation() {
         assert_eq!("private".parse(), Ok(Network::Private));
         assert!(trusted(&["10.1.2.3/8"]).trusts("10.200.0.1".parse().unwrap()));
         assert!(trusted(&["fd00::/8"]).trusts("fd12::1".parse().unwrap()));
@@ -144,7 +144,7 @@ mod tests {
     proptest! {
         /// Anything before the proxy's own entry has no effect.
         #[test]
-        fn only_the_end_of_the_way_counts(before in "[ -~]{0,60}") {
+        fn only_the_last_hop_before_the_proxy_counts(before in "[ -~]{0,60}") {
             let way = format!("{before}, 192.0.2.1");
             prop_assert_eq!(client(&trusted(&["10.0.0.1"]), "10.0.0.1", &[("x-forwarded-for", &way)]), "192.0.2.1");
         }

@@ -27,7 +27,7 @@ const TARGETS: [&str; 27] = [
     "exif",
     "icc",
     "depth",
-    "carried",
+    "embedded_depth",
     "multipart",
     "patch",
     "strokes",

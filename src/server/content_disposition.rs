@@ -1,4 +1,4 @@
-//! Names of downloads.
+//! `Content-Disposition`: the file names of downloads.
 
 use icu_properties::CodePointMapData;
 use icu_properties::props::{GeneralCategory, GeneralCategoryGroup};
@@ -10,7 +10,7 @@ const CODED: AsciiSet = NON_ALPHANUMERIC.remove(b'.').remove(b'_').remove(b'-');
 
 /// `Content-Disposition` (RFC 6266) of a download: named by the photo's title, else by its id.
 #[must_use]
-pub fn attachment(photo: &Photo, ending: &str) -> String {
+pub fn content_disposition(photo: &Photo, ending: &str) -> String {
     let id = photo.id.to_string();
     let stem = photo.title().map(stem).filter(|stem| !stem.is_empty());
     match stem {
