@@ -9,7 +9,8 @@ use tmpi::server::{ClientAddress, Config, Limits, Network, Proxies, Rates, Serve
 use tmpi_render::Backend;
 
 use crate::client::{Connection, Response, request};
-use crate::fixture::{Running, pipeline, wait_until};
+use crate::fixture::{Running, wait_until};
+use crate::makers::pipeline;
 
 /// A server that trusts a proxy at the test's own address to name the client.
 fn behind(data: &Path, told: ClientAddress, limits: Limits) -> Running {

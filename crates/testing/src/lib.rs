@@ -9,6 +9,8 @@ pub mod jpeg;
 pub mod object_stores;
 pub mod pictures;
 pub mod png;
+#[allow(clippy::expect_used, reason = "a machine without a free port fails the test")]
+mod stand_in;
 
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -19,6 +21,7 @@ use std::path::{Path, PathBuf};
 #[cfg(unix)]
 pub use database::database;
 pub use object_stores::Engine;
+pub use stand_in::{Answer, Request, StandIn};
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.
 pub const VARIABLE: &str = "TMPI_REQUIRE";
