@@ -295,8 +295,8 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
 /// A photo whose container is large.
 pub fn noise() -> Vec<u8> {
     let level = |x: u32, y: u32, c: u32| (255.0 * tmpi_testing::pictures::noise(x, y + 1000 * c)) as u8;
-    let photo = Photo::from_fn(520, 400, |x, y| [0, 1, 2].map(|c| level(x, y, c)));
-    tmpi_core::container::encode_jpeg(520, 400, photo.rgb.as_flattened(), 100).unwrap()
+    let photo = Photo::from_fn(640, 480, |x, y| [0, 1, 2].map(|c| level(x, y, c)));
+    tmpi_core::container::encode_jpeg(640, 480, photo.rgb.as_flattened(), 100).unwrap()
 }
 
 /// A depth map with damaged pixels and intact headers.

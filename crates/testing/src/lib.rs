@@ -1,5 +1,5 @@
-//! Requirements of tests. A test whose requirement is missing is skipped and listed in a file, or fails if `TMPI_REQUIRE` names the
-//! requirement.
+//! What the tests of several crates share: pictures, servers, and requirements. A test whose requirement is missing is skipped and listed in a
+//! file, or fails if `TMPI_REQUIRE` names the requirement.
 
 #[cfg(unix)]
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
