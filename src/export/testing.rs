@@ -27,7 +27,7 @@ pub(super) fn sample() -> &'static (Vec<u8>, Scene) {
         let depth = to_png(&DisparityMap::from_fn(width, height, |x, y| if inside(x, y) { 0.9 } else { ground(y) as f32 })).unwrap();
         let photo = encode_jpeg(width, height, photo.rgb.as_flattened(), 92).unwrap();
         // the photo comes with a depth map
-        let models = Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotCarried))), theta: None, psi: None };
+        let models = Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None };
         let made = make(&models, &Limits::default(), &photo, Some(&depth), &Options::default(), &Silent).unwrap();
         let scene = decode(&made.container).unwrap();
         (made.container, scene)

@@ -29,10 +29,10 @@ pub enum CutOff {
     #[error("the request's body is over the limit of {0} bytes")]
     TooLarge(usize),
     /// Nothing came for that long.
-    #[error("nothing of the request's body came for {0:?}")]
+    #[error("no bytes of the request's body arrived for {0:?}")]
     TooSlow(Duration),
     /// It came with fewer bytes a second.
-    #[error("the request's body came with less than {0} bytes a second")]
+    #[error("the request's body arrived at less than {0} bytes a second")]
     BelowRate(u64),
 }
 
@@ -94,13 +94,13 @@ pub fn json_object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
 
 /// The unread rest of a body.
 #[derive(Clone, Default)]
-pub struct Rest {
+pub struct UnreadBody {
     inner: Arc<Mutex<Option<Body>>>,
     polled: Arc<AtomicBool>,
     ended: Arc<AtomicBool>,
 }
 
-impl Rest {
+impl UnreadBody {
     /// Whether the whole body has arrived.
     #[must_use]
     pub fn ended(&self) -> bool {
@@ -126,9 +126,9 @@ impl Rest {
 }
 
 /// A bounded body.
-pub struct Guarded {
+pub struct LimitedBody {
     inner: Option<Body>,
-    rest: Rest,
+    rest: UnreadBody,
     limit: usize,
     left: usize,
     pause: Duration,
@@ -138,11 +138,11 @@ pub struct Guarded {
     clock: TimeLimit,
 }
 
-impl Guarded {
+impl LimitedBody {
     /// Bounds `inner` by `limits`; starts `clock` when the body ends or is dropped.
     #[must_use]
-    pub fn new(inner: Body, limits: &Limits, clock: TimeLimit) -> (Self, Rest) {
-        let rest = Rest::default();
+    pub fn new(inner: Body, limits: &Limits, clock: TimeLimit) -> (Self, UnreadBody) {
+        let rest = UnreadBody::default();
         if inner.is_end_stream() {
             rest.ended.store(true, Ordering::Release);
             clock.start();
@@ -160,7 +160,7 @@ impl Guarded {
     }
 }
 
-impl HttpBody for Guarded {
+impl HttpBody for LimitedBody {
     type Data = Bytes;
     type Error = Box<dyn Error + Send + Sync>;
 
@@ -214,7 +214,7 @@ impl HttpBody for Guarded {
     }
 }
 
-impl Drop for Guarded {
+impl Drop for LimitedBody {
     fn drop(&mut self) {
         self.clock.start();
         let rest = self.inner.take().filter(|b| !b.is_end_stream());
@@ -233,7 +233,7 @@ mod tests {
     async fn the_rest_can_be_drained() {
         let body = Body::from_stream(futures_util::stream::iter([40, 60, 50].map(|n| Ok::<_, std::io::Error>(Bytes::from(vec![0; n])))));
         let clock = TimeLimit::new(Duration::from_secs(1));
-        let (guarded, rest) = Guarded::new(body, &Limits { body: 30, ..Limits::default() }, clock.clone());
+        let (guarded, rest) = LimitedBody::new(body, &Limits { body: 30, ..Limits::default() }, clock.clone());
         assert!(clock.deadline().is_none());
         assert!(Body::new(guarded).collect().await.is_err());
         assert!(!rest.ended() && clock.deadline().is_some());

@@ -42,9 +42,9 @@ fn only_addresses_with_the_version_are_immutable() {
 
 #[test]
 fn a_better_network_makes_the_photo_again() {
-    let server = Running::with(Limits::default(), Arc::new(pipeline().identified("a network")));
+    let server = Running::with(Limits::default(), Arc::new(pipeline().with_identity("a network")));
     let first = server.make(&jpeg(1));
-    let server = server.again(Limits::default(), Arc::new(pipeline().identified("a better network")));
+    let server = server.again(Limits::default(), Arc::new(pipeline().with_identity("a better network")));
     let second = server.upload(&jpeg(1));
     assert_ne!(first, second);
     server.wait(&second, "done");

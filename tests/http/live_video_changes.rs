@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use tmpi_core::live::Model;
+use tmpi_core::live::TileState;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Hello};
@@ -58,10 +58,10 @@ fn play(camera: &mut Publisher, film: &[Unit]) {
 
 /// Reads until all tiles of frames of this size have arrived.
 fn sees(viewer: &mut Client, size: (u32, u32)) {
-    let mut model = None::<Model>;
+    let mut model = None::<TileState>;
     loop {
         match viewer.next().expect("the viewer stays connected") {
-            Kind::Hello(hello) => model = ((hello.width, hello.height) == size).then(|| Model::new(&hello).unwrap()),
+            Kind::Hello(hello) => model = ((hello.width, hello.height) == size).then(|| TileState::new(&hello).unwrap()),
             Kind::Geometry(tiles) | Kind::Snapshot(tiles) => {
                 let Some(model) = &mut model else { continue };
                 model.take(&tiles).unwrap();

@@ -53,7 +53,7 @@ pub const NONE: &str = "00000000000000000000000000000000";
 
 /// A path and query for a route that changes no photo for others: of no photo, if it deletes or makes it again.
 pub fn target(route: &Route, method: &str, id: &str) -> String {
-    let harms = method == "DELETE" || route.path.ends_with("/again") || route.path.ends_with("/exports");
+    let harms = method == "DELETE" || route.path.ends_with("/remake") || route.path.ends_with("/exports");
     address(route, if harms { NONE } else { id })
 }
 
@@ -102,7 +102,7 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         "GET" | "HEAD" if route.path == "/v1/photos" && caller.lists == 403 => (403, Some("list-closed")),
         "GET" | "HEAD" | "POST" if route.path == "/v1/network" && caller.lists == 403 => (403, Some("not-yours")),
         "POST" if route.path == "/v1/network" => (200, None),
-        "POST" if route.path.ends_with("/again") || route.path.ends_with("/exports") => (404, Some("not-found")),
+        "POST" if route.path.ends_with("/remake") || route.path.ends_with("/exports") => (404, Some("not-found")),
         "GET" | "HEAD" if route.path.starts_with("/v1/photos/{id}/exports/{key}") => (404, Some("not-found")),
         "GET" | "HEAD" | "PATCH" => (200, None),
         "POST" if route.path.ends_with("/links") => (200, None),

@@ -1,6 +1,6 @@
 //! Photos by address, with a source in this process.
 
-use tmpi::server::Reach;
+use tmpi::server::AddressPolicy;
 use tmpi_testing::{Answer, Request, StandIn};
 
 use crate::prelude::*;
@@ -61,10 +61,10 @@ fn whole(path: &str, tag: &str) -> (u16, String, Vec<u8>) {
     }
 }
 
-fn start(hosts: &[String], source_reach: Reach) -> Running {
+fn start(hosts: &[String], source_addresses: AddressPolicy) -> Running {
     let limits = Limits { body: 1 << 20, body_read: Duration::from_millis(500), body_rate: 1000, ..Limits::default() };
     let source_hosts = hosts.iter().map(|host| host.parse().unwrap()).collect();
-    Running::configured(Arc::new(pipeline()), |config| Config { source_hosts, source_reach, limits, ..config })
+    Running::configured(Arc::new(pipeline()), |config| Config { source_hosts, source_addresses, limits, ..config })
 }
 
 fn post(server: &Running, body: &Value) -> Response {
@@ -74,7 +74,7 @@ fn post(server: &Running, body: &Value) -> Response {
 #[test]
 fn a_photo_and_its_depth_map_are_fetched() {
     let files = source();
-    let server = start(&[files.url("")], Reach::Any);
+    let server = start(&[files.url("")], AddressPolicy::Any);
     let made = post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg#x"), "quality": 70 }));
     assert_eq!(made.status, 201, "{}", String::from_utf8_lossy(&made.body));
     let made = made.json();
@@ -94,7 +94,7 @@ fn a_photo_and_its_depth_map_are_fetched() {
 #[test]
 fn a_source_that_has_not_changed_is_not_fetched_again() {
     let files = source();
-    let server = start(&[files.url("")], Reach::Any);
+    let server = start(&[files.url("")], AddressPolicy::Any);
     let order = json!({ "source": files.url("/tagged.jpg") });
     let first = post(&server, &order).json();
     let again = post(&server, &json!({ "source": files.url("/tagged.jpg"), "title": "New" }));
@@ -114,7 +114,7 @@ fn a_source_that_has_not_changed_is_not_fetched_again() {
 #[test]
 fn what_a_source_does_wrong_is_named_and_leaves_nothing() {
     let files = source();
-    let server = start(&[files.url("")], Reach::Any);
+    let server = start(&[files.url("")], AddressPolicy::Any);
     for (path, status, kind) in [
         ("/text", 415, "unsupported-photo"),
         ("/torn.jpg", 422, "broken-photo"),
@@ -149,7 +149,7 @@ fn only_listed_hosts_at_public_addresses_are_asked() {
     let port = files.addr.port();
     let others = ["http://[::1]", "http://169.254.169.254", "http://10.0.0.1", "*.b.example"].map(str::to_owned);
     let hosts = [vec![files.url(""), format!("http://localhost:{port}")], others.to_vec()].concat();
-    let server = start(&hosts, Reach::Public);
+    let server = start(&hosts, AddressPolicy::Public);
     for (source, status, kind) in [
         (files.url("/By%20the%20sea.jpg"), 403, "source-address"),
         (format!("http://localhost:{port}/By%20the%20sea.jpg"), 403, "source-address"),
@@ -190,7 +190,7 @@ fn only_listed_hosts_at_public_addresses_are_asked() {
 #[test]
 fn a_server_without_sources_fetches_nothing() {
     let files = source();
-    let server = start(&[], Reach::Any);
+    let server = start(&[], AddressPolicy::Any);
     let refused = post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg") })).problem(403);
     assert_eq!(refused["type"], "urn:tmpi:problem:no-sources");
     assert_eq!(files.begun(), 0);

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::AtomicBool;
 
-use tmpi::server::{Problem, Reach};
+use tmpi::server::{AddressPolicy, Problem};
 use tmpi_testing::Answer;
 
 use crate::live::{Publisher, frame};
@@ -16,7 +16,7 @@ const MANY: usize = 60;
 
 /// A server whose webhooks may have any address.
 fn server(limits: Limits) -> Running {
-    Running::configured(Arc::new(pipeline()), |config| Config { webhook_reach: Reach::Any, limits, ..config })
+    Running::configured(Arc::new(pipeline()), |config| Config { webhook_addresses: AddressPolicy::Any, limits, ..config })
 }
 
 fn quick(times: usize) -> Limits {
@@ -84,7 +84,7 @@ fn a_failed_photo_is_told_with_its_problem() {
     let fails = Does(|_: &[u8], _: &dyn Sink| {
         Err(Fault::Photo(Problem::new(axum::http::StatusCode::UNPROCESSABLE_ENTITY, "broken-photo", "it is torn")))
     });
-    let server = Running::configured(Arc::new(fails), |config| Config { webhook_reach: Reach::Any, ..config });
+    let server = Running::configured(Arc::new(fails), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
     let (failed, done) = (Receiver::start(|_| Answer::of(200)), Receiver::start(|_| Answer::of(200)));
     add(&server, &json!({ "url": failed.url, "events": ["photo.failed"] }));
     let (other, _) = add(&server, &json!({ "url": done.url, "events": ["photo.done"] }));

@@ -1,6 +1,6 @@
 //! Webhooks of owners on a server with `--access private`.
 
-use tmpi::server::Reach;
+use tmpi::server::AddressPolicy;
 use tmpi_testing::Answer;
 
 use crate::key_fixture;
@@ -8,7 +8,7 @@ use crate::prelude::*;
 use crate::receiver::{Delivery as _, Receiver};
 
 fn start() -> Running {
-    Running::configured(Arc::new(pipeline()), |config| Config { private: true, webhook_reach: Reach::Any, ..config })
+    Running::configured(Arc::new(pipeline()), |config| Config { private: true, webhook_addresses: AddressPolicy::Any, ..config })
 }
 
 fn send(server: &Running, who: &str, method: &str, path: &str, body: &Value) -> Response {
