@@ -224,31 +224,18 @@ mod tests {
     use tmpi_core::live::{TileState, read};
     use tmpi_live::Settings;
     use tmpi_pipeline::Models;
-    use tmpi_pipeline::depth::{DepthError, Estimator};
 
     use super::*;
     use crate::live::RoomLimits;
     use crate::live::room::NextStep;
 
-    /// Depth is brightness.
-    struct Bright;
-
-    impl Estimator for Bright {
-        fn name(&self) -> &'static str {
-            "bright"
-        }
-
-        fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-            let delta = photo.rgb.iter().map(|p| f32::from(p[0]) / 255.0).collect();
-            Ok(DisparityMap { width: photo.width, height: photo.height, delta })
-        }
-    }
-
     #[test]
     fn after_a_cut_under_a_budget_viewers_have_the_tiles_that_were_left_for_later() {
         const SIZE: (u32, u32) = (160, 120);
         let settings = Settings { frame_ms: 1e-3, ..Settings::default() };
-        let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
+        // depth is brightness
+        let bright = |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |x, y| f32::from(photo.at(x, y)[0]) / 255.0));
+        let models = Models { depth: Arc::new(("bright", bright)), theta: None, psi: None };
         let (room, mut driver) = (Room::new(RoomLimits::default()), Geometry::new(models, settings.clone()));
         let epoch = room.publish(TileState::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
         let mut viewer = room.join(crate::live::room::ViewerKind::Local).unwrap();
@@ -269,8 +256,7 @@ mod tests {
         // a wall that rises to the right, then a brighter one that falls
         let mut next = |number: u64, falls: bool| {
             let level = |x: u32| if falls { 219 - x / 4 } else { 20 + x / 4 };
-            let rgb = (0..SIZE.0 * SIZE.1).map(|i| [level(i % SIZE.0) as u8; 3]).collect();
-            let photo = Photo { width: SIZE.0, height: SIZE.1, rgb };
+            let photo = Photo::from_fn(SIZE.0, SIZE.1, |x, _| [level(x) as u8; 3]);
             room.push(epoch, crate::live::ring::MessageKind::Key, Bytes::from_static(&[0; 10]));
             made((&room, epoch), &mut driver, Frame { number, at: Duration::from_millis(33 * number), photo, depth: None }, Instant::now());
         };
@@ -293,7 +279,7 @@ mod tests {
     impl Decoder for Pixel {
         fn decode(&mut self, _: &[u8]) -> Result<Option<Photo>, VideoError> {
             assert!(self.0, "as planned");
-            Ok(Some(Photo { width: 1, height: 1, rgb: vec![[0; 3]] }))
+            Ok(Some(Photo::from_fn(1, 1, |_, _| [0; 3])))
         }
     }
 

@@ -7,7 +7,8 @@ use tmpi::server::{Config, Limits, Network, Proxies, Rates, Server};
 use tmpi_render::Backend;
 
 use crate::client::{Response, request};
-use crate::fixture::{Running, pipeline};
+use crate::fixture::Running;
+use crate::makers::pipeline;
 
 /// A server that trusts a proxy at the test's own address to name the client.
 fn behind(data: &Path, limits: Limits) -> Running {
