@@ -10,8 +10,8 @@ use tmpi_core::live::schema::bye::Cause;
 use utoipa::ToSchema;
 
 use super::access::{Role, end_of, token, token_of};
-use super::request_access::{RoomAccess, RoomsContext, seconds};
-use crate::server::{NoBody, Pairs, Problem};
+use super::request_access::{RoomAccess, RoomsContext};
+use crate::server::{NoBody, Pairs, Problem, since_1970};
 
 /// Lifetime of a token to watch that this machine's own user requests.
 const LINK: Duration = Duration::from_hours(24);
@@ -116,7 +116,7 @@ pub(super) async fn link(
     here.check(&name, Role::Publish, &uri, &headers).await?;
     let asked = Pairs::read(&uri, &["token"])?;
     let token = here.rooms.config.key.as_ref().and_then(|key| {
-        let (given, now) = (asked.get("token").or_else(|| token_of(&headers)), seconds());
+        let (given, now) = (asked.get("token").or_else(|| token_of(&headers)), since_1970().as_secs());
         let end = given.and_then(|given| end_of(key, Role::Publish, &name, given, now)).unwrap_or(now + LINK.as_secs());
         token(key, Role::Watch, &name, end)
     });

@@ -90,7 +90,7 @@ pub use webhooks::ConfiguredWebhook;
 use app_state::{App, Parts, Shared};
 use metrics::Telemetry;
 pub(crate) use metrics::{Figure, gauge};
-pub(crate) use timestamps::rfc3339;
+pub(crate) use timestamps::{rfc3339, since_1970};
 use traces::Traces;
 use webhooks::Clients;
 use workers::Workers;
