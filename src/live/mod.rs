@@ -11,7 +11,7 @@
 //! | `request_access` | the state of the handlers, and access checks |
 //! | `routes` | the routes, and the upgrade to WebSockets |
 //! | `publisher`, `viewer` | one socket each |
-//! | `sound_limit` | the rate limit of sound |
+//! | `token_bucket` | the rate limit of a client's messages |
 //! | `room` | the state that sockets and threads of a room share |
 //! | `snapshot` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
@@ -35,7 +35,7 @@ mod room;
 mod room_status;
 pub(crate) mod routes;
 mod snapshot;
-mod sound_limit;
+mod token_bucket;
 mod viewer;
 mod worker;
 
