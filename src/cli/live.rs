@@ -50,6 +50,6 @@ pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
 
 fn token(args: &TokenArgs) -> anyhow::Result<()> {
     let role = if args.publish { Role::Publish } else { Role::Watch };
-    let token = rooms::token(&files::read(&args.key)?, role, &args.room, since_1970().as_secs() + u64::from(args.hours) * 3600);
+    let token = rooms::room_token(&files::read(&args.key)?, role, &args.room, since_1970().as_secs() + u64::from(args.hours) * 3600);
     result(&token.context("the key is invalid")?)
 }

@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_best_encoder_is_used_and_sound_where_it_is_wanted_and_can_be_encoded() {
+    fn the_best_encoder_is_used_and_sound_is_read_if_wanted_and_encodable() {
         let h264 = json!({ "codec_type": "video", "codec_name": "h264", "pix_fmt": "yuv420p", "has_b_frames": 0 });
         let both = json!({ "streams": [{ "codec_type": "audio" }, h264] });
         let plan = |probed: &Value, (transcode, sound), encoders: &[&str]| {
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_are_named_as_each_system_names_them_and_files_keep_the_pace_of_a_camera() {
+    fn cameras_have_the_system_s_names_and_files_play_in_real_time() {
         let line = |origin: Origin<'_>, system| origin.input(system).map(|args| args.join(" ")).map_err(|e| e.to_string());
         assert_eq!(line(Origin::Camera(None), "linux").as_deref(), Ok("-f v4l2 -i /dev/video0"));
         assert_eq!(line(Origin::Camera(Some("/dev/video2")), "linux").as_deref(), Ok("-f v4l2 -i /dev/video2"));

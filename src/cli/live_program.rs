@@ -117,7 +117,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn after_units_of_a_live_source_are_left_out_it_goes_on_with_a_key_frame() {
+    async fn a_live_source_drops_frames_up_to_the_next_key_frame() {
         let (mut program, out) = tokio::io::duplex(1 << 16);
         let ((to, mut units), left_out) = (mpsc::channel(WAITING), Arc::new(AtomicU64::new(0)));
         let counted = Arc::clone(&left_out);
@@ -144,7 +144,7 @@ mod tests {
 
     #[cfg(unix)]
     #[tokio::test]
-    async fn a_program_that_fails_is_an_error_after_its_last_frame_and_one_that_ends_can_begin_again() {
+    async fn a_failed_program_is_an_error_after_its_last_frame_and_one_that_ended_can_begin_again() {
         let run = |script: &str| {
             let mut command = Command::new("sh");
             command.args(["-c", script]);

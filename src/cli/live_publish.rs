@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_server_that_says_nothing_more_is_left_and_come_back_to_with_a_key_frame() {
+    async fn a_silent_server_is_reconnected_with_a_key_frame() {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let rooms = [format!("http://{}/live/attic", listener.local_addr().unwrap())];
         // five frames, of which the first is a key frame, about every 25 ms

@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_rooms_take_is_passed_on_bit_by_bit_and_anything_else_encoded() {
+    async fn playable_video_is_copied_bit_for_bit_and_other_video_encoded() {
         let plain = ["-c:v", "libx264", "-profile:v", "baseline"];
         let x264 = |more: &[&'static str]| [&["-c:v", "libx264", "-bf", "0"][..], more].concat();
         let folder = tempfile::tempdir().unwrap();
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_film_whose_video_says_that_it_is_to_be_turned_is_refused_with_what_helps() {
+    async fn a_rotated_film_is_refused_with_a_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let film = folder.path().join("film.h264").to_string_lossy().into_owned();
         let mut command = Command::new("ffmpeg");

@@ -14,11 +14,11 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::access::Role;
-use super::gops::{Group, Part};
+use super::gops::{Group, GroupPart};
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::Room;
-use crate::server::{Coding, ConnectionGuard, Entity, Pairs, Problem, respond};
+use super::room_token::Role;
+use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
 /// How long a request waits for the next group.
@@ -34,13 +34,13 @@ async fn find(
     here: &RoomsContext,
     name: &str,
     path: &str,
-    leave: RoomAccess,
+    access: RoomAccess,
     headers: &HeaderMap,
 ) -> Result<Result<Arc<Room>, Response>, Problem> {
     if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
         return Ok(Ok(room));
     }
-    let elsewhere = if leave == RoomAccess::Node { None } else { here.rooms.elsewhere(name).await? };
+    let elsewhere = if access == RoomAccess::Node { None } else { here.rooms.remote_origin(name).await? };
     let (nodes, origin) = elsewhere.ok_or_else(none_publishes)?;
     let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
     nodes.fetch(&origin, name, path, known.into_iter().collect()).await.map(handed_on).map(Err)
@@ -84,16 +84,16 @@ fn handed_on(answer: Response) -> Response {
     )
 )]
 pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let room = match find(&here, &name, "/frames/latest/atlas", leave, &headers).await? {
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let room = match find(&here, &name, "/frames/latest/atlas", access, &headers).await? {
         Ok(room) => room,
         Err(answer) => return Ok(answer),
     };
-    let (epoch, still) = room.still().ok_or_else(|| Problem::not_found("no frame is done yet"))?;
-    let (number, container) = (still.tiles.frame, still.container().await?);
+    let (epoch, frame) = room.newest_frame().ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
+    let (number, container) = (frame.tiles.frame, frame.container().await?);
     let etag = format!("\"{epoch}-{number}\"");
     let entity =
-        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: Coding::Plain };
+        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: ContentCoding::Plain };
     let mut response = respond(&headers, entity);
     response.headers_mut().insert(FRAME, HeaderValue::from(number));
     response.headers_mut().insert(EPOCH, HeaderValue::from(epoch));
@@ -129,14 +129,14 @@ pub async fn group(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let none = || Problem::not_found("the server does not have this group of pictures");
     if group == "latest" {
-        let place = match find(&here, &name, "/gops/latest", leave, &headers).await? {
+        let place = match find(&here, &name, "/gops/latest", access, &headers).await? {
             Ok(room) => room.last_group().map(|group| group.to_string()),
             Err(answer) => answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned),
         };
-        let place = place.ok_or_else(|| Problem::not_found("nothing has come yet"))?;
+        let place = place.ok_or_else(|| Problem::not_found("the room has no group of pictures yet"))?;
         let location = format!("{place}{}", uri.query().map_or(String::new(), |query| format!("?{query}")));
         return Ok((StatusCode::TEMPORARY_REDIRECT, [(header::LOCATION, location)]).into_response());
     }
@@ -144,7 +144,7 @@ pub async fn group(
     // shared caches may only store responses whose URL has the token
     let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
-    let room = match find(&here, &name, &format!("/gops/{group}"), leave, &headers).await? {
+    let room = match find(&here, &name, &format!("/gops/{group}"), access, &headers).await? {
         Ok(room) => room,
         Err(answer) => return Ok((cache_control, answer).into_response()),
     };
@@ -194,17 +194,17 @@ impl Pieces {
         loop {
             self.changes.mark_unchanged();
             match self.room.group(self.group, self.at) {
-                Part::Message(bytes) => {
+                GroupPart::Message(bytes) => {
                     self.at += 1;
                     return Some([&(bytes.len() as u32).to_le_bytes()[..], &bytes].concat().into());
                 }
-                Part::End => {
+                GroupPart::End => {
                     self.whole = true;
                     return None;
                 }
-                Part::Gone => return None,
+                GroupPart::Gone => return None,
                 // cannot fail: `self.room` keeps the sender
-                Part::Wait | Part::NotYet => drop(self.changes.changed().await),
+                GroupPart::Wait | GroupPart::NotYet => drop(self.changes.changed().await),
             }
         }
     }

@@ -19,12 +19,12 @@ use tmpi_core::live::schema::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
 use super::request_access::{ENDED, ended};
-use super::room::{Next, Room, Viewer, Watches};
+use super::room::{NextStep, Room, Viewer, ViewerKind};
 use super::token_bucket::Bucket;
-use super::{HEARTBEAT, send_away};
+use super::{HEARTBEAT, disconnect};
 
 /// Reason for refusing a viewer of a full room.
-pub const FULL: &str = "as many watch the room as may";
+pub const FULL: &str = "the room is full";
 const GONE: &str = "the publisher has gone";
 
 /// The farewell to viewers after the publisher has gone.
@@ -53,23 +53,23 @@ struct Counted<'a> {
 
 impl Drop for Counted<'_> {
     fn drop(&mut self) {
-        self.room.part(&self.viewer);
+        self.room.leave(&self.viewer);
     }
 }
 
 /// Serves a viewer until it leaves, the room closes, or its token ends at `ends`.
-pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, Watches), stop: CancellationToken, ends: Option<Instant>) {
+pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, ViewerKind), stop: CancellationToken, ends: Option<Instant>) {
     let Some(viewer) = room.join(kind) else {
         let full = Bye { reason: FULL.into(), again: true, cause: Cause::Full.into() };
         let closed = || room.farewell().unwrap_or_else(|| gone(Cause::Lost));
-        return send_away(socket, if room.is_full() { full } else { closed() }).await;
+        return disconnect(socket, if room.is_full() { full } else { closed() }).await;
     };
     let Err(end) = {
         let mut counted = Counted { room: &room, viewer };
         watch(&mut socket, &room, &mut counted.viewer, &stop, ends).await
     };
     if let End::Bye(bye) = end {
-        send_away(socket, bye).await;
+        disconnect(socket, bye).await;
     }
 }
 
@@ -97,14 +97,14 @@ async fn watch(
         }
         changes.mark_unchanged();
         match room.next(viewer) {
-            Next::Send(bytes) => send(socket, Some(bytes)).await?,
-            Next::Hello(hello) => {
+            NextStep::Send(bytes) => send(socket, Some(bytes)).await?,
+            NextStep::Hello(hello) => {
                 send(socket, Some(write(Kind::Hello((*hello).clone())))).await?;
                 send(socket, room.tiles(viewer)).await?;
             }
-            Next::Tiles => send(socket, room.tiles(viewer)).await?,
-            Next::Closed => return Err(End::Bye(room.farewell().unwrap_or_else(|| gone(Cause::Lost)))),
-            Next::Wait => tokio::select! {
+            NextStep::Tiles => send(socket, room.tiles(viewer)).await?,
+            NextStep::Closed => return Err(End::Bye(room.farewell().unwrap_or_else(|| gone(Cause::Lost)))),
+            NextStep::Wait => tokio::select! {
                 changed = changes.changed() => changed.map_err(|_| End::Gone)?,
                 _ = heartbeat.tick() => send(socket, Some(write(Kind::Statistics(room.statistics(viewer))))).await?,
                 came = socket.recv() => heard(came, &mut words, room, viewer)?,
@@ -126,11 +126,11 @@ fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Bucket, room: &
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
         Some(Ok(Message::Binary(bytes))) => {
             let Credit { frames, key, viewers } = credit(bytes, words).map_err(|reason| bye(&reason, false))?;
-            if matches!(viewer.watches(), Watches::Edge(_)) {
-                room.hear_edge(viewer, viewers, key);
+            if matches!(viewer.watches(), ViewerKind::Edge(_)) {
+                room.update_edge(viewer, viewers, key);
             } else {
                 if key && frames > 0 {
-                    viewer.lose();
+                    viewer.skip_to_key();
                 }
                 viewer.pause(frames == 0);
             }
