@@ -12,7 +12,7 @@
 //! | `watch_token` | tokens for viewers |
 //! | `routes` | the routes, and the upgrade to WebSockets |
 //! | `publisher`, `viewer` | one socket each |
-//! | `sound_limit` | the rate limit of sound |
+//! | `token_bucket` | the rate limit of a client's messages |
 //! | `room` | the state that sockets and threads of a room share |
 //! | `snapshot` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
@@ -37,7 +37,7 @@ mod room_state;
 mod room_token;
 pub(crate) mod routes;
 mod snapshot;
-mod sound_limit;
+mod token_bucket;
 mod viewer;
 mod watch_token;
 

@@ -254,7 +254,7 @@ fn request_id(headers: &HeaderMap) -> String {
         .get(REQUEST_ID)
         .and_then(|v| v.to_str().ok())
         .filter(harmless)
-        .map_or_else(|| format!("{:x}-{:x}", super::timestamps::now_ms(), NEXT.fetch_add(1, Ordering::Relaxed)), str::to_owned)
+        .map_or_else(|| format!("{:x}-{:x}", super::since_1970().as_millis(), NEXT.fetch_add(1, Ordering::Relaxed)), str::to_owned)
 }
 
 /// Method label from a closed set, so that clients cannot create new counters.

@@ -91,7 +91,7 @@ pub use webhooks::ConfiguredWebhook;
 use app_state::{App, AppParts, AppState};
 pub(crate) use metrics::Metric;
 use metrics::Telemetry;
-pub(crate) use timestamps::rfc3339;
+pub(crate) use timestamps::{rfc3339, since_1970};
 use traces::Traces;
 use webhooks::Clients;
 use workers::Workers;

@@ -1,13 +1,13 @@
-//! Timestamps for clients.
+//! This machine's clock, and timestamps for clients.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use humantime::format_rfc3339_millis;
 use tmpi_library::Millis;
 
-/// Milliseconds since 1970, UTC, by this machine's clock. To compare with times of other nodes, use the database's clock.
-pub fn now_ms() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
+/// Time since 1970, UTC, by this machine's clock. To compare with times of other nodes, use the database's clock.
+pub fn since_1970() -> Duration {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }
 
 /// Last millisecond of the year 9999, the last that RFC 3339 writes.

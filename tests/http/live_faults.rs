@@ -61,13 +61,15 @@ fn geometry_resumes_after_a_panic_and_repeated_panics_end_the_room_with_a_reason
 #[test]
 fn publishers_that_only_ping_flood_sound_or_send_b_frames_are_disconnected() {
     let server = server_with(|rooms| rooms);
-    let mut flood = Publisher::new(server.addr, "cellar");
-    // far more than the limit allows
-    for time in 0..2000 {
-        flood.client.send(Kind::Sound(Sound { time, data: vec![0; 9].into() }));
+    // far more than the limits allow
+    for (room, packets, bytes) in [("cellar", 2000, 9), ("kitchen", 20, 16 << 10)] {
+        let mut flood = Publisher::new(server.addr, room);
+        for time in 0..packets {
+            flood.client.send(Kind::Sound(Sound { time, data: vec![0; bytes].into() }));
+        }
+        let reason = flood.client.bye();
+        assert!(reason.contains("200 packets or 65536 bytes"), "{reason}");
     }
-    let reason = flood.client.bye();
-    assert!(reason.contains("200 packets"), "{reason}");
     let mut film = Client::at(server.addr, "/v1/live/garden/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
     film.send(Kind::Hello(Hello { version: VERSION, codec: "avc1.42e01e".into(), width: 64, height: 48, ..Hello::default() }));
     // `first_mb_in_slice` 0, `slice_type` 1: a B-frame

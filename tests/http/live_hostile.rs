@@ -1,7 +1,7 @@
 //! Publishers and viewers that break the protocol or stop reading.
 
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::schema::{Bye, Hello, Video};
+use tmpi_core::live::schema::{Bye, Credit, Hello, Video};
 use tmpi_core::live::{VERSION, write};
 use tokio_tungstenite::tungstenite::Message;
 
@@ -62,6 +62,9 @@ fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
     let mut talker = Client::watch(server.addr, "attic");
     talker.send(Kind::Hello(hello()));
     says(talker.bye(), "viewers may send only");
+    let mut talker = Client::watch(server.addr, "attic");
+    (0..40).for_each(|_| talker.send(Kind::Credit(Credit { frames: 1, key: false, viewers: 0 })));
+    says(talker.bye(), "more CREDIT");
     // frames that are not pictures
     let mut broken = Publisher::new(server.addr, "garden");
     let reason = loop {
