@@ -9,7 +9,7 @@ use super::metrics::{Figure, counter, gauge};
 pub fn figures() -> Vec<Figure> {
     let mut all = Vec::new();
     all.extend(cpu_seconds().map(|s| counter("process_cpu_seconds", "Time of the processor, of processes that make photos not", s)));
-    all.extend(resident_bytes(None).map(|bytes| gauge("process_resident_memory_bytes", "Resident memory", bytes as f64)));
+    all.extend(resident_bytes().map(|bytes| gauge("process_resident_memory_bytes", "Resident memory", bytes as f64)));
     // minus the descriptor that reads the folder
     let open = std::fs::read_dir("/proc/self/fd").ok().map(|files| files.count().saturating_sub(1));
     all.extend(open.map(|files| gauge("process_open_fds", "Open files, connections among them", files as f64)));
