@@ -223,7 +223,7 @@ pub(super) fn labels(subjects: &[Subject], quick: bool) -> Result<Experiment, Be
     let weights: &[f32] = if quick { &[0.0, 0.12, 0.3, 1.5] } else { &[0.0, 0.05, 0.12, 0.2, 0.3, 0.6, 1.5] };
     let mut points = Vec::new();
     for &w in weights {
-        let p = point(&all, format!("neighbour weight {w}"), (Without::Nothing, w), &x)?;
+        let p = point(&all, format!("weight {w}"), (Without::Nothing, w), &x)?;
         points.push(Point { default: (w - NEIGHBOUR).abs() < 1e-6, ..p });
     }
     Ok(Experiment {

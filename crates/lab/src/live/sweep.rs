@@ -123,7 +123,7 @@ impl Points {
             }
             out.push('\n');
         };
-        let of_point = ["size", "kbit/s asked", "budget ms"];
+        let of_point = ["size", "target", "budget ms"];
         line("sequence", of_point.into_iter().chain(FIGURES.map(|f| f.0)).map(String::from).collect());
         for Point { at, row } in &self.points {
             let budget = if at.budget_ms > 0.0 { at.budget_ms.to_string() } else { "none".into() };
