@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::{Axis, Experiment, Point};
 
-const WIDTH: f64 = 720.0;
+const WIDTH: f64 = 770.0;
 const HEIGHT: f64 = 400.0;
 /// Edges of the plot itself; the names of the curves are on its right.
 const LEFT: f64 = 70.0;
@@ -68,20 +68,22 @@ impl Scale {
     /// Round values for labels, and their positions.
     fn ticks(&self) -> Vec<(f64, f64)> {
         let placed = |v: f64| Some((v, self.at(v)?));
-        let multiples = |steps: &[f64]| -> Vec<(f64, f64)> {
-            let decades = self.lo.floor() as i32..=self.hi.ceil() as i32;
-            let values = decades.flat_map(|d| steps.iter().map(move |s| s * 10f64.powi(d)));
-            values.filter(|v| (self.lo..=self.hi).contains(&v.log10())).filter_map(placed).collect()
-        };
         if self.log {
-            let most = [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0];
-            let few = [multiples(&[1.0]), multiples(&[1.0, 2.0, 5.0])].into_iter().find(|ticks| ticks.len() >= 3);
-            return few.unwrap_or_else(|| multiples(&most));
+            let multiples = |steps: &[f64]| -> Vec<(f64, f64)> {
+                let decades = self.lo.floor() as i32..=self.hi.ceil() as i32;
+                let values = decades.flat_map(|d| steps.iter().map(move |s| s * 10f64.powi(d)));
+                values.filter(|v| (self.lo..=self.hi).contains(&v.log10())).filter_map(placed).collect()
+            };
+            if let Some(enough) = [multiples(&[1.0]), multiples(&[1.0, 2.0, 5.0])].into_iter().find(|ticks| ticks.len() >= 3) {
+                return enough;
+            }
         }
-        let raw = (self.hi - self.lo) / 6.0;
+        // within a decade, both axes are nearly alike
+        let (lo, hi) = if self.log { (10f64.powf(self.lo), 10f64.powf(self.hi)) } else { (self.lo, self.hi) };
+        let raw = (hi - lo) / 6.0;
         let unit = 10f64.powf(raw.log10().floor());
         let step = unit * [1.0, 2.0, 5.0].into_iter().find(|s| s * unit >= raw).unwrap_or(10.0);
-        let (first, last) = ((self.lo / step).ceil() as i64, (self.hi / step).floor() as i64);
+        let (first, last) = ((lo / step).ceil() as i64, (hi / step).floor() as i64);
         (first..=last).filter_map(|i| placed(i as f64 * step)).collect()
     }
 }
@@ -192,7 +194,7 @@ mod tests {
         let axis = |log| Axis::new("", log, None);
         for (values, log) in [(vec![27.3, 28.9], false), (vec![0.0, 0.0], false), (vec![3.0, 250.0], true), (vec![41.0, 47.0], true)] {
             let ticks = Scale::new(&axis(log), values.iter().copied(), (0.0, 100.0)).ticks();
-            assert!((1..=14).contains(&ticks.len()), "{values:?}: {ticks:?}");
+            assert!((3..=14).contains(&ticks.len()), "{values:?}: {ticks:?}");
             assert!(ticks.iter().all(|&(_, at)| (-1e-6..=100.000_001).contains(&at)), "{values:?}: {ticks:?}");
         }
         let none = Scale::new(&axis(true), std::iter::empty(), (0.0, 1.0));
