@@ -138,7 +138,7 @@ fn a_body_that_stops_is_408_and_leaves_nothing() {
 
 #[test]
 fn a_request_that_takes_too_long_is_ended() {
-    let limits = Limits { request: Duration::from_millis(600), ..Limits::default() };
+    let limits = Limits { request: Duration::from_secs(3), ..Limits::default() };
     let gate = Gate::new(0);
     let (_dir, server) = start(limits, gate.clone());
     // `Prefer: wait` ends before the request's timeout

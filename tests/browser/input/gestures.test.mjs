@@ -2,9 +2,9 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 
-const SMALL = { ...REDUCED_MOTION, viewport: { width: 500, height: 480 } };
+const SMALL = { viewport: { width: 500, height: 480 } };
 const zoom = (page) => page.evaluate(() => window.viewer.zoom);
 /** Waits until nothing moves and the zoom is in a range. */
 const waitForZoom = (page, least, most) =>
