@@ -11,7 +11,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
-use super::traces::{Collector, CollectorError, Job, Parent, Traces};
+use super::traces::{Collector, CollectorError, JobSpan, Parent, Traces};
 use tmpi_library::{PhotoId, Swept};
 
 /// Media type of the text.
@@ -33,7 +33,7 @@ struct Route {
 
 /// A metric that is counted elsewhere.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Figure {
+pub struct Metric {
     /// Name; that of a counter without its `_total`.
     pub name: &'static str,
     /// Help text.
@@ -42,7 +42,7 @@ pub struct Figure {
     pub value: Value,
 }
 
-/// Value of a [`Figure`].
+/// Value of a [`Metric`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value {
     /// May rise and fall.
@@ -53,14 +53,14 @@ pub enum Value {
 
 /// A gauge.
 #[must_use]
-pub const fn gauge(name: &'static str, help: &'static str, value: f64) -> Figure {
-    Figure { name, help, value: Value::Gauge(value) }
+pub const fn gauge(name: &'static str, help: &'static str, value: f64) -> Metric {
+    Metric { name, help, value: Value::Gauge(value) }
 }
 
 /// A counter.
 #[must_use]
-pub const fn counter(name: &'static str, help: &'static str, value: f64) -> Figure {
-    Figure { name, help, value: Value::Counter(value) }
+pub const fn counter(name: &'static str, help: &'static str, value: f64) -> Metric {
+    Metric { name, help, value: Value::Counter(value) }
 }
 
 /// An outcome label.
@@ -151,7 +151,7 @@ impl Default for Telemetry {
         registry.register("tmpi_view_seconds", "Duration of the phases of drawing a view", t.view_phases.clone());
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
         registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
-        for reason in ["age", "room"] {
+        for reason in ["age", "space"] {
             // create it now: Prometheus does not see the first increment of a new counter
             drop(t.retired.get_or_create(&Retired { reason }));
         }
@@ -169,16 +169,16 @@ impl Default for Telemetry {
 }
 
 /// Counts one, until it is dropped.
-pub struct Present(Gauge);
+pub struct GaugeGuard(Gauge);
 
-impl Present {
+impl GaugeGuard {
     fn of(gauge: &Gauge) -> Self {
         gauge.inc();
         Self(gauge.clone())
     }
 }
 
-impl Drop for Present {
+impl Drop for GaugeGuard {
     fn drop(&mut self) {
         self.0.dec();
     }
@@ -203,8 +203,8 @@ impl Telemetry {
 
     /// Starts the span of making a photo, for the `attempt`th time from 1, within `parent`.
     #[must_use]
-    pub fn begin_job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> Job {
-        self.traces.as_ref().map_or_else(Job::default, |traces| Job::new(traces.job(parent, id, attempt)))
+    pub fn begin_job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> JobSpan {
+        self.traces.as_ref().map_or_else(JobSpan::default, |traces| JobSpan::new(traces.job(parent, id, attempt)))
     }
 
     /// Records an answered request.
@@ -237,7 +237,7 @@ impl Telemetry {
 
     /// Records photos that retention deleted.
     pub fn swept(&self, swept: &Swept) {
-        for (reason, count) in [("age", swept.by_age), ("room", swept.by_room)] {
+        for (reason, count) in [("age", swept.by_age), ("space", swept.by_space)] {
             self.retired.get_or_create(&Retired { reason }).inc_by(count);
         }
         self.freed.inc_by(swept.bytes);
@@ -249,27 +249,27 @@ impl Telemetry {
     }
 
     /// Counts a connection, until the result is dropped.
-    pub fn connection(&self) -> Present {
-        Present::of(&self.connections)
+    pub fn connection(&self) -> GaugeGuard {
+        GaugeGuard::of(&self.connections)
     }
 
     /// Counts a running request, until the result is dropped.
-    pub fn in_flight(&self) -> Present {
-        Present::of(&self.in_flight)
+    pub fn in_flight(&self) -> GaugeGuard {
+        GaugeGuard::of(&self.in_flight)
     }
 
     /// All metrics as text, with `figures` from elsewhere.
     ///
     /// # Errors
     /// Does not happen in practice.
-    pub fn text(&self, figures: &[Figure]) -> Result<String, std::fmt::Error> {
+    pub fn text(&self, figures: &[Metric]) -> Result<String, std::fmt::Error> {
         let mut now = Registry::default();
         let since = self.since.duration_since(UNIX_EPOCH).unwrap_or_default();
         let own = [
             gauge("tmpi_uptime_seconds", "Time since the start", self.started.elapsed().as_secs_f64()),
             gauge("process_start_time_seconds", "When the server started, in seconds since 1970", since.as_secs_f64()),
         ];
-        for Figure { name, help, value } in figures.iter().chain(&own) {
+        for Metric { name, help, value } in figures.iter().chain(&own) {
             match value {
                 Value::Gauge(value) => {
                     let gauge = Gauge::<f64, AtomicU64>::default();

@@ -2,11 +2,11 @@
 
 use tmpi_pipeline::usage::{cpu_seconds, resident_bytes};
 
-use super::metrics::{Figure, counter, gauge};
+use super::metrics::{Metric, counter, gauge};
 
 /// The available metrics; without `/proc` only CPU time and the file limit.
 #[must_use]
-pub fn figures() -> Vec<Figure> {
+pub fn figures() -> Vec<Metric> {
     let mut all = Vec::new();
     all.extend(cpu_seconds().map(|s| counter("process_cpu_seconds", "Time of the processor, of processes that make photos not", s)));
     all.extend(resident_bytes().map(|bytes| gauge("process_resident_memory_bytes", "Resident memory", bytes as f64)));
@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn the_process_tells_what_it_takes() {
+    fn process_metrics_have_values() {
         let before = value("process_open_fds");
         let files: Vec<_> = (0..50).map(|_| std::fs::File::open("/dev/null").unwrap()).collect();
         // concurrent tests open and close some

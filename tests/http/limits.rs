@@ -292,7 +292,7 @@ fn a_body_on_a_route_that_reads_none_is_refused_and_the_answer_names_the_query()
     server.wait(&id, "done");
     let at = |part: &str| format!("/v1/photos/{id}/{part}");
     for path in
-        [at("links"), at("manage"), at("again"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]
+        [at("links"), at("manage"), at("remake"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]
     {
         for body in [&br#"{"seconds": 60}"#[..], b"{}", b" "] {
             let refused = request(server.addr, "POST", &path, &[("content-type", "application/json")], body).problem(400);

@@ -11,14 +11,14 @@ use sha2::{Digest, Sha256};
 
 use super::query::NoQuery;
 use crate::server::app_state::App;
-use crate::server::blocking_pool::Class;
-use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
+use crate::server::blocking_pool::WorkClass;
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, respond, respond_uncached};
 use crate::server::metrics::{MEDIA_TYPE, gauge};
 use crate::server::problem::Problem;
 use crate::server::process_metrics;
 use tmpi_library::Class::Batch;
 use tmpi_library::hex;
-use tmpi_library::{Kind, PhotoState as Phase};
+use tmpi_library::{JobKind, PhotoState as Phase};
 
 /// Health of the server.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -81,23 +81,23 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         Err(error) => return Problem::from(error).into_response(),
     };
     let of_state = |state| counts.photos.get(&state).copied().unwrap_or_default() as f64;
-    let of_kinds = |kinds: &[Kind]| kinds.iter().map(|kind| counts.waiting_of(*kind)).sum::<u64>() as f64;
+    let of_kinds = |kinds: &[JobKind]| kinds.iter().map(|kind| counts.waiting_of(*kind)).sum::<u64>() as f64;
     let waiting = |class| app.pool.waiting(class) as f64;
-    let batch = counts.waiting.get(&(Kind::Make, Batch)).copied().unwrap_or_default();
+    let batch = counts.waiting.get(&(JobKind::Make, Batch)).copied().unwrap_or_default();
     let mut figures = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
     figures.extend([
         gauge("tmpi_photos_done", "Finished photos of all nodes", of_state(Phase::Done)),
         gauge("tmpi_photos_failed", "Photos that could not be made", of_state(Phase::Failed)),
         gauge("tmpi_photos_damaged", "Finished photos that are damaged", of_state(Phase::Damaged)),
         gauge("tmpi_photos_bytes", "Bytes of all photos with their results", counts.bytes as f64),
-        gauge("tmpi_queue_depth", "Photos that wait, at all nodes together", of_kinds(&[Kind::Make])),
+        gauge("tmpi_queue_depth", "Photos that wait, at all nodes together", of_kinds(&[JobKind::Make])),
         gauge("tmpi_queue_longest_wait_seconds", "How long the job that waits longest has waited", counts.longest_wait.as_secs_f64()),
         gauge("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
         gauge("tmpi_connections_limit", "Connections that may be open", app.limits.connections as f64),
         gauge(
             "tmpi_jobs_running",
             "Photos that are being made, at all nodes together",
-            counts.working.get(&Kind::Make).copied().unwrap_or_default() as f64,
+            counts.working.get(&JobKind::Make).copied().unwrap_or_default() as f64,
         ),
         gauge("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
         gauge("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
@@ -112,13 +112,13 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
             app.limits.work_memory as f64,
         ),
         gauge("tmpi_job_memory_limit_bytes", "Memory that photos under way may have", app.limits.job_memory as f64),
-        gauge("tmpi_views_waiting", "Views that wait to be drawn", waiting(Class::Interactive)),
-        gauge("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
-        gauge("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
+        gauge("tmpi_views_waiting", "Views that wait to be drawn", waiting(WorkClass::Interactive)),
+        gauge("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(WorkClass::Derived)),
+        gauge("tmpi_exports_waiting", "Films and files that wait to be written", waiting(WorkClass::Export)),
         gauge("tmpi_views_waiting_limit", "Views that may wait, and, apart from them, levels and parts", app.limits.views_waiting as f64),
         gauge("tmpi_exports_waiting_limit", "Films and files that may wait", app.limits.exports.waiting as f64),
         gauge("tmpi_exports_stored_bytes", "Bytes of files that were written as jobs", counts.exports_bytes as f64),
-        gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_kinds(&[Kind::Export, Kind::Film])),
+        gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_kinds(&[JobKind::Export, JobKind::Film])),
         gauge("tmpi_batch_queued", "Photos of many that wait", batch as f64),
         gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::usage::peak_rss_bytes() as f64),
     ]);
@@ -126,18 +126,18 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     let shared = App::clone(&app);
     let looked = tokio::task::spawn_blocking(move || {
         let mut figures = process_metrics::figures();
-        if let Some(room) = shared.library.blobs().disk() {
-            figures.push(gauge("tmpi_data_free_bytes", "Free room on the disk of the data directory", room.bytes as f64));
+        if let Some(space) = shared.library.blobs().disk_space() {
+            figures.push(gauge("tmpi_data_free_bytes", "Free space on the disk of the data directory", space.bytes as f64));
             // some file systems have no limit
-            if room.all_files > 0 {
-                figures.push(gauge("tmpi_data_free_files", "Files that the disk of the data directory can still have", room.files as f64));
+            if space.all_files > 0 {
+                figures.push(gauge("tmpi_data_free_files", "Files that the disk of the data directory can still have", space.files as f64));
             }
         }
         figures
     });
     figures.extend(looked.await.unwrap_or_default());
     match app.telemetry.text(&figures) {
-        Ok(text) => respond_once(&headers, text.into(), MEDIA_TYPE),
+        Ok(text) => respond_uncached(&headers, text.into(), MEDIA_TYPE),
         Err(error) => Problem::internal("writing metrics", &error).into_response(),
     }
 }
@@ -159,7 +159,7 @@ pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
             etag: &etag,
             content_type: "application/json",
             cache_control: REVALIDATE,
-            coding: Coding::Gzip,
+            coding: ContentCoding::Gzip,
         },
     )
 }

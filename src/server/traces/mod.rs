@@ -3,7 +3,7 @@
 //! Each request is a span; making its photo is a child of it, on any node, and each stage is a child of that. Work of a request that waits
 //! for a slot (views, smaller levels, files) is a child of the request, too. Without a collector there are no spans.
 
-mod send;
+mod exporter;
 mod span;
 
 use std::net::IpAddr;
@@ -21,8 +21,8 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 
 use super::metrics::Outcome;
-pub use send::check as check_collector;
-pub use span::{Current, Job, Parent, TRACE, Work, current, parent};
+pub use exporter::check as check_collector;
+pub use span::{ActiveSpan, JobSpan, Parent, TRACE, WorkSpan, current, parent};
 use tmpi_library::PhotoId;
 
 /// Most spans that wait for the collector, about 1 KB each; further ones are dropped and counted.
@@ -64,7 +64,7 @@ impl Traces {
     /// # Errors
     /// If the address is not valid.
     pub(super) fn open(to: &Collector, counts: Counts) -> Result<Self, CollectorError> {
-        let processor = send::processor(&to.url, counts).map_err(|why| CollectorError { url: to.url.clone(), why })?;
+        let processor = exporter::processor(&to.url, counts).map_err(|why| CollectorError { url: to.url.clone(), why })?;
         let mut resource = Resource::builder().with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION")));
         // the SDK reads the standard variable if it is set
         if std::env::var_os("OTEL_SERVICE_NAME").is_none() {
@@ -78,7 +78,7 @@ impl Traces {
 
     /// Starts the span of a request, within its `traceparent`; `None` for monitoring routes.
     #[must_use]
-    pub fn request(&self, method: &'static str, route: &str, headers: &HeaderMap, peer: Option<IpAddr>) -> Option<Current> {
+    pub fn request(&self, method: &'static str, route: &str, headers: &HeaderMap, peer: Option<IpAddr>) -> Option<ActiveSpan> {
         if HEALTH.contains(&route) {
             return None;
         }
@@ -86,12 +86,12 @@ impl Traces {
         attributes.extend(peer.map(|peer| KeyValue::new("tmpi.peer", class(peer))));
         let builder = SpanBuilder::from_name(format!("{method} {route}")).with_kind(SpanKind::Server).with_attributes(attributes);
         let outer = TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers));
-        Some(Current::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer)))
+        Some(ActiveSpan::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer)))
     }
 
     /// Starts the span of making a photo, within the request if it is known.
     #[must_use]
-    pub fn job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> Current {
+    pub fn job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> ActiveSpan {
         let attributes = vec![
             KeyValue::new("tmpi.photo", id.to_string()),
             KeyValue::new("tmpi.job.class", "photo"),
@@ -99,7 +99,7 @@ impl Traces {
         ];
         let builder = SpanBuilder::from_name("job").with_kind(SpanKind::Consumer).with_attributes(attributes);
         let outer = parent.map_or_else(Context::new, Parent::context);
-        Current::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer))
+        ActiveSpan::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer))
     }
 
     /// Sends the remaining spans and stops; blocks for some seconds at most.

@@ -15,12 +15,12 @@ const PARENT: &str = "traceparent";
 
 tokio::task_local! {
     /// The span of this task's request.
-    pub static TRACE: Option<Current>;
+    pub static TRACE: Option<ActiveSpan>;
 }
 
 /// The span of this task's request; `None` if it is not traced.
 #[must_use]
-pub fn current() -> Option<Current> {
+pub fn current() -> Option<ActiveSpan> {
     TRACE.try_with(Clone::clone).ok().flatten()
 }
 
@@ -56,18 +56,18 @@ impl Parent {
 
 /// A running span; ends when the last clone is dropped.
 #[derive(Clone)]
-pub struct Current {
+pub struct ActiveSpan {
     tracer: SdkTracer,
     context: Context,
 }
 
-impl fmt::Debug for Current {
+impl fmt::Debug for ActiveSpan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Current").field(&self.trace()).finish()
+        f.debug_tuple("ActiveSpan").field(&self.trace()).finish()
     }
 }
 
-impl Current {
+impl ActiveSpan {
     pub(super) fn new(tracer: SdkTracer, span: Span) -> Self {
         Self { tracer, context: Context::new().with_span(span) }
     }
@@ -103,38 +103,38 @@ impl Current {
 
     /// Starts the span of work of a class within the request.
     #[must_use]
-    pub fn work(&self, class: &'static str) -> Work {
-        Work { _span: self.child("work", vec![KeyValue::new("tmpi.job.class", class)]) }
+    pub fn work(&self, class: &'static str) -> WorkSpan {
+        WorkSpan { _span: self.child("work", vec![KeyValue::new("tmpi.job.class", class)]) }
     }
 }
 
 /// The span of work within a request; ends when it is dropped.
 #[derive(Debug)]
-pub struct Work {
-    _span: Current,
+pub struct WorkSpan {
+    _span: ActiveSpan,
 }
 
 /// The trace of a photo being made, if any.
 #[derive(Debug, Default)]
-pub struct Job(Option<Traced>);
+pub struct JobSpan(Option<Traced>);
 
 #[derive(Debug)]
 struct Traced {
-    job: Current,
+    job: ActiveSpan,
     /// The current stage.
-    stage: Mutex<Option<(&'static str, Current)>>,
+    stage: Mutex<Option<(&'static str, ActiveSpan)>>,
 }
 
 impl Traced {
-    fn stage(&self) -> MutexGuard<'_, Option<(&'static str, Current)>> {
+    fn stage(&self) -> MutexGuard<'_, Option<(&'static str, ActiveSpan)>> {
         self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Job {
+impl JobSpan {
     /// With a started span.
     #[must_use]
-    pub fn new(job: Current) -> Self {
+    pub fn new(job: ActiveSpan) -> Self {
         Self(Some(Traced { job, stage: Mutex::default() }))
     }
 

@@ -176,13 +176,11 @@ describe('the whole program', () => {
     await disableGraphics(page, { webgl: false });
     await page.goto(`${server.url}/view/${made.id}`);
     await waitForMode(page, 'served');
-    const shown = () => page.evaluate(() => window.viewer.serverViews.shown);
     await page.waitForFunction(() => window.viewer.serverViews.shown);
-    const before = await shown();
     await page.locator('#stage').focus();
     for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
-    await page.waitForFunction((old) => window.viewer.serverViews.shown !== old && !window.viewer.serverViews.busy, before);
-    assert.match(await shown(), /tx=0\.0[1-5]/);
+    // four steps to the right; earlier ones may be shown first
+    await page.waitForFunction(() => /tx=0\.0[1-5]/.test(window.viewer.serverViews.shown));
     assert.ok(await page.evaluate(() => document.querySelector('.tmpi-poster').naturalWidth > 0));
     assert.deepEqual(errors, []);
     await context.close();

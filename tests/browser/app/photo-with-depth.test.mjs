@@ -10,7 +10,7 @@ const WIDTH = 320;
 const HEIGHT = 200;
 const [FAR, NEAR] = [40, 220];
 /** A photo from a phone: 64 × 48 pixels, left half near. */
-const PHONE = readFileSync(new URL('../../../fuzz/seeds/carried/gdepth.jpg', import.meta.url));
+const PHONE = readFileSync(new URL('../../../fuzz/seeds/embedded_depth/gdepth.jpg', import.meta.url));
 
 /** An 8-bit depth map of the box; `shade` makes the file unique. */
 const map = (width, height, shade = 0) =>

@@ -15,8 +15,8 @@ use tmpi_pipeline::layers;
 use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::networks::Network;
 use tmpi_pipeline::photo::{self, Limits};
-use tmpi_pipeline::planes::{NEIGHBOUR, Placement, place};
-use tmpi_pipeline::{MakeError, Movement, Options};
+use tmpi_pipeline::planes::{NEIGHBOUR_COST, Placement, place};
+use tmpi_pipeline::{MakeError, Options, Parallax};
 use tmpi_render::{Cpu, Renderer};
 
 /// The step that is disabled or replaced.
@@ -88,7 +88,7 @@ impl<'a> Prepared<'a> {
         let options = Options::default();
         let (w, h) = (self.photo.width, self.photo.height);
         let grid = Grid::new(w, h, 64);
-        let most = Movement::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
+        let most = Parallax::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
         let placement = Placement { neighbour, ..options.placement(options.max_error, most) };
         let map = match without {
             Without::Median => self.given,
@@ -199,7 +199,7 @@ pub(super) fn steps(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, B
     let x = Axis::new("texels per pixel", false, Some(false));
     let mut points = Vec::new();
     for (name, without) in ALL.into_iter().filter(|(_, w)| *w != Without::Refined || bench.psi().is_some()) {
-        points.push(point(&all, name.into(), (without, NEIGHBOUR), &x)?);
+        points.push(point(&all, name.into(), (without, NEIGHBOUR_COST), &x)?);
     }
     let whole = points[0].y;
     for p in &mut points {
@@ -224,7 +224,7 @@ pub(super) fn labels(subjects: &[Subject], quick: bool) -> Result<Experiment, Be
     let mut points = Vec::new();
     for &w in weights {
         let p = point(&all, format!("weight {w}"), (Without::Nothing, w), &x)?;
-        points.push(Point { default: (w - NEIGHBOUR).abs() < 1e-6, ..p });
+        points.push(Point { default: (w - NEIGHBOUR_COST).abs() < 1e-6, ..p });
     }
     Ok(Experiment {
         id: "labels".into(),

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tmpi_core::live::label_motion::Motion;
+use tmpi_core::live::label_motion::MotionSearch;
 use tmpi_core::{DisparityMap, Geometry, Grid, Intrinsics, Plane, Tile, ViewBox};
 use tmpi_live::align::{Affine, fit};
 
@@ -12,8 +12,8 @@ pub(super) fn run(checked: &mut Checked) {
     alignment(checked, fit);
     following(checked, |geometry, frames| {
         let surface = geometry.surface();
-        let motion = Motion::new(geometry, &surface, frames, Duration::ZERO);
-        let tile = |(t, tile): (u32, &Tile)| motion.way(t, &[]).and_then(|way| motion.moved(t, way)).unwrap_or_else(|| tile.clone());
+        let motion = MotionSearch::new(geometry, &surface, frames, Duration::ZERO);
+        let tile = |(t, tile): (u32, &Tile)| motion.vector(t, &[]).and_then(|way| motion.moved(t, way)).unwrap_or_else(|| tile.clone());
         (0..).zip(&geometry.tiles).map(tile).collect()
     });
 }

@@ -6,7 +6,7 @@ use tmpi_core::{DisparityMap, Grid, Photo, Plane};
 use tmpi_pipeline::denoise::{local_planes, median_guided};
 use tmpi_pipeline::depth::upsample;
 use tmpi_pipeline::edges;
-use tmpi_pipeline::planes::{NEIGHBOUR, Samples, smooth_labels};
+use tmpi_pipeline::planes::{NEIGHBOUR_COST, Samples, smooth_labels};
 
 pub(super) fn run(checked: &mut Checked) {
     denoise(checked, "local planes", local_planes::denoise);
@@ -210,8 +210,8 @@ pub(super) fn labels(checked: &mut Checked, kernel: impl Fn(&Samples, &[Plane], 
                 samples.gather(&delta, None, &Grid::new(delta.width, delta.height, 64), 0);
                 let mut got: Vec<u8> = (0..samples.len()).map(|i| ((i * 7 / 3 + i / 64) % planes.len()) as u8).collect();
                 let mut want = got.clone();
-                kernel(&samples, &planes, &mut got, target, NEIGHBOUR);
-                smoothed_labels(&samples, &planes, &mut want, target, f64::from(NEIGHBOUR));
+                kernel(&samples, &planes, &mut got, target, NEIGHBOUR_COST);
+                smoothed_labels(&samples, &planes, &mut want, target, f64::from(NEIGHBOUR_COST));
                 got.iter().zip(&want).filter(|(g, w)| g != w).count() as f64
             });
         }

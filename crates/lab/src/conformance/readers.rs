@@ -1,7 +1,7 @@
 //! What readers make of planes and labels: which texels are there, which of them are seen, what colour hides behind; and how all of it is
 //! written and cut.
 
-use tmpi_core::container::{self, Carried, Carries, RegionPhoto, Tiles};
+use tmpi_core::container::{self, EncodedPhoto, OptionalSections, RegionPhoto, TileRect};
 use tmpi_core::{
     Class, Geometry, Grid, Intrinsics, LayerMasks, Photo, Plane, Rect, Scene, Texels, TexturedLayer, Tile, TileFrame, ViewBox, texture,
 };
@@ -47,9 +47,9 @@ fn photo(geometry: &Geometry) -> Photo {
 
 fn written(photo: &Photo, geometry: &Geometry) -> Option<Vec<u8>> {
     let Geometry { grid, intrinsics, view_box, .. } = *geometry;
-    let carried = Carried::lossless(photo).ok()?;
+    let photo_file = EncodedPhoto::lossless(photo).ok()?;
     let scene = Scene { grid, intrinsics, view_box, photo: photo.clone(), layers: Vec::new(), texels: Texels::default() };
-    container::encode(geometry, &scene, &carried, Carries::default()).ok().map(|file| file.0)
+    container::encode(geometry, &scene, &photo_file, OptionalSections::default()).ok().map(|file| file.0)
 }
 
 /// Colour of a pixel.
@@ -307,13 +307,13 @@ fn wrong_votes(whole: &Geometry, half: &Geometry, index: u32, tile: &Tile) -> us
 }
 
 /// `kernel` cuts some tiles out of a container.
-pub(super) fn regions(checked: &mut Checked, kernel: impl Fn(&[u8], &Tiles) -> Option<Vec<u8>>) {
+pub(super) fn regions(checked: &mut Checked, kernel: impl Fn(&[u8], &TileRect) -> Option<Vec<u8>>) {
     for (name, geometry) in geometries() {
         let (photo, grid) = (photo(&geometry), geometry.grid);
         let (columns, rows) = (grid.columns() / 2..grid.columns(), 0..grid.rows().div_ceil(2));
         let (rect, part) = grid.part(columns.clone(), rows.clone());
         checked.case("regions", name, "tiles and photo", "pixels", 0.0, || {
-            let tiles = Tiles { columns: columns.clone(), rows: rows.clone() };
+            let tiles = TileRect { columns: columns.clone(), rows: rows.clone() };
             let Some((got_photo, got)) =
                 written(&photo, &geometry).and_then(|file| kernel(&file, &tiles)).and_then(|file| container::read(&file).ok())
             else {
@@ -371,9 +371,9 @@ mod tests {
         };
         assert!(failed(|c| codecs(c, one_label)) > 0);
         assert!(failed(|c| levels(c, |file, _| Some(file.to_vec()))) > 0);
-        let one_less = |file: &[u8], tiles: &Tiles| {
+        let one_less = |file: &[u8], tiles: &TileRect| {
             let tiles =
-                Tiles { columns: tiles.columns.start..(tiles.columns.end - 1).max(tiles.columns.start + 1), rows: tiles.rows.clone() };
+                TileRect { columns: tiles.columns.start..(tiles.columns.end - 1).max(tiles.columns.start + 1), rows: tiles.rows.clone() };
             container::region(file, &tiles, 0, RegionPhoto::Lossless).ok()
         };
         assert!(failed(|c| regions(c, one_less)) > 0);

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use tmpi_core::live::{Model, When, schema};
+use tmpi_core::live::{FrameTiming, TileState, schema};
 use tmpi_core::{Photo, Pose};
 use tmpi_live::{Frame, Geometry as Driver, Update, video as codecs};
 use tmpi_pipeline::usage::Clock;
@@ -33,7 +33,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let mut driver = Driver::new(settings.models.clone(), settings_of_room);
     let (mut f, mut stages) = (Figures::default(), Vec::new());
     let (mut reader, mut streams) = (Reader::new(settings.follow), Streams::default());
-    streams.record(schema::message::Kind::Hello(schema::Hello { codec: H264::CODEC.into(), ..Model::hello(&empty) }));
+    streams.record(schema::message::Kind::Hello(schema::Hello { codec: H264::CODEC.into(), ..TileState::hello(&empty) }));
     let mut last = None::<Photo>;
     // an odd interval: if every second frame is in the cooldown, views alternate between both kinds
     let views = settings.views | 1;
@@ -61,15 +61,15 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             tiles::count(&mut f, g, &update, last.as_ref().map(|l| (l, &shot.clean)));
             let off = driver.reference().map_or(0, |of| most_off(of, &frame.photo));
             f.most("unsent pixels: most off, levels", off.into());
-            reader.model.get_or_insert(Model::new(&Model::hello(g))?);
+            reader.model.get_or_insert(TileState::new(&TileState::hello(g))?);
         }
         let before = Instant::now();
         let (came, of_frame) = reader.receive(message, settings.late)?;
         f.add("reader: chunks, ms", ms(before));
-        let known = reader.model.as_ref().and_then(Model::geometry).cloned();
+        let known = reader.model.as_ref().and_then(TileState::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.update(g, &came, &frame.photo, When { frame: n.into(), tiles: of_frame, gone: Some(at(settings.every)) });
+            reader.update(g, &came, &frame.photo, FrameTiming { frame: n.into(), tiles: of_frame, elapsed: Some(at(settings.every)) });
             f.add("reader: layers, ms", ms(before));
             if let Some(plate) = sequence.plate(taken) {
                 tiles::edges(&mut f, reader.shown(g), (&shot.delta, &plate.disparity));

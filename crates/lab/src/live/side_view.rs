@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use tmpi_core::live::{Layers, LiveError, Model, When, schema};
+use tmpi_core::live::{FrameTiming, Layers, LiveError, TileState, schema};
 use tmpi_core::{Camera, Geometry, Inpainter, LayerMasks, Photo, Pose, Scene, TexturedLayer, compose};
 use tmpi_render::{Cpu, RenderError, Renderer};
 
@@ -17,7 +17,7 @@ type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 
 /// A reader that remembers colours, like a page.
 pub(super) struct Reader {
-    pub model: Option<Model>,
+    pub model: Option<TileState>,
     layers: Layers,
     /// Sent tiles that have not arrived yet.
     in_flight: VecDeque<schema::Geometry>,
@@ -69,7 +69,7 @@ impl Reader {
     pub fn new(follow: u32) -> Self {
         Self {
             model: None,
-            layers: Layers::remembering().following(follow),
+            layers: Layers::with_memory().with_motion_frames(follow),
             in_flight: VecDeque::new(),
             changed: Vec::new(),
             renderer: Cpu::default(),
@@ -91,13 +91,13 @@ impl Reader {
     }
 
     /// Updates the layers for a frame and its new tiles.
-    pub fn update(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, when: When) {
+    pub fn update(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, when: FrameTiming) {
         self.changed = self.layers.update(geometry, |t| changed.contains(&t), photo.clone(), when).layers;
     }
 
     /// The tiles as shown, with labels that have followed motion.
     pub fn shown<'a>(&'a self, geometry: &'a Geometry) -> &'a Geometry {
-        self.layers.with_moved().unwrap_or(geometry)
+        self.layers.moved_geometry().unwrap_or(geometry)
     }
 
     /// Renders the side view, and compares it with the truth and with the previous frame if that was shown. Returns the view.

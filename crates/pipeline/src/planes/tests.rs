@@ -120,7 +120,7 @@ fn extreme_tiles_get_finite_planes_that_fit() {
 /// Compares the result with the best split between bins, and with the best split of all by the documented bound.
 fn compare_with_all_splits(d: &mut [f32], n: usize) -> Result<(), TestCaseError> {
     let s = samples(d.len(), d, None);
-    let got = cost(&s, &optimal::Table::new(&s, n).centres(n).into_iter().map(Plane::fronto_parallel).collect::<Vec<_>>());
+    let got = cost(&s, &exact_k_means::Table::new(&s, n).centres(n).into_iter().map(Plane::fronto_parallel).collect::<Vec<_>>());
     d.sort_by(f32::total_cmp);
     let d: Vec<f64> = d.iter().copied().map(f64::from).collect();
     let scale = 256.0 / (d[d.len() - 1] - d[0]);

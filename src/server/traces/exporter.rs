@@ -34,7 +34,7 @@ const MOST: usize = 64 << 10;
 pub fn check(url: &str) -> Result<(), String> {
     let address: axum::http::Uri = url.parse().map_err(|e| format!("{e}"))?;
     let is_one = matches!(address.scheme_str(), Some("http" | "https")) && address.authority().is_some();
-    if is_one { Ok(()) } else { Err("an address as http://127.0.0.1:4318 is wanted".into()) }
+    if is_one { Ok(()) } else { Err("must be an address such as http://127.0.0.1:4318".into()) }
 }
 
 /// The span processor for the collector at `url`.
