@@ -64,7 +64,7 @@ use room::Room;
 use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
 
-use crate::server::{Metric, Problem, gauge};
+use crate::server::{Metric, Problem};
 
 /// Longest silence of a publisher, also before its first message.
 const SILENCE: Duration = Duration::from_secs(10);
@@ -207,14 +207,14 @@ impl Rooms {
     }
 
     /// Metrics.
-    pub(crate) fn counts(&self) -> Vec<Metric> {
+    pub(crate) fn counts(&self) -> [Metric; 2] {
         let (all, edges) = {
             let rooms = self.lock();
             (rooms.len(), rooms.values().filter(|named| named.room.is_edge()).count())
         };
-        vec![
-            gauge("tmpi_live_rooms", "Open rooms at this node", all as f64),
-            gauge("tmpi_live_edges", "Open rooms at this node whose publisher is at another node", edges as f64),
+        [
+            ("tmpi_live_rooms", "Open rooms at this node", all as f64),
+            ("tmpi_live_edges", "Open rooms at this node whose publisher is at another node", edges as f64),
         ]
     }
 

@@ -219,7 +219,7 @@ impl AppState {
     /// The queue's view of this request's caller.
     #[must_use]
     pub fn requester(owner: Option<Owner>) -> Requester {
-        Requester { owner, address: client_address(), trace: traces::parent().map(traces::Parent::into_text) }
+        Requester { owner, address: client_address(), trace: traces::parent() }
     }
 
     /// The photo of a path, if the caller may access it.

@@ -4,12 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use axum::http::StatusCode;
+use opentelemetry::Context;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::client_slots::{ClientLimits, ClientPermit, client_address};
 use super::limits::Limits;
 use super::problem::Problem;
-use super::traces::{self, WorkSpan};
+use super::traces;
 
 /// Unit of memory in bytes.
 const UNIT: u64 = 1 << 20;
@@ -87,7 +88,7 @@ impl Lane {
 /// A slot with its memory; released when the last clone is dropped.
 #[derive(Clone)]
 pub struct Slot {
-    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Option<WorkSpan>)>,
+    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Context)>,
 }
 
 impl BlockingPool {
@@ -157,8 +158,7 @@ impl BlockingPool {
 
     fn slot(&self, class: WorkClass, slot: OwnedSemaphorePermit, memory: OwnedSemaphorePermit) -> Slot {
         self.entered.fetch_add(1, Ordering::Relaxed);
-        let span = traces::current().map(|request| request.work(class.name()));
-        Slot { _held: Arc::new((slot, memory, span)) }
+        Slot { _held: Arc::new((slot, memory, traces::work(class.name()))) }
     }
 
     /// Number of waiting requests of a class.

@@ -40,7 +40,6 @@ mod part_filename;
 mod photo_options;
 mod photo_settings;
 mod problem;
-mod process_metrics;
 mod proxies;
 mod rate_limit;
 mod request_body;
@@ -92,8 +91,8 @@ pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
 
 use app_state::{App, AppParts, AppState};
+pub(crate) use metrics::Metric;
 use metrics::Telemetry;
-pub(crate) use metrics::{Metric, gauge};
 pub(crate) use timestamps::rfc3339;
 use traces::Traces;
 use webhooks::Clients;

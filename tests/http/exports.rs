@@ -65,7 +65,7 @@ fn a_file_is_written_once_for_all_callers_and_survives_a_restart() {
     assert_ne!(written(server.addr, &photo, "format=glb&shape=metric")["key"], state["key"]);
     // counters may lag behind the state
     for line in ["{class=\"export\",outcome=\"done\"} 2", "{class=\"interactive\",outcome=\"done\"} 1"] {
-        let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_class_jobs_total{line}"));
+        let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_jobs_total{line}"));
         wait_until(line, counted);
     }
 
