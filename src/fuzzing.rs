@@ -1,5 +1,5 @@
-//! Fuzzing targets for the readers of foreign bytes. `fuzz/` runs them under libFuzzer, `tests/fuzz.rs` on the seeds and on changes of
-//! them. Not part of the public interface. Each target checks its **promise** and returns a bound of the memory that it may take.
+//! Fuzzing targets for the readers of untrusted bytes. `fuzz/` runs them under libFuzzer; `tests/fuzz.rs` runs them on the seeds and on
+//! changed seeds. Not part of the public interface. Each target checks its **promise** and returns a bound of the memory that it may take.
 
 use std::fmt::Display;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use std::str::FromStr;
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::{Layers, Model, When};
+use tmpi_core::live::{FrameTiming, Layers, TileState};
 use tmpi_core::{DisparityMap, Photo, Rect, container};
 use tmpi_live::access_units::Splitter;
 use tmpi_live::measured_depth;
@@ -43,7 +43,7 @@ pub const TARGETS: [(&str, Run); 28] = [
     ("exif", exif),
     ("icc", icc),
     ("depth", depth),
-    ("carried", carried),
+    ("embedded_depth", embedded_depth),
     ("multipart", multipart),
     ("patch", patch),
     ("strokes", touch_up),
@@ -55,9 +55,9 @@ pub const TARGETS: [(&str, Run); 28] = [
     ("config", config),
 ];
 
-/// Memory that any reader may take on any input: threads, tables, messages.
+/// Bytes of memory that any reader may take on any input: threads, tables, messages.
 const LEAST: usize = 4 << 20;
-/// Memory for the tiles of the largest room, and for the chunks of a message.
+/// Bytes of memory for the tiles of the largest room, and for the chunks of a message.
 const ROOM: usize = 8 << 20;
 /// Containers with more pixels are not decoded here, because that would be slow.
 const SLOW: u64 = 128 * 128;
@@ -74,7 +74,7 @@ fn decoded(data: &[u8]) -> usize {
         assert!(container::decode(data).is_err(), "a container without a readable index was read");
         return LEAST + 2 * data.len();
     };
-    // bounded by the file and by the sizes in its index
+    // bounded by the file's size and the sizes in its index
     let most = LEAST + 8 * data.len() + 64 * size.pixels as usize + 12 * size.texels as usize;
     let sections = container::sections(data);
     if size.pixels > SLOW || size.texels > 64 * SLOW {
@@ -87,10 +87,10 @@ fn decoded(data: &[u8]) -> usize {
     most
 }
 
-/// Memory for building and reading the largest container built here.
+/// Bytes of memory for building and reading the largest container built here.
 const BUILT: usize = 256 << 20;
 
-/// A container that is built, up to the size of a photo, and then changed in places. Promise: that of [`levels`], if it is not large.
+/// Builds a container, up to the size of a photo, and changes it in places. Promise: as for [`levels`], if the container is small.
 fn built(data: &[u8]) -> usize {
     if let Some(file) = container_file::build(data) {
         if container::fuzzing::size(&file).is_ok_and(|size| size.pixels <= SLOW) {
@@ -102,7 +102,7 @@ fn built(data: &[u8]) -> usize {
     BUILT
 }
 
-/// Files derived from a foreign container: levels, regions, chosen sections, unpacked. Promise: an error, the container itself, or a
+/// Files derived from an untrusted container: levels, regions, chosen sections, unpacked. Promise: an error, the container itself, or a
 /// readable container; no error if the original is readable.
 fn levels(data: &[u8]) -> usize {
     if container::fuzzing::size(data).is_ok_and(|size| size.pixels <= SLOW && size.texels <= 64 * SLOW) {
@@ -124,7 +124,7 @@ fn read_all(file: &[u8]) {
     let Ok(geometry) = geometry else { return };
     let (width, height) = (geometry.grid.width, geometry.grid.height);
     let readable = |made: Result<Vec<u8>, _>| match made {
-        // unchanged: the tiles cannot be halved, or the region has all of them
+        // unchanged: the tiles cannot be halved, or the region covers all of them
         Ok(made) if made == file => None,
         Ok(made) => Some(container::decode(&made).unwrap_or_else(|e| panic!("a derived container cannot be read: {e}"))),
         Err(error) => {
@@ -137,7 +137,7 @@ fn read_all(file: &[u8]) {
         assert!(small.is_none_or(|s| s.validate().is_ok() && s.grid.width <= width && s.grid.height <= height));
     }
     let region = Rect { x: width / 3, y: height / 3, w: width.div_ceil(4), h: height.div_ceil(4) };
-    if let Ok(Some(tiles)) = container::Tiles::over_region(file, region) {
+    if let Ok(Some(tiles)) = container::TileRect::over_region(file, region) {
         let part = readable(container::region(file, &tiles, 0, container::RegionPhoto::Lossless));
         assert!(part.is_none_or(|part| part.grid.width >= region.w && part.grid.height >= region.h));
     }
@@ -185,11 +185,11 @@ const PHOTO: photo::Limits = photo::Limits {
     decoder_memory: photo::Limits::DECODER_MEMORY,
     memory: u64::MAX,
 };
-/// Memory that any decoder may take on any input: tables, rows and an unpacked profile.
+/// Bytes of memory that any decoder may take on any input: tables, rows and an unpacked profile.
 const DECODER: usize = 24 << 20;
 
 /// A photo of any format, at its own size and reduced. Promise: the early check agrees with the check of the whole file; decoding refuses
-/// a checked photo only for its data; the photo is consistent; the file as carried decodes to the same photo; memory by bytes and pixels.
+/// a checked photo only for its data; the photo is consistent; the stripped file decodes to the same photo; memory by bytes and pixels.
 fn photo(data: &[u8]) -> usize {
     let checked = photo::check(data, &PHOTO);
     for end in [data.len().min(32), data.len() / 2] {
@@ -204,9 +204,9 @@ fn photo(data: &[u8]) -> usize {
                 assert!(checked.is_ok(), "decoded a photo that the check refuses");
                 assert_eq!(got.photo.rgb.len(), got.photo.width as usize * got.photo.height as usize);
                 assert!(got.intrinsics.is_valid());
-                if let Some(file) = got.carried {
+                if let Some(file) = got.stripped {
                     let again = photo::decode(&file, &PHOTO, None).map(|d| d.photo);
-                    assert!(again.is_ok_and(|p| p == got.photo), "the carried file is another photo");
+                    assert!(again.is_ok_and(|p| p == got.photo), "the stripped file is another photo");
                 }
             }
             Err(photo::PhotoError::Broken(text)) => assert!(!text.contains("the decoder failed"), "a decoder panicked"),
@@ -240,8 +240,8 @@ fn depth(data: &[u8]) -> usize {
 }
 
 /// A photo with embedded depth. Promise: as for a user's depth map.
-fn carried(data: &[u8]) -> usize {
-    if let Ok(Some(found)) = maps::carried(data)
+fn embedded_depth(data: &[u8]) -> usize {
+    if let Ok(Some(found)) = maps::embedded_depth(data)
         && let Ok(Read { map, .. }) = found.read(&PHOTO, 21, 13)
     {
         assert_eq!(map.delta.len(), 21 * 13);
@@ -272,13 +272,12 @@ fn message(data: &[u8]) -> usize {
     LEAST + ROOM + 64 * data.len()
 }
 
-/// Tiles of a room that are built and then changed in places. Promise: an error, or consistent tiles that can be shown; memory by the
-/// pixels.
+/// Builds the tiles of a room and changes them in places. Promise: an error, or consistent tiles that can be shown; memory by the pixels.
 fn room(data: &[u8]) -> usize {
     let (hello, messages) = room::build(data);
     let pixels = hello.width as usize * hello.height as usize;
     let most = LEAST + 8 * ROOM + 64 * data.len();
-    let Ok(mut model) = Model::new(&hello) else { return most };
+    let Ok(mut model) = TileState::new(&hello) else { return most };
     for message in messages {
         let bytes = tmpi_core::live::write(Kind::Geometry(message.clone()));
         let again = tmpi_core::live::read(bytes);
@@ -292,7 +291,7 @@ fn room(data: &[u8]) -> usize {
     }
     if pixels as u64 <= SLOW {
         let photo = Photo { width: hello.width, height: hello.height, rgb: vec![[7; 3]; pixels] };
-        let changes = Layers::default().update(geometry, |_| true, photo, When::default());
+        let changes = Layers::default().update(geometry, |_| true, photo, FrameTiming::default());
         assert_eq!(changes.texels.len(), geometry.tiles.len());
     }
     most + 2048 * pixels
@@ -330,7 +329,7 @@ fn video(data: &[u8]) -> usize {
     most
 }
 
-/// VP9 frames of 64×48 pixels, each after its length in two bytes. Promise: that of [`video`].
+/// VP9 frames of 64×48 pixels, each after its length in two bytes. Promise: as for [`video`].
 fn vp9(mut data: &[u8]) -> usize {
     const SIZE: (u32, u32) = (64, 48);
     let most = LEAST + ROOM + 16 * data.len();
@@ -345,8 +344,8 @@ fn vp9(mut data: &[u8]) -> usize {
     most
 }
 
-/// Measured depth of a publisher's camera, for a frame whose sides are in the first two bytes. Promise: an error, or a map of that size
-/// within 0 to 1 that survives packing; memory by that size, whatever the bytes unpack to.
+/// Depth that a publisher's camera measured, for a frame whose sides are the first two bytes. Promise: an error, or a map of that size
+/// within 0 to 1 that survives packing; memory by that size, no matter how much the bytes unpack to.
 fn measured(data: &[u8]) -> usize {
     let Some((head, packed)) = data.split_first_chunk::<2>() else { return LEAST };
     let (width, height) = (u32::from(head[0]) + 1, u32::from(head[1]) + 1);
@@ -417,11 +416,11 @@ fn same_again<T: FromStr + Display + PartialEq>(text: &str) {
     }
 }
 
-/// The graph of a network's file, read before ONNX Runtime loads it. Promise: none, or a picture input; memory by its bytes.
+/// The graph of a network's file, read before ONNX Runtime loads it. Promise: `None`, or a picture input; memory by its bytes.
 fn onnx(data: &[u8]) -> usize {
     if let Some(graph) = networks::onnx_graph(&mut std::io::Cursor::new(data)) {
         assert!(matches!(graph.shape.len(), 4 | 5) && graph.shape.iter().all(|extent| *extent >= -1));
-        assert!(graph.beside.is_sorted());
+        assert!(graph.external_data.is_sorted());
     }
     LEAST + 16 * data.len()
 }

@@ -203,7 +203,7 @@ fn a_running_server_downloads_a_better_network() {
 
     if let Some([id, version, network]) = old {
         assert_eq!(network, "tmpi");
-        let [same, newer, network] = server.make(&format!("/v1/photos/{id}/again"), &[]);
+        let [same, newer, network] = server.make(&format!("/v1/photos/{id}/remake"), &[]);
         assert_eq!((&same, network.as_str()), (&id, NAME));
         assert_ne!(newer, version);
         let [other, _, network] = server.make("/v1/photos", &photo);

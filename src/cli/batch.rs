@@ -170,14 +170,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_overwritten_unawares() {
+    fn outputs_that_collide_or_overwrite_are_refused() {
         assert!(refused(&["a/x.jpg", "b/x.png"], "out").contains("out/x.tmpi"));
         assert!(refused(&["a.tmpi"], "a.tmpi").contains("overwritten"));
         assert!(refused(&["a.jpg", "b.jpg"], "Cargo.toml").contains("folder"));
     }
 
     #[test]
-    fn a_name_that_is_no_containers_is_refused_with_what_to_write() {
+    fn a_wrong_extension_is_refused_with_the_right_one() {
         assert!(refused(&["a.jpg"], "out.jpg").contains("out.tmpi"));
         assert!(refused(&["a.jpg"], "out").contains("out/"));
         assert!(refused(&["a.jpg", "b.jpg"], "all.tmpi").contains("folder"));
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_stands_for_all_photos_below_it_and_keeps_its_shape() {
+    fn a_folder_stands_for_all_photos_below_it_and_keeps_its_structure() {
         let place = tempfile::tempdir().unwrap();
         let root = place.path().join("photos");
         std::fs::create_dir_all(root.join("2020/.cache")).unwrap();

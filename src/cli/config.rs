@@ -375,7 +375,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_secret_of_an_address_is_told() {
+    fn secrets_in_addresses_are_hidden() {
         for (address, told) in [
             ("postgres://me:secret@127.0.0.1:5432/tmpi", "postgres://…@127.0.0.1:5432/tmpi"),
             ("me:secret@127.0.0.1:4222", "…@127.0.0.1:4222"),

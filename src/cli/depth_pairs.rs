@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_only_looks_like_a_maps_is_a_photo() {
+    fn a_depth_name_without_its_photo_is_a_photo() {
         for file in ["depth.png", "in-depth.jpg", "_depth.png", "adepth.png", "b_depths.png"] {
             assert_eq!(named(&[file, "a.jpg"]), wanted(&[(file, None), ("a.jpg", None)]), "{file}");
         }

@@ -9,7 +9,7 @@ use serde_json::json;
 use super::{Usage, files, result};
 use crate::export::{ExportFormat, ExportOptions, ModelOptions, ModelShape, ModelTextures, export};
 use tmpi_core::Rect;
-use tmpi_core::container::{self, LEVELS, RegionPhoto, Tiles};
+use tmpi_core::container::{self, LEVELS, RegionPhoto, TileRect};
 
 /// Export a container, or a part of it, as a web page, a glTF model, layers for image editors, an archive of its parts or a container
 #[derive(Clone, Debug, clap::Args)]
@@ -50,7 +50,7 @@ pub(super) struct ExportArgs {
 fn part_of(whole: &[u8], args: &ExportArgs) -> anyhow::Result<Vec<u8>> {
     let context = || args.input.display().to_string();
     let Some(region) = args.region else { return container::level(whole, args.level).with_context(context) };
-    let tiles = Tiles::over_region(whole, region).with_context(context)?;
+    let tiles = TileRect::over_region(whole, region).with_context(context)?;
     let tiles = tiles.ok_or_else(|| Usage("--region must contain a pixel and lie within the photo".into()))?;
     let photo = if args.lossless { RegionPhoto::Lossless } else { RegionPhoto::Jpeg };
     container::region(whole, &tiles, args.level, photo).with_context(context)

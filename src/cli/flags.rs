@@ -196,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn defaults_are_those_of_the_library() {
+    fn defaults_equal_those_of_the_library() {
         #[derive(clap::Parser)]
         struct Just {
             #[command(flatten)]
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_hold_at_their_ends_and_nan_is_refused() {
+    fn ranges_include_their_ends_and_exclude_nan() {
         assert!(planes("1").is_ok() && planes("64").is_ok() && planes("0").is_err() && planes("65").is_err());
         assert!(tile("8").is_ok() && tile("1024").is_ok() && tile("7").is_err() && tile("1025").is_err() && tile("full").is_ok());
         assert!(quality("1").is_ok() && quality("100").is_ok() && quality("0").is_err() && quality("101").is_err());

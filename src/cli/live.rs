@@ -51,6 +51,6 @@ pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
 fn token(args: &TokenArgs) -> anyhow::Result<()> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs();
     let role = if args.publish { Role::Publish } else { Role::Watch };
-    let token = rooms::token(&files::read(&args.key)?, role, &args.room, now + u64::from(args.hours) * 3600);
+    let token = rooms::room_token(&files::read(&args.key)?, role, &args.room, now + u64::from(args.hours) * 3600);
     result(&token.context("the key is invalid")?)
 }

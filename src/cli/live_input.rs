@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn video_that_browsers_take_is_passed_on_and_any_other_encoded_with_a_notice() {
+    fn playable_video_is_copied_and_other_video_encoded_with_a_notice() {
         let upright = r#","has_b_frames":0,"sample_aspect_ratio":"1:1","side_data_list":[{"displaymatrix":"\n0: 65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"},{}]"#;
         let copied = plan(&h264(upright), SOUND_TOO, &[]).expect("a plan");
         assert!(args(&copied, None).contains("-c:v copy") && copied.notices.is_empty() && !copied.sound);
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn sound_is_read_where_it_is_there_and_wanted_and_can_be_encoded() {
+    fn sound_is_read_if_present_wanted_and_encodable() {
         let both = format!("{},{AUDIO}", h264(""));
         let with = plan(&both, SOUND_TOO, &[OPUS]).expect("a plan");
         assert!(
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_are_named_as_each_system_names_them_and_files_keep_the_pace_of_a_camera() {
+    fn cameras_have_the_system_s_names_and_files_play_in_real_time() {
         let line = |origin, system| input(origin, system).map(|args| args.join(" ")).map_err(|e| e.to_string());
         assert_eq!(line(Origin::Camera(None), "linux").as_deref(), Ok("-f v4l2 -i /dev/video0"));
         assert_eq!(line(Origin::Camera(Some("/dev/video2")), "linux").as_deref(), Ok("-f v4l2 -i /dev/video2"));

@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_live_source_the_newest_wins_but_nothing_follows_what_was_left_out_before_a_key_frame() {
+    fn a_live_source_drops_frames_up_to_the_next_key_frame() {
         let mut queue = Queue::default();
         let waiting = |queue: &Queue| queue.units.iter().map(|u| u.data[0]).collect::<Vec<_>>();
         (0..4).for_each(|n| queue.push_newest(unit(n, n == 0)));
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn live_sources_are_told_from_files_and_only_what_has_no_pace_of_its_own_is_given_one() {
+    fn live_sources_and_their_pace_are_recognised() {
         assert!(is_live("rtsp://camera/1") && is_paced("rtsp://camera/1"));
         assert!(is_live("http://camera/1") && !is_paced("http://camera/1"));
         assert!(!is_live("film.mp4") && !is_paced("film.mp4"));
@@ -239,7 +239,7 @@ mod tests {
 
     #[cfg(unix)]
     #[tokio::test]
-    async fn a_program_that_fails_is_an_error_with_its_last_words_after_its_last_frame() {
+    async fn a_failed_program_is_an_error_with_its_last_output_after_its_last_frame() {
         let run = |script: &str| Program::start(Command::new("sh").args(["-c", script]), false).unwrap();
         let key = r"printf '\000\000\001\145\210\007\007'";
         let mut failing = run(&format!("{key}; echo first >&2; echo no route to the camera >&2; exit 3"));

@@ -418,7 +418,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_server_that_says_nothing_more_is_left_and_come_back_to_with_a_key_frame() {
+    async fn a_silent_server_is_reconnected_with_a_key_frame() {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let rooms = [format!("http://{}/live/attic", listener.local_addr().unwrap())];
         let units: Vec<Unit> =
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn a_taken_room_is_final_at_first_and_waited_for_where_it_was_published_in() {
+    fn a_taken_room_is_final_at_first_but_retried_after_publishing() {
         let (start, error) = (Instant::now(), || anyhow::anyhow!("why"));
         let taken = |again: &mut Again, seconds: u64, frames| {
             again.after(End::Taken(error()), frames, frames, start + Duration::from_secs(seconds)).is_ok()

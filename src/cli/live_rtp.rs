@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn packets_of_sound_are_told_from_reports_and_from_what_is_neither() {
+    fn rtp_sound_is_distinguished_from_rtcp_and_other_packets() {
         // as ffmpeg sends them: a report, then a packet
         let report = [0x80, 0xC8, 0, 6, 0x78, 0xC4, 0x32, 0x20, 1, 2, 3, 4, 5, 6];
         assert_eq!(packet(&report), None);
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn time_goes_evenly_through_jitter_over_the_end_of_the_count_and_is_set_anew_after_a_pause() {
+    fn timestamps_survive_jitter_and_wraparound_and_restart_after_a_pause() {
         let mut clock = Clock::default();
         let first = u32::MAX - 1000;
         let tick = |n: u32| first.wrapping_add(960 * n);
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_comes_is_passed_on_and_what_is_late_forgotten() {
+    async fn packets_are_forwarded_and_late_ones_dropped() {
         let mut sound = Sound::open().await.expect("a port");
         let sender = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
         let send = async |n: u8| {

@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_film_that_browsers_do_not_take_is_encoded_and_its_sound_comes_with_it() {
+    async fn unplayable_video_is_encoded_with_its_sound() {
         let folder = tempfile::tempdir().unwrap();
         let codecs: [&[&str]; 2] = [&["-c:v", "mpeg4", "-c:a", "aac"], &["-c:v", "libx264", "-bf", "2", "-c:a", "aac"]];
         for (n, codec) in codecs.into_iter().enumerate() {
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_film_whose_video_says_that_it_is_to_be_turned_is_refused_with_what_helps() {
+    async fn a_rotated_film_is_refused_with_a_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let turned = ["-c:v", "libx264", "-bf", "0", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90"];
         for name in ["film.mp4", "film.h264"] {
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_film_as_browsers_take_it_is_passed_on_bit_by_bit_and_without_sound_where_none_is_wanted() {
+    async fn playable_video_is_copied_bit_for_bit_without_unwanted_sound() {
         let folder = tempfile::tempdir().unwrap();
         let codec = ["-c:v", "libx264", "-profile:v", "baseline", "-bf", "0", "-c:a", "aac"];
         let Some(film) = film(folder.path(), "film.mp4", &codec) else { return };

@@ -14,7 +14,7 @@ use tokio_tungstenite::tungstenite::Message;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Hello, Video};
-use tmpi_core::live::{Layers, Model, When, read};
+use tmpi_core::live::{FrameTiming, Layers, TileState, read};
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_live::video::{self, Decoder};
 use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
@@ -254,7 +254,7 @@ impl Watcher<'_> {
 
 /// The state of a room, and its pictures with `--render`.
 struct Shown {
-    model: Model,
+    model: TileState,
     /// With `--render`.
     pictures: Option<Pictures>,
 }
@@ -276,9 +276,9 @@ struct Pictures {
 impl Shown {
     fn new(hello: &Hello, draws: bool) -> anyhow::Result<Self> {
         let decoder = || video::decoder(&hello.codec, (hello.width, hello.height));
-        let (layers, renderer) = (Layers::remembering(), Cpu::default());
+        let (layers, renderer) = (Layers::with_memory(), Cpu::default());
         let of = |decoder| Pictures { decoder, layers, renderer, waits: None, shown: Duration::ZERO, changed: Vec::new(), tiles_of: None };
-        Ok(Self { model: Model::new(hello)?, pictures: draws.then(decoder).transpose()?.map(of) })
+        Ok(Self { model: TileState::new(hello)?, pictures: draws.then(decoder).transpose()?.map(of) })
     }
 
     /// Takes a frame. Shows the previous frame without its tiles if they have not come; true if that frame was rendered.
@@ -310,8 +310,8 @@ impl Shown {
         let Some((frame, at, photo)) = pictures.waits.take() else { return Ok(false) };
         let Photo { width, height, .. } = photo;
         let changed = std::mem::take(&mut pictures.changed);
-        let gone = Some(at.saturating_sub(std::mem::replace(&mut pictures.shown, at)));
-        let when = When { frame, tiles: pictures.tiles_of.take(), gone };
+        let elapsed = Some(at.saturating_sub(std::mem::replace(&mut pictures.shown, at)));
+        let when = FrameTiming { frame, tiles: pictures.tiles_of.take(), elapsed };
         pictures.layers.update(geometry, |t| changed.contains(&t), photo, when);
         if !frame.is_multiple_of(args.every) {
             return Ok(false);

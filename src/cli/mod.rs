@@ -1,7 +1,7 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
 mod batch;
-mod better;
+mod better_network;
 pub(crate) mod config;
 mod depth;
 mod depth_pairs;
@@ -115,7 +115,7 @@ pub fn main() -> ExitCode {
     // SAFETY: the program has no other thread yet
     #[allow(unsafe_code, reason = "the one call before all others")]
     unsafe {
-        tmpi_pipeline::networks::keep_to_yourself();
+        tmpi_pipeline::networks::disable_telemetry();
         tmpi_render::without_a_display();
     };
     let (name, cli) = match parsed() {
@@ -239,13 +239,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_definition_is_sound() {
+    fn clap_accepts_the_command_line() {
         Cli::command().debug_assert();
         command().debug_assert();
     }
 
     #[test]
-    fn each_reason_is_told_once() {
+    fn each_reason_is_printed_once() {
         let io = || std::io::Error::other("in use");
         let once = anyhow::Error::new(io()).context("cannot listen");
         assert_eq!(reasons(&once), "cannot listen: in use");

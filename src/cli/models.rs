@@ -7,9 +7,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::{Usage, note, reasons, result};
-use tmpi_pipeline::networks::models::beside;
-use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
-use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, folder, published, usual, worth_fetching};
+use tmpi_pipeline::networks::models::download::{Digest, RemoteFile, fetch};
+use tmpi_pipeline::networks::models::external_data_files;
+use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, default_model, folder, published, recommended_download};
 
 /// List and fetch published depth networks
 #[derive(Clone, Debug, clap::Args)]
@@ -51,8 +51,8 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
     match &args.command {
         Command::List { json } => list(*json),
         Command::Get { name, url, sha256, output, quiet } if name == "auto" => {
-            let here = usual().filter(|_| output.is_none());
-            let enough = here.as_ref().is_some_and(|(adapter, _)| worth_fetching(adapter.name).is_none());
+            let here = default_model().filter(|_| output.is_none());
+            let enough = here.as_ref().is_some_and(|(adapter, _)| recommended_download(adapter.name).is_none());
             if let Some((_, file)) = here.as_ref().filter(|_| enough) {
                 return result(&file.display().to_string());
             }
@@ -67,7 +67,7 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
 
 fn list(json: bool) -> anyhow::Result<()> {
     for p in &PUBLISHED {
-        let here = p.file().is_file() && beside(&p.file()).is_ok();
+        let here = p.file().is_file() && external_data_files(&p.file()).is_ok();
         if json {
             let line = json!({
                 "name": p.name, "adapter": p.adapter, "url": p.url, "bytes": p.bytes, "sha256": p.sha256, "licence": p.licence,
@@ -106,17 +106,17 @@ fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: 
     let mut about = (!quiet).then(|| format!("{url}{licence}"));
     // fetch the weights before the file that names them: a server that starts meanwhile finds both or neither
     if let Some(weights) = known.and_then(|p| p.weights).filter(|_| own.is_none()) {
-        let wanted = Wanted { url: weights.url, bytes: Some(weights.bytes), sha256: weights.sha256.parse().map_err(Usage)? };
+        let wanted = RemoteFile { url: weights.url, bytes: Some(weights.bytes), sha256: weights.sha256.parse().map_err(Usage)? };
         fetch_shown(&wanted, &file.with_extension("onnx_data"), quiet, &mut about)?;
     }
-    if !fetch_shown(&Wanted { url, bytes, sha256 }, &file, quiet, &mut about)? && !quiet {
+    if !fetch_shown(&RemoteFile { url, bytes, sha256 }, &file, quiet, &mut about)? && !quiet {
         note("already installed");
     }
     result(&file.display().to_string())
 }
 
 /// [`fetch`] with a progress bar on a terminal. Prints `about` once the download has begun, so that without a network only the error shows.
-fn fetch_shown(wanted: &Wanted<'_>, file: &Path, quiet: bool, about: &mut Option<String>) -> anyhow::Result<bool> {
+fn fetch_shown(wanted: &RemoteFile<'_>, file: &Path, quiet: bool, about: &mut Option<String>) -> anyhow::Result<bool> {
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(0));
     if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("[{bar:30}] {bytes}/{total_bytes} {bytes_per_sec} {eta}")) {
         bar.set_style(style);

@@ -12,7 +12,8 @@ use super::{Usage, files, note, result};
 use tmpi_core::container;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
 use tmpi_render::{
-    self, Animation, AnimationFormat, Arrangement, Backend, EYES, MAX_PIXELS, MAX_SIDE, MotionRange, PictureFormat, Rig, StereoLayout,
+    self, Animation, AnimationFormat, Arrangement, Backend, EYE_DISTANCE, MAX_PIXELS, MAX_SIDE, MotionRange, PictureFormat, Rig,
+    StereoLayout,
 };
 
 /// Render a view of a container from another position
@@ -93,7 +94,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let hint = if film_alone { format!("; for a film give --path {}", tmpi_render::Path::NAMES.join("|")) } else { String::new() };
     let format = format.ok_or_else(|| Usage(format!("--output {} must end in {endings}{hint}", args.output.display())))?;
     if format == PictureFormat::Mpo && (args.stereo != Some(StereoLayout::SideBySide) || args.path.is_some()) {
-        return Err(Usage(format!("--output {}: .mpo goes with --stereo sbs", args.output.display())).into());
+        return Err(Usage(format!("--output {}: .mpo requires --stereo sbs", args.output.display())).into());
     }
     let bytes = files::read(&args.input)?;
     let scene = Arc::new(container::decode(&bytes).with_context(|| args.input.display().to_string())?);
@@ -171,14 +172,14 @@ fn focus(text: &str) -> Result<f64, String> {
 /// Whether one of the cameras is outside the view box.
 fn is_outside(view_box: &ViewBox, pose: &Pose, rig: Option<&Rig>) -> bool {
     let reach = rig.map_or(0.0, |rig| rig.baseline / 2.0);
-    [-reach, reach].iter().any(|&shift| !tmpi_render::holds(view_box, &pose.shifted([shift, 0.0, 0.0])))
+    [-reach, reach].iter().any(|&shift| !tmpi_render::contains_pose(view_box, &pose.shifted([shift, 0.0, 0.0])))
 }
 
 /// The cameras of `--stereo` or `--quilt`.
 fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
     let (arrangement, usual) = match (args.quilt, args.stereo) {
         (Some(quilt), _) => (quilt, (2.0 * scene.view_box.x).min(MotionRange::TRAVEL)),
-        (None, Some(layout)) => (Arrangement::Stereo(layout), EYES),
+        (None, Some(layout)) => (Arrangement::Stereo(layout), EYE_DISTANCE),
         (None, None) => return None,
     };
     let baseline = args.ipd.unwrap_or(usual);

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use clap::ArgAction;
 
-use super::better::BetterNetwork;
+use super::better_network::BetterNetwork;
 use super::settings::{Assignment, applied, assignment};
 use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
@@ -17,8 +17,8 @@ use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    Better, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, PipelineMaker, ProcessMaker, Proxies, Rates, Reach, Role,
-    Server, SourceHost, Tls, VARIABLE, allocate_in_one_place, hex, keep_from_others, make_for_a_server, stop_signal,
+    AddressPolicy, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, ProcessMaker,
+    Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal, use_one_malloc_arena,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -169,7 +169,7 @@ enum Access {
 /// Share of the traces started here that is sent. Traces from elsewhere follow the sampled flag of their `traceparent`.
 const SHARE: &str = "OTEL_TRACES_SAMPLER_ARG";
 /// Fewest bytes of the token key.
-const LEAST_KEY: usize = 32;
+const MIN_KEY: usize = 32;
 
 impl ServeArgs {
     /// The arguments of `tmpi work`: a node that only makes photos.
@@ -181,7 +181,7 @@ impl ServeArgs {
     }
 
     /// The rooms; `None` if they are disabled.
-    fn rooms(&self, photos: &Models, bounds: live::Bounds) -> anyhow::Result<Option<Rooms>> {
+    fn rooms(&self, photos: &Models, bounds: live::RoomLimits) -> anyhow::Result<Option<Rooms>> {
         if bounds.rooms == 0 {
             return Ok(None);
         }
@@ -190,7 +190,7 @@ impl ServeArgs {
             Some(settings) => models::load(&settings)?,
             None => photos.clone(),
         };
-        let rooms = Rooms::new(live::Config { models, frame_ms: bounds.budget_ms, key }).bounded(bounds);
+        let rooms = Rooms::new(live::Config { models, frame_ms: bounds.budget_ms, key }).with_limits(bounds);
         Ok(Some(match self.advertise.clone() {
             Some(address) => rooms.shared(address),
             None => rooms,
@@ -200,8 +200,8 @@ impl ServeArgs {
     /// The key that signs tokens.
     fn room_key(&self) -> anyhow::Result<Option<Vec<u8>>> {
         let key = self.live_key.as_deref().map(files::read).transpose()?;
-        if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
-            return Err(Usage(format!("--live-key: the key must have at least {LEAST_KEY} bytes")).into());
+        if key.as_ref().is_some_and(|k| k.len() < MIN_KEY) {
+            return Err(Usage(format!("--live-key: the key must have at least {MIN_KEY} bytes")).into());
         }
         Ok(key)
     }
@@ -259,23 +259,24 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let (limits, private, public_list) = (args.limits()?, args.is_private(), args.access == Some(Access::Public));
     let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies, args.client_address));
     let models = models::load(&settings)?;
-    let maker = PipelineMaker::new(models.clone(), limits.photo()).identified(&identity(&settings)?);
+    let maker = PipelineMaker::new(models.clone(), limits.photo()).with_identity(&identity(&settings)?);
     if makes_for_another {
-        let drawing = || tmpi_render::select_within(args.backend, limits.cache.scenes).map_err(|e| format!("renderer: {e}"));
-        make_for_a_server(&maker, &limits, &drawing);
+        let drawing = || tmpi_render::select_with_cache(args.backend, limits.cache.scenes).map_err(|e| format!("renderer: {e}"));
+        run_child(&maker, &limits, &drawing);
         return Ok(());
     }
-    keep_from_others();
+    disable_process_inspection();
     let rooms = args.rooms(&models, limits.live)?;
-    allocate_in_one_place();
+    use_one_malloc_arena();
     if let Err(error) = tmpi_pipeline::networks::available() {
         tracing::error!("photos without a depth map wait until ONNX Runtime is available. {error}");
     }
     #[cfg(unix)]
     open_files::raise(limits.connections as u64);
-    let renderer = tmpi_render::select_within(args.backend, limits.cache.scenes).context("renderer")?;
+    let renderer = tmpi_render::select_with_cache(args.backend, limits.cache.scenes).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
-    let maker = ProcessMaker::new(maker, args.for_makers, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
+    let maker =
+        ProcessMaker::new(maker, args.for_makers, &args.data).with_better_network(better.map(|b| Box::new(b) as Box<dyn NetworkUpgrade>));
     if !private && !args.addr.ip().is_loopback() {
         tracing::warn!(
             "the server has no authentication: every client may see and change every photo whose URL it knows; see --access private"
@@ -300,7 +301,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         ..
     } = args;
     hosts.extend(advertise.map(|address| address.host().to_owned()));
-    let reach = |is_private| if is_private { Reach::Any } else { Reach::Public };
+    let reach = |is_private| if is_private { AddressPolicy::Any } else { AddressPolicy::Public };
     let config = Config {
         addr,
         admin,
@@ -315,9 +316,9 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         role,
         traces,
         webhooks,
-        webhook_reach: reach(private_webhooks),
+        webhook_addresses: reach(private_webhooks),
         source_hosts,
-        source_reach: reach(private_sources),
+        source_addresses: reach(private_sources),
         limits,
     };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
@@ -359,7 +360,7 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
     let mut digest: Option<String> = None;
     if let Some(file) = &settings.depth_file {
-        let weights = models::beside(file)?.into_iter().map(|(_, file)| file);
+        let weights = models::external_data_files(file)?.into_iter().map(|(_, file)| file);
         for file in std::iter::once(file.clone()).chain(weights) {
             let bytes = std::fs::read(&file).with_context(|| file.display().to_string())?;
             // for one file its digest, for several their digests concatenated

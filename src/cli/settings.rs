@@ -148,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_setting_changes_its_own_field_alone_and_is_read_back() {
+    fn every_setting_changes_only_its_own_field_and_reads_back() {
         let usual = serde_json::to_value(Limits::default()).unwrap();
         assert!(all().len() > 30);
         for setting in all() {
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_out_of_range_or_no_number_is_named() {
+    fn errors_name_values_out_of_range() {
         for (text, words) in [
             ("limits.pixels=51", ["limits.pixels", "1 to 50"]),
             ("limits.body=0", ["limits.body", "1 to 4096"]),

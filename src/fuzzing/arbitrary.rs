@@ -1,8 +1,8 @@
-//! What is built for the fuzzer's targets out of the bytes that it finds.
+//! Builds values for the fuzzer's targets from the bytes that the fuzzer generates.
 
 use tmpi_core::{Geometry, Grid, Intrinsics, Plane, Tile, ViewBox};
 
-/// Bytes that say what is built; 0 after their end.
+/// Bytes that decide what to build; reads 0 after their end.
 pub struct Script<'a>(pub &'a [u8]);
 
 impl Script<'_> {
@@ -10,7 +10,7 @@ impl Script<'_> {
         self.0.split_off_first().copied().unwrap_or_default()
     }
 
-    /// A number below `end`, which is at most 256.
+    /// A number below `end`, which must be at most 256.
     pub fn below(&mut self, end: u32) -> u32 {
         u32::from(self.byte()) % end.max(1)
     }
@@ -19,13 +19,13 @@ impl Script<'_> {
         u32::from_le_bytes([(); 4].map(|()| self.byte()))
     }
 
-    /// A side in pixels: small as a rule, one in sixteen as large as a photo's.
+    /// A side in pixels: usually small, one in sixteen as large as a photo's.
     fn side(&mut self, most: u32) -> u32 {
         let side = 1 + u32::from(self.byte());
         if self.below(16) == 1 { (side * 4).min(most) } else { side.min(96) }
     }
 
-    /// Another number in place of `old`: near to it, at an end, or any.
+    /// A replacement for `old`: close to it, at an end of the range, or any number.
     pub fn number(&mut self, old: u64) -> u64 {
         match self.below(8) {
             0 => 0,
@@ -39,7 +39,7 @@ impl Script<'_> {
         }
     }
 
-    /// The same of a length or place on an axis.
+    /// Like [`Self::number`], for a length or a position on an axis.
     pub fn real(&mut self, old: f64) -> f64 {
         match self.below(8) {
             0 => 0.0,
@@ -53,7 +53,7 @@ impl Script<'_> {
         }
     }
 
-    /// A plane of disparities that photos have; one in sixteen of any.
+    /// A plane with disparities that photos have; one in sixteen is arbitrary.
     fn plane(&mut self) -> Plane {
         if self.below(16) == 1 {
             let [a, b, c] = [(); 3].map(|()| f64::from(f32::from_bits(self.word())));
@@ -65,16 +65,16 @@ impl Script<'_> {
     }
 }
 
-/// Most pixels of a container that is built: those of a photo of 640×480.
-const MOST_PIXELS: u32 = 640 * 480;
+/// Maximum number of pixels of a built container: those of a photo of 640×480.
+const MAX_PIXELS: u32 = 640 * 480;
 
-/// A grid, with planes and labels for each of its tiles, as a script says.
+/// A grid with planes and labels for each tile, as the script decides.
 pub fn geometry(script: &mut Script, most_planes: u32) -> Geometry {
     let width = script.side(1024);
-    let height = script.side(MOST_PIXELS / width).min(MOST_PIXELS / width).max(1);
+    let height = script.side(MAX_PIXELS / width).min(MAX_PIXELS / width).max(1);
     let sizes = [64, 64, 64, 32, 16, 8, 80, 33];
     let grid = Grid::new(width, height, sizes[script.below(8) as usize]);
-    // a few tiles are said one by one, the others are like them
+    // the script describes a few tiles; the others repeat them
     let kinds: Vec<(Vec<Plane>, Option<Plane>, [u8; 3])> = (0..=script.below(4))
         .map(|_| {
             let most = if script.below(8) == 1 { most_planes } else { 3 };

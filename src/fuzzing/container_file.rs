@@ -1,18 +1,18 @@
-//! Containers for the fuzzer: valid ones with a few changes, and checksums put right.
+//! Containers for the fuzzer: valid ones with a few changes and corrected checksums.
 
 use prost::Message as _;
 use tmpi_core::container::schema::Index;
-use tmpi_core::container::{Carried, Carries, HiddenAs, MAGIC, PhotoFormat, encode_in, encode_lossless, readable};
+use tmpi_core::container::{EncodedPhoto, HiddenCodec, MAGIC, OptionalSections, PhotoFormat, encode_in, encode_lossless, readable};
 use tmpi_core::{Geometry, Photo, Plane, compose, texture};
 
 use super::arbitrary::{Script, geometry};
 
-/// Planes a tile, at most: one more than there can be.
-const MOST_PLANES: u32 = 66;
+/// Maximum number of planes per tile: one more than the format allows.
+const MAX_PLANES: u32 = 66;
 /// Bytes before the index: magic, version, length of the index.
 const HEAD: usize = 12;
 
-/// The index of a container, and what follows it.
+/// Splits a container into its index and the bytes that follow.
 fn apart(bytes: &[u8]) -> Option<(Index, &[u8])> {
     let length = u32::from_le_bytes(bytes.get(8..HEAD)?.try_into().ok()?) as usize;
     let (index, body) = bytes[HEAD..].split_at_checked(length)?;
@@ -24,14 +24,14 @@ fn together(version: &[u8], index: &Index, body: &[u8]) -> Vec<u8> {
     [&MAGIC[..], version, &(index.len() as u32).to_le_bytes(), &index, body].concat()
 }
 
-/// The container with the checksums that its bands should have, so that what lies behind them is read; none where it has no bands.
+/// Corrects the checksums of a container's bands, so that a reader gets past them; `None` if the container has no bands.
 #[must_use]
 pub fn with_checksums(bytes: &[u8]) -> Option<Vec<u8>> {
     let (mut index, body) = apart(bytes)?;
     set_checksums(&mut index, body).then(|| together(&bytes[4..8], &index, body))
 }
 
-/// Whether there were any.
+/// Corrects the checksums of all bands; returns whether there are any.
 fn set_checksums(index: &mut Index, body: &[u8]) -> bool {
     let mut bands = 0;
     for section in &mut index.sections {
@@ -46,12 +46,12 @@ fn set_checksums(index: &mut Index, body: &[u8]) -> bool {
     bands > 0
 }
 
-/// A container that is valid but for what the last bytes of `data` change in it, with the checksums that it should have; none where no container
-/// can be written of what `data` says.
+/// Builds a container that is valid except for the changes that the last bytes of `data` make. Its checksums are correct. `None` if no
+/// container can be written from `data`.
 #[must_use]
 pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     let mut script = Script(data);
-    let geometry = geometry(&mut script, MOST_PLANES);
+    let geometry = geometry(&mut script, MAX_PLANES);
     if !geometry.tiles.iter().flat_map(|t| t.planes.iter().chain(&t.background)).all(Plane::is_finite) {
         return None;
     }
@@ -61,23 +61,23 @@ pub fn build(data: &[u8]) -> Option<Vec<u8>> {
     let (width, height) = (geometry.grid.width, geometry.grid.height);
     let photo = Photo { width, height, rgb: (0..width * height).map(|i| [(i % width) as u8, (i / width) as u8, 90]).collect() };
     let how = script.byte();
-    let carried = match how & 3 {
-        0 => Carried::from_photo(&photo, 80).ok()?,
-        1 => Carried::lossless(&photo).ok()?,
+    let photo_file = match how & 3 {
+        0 => EncodedPhoto::from_photo(&photo, 80).ok()?,
+        1 => EncodedPhoto::lossless(&photo).ok()?,
         _ => {
             let bytes = encode_lossless(image::ImageFormat::Png, width, height, photo.rgb.as_flattened()).ok()?;
-            Carried { bytes, format: PhotoFormat::Png }
+            EncodedPhoto { bytes, format: PhotoFormat::Png }
         }
     };
-    let hidden = [None, None, Some(HiddenAs::Png), Some(HiddenAs::Jpeg(80))][usize::from(how >> 2 & 3)];
+    let hidden = [None, None, Some(HiddenCodec::Png), Some(HiddenCodec::Jpeg(80))][usize::from(how >> 2 & 3)];
     let geometry = Geometry { matted: how >> 6 & 1 == 1, ..geometry };
-    let carries = if geometry.matted { Carries::default() } else { Carries { alpha: how >> 4 & 1 == 1, hidden } };
+    let optional = if geometry.matted { OptionalSections::default() } else { OptionalSections { alpha: how >> 4 & 1 == 1, hidden } };
     let mut scene = compose(photo.clone(), &geometry, texture(&photo, &geometry, geometry.masks()));
-    if carries.alpha {
+    if optional.alpha {
         scene.texels.alpha.iter_mut().filter(|a| (1..255).contains(*a)).step_by(3).for_each(|a| *a = 17);
     }
     let rows = (how >> 5 & 1 == 1).then(|| 1 + script.below(4));
-    let (bytes, _) = encode_in(rows, &geometry, &scene, &carried, carries).ok()?;
+    let (bytes, _) = encode_in(rows, &geometry, &scene, &photo_file, optional).ok()?;
     let (mut index, body) = apart(&bytes)?;
     let mut body = body.to_vec();
     while !script.0.is_empty() {

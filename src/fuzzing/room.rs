@@ -1,18 +1,18 @@
-//! Rooms for the fuzzer: messages that are valid but for a few changes, with the checksums that they should have.
+//! Rooms for the fuzzer: messages that are valid except for a few changes, with correct checksums.
 
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Hello};
-use tmpi_core::live::{MAX_PLANES, Model, chunk};
+use tmpi_core::live::{MAX_PLANES, TileState, chunk};
 
 use super::arbitrary::{Script, geometry};
 
-/// A room of built tiles: what its hello says, and messages of chunks, valid but for what the last bytes of `data` change.
+/// Builds a room: its hello, and messages of chunks. They are valid except for the changes that the last bytes of `data` make.
 #[must_use]
 pub fn build(data: &[u8]) -> (Hello, Vec<schema::Geometry>) {
     let mut script = Script(data);
     let mut geometry = geometry(&mut script, MAX_PLANES as u32 + 1);
     geometry.tiles.iter_mut().for_each(|t| t.planes.truncate(MAX_PLANES));
-    let mut hello = Model::hello(&geometry);
+    let mut hello = TileState::hello(&geometry);
     let messages = (0..=script.below(3)).map(|_| {
         let grid = geometry.grid;
         let wanted = script.byte();
@@ -62,14 +62,14 @@ fn change_message(script: &mut Script, hello: &mut Hello, message: &mut schema::
     }
 }
 
-/// Gives a chunk the checksum that it should have.
+/// Corrects a chunk's checksum.
 fn set_check(chunk: &mut schema::Chunk) {
     let c = &*chunk;
     let head = [c.column.into(), c.row.into(), c.columns.into(), c.rows.into(), c.version, c.planes.into()].map(u64::to_le_bytes);
     chunk.check = crc32fast::hash(&[head.as_flattened(), &chunk.plane_data, &chunk.label_data].concat());
 }
 
-/// The message with the checksums that its chunks should have; none where it has none.
+/// Corrects the checksums of a message's chunks; `None` if it has no chunks.
 #[must_use]
 pub fn with_checksums(data: &[u8]) -> Option<Vec<u8>> {
     let mut kind = tmpi_core::live::read(data.to_vec().into()).ok()?;

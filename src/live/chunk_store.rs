@@ -9,7 +9,7 @@ use tmpi_core::Grid;
 use tmpi_core::live::chunk;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Chunk, Hello};
-use tmpi_core::live::{MAX_MESSAGE, Model, write};
+use tmpi_core::live::{MAX_MESSAGE, TileState, write};
 
 /// Chunks by version and area, and for each tile the chunk with its newest version.
 pub struct Chunks {
@@ -28,7 +28,7 @@ type Key = (u64, u32, u32, u32, u32);
 impl Chunks {
     /// Starts without chunks; `None` if `hello` is invalid.
     pub fn new(hello: &Hello) -> Option<Self> {
-        let tiles = Model::new(hello).ok()?.tiles();
+        let tiles = TileState::new(hello).ok()?.tiles();
         let grid = Grid { width: hello.width, height: hello.height, size: hello.tile_size, stride: hello.tile_stride };
         Some(Self { grid, tiles: vec![None; tiles as usize], kept: BTreeMap::new(), coded: None })
     }
@@ -124,15 +124,15 @@ pub mod tests {
     }
 
     #[test]
-    fn a_snapshot_gives_what_all_messages_would_and_keeps_no_more_chunks_than_tiles() {
+    fn a_snapshot_equals_all_messages_and_keeps_at_most_one_chunk_per_tile() {
         let (first, all) = (geometry(0.5), Area::all(&geometry(0.5).grid));
-        let hello = Model::hello(&first);
-        let (mut chunks, mut model) = (Chunks::new(&hello).unwrap(), Model::new(&hello).unwrap());
+        let hello = TileState::hello(&first);
+        let (mut chunks, mut model) = (Chunks::new(&hello).unwrap(), TileState::new(&hello).unwrap());
         assert_eq!(chunks.snapshot(), None);
         let mut send = |chunks: &mut Chunks, message: &schema::Geometry| {
             assert!(chunks.take(message));
             model.take(message).unwrap();
-            let mut fresh = Model::new(&hello).unwrap();
+            let mut fresh = TileState::new(&hello).unwrap();
             let Kind::Snapshot(snapshot) = read(chunks.snapshot().unwrap()).unwrap() else { panic!("a snapshot") };
             fresh.take(&snapshot).unwrap();
             assert_eq!(fresh.geometry().unwrap().tiles, model.geometry().unwrap().tiles);
@@ -152,10 +152,10 @@ pub mod tests {
     }
 
     #[test]
-    fn what_is_newer_is_given_as_it_came_unless_it_is_more_than_all() {
+    fn newer_chunks_are_sent_unchanged_unless_a_snapshot_is_smaller() {
         let first = geometry(0.5);
         let all = Area::all(&first.grid);
-        let mut chunks = Chunks::new(&Model::hello(&first)).unwrap();
+        let mut chunks = Chunks::new(&TileState::hello(&first)).unwrap();
         assert_eq!((chunks.newest(), chunks.newer(0)), (None, Some(vec![])));
         let sent: Vec<_> = (0..4).map(|n| message(&first, Area { column: n % 2, row: 0, columns: 1, rows: 1 }, 2 + u64::from(n))).collect();
         chunks.take(&message(&first, all, 1));
@@ -169,7 +169,7 @@ pub mod tests {
     #[test]
     fn chunks_outside_the_grid_are_refused() {
         let geometry = geometry(0.5);
-        let mut chunks = Chunks::new(&Model::hello(&geometry)).unwrap();
+        let mut chunks = Chunks::new(&TileState::hello(&geometry)).unwrap();
         let good = message(&geometry, Area::all(&geometry.grid), 1);
         for change in [
             (|c: &mut Chunk| c.columns += 1) as fn(&mut Chunk),

@@ -18,7 +18,7 @@ use tmpi_core::live::{read, write};
 use super::chunk_store::Chunks;
 use super::origin_node::{Nodes, Socket};
 use super::room::Room;
-use super::{COME_BACK, Entry};
+use super::{COME_BACK, RoomHandle};
 
 /// Silence after which the origin counts as lost: it sends something every second.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -64,7 +64,7 @@ enum End {
 
 /// Serves a room from its origins, one after the other, until it has no viewers here, its publisher comes to this node, or no origin has
 /// sent anything for [`COME_BACK`].
-pub async fn run(nodes: Arc<Nodes>, entry: Entry, ended: CancellationToken) {
+pub async fn run(nodes: Arc<Nodes>, entry: RoomHandle, ended: CancellationToken) {
     let now = Instant::now();
     let mut edge = Edge { nodes: &nodes, name: &entry.name, room: &entry.room, epoch: 0, heard: now, watched: now };
     let farewell = tokio::select! {
@@ -115,7 +115,7 @@ impl Edge<'_> {
     }
 
     fn is_unwatched(&mut self) -> bool {
-        if self.room.viewers() > 0 {
+        if self.room.local_viewers() > 0 {
             self.watched = Instant::now();
         }
         self.watched.elapsed() > UNWATCHED
@@ -148,13 +148,13 @@ impl Edge<'_> {
                     if self.is_unwatched() {
                         return Ok(End::Unwatched);
                     }
-                    if told == self.room.viewers() || told_at.is_some_and(|at| at.elapsed() < COUNT) {
+                    if told == self.room.local_viewers() || told_at.is_some_and(|at| at.elapsed() < COUNT) {
                         continue;
                     }
                     false
                 }
             };
-            (told, told_at) = (self.room.viewers(), Some(Instant::now()));
+            (told, told_at) = (self.room.local_viewers(), Some(Instant::now()));
             say(&mut socket, Credit { frames: 1, key, viewers: told }).await?;
         }
     }

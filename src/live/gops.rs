@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 
-use super::ring::What;
+use super::ring::MessageKind;
 use super::room::Tiles;
 use tmpi_core::live::schema::Hello;
 use tmpi_core::live::schema::message::Kind;
@@ -51,7 +51,7 @@ impl FromStr for Group {
 
 /// A part of a group.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum GroupPart {
     /// The message.
     Message(Bytes),
     /// The message has not come yet.
@@ -64,7 +64,7 @@ pub enum Part {
     Gone,
 }
 
-struct Kept {
+struct KeptGroup {
     number: u64,
     hello: Arc<Hello>,
     before: Option<Arc<Tiles>>,
@@ -77,19 +77,19 @@ struct Kept {
 /// The groups of a publisher.
 #[derive(Default)]
 pub struct Groups {
-    kept: VecDeque<Kept>,
+    kept: VecDeque<KeptGroup>,
     next: u64,
 }
 
 impl Groups {
     /// Adds a message of a publisher with `hello`; `before` are the current tiles.
-    pub fn push(&mut self, what: What, bytes: &Bytes, at: Instant, hello: &Arc<Hello>, before: Option<&Arc<Tiles>>) {
+    pub fn push(&mut self, what: MessageKind, bytes: &Bytes, at: Instant, hello: &Arc<Hello>, before: Option<&Arc<Tiles>>) {
         let over = self.kept.back().is_none_or(|k| k.whole || at.saturating_duration_since(k.began) >= LEAST);
-        if what == What::Key && over {
+        if what == MessageKind::Key && over {
             self.end();
             let (hello, before) = (Arc::clone(hello), before.cloned());
             let (number, messages) = (self.next, Vec::new());
-            self.kept.push_back(Kept { number, hello, before, messages, bytes: 0, began: at, whole: false });
+            self.kept.push_back(KeptGroup { number, hello, before, messages, bytes: 0, began: at, whole: false });
             self.next += 1;
         }
         if let Some(last) = self.kept.back_mut().filter(|last| !last.whole) {
@@ -117,18 +117,18 @@ impl Groups {
 
     /// Message `at` of a group, which starts with HELLO and the tiles. Returns the tiles themselves as `Err`: they may yet have to be
     /// encoded.
-    pub fn part(&self, number: u64, at: usize) -> Result<Part, Arc<Tiles>> {
+    pub fn part(&self, number: u64, at: usize) -> Result<GroupPart, Arc<Tiles>> {
         let Some(group) = self.kept.iter().find(|k| k.number == number) else {
-            return Ok(if number == self.next { Part::NotYet } else { Part::Gone });
+            return Ok(if number == self.next { GroupPart::NotYet } else { GroupPart::Gone });
         };
         let before = usize::from(group.before.is_some());
         Ok(match (at, &group.before) {
-            (0, _) => Part::Message(write(Kind::Hello((*group.hello).clone()))),
+            (0, _) => GroupPart::Message(write(Kind::Hello((*group.hello).clone()))),
             (1, Some(tiles)) => return Err(Arc::clone(tiles)),
             _ => match group.messages.get(at - 1 - before) {
-                Some(bytes) => Part::Message(bytes.clone()),
-                None if group.whole => Part::End,
-                None => Part::Wait,
+                Some(bytes) => GroupPart::Message(bytes.clone()),
+                None if group.whole => GroupPart::End,
+                None => GroupPart::Wait,
             },
         })
     }
@@ -138,65 +138,71 @@ impl Groups {
 mod tests {
     use super::*;
 
-    fn part(groups: &Groups, number: u64, at: usize) -> Part {
+    fn part(groups: &Groups, number: u64, at: usize) -> GroupPart {
         groups.part(number, at).unwrap_or_else(|_| panic!("there are no tiles"))
     }
 
     /// The messages of a group after HELLO.
-    fn rest(groups: &Groups, number: u64) -> (Vec<Bytes>, Part) {
+    fn rest(groups: &Groups, number: u64) -> (Vec<Bytes>, GroupPart) {
         let mut messages = Vec::new();
         loop {
             match part(groups, number, 1 + messages.len()) {
-                Part::Message(bytes) => messages.push(bytes),
+                GroupPart::Message(bytes) => messages.push(bytes),
                 other => return (messages, other),
             }
         }
     }
 
     #[test]
-    fn a_group_goes_from_a_key_frame_to_another_and_lasts_a_second_at_least() {
+    fn a_group_ends_at_the_first_key_frame_after_a_second() {
         let (mut groups, hello, start) = (Groups::default(), Arc::default(), Instant::now());
         let mut push = |what, byte: u8, ms| groups.push(what, &Bytes::from(vec![byte]), start + Duration::from_millis(ms), &hello, None);
-        push(What::Sound, 0, 0);
-        push(What::Key, 1, 10);
-        push(What::Frame { layer: 0 }, 2, 500);
-        push(What::Key, 3, 900);
-        push(What::Geometry { frame: 3 }, 4, 1000);
-        push(What::Key, 5, 1010);
-        push(What::Sound, 6, 1020);
+        push(MessageKind::Sound, 0, 0);
+        push(MessageKind::Key, 1, 10);
+        push(MessageKind::Frame { layer: 0 }, 2, 500);
+        push(MessageKind::Key, 3, 900);
+        push(MessageKind::Geometry { frame: 3 }, 4, 1000);
+        push(MessageKind::Key, 5, 1010);
+        push(MessageKind::Sound, 6, 1020);
         let bytes = |range: std::ops::RangeInclusive<u8>| range.map(|b| Bytes::from(vec![b])).collect::<Vec<_>>();
-        assert_eq!(rest(&groups, 0), (bytes(1..=4), Part::End));
-        assert_eq!(rest(&groups, 1), (bytes(5..=6), Part::Wait));
-        assert_eq!((part(&groups, 2, 0), part(&groups, 3, 0), groups.last()), (Part::NotYet, Part::Gone, Some(1)));
+        assert_eq!(rest(&groups, 0), (bytes(1..=4), GroupPart::End));
+        assert_eq!(rest(&groups, 1), (bytes(5..=6), GroupPart::Wait));
+        assert_eq!((part(&groups, 2, 0), part(&groups, 3, 0), groups.last()), (GroupPart::NotYet, GroupPart::Gone, Some(1)));
         groups.end();
-        assert_eq!(rest(&groups, 1).1, Part::End);
+        assert_eq!(rest(&groups, 1).1, GroupPart::End);
     }
 
     #[test]
-    fn what_is_kept_is_bounded_and_what_was_told_never_changes() {
+    fn kept_groups_are_bounded_and_never_change() {
         let (mut groups, hello, start) = (Groups::default(), Arc::default(), Instant::now());
-        let mut told: Vec<Option<(Vec<Bytes>, Part)>> = Vec::new();
+        let mut told: Vec<Option<(Vec<Bytes>, GroupPart)>> = Vec::new();
         for n in 0..400u64 {
-            let what = if n % 10 == 0 { What::Key } else { What::Frame { layer: 0 } };
+            let what = if n % 10 == 0 { MessageKind::Key } else { MessageKind::Frame { layer: 0 } };
             let bytes = Bytes::from(vec![n as u8; 30_000 + 700 * n as usize]);
             groups.push(what, &bytes, start + Duration::from_millis(200 * n), &hello, None);
             assert!(groups.kept.len() <= KEPT && groups.kept.iter().map(|k| k.bytes).sum::<usize>() <= KEPT_BYTES);
             for number in 0..groups.next {
                 told.resize(groups.next as usize, None);
                 let now = rest(&groups, number);
-                if now.1 == Part::End {
+                if now.1 == GroupPart::End {
                     assert!(told[number as usize].as_ref().is_none_or(|before| *before == now));
                     told[number as usize] = Some(now);
                 }
             }
         }
-        assert!(groups.next > 30 && part(&groups, 0, 0) == Part::Gone);
+        assert!(groups.next > 30 && part(&groups, 0, 0) == GroupPart::Gone);
         // without another key frame
         for n in 0..2000 {
-            groups.push(What::Frame { layer: 0 }, &Bytes::from(vec![0; 30_000]), start + Duration::from_secs(1000 + n), &hello, None);
+            groups.push(
+                MessageKind::Frame { layer: 0 },
+                &Bytes::from(vec![0; 30_000]),
+                start + Duration::from_secs(1000 + n),
+                &hello,
+                None,
+            );
         }
         assert!(groups.kept.iter().map(|k| k.bytes).sum::<usize>() <= KEPT_BYTES);
-        assert_eq!(rest(&groups, groups.next - 1).1, Part::End);
+        assert_eq!(rest(&groups, groups.next - 1).1, GroupPart::End);
     }
 
     #[test]

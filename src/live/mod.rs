@@ -1,14 +1,15 @@
 //! Rooms: one publisher's camera and its viewers (schema of the messages in `proto/live.proto`).
 //!
 //! The publisher's socket passes each frame on at once and unchanged: to the ring, which every viewer's socket reads at its own pace, and
-//! to the room's worker, which decodes it only for its geometry. A viewer that falls behind, or was hidden, skips to a key frame and gets
+//! to the room's threads, which decode it only for its geometry. A viewer that falls behind, or was hidden, skips to a key frame and gets
 //! the tiles that it lacks. Viewers have no queues, so a room's memory does not depend on slow viewers.
 //!
 //! | file | what |
 //! |---|---|
-//! | `access` | who may publish and watch |
-//! | `room_status` | the state of a room, and tokens for viewers |
+//! | `room_token` | the tokens with which people publish and watch |
 //! | `request_access` | the state of the handlers, and access checks |
+//! | `room_state` | the state of a room, for its pages |
+//! | `watch_token` | tokens for viewers |
 //! | `routes` | the routes, and the upgrade to WebSockets |
 //! | `publisher`, `viewer` | one socket each |
 //! | `sound_limit` | the rate limit of sound |
@@ -20,11 +21,11 @@
 //! | `chunk_store` | the tiles of a room as encoded chunks |
 //! | `origin_node` | which node has a room |
 //! | `edge` | a room that another node has |
-//! | `worker` | the threads that decode frames and make geometry |
+//! | `geometry_threads` | the threads that decode frames and make geometry |
 
-mod access;
 mod chunk_store;
 mod edge;
+mod geometry_threads;
 mod gops;
 mod origin_node;
 mod plain_http;
@@ -32,12 +33,13 @@ mod publisher;
 mod request_access;
 mod ring;
 mod room;
-mod room_status;
+mod room_state;
+mod room_token;
 pub(crate) mod routes;
 mod snapshot;
 mod sound_limit;
 mod viewer;
-mod worker;
+mod watch_token;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -47,12 +49,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use tmpi_pipeline::Models;
 
-pub(crate) use access::check_origin;
-pub use access::{Role, token};
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
 pub use origin_node::NodeAddress;
 pub(crate) use request_access::RoomsContext;
+pub use room_token::{Role, room_token};
 use tmpi_core::live::schema::Bye;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::write;
@@ -63,7 +64,7 @@ use room::Room;
 use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
 
-use crate::server::{Figure, Problem, gauge};
+use crate::server::{Metric, Problem};
 
 /// Longest silence of a publisher, also before its first message.
 const SILENCE: Duration = Duration::from_secs(10);
@@ -100,7 +101,7 @@ pub struct Config {
 /// Limits of rooms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
-pub struct Bounds {
+pub struct RoomLimits {
     /// Open rooms at a time. 0 disables rooms.
     #[schemars(range(max = 64))]
     pub rooms: usize,
@@ -118,12 +119,12 @@ pub struct Bounds {
     pub sound: usize,
 }
 
-impl Bounds {
+impl RoomLimits {
     /// 1 024 viewers.
     pub const VIEWERS: usize = 1024;
 }
 
-impl Default for Bounds {
+impl Default for RoomLimits {
     fn default() -> Self {
         Self { rooms: 16, viewers: Self::VIEWERS, budget_ms: tmpi_live::BUDGET_MS, frame: 1 << 20, sound: 16 << 10 }
     }
@@ -132,7 +133,7 @@ impl Default for Bounds {
 /// All rooms of a server.
 pub struct Rooms {
     config: Config,
-    bounds: Bounds,
+    bounds: RoomLimits,
     named: Mutex<HashMap<String, Named>>,
     address: Option<NodeAddress>,
     nodes: OnceLock<Arc<Nodes>>,
@@ -141,12 +142,12 @@ pub struct Rooms {
 
 struct Named {
     room: Arc<Room>,
-    /// Number of [`Entry`]s.
+    /// Number of [`RoomHandle`]s.
     entries: usize,
 }
 
 /// Holds a room open: for a publisher that is here or may come back, or while this node is an edge.
-pub struct Entry {
+pub struct RoomHandle {
     rooms: Arc<Rooms>,
     /// The room's name.
     pub name: String,
@@ -154,7 +155,7 @@ pub struct Entry {
     pub room: Arc<Room>,
 }
 
-impl Drop for Entry {
+impl Drop for RoomHandle {
     fn drop(&mut self) {
         let mut rooms = self.rooms.lock();
         let Some(named) = rooms.get_mut(&self.name) else { return };
@@ -170,12 +171,19 @@ impl Rooms {
     /// Starts without rooms.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, bounds: Bounds::default(), named: Mutex::default(), address: None, nodes: OnceLock::new(), library: OnceLock::new() }
+        Self {
+            config,
+            bounds: RoomLimits::default(),
+            named: Mutex::default(),
+            address: None,
+            nodes: OnceLock::new(),
+            library: OnceLock::new(),
+        }
     }
 
     /// Replaces the default limits.
     #[must_use]
-    pub fn bounded(mut self, bounds: Bounds) -> Self {
+    pub fn with_limits(mut self, bounds: RoomLimits) -> Self {
         self.bounds = bounds;
         self
     }
@@ -199,14 +207,14 @@ impl Rooms {
     }
 
     /// Metrics.
-    pub(crate) fn counts(&self) -> Vec<Figure> {
+    pub(crate) fn counts(&self) -> [Metric; 2] {
         let (all, edges) = {
             let rooms = self.lock();
             (rooms.len(), rooms.values().filter(|named| named.room.is_edge()).count())
         };
-        vec![
-            gauge("tmpi_live_rooms", "Open rooms at this node", all as f64),
-            gauge("tmpi_live_edges", "Open rooms at this node whose publisher is at another node", edges as f64),
+        [
+            ("tmpi_live_rooms", "Open rooms at this node", all as f64),
+            ("tmpi_live_edges", "Open rooms at this node whose publisher is at another node", edges as f64),
         ]
     }
 
@@ -220,7 +228,7 @@ impl Rooms {
     }
 
     /// Opens a room, or holds an open one; `None` if the limit of rooms is reached.
-    fn enter(self: &Arc<Self>, name: &str) -> Option<Entry> {
+    fn open(self: &Arc<Self>, name: &str) -> Option<RoomHandle> {
         let mut rooms = self.lock();
         if !rooms.contains_key(name) && rooms.len() >= self.bounds.rooms {
             return None;
@@ -228,30 +236,30 @@ impl Rooms {
         let bounds = self.bounds;
         let named = rooms.entry(name.to_owned()).or_insert_with(|| Named { room: Arc::new(Room::new(bounds)), entries: 0 });
         named.entries += 1;
-        Some(Entry { rooms: Arc::clone(self), name: name.to_owned(), room: Arc::clone(&named.room) })
+        Some(RoomHandle { rooms: Arc::clone(self), name: name.to_owned(), room: Arc::clone(&named.room) })
     }
 
     /// A room to watch, from this node or another.
-    async fn visit(self: &Arc<Self>, name: &str) -> Result<Arc<Room>, Problem> {
+    async fn watch_room(self: &Arc<Self>, name: &str) -> Result<Arc<Room>, Problem> {
         if let Some(room) = self.get(name) {
             return Ok(room);
         }
-        self.elsewhere(name).await?.ok_or_else(none_publishes)?;
-        let entry = self.enter(name).ok_or_else(busy)?;
+        self.remote_origin(name).await?.ok_or_else(none_publishes)?;
+        let entry = self.open(name).ok_or_else(busy)?;
         let room = Arc::clone(&entry.room);
         self.follow(entry);
         Ok(room)
     }
 
     /// The other node that has a room, with the access to it.
-    async fn elsewhere(&self, name: &str) -> Result<Option<(Arc<Nodes>, Origin)>, Problem> {
+    async fn remote_origin(&self, name: &str) -> Result<Option<(Arc<Nodes>, Origin)>, Problem> {
         let Some(nodes) = self.nodes.get() else { return Ok(None) };
         let origin = nodes.origin(name).await.map_err(|error| unreachable(&error))?;
         Ok(origin.map(|origin| (Arc::clone(nodes), origin)))
     }
 
     /// Tells the library that a room begins or ends, unless its lease does.
-    async fn tell(&self, name: &str, is_live: bool) {
+    async fn announce(&self, name: &str, is_live: bool) {
         let Some(library) = self.library.get().filter(|_| self.nodes.get().is_none()) else { return };
         let told = if is_live { library.start_room(name).await } else { library.end_room(name).await };
         if let Err(error) = told {
@@ -260,7 +268,7 @@ impl Rooms {
     }
 
     /// Makes this node an edge of a room, unless it is one already or the publisher is here.
-    fn follow(&self, entry: Entry) {
+    fn follow(&self, entry: RoomHandle) {
         if let Some(nodes) = self.nodes.get()
             && let Some(edge) = entry.room.begin_edge()
         {
@@ -269,21 +277,21 @@ impl Rooms {
     }
 }
 
-impl Entry {
+impl RoomHandle {
     /// Holds the room open for [`COME_BACK`], for its publisher to come back. If the publisher went to another node, this one becomes an
     /// edge.
-    async fn linger(self, lease: Option<Lease>, stop: &CancellationToken) {
+    async fn wait_for_publisher(self, lease: Option<Lease>, stop: &CancellationToken) {
         let moved = tokio::select! {
             () = tokio::time::sleep(COME_BACK) => false,
             () = stop.cancelled() => false,
             // this node itself may have taken a newer lease
-            () = origin_node::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.came_with(lease.epoch())),
+            () = origin_node::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.is_publisher_epoch(lease.epoch())),
         };
         // before the room closes, which tells its viewers
         if let Some(lease) = lease {
             lease.release().await;
         } else if self.room.is_empty() {
-            self.rooms.tell(&self.name, false).await;
+            self.rooms.announce(&self.name, false).await;
         }
         if moved {
             Arc::clone(&self.rooms).follow(self);
@@ -300,7 +308,7 @@ fn unreachable(error: &LibraryError) -> Problem {
 const LINGER: Duration = Duration::from_secs(2);
 
 /// Disconnects a client with a reason.
-async fn send_away(mut socket: WebSocket, bye: Bye) {
+async fn disconnect(mut socket: WebSocket, bye: Bye) {
     let farewell = async {
         // the client may have gone
         let _ = socket.send(Message::Binary(write(Kind::Bye(bye)))).await;

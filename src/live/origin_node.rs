@@ -220,7 +220,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_has_a_host_and_nothing_behind_it() {
+    fn a_node_address_has_a_host_and_no_path() {
         let of = |text: &str| text.parse::<NodeAddress>().ok().map(|a| (a.to_string(), a.host().to_owned()));
         let known = |url: &str, host: &str| Some((url.to_owned(), host.to_owned()));
         assert_eq!(of("http://10.0.0.3:8080"), known("http://10.0.0.3:8080", "10.0.0.3"));

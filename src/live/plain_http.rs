@@ -14,12 +14,12 @@ use tmpi_library::Origin;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::access::Role;
-use super::gops::{Group, Part};
+use super::gops::{Group, GroupPart};
 use super::origin_node::Nodes;
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::{NewestFrame, Room};
-use crate::server::{Coding, ConnectionGuard, Entity, Pairs, Problem, respond};
+use super::room_token::Role;
+use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
 /// How long a request waits for the next group.
@@ -40,11 +40,11 @@ enum Source {
 
 impl Source {
     /// Finds the node with the frames of a room. Requests of other nodes are not forwarded.
-    async fn of(here: &RoomsContext, name: &str, leave: RoomAccess) -> Result<Self, Problem> {
+    async fn of(here: &RoomsContext, name: &str, access: RoomAccess) -> Result<Self, Problem> {
         if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
             return Ok(Self::RoomsContext(room));
         }
-        let elsewhere = if leave == RoomAccess::Node { None } else { here.rooms.elsewhere(name).await? };
+        let elsewhere = if access == RoomAccess::Node { None } else { here.rooms.remote_origin(name).await? };
         elsewhere.map(|(nodes, origin)| Self::Origin(nodes, origin)).ok_or_else(none_publishes)
     }
 }
@@ -87,18 +87,18 @@ fn handed_on(answer: Response) -> Response {
     )
 )]
 pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let newest = match Source::of(&here, &name, leave).await? {
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, access).await? {
         Source::RoomsContext(room) => room.newest().await?,
         Source::Origin(nodes, origin) => {
             let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
             return nodes.fetch(&origin, &name, "/frames/latest/atlas", known.into_iter().collect()).await.map(handed_on);
         }
     };
-    let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
+    let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
     let etag = format!("\"{epoch}-{number}\"");
     let entity =
-        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: Coding::Plain };
+        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: ContentCoding::Plain };
     let mut response = respond(&headers, entity);
     response.headers_mut().insert(FRAME, HeaderValue::from(number));
     response.headers_mut().insert(EPOCH, HeaderValue::from(epoch));
@@ -127,15 +127,15 @@ pub async fn latest_group(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let newest = match Source::of(&here, &name, leave).await? {
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let newest = match Source::of(&here, &name, access).await? {
         Source::RoomsContext(room) => room.last_group().map(|group| group.to_string()),
         Source::Origin(nodes, origin) => {
             let answer = nodes.fetch(&origin, &name, "/gops/latest", HeaderMap::new()).await?;
             answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned)
         }
     };
-    let place = newest.ok_or_else(|| Problem::not_found("nothing has come yet"))?;
+    let place = newest.ok_or_else(|| Problem::not_found("the room has no group of pictures yet"))?;
     let query = uri.query().map_or(String::new(), |q| format!("?{q}"));
     let location = HeaderValue::try_from(format!("{place}{query}")).map_err(|e| Problem::internal("an address", &e))?;
     Ok((StatusCode::TEMPORARY_REDIRECT, [(header::LOCATION, location)]).into_response())
@@ -168,13 +168,13 @@ pub async fn group(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let none = || Problem::not_found("the server does not have this group of pictures");
     let group: Group = group.parse().map_err(|()| none())?;
     // shared caches may only store responses whose URL has the token
     let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
-    let room = match Source::of(&here, &name, leave).await? {
+    let room = match Source::of(&here, &name, access).await? {
         Source::RoomsContext(room) => room,
         Source::Origin(nodes, origin) => {
             let answer = nodes.fetch(&origin, &name, &format!("/gops/{group}"), HeaderMap::new()).await?;
@@ -229,17 +229,17 @@ impl Pieces {
         loop {
             self.changes.mark_unchanged();
             match self.room.group(self.group, self.at) {
-                Part::Message(bytes) => {
+                GroupPart::Message(bytes) => {
                     self.at += 1;
                     return Some([&(bytes.len() as u32).to_le_bytes()[..], &bytes].concat().into());
                 }
-                Part::End => {
+                GroupPart::End => {
                     self.whole = true;
                     return None;
                 }
-                Part::Gone => return None,
+                GroupPart::Gone => return None,
                 // cannot fail: `self.room` keeps the sender
-                Part::Wait | Part::NotYet => drop(self.changes.changed().await),
+                GroupPart::Wait | GroupPart::NotYet => drop(self.changes.changed().await),
             }
         }
     }

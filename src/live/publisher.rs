@@ -1,4 +1,4 @@
-//! The socket of a publisher: checks its messages, passes them on to viewers, and gives frames to the worker.
+//! The socket of a publisher: checks its messages, passes them on to viewers, and gives frames to the geometry threads.
 
 use std::error::Error as _;
 use std::sync::Arc;
@@ -13,18 +13,18 @@ use tokio_tungstenite::tungstenite::{self, error::CapacityError};
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Video};
-use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
+use tmpi_core::live::{MAX_PIXELS, TileState, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
 use tmpi_live::{Geometry, Settings, access_units, video};
 
+use super::geometry_threads::{DecodeOutcome, EncodedFrame, GeometryThreads};
 use super::origin_node::{Lease, lost};
 use super::request_access::{ENDED, RoomsContext, ended};
-use super::ring::What;
+use super::ring::MessageKind;
 use super::room::Room;
 use super::sound_limit::Allowance;
 use super::viewer::gone;
-use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, Entry, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
+use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, RoomHandle, SILENCE, disconnect};
 
 /// Allowed sides of a frame, in pixels.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
@@ -35,19 +35,19 @@ const RESIZE: Duration = Duration::from_secs(1);
 const RESIZES: u32 = 8;
 
 /// Serves a publisher until it leaves, the server disconnects it, or its token ends at `ends`; then waits for it to come back.
-pub async fn serve(mut socket: WebSocket, entry: Entry, here: &RoomsContext, ends: Option<Instant>) {
+pub async fn serve(mut socket: WebSocket, entry: RoomHandle, here: &RoomsContext, ends: Option<Instant>) {
     let mut seat = None;
     let ended = session(&mut socket, &entry, here, ends, &mut seat).await;
     let held = seat.map(Seat::leave);
     let told = async move {
         if let Err(Refused { reason, again, cause }) = ended {
             tracing::info!(reason, "disconnecting a publisher");
-            send_away(socket, Bye { reason, again, cause: cause.into() }).await;
+            disconnect(socket, Bye { reason, again, cause: cause.into() }).await;
         }
     };
     let lingers = async move {
         if let Some(lease) = held {
-            entry.linger(lease, &here.stop).await;
+            entry.wait_for_publisher(lease, &here.stop).await;
         }
     };
     // a dead connection must not delay viewers
@@ -88,7 +88,7 @@ const TURNED: &str = "the stream carries a rotation (display orientation); encod
 /// Takes `seat` and publishes; `Ok` if the publisher has left.
 async fn session<'a>(
     socket: &mut WebSocket,
-    entry: &'a Entry,
+    entry: &'a RoomHandle,
     here: &RoomsContext,
     ends: Option<Instant>,
     seat: &mut Option<Seat<'a>>,
@@ -99,7 +99,7 @@ async fn session<'a>(
     // check before taking the room: viewers need not know of a refused publisher
     checked(hello.clone(), &rooms.config)?;
     decoder(&hello)?;
-    if !room.take() {
+    if !room.claim_seat() {
         return Err(Refused { cause: Cause::Taken, .."someone publishes in this room".into() });
     }
     let Seat { lease, .. } = seat.insert(Seat { room, lease: None });
@@ -110,7 +110,7 @@ async fn session<'a>(
             Refused::for_now("the database of rooms cannot be reached")
         })?);
     } else {
-        rooms.tell(&entry.name, true).await;
+        rooms.announce(&entry.name, true).await;
     }
     match published(socket, room, hello, here, Until { lease: lease.as_ref(), ends }).await {
         Ok(Gone::Said) => room.end(gone(Cause::Left)),
@@ -157,20 +157,21 @@ enum Gone {
 struct Show {
     epoch: u64,
     hello: Hello,
-    worker: Worker,
+    threads: GeometryThreads,
 }
 
 impl Show {
     /// Begins an epoch of the room, at least `least`, with the pictures of `hello`. `done` receives the outcome of each frame.
-    fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<Decoded>) -> Result<Self, Refused> {
+    fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<DecodeOutcome>) -> Result<Self, Refused> {
         let (settings, hello) = checked(hello, config)?;
         let decoder = decoder(&hello)?;
         let clock = micros();
         let epoch = room.publish(hello.clone(), clock, least);
         let models = config.models.clone();
         let geometry = move || Geometry::new(models.clone(), settings.clone());
-        let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
-        Ok(Self { epoch, hello, worker })
+        let threads =
+            GeometryThreads::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
+        Ok(Self { epoch, hello, threads })
     }
 
     /// The new HELLO if a key frame changes the pictures' size.
@@ -260,10 +261,10 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                     in_order_and_upright(&video.data)?;
                 }
                 let (frame, data) = (video.frame, video.data.clone());
-                let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };
+                let what = if video.key { MessageKind::Key } else { MessageKind::Frame { layer: video.layer } };
                 room.push(show.epoch, what, write(Kind::Video(video)));
                 room.count(|s| s.forward_ms = came.elapsed().as_secs_f64() * 1e3);
-                if !show.worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
+                if !show.threads.take(EncodedFrame { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
                     return Err("the server cannot decode the frames fast enough".into());
                 }
             }
@@ -273,7 +274,7 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
             }
             Some(Kind::Sound(sound)) if sound.data.len() <= rooms.bounds.sound => {
                 sounds.take(sound.data.len(), came)?;
-                room.push(show.epoch, What::Sound, write(Kind::Sound(sound)));
+                room.push(show.epoch, MessageKind::Sound, write(Kind::Sound(sound)));
             }
             Some(_) => return Err("a message that publishers do not send".into()),
         }
@@ -344,7 +345,7 @@ fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
         settings.options.fov_x = Some(fov_x);
         settings.options.validate().map_err(|e| e.to_string())?;
     }
-    let told = Model::hello(&settings.empty(width, height));
+    let told = TileState::hello(&settings.empty(width, height));
     Ok((settings, Hello { codec, fov_x, sound, sound_rate, sound_channels, ..told }))
 }
 
@@ -404,14 +405,14 @@ impl Frames {
         Ok(())
     }
 
-    async fn decoded(&mut self, socket: &mut WebSocket, outcome: Decoded) -> Result<(), Refused> {
-        self.broken = if outcome == Decoded::Picture { 0 } else { self.broken + 1 };
-        self.seen |= outcome == Decoded::Picture;
+    async fn decoded(&mut self, socket: &mut WebSocket, outcome: DecodeOutcome) -> Result<(), Refused> {
+        self.broken = if outcome == DecodeOutcome::Picture { 0 } else { self.broken + 1 };
+        self.seen |= outcome == DecodeOutcome::Picture;
         match outcome {
-            Decoded::Panics => return Err(format!("geometry failed {PANICS} times in a row").into()),
+            DecodeOutcome::Panics => return Err(format!("geometry failed {PANICS} times in a row").into()),
             // damage can look like an unsupported stream, but not in the first frame
-            Decoded::Unsupported(why) if !self.seen || self.broken >= BROKEN => return Err(why.into()),
-            Decoded::Broken(why) if self.broken >= BROKEN || (!self.seen && self.broken >= BROKEN_FIRST) => {
+            DecodeOutcome::Unsupported(why) if !self.seen || self.broken >= BROKEN => return Err(why.into()),
+            DecodeOutcome::Broken(why) if self.broken >= BROKEN || (!self.seen && self.broken >= BROKEN_FIRST) => {
                 return Err(format!("{} frames in a row cannot be decoded: {why}", self.broken).into());
             }
             _ => {}

@@ -1,4 +1,4 @@
-//! Access checks of the rooms' handlers.
+//! Access checks of the rooms' handlers: this machine's own user and holders of a token may publish or watch.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -7,9 +7,9 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use super::access::{Role, check_origin, end_of, token_of};
+use super::room_token::{Role, token_expiry, token_in_headers};
 use super::{Rooms, is_name};
-use crate::server::{Pairs, Problem};
+use crate::server::{Pairs, Problem, check_origin};
 
 /// State of the handlers.
 #[derive(Clone)]
@@ -26,22 +26,22 @@ impl RoomsContext {
     /// Checks query, access and name. Pages of other sites may watch only with a token, because a browser sends requests for any page; they
     /// never publish.
     pub(super) async fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<RoomAccess, Problem> {
-        let asked = Pairs::read(uri, &["token"])?;
+        let query = Pairs::read(uri, &["token"])?;
         let same_site = check_origin(headers);
         if role == Role::Publish {
             same_site.clone()?;
         }
-        let token = asked.get("token").or_else(|| token_of(headers));
-        let leave = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
+        let token = query.get("token").or_else(|| token_in_headers(headers));
+        let access = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
             (_, Some(token), Some(nodes)) if role == Role::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
-            (Some(key), Some(token), _) => end_of(key, role, room, token, seconds()).map(|ends| RoomAccess::Until(deadline(ends))),
+            (Some(key), Some(token), _) => token_expiry(key, role, room, token, seconds()).map(|ends| RoomAccess::Until(deadline(ends))),
             _ => (same_site.is_ok() && (self.own)(headers)).then_some(RoomAccess::Until(None)),
         };
-        let leave = leave.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "this room requires a token").field("token"))?;
+        let access = access.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "this room requires a token").field("token"))?;
         if !is_name(room) {
             return Err(Problem::not_found("a room's name has letters, digits, - and _"));
         }
-        Ok(leave)
+        Ok(access)
     }
 }
 
@@ -65,7 +65,7 @@ fn deadline(ends: u64) -> Option<Instant> {
 }
 
 /// Reason for closing a socket whose token has ended.
-pub(super) const ENDED: &str = "the invitation has ended";
+pub(super) const ENDED: &str = "the token has expired";
 
 /// Completes at `at`; never without one.
 pub(super) async fn ended(at: Option<Instant>) {

@@ -21,7 +21,7 @@ const KEEPS: [f64; 3] = [f64::INFINITY, 0.5, 0.25];
 
 /// The kind of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum What {
+pub enum MessageKind {
     /// A key frame.
     Key,
     /// A frame of a temporal layer; frames of layers above 0 can be dropped.
@@ -41,7 +41,7 @@ pub enum What {
 #[derive(Clone, Debug)]
 struct Entry {
     bytes: Bytes,
-    what: What,
+    what: MessageKind,
     at: Instant,
     /// Bytes of all messages up to this one.
     passed: u64,
@@ -62,7 +62,7 @@ pub struct Ring {
 
 /// Whether the viewer's page is visible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Sight {
+enum Visibility {
     /// Visible, as far as is known.
     Seen,
     /// Hidden: the viewer gets only sound.
@@ -75,7 +75,7 @@ enum Sight {
 
 /// A viewer's place.
 #[derive(Clone, Debug)]
-pub struct Place {
+pub struct Cursor {
     /// Number of the next message.
     next: u64,
     /// The viewer waits for a key frame.
@@ -84,7 +84,7 @@ pub struct Place {
     stale: bool,
     /// The frame up to which the viewer has all tiles; `None` if it has none.
     known: Option<u64>,
-    sight: Sight,
+    visibility: Visibility,
     /// The lowest layer with a frame dropped since the last frame of a lower layer: later frames may refer to the dropped one.
     lacks: Option<u32>,
     /// Number of the first message whose sound the viewer has not got: a viewer that becomes visible may go back to a key frame.
@@ -95,7 +95,7 @@ pub struct Place {
     pub skipped: u64,
 }
 
-impl Place {
+impl Cursor {
     /// The frame up to which the viewer has all tiles; `None` if it has none.
     #[must_use]
     pub const fn known(&self) -> Option<u64> {
@@ -105,22 +105,22 @@ impl Place {
     /// Whether the viewer gets only sound.
     #[must_use]
     pub const fn is_paused(&self) -> bool {
-        matches!(self.sight, Sight::Hidden)
+        matches!(self.visibility, Visibility::Hidden)
     }
 
     /// Pauses everything but sound, or resumes, which sends the tiles that the viewer lacks and goes on with a key frame.
     pub const fn pause(&mut self, paused: bool) {
-        self.sight = match (paused, self.sight) {
-            (true, _) => Sight::Hidden,
-            (false, Sight::Hidden) => Sight::Back,
-            (false, sight) => sight,
+        self.visibility = match (paused, self.visibility) {
+            (true, _) => Visibility::Hidden,
+            (false, Visibility::Hidden) => Visibility::Back,
+            (false, visibility) => visibility,
         };
     }
 
     /// Skips to a key frame that the viewer has not got yet. Does nothing if it waits for a key frame already, or is hidden.
-    pub const fn lose(&mut self) {
-        if matches!(self.sight, Sight::Seen) && !self.waits {
-            self.sight = Sight::Lost;
+    pub const fn skip_to_key(&mut self) {
+        if matches!(self.visibility, Visibility::Seen) && !self.waits {
+            self.visibility = Visibility::Lost;
         }
     }
 
@@ -132,12 +132,12 @@ impl Place {
 
     /// The place of the same viewer at the start of another publisher's messages.
     #[must_use]
-    pub fn anew(&self, ring: &Ring, now: Instant) -> Self {
-        Self { skipped: self.skipped, sight: self.sight, ..ring.begin(now) }
+    pub fn restarted(&self, ring: &Ring, now: Instant) -> Self {
+        Self { skipped: self.skipped, visibility: self.visibility, ..ring.begin(now) }
     }
 
     /// Records that the viewer has all tiles up to `frame`.
-    pub fn told(&mut self, frame: u64) {
+    pub fn set_known(&mut self, frame: u64) {
         self.known = self.known.max(Some(frame));
     }
 }
@@ -158,10 +158,10 @@ pub enum Step {
 
 impl Ring {
     /// Adds a message. Messages before the last key frame stay, within the bounds, for viewers that lag.
-    pub fn push(&mut self, what: What, bytes: Bytes, at: Instant) {
+    pub fn push(&mut self, what: MessageKind, bytes: Bytes, at: Instant) {
         self.passed += bytes.len() as u64;
         self.kept += bytes.len();
-        if what == What::Key {
+        if what == MessageKind::Key {
             self.key = Some(self.end());
         }
         self.entries.push_back(Entry { bytes, what, at, passed: self.passed });
@@ -202,84 +202,94 @@ impl Ring {
 
     /// The place of a viewer that joins now.
     #[must_use]
-    pub fn begin(&self, now: Instant) -> Place {
+    pub fn begin(&self, now: Instant) -> Cursor {
         let key = self.last_key();
-        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), ..self.at_end(now) }
+        Cursor { next: key.unwrap_or(self.end()), waits: key.is_none(), ..self.at_end(now) }
     }
 
     /// The place after the last message.
-    fn at_end(&self, now: Instant) -> Place {
+    fn at_end(&self, now: Instant) -> Cursor {
         let next = self.end();
-        Place { next, waits: false, stale: false, known: None, sight: Sight::Seen, lacks: None, heard: 0, since: now, skipped: 0 }
+        Cursor {
+            next,
+            waits: false,
+            stale: false,
+            known: None,
+            visibility: Visibility::Seen,
+            lacks: None,
+            heard: 0,
+            since: now,
+            skipped: 0,
+        }
     }
 
     /// Advances a viewer.
-    pub fn step(&self, place: &mut Place, now: Instant) -> Step {
-        match place.sight {
-            Sight::Seen => {}
-            Sight::Hidden => return self.sound(place, now),
-            Sight::Back => {
-                (place.sight, place.heard) = (Sight::Seen, place.next);
-                return self.go_on(place, now, 0);
+    pub fn step(&self, cursor: &mut Cursor, now: Instant) -> Step {
+        match cursor.visibility {
+            Visibility::Seen => {}
+            Visibility::Hidden => return self.sound(cursor, now),
+            Visibility::Back => {
+                (cursor.visibility, cursor.heard) = (Visibility::Seen, cursor.next);
+                return self.go_on(cursor, now, 0);
             }
-            Sight::Lost => {
-                place.sight = Sight::Seen;
-                return self.skip(place, now, place.next);
+            Visibility::Lost => {
+                cursor.visibility = Visibility::Seen;
+                return self.skip(cursor, now, cursor.next);
             }
         }
         loop {
-            if place.next < self.first || self.is_behind(place, now) {
-                return self.skip(place, now, place.next + 1);
+            if cursor.next < self.first || self.is_behind(cursor, now) {
+                return self.skip(cursor, now, cursor.next + 1);
             }
-            let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return Step::Wait };
-            if entry.what == What::Key && place.stale {
+            let Some(entry) = self.entries.get((cursor.next - self.first) as usize) else { return Step::Wait };
+            if entry.what == MessageKind::Key && cursor.stale {
                 // send the dropped tiles before the key frame
-                place.stale = false;
+                cursor.stale = false;
                 return Step::Skipped { wants_key: false };
             }
-            let number = place.next;
-            place.next += 1;
+            let number = cursor.next;
+            cursor.next += 1;
             let share = (self.passed - entry.passed) as f64 / BEHIND_BYTES as f64;
             let wanted = match entry.what {
-                What::Key => {
-                    (place.waits, place.lacks) = (false, None);
+                MessageKind::Key => {
+                    (cursor.waits, cursor.lacks) = (false, None);
                     true
                 }
                 // drop higher layers first, before skipping
-                What::Frame { layer } => {
-                    place.lacks = place.lacks.filter(|lacks| layer >= *lacks);
-                    let given = !place.waits && place.lacks.is_none() && share <= KEEPS[layer.min(2) as usize];
+                MessageKind::Frame { layer } => {
+                    cursor.lacks = cursor.lacks.filter(|lacks| layer >= *lacks);
+                    let given = !cursor.waits && cursor.lacks.is_none() && share <= KEEPS[layer.min(2) as usize];
                     if !given {
-                        place.lacks = place.lacks.or(Some(layer));
+                        cursor.lacks = cursor.lacks.or(Some(layer));
                     }
                     given
                 }
-                What::Geometry { .. } => !place.waits,
-                What::Sound => number >= place.heard,
+                MessageKind::Geometry { .. } => !cursor.waits,
+                MessageKind::Sound => number >= cursor.heard,
             };
             if wanted {
-                if let What::Geometry { frame } = entry.what {
-                    place.told(frame);
+                if let MessageKind::Geometry { frame } = entry.what {
+                    cursor.set_known(frame);
                 }
                 return Step::Send(entry.bytes.clone());
             }
-            place.skipped += u64::from(matches!(entry.what, What::Frame { .. }));
-            place.stale |= matches!(entry.what, What::Geometry { .. });
+            cursor.skipped += u64::from(matches!(entry.what, MessageKind::Frame { .. }));
+            cursor.stale |= matches!(entry.what, MessageKind::Geometry { .. });
         }
     }
 
-    fn is_behind(&self, place: &Place, now: Instant) -> bool {
-        let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return false };
+    fn is_behind(&self, cursor: &Cursor, now: Instant) -> bool {
+        let Some(entry) = self.entries.get((cursor.next - self.first) as usize) else { return false };
         let bytes = self.passed - entry.passed;
-        bytes > BEHIND_BYTES || now.saturating_duration_since(entry.at.max(place.since)) > BEHIND
+        bytes > BEHIND_BYTES || now.saturating_duration_since(entry.at.max(cursor.since)) > BEHIND
     }
 
     /// Advances to the next sound.
-    fn sound(&self, place: &mut Place, now: Instant) -> Step {
-        place.next = place.next.max(self.first);
-        while let Some(entry) = self.entries.get((place.next - self.first) as usize) {
-            place.next += 1;
-            if entry.what == What::Sound && now.saturating_duration_since(entry.at) <= BEHIND {
+    fn sound(&self, cursor: &mut Cursor, now: Instant) -> Step {
+        cursor.next = cursor.next.max(self.first);
+        while let Some(entry) = self.entries.get((cursor.next - self.first) as usize) {
+            cursor.next += 1;
+            if entry.what == MessageKind::Sound && now.saturating_duration_since(entry.at) <= BEHIND {
                 return Step::Send(entry.bytes.clone());
             }
         }
@@ -287,25 +297,25 @@ impl Ring {
     }
 
     /// [`Self::go_on`] that counts the skipped frames.
-    fn skip(&self, place: &mut Place, now: Instant, least: u64) -> Step {
-        let from = place.next;
-        let step = self.go_on(place, now, least);
-        let passed = from.max(self.first)..place.next;
+    fn skip(&self, cursor: &mut Cursor, now: Instant, least: u64) -> Step {
+        let from = cursor.next;
+        let step = self.go_on(cursor, now, least);
+        let passed = from.max(self.first)..cursor.next;
         let frames = passed.filter(|i| {
             let entry = self.entries.get((i - self.first) as usize);
-            entry.is_some_and(|e| matches!(e.what, What::Key | What::Frame { .. }))
+            entry.is_some_and(|e| matches!(e.what, MessageKind::Key | MessageKind::Frame { .. }))
         });
-        place.skipped += frames.count() as u64 + self.first.saturating_sub(from);
+        cursor.skipped += frames.count() as u64 + self.first.saturating_sub(from);
         step
     }
 
     /// Continues with the last key frame if its number is at least `least`, else with the next one.
-    fn go_on(&self, place: &mut Place, now: Instant, least: u64) -> Step {
+    fn go_on(&self, cursor: &mut Cursor, now: Instant, least: u64) -> Step {
         let near = |key: &u64| {
             *key >= least && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
         };
         let key = self.last_key().filter(near);
-        (place.next, place.waits, place.stale, place.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
+        (cursor.next, cursor.waits, cursor.stale, cursor.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
         Step::Skipped { wants_key: key.is_none() }
     }
 }

@@ -12,10 +12,10 @@ use tmpi_core::live::schema::{self, Bye, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 
 use super::chunk_store::Chunks;
-use super::gops::{Group, Groups, Part};
-use super::ring::{Place, Ring, Step, What};
+use super::gops::{Group, GroupPart, Groups};
+use super::ring::{Cursor, MessageKind, Ring, Step};
 pub use super::snapshot::{FrameWithTiles, NewestFrame, Tiles};
-use super::{Bounds, KEYS};
+use super::{KEYS, RoomLimits};
 use crate::server::Problem;
 
 mod relayed;
@@ -28,7 +28,7 @@ pub struct Room {
     /// Notified when a viewer needs a key frame.
     pub keys: Notify,
     /// Its limits.
-    pub bounds: Bounds,
+    pub bounds: RoomLimits,
 }
 
 #[derive(Default)]
@@ -38,7 +38,7 @@ struct State {
     hello: Option<Arc<Hello>>,
     epoch: u64,
     /// The epoch in which the publisher joined; changes of the pictures' size begin further ones.
-    came: u64,
+    publisher_epoch: u64,
     /// A publisher has the seat.
     taken: bool,
     publishing: bool,
@@ -47,23 +47,23 @@ struct State {
     farewell: Option<Bye>,
     viewers: usize,
     /// Viewers at the edges that watch here, as the edges report them.
-    at_edges: u32,
+    edge_viewers: u32,
     /// Set while this node is an edge of the room; cancelled when it stops being one.
     edge: Option<CancellationToken>,
     /// At an edge: viewers at all other nodes, the tiles, and the last frame.
-    elsewhere: u32,
+    remote_viewers: u32,
     chunks: Option<Chunks>,
     relayed: Option<u64>,
     /// At the origin: the tiles as they were sent.
     made: Option<Chunks>,
     groups: Groups,
-    still: Option<Arc<FrameWithTiles>>,
+    newest_frame: Option<Arc<FrameWithTiles>>,
     asked: Option<Instant>,
     statistics: Statistics,
 }
 
 /// What to do next for a viewer.
-pub enum Next {
+pub enum NextStep {
     /// Send this.
     Send(Bytes),
     /// Send this, then all tiles: a new epoch began.
@@ -78,23 +78,23 @@ pub enum Next {
 
 /// A viewer's place in a room.
 pub struct Viewer {
-    place: Place,
+    cursor: Cursor,
     epoch: u64,
-    kind: Watches,
+    kind: ViewerKind,
 }
 
 /// For whom a viewer watches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Watches {
+pub enum ViewerKind {
     /// For itself.
-    Itself,
+    Local,
     /// For this many viewers of an edge.
     Edge(u32),
 }
 
 impl Room {
     /// An empty room.
-    pub fn new(bounds: Bounds) -> Self {
+    pub fn new(bounds: RoomLimits) -> Self {
         Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new(), bounds }
     }
 
@@ -133,8 +133,8 @@ impl Room {
     }
 
     /// Whether the last publisher joined in this epoch.
-    pub fn came_with(&self, epoch: u64) -> bool {
-        self.lock().came == epoch
+    pub fn is_publisher_epoch(&self, epoch: u64) -> bool {
+        self.lock().publisher_epoch == epoch
     }
 
     /// Closes the room, which disconnects its viewers.
@@ -144,7 +144,7 @@ impl Room {
     }
 
     /// Takes the publisher's seat; false if it is taken or the room is closed.
-    pub fn take(&self) -> bool {
+    pub fn claim_seat(&self) -> bool {
         let mut state = self.lock();
         !state.closed && !std::mem::replace(&mut state.taken, true)
     }
@@ -158,7 +158,7 @@ impl Room {
         }
         state.epoch = least.max(state.epoch + 1);
         if !std::mem::replace(&mut state.publishing, true) {
-            state.came = state.epoch;
+            state.publisher_epoch = state.epoch;
         }
         (hello.epoch, hello.clock) = (state.epoch, clock);
         state.begin(hello, None);
@@ -189,24 +189,24 @@ impl Room {
     }
 
     /// Passes on a message of the publisher; drops it if `epoch` is not the current one.
-    pub fn push(&self, epoch: u64, what: What, bytes: Bytes) {
+    pub fn push(&self, epoch: u64, what: MessageKind, bytes: Bytes) {
         let mut guard = self.lock();
         let state = &mut *guard;
         if state.epoch != epoch {
             return;
         }
         match what {
-            What::Key | What::Frame { .. } => {
+            MessageKind::Key | MessageKind::Frame { .. } => {
                 state.statistics.frames += 1;
                 state.statistics.video_bytes += bytes.len() as u64;
             }
-            What::Geometry { .. } => state.statistics.geometry_bytes += bytes.len() as u64,
-            What::Sound => {}
+            MessageKind::Geometry { .. } => state.statistics.geometry_bytes += bytes.len() as u64,
+            MessageKind::Sound => {}
         }
         let now = Instant::now();
         // only the origin has groups
         if let Some(hello) = state.hello.as_ref().filter(|_| state.chunks.is_none()) {
-            state.groups.push(what, &bytes, now, hello, state.still.as_ref().map(|s| &s.tiles));
+            state.groups.push(what, &bytes, now, hello, state.newest_frame.as_ref().map(|s| &s.tiles));
         }
         state.ring.push(what, bytes, now);
         drop(guard);
@@ -223,18 +223,18 @@ impl Room {
             made.take(&tiles);
         }
         drop(state);
-        self.push(epoch, What::Geometry { frame: tiles.frame }, write(Kind::Geometry(tiles)));
+        self.push(epoch, MessageKind::Geometry { frame: tiles.frame }, write(Kind::Geometry(tiles)));
     }
 
     /// Stores the tiles of a frame if `epoch` is the current one; `count` updates the statistics.
-    pub fn keep(&self, epoch: u64, still: FrameWithTiles, count: impl FnOnce(&mut Statistics)) {
+    pub fn set_newest_frame(&self, epoch: u64, frame: FrameWithTiles, count: impl FnOnce(&mut Statistics)) {
         let mut state = self.lock();
         if state.epoch != epoch {
             return;
         }
-        state.statistics.frame = still.tiles.frame;
+        state.statistics.frame = frame.tiles.frame;
         count(&mut state.statistics);
-        state.still = Some(Arc::new(still));
+        state.newest_frame = Some(Arc::new(frame));
     }
 
     /// Updates the statistics.
@@ -247,47 +247,47 @@ impl Room {
     /// # Errors
     /// 500 if it cannot be written.
     pub async fn newest(&self) -> Result<Option<NewestFrame>, Problem> {
-        let Some((epoch, still)) = self.still() else { return Ok(None) };
-        Ok(Some(NewestFrame { epoch, number: still.tiles.frame, container: still.container().await? }))
+        let Some((epoch, frame)) = self.newest_frame() else { return Ok(None) };
+        Ok(Some(NewestFrame { epoch, number: frame.tiles.frame, container: frame.container().await? }))
     }
 
     /// The newest frame with its geometry, and its epoch.
-    pub fn still(&self) -> Option<(u64, Arc<FrameWithTiles>)> {
+    pub fn newest_frame(&self) -> Option<(u64, Arc<FrameWithTiles>)> {
         let state = self.lock();
-        state.still.as_ref().map(|still| (state.epoch, Arc::clone(still)))
+        state.newest_frame.as_ref().map(|frame| (state.epoch, Arc::clone(frame)))
     }
 
     /// SNAPSHOT of all current tiles, with its frame; `None` if the room has no tiles yet, or another epoch.
     fn everything(&self, epoch: u64) -> Option<(u64, Result<Bytes, LiveError>)> {
-        let still = {
+        let frame = {
             let mut guard = self.lock();
             let state = &mut *guard;
             if state.epoch != epoch {
                 // the viewer gets all tiles after the next HELLO
                 return None;
             }
-            let (still, made) = (state.still.clone(), state.made.as_mut());
-            // tiles that were sent before their frame was complete are not in `still`
-            let newer = made.filter(|made| made.newest() > still.as_ref().map(|s| s.tiles.frame));
+            let (frame, made) = (state.newest_frame.clone(), state.made.as_mut());
+            // tiles that were sent before their frame was complete are not in `frame`
+            let newer = made.filter(|made| made.newest() > frame.as_ref().map(|s| s.tiles.frame));
             let told = |chunks: &mut Chunks| chunks.newest().zip(chunks.snapshot().map(Ok));
             match &mut state.chunks {
                 Some(chunks) => return told(chunks),
                 None => match newer.and_then(told) {
                     Some(told) => return Some(told),
-                    None => still,
+                    None => frame,
                 },
             }
         };
-        still.map(|still| (still.tiles.frame, still.tiles.snapshot()))
+        frame.map(|frame| (frame.tiles.frame, frame.tiles.snapshot()))
     }
 
     /// A message with the tiles that a viewer lacks, which counts as sent: SNAPSHOT if it has none, else GEOMETRY with the newer ones.
     /// `None` if it lacks none or is hidden.
     pub fn tiles(&self, viewer: &mut Viewer) -> Option<Result<Bytes, LiveError>> {
-        if viewer.place.is_paused() {
+        if viewer.cursor.is_paused() {
             return None;
         }
-        if let Some(known) = viewer.place.known() {
+        if let Some(known) = viewer.cursor.known() {
             let state = self.lock();
             if state.epoch != viewer.epoch {
                 return None;
@@ -295,39 +295,39 @@ impl Room {
             let kept = state.chunks.as_ref().or(state.made.as_ref());
             if let Some((frame, chunks)) = kept.and_then(|kept| kept.newest().zip(kept.newer(known))) {
                 drop(state);
-                viewer.place.told(frame);
+                viewer.cursor.set_known(frame);
                 let tiles = || Ok(write(Kind::Geometry(schema::Geometry { frame, chunks })));
                 return (frame > known).then(tiles);
             }
         }
         let (frame, bytes) = self.everything(viewer.epoch)?;
-        viewer.place.told(frame);
+        viewer.cursor.set_known(frame);
         Some(bytes)
     }
 
     /// The statistics for a viewer.
     pub fn statistics(&self, viewer: &Viewer) -> Statistics {
         let state = self.lock();
-        Statistics { viewers: state.everyone(), skipped: viewer.place.skipped, ..state.statistics }
+        Statistics { viewers: state.all_viewers(), skipped: viewer.cursor.skipped, ..state.statistics }
     }
 
     /// Message `at` of a group of pictures, which starts with HELLO and the tiles.
-    pub fn group(&self, group: Group, at: usize) -> Part {
+    pub fn group(&self, group: Group, at: usize) -> GroupPart {
         let part = {
             let state = self.lock();
             if state.closed || group.epoch != state.epoch {
-                return Part::Gone;
+                return GroupPart::Gone;
             }
             match state.groups.part(group.number, at) {
-                Ok(Part::NotYet) if !state.publishing => return Part::Gone,
+                Ok(GroupPart::NotYet) if !state.publishing => return GroupPart::Gone,
                 part => part,
             }
         };
         part.unwrap_or_else(|tiles| match tiles.snapshot() {
-            Ok(bytes) => Part::Message(bytes),
+            Ok(bytes) => GroupPart::Message(bytes),
             Err(error) => {
                 tracing::error!(%error, "coding the tiles of a room");
-                Part::Gone
+                GroupPart::Gone
             }
         })
     }
@@ -339,30 +339,30 @@ impl Room {
     }
 
     /// Admits a viewer; `None` if the room is full or closed. Edges do not count towards the limit; only the origin admits them.
-    pub fn join(&self, kind: Watches) -> Option<Viewer> {
+    pub fn join(&self, kind: ViewerKind) -> Option<Viewer> {
         let mut state = self.lock();
         let refused = match kind {
-            Watches::Itself => state.viewers >= self.bounds.viewers,
-            Watches::Edge(_) => state.edge.is_some(),
+            ViewerKind::Local => state.viewers >= self.bounds.viewers,
+            ViewerKind::Edge(_) => state.edge.is_some(),
         };
         if refused || state.closed {
             return None;
         }
         match kind {
-            Watches::Itself => state.viewers += 1,
-            Watches::Edge(viewers) => state.at_edges += viewers,
+            ViewerKind::Local => state.viewers += 1,
+            ViewerKind::Edge(viewers) => state.edge_viewers += viewers,
         }
         // an invalid epoch, so that the viewer first gets HELLO and all tiles
-        Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0, kind })
+        Some(Viewer { cursor: state.ring.begin(Instant::now()), epoch: 0, kind })
     }
 
     /// Number of viewers at all nodes.
-    pub fn everyone(&self) -> u32 {
-        self.lock().everyone()
+    pub fn all_viewers(&self) -> u32 {
+        self.lock().all_viewers()
     }
 
     /// Number of viewers at this node.
-    pub fn viewers(&self) -> u32 {
+    pub fn local_viewers(&self) -> u32 {
         self.lock().viewers as u32
     }
 
@@ -372,42 +372,42 @@ impl Room {
     }
 
     /// Removes a viewer.
-    pub fn part(&self, viewer: &Viewer) {
+    pub fn leave(&self, viewer: &Viewer) {
         let mut state = self.lock();
         match viewer.kind {
-            Watches::Itself => state.viewers = state.viewers.saturating_sub(1),
-            Watches::Edge(viewers) => state.at_edges = state.at_edges.saturating_sub(viewers),
+            ViewerKind::Local => state.viewers = state.viewers.saturating_sub(1),
+            ViewerKind::Edge(viewers) => state.edge_viewers = state.edge_viewers.saturating_sub(viewers),
         }
     }
 
     /// Advances a viewer.
-    pub fn next(&self, viewer: &mut Viewer) -> Next {
+    pub fn next(&self, viewer: &mut Viewer) -> NextStep {
         let mut state = self.lock();
         let now = Instant::now();
-        let is_edge_of_edge = matches!(viewer.kind, Watches::Edge(_)) && state.edge.is_some();
+        let is_edge_of_edge = matches!(viewer.kind, ViewerKind::Edge(_)) && state.edge.is_some();
         if state.closed || state.farewell.is_some() || is_edge_of_edge {
-            return Next::Closed;
+            return NextStep::Closed;
         }
-        let Some(hello) = state.hello.clone() else { return Next::Wait };
+        let Some(hello) = state.hello.clone() else { return NextStep::Wait };
         if viewer.epoch != state.epoch {
             viewer.epoch = state.epoch;
-            viewer.place = viewer.place.anew(&state.ring, now);
-            return Next::Hello(hello);
+            viewer.cursor = viewer.cursor.restarted(&state.ring, now);
+            return NextStep::Hello(hello);
         }
-        match state.ring.step(&mut viewer.place, now) {
-            Step::Send(bytes) => Next::Send(bytes),
+        match state.ring.step(&mut viewer.cursor, now) {
+            Step::Send(bytes) => NextStep::Send(bytes),
             Step::Wait => {
                 // ask repeatedly: an earlier request may have been for another viewer, or was lost
-                if viewer.place.wants_key() && state.ring.has_frames() {
+                if viewer.cursor.wants_key() && state.ring.has_frames() {
                     self.want_key(&mut state, now);
                 }
-                Next::Wait
+                NextStep::Wait
             }
             Step::Skipped { wants_key } => {
                 if wants_key {
                     self.want_key(&mut state, now);
                 }
-                Next::Tiles
+                NextStep::Tiles
             }
         }
     }
@@ -426,28 +426,28 @@ impl State {
         self.made = if chunks.is_none() { Chunks::new(&hello) } else { None };
         self.hello = Some(Arc::new(hello));
         self.ring.clear();
-        (self.groups, self.still, self.statistics) = (Groups::default(), None, Statistics::default());
-        (self.chunks, self.elsewhere, self.relayed) = (chunks, 0, None);
+        (self.groups, self.newest_frame, self.statistics) = (Groups::default(), None, Statistics::default());
+        (self.chunks, self.remote_viewers, self.relayed) = (chunks, 0, None);
     }
 
-    fn everyone(&self) -> u32 {
-        (self.viewers as u32).saturating_add(self.elsewhere).saturating_add(self.at_edges)
+    fn all_viewers(&self) -> u32 {
+        (self.viewers as u32).saturating_add(self.remote_viewers).saturating_add(self.edge_viewers)
     }
 }
 
 impl Viewer {
     /// Pauses everything but sound, or resumes.
     pub const fn pause(&mut self, paused: bool) {
-        self.place.pause(paused);
+        self.cursor.pause(paused);
     }
 
     /// Skips to a key frame that it has not got yet: it cannot decode.
-    pub const fn lose(&mut self) {
-        self.place.lose();
+    pub const fn skip_to_key(&mut self) {
+        self.cursor.skip_to_key();
     }
 
     /// For whom it watches.
-    pub const fn watches(&self) -> Watches {
+    pub const fn watches(&self) -> ViewerKind {
         self.kind
     }
 }

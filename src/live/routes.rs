@@ -9,10 +9,10 @@ use axum::response::Response;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::access::{PROTOCOL, Role};
 use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
-use super::room::Watches;
-use super::{plain_http, publisher, room_status, viewer};
+use super::room::ViewerKind;
+use super::room_token::{PROTOCOL, Role};
+use super::{plain_http, publisher, room_state, viewer, watch_token};
 use crate::server::{ConnectionGuard, Problem};
 
 /// Write buffer of a viewer: the largest message and nothing else.
@@ -23,7 +23,7 @@ const FULL_AGAIN: u64 = 10;
 /// Routes for viewers. Pages of other sites may use them with a token.
 pub fn watching_api() -> OpenApiRouter<RoomsContext> {
     OpenApiRouter::new()
-        .routes(routes!(room_status::state))
+        .routes(routes!(room_state::state))
         .routes(routes!(subscribe))
         .routes(routes!(plain_http::newest))
         .routes(routes!(plain_http::latest_group))
@@ -32,7 +32,7 @@ pub fn watching_api() -> OpenApiRouter<RoomsContext> {
 
 /// Routes for publishers.
 pub fn publishing_api() -> OpenApiRouter<RoomsContext> {
-    OpenApiRouter::new().routes(routes!(room_status::link)).routes(routes!(publish))
+    OpenApiRouter::new().routes(routes!(watch_token::watch_token)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
@@ -74,7 +74,7 @@ async fn publish(
     // room for the other fields; a frame of up to twice the limit is read and refused with its size
     let bounds = here.rooms.bounds;
     let upgrade = bounded(upgrade, 2 * bounds.frame.max(bounds.sound) + 1024)?;
-    let entry = here.rooms.enter(&name).ok_or_else(busy)?;
+    let entry = here.rooms.open(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         held.limit_send_buffer();
         publisher::serve(socket, entry, &here, ends).await;
@@ -109,14 +109,14 @@ async fn subscribe(
     headers: HeaderMap,
     upgrade: Upgrade,
 ) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let upgrade = bounded(upgrade, 1024)?;
-    let (room, ends, kind) = match leave {
-        RoomAccess::Until(ends) => (here.rooms.visit(&name).await?, ends, Watches::Itself),
+    let (room, ends, kind) = match access {
+        RoomAccess::Until(ends) => (here.rooms.watch_room(&name).await?, ends, ViewerKind::Local),
         // only the origin serves edges
-        RoomAccess::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, Watches::Edge(0)),
+        RoomAccess::Node => (here.rooms.get(&name).filter(|room| !room.is_edge()).ok_or_else(none_publishes)?, None, ViewerKind::Edge(0)),
     };
-    if kind == Watches::Itself && room.is_full() {
+    if kind == ViewerKind::Local && room.is_full() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", viewer::FULL).retry_after(FULL_AGAIN));
     }
     Ok(upgrade.on_upgrade(async move |socket| {

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use bytes::Bytes;
 use tokio::sync::OnceCell;
 
-use tmpi_core::container::{self, Carried, Carries, ContainerError};
+use tmpi_core::container::{self, ContainerError, EncodedPhoto, OptionalSections};
 use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{LiveError, schema, write};
@@ -60,10 +60,10 @@ impl FrameWithTiles {
 }
 
 fn contained(photo: Photo, geometry: &Geometry) -> Result<Vec<u8>, ContainerError> {
-    let carried = Carried::from_photo(&photo, QUALITY)?;
+    let photo_file = EncodedPhoto::from_photo(&photo, QUALITY)?;
     let (grid, intrinsics, view_box) = (geometry.grid, geometry.intrinsics, geometry.view_box);
     let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
-    container::encode(geometry, &scene, &carried, Carries::default()).map(|(bytes, _)| bytes)
+    container::encode(geometry, &scene, &photo_file, OptionalSections::default()).map(|(bytes, _)| bytes)
 }
 
 /// The newest frame of a room with its geometry.

@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sound_at_the_limit_is_taken_and_one_packet_or_byte_more_is_not() {
+    fn sound_at_the_limit_is_accepted_and_one_packet_or_byte_more_is_not() {
         let start = Instant::now();
         let after = |seconds: u64| start + Duration::from_secs(seconds);
         let mut packets = Allowance::new(start);

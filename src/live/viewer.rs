@@ -18,11 +18,11 @@ use tmpi_core::live::schema::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
 use super::request_access::{ENDED, ended};
-use super::room::{Next, Room, Viewer, Watches};
-use super::{HEARTBEAT, send_away};
+use super::room::{NextStep, Room, Viewer, ViewerKind};
+use super::{HEARTBEAT, disconnect};
 
 /// Reason for refusing a viewer of a full room.
-pub const FULL: &str = "as many watch the room as may";
+pub const FULL: &str = "the room is full";
 const GONE: &str = "the publisher has gone";
 
 /// The farewell to viewers after the publisher has gone.
@@ -50,23 +50,23 @@ struct Counted<'a> {
 
 impl Drop for Counted<'_> {
     fn drop(&mut self) {
-        self.room.part(&self.viewer);
+        self.room.leave(&self.viewer);
     }
 }
 
 /// Serves a viewer until it leaves, the room closes, or its token ends at `ends`.
-pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, Watches), stop: CancellationToken, ends: Option<Instant>) {
+pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, ViewerKind), stop: CancellationToken, ends: Option<Instant>) {
     let Some(viewer) = room.join(kind) else {
         let full = Bye { reason: FULL.into(), again: true, cause: Cause::Full.into() };
         let closed = || room.farewell().unwrap_or_else(|| gone(Cause::Lost));
-        return send_away(socket, if room.is_full() { full } else { closed() }).await;
+        return disconnect(socket, if room.is_full() { full } else { closed() }).await;
     };
     let end = {
         let mut counted = Counted { room: &room, viewer };
         watch(&mut socket, &room, &mut counted.viewer, &stop, ends).await
     };
     if let End::Bye(bye) = end {
-        send_away(socket, bye).await;
+        disconnect(socket, bye).await;
     }
 }
 
@@ -88,23 +88,23 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
         }
         changes.mark_unchanged();
         match room.next(viewer) {
-            Next::Send(bytes) => {
+            NextStep::Send(bytes) => {
                 if send(socket, bytes).await.is_err() {
                     return End::Gone;
                 }
             }
-            Next::Hello(hello) => {
+            NextStep::Hello(hello) => {
                 if send(socket, write(Kind::Hello((*hello).clone()))).await.is_err() || tiles(socket, room, viewer).await.is_err() {
                     return End::Gone;
                 }
             }
-            Next::Tiles => {
+            NextStep::Tiles => {
                 if tiles(socket, room, viewer).await.is_err() {
                     return End::Gone;
                 }
             }
-            Next::Closed => return End::Bye(room.farewell().unwrap_or_else(|| gone(Cause::Lost))),
-            Next::Wait => tokio::select! {
+            NextStep::Closed => return End::Bye(room.farewell().unwrap_or_else(|| gone(Cause::Lost))),
+            NextStep::Wait => tokio::select! {
                 changed = changes.changed() => {
                     if changed.is_err() {
                         return End::Gone;
@@ -135,13 +135,13 @@ fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Words, room: &R
         // the library answers pings
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
         Some(Ok(Message::Binary(bytes))) => match words.take(bytes, Instant::now()) {
-            Ok(Credit { viewers, key, .. }) if matches!(viewer.watches(), Watches::Edge(_)) => {
-                room.hear_edge(viewer, viewers, key);
+            Ok(Credit { viewers, key, .. }) if matches!(viewer.watches(), ViewerKind::Edge(_)) => {
+                room.update_edge(viewer, viewers, key);
                 None
             }
             Ok(Credit { frames, key, .. }) => {
                 if key && frames > 0 {
-                    viewer.lose();
+                    viewer.skip_to_key();
                 }
                 viewer.pause(frames == 0);
                 None
@@ -198,7 +198,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn credit_says_whether_somebody_looks_and_comes_no_more_often_than_tabs_are_changed() {
+    fn credit_messages_are_rate_limited_and_others_refused() {
         let start = Instant::now();
         let mut words = Words { left: f64::from(WORDS), at: start };
         let said = |frames| Credit { frames, key: frames > 0, viewers: 0 };

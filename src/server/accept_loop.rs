@@ -25,7 +25,7 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::client_slots::{ClientLimits, ClientPermit};
 use super::limits::Limits;
-use super::metrics::{Present, Telemetry};
+use super::metrics::{GaugeGuard, Telemetry};
 use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
 use super::proxies::{self, Proxies};
 use super::stream_health::{PIECE, StreamHealth, Streams, TrackedBody};
@@ -97,14 +97,14 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
             tracing::debug!(%peer, "an address has too many connections");
             continue;
         };
-        let says = proxies.announces(peer).then(|| shares.clone());
+        let says = proxies.uses_proxy_protocol(peer).then(|| shares.clone());
         let taken = Accepted { stream, from: Peer(peer), announced: false, permit, share };
         let present = (telemetry.connection(), open.token());
         let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
             let taken = match says {
-                Some(shares) => taken.announced(&shares, limits.header_read).await,
+                Some(shares) => taken.read_proxy_protocol(&shares, limits.header_read).await,
                 None => Some(taken),
             };
             let Some(Accepted { stream, from, announced, permit, share }) = taken else { return };
@@ -140,8 +140,8 @@ struct Accepted {
 
 impl Accepted {
     /// Reads the client's address from the PROXY protocol; `None` without one within `limit`, or if the client has too many connections.
-    async fn announced(mut self, shares: &ClientLimits, limit: Duration) -> Option<Self> {
-        let said = tokio::time::timeout(limit, proxies::announced(&mut self.stream)).await;
+    async fn read_proxy_protocol(mut self, shares: &ClientLimits, limit: Duration) -> Option<Self> {
+        let said = tokio::time::timeout(limit, proxies::read_proxy_protocol(&mut self.stream)).await;
         let said = said.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
         let client = said.inspect_err(|error| tracing::debug!(%error, proxy = %self.from.0, "no PROXY protocol")).ok()?;
         // also if the proxy names no client: it may be anyone's
@@ -219,7 +219,7 @@ impl Connection {
                     leaving = Some(Instant::now());
                     connection.as_mut().graceful_shutdown();
                 }
-                _ = look.tick() => match (streams.look(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
+                _ = look.tick() => match (streams.check(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
                     (StreamHealth::Idle, None) => {
                         leaving = Some(Instant::now());
                         connection.as_mut().graceful_shutdown();
@@ -263,7 +263,7 @@ impl Peer {
     fn put(self, announced: bool, request: &mut Request<Incoming>) {
         request.extensions_mut().insert(self);
         if announced {
-            proxies::say(request.headers_mut(), self.0);
+            proxies::set_forwarded(request.headers_mut(), self.0);
         }
     }
 }
@@ -273,7 +273,7 @@ impl Peer {
 pub struct ConnectionGuard {
     little: Arc<AtomicBool>,
     #[expect(dead_code, reason = "held until it is dropped")]
-    all: Arc<(OwnedSemaphorePermit, ClientPermit, (Present, TaskTrackerToken))>,
+    all: Arc<(OwnedSemaphorePermit, ClientPermit, (GaugeGuard, TaskTrackerToken))>,
 }
 
 impl ConnectionGuard {

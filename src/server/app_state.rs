@@ -12,34 +12,34 @@ use tokio_util::sync::CancellationToken;
 
 use super::Config;
 use super::access::Guard;
-use super::blocking_pool::{Class, Pool, Slot};
+use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::build_identity;
 use super::cache::Cache;
-pub use super::cached::{Derived, Export, Stored, TempFolder, Version, WhenFull};
+pub use super::cache_values::{Derived, DiskFullPolicy, Export, StoredFile, TempFolder, Version};
 use super::client_slots::{ClientSlots, client_address};
 use super::finished_photo::FinishedPhoto;
 use super::hosts::Hosts;
 use super::limits::Limits;
 use super::maker::Maker;
-use super::memory::Memory;
+use super::memory_budget::MemoryBudget;
 use super::metrics::Telemetry;
 use super::network_download::Download;
-use super::outbound::Reach;
+use super::outbound::AddressPolicy;
 use super::problem::Problem;
 use super::proxies::Proxies;
-use super::rates::Rates;
+use super::rate_limit::RateLimiter;
 use super::sources::Sources;
 use super::traces;
 use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
-use tmpi_core::container::{self, RegionPhoto, Tiles};
+use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Rect, Scene};
-use tmpi_library::{Asker, Library, LibraryError, Owner, Part, Photo, PhotoId, PhotoState};
+use tmpi_library::{Library, LibraryError, Owner, Part, Photo, PhotoId, PhotoState, Requester};
 use tmpi_pipeline::strokes::{self, Stroke};
 use tmpi_render::Renderer;
 
 /// Shared state; cheap to clone.
-pub type App = Arc<Shared>;
+pub type App = Arc<AppState>;
 
 /// Time after which a fault of the server counts as over; failed jobs are retried at least every minute.
 const TROUBLE: Duration = Duration::from_mins(2);
@@ -51,13 +51,13 @@ struct Trouble {
 }
 
 /// State of the server.
-pub struct Shared {
+pub struct AppState {
     /// Photos, jobs, owners, keys and rooms, in the database and the blob store.
     pub library: Library,
     /// Makes photos.
     pub maker: Arc<dyn Maker>,
     /// Memory of running jobs.
-    pub memory: Memory,
+    pub memory: MemoryBudget,
     /// Limits.
     pub limits: Arc<Limits>,
     /// Counters.
@@ -67,19 +67,19 @@ pub struct Shared {
     /// The download of the better depth network.
     pub download: Download,
     /// Small files, and open ones.
-    pub files: Cache<(Version, Part), Stored>,
+    pub files: Cache<(Version, Part), StoredFile>,
     /// Smaller levels and parts of containers.
-    pub levels: Cache<(Version, Derived), Stored>,
+    pub levels: Cache<(Version, Derived), StoredFile>,
     /// Encoded views by version and parameters.
-    pub views: Cache<(Version, String), Stored>,
+    pub views: Cache<(Version, String), StoredFile>,
     /// Files to download and films, on disk.
     pub exports: Cache<(Version, String), Export>,
     /// Where views are drawn.
-    pub pool: Pool,
+    pub pool: BlockingPool,
     /// Uploads in progress.
     pub uploads: UploadSlots,
     /// Rate limits.
-    pub rates: Rates,
+    pub rates: RateLimiter,
     /// Permits to read an upload whole.
     pub changes: Arc<Semaphore>,
     /// Slots for event streams.
@@ -103,7 +103,7 @@ pub struct Shared {
     /// Everything besides the container that derived bytes depend on: program and backend.
     pub build: String,
     /// Addresses that webhooks of callers may have.
-    pub webhook_reach: Reach,
+    pub webhook_addresses: AddressPolicy,
     /// Fetches photos by address.
     pub sources: Sources,
     /// `https://HOST` of this server, if it serves TLS under a name.
@@ -124,26 +124,26 @@ pub struct Shared {
     pub has_admin: bool,
 }
 
-impl Shared {
+impl AppState {
     /// State of a server that listens at `addr`.
     #[must_use]
-    pub fn new(config: Config, addr: SocketAddr, library: Library, parts: Parts) -> Self {
-        let Config { webhook_reach, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
-        let Parts { maker, renderer, telemetry, openapi, sources } = parts;
+    pub fn new(config: Config, addr: SocketAddr, library: Library, parts: AppParts) -> Self {
+        let Config { webhook_addresses, admin, data, pages, hosts, proxies, public_list, private, limits, .. } = config;
+        let AppParts { maker, renderer, telemetry, openapi, sources } = parts;
         Self {
             guard: private.then(|| Guard::new(library.clone())),
             library,
-            memory: Memory::new(limits.job_memory),
+            memory: MemoryBudget::new(limits.job_memory),
             maker,
             download: Download::default(),
-            scenes: Cache::resting(limits.cache.scenes, limits.idle),
-            files: Cache::resting(limits.cache.files, limits.idle),
-            levels: Cache::resting(limits.cache.files / 4, limits.idle),
-            views: Cache::resting(limits.cache.views, limits.idle),
+            scenes: Cache::with_idle_timeout(limits.cache.scenes, limits.idle),
+            files: Cache::with_idle_timeout(limits.cache.files, limits.idle),
+            levels: Cache::with_idle_timeout(limits.cache.files / 4, limits.idle),
+            views: Cache::with_idle_timeout(limits.cache.views, limits.idle),
             exports: Cache::new(limits.cache.exports),
-            pool: Pool::new(&limits),
+            pool: BlockingPool::new(&limits),
             uploads: UploadSlots::new(&limits),
-            rates: Rates::new(&limits.rates),
+            rates: RateLimiter::new(&limits.rates),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: ClientSlots::new(limits.streams),
             storage: Mutex::default(),
@@ -156,7 +156,7 @@ impl Shared {
             hosts: Hosts::new(addr, &hosts),
             proxies,
             public_list,
-            webhook_reach,
+            webhook_addresses,
             sources,
             origin: OnceLock::new(),
             pages,
@@ -169,7 +169,7 @@ impl Shared {
         }
     }
 
-    /// Sets [`Shared::origin`] of a server that serves TLS at `port`.
+    /// Sets [`AppState::origin`] of a server that serves TLS at `port`.
     pub fn set_origin(&self, port: u16) {
         let port = if port == 443 { String::new() } else { format!(":{port}") };
         if let Some(name) = self.hosts.first() {
@@ -218,8 +218,8 @@ impl Shared {
 
     /// The queue's view of this request's caller.
     #[must_use]
-    pub fn asker(owner: Option<Owner>) -> Asker {
-        Asker { owner, address: client_address(), trace: traces::parent().map(traces::Parent::into_text) }
+    pub fn requester(owner: Option<Owner>) -> Requester {
+        Requester { owner, address: client_address(), trace: traces::parent() }
     }
 
     /// The photo of a path, if the caller may access it.
@@ -233,7 +233,7 @@ impl Shared {
         if self.guard.as_ref().is_some_and(|guard| !guard.allows(&photo)) {
             return Err(none());
         }
-        self.library.viewed(id);
+        self.library.note_view(id);
         Ok(photo)
     }
 
@@ -241,7 +241,7 @@ impl Shared {
     ///
     /// # Errors
     /// 409 with a `Retry-After` if it is not finished, the photo's own problem if it failed, 404 if it is deleted.
-    pub fn done(photo: &Photo) -> Result<(Version, FinishedPhoto), Problem> {
+    pub fn finished(photo: &Photo) -> Result<(Version, FinishedPhoto), Problem> {
         match photo.state {
             PhotoState::Done => {
                 let done = FinishedPhoto::of(photo).ok_or_else(|| Problem::internal("a photo", &"its details are not understood"))?;
@@ -264,11 +264,11 @@ impl Shared {
     ///
     /// # Errors
     /// 404 if it was deleted meanwhile; 500 also if it is damaged, in which case the photo is marked as damaged.
-    pub async fn file(&self, photo: &Photo, part: Part) -> Result<Stored, Problem> {
-        let (version, _) = Self::done(photo)?;
+    pub async fn file(&self, photo: &Photo, part: Part) -> Result<StoredFile, Problem> {
+        let (version, _) = Self::finished(photo)?;
         let open = async {
             let blob = photo.blob(part)?;
-            match Stored::of_blob(self.library.blobs(), part, blob).await {
+            match StoredFile::of_blob(self.library.blobs(), part, blob).await {
                 Ok(stored) => Ok(stored),
                 Err(error) => Err(Box::pin(self.unread(photo, error)).await),
             }
@@ -309,17 +309,17 @@ impl Shared {
     /// [`tmpi_core::container::LEVELS`]), with some `sections`.
     ///
     /// # Errors
-    /// As [`Shared::file`]; 400 if the region is not within the photo, 503 if too many are being made.
+    /// As [`AppState::file`]; 400 if the region is not within the photo, 503 if too many are being made.
     pub async fn container(
         &self,
         photo: &Photo,
         (level, region): (u8, Option<Rect>),
         sections: Option<&[&'static str]>,
-    ) -> Result<Stored, Problem> {
+    ) -> Result<StoredFile, Problem> {
         if (level, region, sections) == (0, None, None) {
             return self.file(photo, Part::Container).await;
         }
-        let (version, done) = Self::done(photo)?;
+        let (version, done) = Self::finished(photo)?;
         let tiles = if let Some(region) = region { Some(self.tiles(photo, region).await?) } else { None };
         let place = |name: &&str| container::SECTIONS.iter().position(|s| s == name).map(|i| i as u8);
         let mut places = sections.map(|names| names.iter().filter_map(place).collect::<Vec<_>>());
@@ -332,8 +332,8 @@ impl Shared {
         let made = key.clone();
         let names = sections.map(<[_]>::to_vec);
         let make = async {
-            let slot = self.pool.enter(Class::Derived, done.scene_bytes()).await?;
-            let (whole, disk) = (self.container_of(photo).await?, self.disk());
+            let slot = self.pool.enter(WorkClass::Derived, done.scene_bytes()).await?;
+            let (whole, disk) = (self.container_of(photo).await?, self.temp_folder());
             let make = move || {
                 let mut bytes = Vec::from(whole);
                 if let Some(tiles) = &made.tiles {
@@ -344,7 +344,7 @@ impl Shared {
                 if let Some(names) = names {
                     bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
                 }
-                Stored::derived(None, bytes, &disk, WhenFull::Memory)
+                StoredFile::derived(None, bytes, &disk, DiskFullPolicy::Memory)
             };
             slot.run(make).await?
         };
@@ -352,17 +352,17 @@ impl Shared {
     }
 
     /// The tiles over a region of a photo.
-    async fn tiles(&self, photo: &Photo, region: Rect) -> Result<Tiles, Problem> {
-        let slot = self.pool.enter(Class::Derived, 0).await?;
+    async fn tiles(&self, photo: &Photo, region: Rect) -> Result<TileRect, Problem> {
+        let slot = self.pool.enter(WorkClass::Derived, 0).await?;
         let whole = self.container_of(photo).await?;
-        let tiles = slot.run(move || Tiles::over_region(&whole, region).map_err(|e| Problem::from(&e))).await??;
+        let tiles = slot.run(move || TileRect::over_region(&whole, region).map_err(|e| Problem::from(&e))).await??;
         tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))
     }
 
     /// The container of a photo. If it is damaged, the photo is marked as damaged.
     ///
     /// # Errors
-    /// As [`Shared::file`].
+    /// As [`AppState::file`].
     pub async fn container_of(&self, photo: &Photo) -> Result<Bytes, Problem> {
         match self.library.blobs().read(Part::Container, photo.blob(Part::Container)?).await {
             Ok(bytes) => Ok(bytes),
@@ -372,16 +372,16 @@ impl Shared {
 
     /// The disk for unnamed temporary files.
     #[must_use]
-    pub fn disk(&self) -> TempFolder {
+    pub fn temp_folder(&self) -> TempFolder {
         TempFolder { blobs: self.library.blobs().clone(), folder: self.scratch.clone() }
     }
 
     /// The decoded scene of a photo, and the time of decoding if it was not cached. Enter `slot` with [`FinishedPhoto::scene_bytes`].
     ///
     /// # Errors
-    /// As [`Shared::file`].
+    /// As [`AppState::file`].
     pub async fn scene(&self, photo: &Photo, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
-        let (version, _) = Self::done(photo)?;
+        let (version, _) = Self::finished(photo)?;
         let mut took = None;
         let decode = async {
             let start = std::time::Instant::now();
@@ -395,32 +395,32 @@ impl Shared {
     }
 
     /// Drops cache entries that were unused for [`Limits::idle`].
-    pub async fn settle(&self) {
-        self.scenes.settle().await;
-        self.files.settle().await;
-        self.levels.settle().await;
-        self.views.settle().await;
+    pub async fn evict_idle(&self) {
+        self.scenes.evict_idle().await;
+        self.files.evict_idle().await;
+        self.levels.evict_idle().await;
+        self.views.evict_idle().await;
     }
 
     /// Frees disk space of files that can be made again.
-    pub async fn free_disk(&self) {
+    pub async fn free_temp_space(&self) {
         self.exports.clear().await;
         self.views.clear().await;
         self.levels.clear().await;
     }
 
     /// Drops the cache entries of a photo.
-    pub async fn forget(&self, photo: PhotoId) {
-        self.scenes.forget(photo).await;
-        self.views.forget(photo).await;
-        self.files.forget(photo).await;
-        self.levels.forget(photo).await;
-        self.exports.forget(photo).await;
+    pub async fn evict_photo(&self, photo: PhotoId) {
+        self.scenes.evict_photo(photo).await;
+        self.views.evict_photo(photo).await;
+        self.files.evict_photo(photo).await;
+        self.levels.evict_photo(photo).await;
+        self.exports.evict_photo(photo).await;
     }
 }
 
 /// Parts of a server besides its library.
-pub struct Parts {
+pub struct AppParts {
     /// Makes photos.
     pub maker: Arc<dyn Maker>,
     /// Renders views.

@@ -4,19 +4,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use axum::http::StatusCode;
+use opentelemetry::Context;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::client_slots::{ClientLimits, ClientPermit, client_address};
 use super::limits::Limits;
 use super::problem::Problem;
-use super::traces::{self, Work};
+use super::traces;
 
 /// Unit of memory in bytes.
 const UNIT: u64 = 1 << 20;
 
 /// Class of work, with its own slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Class {
+pub enum WorkClass {
     /// Single views: a person is waiting for them.
     Interactive,
     /// Smaller levels and parts of containers.
@@ -25,7 +26,7 @@ pub enum Class {
     Export,
 }
 
-impl Class {
+impl WorkClass {
     /// All classes.
     #[cfg(test)]
     const ALL: [Self; 3] = [Self::Interactive, Self::Derived, Self::Export];
@@ -42,7 +43,7 @@ impl Class {
 }
 
 /// Gives out slots and memory.
-pub struct Pool {
+pub struct BlockingPool {
     lanes: [Lane; 3],
     /// Memory of views and levels, and of films and files, which take minutes: waiters for memory queue up in order.
     memory: [Arc<Semaphore>; 2],
@@ -87,10 +88,10 @@ impl Lane {
 /// A slot with its memory; released when the last clone is dropped.
 #[derive(Clone)]
 pub struct Slot {
-    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Option<Work>)>,
+    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Context)>,
 }
 
-impl Pool {
+impl BlockingPool {
     /// With the limits of a server.
     #[must_use]
     pub fn new(limits: &Limits) -> Self {
@@ -121,19 +122,19 @@ impl Pool {
         self.entered.load(Ordering::Relaxed)
     }
 
-    const fn lane(&self, class: Class) -> &Lane {
+    const fn lane(&self, class: WorkClass) -> &Lane {
         &self.lanes[class as usize]
     }
 
-    const fn memory(&self, class: Class) -> &Arc<Semaphore> {
-        &self.memory[matches!(class, Class::Export) as usize]
+    const fn memory(&self, class: WorkClass) -> &Arc<Semaphore> {
+        &self.memory[matches!(class, WorkClass::Export) as usize]
     }
 
     /// Waits for a slot and for `bytes` of memory; work that needs more than the total runs alone.
     ///
     /// # Errors
     /// 503 if too many of the class are waiting.
-    pub async fn enter(&self, class: Class, bytes: u64) -> Result<Slot, Problem> {
+    pub async fn enter(&self, class: WorkClass, bytes: u64) -> Result<Slot, Problem> {
         let lane = self.lane(class);
         let broken = |e| Problem::internal("work pool", &e);
         let wanted = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX).clamp(1, self.most);
@@ -155,15 +156,14 @@ impl Pool {
         Ok(self.slot(class, slot, memory))
     }
 
-    fn slot(&self, class: Class, slot: OwnedSemaphorePermit, memory: OwnedSemaphorePermit) -> Slot {
+    fn slot(&self, class: WorkClass, slot: OwnedSemaphorePermit, memory: OwnedSemaphorePermit) -> Slot {
         self.entered.fetch_add(1, Ordering::Relaxed);
-        let span = traces::current().map(|request| request.work(class.name()));
-        Slot { _held: Arc::new((slot, memory, span)) }
+        Slot { _held: Arc::new((slot, memory, traces::work(class.name()))) }
     }
 
     /// Number of waiting requests of a class.
     #[must_use]
-    pub fn waiting(&self, class: Class) -> usize {
+    pub fn waiting(&self, class: WorkClass) -> usize {
         self.lane(class).waiting.load(Ordering::Acquire)
     }
 
@@ -198,7 +198,7 @@ mod tests {
     use super::super::limits::Exports;
     use super::*;
 
-    fn pool(slots: usize, waiting: usize, memory: u64) -> Arc<Pool> {
+    fn pool(slots: usize, waiting: usize, memory: u64) -> Arc<BlockingPool> {
         let limits = Limits {
             views: slots,
             views_waiting: waiting,
@@ -206,7 +206,7 @@ mod tests {
             work_memory: (memory * UNIT) as usize,
             ..Limits::default()
         };
-        Arc::new(Pool::new(&limits))
+        Arc::new(BlockingPool::new(&limits))
     }
 
     /// Whether `future` is still pending.
@@ -215,99 +215,99 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn one_more_than_may_wait_is_refused() {
+    async fn a_full_waiting_line_refuses_the_next() {
         let pool = pool(1, 1, 9);
-        let first = pool.enter(Class::Interactive, 1).await.unwrap();
+        let first = pool.enter(WorkClass::Interactive, 1).await.unwrap();
         let second = tokio::spawn({
             let pool = Arc::clone(&pool);
-            async move { pool.enter(Class::Interactive, 1).await.is_ok() }
+            async move { pool.enter(WorkClass::Interactive, 1).await.is_ok() }
         });
-        while pool.waiting(Class::Interactive) == 0 {
+        while pool.waiting(WorkClass::Interactive) == 0 {
             tokio::task::yield_now().await;
         }
-        let refused = pool.enter(Class::Interactive, 1).await.err().unwrap();
+        let refused = pool.enter(WorkClass::Interactive, 1).await.err().unwrap();
         assert!(refused.status == 503 && refused.retry_after.is_some());
-        assert_eq!(pool.waiting(Class::Interactive), 1);
+        assert_eq!(pool.waiting(WorkClass::Interactive), 1);
         drop(first);
         assert!(second.await.unwrap());
-        assert_eq!(pool.waiting(Class::Interactive), 0);
+        assert_eq!(pool.waiting(WorkClass::Interactive), 0);
     }
 
     #[tokio::test]
-    async fn no_class_holds_up_another() {
+    async fn classes_do_not_delay_each_other() {
         let pool = pool(1, 9, 9);
-        let _film = pool.enter(Class::Export, 1).await.unwrap();
-        assert!(waits(pool.enter(Class::Export, 1)).await);
-        let _level = pool.enter(Class::Derived, 1).await.unwrap();
-        assert!(!waits(pool.enter(Class::Interactive, 1)).await);
-        assert_eq!(Class::ALL.map(|class| pool.waiting(class)), [0; 3], "who gives up waits no more");
+        let _film = pool.enter(WorkClass::Export, 1).await.unwrap();
+        assert!(waits(pool.enter(WorkClass::Export, 1)).await);
+        let _level = pool.enter(WorkClass::Derived, 1).await.unwrap();
+        assert!(!waits(pool.enter(WorkClass::Interactive, 1)).await);
+        assert_eq!(WorkClass::ALL.map(|class| pool.waiting(class)), [0; 3], "who gives up waits no more");
     }
 
     #[tokio::test]
-    async fn a_film_of_a_large_photo_holds_up_no_view() {
+    async fn a_film_of_a_large_photo_does_not_delay_views() {
         let pool = pool(1, 9, 10);
-        let film = pool.enter(Class::Export, 8 * UNIT).await.unwrap();
-        let large = pool.enter(Class::Interactive, 8 * UNIT).await.unwrap();
-        assert!(waits(pool.enter(Class::Derived, 3 * UNIT)).await, "memory of views and levels is one");
-        assert!(!waits(pool.enter(Class::Derived, 2 * UNIT)).await);
+        let film = pool.enter(WorkClass::Export, 8 * UNIT).await.unwrap();
+        let large = pool.enter(WorkClass::Interactive, 8 * UNIT).await.unwrap();
+        assert!(waits(pool.enter(WorkClass::Derived, 3 * UNIT)).await, "memory of views and levels is one");
+        assert!(!waits(pool.enter(WorkClass::Derived, 2 * UNIT)).await);
         assert_eq!(pool.bytes(), 16 * UNIT);
         drop((film, large));
         assert_eq!(pool.bytes(), 0);
     }
 
     #[tokio::test]
-    async fn one_address_has_half_of_the_places_to_wait() {
+    async fn one_address_may_use_half_of_the_waiting_line() {
         let pool = pool(1, 4, 9);
-        let _busy = pool.enter(Class::Interactive, 1).await.unwrap();
-        let ask = |asker: Option<&str>| {
+        let _busy = pool.enter(WorkClass::Interactive, 1).await.unwrap();
+        let ask = |client: Option<&str>| {
             let pool = Arc::clone(&pool);
-            let asker = asker.map(|a| a.parse().unwrap());
-            tokio::spawn(CLIENT.scope(asker, async move { pool.enter(Class::Interactive, 1).await.is_ok() }))
+            let client = client.map(|a| a.parse().unwrap());
+            tokio::spawn(CLIENT.scope(client, async move { pool.enter(WorkClass::Interactive, 1).await.is_ok() }))
         };
         let greedy: Vec<_> = (0..2).map(|_| ask(Some("192.0.2.1"))).collect();
-        while pool.waiting(Class::Interactive) < 2 {
+        while pool.waiting(WorkClass::Interactive) < 2 {
             tokio::task::yield_now().await;
         }
         assert!(!ask(Some("192.0.2.1")).await.unwrap(), "a third");
-        assert_eq!(pool.waiting(Class::Interactive), 2);
+        assert_eq!(pool.waiting(WorkClass::Interactive), 2);
         let others = [ask(Some("192.0.2.2")), ask(None)];
-        while pool.waiting(Class::Interactive) < 4 {
+        while pool.waiting(WorkClass::Interactive) < 4 {
             tokio::task::yield_now().await;
         }
         for task in greedy.iter().chain(&others) {
             task.abort();
         }
-        while pool.waiting(Class::Interactive) > 0 {
+        while pool.waiting(WorkClass::Interactive) > 0 {
             tokio::task::yield_now().await;
         }
-        assert!(pool.lane(Class::Interactive).shares.is_empty());
+        assert!(pool.lane(WorkClass::Interactive).shares.is_empty());
     }
 
     #[tokio::test]
     async fn memory_is_given_out_by_bytes() {
         let pool = pool(9, 99, 10);
-        let large = pool.enter(Class::Interactive, 7 * UNIT).await.unwrap();
-        assert!(waits(pool.enter(Class::Interactive, 4 * UNIT)).await);
-        let small = pool.enter(Class::Interactive, 3 * UNIT).await.unwrap();
+        let large = pool.enter(WorkClass::Interactive, 7 * UNIT).await.unwrap();
+        assert!(waits(pool.enter(WorkClass::Interactive, 4 * UNIT)).await);
+        let small = pool.enter(WorkClass::Interactive, 3 * UNIT).await.unwrap();
         assert_eq!(pool.bytes(), 10 * UNIT);
         drop((large, small));
         assert_eq!(pool.bytes(), 0);
-        let _huge = pool.enter(Class::Interactive, 99 * UNIT).await.unwrap();
-        assert!(waits(pool.enter(Class::Derived, 1)).await, "alone");
+        let _huge = pool.enter(WorkClass::Interactive, 99 * UNIT).await.unwrap();
+        assert!(waits(pool.enter(WorkClass::Derived, 1)).await, "alone");
     }
 
     #[tokio::test]
     async fn a_panic_frees_its_slot_and_work_holds_it_to_the_end() {
         let pool = pool(1, 0, 9);
-        let slot = pool.enter(Class::Interactive, 1).await.unwrap();
+        let slot = pool.enter(WorkClass::Interactive, 1).await.unwrap();
         assert_eq!(slot.run(|| panic!("on purpose")).await.map(|()| 0).unwrap_err().status, 500);
         let (go, gate) = std::sync::mpsc::channel::<()>();
         let work = slot.run(move || gate.recv().is_ok());
         assert!(waits(work).await);
         drop(slot);
-        assert_eq!(pool.enter(Class::Interactive, 1).await.err().map(|p| p.status), Some(503));
+        assert_eq!(pool.enter(WorkClass::Interactive, 1).await.err().map(|p| p.status), Some(503));
         go.send(()).unwrap();
-        while pool.enter(Class::Interactive, 1).await.is_err() {
+        while pool.enter(WorkClass::Interactive, 1).await.is_err() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }

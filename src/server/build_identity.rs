@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_program_backend_or_making_has_another_name() {
+    fn each_program_backend_and_making_has_its_own_identity() {
         let done = |hash: &str, at_ms| FinishedPhoto { at_ms, width: 1, height: 1, atlas_bytes: 1, atlas_hash: hash.into() };
         let all = [
             of_results(&of_server("cpu"), &done("a", 1)),

@@ -45,9 +45,9 @@ impl<K: Key, V: Value> Cache<K, V> {
         Self::built(budget, Kept::builder())
     }
 
-    /// A cache in memory, which also drops entries unused for `rest`, at the next [`Self::settle`] at the latest.
+    /// A cache in memory, which also drops entries unused for `rest`, at the next [`Self::evict_idle`] at the latest.
     #[must_use]
-    pub fn resting(budget: usize, rest: Duration) -> Self {
+    pub fn with_idle_timeout(budget: usize, rest: Duration) -> Self {
         Self::built(budget, Kept::builder().time_to_idle(rest))
     }
 
@@ -75,14 +75,14 @@ impl<K: Key, V: Value> Cache<K, V> {
         let entry = self.kept.entry(key).or_try_insert_with(make).await.map_err(|error: Arc<E>| E::clone(&error))?;
         if entry.is_fresh() {
             // at once, rather than after some more entries: one may be half of the memory
-            self.settle().await;
+            self.evict_idle().await;
         }
         Ok(entry.into_value())
     }
 
     /// Removes entries that rested long enough, and frees removed ones at once: otherwise they wait, whatever their size, until this thread
     /// has removed some dozens more.
-    pub async fn settle(&self) {
+    pub async fn evict_idle(&self) {
         self.kept.run_pending_tasks().await;
         // entries removed in one epoch are freed two epochs later
         for _ in 0..EPOCHS {
@@ -91,18 +91,18 @@ impl<K: Key, V: Value> Cache<K, V> {
     }
 
     /// Removes the entries of a photo.
-    pub async fn forget(&self, photo: PhotoId) {
+    pub async fn evict_photo(&self, photo: PhotoId) {
         if let Err(error) = self.kept.invalidate_entries_if(move |key, _| key.photo() == photo) {
             // on error they age out: their keys are not used again
             tracing::error!(%error, "forgetting a photo");
         }
-        self.settle().await;
+        self.evict_idle().await;
     }
 
     /// Removes everything.
     pub async fn clear(&self) {
         self.kept.invalidate_all();
-        self.settle().await;
+        self.evict_idle().await;
     }
 
     /// Bytes of all entries.
@@ -188,14 +188,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_failure_is_not_kept() {
+    async fn a_failed_computation_is_not_cached() {
         let cache: Cache<u32, usize> = Cache::new(100 * KIB);
         assert_eq!(cache.get(1, async { Err("no") }).await, Err("no"));
         assert!(put(&cache, 1, 1).await);
     }
 
     #[tokio::test]
-    async fn a_caller_that_leaves_does_not_end_the_computation_for_others() {
+    async fn a_cancelled_caller_does_not_cancel_the_computation_for_others() {
         let cache: Cache<u32, usize> = Cache::new(100 * KIB);
         for key in 0..1000 {
             let never = cache.get(key, std::future::pending::<Result<usize, ()>>());
@@ -214,12 +214,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn entries_of_a_photo_can_be_forgotten() {
+    async fn entries_of_a_photo_can_be_removed() {
         let cache = Cache::new(100 * KIB);
         for key in 0..10 {
             put(&cache, key, 1).await;
         }
-        cache.forget(1_u32.photo()).await;
+        cache.evict_photo(1_u32.photo()).await;
         for key in 0..10 {
             assert_eq!(put(&cache, key, 1).await, key % 2 == 1, "{key}");
         }
@@ -245,7 +245,7 @@ mod tests {
         // other threads of the tests hold up epochs briefly
         let freed = async |n: usize| {
             for _ in 0..1000 {
-                cache.settle().await;
+                cache.evict_idle().await;
                 if held(n) == 0 {
                     return true;
                 }
@@ -255,7 +255,7 @@ mod tests {
         };
         assert!(freed(0).await && freed(1).await, "displaced");
         assert_eq!((held(2), held(3)), (1, 1));
-        cache.forget(2_u32.photo()).await;
+        cache.evict_photo(2_u32.photo()).await;
         assert!(freed(2).await, "forgotten");
         cache.clear().await;
         assert!(freed(3).await, "cleared");
@@ -263,11 +263,11 @@ mod tests {
 
     #[tokio::test]
     async fn unused_entries_are_dropped() {
-        let cache = Cache::<u32, usize>::resting(100 * KIB, Duration::from_millis(20));
+        let cache = Cache::<u32, usize>::with_idle_timeout(100 * KIB, Duration::from_millis(20));
         assert!(put(&cache, 1, KIB).await);
         while cache.bytes() > 0 {
             tokio::time::sleep(Duration::from_millis(5)).await;
-            cache.settle().await;
+            cache.evict_idle().await;
         }
         assert!(put(&cache, 1, KIB).await, "made anew");
     }

@@ -19,14 +19,14 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::exports::Work;
+use super::exports::ExportTask;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
-use super::network_download::{Better, Offer, Renewed};
+use super::network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
 use super::problem::Problem;
 pub use child_main::serve;
 use pipe_frames::read;
 use scratch::Scratch;
-pub use scratch::empty as empty_scratch;
+pub use scratch::remove_leftovers;
 use tmpi_pipeline::{MakeError, Options, Sink, networks};
 
 /// Environment variable that marks a process that makes photos for a server.
@@ -42,20 +42,20 @@ const KEPT_BYTES: u64 = 768 << 20;
 pub struct ProcessMaker {
     checks: PipelineMaker,
     /// Idle processes.
-    idle: Mutex<Vec<Worker>>,
+    idle: Mutex<Vec<ChildProcess>>,
     command: Box<dyn Fn() -> io::Result<Command> + Send + Sync>,
     /// Parent folder of the processes' temporary files.
     scratch: PathBuf,
     /// Downloads a better network; processes that start later use it.
-    better: Option<Box<dyn Better>>,
+    better: Option<Box<dyn NetworkUpgrade>>,
     /// Maker identity and network after the download.
-    renewed: OnceLock<Renewed>,
+    renewed: OnceLock<InstalledNetwork>,
 }
 
 /// The frames of a process until it ends.
 type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
 
-struct Worker {
+struct ChildProcess {
     /// When it made its last photo; `None` if it has made none.
     made: Option<Instant>,
     /// Whether it started with the better network.
@@ -69,7 +69,7 @@ struct Worker {
     scratch: Scratch,
 }
 
-impl Drop for Worker {
+impl Drop for ChildProcess {
     fn drop(&mut self) {
         end(&mut self.child);
         let _ = self.child.wait();
@@ -141,7 +141,7 @@ fn is_passed(name: &OsStr) -> bool {
 /// dumps.
 #[cfg(target_os = "linux")]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
-pub fn keep_from_others() {
+pub fn disable_process_inspection() {
     // SAFETY: it takes no pointer
     if unsafe { libc::prctl(libc::PR_SET_DUMPABLE, 0, 0, 0, 0) } != 0 {
         tracing::warn!(error = %io::Error::last_os_error(), "other processes of this user can read the memory of this one");
@@ -150,7 +150,7 @@ pub fn keep_from_others() {
 
 /// Not available on other systems.
 #[cfg(not(target_os = "linux"))]
-pub fn keep_from_others() {}
+pub fn disable_process_inspection() {}
 
 impl ProcessMaker {
     /// A maker that checks photos itself, and starts a process ahead of the first photo. `arguments` is the command line of the processes
@@ -175,11 +175,11 @@ impl ProcessMaker {
 
     /// The same maker, with a network that it may download while it runs.
     #[must_use]
-    pub fn with_better(self, better: Option<Box<dyn Better>>) -> Self {
+    pub fn with_better_network(self, better: Option<Box<dyn NetworkUpgrade>>) -> Self {
         Self { better, ..self }
     }
 
-    fn start(&self, is_low_priority: bool) -> io::Result<Worker> {
+    fn start(&self, is_low_priority: bool) -> io::Result<ChildProcess> {
         // before the process looks for its network
         let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
@@ -205,15 +205,15 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { made: None, renewed, is_low_priority, child, input, output: told, scratch })
+        Ok(ChildProcess { made: None, renewed, is_low_priority, child, input, output: told, scratch })
     }
 
-    fn keep(&self, worker: Worker) {
+    fn keep(&self, worker: ChildProcess) {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(worker);
     }
 
     /// An idle or new process of this priority, with a folder for temporary files.
-    fn take(&self, is_low_priority: bool) -> Result<Worker, Fault> {
+    fn take(&self, is_low_priority: bool) -> Result<ChildProcess, Fault> {
         let worker = self.waiting(is_low_priority).map_or_else(|| self.start(is_low_priority), Ok);
         let worker = worker.map_err(|e| Fault::Server(format!("cannot start a process to make photos: {e}")))?;
         if let Err(error) = worker.scratch.make() {
@@ -224,7 +224,7 @@ impl ProcessMaker {
     }
 
     /// An idle process of this priority.
-    fn waiting(&self, is_low_priority: bool) -> Option<Worker> {
+    fn waiting(&self, is_low_priority: bool) -> Option<ChildProcess> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         while let Some(at) = idle.iter().rposition(|worker| worker.is_low_priority == is_low_priority) {
             let mut worker = idle.swap_remove(at);
@@ -245,11 +245,11 @@ impl Maker for ProcessMaker {
         self.renewed.get().map_or_else(|| self.checks.network(), |renewed| &renewed.network)
     }
 
-    fn better(&self) -> Option<Offer> {
+    fn better(&self) -> Option<NetworkOffer> {
         self.better.as_ref().filter(|_| self.renewed.get().is_none()).map(|better| better.offer())
     }
 
-    fn fetch_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+    fn download_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {
         let better = self.better.as_ref().ok_or("there is no better network")?;
         let renewed = better.fetch(progress)?;
         // one download runs at a time
@@ -287,13 +287,13 @@ impl Maker for ProcessMaker {
         ended > 0
     }
 
-    fn export(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+    fn export(&self, work: &ExportTask<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
         self.write_file(work, sink)
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         // earlier photos' memory in a process must not be missing for this one
-        let large = self.memory(photo, depth, options) > self.checks.most_memory() / 2;
+        let large = self.memory(photo, depth, options) > self.checks.max_memory() / 2;
         if large {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }

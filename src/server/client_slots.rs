@@ -14,7 +14,7 @@ tokio::task_local! {
 /// Address of the client, if known.
 #[must_use]
 pub fn client_address() -> Option<IpAddr> {
-    CLIENT.try_with(|asker| *asker).ok().flatten()
+    CLIENT.try_with(|address| *address).ok().flatten()
 }
 
 /// Counts per address.
@@ -45,15 +45,15 @@ impl ClientLimits {
         self.had.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a place for `asker`; `None` if it has too many. Unknown clients are not counted.
+    /// Takes a place for `address`; `None` if it has too many. Unknown clients are not counted.
     #[must_use]
-    pub fn take(&self, asker: Option<IpAddr>) -> Option<ClientPermit> {
-        let Some(asker) = asker.map(client_network) else { return Some(ClientPermit(None)) };
+    pub fn take(&self, address: Option<IpAddr>) -> Option<ClientPermit> {
+        let Some(address) = address.map(client_network) else { return Some(ClientPermit(None)) };
         let mut had = self.lock();
-        let count = had.get(&asker).copied().unwrap_or_default();
+        let count = had.get(&address).copied().unwrap_or_default();
         (count < self.most).then(|| {
-            had.insert(asker, count + 1);
-            ClientPermit(Some((self.clone(), asker)))
+            had.insert(address, count + 1);
+            ClientPermit(Some((self.clone(), address)))
         })
     }
 
@@ -107,10 +107,10 @@ impl ClientSlots {
         Self { all: Arc::new(Semaphore::new(all)), shares: ClientLimits::half_of(all) }
     }
 
-    /// Takes a place for `asker`; `None` if all are taken, or it has half of them.
+    /// Takes a place for `address`; `None` if all are taken, or it has half of them.
     #[must_use]
-    pub fn take(&self, asker: Option<IpAddr>) -> Option<ClientSlot> {
-        let share = self.shares.take(asker)?;
+    pub fn take(&self, address: Option<IpAddr>) -> Option<ClientSlot> {
+        let share = self.shares.take(address)?;
         let permit = Arc::clone(&self.all).try_acquire_owned().ok()?;
         Some(ClientSlot { _permit: permit, _share: share })
     }
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_has_its_share_and_gives_it_back() {
+    fn an_address_has_its_share_and_returns_it() {
         let shares = ClientLimits::new(2);
         let take = |address: &str| shares.take(Some(address.parse().unwrap()));
         let first = (take("192.0.2.1").unwrap(), take("192.0.2.1").unwrap());

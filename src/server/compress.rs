@@ -17,7 +17,7 @@ const SUFFIX: &str = "-gzip";
 
 /// Whether the client accepts gzip (RFC 9110, section 12.5.3).
 #[must_use]
-pub fn accepted(headers: &HeaderMap) -> bool {
+pub fn accepts_gzip(headers: &HeaderMap) -> bool {
     let (mut named, mut any) = (None, false);
     let codings = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
     for coding in codings {
@@ -47,7 +47,7 @@ pub fn gzip(bytes: &[u8], level: Compression) -> Option<Bytes> {
 
 /// The entity tag of the compressed answer, from that of the plain one.
 #[must_use]
-pub fn tag(etag: &str) -> String {
+pub fn gzip_etag(etag: &str) -> String {
     format!("{}{SUFFIX}\"", etag.strip_suffix('"').unwrap_or(etag))
 }
 
@@ -58,19 +58,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_takes_gzip() {
-        let with = |value: &'static str| accepted(&[(header::ACCEPT_ENCODING, HeaderValue::from_static(value))].into_iter().collect());
+    fn accept_encoding_decides_gzip() {
+        let with = |value: &'static str| accepts_gzip(&[(header::ACCEPT_ENCODING, HeaderValue::from_static(value))].into_iter().collect());
         for yes in ["gzip", "br, GZIP;q=0.5", "*", "deflate, *;q=0.1", "gzip;q=1, *;q=0"] {
             assert!(with(yes), "{yes}");
         }
         for no in ["", "br", "identity", "gzip;q=0", "*, gzip;q=0", "*;q=0", "gzip;q=none", "gzipped"] {
             assert!(!with(no), "{no}");
         }
-        assert!(!accepted(&HeaderMap::new()), "who does not say gets it plain");
+        assert!(!accepts_gzip(&HeaderMap::new()), "who does not say gets it plain");
     }
 
     #[test]
-    fn only_what_gets_smaller_is_coded() {
+    fn bytes_are_compressed_only_if_that_makes_them_smaller() {
         assert!(gzip(&[7; LEAST], Compression::default()).is_some());
         assert!(gzip(&[7; LEAST - 1], Compression::default()).is_none());
         let mut seed = 7u32;
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coded_answer_has_a_tag_of_its_own() {
-        assert_eq!(tag("\"a-b\""), "\"a-b-gzip\"");
+    fn a_compressed_answer_has_its_own_etag() {
+        assert_eq!(gzip_etag("\"a-b\""), "\"a-b-gzip\"");
     }
 }

@@ -20,7 +20,7 @@ pub const REVALIDATE: &str = "no-cache";
 
 /// `Cache-Control` of the answer to a request for version `asked`, if `version` is sent.
 #[must_use]
-pub fn kept(asked: Option<&str>, version: impl FnOnce() -> String) -> &'static str {
+pub fn cache_control_for(asked: Option<&str>, version: impl FnOnce() -> String) -> &'static str {
     if asked.is_some_and(|asked| asked == version()) { IMMUTABLE } else { REVALIDATE }
 }
 
@@ -35,12 +35,12 @@ pub struct Entity<'a> {
     /// `Cache-Control`.
     pub cache_control: &'a str,
     /// Whether gzip is possible.
-    pub coding: Coding,
+    pub coding: ContentCoding,
 }
 
 /// Whether an answer may be compressed.
 #[derive(Clone, Debug)]
-pub enum Coding {
+pub enum ContentCoding {
     /// No: it is compressed already.
     Plain,
     /// Yes, on request.
@@ -49,11 +49,11 @@ pub enum Coding {
     Coded(Option<Bytes>),
 }
 
-impl Coding {
+impl ContentCoding {
     /// The compressed bytes, if the client accepts them.
     fn for_client(self, headers: &HeaderMap, source: &Source) -> Option<Bytes> {
         // ranges apply to the plain answer
-        if matches!(self, Self::Plain) || headers.contains_key(header::RANGE) || !compress::accepted(headers) {
+        if matches!(self, Self::Plain) || headers.contains_key(header::RANGE) || !compress::accepts_gzip(headers) {
             return None;
         }
         match (self, source) {
@@ -66,7 +66,7 @@ impl Coding {
 
 /// The bytes that a request asks for.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Wanted {
+pub enum RequestedRange {
     /// All bytes.
     All,
     /// This range.
@@ -77,7 +77,7 @@ pub enum Wanted {
 
 /// Whether the client has this version (`If-None-Match`, weak comparison).
 #[must_use]
-pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
+pub fn matches_etag(headers: &HeaderMap, etag: &str) -> bool {
     headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|candidate| {
         let candidate = candidate.trim();
         candidate == "*" || candidate.strip_prefix("W/").unwrap_or(candidate) == etag
@@ -87,7 +87,7 @@ pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
 /// The client's tag that begins with `made`, the name of the inputs; such tags end with a digest of the bytes. So the server can answer 304
 /// without making the bytes again.
 #[must_use]
-pub fn known_as<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
+pub fn known_etag<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
     let tags = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
     tags.map(str::trim).map(|tag| tag.strip_prefix("W/").unwrap_or(tag)).find(|tag| {
         let digest = tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')?.strip_prefix(made)?.strip_prefix('-'));
@@ -106,31 +106,31 @@ pub fn not_modified(etag: &str, cache_control: &str) -> Response {
 
 /// Reads `Range` and `If-Range` for `length` bytes; ignores malformed headers, other units and multiple ranges.
 #[must_use]
-pub fn wanted(headers: &HeaderMap, etag: &str, length: usize) -> Wanted {
+pub fn requested_range(headers: &HeaderMap, etag: &str, length: usize) -> RequestedRange {
     if headers.get(header::IF_RANGE).is_some_and(|v| v.as_bytes() != etag.as_bytes()) {
-        return Wanted::All;
+        return RequestedRange::All;
     }
-    let Some(range) = headers.get(header::RANGE).and_then(|v| v.to_str().ok()) else { return Wanted::All };
-    let Some((unit, range)) = range.split_once('=') else { return Wanted::All };
+    let Some(range) = headers.get(header::RANGE).and_then(|v| v.to_str().ok()) else { return RequestedRange::All };
+    let Some((unit, range)) = range.split_once('=') else { return RequestedRange::All };
     let Some((first, last)) = range.trim().split_once('-').filter(|_| unit.trim().eq_ignore_ascii_case("bytes")) else {
-        return Wanted::All;
+        return RequestedRange::All;
     };
     let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
     if !digits(first) || !digits(last) || (first.is_empty() && last.is_empty()) {
-        return Wanted::All;
+        return RequestedRange::All;
     }
     // a number that overflows is beyond any length
     let number = |s: &str| s.parse::<usize>().unwrap_or(usize::MAX);
     if first.is_empty() {
         let suffix = number(last).min(length);
-        return if suffix == 0 { Wanted::Unsatisfiable } else { Wanted::Part(length - suffix..length) };
+        return if suffix == 0 { RequestedRange::Unsatisfiable } else { RequestedRange::Part(length - suffix..length) };
     }
     let start = number(first);
     let end = if last.is_empty() { length } else { number(last).saturating_add(1).min(length) };
     if !last.is_empty() && number(last) < start {
-        return Wanted::All;
+        return RequestedRange::All;
     }
-    if start >= length { Wanted::Unsatisfiable } else { Wanted::Part(start..end) }
+    if start >= length { RequestedRange::Unsatisfiable } else { RequestedRange::Part(start..end) }
 }
 
 /// Whether `If-Match` allows this version (strong comparison). Nothing here has a date, so `If-Unmodified-Since` does not apply (RFC 9110,
@@ -140,19 +140,43 @@ fn is_wanted(headers: &HeaderMap, etag: &str) -> bool {
     tags.peek().is_none() || tags.filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|v| v.trim() == "*" || v.trim() == etag)
 }
 
+/// Checks that the client saw the current version (`If-Match`, RFC 9110, section 13.1.1).
+///
+/// # Errors
+/// 412 if `If-Match` names other versions than `etag`. In a tag of two parts with a dash between them only the first counts: it covers
+/// what clients can change.
+pub fn check_if_match(headers: &HeaderMap, etag: &str) -> Result<(), Problem> {
+    let mut seen = headers.get_all(header::IF_MATCH).iter().peekable();
+    if seen.peek().is_none() {
+        return Ok(());
+    }
+    let part =
+        |tag: &str| tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')).map(|t| t.split('-').next().unwrap_or_default().to_owned());
+    // strong comparison: a weak tag matches nothing
+    let matches = seen
+        .filter_map(|v| v.to_str().ok())
+        .flat_map(|v| v.split(','))
+        .any(|v| v.trim() == "*" || part(v.trim()).is_some_and(|p| Some(p) == part(etag)));
+    if matches {
+        return Ok(());
+    }
+    let detail = format!("the photo was changed meanwhile; it is {etag} now");
+    Err(Problem::new(StatusCode::PRECONDITION_FAILED, "changed", detail).field("If-Match"))
+}
+
 /// Answers a GET or HEAD: 200, 206, 304, 412 or 416.
 #[must_use]
 pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
     let Entity { source, etag, content_type, cache_control, coding } = entity;
     let length = source.len();
-    let coded_tag = compress::tag(etag);
-    let coded = !matches!(coding, Coding::Plain);
+    let coded_tag = compress::gzip_etag(etag);
+    let coded = !matches!(coding, ContentCoding::Plain);
     if !(is_wanted(headers, etag) || coded && is_wanted(headers, &coded_tag)) {
         let detail = format!("the current version is {etag}");
         return Problem::new(StatusCode::PRECONDITION_FAILED, "changed", detail).field("If-Match").into_response();
     }
     // a tag of either coding is known
-    if let Some(known) = [etag, &coded_tag].into_iter().take(1 + usize::from(coded)).find(|tag| is_known(headers, tag)) {
+    if let Some(known) = [etag, &coded_tag].into_iter().take(1 + usize::from(coded)).find(|tag| matches_etag(headers, tag)) {
         return vary(not_modified(known, cache_control), coded);
     }
     if let Some(bytes) = coding.for_client(headers, &source) {
@@ -163,10 +187,10 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
         insert(&mut response, header::CACHE_CONTROL, cache_control);
         return vary(response, true);
     }
-    let (status, range) = match wanted(headers, etag, length) {
-        Wanted::All => (StatusCode::OK, 0..length),
-        Wanted::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
-        Wanted::Unsatisfiable => {
+    let (status, range) = match requested_range(headers, etag, length) {
+        RequestedRange::All => (StatusCode::OK, 0..length),
+        RequestedRange::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
+        RequestedRange::Unsatisfiable => {
             let detail = format!("the content has {length} bytes");
             let mut response = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, "range", detail).field("Range").into_response();
             insert(&mut response, header::CONTENT_RANGE, &format!("bytes */{length}"));
@@ -189,9 +213,9 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
 
 /// Answers with text without an entity tag, in gzip if the client accepts it.
 #[must_use]
-pub fn respond_once(headers: &HeaderMap, bytes: Bytes, content_type: &str) -> Response {
+pub fn respond_uncached(headers: &HeaderMap, bytes: Bytes, content_type: &str) -> Response {
     let source = Source::Memory(bytes);
-    let coded = Coding::Gzip.for_client(headers, &source);
+    let coded = ContentCoding::Gzip.for_client(headers, &source);
     let mut response = Response::default();
     if coded.is_some() {
         insert(&mut response, header::CONTENT_ENCODING, "gzip");
@@ -226,55 +250,55 @@ mod tests {
         pairs.iter().map(|(k, v)| (k.clone(), HeaderValue::from_str(v).unwrap())).collect()
     }
 
-    fn range(text: &str, length: usize) -> Wanted {
-        wanted(&headers(&[(header::RANGE, text)]), "\"e\"", length)
+    fn range(text: &str, length: usize) -> RequestedRange {
+        requested_range(&headers(&[(header::RANGE, text)]), "\"e\"", length)
     }
 
     #[test]
-    fn ranges_as_in_the_standard() {
-        assert_eq!(range("bytes=0-499", 1000), Wanted::Part(0..500));
-        assert_eq!(range("bytes=500-", 1000), Wanted::Part(500..1000));
-        assert_eq!(range("bytes=-500", 1000), Wanted::Part(500..1000));
-        assert_eq!(range("bytes=-5000", 1000), Wanted::Part(0..1000));
-        assert_eq!(range("bytes=999-5000", 1000), Wanted::Part(999..1000));
-        assert_eq!(range("Bytes=0-0", 1000), Wanted::Part(0..1));
-        assert_eq!(range("bytes=0-99999999999999999999999", 1000), Wanted::Part(0..1000));
+    fn ranges_follow_rfc_9110() {
+        assert_eq!(range("bytes=0-499", 1000), RequestedRange::Part(0..500));
+        assert_eq!(range("bytes=500-", 1000), RequestedRange::Part(500..1000));
+        assert_eq!(range("bytes=-500", 1000), RequestedRange::Part(500..1000));
+        assert_eq!(range("bytes=-5000", 1000), RequestedRange::Part(0..1000));
+        assert_eq!(range("bytes=999-5000", 1000), RequestedRange::Part(999..1000));
+        assert_eq!(range("Bytes=0-0", 1000), RequestedRange::Part(0..1));
+        assert_eq!(range("bytes=0-99999999999999999999999", 1000), RequestedRange::Part(0..1000));
         for none in ["bytes=1000-", "bytes=1000-1001", "bytes=-0", "bytes=99999999999999999999999-"] {
-            assert_eq!(range(none, 1000), Wanted::Unsatisfiable, "{none}");
+            assert_eq!(range(none, 1000), RequestedRange::Unsatisfiable, "{none}");
         }
         for ignored in ["bytes", "bytes=", "bytes=-", "bytes=5-4", "bytes=a-b", "bytes=0-1,3-4", "items=0-1", "bytes=+1-2", "bytes=--1"] {
-            assert_eq!(range(ignored, 1000), Wanted::All, "{ignored}");
+            assert_eq!(range(ignored, 1000), RequestedRange::All, "{ignored}");
         }
-        assert_eq!(range("bytes=0-", 0), Wanted::Unsatisfiable);
+        assert_eq!(range("bytes=0-", 0), RequestedRange::Unsatisfiable);
     }
 
     #[test]
-    fn if_range_needs_the_very_tag() {
-        let with = |tag| wanted(&headers(&[(header::RANGE, "bytes=0-1"), (header::IF_RANGE, tag)]), "\"e\"", 9);
-        assert_eq!(with("\"e\""), Wanted::Part(0..2));
+    fn if_range_needs_the_same_strong_etag() {
+        let with = |tag| requested_range(&headers(&[(header::RANGE, "bytes=0-1"), (header::IF_RANGE, tag)]), "\"e\"", 9);
+        assert_eq!(with("\"e\""), RequestedRange::Part(0..2));
         for other in ["\"f\"", "W/\"e\"", "Sat, 29 Oct 1994 19:43:31 GMT"] {
-            assert_eq!(with(other), Wanted::All);
+            assert_eq!(with(other), RequestedRange::All);
         }
     }
 
     #[test]
     fn if_none_match_takes_lists_and_weak_tags() {
         for known in ["\"e\"", "W/\"e\"", "*", "\"a\", \"e\""] {
-            assert!(is_known(&headers(&[(header::IF_NONE_MATCH, known)]), "\"e\""), "{known}");
+            assert!(matches_etag(&headers(&[(header::IF_NONE_MATCH, known)]), "\"e\""), "{known}");
         }
-        assert!(!is_known(&headers(&[(header::IF_NONE_MATCH, "\"a\", e")]), "\"e\""));
-        assert!(!is_known(&HeaderMap::new(), "\"e\""));
+        assert!(!matches_etag(&headers(&[(header::IF_NONE_MATCH, "\"a\", e")]), "\"e\""));
+        assert!(!matches_etag(&HeaderMap::new(), "\"e\""));
     }
 
     #[test]
-    fn another_version_than_the_one_that_is_wanted_is_not_sent() {
+    fn if_match_with_another_version_is_412() {
         let with = |tag| {
             let entity = Entity {
                 source: Bytes::from_static(b"abc").into(),
                 etag: "\"e\"",
                 content_type: "a/b",
                 cache_control: REVALIDATE,
-                coding: Coding::Plain,
+                coding: ContentCoding::Plain,
             };
             respond(&headers(&[(header::IF_MATCH, tag), (header::RANGE, "bytes=0-1")]), entity).status().as_u16()
         };
@@ -283,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thing_in_two_codings() {
+    fn each_coding_has_its_own_etag_and_length() {
         let plain = Bytes::from(b"text and more text, ".repeat(100));
         let get = |pairs: &[(header::HeaderName, &str)], coding| {
             respond(
@@ -293,29 +317,29 @@ mod tests {
         };
         let shown = |response: &Response, name: header::HeaderName| response.headers().get(name).map(|v| v.to_str().unwrap().to_owned());
         let gzip = (header::ACCEPT_ENCODING, "gzip");
-        let coded = get(std::slice::from_ref(&gzip), Coding::Gzip);
+        let coded = get(std::slice::from_ref(&gzip), ContentCoding::Gzip);
         let expected = [("gzip", header::CONTENT_ENCODING), ("\"e-gzip\"", header::ETAG), ("accept-encoding", header::VARY)];
         for (value, name) in expected {
             assert_eq!(shown(&coded, name).as_deref(), Some(value));
         }
         assert_eq!(shown(&coded, header::ACCEPT_RANGES), None);
-        for (takes, coding) in [(false, Coding::Gzip), (true, Coding::Plain), (true, Coding::Coded(None))] {
+        for (takes, coding) in [(false, ContentCoding::Gzip), (true, ContentCoding::Plain), (true, ContentCoding::Coded(None))] {
             let got = get(std::slice::from_ref(&gzip).get(..usize::from(takes)).unwrap(), coding);
             assert_eq!((shown(&got, header::CONTENT_ENCODING), shown(&got, header::ETAG).as_deref()), (None, Some("\"e\"")));
         }
-        let part = get(&[gzip.clone(), (header::RANGE, "bytes=0-1")], Coding::Gzip);
+        let part = get(&[gzip.clone(), (header::RANGE, "bytes=0-1")], ContentCoding::Gzip);
         assert_eq!((part.status().as_u16(), shown(&part, header::CONTENT_ENCODING)), (206, None));
         for tag in ["\"e\"", "\"e-gzip\"", "W/\"e-gzip\""] {
-            let known = get(&[gzip.clone(), (header::IF_NONE_MATCH, tag)], Coding::Gzip);
+            let known = get(&[gzip.clone(), (header::IF_NONE_MATCH, tag)], ContentCoding::Gzip);
             assert_eq!((known.status().as_u16(), shown(&known, header::VARY).is_some()), (304, true), "{tag}");
             assert!(tag.ends_with(&shown(&known, header::ETAG).unwrap()));
         }
-        assert_eq!(get(&[(header::IF_NONE_MATCH, "\"e-gzip\"")], Coding::Plain).status().as_u16(), 200);
+        assert_eq!(get(&[(header::IF_NONE_MATCH, "\"e-gzip\"")], ContentCoding::Plain).status().as_u16(), 200);
     }
 
     #[test]
-    fn tags_that_tell_how_the_bytes_were_made() {
-        let with = |tags: &str| known_as(&headers(&[(header::IF_NONE_MATCH, tags)]), "cafe").map(str::to_owned);
+    fn etags_of_derived_bytes_begin_with_a_hash_of_their_inputs() {
+        let with = |tags: &str| known_etag(&headers(&[(header::IF_NONE_MATCH, tags)]), "cafe").map(str::to_owned);
         assert_eq!(with("\"a\", W/\"cafe-0123456789abcdef\"").as_deref(), Some("\"cafe-0123456789abcdef\""));
         for other in ["*", "\"cafe\"", "\"cafe-\"", "\"cafe-0123456789abcdeg\"", "\"cafes-0123456789abcdef\"", "cafe-0123456789abcdef"] {
             assert_eq!(with(other), None, "{other}");
@@ -323,23 +347,34 @@ mod tests {
     }
 
     #[test]
-    fn only_the_version_that_was_asked_for_is_kept_for_ever() {
-        let kept = |asked| kept(asked, || "a".to_owned()).contains("immutable");
+    fn only_the_requested_version_is_cached_forever() {
+        let kept = |asked| cache_control_for(asked, || "a".to_owned()).contains("immutable");
         assert_eq!((kept(Some("a")), kept(Some("b")), kept(None)), (true, false, false));
     }
 
     proptest! {
         #[test]
-        fn a_part_lies_within_and_is_never_empty(text in "bytes=[0-9]{0,4}-[0-9]{0,4}", length in 0usize..3000) {
-            if let Wanted::Part(r) = range(&text, length) { prop_assert!(r.start < r.end && r.end <= length); }
+        fn a_range_lies_within_the_content_and_is_never_empty(text in "bytes=[0-9]{0,4}-[0-9]{0,4}", length in 0usize..3000) {
+            if let RequestedRange::Part(r) = range(&text, length) { prop_assert!(r.start < r.end && r.end <= length); }
         }
 
         #[test]
         fn no_header_panics(text in "\\PC{0,30}", length in 0usize..100) {
             if let Ok(value) = HeaderValue::from_str(&text) {
                 let map: HeaderMap = [(header::RANGE, value)].into_iter().collect();
-                let _ = respond(&map, Entity { source: Bytes::from(vec![0; length]).into(), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE, coding: Coding::Plain });
+                let _ = respond(&map, Entity { source: Bytes::from(vec![0; length]).into(), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE, coding: ContentCoding::Plain });
             }
+        }
+    }
+
+    #[test]
+    fn if_match_protects_changes() {
+        let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
+        assert!(check_if_match(&HeaderMap::new(), "\"a\"").is_ok());
+        assert!(check_if_match(&with("\"b\", \"a\""), "\"a\"").is_ok() && check_if_match(&with("*"), "\"a\"").is_ok());
+        assert!(check_if_match(&with("\"a-1\""), "\"a-2\"").is_ok(), "only the second part of the tag has changed");
+        for other in ["\"b\"", "W/\"a\"", "a", "\"a", "\"b-1\""] {
+            assert_eq!(check_if_match(&with(other), "\"a-1\"").unwrap_err().status, 412, "{other}");
         }
     }
 }

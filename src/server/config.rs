@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use super::limits::Limits;
-use super::outbound::Reach;
+use super::outbound::AddressPolicy;
 use super::proxies::Proxies;
 use super::sources::{SourceHost, Sources};
 use super::traces::Collector;
@@ -53,11 +53,11 @@ pub struct Config {
     /// Webhooks for all photos and rooms.
     pub webhooks: Vec<ConfiguredWebhook>,
     /// Addresses that webhooks of callers may have.
-    pub webhook_reach: Reach,
+    pub webhook_addresses: AddressPolicy,
     /// Hosts from which photos are fetched; by default none are.
     pub source_hosts: Vec<SourceHost>,
     /// Addresses that these hosts may have.
-    pub source_reach: Reach,
+    pub source_addresses: AddressPolicy,
     /// Limits.
     pub limits: Limits,
 }
@@ -80,16 +80,16 @@ impl Config {
             role: Role::All,
             traces: None,
             webhooks: Vec::new(),
-            webhook_reach: Reach::Public,
+            webhook_addresses: AddressPolicy::Public,
             source_hosts: Vec::new(),
-            source_reach: Reach::Public,
+            source_addresses: AddressPolicy::Public,
             limits: Limits::default(),
         }
     }
 
     /// What fetches photos by address.
     pub(super) fn sources(&self) -> Sources {
-        Sources::new(self.source_hosts.clone(), self.source_reach)
+        Sources::new(self.source_hosts.clone(), self.source_addresses)
     }
 
     /// Location and limits of the library.

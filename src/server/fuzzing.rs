@@ -6,13 +6,13 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Uri, header};
 
 use super::Limits;
 use super::access::{link_of_url, query_of, take_link};
-use super::conditional::{Wanted, wanted};
-use super::header_limit::Bounded;
+use super::conditional::{RequestedRange, requested_range};
+use super::header_limit::LimitedHeaders;
 use super::hosts::origin;
 use super::part_filename::file_name;
 use super::photo_options;
 use super::photo_settings::Settings;
-use super::proxies::{Announcement, ClientAddress, Network, Proxies, X_FORWARDED_FOR};
+use super::proxies::{ClientAddress, Network, Proxies, ProxyHeader, X_FORWARDED_FOR};
 use super::routes::ViewQuery;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
@@ -46,16 +46,16 @@ pub fn view(uri: &Uri) {
 
 /// Reads a range of `length` bytes.
 pub fn range(headers: &HeaderMap, length: usize) {
-    if let Wanted::Part(r) = wanted(headers, "\"tag\"", length) {
+    if let RequestedRange::Part(r) = requested_range(headers, "\"tag\"", length) {
         assert!(r.start < r.end && r.end <= length);
     }
 }
 
 /// Reads the options of a form whose boundary is `x`.
 pub fn multipart(body: &[u8]) {
-    // in pieces, as they arrive
+    // in pieces, as a connection delivers them
     let pieces: Vec<_> = body.chunks(7).map(|piece| Ok::<_, std::io::Error>(bytes::Bytes::copy_from_slice(piece))).collect();
-    let bounded = Bounded::new(futures_util::stream::iter(pieces), "x");
+    let bounded = LimitedHeaders::new(futures_util::stream::iter(pieces), "x");
     let mut request = Request::new(Body::from_stream(bounded));
     request.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("multipart/form-data; boundary=x"));
     let Ok(runtime) = tokio::runtime::Builder::new_current_thread().build() else { return };
@@ -90,20 +90,20 @@ pub fn patch(patch: &[u8]) {
     }
 }
 
-/// Reads a PROXY protocol header, whole and every prefix of it.
+/// Reads a PROXY protocol header, and every prefix of it.
 pub fn announcement(bytes: &[u8]) {
-    let whole = Announcement::read(bytes);
+    let whole = ProxyHeader::read(bytes);
     if let Ok(announcement) = &whole {
         assert!((1..=bytes.len()).contains(&announcement.length), "{announcement:?} of {} bytes", bytes.len());
-        // a prefix gives no result
+        // no prefix is enough
         for end in 0..announcement.length {
-            assert!(Announcement::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
+            assert!(ProxyHeader::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
         }
-        assert_eq!(Announcement::read(&bytes[..announcement.length]).ok().as_ref(), Some(announcement), "what follows changes it");
+        assert_eq!(ProxyHeader::read(&bytes[..announcement.length]).ok().as_ref(), Some(announcement), "what follows changes it");
     }
 }
 
-/// Reads the client, scheme and host of a request from headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`,
+/// Reads a request's client, scheme and host from the headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`,
 /// `Host`.
 pub fn forwarded(values: [&str; 5]) {
     let names = [header::FORWARDED, X_FORWARDED_FOR, X_FORWARDED_FOR, HeaderName::from_static("x-forwarded-proto"), header::HOST];
@@ -123,7 +123,8 @@ pub fn forwarded(values: [&str; 5]) {
     }
 }
 
-/// Takes a link out of a URL, and out of the URL that it names.
+/// Takes the link out of a URL, and checks that the rest has none and that the link survives writing and reading. Also reads the link in
+/// the URL that its parameter `url` names.
 pub fn link(uri: &Uri) {
     if let Some((rest, link)) = take_link(uri) {
         assert!(take_link(&rest).is_none(), "{rest} still has a link");

@@ -30,7 +30,7 @@ enum At {
 }
 
 /// The bytes of a form as they arrive, up to a header that is too long.
-pub struct Bounded<S> {
+pub struct LimitedHeaders<S> {
     stream: S,
     /// Finds the first delimiter; the parser accepts it at any position.
     first: Finder<'static>,
@@ -44,7 +44,7 @@ pub struct Bounded<S> {
     tail: Vec<u8>,
 }
 
-impl<S> Bounded<S> {
+impl<S> LimitedHeaders<S> {
     /// A form whose parts are separated by `boundary`.
     #[must_use]
     pub fn new(stream: S, boundary: &str) -> Self {
@@ -97,7 +97,7 @@ impl<S> Bounded<S> {
     }
 }
 
-impl<S, E> Stream for Bounded<S>
+impl<S, E> Stream for LimitedHeaders<S>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
     E: Into<Box<dyn Error + Send + Sync>>,
@@ -134,12 +134,12 @@ mod tests {
     }
 
     fn passes(form: &[u8], pieces: usize) -> bool {
-        let mut bounded = Bounded::new(futures_util::stream::empty::<Result<Bytes, std::io::Error>>(), "b");
+        let mut bounded = LimitedHeaders::new(futures_util::stream::empty::<Result<Bytes, std::io::Error>>(), "b");
         form.chunks(pieces).all(|piece| bounded.see(piece).is_ok())
     }
 
     #[test]
-    fn headers_are_bounded_and_data_is_not() {
+    fn headers_of_form_parts_are_limited_and_their_data_is_not() {
         // the delimiter counts as part of the header
         for pieces in [1, 7, 1000, 1 << 20] {
             assert!(passes(&form(&[10, HEADER - 20, 10], 3 * HEADER), pieces), "{pieces}");
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_is_bounded_wherever_the_form_parser_sees_one() {
+    fn a_header_is_limited_wherever_the_form_parser_sees_one() {
         let long = vec![b'h'; HEADER + 1];
         // empty lines before and right after the first delimiter end no header
         for before in [b"\r\n\r\n--b\r\n".as_slice(), b"--b\r\n\r\n", b"x--b\r\n", b"--b \t\r\n\r\n"] {
@@ -164,7 +164,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn pieces_make_no_difference(headers in prop::collection::vec(HEADER - 30..HEADER + 30, 1..4), data in 0..40_usize, pieces in 1..9000_usize) {
+        fn the_size_of_chunks_makes_no_difference(headers in prop::collection::vec(HEADER - 30..HEADER + 30, 1..4), data in 0..40_usize, pieces in 1..9000_usize) {
             let form = form(&headers, data);
             prop_assert_eq!(passes(&form, pieces), passes(&form, form.len()));
         }

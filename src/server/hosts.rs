@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_count() {
+    fn host_names_are_accepted_as_configured() {
         let loopback = Hosts::new(([127, 0, 0, 1], 8080).into(), &["Photos.Example.".into()]);
         for fine in
             ["localhost", "LOCALHOST:8080", "a.localhost", "127.0.0.1:1", "127.9.9.9", "[::1]:8080", "photos.example", "photos.example:443"]
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_are_as_the_browser_knows_them() {
+    fn addresses_have_the_host_and_scheme_of_the_request() {
         let of = |pairs: &[(&'static str, &'static str)]| {
             origin(&pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect())
         };
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn callers_not_from_loopback_are_strangers() {
+    fn only_loopback_callers_are_the_local_user() {
         let headers = |pairs: &[(&'static str, &'static str)]| {
             pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect::<HeaderMap>()
         };

@@ -29,7 +29,7 @@ pub async fn trim_when_idle(app: App) {
     let mut released = Activity::default();
     loop {
         tokio::time::sleep((app.limits.idle / CHECKS).max(Duration::from_millis(10))).await;
-        app.settle().await;
+        app.evict_idle().await;
         let shared = App::clone(&app);
         let settled = tokio::task::spawn_blocking(move || {
             shared.renderer.settle();
@@ -50,7 +50,7 @@ pub async fn trim_when_idle(app: App) {
 /// blocks come from per-thread caches; `tests/load/allocators.py` compares. `MALLOC_ARENA_MAX` overrides this.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
-pub fn allocate_in_one_place() {
+pub fn use_one_malloc_arena() {
     if std::env::var_os("MALLOC_ARENA_MAX").is_none() {
         // SAFETY: it takes no pointer; if it fails, nothing changes
         unsafe { libc::mallopt(libc::M_ARENA_MAX, 1) };
@@ -59,7 +59,7 @@ pub fn allocate_in_one_place() {
 
 /// Not needed for other allocators.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-pub fn allocate_in_one_place() {}
+pub fn use_one_malloc_arena() {}
 
 /// Returns the allocator's free memory to the system.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

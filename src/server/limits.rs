@@ -100,11 +100,11 @@ pub struct Limits {
     /// Time between two checks of a photo's files against their digests.
     #[serde(rename = "verify-interval", with = "In::<SECOND>")]
     #[schemars(range(min = 1))]
-    pub look_over: Duration,
+    pub verify_interval: Duration,
     /// Most bytes that these checks read in a second.
     #[serde(rename = "verify-rate", with = "In::<MIB>")]
     #[schemars(range(min = 1))]
-    pub look_over_rate: u64,
+    pub verify_rate: u64,
     /// Requests a minute for each key, and for each address without one. 0 turns a rate off.
     pub rates: Rates,
     /// What one owner may have, with private access. 0 is no quota.
@@ -116,7 +116,7 @@ pub struct Limits {
     /// Caches.
     pub cache: Caches,
     /// Rooms.
-    pub live: live::Bounds,
+    pub live: live::RoomLimits,
 
     /// Photos made at a time: `--workers`.
     #[serde(skip)]
@@ -156,7 +156,7 @@ pub struct Limits {
     pub retain_sweep: Duration,
     /// Time from the start to the first integrity check.
     #[serde(skip)]
-    pub look_over_first: Duration,
+    pub verify_first: Duration,
     /// Pauses after failed attempts to deliver an event to a webhook; after one more, the delivery fails.
     #[serde(skip)]
     pub retries: Vec<Duration>,
@@ -357,15 +357,15 @@ impl Default for Limits {
             link: Duration::from_hours(24 * 366),
             // so that an operator who returns to plain HTTP loses browsers for at most a week
             hsts: Duration::from_hours(24 * 7),
-            look_over: Duration::from_hours(24),
+            verify_interval: Duration::from_hours(24),
             // 100 000 photos of 500 KB in half an hour
-            look_over_rate: 32 << 20,
+            verify_rate: 32 << 20,
             rates: Rates::default(),
             quotas: Quotas::default(),
             retention: Retention::default(),
             exports: Exports::default(),
             cache: Caches::default(),
-            live: live::Bounds::default(),
+            live: live::RoomLimits::default(),
             // one job keeps all cores busy
             workers: 1,
             header_read: Self::HEADER_READ,
@@ -378,7 +378,7 @@ impl Default for Limits {
             streams_at_once: 64,
             keep_alive: Duration::from_secs(15),
             retain_sweep: Duration::from_hours(1),
-            look_over_first: Duration::from_mins(1),
+            verify_first: Duration::from_mins(1),
             retries: RETRIES.to_vec(),
         }
     }

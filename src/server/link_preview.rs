@@ -3,10 +3,11 @@
 use std::fmt::Write as _;
 
 use super::access;
-use super::app_state::Shared;
+use super::app_state::AppState;
 use super::finished_photo::FinishedPhoto;
 use super::photo_options;
 use super::photo_settings::Settings;
+use crate::export::escaped;
 use tmpi_library::Photo;
 
 /// Title of a photo without one.
@@ -28,7 +29,7 @@ pub struct Picture {
 
 /// The card of a photo.
 #[derive(Debug)]
-pub struct Card {
+pub struct PreviewCard {
     /// `scheme://host` of the server, as in the request.
     base: String,
     id: String,
@@ -39,10 +40,10 @@ pub struct Card {
     view: Option<(String, (u32, u32))>,
 }
 
-impl Card {
+impl PreviewCard {
     /// The card for this request's caller, who knows the server as `base`. If a link gave the caller access, all addresses contain it.
     #[must_use]
-    pub fn of(app: &Shared, photo: &Photo, base: String) -> Self {
+    pub fn of(app: &AppState, photo: &Photo, base: String) -> Self {
         let (settings, link) = (Settings::of(photo), access::link());
         let view = if let Some(done) = FinishedPhoto::of(photo) {
             let pose = settings.poster_pose(&photo_options::view_box_of(&photo.options)).unwrap_or_default();
@@ -88,7 +89,7 @@ impl Card {
 
     /// The viewer's page with the photo's title and the card's tags in its head.
     #[must_use]
-    pub fn introduce(&self, page: &str) -> String {
+    pub fn insert_tags(&self, page: &str) -> String {
         let title = escaped(&self.title);
         let titled = match (page.find("<title>"), page.find("</title>")) {
             (Some(from), Some(to)) if from < to => format!("{}<title>{title} – tmpi{}", &page[..from], &page[to..]),
@@ -138,30 +139,15 @@ fn within((width, height): (u32, u32), most: (u32, u32)) -> (u32, u32) {
     (side(width, most.0), side(height, most.1))
 }
 
-/// Text escaped for HTML, between tags and in quotes of either kind.
-fn escaped(text: &str) -> String {
-    text.chars().fold(String::with_capacity(text.len()), |mut out, c| {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c => out.push(c),
-        }
-        out
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
 
-    fn card(title: &str) -> Card {
+    fn card(title: &str) -> PreviewCard {
         let view = Some(("https://h:1/x?a=1".into(), (4000, 3000)));
-        Card { base: "https://h:1".into(), id: "0".repeat(32), title: title.into(), link: String::new(), view }
+        PreviewCard { base: "https://h:1".into(), id: "0".repeat(32), title: title.into(), link: String::new(), view }
     }
 
     #[test]
@@ -178,13 +164,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_title_leaves_its_place(title in any::<String>(), quote in prop::sample::select(vec!['"', '\'', '<', '>', '&'])) {
+        fn no_title_escapes_its_html_element(title in any::<String>(), quote in prop::sample::select(vec!['"', '\'', '<', '>', '&'])) {
             let plain = card("T");
             let hostile = card(&format!("{title}{quote}{title}"));
             // as many tags and quotes as with a harmless title: none opened or closed
             let count = |html: &str| ['<', '>', '"'].map(|c| html.matches(c).count());
             let page = "<head><title>x</title></head>";
-            prop_assert_eq!(count(&hostile.introduce(page)), count(&plain.introduce(page)));
+            prop_assert_eq!(count(&hostile.insert_tags(page)), count(&plain.insert_tags(page)));
             prop_assert_eq!(count(&hostile.frame((800, 800)).0), count(&plain.frame((800, 800)).0));
         }
     }

@@ -24,7 +24,7 @@ pub async fn probe(app: App, has_objects: bool) {
         let trouble = match app.library.check().await {
             Ok(()) => app.maker.lacks(),
             Err(LibraryError::StorageFull) => {
-                app.free_disk().await;
+                app.free_temp_space().await;
                 Some("the data directory has no room left")
             }
             Err(error) => {
@@ -47,8 +47,8 @@ pub async fn sweep(app: App) {
         match app.library.sweep().await {
             Ok(swept) => {
                 app.telemetry.swept(&swept);
-                if swept.by_age + swept.by_room > 0 {
-                    tracing::info!(by_age = swept.by_age, by_room = swept.by_room, bytes = swept.bytes, "retention deleted photos");
+                if swept.by_age + swept.by_space > 0 {
+                    tracing::info!(by_age = swept.by_age, by_space = swept.by_space, bytes = swept.bytes, "retention deleted photos");
                 }
             }
             Err(error) => tracing::warn!(%error, "cannot apply retention; the next sweep retries"),
@@ -62,12 +62,12 @@ pub async fn sweep(app: App) {
 }
 
 /// Checks the stored files of photos periodically, to find damage before a client does.
-pub async fn look_over(app: App) {
-    tokio::time::sleep(app.limits.look_over_first).await;
+pub async fn verify_photos(app: App) {
+    tokio::time::sleep(app.limits.verify_first).await;
     loop {
-        let pause = match app.library.check_next(app.limits.look_over).await {
-            Ok(Some(photo)) => Duration::from_secs_f64(photo.bytes as f64 / app.limits.look_over_rate as f64),
-            Ok(None) => NONE_DUE.min(app.limits.look_over),
+        let pause = match app.library.verify_next(app.limits.verify_interval).await {
+            Ok(Some(photo)) => Duration::from_secs_f64(photo.bytes as f64 / app.limits.verify_rate as f64),
+            Ok(None) => NONE_DUE.min(app.limits.verify_interval),
             Err(error) => {
                 tracing::warn!(%error, "cannot check a photo now");
                 PROBE
@@ -78,11 +78,11 @@ pub async fn look_over(app: App) {
 }
 
 /// Drops the cache entries of deleted photos, whichever node deleted them.
-pub async fn forget(app: App) {
+pub async fn evict_deleted(app: App) {
     let mut events = app.library.subscribe();
     while let Some(event) = events.next().await {
         if let Event::Deleted(photo) = event {
-            app.forget(photo).await;
+            app.evict_photo(photo).await;
         }
     }
 }

@@ -12,9 +12,9 @@ use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::build_identity;
-use super::exports::Work;
+use super::exports::ExportTask;
 use super::limits::Limits;
-use super::network_download::Offer;
+use super::network_download::NetworkOffer;
 use super::problem::Problem;
 
 /// The stored results of a photo.
@@ -69,7 +69,7 @@ pub trait Maker: Send + Sync + 'static {
     }
 
     /// A better network to download; `None` if there is none, or it is installed.
-    fn better(&self) -> Option<Offer> {
+    fn better(&self) -> Option<NetworkOffer> {
         None
     }
 
@@ -77,7 +77,7 @@ pub trait Maker: Send + Sync + 'static {
     ///
     /// # Errors
     /// Why the download failed, as text.
-    fn fetch_better(&self, _progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+    fn download_better(&self, _progress: &mut dyn FnMut(u64)) -> Result<(), String> {
         Err("there is no better network".into())
     }
 
@@ -115,8 +115,8 @@ pub trait Maker: Send + Sync + 'static {
     ///
     /// # Errors
     /// [`Fault`].
-    fn export(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
-        work.here(sink)
+    fn export(&self, work: &ExportTask<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+        work.run(sink)
     }
 
     /// Makes a photo; blocks.
@@ -142,13 +142,13 @@ impl PipelineMaker {
 
     /// Memory for making photos, in bytes.
     #[must_use]
-    pub fn most_memory(&self) -> u64 {
+    pub fn max_memory(&self) -> u64 {
         self.limits.memory
     }
 
     /// With networks that `text` identifies.
     #[must_use]
-    pub fn identified(self, text: &str) -> Self {
+    pub fn with_identity(self, text: &str) -> Self {
         Self { identity: format!("{} {text}", build_identity::PIPELINE), ..self }
     }
 }
@@ -204,7 +204,7 @@ impl PipelineMaker {
     /// Refuses sizes that take too much with `options`, or give containers that no reader accepts.
     fn check_size(&self, sizes: &Sizes, options: &Options) -> Result<(), MakeError> {
         let options = options.fitted(sizes, &self.limits)?;
-        let (width, height) = photo::reduced_size(options.shown(sizes.file), options.max_size);
+        let (width, height) = photo::reduced_size(options.photo_size(sizes.file), options.max_size);
         Ok(options.check_readable(width, height)?)
     }
 

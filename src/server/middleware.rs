@@ -11,7 +11,9 @@ use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use futures_util::FutureExt;
+use futures_util::FutureExt as _;
+use opentelemetry::Context;
+use opentelemetry::context::FutureExt as _;
 use tracing::{Instrument, Span};
 
 use super::accept_loop::{Peer, Secure};
@@ -24,10 +26,10 @@ use super::limits::Limits;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::proxies::Proxies;
-use super::rates::{RateHeaders, RateKey, Rates};
-use super::request_body::Guarded;
+use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
+use super::request_body::LimitedBody;
 use super::time_limit::TimeLimit;
-use super::traces::TRACE;
+use super::traces;
 
 /// Header of the id of a request.
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -57,7 +59,7 @@ struct Checks<'a> {
     /// Access control.
     guard: Option<&'a Guard>,
     /// Rate limits.
-    rates: Option<&'a Rates>,
+    rates: Option<&'a RateLimiter>,
 }
 
 /// Wraps a request.
@@ -70,15 +72,15 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     let route = matched.as_ref().map_or("none", MatchedPath::as_str);
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
     let peer = peer.map(|peer| checks.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
-    let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
-    let trace = app.telemetry.traces().and_then(|to| to.request(known_method(&method), route, request.headers(), peer));
+    let client = peer.filter(|ip| !ip.to_canonical().is_loopback());
+    let trace = app.telemetry.traces().map_or_else(Context::new, |to| to.request(known_method(&method), route, request.headers(), peer));
     let span = span(&id, peer, &method, request.uri().path());
-    if let Some(trace) = &trace {
-        span.record("trace", trace.trace());
+    if let Some(id) = traces::trace_id(&trace) {
+        span.record("trace", id);
     }
     let secure = request.extensions().get::<Secure>().is_some();
-    let answered = answer(app, checks, request, next).instrument(span.clone());
-    let mut response = TRACE.scope(trace.clone(), CLIENT.scope(asker, SECURE.scope(secure, answered))).await;
+    let answered = answer(app, checks, request, next).instrument(span.clone()).with_context(trace.clone());
+    let mut response = CLIENT.scope(client, SECURE.scope(secure, answered)).await;
     response = finish(response, &id).await;
     if secure {
         put_secure(&mut response, &app.limits);
@@ -87,9 +89,7 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     put_own(&mut response, &id, took);
     let status = response.status().as_u16();
     app.telemetry.request(known_method(&method), route, status, took);
-    if let Some(trace) = trace {
-        trace.answered(status);
-    }
+    traces::answered(&trace, status);
     log(&span, response.status(), took);
     response
 }
@@ -136,7 +136,7 @@ async fn answer(app: &App, checks: Checks<'_>, request: Request, next: Next) -> 
         request
     } else {
         request.map(|body| {
-            let (guarded, left) = Guarded::new(body, &limits, clock.clone());
+            let (guarded, left) = LimitedBody::new(body, &limits, clock.clone());
             rest = Some(left);
             Body::new(guarded)
         })
@@ -275,7 +275,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_are_taken_only_where_harmless() {
+    fn only_harmless_request_ids_are_kept() {
         let with = |id: &str| request_id(&[(REQUEST_ID, HeaderValue::from_str(id).unwrap())].into_iter().collect());
         assert_eq!(with("abc-1_2.3"), "abc-1_2.3");
         assert_eq!(with(&"x".repeat(MAX_ID)).len(), MAX_ID);

@@ -7,17 +7,18 @@
 mod accept_loop;
 mod access;
 mod app_state;
-mod attachment;
 mod blocking_pool;
 mod body_source;
 mod build_identity;
 mod cache;
-mod cached;
+mod cache_values;
 mod child;
 mod client_slots;
 mod compress;
 mod conditional;
 mod config;
+mod content_disposition;
+mod cross_site;
 mod exports;
 mod finished_photo;
 pub(crate) mod fuzzing;
@@ -28,7 +29,7 @@ mod limits;
 mod link_preview;
 mod maintenance;
 mod maker;
-mod memory;
+mod memory_budget;
 mod metrics;
 mod middleware;
 mod minimum_rate;
@@ -39,9 +40,8 @@ mod part_filename;
 mod photo_options;
 mod photo_settings;
 mod problem;
-mod process_metrics;
 mod proxies;
-mod rates;
+mod rate_limit;
 mod request_body;
 mod routes;
 mod sources;
@@ -53,6 +53,8 @@ mod traces;
 mod units;
 mod upload;
 mod upload_by_address;
+mod upload_fields;
+mod upload_file;
 mod upload_head;
 mod upload_slots;
 mod webhooks;
@@ -69,15 +71,16 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept_loop::ConnectionGuard;
-pub(crate) use access::same;
-pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
-pub(crate) use conditional::{Coding, Entity, respond};
+pub(crate) use access::constant_time_eq;
+pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run_child};
+pub(crate) use conditional::{ContentCoding, Entity, respond};
 pub use config::{Config, Role};
-pub use idle_trim::allocate_in_one_place;
+pub(crate) use cross_site::check_origin;
+pub use idle_trim::use_one_malloc_arena;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
-pub use network_download::{Better, Offer, Renewed};
-pub use outbound::Reach;
+pub use network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
+pub use outbound::AddressPolicy;
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use routes::{Access, Route, openapi, openapi_of, routes};
@@ -87,9 +90,9 @@ pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 pub use webhooks::ConfiguredWebhook;
 
-use app_state::{App, Parts, Shared};
+use app_state::{App, AppParts, AppState};
+pub(crate) use metrics::Metric;
 use metrics::Telemetry;
-pub(crate) use metrics::{Figure, gauge};
 pub(crate) use timestamps::rfc3339;
 use traces::Traces;
 use webhooks::Clients;
@@ -178,10 +181,10 @@ impl Server {
         }
         let webhooks: Vec<NewWebhook> = config.webhooks.iter().map(|webhook| webhook.stored().clone()).collect();
         library.configure_webhooks(&webhooks).await?;
-        let webhooks = Arc::new(Clients::new(config.webhook_reach));
+        let webhooks = Arc::new(Clients::new(config.webhook_addresses));
         let sources = config.sources();
         let (role, has_objects) = (config.role, config.blobs.is_some());
-        let app = Arc::new(Shared::new(config, addr, library, Parts { maker, renderer, telemetry, openapi, sources }));
+        let app = Arc::new(AppState::new(config, addr, library, AppParts { maker, renderer, telemetry, openapi, sources }));
         Ok(Self { listener, addr, app, rooms: None, role, has_objects, tls: None, webhooks, admin, lock })
     }
 
@@ -243,7 +246,7 @@ impl Server {
         let mut upkeep = tokio::task::JoinSet::new();
         upkeep.spawn(maintenance::probe(Arc::clone(&app), has_objects));
         upkeep.spawn(maintenance::sweep(Arc::clone(&app)));
-        upkeep.spawn(maintenance::forget(Arc::clone(&app)));
+        upkeep.spawn(maintenance::evict_deleted(Arc::clone(&app)));
         if tls.is_some() {
             app.set_origin(addr.port());
         }
@@ -251,7 +254,7 @@ impl Server {
         upkeep.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
         if !has_objects {
             // an object store checks its own contents
-            upkeep.spawn(maintenance::look_over(Arc::clone(&app)));
+            upkeep.spawn(maintenance::verify_photos(Arc::clone(&app)));
         }
         // nodes that only make photos have no rooms
         let rooms = rooms.filter(|_| role != Role::Work);
@@ -288,7 +291,7 @@ impl Server {
             tracing::error!(%error, "draining jobs");
         }
         upkeep.shutdown().await;
-        if let Err(error) = app.library.note_views().await {
+        if let Err(error) = app.library.save_views().await {
             tracing::warn!(%error, "cannot record when photos were viewed");
         }
         app.library.close().await;
@@ -314,7 +317,7 @@ async fn listen(addr: SocketAddr) -> Result<(TcpListener, SocketAddr), ServerErr
 fn claim(data: &Path, incoming: &Path) -> std::io::Result<File> {
     let lock = File::options().create(true).truncate(false).write(true).open(data.join("lock"))?;
     lock.try_lock().map_err(|_| std::io::Error::other("another process serves from there"))?;
-    child::empty_scratch(data)?;
+    child::remove_leftovers(data)?;
     for entry in std::fs::read_dir(incoming)? {
         std::fs::remove_file(entry?.path())?;
     }

@@ -6,7 +6,7 @@ use super::maker::Maker;
 
 /// A better network to download.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, utoipa::ToSchema)]
-pub struct Offer {
+pub struct NetworkOffer {
     /// Its name in reports.
     pub name: String,
     /// Size of its file in bytes, if known.
@@ -18,7 +18,7 @@ pub struct Offer {
 
 /// Network and identity of a maker with the better network.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Renewed {
+pub struct InstalledNetwork {
     /// The network's name in reports.
     pub network: String,
     /// See [`super::Maker::identity`].
@@ -26,20 +26,20 @@ pub struct Renewed {
 }
 
 /// Downloads a better network.
-pub trait Better: Send + Sync + 'static {
+pub trait NetworkUpgrade: Send + Sync + 'static {
     /// The network to download.
-    fn offer(&self) -> Offer;
+    fn offer(&self) -> NetworkOffer;
 
     /// Downloads it, resuming an earlier try; blocks. Calls `progress` with the bytes downloaded so far.
     ///
     /// # Errors
     /// Why it failed, as text.
-    fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<Renewed, String>;
+    fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<InstalledNetwork, String>;
 }
 
 /// State of a download.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Fetching {
+pub enum DownloadState {
     /// No download is running.
     #[default]
     Idle,
@@ -51,16 +51,16 @@ pub enum Fetching {
 
 /// The server's download; one runs at a time.
 #[derive(Clone, Debug, Default)]
-pub struct Download(Arc<Mutex<Fetching>>);
+pub struct Download(Arc<Mutex<DownloadState>>);
 
 impl Download {
-    fn lock(&self) -> MutexGuard<'_, Fetching> {
+    fn lock(&self) -> MutexGuard<'_, DownloadState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Its state.
     #[must_use]
-    pub fn state(&self) -> Fetching {
+    pub fn state(&self) -> DownloadState {
         self.lock().clone()
     }
 
@@ -70,24 +70,24 @@ impl Download {
     /// If no thread can be started.
     pub fn start(&self, maker: &Arc<dyn Maker>) -> std::io::Result<bool> {
         let mut now = self.lock();
-        if matches!(*now, Fetching::UnderWay(_)) || maker.better().is_none() {
+        if matches!(*now, DownloadState::UnderWay(_)) || maker.better().is_none() {
             return Ok(false);
         }
         let (download, maker) = (self.clone(), Arc::clone(maker));
         std::thread::Builder::new().name("tmpi-network".into()).spawn(move || {
-            let fetched = maker.fetch_better(&mut |have| *download.lock() = Fetching::UnderWay(have));
+            let fetched = maker.download_better(&mut |have| *download.lock() = DownloadState::UnderWay(have));
             *download.lock() = match fetched {
                 Ok(()) => {
                     tracing::info!(network = maker.network(), "a better depth network is installed");
-                    Fetching::Idle
+                    DownloadState::Idle
                 }
                 Err(problem) => {
                     tracing::warn!(problem, "cannot download a better depth network");
-                    Fetching::Failed(problem)
+                    DownloadState::Failed(problem)
                 }
             };
         })?;
-        *now = Fetching::UnderWay(0);
+        *now = DownloadState::UnderWay(0);
         Ok(true)
     }
 }

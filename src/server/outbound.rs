@@ -13,11 +13,11 @@ use reqwest::dns::{Addrs, Name, Resolve, Resolving};
 use reqwest::{Client, ClientBuilder, Url};
 
 /// Longest address in bytes.
-const MOST_URL: usize = 2048;
+const MAX_URL: usize = 2048;
 
 /// Addresses that a request may reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reach {
+pub enum AddressPolicy {
     /// Public ones.
     Public,
     /// All, those of this machine and its networks included.
@@ -98,8 +98,8 @@ pub fn is_public(address: IpAddr) -> bool {
 ///
 /// # Errors
 /// [`AddressError`].
-pub fn url(text: &str, reach: Reach) -> Result<Url, AddressError> {
-    let url: Url = text.parse().ok().filter(|_| text.len() <= MOST_URL).ok_or(AddressError::Malformed)?;
+pub fn url(text: &str, reach: AddressPolicy) -> Result<Url, AddressError> {
+    let url: Url = text.parse().ok().filter(|_| text.len() <= MAX_URL).ok_or(AddressError::Malformed)?;
     check(&url, reach)?;
     Ok(url)
 }
@@ -108,7 +108,7 @@ pub fn url(text: &str, reach: Reach) -> Result<Url, AddressError> {
 ///
 /// # Errors
 /// [`AddressError`].
-pub fn check(url: &Url, reach: Reach) -> Result<(), AddressError> {
+pub fn check(url: &Url, reach: AddressPolicy) -> Result<(), AddressError> {
     if !matches!(url.scheme(), "http" | "https") {
         return Err(AddressError::Scheme);
     }
@@ -118,7 +118,7 @@ pub fn check(url: &Url, reach: Reach) -> Result<(), AddressError> {
     let host = url.host_str().ok_or(AddressError::Malformed)?;
     let number = host.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
     match number {
-        Ok(address) if reach == Reach::Public && !is_public(address) => Err(AddressError::NotPublic),
+        Ok(address) if reach == AddressPolicy::Public && !is_public(address) => Err(AddressError::NotPublic),
         _ => Ok(()),
     }
 }
@@ -165,26 +165,26 @@ pub fn is_not_public(error: &reqwest::Error) -> bool {
 /// that sends none.
 #[derive(Clone, Debug)]
 pub struct Outbound {
-    reach: Reach,
+    reach: AddressPolicy,
     client: OnceLock<Client>,
 }
 
 impl Outbound {
     /// To addresses within `reach`.
     #[must_use]
-    pub const fn new(reach: Reach) -> Self {
+    pub const fn new(reach: AddressPolicy) -> Self {
         Self { reach, client: OnceLock::new() }
     }
 
     /// With another client.
     #[cfg(test)]
-    pub fn of(reach: Reach, client: Client) -> Self {
+    pub fn of(reach: AddressPolicy, client: Client) -> Self {
         Self { reach, client: OnceLock::from(client) }
     }
 
     /// Which addresses it reaches.
     #[must_use]
-    pub const fn reach(&self) -> Reach {
+    pub const fn reach(&self) -> AddressPolicy {
         self.reach
     }
 
@@ -202,14 +202,14 @@ impl Outbound {
 }
 
 /// Makes such a client.
-pub fn builder(reach: Reach) -> ClientBuilder {
+pub fn builder(reach: AddressPolicy) -> ClientBuilder {
     // keeps a provider that is installed already
     let _ = rustls::crypto::ring::default_provider().install_default();
     let builder = Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none()).referer(false);
     let builder = builder.user_agent(concat!("tmpi/", env!("CARGO_PKG_VERSION")));
     match reach {
-        Reach::Public => builder.dns_resolver(PublicAddresses),
-        Reach::Any => builder,
+        AddressPolicy::Public => builder.dns_resolver(PublicAddresses),
+        AddressPolicy::Any => builder,
     }
 }
 
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_public_however_its_number_is_written() {
+    fn addresses_are_checked_in_every_notation() {
         use AddressError::{Credentials, Malformed, NotPublic, Scheme};
         for (text, wrong) in [
             ("https://example.org/hook?a=b", None),
@@ -319,14 +319,14 @@ mod tests {
             ("https://", Some(Malformed)),
             ("", Some(Malformed)),
         ] {
-            assert_eq!(url(text, Reach::Public).err(), wrong, "{text}");
+            assert_eq!(url(text, AddressPolicy::Public).err(), wrong, "{text}");
         }
-        assert!(url("http://127.0.0.1/", Reach::Any).is_ok());
-        assert_eq!(url(&format!("https://a/{}", "x".repeat(MOST_URL)), Reach::Any), Err(Malformed));
+        assert!(url("http://127.0.0.1/", AddressPolicy::Any).is_ok());
+        assert_eq!(url(&format!("https://a/{}", "x".repeat(MAX_URL)), AddressPolicy::Any), Err(Malformed));
     }
 
     #[test]
-    fn of_a_name_only_public_addresses_count() {
+    fn only_public_addresses_of_a_name_are_used() {
         let of = |all: &[&str]| public_of(all.iter().map(|a| SocketAddr::new(a.parse().unwrap(), 0))).map(|a| a.len()).ok();
         assert_eq!((of(&["127.0.0.1", "1.1.1.1", "::1"]), of(&["127.0.0.1"]), of(&[])), (Some(1), None, None));
     }
@@ -335,12 +335,12 @@ mod tests {
     async fn a_name_of_this_machine_is_not_connected_to() {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://localhost:{}/", listener.local_addr().unwrap().port());
-        let refused = Outbound::new(Reach::Public).client().unwrap().get(&url).send().await.unwrap_err();
+        let refused = Outbound::new(AddressPolicy::Public).client().unwrap().get(&url).send().await.unwrap_err();
         assert!(is_not_public(&refused));
         assert_eq!(cause(refused), "the name has no public address");
         let (came, asked) = tokio::join!(listener.accept(), async {
             let wait = std::time::Duration::from_millis(200);
-            Outbound::new(Reach::Any).client().unwrap().get(&url).timeout(wait).send().await
+            Outbound::new(AddressPolicy::Any).client().unwrap().get(&url).timeout(wait).send().await
         });
         assert!(came.is_ok() && asked.is_err());
     }

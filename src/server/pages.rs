@@ -11,9 +11,9 @@ use sha2::{Digest, Sha256};
 
 use super::app_state::App;
 use super::compress;
-use super::conditional::{Coding, Entity, REVALIDATE, respond};
+use super::conditional::{ContentCoding, Entity, REVALIDATE, respond};
 use super::hosts::origin;
-use super::link_preview::Card;
+use super::link_preview::PreviewCard;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 use tmpi_library::hex;
@@ -50,12 +50,12 @@ pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Respons
 /// the same page with status 404; the page itself explains it.
 pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = "app/view-page.html";
-    let Ok(photo) = app.photo(&id).await else { return not_found(&app, name, Frames::Own).await };
+    let Ok(photo) = app.photo(&id).await else { return missing_page(&app, name, Frames::Own).await };
     let mut file = load(&app, name).await?;
-    let card = origin(&headers).map(|base| Card::of(&app, &photo, base));
+    let card = origin(&headers).map(|base| PreviewCard::of(&app, &photo, base));
     if let Some(card) = card {
-        let page = card.introduce(&String::from_utf8_lossy(&file.bytes));
-        file = File { etag: tag(page.as_bytes()), bytes: page.into(), coding: Coding::Gzip };
+        let page = card.insert_tags(&String::from_utf8_lossy(&file.bytes));
+        file = File { etag: etag_of(page.as_bytes()), bytes: page.into(), coding: ContentCoding::Gzip };
     }
     Ok(send(file, &headers, name, Frames::Own))
 }
@@ -65,7 +65,7 @@ pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<Stri
     let name = "app/embed-page.html";
     // the access check also makes a link set its cookie
     if app.photo(&id).await.is_err() {
-        return not_found(&app, name, Frames::Anybody).await;
+        return missing_page(&app, name, Frames::Anybody).await;
     }
     page(&app, &headers, name, Frames::Anybody).await
 }
@@ -86,7 +86,7 @@ pub async fn publish(State(app): State<App>, headers: HeaderMap) -> Result<Respo
 }
 
 /// Fallback for unknown addresses: a page for people, a problem for programs.
-pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn not_found(State(app): State<App>, method: Method, headers: HeaderMap) -> Result<Response, Problem> {
     // browsers declare a navigation; for other clients, the preferred type decides
     let dest = headers.get("sec-fetch-dest").map(HeaderValue::as_bytes);
     let accepts = headers.get(header::ACCEPT).and_then(|a| a.to_str().ok());
@@ -94,11 +94,11 @@ pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap)
     if !person || !matches!(method, Method::GET | Method::HEAD) {
         return Err(Problem::not_found("there is nothing at this address"));
     }
-    not_found(&app, "app/missing-page.html", Frames::Own).await
+    missing_page(&app, "app/missing-page.html", Frames::Own).await
 }
 
 /// A page with status 404.
-async fn not_found(app: &App, name: &str, frames: Frames) -> Result<Response, Problem> {
+async fn missing_page(app: &App, name: &str, frames: Frames) -> Result<Response, Problem> {
     // without the request's headers: no ranges and no 304
     let mut response = page(app, &HeaderMap::new(), name, frames).await?;
     *response.status_mut() = StatusCode::NOT_FOUND;
@@ -129,18 +129,18 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
 struct File {
     bytes: Bytes,
     etag: String,
-    coding: Coding,
+    coding: ContentCoding,
 }
 
 async fn load(app: &App, name: &str) -> Result<File, Problem> {
     if let Some(dir) = &app.pages {
         let path = within(dir, name).ok_or_else(|| missing(name))?;
         let bytes = tokio::fs::read(path).await.map_err(|_| missing(name))?;
-        let etag = tag(&bytes);
-        return Ok(File { bytes: bytes.into(), etag, coding: if is_text(name) { Coding::Gzip } else { Coding::Plain } });
+        let etag = etag_of(&bytes);
+        return Ok(File { bytes: bytes.into(), etag, coding: if is_text(name) { ContentCoding::Gzip } else { ContentCoding::Plain } });
     }
     let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
-    let coding = if is_text(name) { Coding::Coded(coded(at)) } else { Coding::Plain };
+    let coding = if is_text(name) { ContentCoding::Coded(coded(at)) } else { ContentCoding::Plain };
     Ok(File { bytes: Bytes::from_static(FILES[at].1), etag: tags()[at].clone(), coding })
 }
 
@@ -173,7 +173,7 @@ fn within(dir: &Path, name: &str) -> Option<PathBuf> {
     name.components().all(|c| matches!(c, Component::Normal(_))).then(|| dir.join(name))
 }
 
-fn tag(bytes: &[u8]) -> String {
+fn etag_of(bytes: &[u8]) -> String {
     format!("\"{}\"", hex(&Sha256::digest(bytes)[..16]))
 }
 
@@ -192,7 +192,7 @@ fn coded(at: usize) -> Option<Bytes> {
 
 fn tags() -> &'static [String] {
     static TAGS: OnceLock<Vec<String>> = OnceLock::new();
-    TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| tag(bytes)).collect())
+    TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| etag_of(bytes)).collect())
 }
 
 #[cfg(test)]
@@ -200,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_name_leads_out() {
+    fn no_name_escapes_the_folder() {
         let dir = Path::new("/pages");
         assert_eq!(within(dir, "a/b.js"), Some("/pages/a/b.js".into()));
         for bad in ["../x", "a/../../x", "/etc/passwd", "./x/../../y"] {

@@ -73,11 +73,11 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     let o = options;
     let mut all = BTreeMap::new();
     let mut put = |name: &str, value: String| all.insert(name.to_owned(), value);
-    put("denoise", chosen(&o.denoise));
-    put("depth-kind", chosen(&o.depth_kind));
+    put("denoise", value_name(&o.denoise));
+    put("depth-kind", value_name(&o.depth_kind));
     put("max-error", o.max_error.to_string());
-    put("photo-depth", chosen(&o.photo_depth));
-    put("plane-method", chosen(&o.plane_method));
+    put("photo-depth", value_name(&o.photo_depth));
+    put("plane-method", value_name(&o.plane_method));
     put(
         "planes",
         match o.planes {
@@ -86,9 +86,9 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
         },
     );
     put("quality", o.quality.to_string());
-    put("refine", chosen(&o.refine));
-    put("snap", chosen(&o.snap));
-    put("stereo", chosen(&o.stereo));
+    put("refine", value_name(&o.refine));
+    put("snap", value_name(&o.snap));
+    put("stereo", value_name(&o.stereo));
     put(
         "tile",
         match o.tile {
@@ -130,13 +130,13 @@ pub fn from_text(text: &BTreeMap<String, String>) -> Result<Options, Problem> {
 }
 
 /// The name of a choice.
-pub fn chosen<T: ValueEnum>(value: &T) -> String {
+pub fn value_name<T: ValueEnum>(value: &T) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }
 
 fn choice<T: ValueEnum>(name: &str, value: &str) -> Result<T, Problem> {
     T::from_str(value, true).map_err(|_| {
-        let all: Vec<String> = T::value_variants().iter().map(chosen).collect();
+        let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
         Problem::parameter(name, format!("must be one of {}, not {value:?}", all.join(", ")))
     })
 }
@@ -167,14 +167,14 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn defaults_survive_the_way_through_text() {
+    fn default_options_read_back_from_text() {
         let text = to_text(&Options::default());
         assert_eq!(from_text(&text).unwrap(), Options::default());
         assert!(text.keys().all(|k| NAMES.contains(&k.as_str())));
     }
 
     #[test]
-    fn every_name_is_known_with_either_dash() {
+    fn option_names_accept_dashes_and_underscores() {
         for name in NAMES {
             let value = match name {
                 "denoise" | "refine" | "snap" | "photo-depth" => "off",

@@ -3,7 +3,6 @@
 
 use std::borrow::Cow;
 
-use axum::http::StatusCode;
 use icu_normalizer::ComposingNormalizerBorrowed;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -146,8 +145,8 @@ impl Settings {
 
     /// These settings with the title and visibility that an upload of the same photo gives.
     #[must_use]
-    pub fn told_again(&self, told: &Self) -> Self {
-        let (title, visibility) = (told.title.clone().or_else(|| self.title.clone()), told.visibility.or(self.visibility));
+    pub fn overridden_by(&self, given: &Self) -> Self {
+        let (title, visibility) = (given.title.clone().or_else(|| self.title.clone()), given.visibility.or(self.visibility));
         Self { title, visibility, ..self.clone() }
     }
 
@@ -185,7 +184,7 @@ impl Settings {
     ///
     /// # Errors
     /// [`Problem`] 400: not 1 to 200 characters, or a control character.
-    pub fn titled(self, text: &str) -> Result<Self, Problem> {
+    pub fn with_title(self, text: &str) -> Result<Self, Problem> {
         Ok(Self { title: Some(title("title", &Value::from(text))?), ..self })
     }
 
@@ -193,7 +192,7 @@ impl Settings {
     ///
     /// # Errors
     /// [`Problem`] 400: neither `private` nor `link`.
-    pub fn seen_by(self, text: &str) -> Result<Self, Problem> {
+    pub fn with_visibility(self, text: &str) -> Result<Self, Problem> {
         Ok(Self { visibility: Some(visibility("visibility", &Value::from(text))?), ..self })
     }
 
@@ -293,30 +292,6 @@ fn offset(name: &str, value: &Value, old: Option<Offset>, usual: f64, least: f64
     Ok(new)
 }
 
-/// Checks that the client saw the current version (`If-Match`, RFC 9110, section 13.1.1).
-///
-/// # Errors
-/// 412 if `If-Match` names other versions than `etag`. In a tag of two parts with a dash between only the first counts: it covers what
-/// clients can change, the second what changes without them.
-pub fn still_as_seen(headers: &axum::http::HeaderMap, etag: &str) -> Result<(), Problem> {
-    let mut seen = headers.get_all(axum::http::header::IF_MATCH).iter().peekable();
-    if seen.peek().is_none() {
-        return Ok(());
-    }
-    let part =
-        |tag: &str| tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')).map(|t| t.split('-').next().unwrap_or_default().to_owned());
-    // strong comparison: a weak tag matches nothing
-    let matches = seen
-        .filter_map(|v| v.to_str().ok())
-        .flat_map(|v| v.split(','))
-        .any(|v| v.trim() == "*" || part(v.trim()).is_some_and(|p| Some(p) == part(etag)));
-    if matches {
-        return Ok(());
-    }
-    let detail = format!("the photo was changed meanwhile; it is {etag} now");
-    Err(Problem::new(StatusCode::PRECONDITION_FAILED, "changed", detail).field("If-Match"))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -333,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn ways_of_moving_have_the_names_of_films() {
+    fn idle_motions_have_the_names_of_film_paths() {
         for name in Path::NAMES.into_iter().chain(["none"]) {
             let one = Settings::default().patched(format!(r#"{{"idle": "{name}", "speed": 4}}"#).as_bytes()).unwrap();
             assert_eq!((String::from(one.idle.clone().unwrap()).as_str(), one.speed), (name, Some(4.0)));
@@ -349,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn errors_name_their_field() {
         for (patch, field) in [
             (r#"{"titel": "x"}"#, Some("titel")),
             (r#"{"title": ""}"#, Some("title")),
@@ -382,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn files_name_their_photos() {
+    fn a_file_name_becomes_the_title() {
         for (file, title) in [
             ("By the sea.jpg", Some("By the sea")),
             ("IMG_2041.HEIC", Some("IMG_2041")),
@@ -399,19 +374,7 @@ mod tests {
             assert_eq!(title_of_file(file).as_deref(), title, "{file:?}");
         }
         let long = title_of_file(&"é".repeat(TITLE + 50)).unwrap();
-        assert!(Settings::default().titled(&long).is_ok());
-        assert_eq!(Settings::default().titled("a\u{7}").unwrap_err().field.as_deref(), Some("title"));
-    }
-
-    #[test]
-    fn only_the_version_that_was_seen_may_be_changed() {
-        use axum::http::{HeaderMap, HeaderValue, header};
-        let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
-        assert!(still_as_seen(&HeaderMap::new(), "\"a\"").is_ok());
-        assert!(still_as_seen(&with("\"b\", \"a\""), "\"a\"").is_ok() && still_as_seen(&with("*"), "\"a\"").is_ok());
-        assert!(still_as_seen(&with("\"a-1\""), "\"a-2\"").is_ok(), "only the second part of the tag has changed");
-        for other in ["\"b\"", "W/\"a\"", "a", "\"a", "\"b-1\""] {
-            assert_eq!(still_as_seen(&with(other), "\"a-1\"").unwrap_err().status, 412, "{other}");
-        }
+        assert!(Settings::default().with_title(&long).is_ok());
+        assert_eq!(Settings::default().with_title("a\u{7}").unwrap_err().field.as_deref(), Some("title"));
     }
 }

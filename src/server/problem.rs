@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
 use tmpi_core::container::ContainerError;
-use tmpi_library::{LibraryError, Quota, Service, Share};
+use tmpi_library::{LibraryError, QueueLimit, Quota, Service};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::StageError;
 use tmpi_pipeline::depth::DepthError;
@@ -20,8 +20,8 @@ pub const MEDIA_TYPE: &str = "application/problem+json";
 /// Prefix of problem types.
 const KINDS: &str = "urn:tmpi:problem:";
 /// Most bytes of foreign text that a problem repeats: of a name, and in all.
-const MOST_NAME: usize = 64;
-const MOST_DETAIL: usize = 1024;
+const MAX_NAME: usize = 64;
+const MAX_DETAIL: usize = 1024;
 
 /// The first `most` bytes of `text`.
 fn clipped(mut text: String, most: usize) -> String {
@@ -71,7 +71,7 @@ impl Problem {
             kind: format!("{KINDS}{kind}").into(),
             title: status.canonical_reason().unwrap_or("Error").into(),
             status: status.as_u16(),
-            detail: clipped(detail.into(), MOST_DETAIL).into(),
+            detail: clipped(detail.into(), MAX_DETAIL).into(),
             field: None,
             request_id: None,
             retry_after: None,
@@ -87,7 +87,7 @@ impl Problem {
     /// Names the field at fault.
     #[must_use]
     pub fn field(mut self, name: impl Into<String>) -> Self {
-        self.field = Some(clipped(name.into(), MOST_NAME).into());
+        self.field = Some(clipped(name.into(), MAX_NAME).into());
         self
     }
 
@@ -108,7 +108,7 @@ impl Problem {
     /// A parameter, option or form field is wrong.
     pub fn parameter(name: impl Into<String>, detail: impl std::fmt::Display) -> Self {
         let name = name.into();
-        let name = clipped(name, MOST_NAME);
+        let name = clipped(name, MAX_NAME);
         Self::new(StatusCode::BAD_REQUEST, "parameter", format!("{name}: {detail}")).field(name)
     }
 
@@ -232,30 +232,28 @@ impl From<LibraryError> for Problem {
                 let detail = "the photo is being made; it can be made again once it is done";
                 Self::new(StatusCode::CONFLICT, "not-ready", detail).retry_after(1)
             }
-            LibraryError::Changed => Self::new(StatusCode::PRECONDITION_FAILED, "changed", "it was changed meanwhile").field("If-Match"),
+            LibraryError::Changed => Self::new(StatusCode::PRECONDITION_FAILED, "changed", "it has changed meanwhile").field("If-Match"),
             LibraryError::QueueFull { waiting, share, retry_after, .. } => {
                 let detail = match share {
-                    Share::All => format!("{waiting} are waiting already"),
-                    Share::Owner => "half of the places to wait are yours already".to_owned(),
-                    Share::Address => "half of the places to wait are of your address already".to_owned(),
+                    QueueLimit::All => format!("{waiting} photos are waiting already"),
+                    QueueLimit::Owner => "your photos already take half of the queue".to_owned(),
+                    QueueLimit::Address => "photos from your address already take half of the queue".to_owned(),
                 };
                 let seconds = retry_after.as_secs_f64().ceil() as u64;
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(seconds.max(1))
             }
             LibraryError::QuotaExceeded { quota, used, asked, limit } => {
                 let detail = match quota {
-                    Quota::Photos => format!(
-                        "you have {used} photos, and {limit} is the limit (quotas.photos): delete one, and there is room for another"
-                    ),
+                    Quota::Photos => format!("you have {used} photos; the limit is {limit} (quotas.photos). Delete one to upload another"),
                     Quota::Bytes => format!(
-                        "your photos take {used} bytes, this one {asked}, and {limit} is the limit (quotas.size): delete some, and there is room"
+                        "your photos take {used} bytes and this one {asked}; the limit is {limit} (quotas.size). Delete some to upload it"
                     ),
                 };
                 Self::new(StatusCode::FORBIDDEN, "quota", detail)
             }
             LibraryError::StorageFull => Self::full(),
             LibraryError::Damaged { .. } => {
-                let detail = format!("{text}: upload the photo again, and it is made anew");
+                let detail = format!("{text}: upload the photo again to repair it");
                 Self::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", detail)
             }
             LibraryError::Invalid(detail) => Self::bad_request(detail),
@@ -292,7 +290,7 @@ impl From<&MakeError> for Problem {
     fn from(error: &MakeError) -> Self {
         match error {
             MakeError::Photo(e) => e.into(),
-            MakeError::Depth(DepthError::Map(_) | DepthError::Carried(_) | DepthError::NotCarried) => {
+            MakeError::Depth(DepthError::Map(_) | DepthError::Embedded(_) | DepthError::NotEmbedded) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
             MakeError::Depth(DepthError::Second(_)) => {
@@ -390,7 +388,7 @@ mod tests {
             PhotoError::TooManyPixels { width: 2, height: 1, limit: 1 }.into(),
             PhotoError::Unsupported.into(),
             depth(DepthError::Map("x".into())),
-            depth(DepthError::NotCarried),
+            depth(DepthError::NotEmbedded),
             depth(DepthError::Second("x".into())),
             depth(DepthError::NoSecond),
             depth(DepthError::Sphere),
@@ -404,21 +402,21 @@ mod tests {
     }
 
     #[test]
-    fn what_broke_inside_is_not_told() {
+    fn internal_errors_are_not_disclosed() {
         let p = Problem::from(&MakeError::Atlas(ContainerError::Encode("secret path".into())));
         assert_eq!(p.status, 500);
         assert!(!p.detail.contains("secret"));
     }
 
     #[test]
-    fn foreign_text_is_repeated_in_part() {
+    fn errors_quote_only_part_of_long_input() {
         let p = Problem::parameter("ä".repeat(1 << 20), "ö".repeat(1 << 20));
-        assert!(p.field.as_ref().unwrap().len() <= MOST_NAME + 3 && p.detail.len() <= MOST_DETAIL + 3);
+        assert!(p.field.as_ref().unwrap().len() <= MAX_NAME + 3 && p.detail.len() <= MAX_DETAIL + 3);
         assert!(p.field.unwrap().starts_with('ä'));
     }
 
     #[test]
-    fn an_option_is_named() {
+    fn an_error_names_its_option() {
         let p = Problem::from(&MakeError::Generate(StageError::Option { field: "quality", range: "1 to 100", value: "0".into() }));
         assert_eq!((p.status, p.field.as_deref()), (400, Some("quality")));
     }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 use ipnet::IpNet;
-use proxy_header::{Error, ParseConfig, ProxyHeader};
+use proxy_header::{Error, ParseConfig};
 use tokio::io::AsyncReadExt as _;
 use tokio::net::TcpStream;
 
@@ -84,7 +84,7 @@ impl Proxies {
 
     /// Whether connections from there begin with the PROXY protocol.
     #[must_use]
-    pub fn announces(&self, peer: IpAddr) -> bool {
+    pub fn uses_proxy_protocol(&self, peer: IpAddr) -> bool {
         self.told == ClientAddress::ProxyProtocol && self.trusts(peer)
     }
 
@@ -135,7 +135,7 @@ fn address(text: &str) -> Option<IpAddr> {
 }
 
 /// Sets a header with the client from the PROXY protocol, as an HTTP proxy does; such a client is never this machine's own user.
-pub fn say(headers: &mut HeaderMap, client: IpAddr) {
+pub fn set_forwarded(headers: &mut HeaderMap, client: IpAddr) {
     if let Ok(value) = HeaderValue::try_from(client.to_string()) {
         headers.insert(X_FORWARDED_FOR, value);
     }
@@ -145,7 +145,7 @@ pub fn say(headers: &mut HeaderMap, client: IpAddr) {
 ///
 /// # Errors
 /// An I/O error; [`io::ErrorKind::InvalidData`] if the connection begins otherwise.
-pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
+pub async fn read_proxy_protocol(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
     let mut bytes = [0; MOST];
     loop {
         // peek, so that the bytes after the header stay in the socket
@@ -153,8 +153,8 @@ pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
         if seen == 0 {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        match Announcement::read(&bytes[..seen]) {
-            Ok(Announcement { client, length }) => {
+        match ProxyHeader::read(&bytes[..seen]) {
+            Ok(ProxyHeader { client, length }) => {
                 stream.read_exact(&mut bytes[..length]).await?;
                 return Ok(client);
             }
@@ -166,18 +166,18 @@ pub async fn announced(stream: &mut TcpStream) -> io::Result<Option<IpAddr>> {
 
 /// A PROXY protocol header.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Announcement {
+pub struct ProxyHeader {
     /// The client; `None` for a connection of the proxy itself.
     pub client: Option<IpAddr>,
     /// Length of the header in bytes.
     pub length: usize,
 }
 
-impl Announcement {
+impl ProxyHeader {
     /// # Errors
     /// [`Error::BufferTooShort`] if more bytes are needed.
     pub fn read(bytes: &[u8]) -> Result<Self, Error> {
-        let (header, length) = ProxyHeader::parse(bytes, ParseConfig { include_tlvs: false, ..ParseConfig::default() })?;
+        let (header, length) = proxy_header::ProxyHeader::parse(bytes, ParseConfig { include_tlvs: false, ..ParseConfig::default() })?;
         Ok(Self { client: header.proxied_address().map(|address| address.source.ip().to_canonical()), length })
     }
 }
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_strangers_say_of_where_they_come_from_counts_for_nothing() {
+    fn headers_of_untrusted_peers_are_ignored() {
         let (none, one) = (Proxies::default(), trusted(&["10.0.0.1"], ClientAddress::XForwardedFor));
         let said = [("x-forwarded-for", "192.0.2.1"), ("forwarded", "for=192.0.2.2")];
         assert_eq!(client(&none, "10.0.0.1", &said), "10.0.0.1");
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_by_several_trusted_proxies_is_gone_back_to_its_start() {
+    fn a_chain_of_trusted_proxies_leads_to_the_client() {
         let all = trusted(&["private"], ClientAddress::XForwardedFor);
         let of = |way: &str| client(&all, "127.0.0.1", &[("x-forwarded-for", way)]);
         assert_eq!(of("198.51.100.9, 192.0.2.1, 10.1.2.3,172.31.0.9"), "192.0.2.1");
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn forwarded_is_read_as_its_rfc_has_it() {
+    fn forwarded_follows_rfc_7239() {
         let all = trusted(&["127.0.0.0/8", "203.0.113.43"], ClientAddress::Forwarded);
         let of = |way: &str| client(&all, "127.0.0.1", &[("forwarded", way), ("x-forwarded-for", "198.51.100.1")]);
         assert_eq!(of("for=192.0.2.43, For=\"203.0.113.43\";proto=https;by=127.0.0.1"), "192.0.2.43");
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn networks_are_written_as_operators_write_them() {
+    fn networks_are_read_in_cidr_notation() {
         assert_eq!("private".parse(), Ok(Network::Private));
         assert!(trusted(&["10.1.2.3/8"], ClientAddress::default()).trusts("10.200.0.1".parse().unwrap()));
         assert!(trusted(&["fd00::/8"], ClientAddress::default()).trusts("fd12::1".parse().unwrap()));
@@ -260,7 +260,7 @@ mod tests {
                 tokio::time::sleep(AGAIN * 2).await;
             }
         };
-        let (client, ()) = tokio::join!(announced(&mut stream), writes);
+        let (client, ()) = tokio::join!(read_proxy_protocol(&mut stream), writes);
         let mut left = Vec::new();
         if client.is_ok() {
             stream.read_to_end(&mut left).await.unwrap();
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn both_versions_are_read_and_nothing_beyond_them() {
+    async fn both_versions_of_the_proxy_protocol_are_read_and_nothing_after_them() {
         let two = |about: &[u8]| [b"\r\n\r\n\0\r\nQUIT\n".as_slice(), about].concat();
         let four = two(b"\x21\x11\x00\x0f\xc0\x00\x02\x07\x7f\x00\x00\x01\x12\x34\x00\x50\x04\x00\x00");
         let client = Some("192.0.2.7".parse().unwrap());
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn whatever_begins_otherwise_is_refused() {
+    async fn connections_without_a_proxy_header_are_refused() {
         let endless = [b"PROXY TCP4 ".as_slice(), &[b'1'; 5000]].concat();
         let large = [b"\r\n\r\n\0\r\nQUIT\n\x21\x11\xff\xff".as_slice(), &[0; MOST]].concat();
         for pieces in [
@@ -305,7 +305,7 @@ mod tests {
     proptest! {
         /// Anything before the proxy's own entry has no effect.
         #[test]
-        fn only_the_end_of_the_way_counts(before in "[ -~]{0,60}", quoted in any::<bool>()) {
+        fn only_the_last_hop_before_the_proxy_counts(before in "[ -~]{0,60}", quoted in any::<bool>()) {
             let of = |told, name, value: &str| client(&trusted(&["10.0.0.1"], told), "10.0.0.1", &[(name, value)]);
             let wrote = if quoted { "for=\"192.0.2.1:80\"" } else { "for=192.0.2.1;proto=https" };
             prop_assert_eq!(of(ClientAddress::XForwardedFor, "x-forwarded-for", &format!("{before}, 192.0.2.1")), "192.0.2.1");

@@ -29,10 +29,10 @@ pub enum CutOff {
     #[error("the request's body is over the limit of {0} bytes")]
     TooLarge(usize),
     /// Nothing came for that long.
-    #[error("nothing of the request's body came for {0:?}")]
+    #[error("no bytes of the request's body arrived for {0:?}")]
     TooSlow(Duration),
     /// It came with fewer bytes a second.
-    #[error("the request's body came with less than {0} bytes a second")]
+    #[error("the request's body arrived at less than {0} bytes a second")]
     BelowRate(u64),
 }
 
@@ -94,13 +94,13 @@ pub fn json_object(body: &[u8]) -> Result<Map<String, Value>, Problem> {
 
 /// The unread rest of a body.
 #[derive(Clone, Default)]
-pub struct Rest {
+pub struct UnreadBody {
     inner: Arc<Mutex<Option<Body>>>,
     polled: Arc<AtomicBool>,
     ended: Arc<AtomicBool>,
 }
 
-impl Rest {
+impl UnreadBody {
     /// Whether the whole body has arrived.
     #[must_use]
     pub fn ended(&self) -> bool {
@@ -126,9 +126,9 @@ impl Rest {
 }
 
 /// A bounded body.
-pub struct Guarded {
+pub struct LimitedBody {
     inner: Option<Body>,
-    rest: Rest,
+    rest: UnreadBody,
     limit: usize,
     left: usize,
     pause: Duration,
@@ -138,11 +138,11 @@ pub struct Guarded {
     clock: TimeLimit,
 }
 
-impl Guarded {
+impl LimitedBody {
     /// Bounds `inner` by `limits`; starts `clock` when the body ends or is dropped.
     #[must_use]
-    pub fn new(inner: Body, limits: &Limits, clock: TimeLimit) -> (Self, Rest) {
-        let rest = Rest::default();
+    pub fn new(inner: Body, limits: &Limits, clock: TimeLimit) -> (Self, UnreadBody) {
+        let rest = UnreadBody::default();
         if inner.is_end_stream() {
             rest.ended.store(true, Ordering::Release);
             clock.start();
@@ -160,7 +160,7 @@ impl Guarded {
     }
 }
 
-impl HttpBody for Guarded {
+impl HttpBody for LimitedBody {
     type Data = Bytes;
     type Error = Box<dyn Error + Send + Sync>;
 
@@ -214,7 +214,7 @@ impl HttpBody for Guarded {
     }
 }
 
-impl Drop for Guarded {
+impl Drop for LimitedBody {
     fn drop(&mut self) {
         self.clock.start();
         let rest = self.inner.take().filter(|b| !b.is_end_stream());
@@ -231,7 +231,7 @@ mod tests {
 
     async fn read(body: Body, limit: usize, pause: Duration) -> Result<Bytes, Problem> {
         let limits = Limits { body: limit, body_read: pause, body_rate: 200, ..Limits::default() };
-        let (guarded, _) = Guarded::new(body, &limits, TimeLimit::new(pause));
+        let (guarded, _) = LimitedBody::new(body, &limits, TimeLimit::new(pause));
         match Body::new(guarded).collect().await {
             Ok(all) => Ok(all.to_bytes()),
             Err(e) => Err(problem(&e)),
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn at_the_limit_and_one_over() {
+    async fn bodies_at_the_limit_pass_and_one_byte_more_fails() {
         let second = Duration::from_secs(1);
         assert_eq!(read(Body::from(vec![0; 100]), 100, second).await.unwrap().len(), 100);
         assert_eq!(read(Body::from(vec![0; 101]), 100, second).await.unwrap_err().status, 413);
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn pauses_end_it_but_slowness_does_not() {
+    async fn pauses_and_low_rates_cut_a_body_off() {
         let drip = |pause, bytes: &'static [u8]| {
             Body::from_stream(futures_util::stream::unfold(0, move |n| async move {
                 tokio::time::sleep(Duration::from_millis(pause)).await;
@@ -269,9 +269,9 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_rest_can_be_drained() {
+    async fn the_unread_rest_can_be_drained() {
         let clock = TimeLimit::new(Duration::from_secs(1));
-        let (guarded, rest) = Guarded::new(pieces(&[40, 60, 50]), &Limits { body: 30, ..Limits::default() }, clock.clone());
+        let (guarded, rest) = LimitedBody::new(pieces(&[40, 60, 50]), &Limits { body: 30, ..Limits::default() }, clock.clone());
         assert!(clock.deadline().is_none());
         assert!(Body::new(guarded).collect().await.is_err());
         assert!(!rest.ended() && clock.deadline().is_some());

@@ -10,7 +10,7 @@ use axum::body::Body;
 use axum::http::{HeaderMap, Response, StatusCode, header};
 use reqwest::Url;
 
-use super::outbound::{self, AddressError, Outbound, Reach, cause, is_not_public};
+use super::outbound::{self, AddressError, AddressPolicy, Outbound, cause, is_not_public};
 
 /// Redirects that are followed.
 const REDIRECTS: usize = 3;
@@ -129,7 +129,7 @@ pub struct Sources {
 impl Sources {
     /// From these hosts, at addresses within `reach`.
     #[must_use]
-    pub const fn new(hosts: Vec<SourceHost>, reach: Reach) -> Self {
+    pub const fn new(hosts: Vec<SourceHost>, reach: AddressPolicy) -> Self {
         Self { hosts, outbound: Outbound::new(reach) }
     }
 
@@ -144,7 +144,7 @@ impl Sources {
     /// # Errors
     /// [`SourceError`] of the caller.
     pub fn address(&self, text: &str) -> Result<Url, SourceError> {
-        let mut url = outbound::url(text, Reach::Any).map_err(SourceError::Address)?;
+        let mut url = outbound::url(text, AddressPolicy::Any).map_err(SourceError::Address)?;
         url.set_fragment(None);
         self.check(&url)?;
         Ok(url)
@@ -264,9 +264,9 @@ mod tests {
             }
         });
         let hosts = hosts.iter().map(|host| host.replace("PORT", &addr.port().to_string()).parse().unwrap()).collect();
-        let client = outbound::builder(Reach::Public).resolve("public.example", addr).build().unwrap();
+        let client = outbound::builder(AddressPolicy::Public).resolve("public.example", addr).build().unwrap();
         (
-            Sources { hosts, outbound: Outbound::of(Reach::Public, client) },
+            Sources { hosts, outbound: Outbound::of(AddressPolicy::Public, client) },
             format!("http://public.example:{}/", addr.port()).parse().unwrap(),
         )
     }

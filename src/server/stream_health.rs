@@ -36,7 +36,7 @@ pub enum StreamHealth {
 
 /// An open request, until it is dropped.
 #[derive(Debug)]
-pub struct Open {
+pub struct OpenStream {
     streams: Arc<Streams>,
     id: u64,
 }
@@ -54,19 +54,19 @@ impl Streams {
 
     /// Adds a request.
     #[must_use]
-    pub fn open(self: &Arc<Self>) -> Open {
+    pub fn open(self: &Arc<Self>) -> OpenStream {
         let mut state = self.lock();
         state.next += 1;
         let id = state.next;
         state.open.insert(id, None);
         drop(state);
-        Open { streams: Arc::clone(self), id }
+        OpenStream { streams: Arc::clone(self), id }
     }
 
     /// State at `now`. A client may read nothing for `limit`, or longer if it reads `rate` bytes a second; a connection may have no request
     /// for `idle`.
     #[must_use]
-    pub fn look(&self, now: Instant, limit: Duration, rate: u64, idle: Duration) -> StreamHealth {
+    pub fn check(&self, now: Instant, limit: Duration, rate: u64, idle: Duration) -> StreamHealth {
         let state = self.lock();
         let for_longer_than = |since: &Instant, time| now.saturating_duration_since(*since) > time;
         let at_rate = |bytes: &usize| Duration::from_secs_f64(*bytes as f64 / rate.max(1) as f64);
@@ -81,14 +81,14 @@ impl Streams {
     }
 }
 
-impl Open {
+impl OpenStream {
     /// The client has `bytes` to read; `None`: it waits for the server.
     fn turn(&self, bytes: Option<usize>) {
         self.streams.lock().open.insert(self.id, bytes.map(|bytes| (Instant::now(), bytes)));
     }
 }
 
-impl Drop for Open {
+impl Drop for OpenStream {
     fn drop(&mut self) {
         let mut state = self.streams.lock();
         state.open.remove(&self.id);
@@ -103,7 +103,7 @@ pub const PIECE: usize = 64 << 10;
 #[derive(Debug)]
 pub struct TrackedBody<B> {
     body: B,
-    open: Open,
+    open: OpenStream,
     /// The rest of a piece that was too large.
     left: Bytes,
     /// Whether a piece was handed over.
@@ -112,7 +112,7 @@ pub struct TrackedBody<B> {
 
 impl<B> TrackedBody<B> {
     /// Wraps the body of the response to a request.
-    pub const fn new(body: B, open: Open) -> Self {
+    pub const fn new(body: B, open: OpenStream) -> Self {
         Self { body, open, left: Bytes::new(), begun: false }
     }
 }
@@ -173,7 +173,7 @@ mod tests {
     #[tokio::test]
     async fn only_clients_that_do_not_read_are_stalled() {
         let streams = Streams::new();
-        let look = |seconds| streams.look(Instant::now() + Duration::from_secs(seconds), LIMIT, 1000, IDLE);
+        let look = |seconds| streams.check(Instant::now() + Duration::from_secs(seconds), LIMIT, 1000, IDLE);
         let open = streams.open();
         assert_eq!(look(1000), StreamHealth::Fine, "the answer is not there yet");
         let pieces = stream::iter([Ok::<_, std::convert::Infallible>(Bytes::from(vec![0; 5000])), Ok(Bytes::new())]);

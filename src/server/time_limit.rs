@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn it_runs_from_its_start_and_may_be_given_more() {
+    async fn a_time_limit_runs_from_its_start_and_can_be_extended() {
         let short = Duration::from_millis(20);
         let expires = async |clock: &TimeLimit| tokio::time::timeout(Duration::from_millis(60), clock.expired()).await.is_ok();
         let clock = TimeLimit::new(short);

@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_pair_is_used_and_half_of_one_is_not() {
+    fn a_new_certificate_is_used_once_its_key_matches() {
         let dir = tempfile::tempdir().unwrap();
         let (cert, key) = (dir.path().join("cert.pem"), dir.path().join("key.pem"));
         let put = |from: &str, to: &Path, age: u64| {

@@ -1,198 +1,86 @@
-//! Reads an upload, multipart or raw, onto disk while it comes in.
+//! Reads an upload, multipart or raw.
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
 use bytes::Bytes;
-use futures_util::{Stream, StreamExt};
-use sha2::{Digest as _, Sha256};
-use tokio::fs::File;
-use tokio::io::AsyncWriteExt;
+use futures_util::StreamExt;
 
-use super::app_state::{App, Shared};
-use super::header_limit::Bounded;
+use super::app_state::{App, AppState};
+use super::header_limit::LimitedHeaders;
 use super::maker::HeadOf;
 use super::part_filename::file_name;
 use super::photo_options;
 use super::photo_settings::{Settings, title_of_file};
 use super::problem::Problem;
 use super::request_body;
+use super::upload_fields::{UploadFields, check_name, of_query};
+use super::upload_file::{ReceivedFile, receive};
 use super::upload_head::UploadHead;
 use super::upload_slots::UploadSlot;
-use tmpi_library::{Class, Content, Digest, LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
+use tmpi_library::{LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::{Options, Stereo};
 
 /// Longest name of a field in bytes.
 const MAX_NAME: usize = 64;
-/// Longest text of an option or a title, bytes.
+/// Longest value of a text field in bytes.
 const MAX_OPTION: usize = 1024;
-/// Bytes that are gathered before they are written.
-const BUFFER: usize = 256 << 10;
 
-/// A file that was written while it came in; it goes with this, unless the library has taken it.
-pub(super) struct Written {
-    file: Fresh,
-    digest: Digest,
-    bytes: u64,
+/// A complete upload.
+pub(super) struct UploadParts {
+    /// The photo.
+    pub photo: Option<ReceivedFile>,
+    /// Its depth map.
+    pub depth: Option<ReceivedFile>,
+    /// Its text fields.
+    pub fields: UploadFields,
 }
 
-impl Written {
-    fn content(&self) -> Content {
-        Content::of_file(self.file.0.clone(), self.bytes, self.digest.clone())
-    }
-}
-
-/// A path of which the file goes with this.
-struct Fresh(PathBuf);
-
-impl Fresh {
-    /// One that nobody else has.
-    fn within(folder: &Path) -> Self {
-        static NEXT: AtomicU64 = AtomicU64::new(0);
-        Self(folder.join(format!("upload-{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed))))
-    }
-}
-
-impl Drop for Fresh {
-    fn drop(&mut self) {
-        let path = std::mem::take(&mut self.0);
-        // the removal blocks, and must keep no other request waiting; what was moved is not there any more
-        let remove = move || drop(std::fs::remove_file(path));
-        match tokio::runtime::Handle::try_current() {
-            Ok(runtime) => drop(runtime.spawn_blocking(remove)),
-            Err(_) => remove(),
-        }
-    }
-}
-
-/// Leave to come in, before a byte of the body is taken.
+/// Takes a slot before the body is read.
 ///
 /// # Errors
-/// 429 where as many come in already as may, 503 while the server stops.
-pub(super) async fn leave(app: &App) -> Result<UploadSlot<'_>, Problem> {
+/// 429 if too many uploads are in progress, 503 while the server stops.
+pub(super) async fn take_slot(app: &App) -> Result<UploadSlot<'_>, Problem> {
     if app.stop.is_cancelled() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
     }
     let free = app.library.free_places().await? as usize;
     app.uploads.take(free).ok_or_else(|| {
-        let detail = "the queue is full, and so many uploads are in progress";
+        let detail = "the queue is full, and too many uploads are in progress";
         Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(5)
     })
 }
 
-/// Everything of an upload.
-pub(super) struct Parts {
-    /// The photo.
-    pub photo: Option<Written>,
-    /// Its depth map.
-    pub depth: Option<Written>,
-    /// Everything else.
-    pub chosen: Chosen,
-}
-
-/// Options, each given once.
-#[derive(Default)]
-pub(super) struct Chosen {
-    /// Options of the photo.
-    pub options: Options,
-    given: BTreeSet<String>,
-    /// How urgent making the photo is.
-    class: Class,
-    /// With the title that the upload names.
-    pub settings: Settings,
-    /// Name of the photo's file: the title, where the upload names none, and where a second eye is.
-    pub of_file: Option<String>,
-}
-
-impl Chosen {
-    /// Takes a field or parameter that is text.
-    ///
-    /// # Errors
-    /// 400 that names it: it is wrong, or given a second time, in whatever spelling.
-    pub fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
-        if name == VISIBILITY {
-            self.settings = std::mem::take(&mut self.settings).seen_by(value)?;
-        } else if name == CLASS {
-            self.class = class_of(value).ok_or_else(|| Problem::parameter(CLASS, "must be interactive or batch"))?;
-        } else if name == TITLE {
-            self.settings = std::mem::take(&mut self.settings).titled(value)?;
-        } else {
-            photo_options::set(&mut self.options, name, value)?;
-        }
-        if self.given.insert(name.replace('_', "-")) { Ok(()) } else { Err(Problem::parameter(name, "is given twice")) }
-    }
-}
-
-/// The class that clients name for a photo: `interactive` or `batch`.
-#[must_use]
-pub fn class_of(name: &str) -> Option<Class> {
-    [Class::Interactive, Class::Batch].into_iter().find(|class| class.name() == name)
-}
-
-/// Names of the fields of the title, and of who may see the photo.
-const TITLE: &str = "title";
-const VISIBILITY: &str = "visibility";
-/// Name of the field of how urgent making the photo is.
-const CLASS: &str = "class";
-
-/// Refuses what is neither one of these nor an option, before its value is read.
-pub(super) fn known(name: &str, kinds: &str) -> Result<(), Problem> {
-    if matches!(name, TITLE | VISIBILITY | CLASS) || photo_options::NAMES.contains(&name.replace('_', "-").as_str()) {
-        return Ok(());
-    }
-    Err(Problem::parameter(name, format!("there is no such {kinds}, {}", photo_options::NAMES.join(", "))))
-}
-
-/// Takes an upload of `owner`, where there are such; when this returns, it is on disk.
+/// Reads an upload of `owner`, if there are owners, and has it accepted; when this returns, it is on disk.
 ///
 /// # Errors
 /// 400 that names a wrong field, 408, 413, 415, 429, 500, 507.
-pub async fn take(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Photo, Problem> {
-    // what is wrong is told first
-    let chosen = chosen(query)?;
-    let _leave = leave(app).await?;
-    take_chosen(app, chosen, request, owner).await
-}
-
-/// The options of a query.
-///
-/// # Errors
-/// 400 that names a wrong one.
-pub(super) fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
-    let mut chosen = Chosen::default();
-    for (name, value) in query {
-        known(name, "option; there are title, visibility, class")?;
-        chosen.set(name, value)?;
-    }
-    Ok(chosen)
-}
-
-async fn take_chosen(app: &App, chosen: Chosen, request: Request, owner: Option<Owner>) -> Result<Photo, Problem> {
-    let mut parts = Parts { photo: None, depth: None, chosen };
+pub async fn upload(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Photo, Problem> {
+    // errors of the query come first
+    let fields = of_query(query)?;
+    let _slot = take_slot(app).await?;
+    let mut parts = UploadParts { photo: None, depth: None, fields };
     if is_multipart(request.headers()) {
         read_multipart(app, &mut parts, request).await?;
     } else {
         let stream = request.into_body().into_data_stream();
-        let (mut head, options) = (UploadHead::new(&app.maker), &parts.chosen.options);
-        let look = |bytes: &[u8]| head.see(bytes, HeadOf::Photo(options));
-        parts.photo = Some(write(app, stream, |e| request_body::problem(&e), look).await?);
+        let (mut head, options) = (UploadHead::new(&app.maker), &parts.fields.options);
+        let check = |bytes: &[u8]| head.see(bytes, HeadOf::Photo(options));
+        parts.photo = Some(receive(app, stream, |e| request_body::problem(&e), check).await?);
     }
     accept(app, parts, owner).await
 }
 
 /// Checks an upload and has it accepted.
-pub(super) async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Photo, Problem> {
-    let Parts { photo, depth, chosen } = parts;
-    let Chosen { mut options, class, settings: told, of_file, .. } = chosen;
-    let title = told.title.clone().or_else(|| of_file.as_deref().and_then(title_of_file));
-    let settings = Settings { title, ..told.clone() };
+pub(super) async fn accept(app: &App, parts: UploadParts, owner: Option<Owner>) -> Result<Photo, Problem> {
+    let UploadParts { photo, depth, fields } = parts;
+    let UploadFields { mut options, class, settings: given, file_name, .. } = fields;
+    let title = given.title.clone().or_else(|| file_name.as_deref().and_then(title_of_file));
+    let settings = Settings { title, ..given.clone() };
     if options.stereo == Stereo::Auto {
-        options.stereo = of_file.map_or(Ok(Stereo::Auto), |name| Stereo::of_name(&name)).map_err(|e| Problem::from(&e))?;
+        options.stereo = file_name.map_or(Ok(Stereo::Auto), |name| Stereo::of_name(&name)).map_err(|e| Problem::from(&e))?;
     }
     let photo = photo.ok_or_else(|| Problem::parameter("photo", "is missing, or its file is empty"))?;
     if photo.bytes == 0 {
@@ -206,44 +94,47 @@ pub(super) async fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Res
     let (photo, depth) = if app.library.find(id).await?.is_some() { (photo, depth) } else { check(app, photo, depth, options).await? };
     let upload = Upload {
         id,
-        asker: Shared::asker(owner),
+        requester: AppState::requester(owner),
         class,
         options: text,
         settings: settings.to_value(),
         photo: photo.content(),
-        depth: depth.as_ref().map(Written::content),
-        reservation: None,
+        depth: depth.as_ref().map(ReceivedFile::content),
     };
     let accepted = app.library.accept(upload).await?;
     match accepted.outcome {
         Outcome::New => app.telemetry.uploaded(bytes),
-        Outcome::Known | Outcome::Retried | Outcome::Healed => return told_again(app, accepted.photo, &told).await,
+        Outcome::Known | Outcome::Retried | Outcome::Healed => return update_settings(app, accepted.photo, &given).await,
     }
     Ok(accepted.photo)
 }
 
-/// A photo that was known, with the title and the visibility that its upload names.
-pub(super) async fn told_again(app: &App, mut photo: Photo, told: &Settings) -> Result<Photo, Problem> {
+/// Gives a known photo the title and visibility of its upload.
+pub(super) async fn update_settings(app: &App, mut photo: Photo, given: &Settings) -> Result<Photo, Problem> {
     loop {
         let (before, id) = (Settings::of(&photo), photo.id);
-        let settings = before.told_again(told);
+        let settings = before.overridden_by(given);
         if settings == before {
             return Ok(photo);
         }
         match app.library.set_settings(&photo, &settings.to_value()).await {
-            // somebody was quicker
+            // a concurrent change was faster
             Err(LibraryError::Changed) => photo = app.library.get(id).await?,
             changed => return Ok(changed?),
         }
     }
 }
 
-/// Reads an upload whole, and refuses what could not be made: a few at a time.
-async fn check(app: &App, photo: Written, depth: Option<Written>, options: Options) -> Result<(Written, Option<Written>), Problem> {
+/// Checks a whole upload, a few at a time.
+async fn check(
+    app: &App,
+    photo: ReceivedFile,
+    depth: Option<ReceivedFile>,
+    options: Options,
+) -> Result<(ReceivedFile, Option<ReceivedFile>), Problem> {
     let maker = Arc::clone(&app.maker);
-    let read = |written: &Written| std::fs::read(&written.file.0).map_err(|e| Problem::store(&e));
     let checked = app.change(move || {
-        let (bytes, map) = (read(&photo)?, depth.as_ref().map(read).transpose()?);
+        let (bytes, map) = (photo.read()?, depth.as_ref().map(ReceivedFile::read).transpose()?);
         maker.check(&bytes, map.as_deref(), &options).map_err(|e| Problem::from(&e))?;
         Ok((photo, depth))
     });
@@ -254,17 +145,17 @@ fn is_multipart(headers: &HeaderMap) -> bool {
     headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).is_some_and(is_form)
 }
 
-/// True for the media type of a form; what has another is the photo alone.
+/// Whether a media type is that of a form; a body of another type is the photo itself.
 #[must_use]
 pub fn is_form(content_type: &str) -> bool {
     content_type.split(';').next().is_some_and(|v| v.trim().eq_ignore_ascii_case("multipart/form-data"))
 }
 
-/// Reads a form. A field that is empty, as browsers send what nobody filled in, is as if it were not there.
-async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Result<(), Problem> {
+/// Reads a form. Ignores empty fields, as browsers send those that nobody filled in.
+async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) -> Result<(), Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
-    let request = request.map(|body| Body::from_stream(Bounded::new(body.into_data_stream(), &boundary)));
+    let request = request.map(|body| Body::from_stream(LimitedHeaders::new(body.into_data_stream(), &boundary)));
     let mut form = Multipart::from_request(request, &()).await.map_err(|e| Problem::bad_request(e.body_text()))?;
     while let Some(mut field) = form.next_field().await.map_err(|e| request_body::problem(&e))? {
         let name = field.name().unwrap_or_default().to_owned();
@@ -275,10 +166,10 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
             "photo" => &mut parts.photo,
             "depth" | "second" => &mut parts.depth,
             _ => {
-                known(&name, "field; there are photo, depth, second, title, visibility, class")?;
+                check_name(&name, "field; there are photo, depth, second, title, visibility, class")?;
                 let value = text(&name, field).await?;
                 if !value.trim().is_empty() {
-                    parts.chosen.set(&name, &value)?;
+                    parts.fields.set(&name, &value)?;
                 }
                 continue;
             }
@@ -290,25 +181,25 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
             return Err(Problem::parameter(&name, detail));
         }
         if name == "second" {
-            parts.chosen.set("stereo", &photo_options::chosen(&Stereo::Beside))?;
+            parts.fields.set("stereo", &photo_options::value_name(&Stereo::Beside))?;
         }
         let file = futures_util::stream::iter([Ok(first)]).chain(field);
-        let (mut head, options) = (UploadHead::new(&app.maker), &parts.chosen.options);
+        let (mut head, options) = (UploadHead::new(&app.maker), &parts.fields.options);
         let of = match name.as_str() {
             "depth" => HeadOf::Depth,
             "second" => HeadOf::Second,
             _ => HeadOf::PhotoSoFar(options),
         };
-        let look = |bytes: &[u8]| head.see(bytes, of);
-        *slot = Some(write(app, file, |e| request_body::problem(&e), look).await?);
+        let check = |bytes: &[u8]| head.see(bytes, of);
+        *slot = Some(receive(app, file, |e| request_body::problem(&e), check).await?);
         if name == "photo" {
-            parts.chosen.of_file = file_name;
+            parts.fields.file_name = file_name;
         }
     }
     Ok(())
 }
 
-/// The first bytes of a field; none where it is empty.
+/// The first bytes of a field; `None` if it is empty.
 async fn first_bytes(field: &mut axum::extract::multipart::Field<'_>) -> Result<Option<Bytes>, Problem> {
     while let Some(bytes) = field.chunk().await.map_err(|e| request_body::problem(&e))? {
         if !bytes.is_empty() {
@@ -327,57 +218,4 @@ async fn text(name: &str, mut field: axum::extract::multipart::Field<'_>) -> Res
         }
     }
     String::from_utf8(value).map_err(|_| Problem::parameter(name, "is not UTF-8"))
-}
-
-/// A new file that only its owner may read.
-async fn create(path: &Path) -> std::io::Result<File> {
-    let mut options = std::fs::OpenOptions::new();
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options.create_new(true).write(true);
-    tokio::fs::OpenOptions::from(options).open(path).await
-}
-
-/// Writes a stream to a file, each piece once `look` has seen it and refused nothing.
-pub(super) async fn write<S, E>(
-    app: &App,
-    mut stream: S,
-    problem: impl Fn(E) -> Problem,
-    mut look: impl FnMut(&[u8]) -> Result<(), Problem>,
-) -> Result<Written, Problem>
-where
-    S: Stream<Item = Result<Bytes, E>> + Unpin,
-{
-    let disk = |e: std::io::Error| Problem::store(&e);
-    app.library.blobs().room_for(0)?;
-    let fresh = Fresh::within(app.library.incoming());
-    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(&fresh.0).await.map_err(disk)?);
-    let mut hash = Sha256::new();
-    let mut bytes = 0;
-    while let Some(chunk) = stream.next().await {
-        let chunk = chunk.map_err(&problem)?;
-        look(&chunk)?;
-        hash.update(&chunk);
-        bytes += chunk.len() as u64;
-        file.write_all(&chunk).await.map_err(disk)?;
-    }
-    file.flush().await.map_err(disk)?;
-    Ok(Written { file: fresh, digest: Digest::from_bytes(&hash.finalize().into()), bytes })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_option_is_given_once_however_it_is_spelt() {
-        let mut chosen = Chosen::default();
-        chosen.set("max-size", "90").unwrap();
-        chosen.set("title", "A title").unwrap();
-        for name in ["max-size", "max_size"] {
-            let p = chosen.set(name, "90").unwrap_err();
-            assert_eq!((p.status, p.field.as_deref()), (400, Some(name)));
-        }
-        assert_eq!(chosen.set("title", "A title").unwrap_err().field.as_deref(), Some("title"));
-    }
 }

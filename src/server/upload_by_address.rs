@@ -13,10 +13,12 @@ use super::app_state::App;
 use super::maker::HeadOf;
 use super::photo_options;
 use super::problem::Problem;
-use super::request_body::{self, CutOff, Guarded};
+use super::request_body::{self, CutOff, LimitedBody};
 use super::sources::{Fetched, SourceError, Validators};
 use super::time_limit::TimeLimit;
-use super::upload::{self, Chosen, Parts, Written};
+use super::upload::{self, UploadParts};
+use super::upload_fields::{UploadFields, check_name, of_query};
+use super::upload_file::{ReceivedFile, receive};
 use super::upload_head::UploadHead;
 use tmpi_library::{Digest, LibraryError, Owner, Photo, PhotoState, Source};
 
@@ -54,20 +56,20 @@ pub fn is_address(headers: &HeaderMap) -> bool {
 }
 
 /// The addresses of an upload, and its options.
-struct Order {
+struct Addresses {
     source: Url,
     depth: Option<Url>,
-    chosen: Chosen,
+    fields: UploadFields,
 }
 
-/// A fetched file, and what its source says of it.
-struct File {
-    written: Written,
-    said: Validators,
+/// A fetched file, and the validators of its source.
+struct FetchedFile {
+    file: ReceivedFile,
+    validators: Validators,
 }
 
-/// Key of a source, from the caller, the address, the options and the program, and what is stored under it.
-struct Known {
+/// The stored record of a source, by caller, address, options and program.
+struct SourceRecord {
     digest: Digest,
     /// The photo made from it, and the source's validators.
     photo: Option<(Photo, Validators)>,
@@ -77,8 +79,8 @@ struct Known {
 ///
 /// # Errors
 /// 400 that names a wrong field, 403 if the server does not fetch from there, 502 and 504 if the source is at fault, and those of
-/// [`upload::take`].
-pub async fn take(
+/// [`upload::upload`].
+pub async fn fetch_upload(
     app: &App,
     query: &[(String, String)],
     request: Request,
@@ -86,64 +88,64 @@ pub async fn take(
     clock: &TimeLimit,
 ) -> Result<Photo, Problem> {
     if !app.sources.is_on() {
-        let detail = "this server fetches no photos; tmpi serve --source-hosts lists the hosts from which it does";
+        let detail = "this server does not fetch photos: tmpi serve --source-hosts lists the hosts that it may fetch from";
         return Err(Problem::new(StatusCode::FORBIDDEN, "no-sources", detail));
     }
-    let Order { source, depth, chosen } = read(app, upload::chosen(query)?, request).await?;
-    let _leave = upload::leave(app).await?;
+    let Addresses { source, depth, fields } = read(app, of_query(query)?, request).await?;
+    let _slot = upload::take_slot(app).await?;
     clock.allow(app.limits.request + PATIENCE);
     // a depth map that has changed needs the photo, too
-    let known = if depth.is_none() { known(app, &source, &chosen, owner.as_ref()).await? } else { None };
-    let before = known.as_ref().and_then(|known| known.photo.as_ref());
+    let record = if depth.is_none() { find_record(app, &source, &fields, owner.as_ref()).await? } else { None };
+    let before = record.as_ref().and_then(|record| record.photo.as_ref());
     let fetched = async {
-        let options = &chosen.options;
-        let photo = fetch(app, SOURCE, source, before.map(|(_, said)| said), HeadOf::Photo(options)).await?;
+        let options = &fields.options;
+        let photo = fetch(app, SOURCE, source, before.map(|(_, validators)| validators), HeadOf::Photo(options)).await?;
         let depth = match depth {
-            Some(depth) => fetch(app, DEPTH, depth, None, HeadOf::Depth).await?.map(|file| file.written),
+            Some(depth) => fetch(app, DEPTH, depth, None, HeadOf::Depth).await?.map(|fetched| fetched.file),
             None => None,
         };
         Ok((photo, depth))
     };
     let (photo, depth) = tokio::time::timeout(PATIENCE, fetched).await.unwrap_or_else(|_| Err(problem(SOURCE, &SourceError::Slow)))?;
     match (photo, before) {
-        (Some(File { written, said }), _) => {
-            let photo = upload::accept(app, Parts { photo: Some(written), depth, chosen }, owner).await?;
-            if let Some(known) = known {
-                remember(app, known.digest, &photo, said).await;
+        (Some(FetchedFile { file, validators }), _) => {
+            let photo = upload::accept(app, UploadParts { photo: Some(file), depth, fields }, owner).await?;
+            if let Some(record) = record {
+                remember(app, record.digest, &photo, validators).await;
             }
             Ok(photo)
         }
         (None, Some((photo, _))) => {
-            let photo = app.library.list_first(photo.id).await?;
-            upload::told_again(app, photo, &chosen.settings).await
+            let photo = app.library.move_to_front(photo.id).await?;
+            upload::update_settings(app, photo, &fields.settings).await
         }
         (None, None) => Err(Problem::internal("a source", &"it answers 304 to a request without validators")),
     }
 }
 
 /// Reads the object: addresses, and options as a form has them.
-async fn read(app: &App, mut chosen: Chosen, request: Request) -> Result<Order, Problem> {
-    let fields = request_body::json_object(&request_body::read(request.into_body(), MOST).await?)?;
+async fn read(app: &App, mut fields: UploadFields, request: Request) -> Result<Addresses, Problem> {
+    let object = request_body::json_object(&request_body::read(request.into_body(), MOST).await?)?;
     let (mut source, mut depth) = (None, None);
-    for (name, value) in fields {
+    for (name, value) in object {
         let text = match value {
             Value::Null => continue,
             Value::String(text) => text,
             Value::Number(number) => number.to_string(),
-            _ => return Err(Problem::parameter(name, "must be a text or a number")),
+            _ => return Err(Problem::parameter(name, "must be text or a number")),
         };
         match name.as_str() {
             SOURCE => source = Some(app.sources.address(&text).map_err(|e| problem(SOURCE, &e))?),
             DEPTH => depth = Some(app.sources.address(&text).map_err(|e| problem(DEPTH, &e))?),
             _ => {
-                upload::known(&name, "field; there are source, depth_source, title, visibility, class")?;
-                chosen.set(&name, &text)?;
+                check_name(&name, "field; there are source, depth_source, title, visibility, class")?;
+                fields.set(&name, &text)?;
             }
         }
     }
     let source = source.ok_or_else(|| Problem::parameter(SOURCE, "is missing"))?;
-    chosen.of_file = file_name(&source);
-    Ok(Order { source, depth, chosen })
+    fields.file_name = file_name(&source);
+    Ok(Addresses { source, depth, fields })
 }
 
 /// The name of the file at an address.
@@ -152,21 +154,21 @@ fn file_name(url: &Url) -> Option<String> {
     percent_decode_str(last).decode_utf8().ok().map(std::borrow::Cow::into_owned)
 }
 
-/// What is known of a source.
-async fn known(app: &App, source: &Url, chosen: &Chosen, owner: Option<&Owner>) -> Result<Option<Known>, Problem> {
-    let options = photo_options::canonical(&photo_options::to_text(&chosen.options));
+/// Finds the record of a source.
+async fn find_record(app: &App, source: &Url, fields: &UploadFields, owner: Option<&Owner>) -> Result<Option<SourceRecord>, Problem> {
+    let options = photo_options::canonical(&photo_options::to_text(&fields.options));
     let owner = owner.map_or("", Owner::as_str);
     let digest = Digest::of(format!("{owner}\n{source}\n{}\n{options}", app.maker.identity()).as_bytes());
     let Some(Source { photo, etag, last_modified }) = app.library.source(&digest).await? else {
-        return Ok(Some(Known { digest, photo: None }));
+        return Ok(Some(SourceRecord { digest, photo: None }));
     };
     let photo = app.library.find(photo).await?.filter(|photo| !matches!(photo.state, PhotoState::Failed | PhotoState::Damaged));
-    Ok(Some(Known { digest, photo: photo.map(|photo| (photo, Validators { etag, last_modified })) }))
+    Ok(Some(SourceRecord { digest, photo: photo.map(|photo| (photo, Validators { etag, last_modified })) }))
 }
 
-/// Remembers what a source said, if it can be asked by that. The photo is accepted whether this works or not.
-async fn remember(app: &App, digest: Digest, photo: &Photo, said: Validators) {
-    let Validators { etag, last_modified } = said;
+/// Remembers the validators of a source, if it sent any. The photo is accepted even if this fails.
+async fn remember(app: &App, digest: Digest, photo: &Photo, validators: Validators) {
+    let Validators { etag, last_modified } = validators;
     if etag.is_none() && last_modified.is_none() {
         return;
     }
@@ -178,16 +180,16 @@ async fn remember(app: &App, digest: Digest, photo: &Photo, said: Validators) {
 }
 
 /// Fetches a file into the folder of incoming uploads; `None` if it is the `known` one.
-async fn fetch(app: &App, field: &str, url: Url, known: Option<&Validators>, of: HeadOf<'_>) -> Result<Option<File>, Problem> {
-    let (body, said) = match app.sources.fetch(url, known).await.map_err(|e| problem(field, &e))? {
-        Fetched::Photo(body, said) => (body, said),
+async fn fetch(app: &App, field: &str, url: Url, known: Option<&Validators>, of: HeadOf<'_>) -> Result<Option<FetchedFile>, Problem> {
+    let (body, validators) = match app.sources.fetch(url, known).await.map_err(|e| problem(field, &e))? {
+        Fetched::Photo(body, validators) => (body, validators),
         Fetched::NotModified => return Ok(None),
     };
-    let (guarded, _rest) = Guarded::new(body, &app.limits, TimeLimit::new(PATIENCE));
-    let mut admission = UploadHead::new(&app.maker);
-    let look = |bytes: &[u8]| admission.see(bytes, of).map_err(|problem| problem.field(field));
-    let written = upload::write(app, Body::new(guarded).into_data_stream(), |e| cut_off(field, &e), look).await?;
-    Ok(Some(File { written, said }))
+    let (guarded, _rest) = LimitedBody::new(body, &app.limits, TimeLimit::new(PATIENCE));
+    let mut head = UploadHead::new(&app.maker);
+    let check = |bytes: &[u8]| head.see(bytes, of).map_err(|problem| problem.field(field));
+    let file = receive(app, Body::new(guarded).into_data_stream(), |e| cut_off(field, &e), check).await?;
+    Ok(Some(FetchedFile { file, validators }))
 }
 
 /// The answer to a source that ends early.

@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_looked_at_as_soon_as_what_is_needed_has_come_and_no_longer() {
+    fn the_head_is_checked_as_soon_as_enough_bytes_have_arrived() {
         let nine = [vec![1; 20], vec![9], vec![1; 1000]].concat();
         for piece in [1, 7, 64] {
             assert_eq!(sent(100, 30, &nine, piece).0, Some(100_usize.next_multiple_of(piece)), "pieces of {piece}");

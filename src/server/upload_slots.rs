@@ -39,8 +39,8 @@ impl UploadSlots {
         let share = self.shares.take(client_address())?;
         let before = self.count.fetch_add(1, Ordering::AcqRel);
         // dropped if it is refused
-        let ticket = UploadSlot { of: self, _share: share };
-        (before < free.saturating_add(self.beyond)).then_some(ticket)
+        let slot = UploadSlot { of: self, _share: share };
+        (before < free.saturating_add(self.beyond)).then_some(slot)
     }
 }
 
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_has_half_of_the_places_to_come_in() {
+    fn an_address_may_use_half_of_the_slots() {
         let upload_slots = UploadSlots::new(&Limits { queue: 3, uploads_beyond: 1, ..Limits::default() });
         let ask = |address: Option<&str>| CLIENT.sync_scope(address.map(|a| a.parse().unwrap()), || upload_slots.take(3));
         let slow = (ask(Some("192.0.2.1")), ask(Some("192.0.2.1")));

@@ -9,25 +9,25 @@ use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
 use bytes::Bytes;
-use tmpi_library::{Content, Contents, Event, Kind, Lease, LibraryError, Made, Part, Retry};
+use tmpi_library::{Content, Contents, Event, JobKind, Lease, LibraryError, Part, PhotoResults, Retry};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::app_state::App;
-use super::exports::{Recipe, WriteRequest, written};
+use super::exports::{Recipe, WriteRequest, write_export};
 use super::finished_photo::FinishedPhoto;
 use super::maker::{Fault, Product};
-use super::memory::Priority;
+use super::memory_budget::Priority;
 use super::photo_options;
 use super::problem::Problem;
 use super::routes::Stage;
-use super::traces::{Job, Parent};
+use super::traces::JobSpan;
 use tmpi_pipeline::{Options, Progress, Sink};
 
 /// Kinds of jobs of workers that make photos, and of those that write files.
-const MAKES: &[Kind] = &[Kind::Make];
-const WRITES: &[Kind] = &[Kind::Export, Kind::Film];
+const MAKES: &[JobKind] = &[JobKind::Make];
+const WRITES: &[JobKind] = &[JobKind::Export, JobKind::Film];
 /// Renewals within the term of a lease, of which some may fail.
 const RENEWALS: u32 = 4;
 /// Pause before a retry if the library is unreachable.
@@ -79,7 +79,7 @@ impl Doing {
 }
 
 /// Takes jobs until the server stops.
-async fn work(app: App, kinds: &'static [Kind], abort: Arc<AtomicBool>) {
+async fn work(app: App, kinds: &'static [JobKind], abort: Arc<AtomicBool>) {
     loop {
         match Box::pin(app.library.next(kinds, app.limits.lease, app.stop.cancelled())).await {
             Ok(Some(lease)) => Box::pin(one(&app, &lease, &abort)).await,
@@ -102,8 +102,8 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
     let doing = Doing { app: Arc::clone(app), lost: Arc::default(), abort: Arc::clone(abort), tell };
     let job = async {
         match kind {
-            Kind::Make => make(lease, &doing, told).await,
-            Kind::Export | Kind::Film => write(lease, &doing, told).await,
+            JobKind::Make => make(lease, &doing, told).await,
+            JobKind::Export | JobKind::Film => write(lease, &doing, told).await,
         }
     };
     let outcome = tokio::select! {
@@ -114,13 +114,8 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
         app.set_trouble(None);
     }
     let took = start.elapsed();
-    match kind {
-        Kind::Make => {
-            app.telemetry.job(outcome, took);
-            app.telemetry.class_job(lease.job.class.name(), outcome, took);
-        }
-        Kind::Export | Kind::Film => app.telemetry.class_job("export", outcome, took),
-    }
+    let class = if matches!(kind, JobKind::Make) { lease.job.class.name() } else { "export" };
+    app.telemetry.job(class, outcome, took);
     tracing::info!(%photo, kind = kind.name(), outcome, ms = took.as_millis() as u64, "job");
 }
 
@@ -186,7 +181,7 @@ async fn hold<T: Send + 'static>(
 }
 
 async fn tell_again(lease: &Lease, doing: &Doing, said: &serde_json::Value) {
-    if let Err(error) = doing.app.library.tell_progress(lease, said.clone()).await {
+    if let Err(error) = doing.app.library.send_progress(lease, said.clone()).await {
         tracing::debug!(%error, "progress");
     }
 }
@@ -246,7 +241,7 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
 struct JobSink<'a> {
     doing: &'a Doing,
     deadline: Instant,
-    job: &'a Job,
+    job: &'a JobSpan,
 }
 
 impl Sink for JobSink<'_> {
@@ -295,8 +290,7 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
 }
 
 async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
-    let parent = lease.job.payload.as_str().map(Parent::read);
-    let job = doing.app.telemetry.begin_job(parent.as_ref(), lease.job.photo, lease.job.attempts as u32 + 1);
+    let job = doing.app.telemetry.begin_job(lease.job.payload.as_str(), lease.job.photo, lease.job.attempts as u32 + 1);
     let Inputs { photo, depth, options } = match inputs(lease, doing).await {
         Ok(inputs) => inputs,
         Err(why) => return end(lease, doing, why).await,
@@ -308,7 +302,7 @@ async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -
         let unwanted = || here.is_over() || app.stop.is_cancelled();
         let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, unwanted) else { return (Err(Fault::Cancelled), job) };
         let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo), job: &job };
-        let made = caught(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
+        let made = catch_panic(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
         job.made();
         (made, job)
     });
@@ -342,7 +336,7 @@ async fn keep(lease: &Lease, doing: &Doing, product: Product) -> &'static str {
         Ok(contents) => contents,
         Err(error) => return end(lease, doing, End::Failed(Problem::internal("taking digests", &error))).await,
     };
-    match doing.app.library.finish(lease, Made { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
+    match doing.app.library.finish(lease, PhotoResults { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
         Ok(_) => "done",
         Err(LibraryError::LeaseLost) => "deleted",
         Err(error) => end(lease, doing, End::Again(Retry::Fault(format!("cannot store the results: {error}")))).await,
@@ -367,7 +361,7 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
     let here = doing.clone();
     let bytes = hold(lease, doing, told, move || {
         let unwanted = || here.is_over() || here.app.stop.is_cancelled();
-        written(&here.app, &recipe, (&container, &done), &WriteRequest { unwanted: &unwanted, is_low_priority: true })
+        write_export(&here.app, &recipe, (&container, &done), &WriteRequest { unwanted: &unwanted, is_low_priority: true })
     });
     let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
     let file = match bytes.await {
@@ -391,13 +385,13 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
 
 /// Turns a panic into a failure of the photo. The maker borrows none of the server's state mutably, so a panic cannot leave it
 /// inconsistent.
-pub(super) fn caught(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
+pub(super) fn catch_panic(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
     catch_unwind(AssertUnwindSafe(make))
-        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &said(panic.as_ref())))))
+        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &panic_message(panic.as_ref())))))
 }
 
 /// The message of a panic.
-pub(super) fn said(panic: &(dyn Any + Send)) -> String {
+pub(super) fn panic_message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
 }

@@ -173,7 +173,7 @@ export async function fetchNetwork() {
  * @returns {Promise<Photo>}
  */
 export async function makeAgain(id) {
-  return (await request(photoUrl(id, '/again'), { method: 'POST', headers: { prefer: `wait=${WAIT_S}` } })).json();
+  return (await request(photoUrl(id, '/remake'), { method: 'POST', headers: { prefer: `wait=${WAIT_S}` } })).json();
 }
 
 /**

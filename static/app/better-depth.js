@@ -20,7 +20,7 @@ const REFUSALS = [401, 403, 404];
  * @param {{id: string, model?: string, made: () => void}} photo `made`: called after it was made again
  */
 export async function offerBetterDepth(place, { id, model, made }) {
-  const estimated = model && model !== 'given' && model !== 'carried';
+  const estimated = model && model !== 'given' && model !== 'embedded';
   if (!estimated) return place.replaceChildren();
   let asking = 0;
 

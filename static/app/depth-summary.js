@@ -36,7 +36,7 @@ export function depthSummary(report) {
   if (!model) return '';
   const parts = [];
   if (model === 'given') parts.push(t('Depth: a map of your own.'));
-  else if (model === 'carried') parts.push(t('Depth: from the photo itself.'));
+  else if (model === 'embedded') parts.push(t('Depth: from the photo itself.'));
   else {
     const ms = stages?.find((stage) => stage.name === 'depth')?.ms ?? 0;
     parts.push(t('Depth: estimated by {0} in {1} s.', t(networkName(model)), decimal(ms / 1000, ms < 995 ? 2 : 1)));

@@ -160,7 +160,7 @@ async function check() {
   if (asked !== room) return;
   if (state === 'none') return stay(t('There is no such room on this server.'));
   if (state === 'refused' || (state !== 'away' && !mayPublish))
-    return stay(t('To go live here you need an invitation that is still valid. Ask the person who sent you the link for a new one.'));
+    return stay(t('To go live here you need a link that is still valid. Ask the person who sent you the link for a new one.'));
   if (!navigator.mediaDevices?.getUserMedia) return stay(t('The camera needs an address with https.'));
   say(publishing ? t('Somebody is live in this room already. Give yours another name.') : beforehand);
   await listCameras();

@@ -294,8 +294,8 @@ const GERMAN = {
   'Go live': 'Live gehen',
   'Go live with your camera': 'Mit der Kamera live gehen',
   'Go live: {0}': 'Live gehen: {0}',
-  'To go live here you need an invitation that is still valid. Ask the person who sent you the link for a new one.':
-    'Um hier live zu gehen, brauchen Sie eine Einladung, die noch gilt. Fragen Sie nach einem neuen Link, wo Sie diesen herhaben.',
+  'To go live here you need a link that is still valid. Ask the person who sent you the link for a new one.':
+    'Um hier live zu gehen, brauchen Sie einen Link, der noch gilt. Fragen Sie nach einem neuen, wo Sie diesen herhaben.',
   'The room is full. This page tries again by itself.': 'Der Raum ist voll. Diese Seite versucht es von selbst wieder.',
   'It ended: {0}': 'Zu Ende: {0}',
   'Paused: the camera gives no picture while this page is hidden. It continues by itself once the page is visible.':

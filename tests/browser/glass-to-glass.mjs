@@ -97,7 +97,7 @@ try {
   await publisher.page.selectOption('#size', `${WIDTH * times}x${HEIGHT * times}`);
   await publisher.page.locator('#go').click();
   await publisher.page.waitForFunction(() => document.body.dataset.state === 'live');
-  const { page } = await openPage(browser, { viewport: { width: WIDTH * stage, height: HEIGHT * stage }, reducedMotion: 'reduce' });
+  const { page } = await openPage(browser, { viewport: { width: WIDTH * stage, height: HEIGHT * stage } });
   await page.addInitScript(watchCanvas, every);
   await page.goto(`${server.url}/live/glass`);
   await page.addStyleTag({ content: `#stage { position: fixed; inset: 0; width: ${WIDTH * stage}px; height: ${HEIGHT * stage}px; }` });

@@ -112,7 +112,7 @@ fn photos_are_private_to_their_owner() {
         ("PATCH", ""),
         ("DELETE", ""),
         ("PATCH", "/strokes"),
-        ("POST", "/again"),
+        ("POST", "/remake"),
         ("POST", "/links"),
         ("POST", "/manage"),
         ("DELETE", "/manage"),

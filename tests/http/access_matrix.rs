@@ -147,7 +147,7 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         ("GET" | "HEAD", "/v1/photos") => (200, None),
         // for an unknown photo
         ("DELETE", _)
-        | ("POST", "/v1/photos/{id}/again" | "/v1/photos/{id}/exports")
+        | ("POST", "/v1/photos/{id}/remake" | "/v1/photos/{id}/exports")
         // for an export that does not exist
         | ("GET" | "HEAD", "/v1/photos/{id}/exports/{key}" | "/v1/photos/{id}/exports/{key}/file") => (404, Some("not-found")),
         ("POST", "/v1/photos/{id}/manage") => if_may(may.change(), 204),

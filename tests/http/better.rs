@@ -103,7 +103,7 @@ fn callers_who_may_make_a_photo_again_are_told_of_a_better_network() {
     let given = ask(&server, "GET", &format!("/v1/photos/{}", id(&given.json())), &[("authorization", &ann)], &[]).json();
     assert_eq!((&given["state"], &given["better_depth"]), (&json!("done"), &Value::Null));
 
-    let made = ask(&server, "POST", &format!("{photo}/again"), &[("authorization", &ann), ("prefer", "wait=60")], &[]);
+    let made = ask(&server, "POST", &format!("{photo}/remake"), &[("authorization", &ann), ("prefer", "wait=60")], &[]);
     assert_eq!((made.status, made.json()["state"].clone()), (200, json!("done")));
     assert_eq!(ask(&server, "GET", &format!("{photo}/report"), &[("authorization", &ann)], &[]).json()["depth_model"], BETTER);
     assert_eq!(told(&ann), Value::Null, "made with the best network");

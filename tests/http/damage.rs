@@ -115,7 +115,7 @@ fn requests_for_a_damaged_photo_report_the_damage() {
 #[test]
 fn the_integrity_check_finds_damage_without_requests() {
     let soon = Duration::from_millis(20);
-    let made = made(Limits { look_over_first: soon, look_over: soon, ..Limits::default() }, jpeg(1));
+    let made = made(Limits { verify_first: soon, verify_interval: soon, ..Limits::default() }, jpeg(1));
     for (kind, damage) in made.kinds() {
         // caches do not hide the damage
         assert_eq!(get(made.server.addr, &format!("/v1/photos/{}/atlas", made.id)).status, 200);

@@ -11,7 +11,7 @@ use tmpi_core::Tile;
 use tmpi_core::live::schema::Bye;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::{Model, read};
+use tmpi_core::live::{TileState, read};
 
 use super::client::{get, request};
 use super::fixture::{figure, wait_until};
@@ -53,12 +53,12 @@ struct Got {
 
 /// Watches until frame `last` and its tiles have arrived.
 fn watch(mut viewer: Client, last: u64) -> Got {
-    let (mut got, mut model) = (Got::default(), None::<Model>);
+    let (mut got, mut model) = (Got::default(), None::<TileState>);
     loop {
         let bytes = viewer.bytes().expect("the room goes on");
         match read(bytes.clone()).unwrap() {
             Kind::Hello(hello) => {
-                model = Some(Model::new(&hello).unwrap());
+                model = Some(TileState::new(&hello).unwrap());
                 got.epoch = hello.epoch;
             }
             Kind::Video(video) => assert!(got.frames.insert(video.frame, bytes).is_none(), "frame {} twice", video.frame),
@@ -183,7 +183,7 @@ fn an_edge_checks_its_viewers_own_tokens() {
     let (a, b) = (node(&shared, "node-8", &arguments), node(&shared, "node-9", &arguments));
     let mut publisher = Publisher::new(a.addr, "den");
     publisher.publish(frame(10));
-    let token = |role, room, ends| tmpi::live::token(KEY, role, room, ends).unwrap();
+    let token = |role, room, ends| tmpi::live::room_token(KEY, role, room, ends).unwrap();
     let stranger = ("host", "photos.example");
     let with = |token: &str| {
         let bearer = format!("Bearer {token}");

@@ -15,10 +15,10 @@ use crate::fixture::{Running, depth_map, jpeg, pipeline};
 /// Files as phones write them: 64 × 48 pixels, maps of half that size with one step in the middle.
 const PHONES: [(&str, &[u8], [f64; 2]); 3] = [
     // values .2 and .8 of distances 1 to 5, linear in 1/z or in z
-    ("gdepth", include_bytes!("../../fuzz/seeds/carried/gdepth.jpg"), [0.84, 0.36]),
-    ("dynamic-depth", include_bytes!("../../fuzz/seeds/carried/dynamic-depth.jpg"), [1.0 / 1.8, 1.0 / 4.2]),
+    ("gdepth", include_bytes!("../../fuzz/seeds/embedded_depth/gdepth.jpg"), [0.84, 0.36]),
+    ("dynamic-depth", include_bytes!("../../fuzz/seeds/embedded_depth/dynamic-depth.jpg"), [1.0 / 1.8, 1.0 / 4.2]),
     // disparity .5 to 2, over 2
-    ("multi-picture", include_bytes!("../../fuzz/seeds/carried/multi-picture.jpg"), [0.4, 0.85]),
+    ("multi-picture", include_bytes!("../../fuzz/seeds/embedded_depth/multi-picture.jpg"), [0.4, 0.85]),
 ];
 /// The error of a value in a JPEG, and some margin.
 const CLOSE: f64 = 0.012;
@@ -108,7 +108,7 @@ fn depth_in_the_file_is_used_unless_it_is_off() {
     for (name, file, ends) in PHONES {
         let with = made(&server, &server.upload(file));
         let input = &with.report["input"];
-        assert_eq!((&with.report["depth_model"], &input["depth"]["source"]), (&"carried".into(), &name.into()));
+        assert_eq!((&with.report["depth_model"], &input["depth"]["source"]), (&"embedded".into(), &name.into()));
         assert_eq!((&input["depth"]["width"], &input["depth"]["height"]), (&32.into(), &24.into()), "{name}");
         assert_eq!((&input["depth"]["stretched"], &input["depth_problem"]), (&false.into(), &Value::Null), "{name}");
         with.is_of(ends, name);

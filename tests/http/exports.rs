@@ -65,7 +65,7 @@ fn a_file_is_written_once_for_all_callers_and_survives_a_restart() {
     assert_ne!(written(server.addr, &photo, "format=glb&shape=metric")["key"], state["key"]);
     // counters may lag behind the state
     for line in ["{class=\"export\",outcome=\"done\"} 2", "{class=\"interactive\",outcome=\"done\"} 1"] {
-        let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_class_jobs_total{line}"));
+        let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_jobs_total{line}"));
         wait_until(line, counted);
     }
 
@@ -120,13 +120,13 @@ fn files_are_deleted_with_their_photo_and_when_it_is_made_again() {
     let (dir, server, photo) = start(Limits::default());
     let made = |parameters| written(server.addr, &photo, parameters)["links"]["self"].as_str().unwrap().to_owned();
     let before = made("format=glb");
-    let again = request(server.addr, "POST", &format!("/v1/photos/{photo}/again?class=batch"), &[("prefer", "wait=20")], &[]);
+    let again = request(server.addr, "POST", &format!("/v1/photos/{photo}/remake?class=batch"), &[("prefer", "wait=20")], &[]);
     assert_eq!(again.status, 200);
     get(server.addr, &before).problem(404);
     let after = made("format=glb");
     assert_ne!(before, after);
     wait_until("the file of the previous making is deleted", || files(dir.path()) == 1);
-    request(server.addr, "POST", &format!("/v1/photos/{photo}/again?class=never"), &[], &[]).problem(400);
+    request(server.addr, "POST", &format!("/v1/photos/{photo}/remake?class=never"), &[], &[]).problem(400);
     assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{photo}"), &[], &[]).status, 204);
     get(server.addr, &after).problem(404);
     assert_eq!(files(dir.path()), 0);

@@ -138,7 +138,7 @@ fn a_body_that_stops_is_408_and_leaves_nothing() {
 
 #[test]
 fn a_request_that_takes_too_long_is_ended() {
-    let limits = Limits { request: Duration::from_millis(600), ..Limits::default() };
+    let limits = Limits { request: Duration::from_secs(3), ..Limits::default() };
     let gate = Gate::new(0);
     let (_dir, server) = start(limits, gate.clone());
     // `Prefer: wait` ends before the request's timeout
@@ -292,7 +292,7 @@ fn a_body_on_a_route_that_reads_none_is_refused_and_the_answer_names_the_query()
     server.wait(&id, "done");
     let at = |part: &str| format!("/v1/photos/{id}/{part}");
     for path in
-        [at("links"), at("manage"), at("again"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]
+        [at("links"), at("manage"), at("remake"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]
     {
         for body in [&br#"{"seconds": 60}"#[..], b"{}", b" "] {
             let refused = request(server.addr, "POST", &path, &[("content-type", "application/json")], body).problem(400);

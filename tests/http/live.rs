@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tempfile::tempdir;
-use tmpi::live::{Bounds, Config as RoomConfig, Rooms};
+use tmpi::live::{Config as RoomConfig, RoomLimits, Rooms};
 use tmpi::server::{Config, Server};
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Sound, Video};
-use tmpi_core::live::{Model, VERSION, read, write};
+use tmpi_core::live::{TileState, VERSION, read, write};
 use tmpi_core::{DisparityMap, Photo, container};
 use tmpi_pipeline::Models;
 use tmpi_pipeline::depth::{DepthError, Estimator};
@@ -192,8 +192,8 @@ pub fn hello() -> Hello {
 #[test]
 fn rooms_keep_to_their_configured_limits() {
     let dir = tempdir().unwrap();
-    let bounds = Bounds { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..Bounds::default() };
-    let server = server_with(dir.path(), |rooms| rooms.bounded(bounds));
+    let bounds = RoomLimits { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100, ..RoomLimits::default() };
+    let server = server_with(dir.path(), |rooms| rooms.with_limits(bounds));
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
     assert!(matches!(Client::at(server.addr, "/v1/live/cellar/publish", &[]), Err(503)), "a second room");
@@ -222,7 +222,7 @@ fn frames_reach_viewers_unchanged_and_geometry_follows() {
     assert_eq!((hello.width, hello.height, hello.codec.as_str()), (SIZE.0, SIZE.1, "jpeg"));
     let epoch = hello.epoch;
     assert!(epoch > 1_700_000_000_000, "{epoch}: milliseconds since 1970, so that no epoch repeats after a restart");
-    let mut model = Model::new(&hello).unwrap();
+    let mut model = TileState::new(&hello).unwrap();
     for n in 1..20 {
         publisher.publish(frame(10 + 4 * n));
     }
@@ -312,7 +312,7 @@ fn groups_are_the_same_for_every_caller(addr: SocketAddr, epoch: u64, publisher:
     let first = at(&format!("{epoch}-0"));
     assert_eq!((first.status, first.header("content-type")), (200, Some("application/vnd.tmpi.live")));
     assert_eq!(first.header("cache-control"), Some("private, max-age=31536000, immutable"));
-    let token = tmpi::live::token(KEY, tmpi::live::Role::Watch, "attic", u64::MAX).unwrap();
+    let token = tmpi::live::room_token(KEY, tmpi::live::Role::Watch, "attic", u64::MAX).unwrap();
     let again = at(&format!("{epoch}-0?token={token}"));
     assert_eq!(again.header("cache-control"), Some("public, max-age=31536000, immutable"));
     assert_eq!(again.body, first.body);
@@ -325,7 +325,7 @@ fn groups_are_the_same_for_every_caller(addr: SocketAddr, epoch: u64, publisher:
     // a group begins with all tiles known before it
     let second = messages(&waits.join().unwrap().body);
     let (Kind::Hello(hello), Kind::Snapshot(tiles)) = (&second[0], &second[1]) else { panic!("HELLO and the tiles come first") };
-    let mut model = Model::new(hello).unwrap();
+    let mut model = TileState::new(hello).unwrap();
     model.take(tiles).unwrap();
     assert!(model.geometry().is_some());
     let (first, second) = (frames(&first), frames(&second));
@@ -354,10 +354,10 @@ fn measured_depth_is_used_and_sound_is_forwarded_unchanged() {
         viewer.get_or_insert_with(|| Client::watch(server.addr, "attic"));
         publisher.client.send(Kind::Sound(Sound { time: n, data: vec![n as u8; 9].into() }));
     }
-    let (mut model, mut sounds) = (None::<Model>, Vec::new());
+    let (mut model, mut sounds) = (None::<TileState>, Vec::new());
     while sounds.len() < 3 || model.as_ref().is_none_or(|m| m.geometry().is_none()) {
         match viewer.as_mut().unwrap().next().unwrap() {
-            Kind::Hello(hello) => model = Some(Model::new(&hello).unwrap()),
+            Kind::Hello(hello) => model = Some(TileState::new(&hello).unwrap()),
             Kind::Geometry(g) | Kind::Snapshot(g) => drop(model.as_mut().unwrap().take(&g).unwrap()),
             Kind::Sound(s) => {
                 assert_eq!(s.data, vec![s.time as u8; 9]);
@@ -370,7 +370,7 @@ fn measured_depth_is_used_and_sound_is_forwarded_unchanged() {
     assert!(sounds.is_sorted());
     let model = model.unwrap();
     let geometry = model.geometry().unwrap();
-    let shown = geometry.tiles[0].shown(&geometry.grid, 0);
+    let shown = geometry.tiles[0].disparities(&geometry.grid, 0);
     assert!(shown.iter().all(|d| (d - 0.25).abs() < 0.02), "{:?}", geometry.tiles[0].planes);
     // depth of a wrong frame, and depth that is too large
     let says = |mut publisher: Publisher, depth: Depth, words: &str| {
@@ -395,7 +395,7 @@ fn a_hidden_viewer_gets_only_sound_until_it_is_shown_again() {
     publisher.publish(frame(10));
     let mut viewer = Client::watch(server.addr, "attic");
     let Some(Kind::Hello(hello)) = viewer.next() else { panic!("HELLO comes first") };
-    let mut model = Model::new(&hello).unwrap();
+    let mut model = TileState::new(&hello).unwrap();
     while model.geometry().is_none() {
         if let Kind::Geometry(g) | Kind::Snapshot(g) = viewer.next().unwrap() {
             model.take(&g).unwrap();

@@ -27,7 +27,7 @@ fn strangers_need_a_token_and_pages_of_other_sites_are_refused() {
     assert_eq!(status(watch, &[("host", "elsewhere.example")]), Some(421));
     assert_eq!(status("/v1/live/cellar/subscribe", &[]), Some(404));
     assert_eq!(status("/v1/live/no%20room/publish", &[]), Some(404));
-    let token = |role, expires| tmpi::live::token(KEY, role, "attic", expires).unwrap();
+    let token = |role, expires| tmpi::live::room_token(KEY, role, "attic", expires).unwrap();
     let with = |token: String| status(&format!("{watch}?token={token}"), &[("host", "photos.example")]);
     assert_eq!(with(token(tmpi::live::Role::Watch, u64::MAX)), None);
     assert_eq!(with(token(tmpi::live::Role::Watch, 1)), Some(403));
@@ -39,7 +39,7 @@ fn a_socket_closes_when_its_token_expires() {
     let dir = tempdir().unwrap();
     let server = server(dir.path());
     let ends = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + 3;
-    let token = |role| format!("Bearer {}", tmpi::live::token(KEY, role, "attic", ends).unwrap());
+    let token = |role| format!("Bearer {}", tmpi::live::room_token(KEY, role, "attic", ends).unwrap());
     let come = |path: &str, role| {
         let headers = [("host", "photos.example"), ("authorization", &token(role))];
         Client::at(server.addr, &format!("/v1/live/attic/{path}"), &headers)
@@ -50,7 +50,7 @@ fn a_socket_closes_when_its_token_expires() {
     let mut viewer = come("subscribe", tmpi::live::Role::Watch).unwrap();
     assert!(matches!(viewer.next(), Some(Kind::Hello(_))));
     for client in [viewer, publisher] {
-        assert_eq!(client.bye(), "the invitation has ended");
+        assert_eq!(client.bye(), "the token has expired");
     }
     assert_eq!(come("subscribe", tmpi::live::Role::Watch).err(), Some(403));
 }
@@ -61,7 +61,7 @@ fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
     let server = server(dir.path());
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
-    let token = |role, room| tmpi::live::token(KEY, role, room, u64::MAX).unwrap();
+    let token = |role, room| tmpi::live::room_token(KEY, role, room, u64::MAX).unwrap();
     let (watch, publish) = (token(tmpi::live::Role::Watch, "attic"), token(tmpi::live::Role::Publish, "attic"));
     let foreign = [("origin", "https://example.org"), ("sec-fetch-site", "cross-site")];
     let status = |path: &str, protocols: &str| {

@@ -11,7 +11,7 @@ use tmpi::live::{Config as RoomConfig, Rooms};
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Hello, Sound, Video};
-use tmpi_core::live::{Model, VERSION, write};
+use tmpi_core::live::{TileState, VERSION, write};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::Models;
 use tmpi_pipeline::depth::{DepthError, Estimator};
@@ -45,14 +45,14 @@ fn geometry_resumes_after_a_panic_and_repeated_panics_end_the_room_with_a_reason
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
     let mut viewer = Client::watch(server.addr, "attic");
-    let mut model = None::<Model>;
+    let mut model = None::<TileState>;
     let (mut n, mut without) = (0, 0);
     while without < 2 || model.as_ref().is_none_or(|m| m.geometry().is_none()) {
         n += 1;
         assert!(n < 300, "no geometry came");
         publisher.publish(frame(10 + 4 * (n % 20)));
         match viewer.next().unwrap() {
-            Kind::Hello(hello) => model = Some(Model::new(&hello).unwrap()),
+            Kind::Hello(hello) => model = Some(TileState::new(&hello).unwrap()),
             Kind::Geometry(g) | Kind::Snapshot(g) => drop(model.as_mut().unwrap().take(&g).unwrap()),
             Kind::Statistics(s) => without = s.frames_without_geometry,
             _ => std::thread::sleep(Duration::from_millis(20)),

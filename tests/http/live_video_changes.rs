@@ -7,7 +7,7 @@ use tempfile::tempdir;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Hello, Video};
-use tmpi_core::live::{Model, VERSION};
+use tmpi_core::live::{TileState, VERSION};
 use tmpi_live::access_units::{Splitter, Unit, codec};
 use tmpi_testing::Need;
 
@@ -85,10 +85,10 @@ impl Camera {
 
 /// Reads until all tiles of frames of this size have arrived.
 fn sees(viewer: &mut Client, size: (u32, u32)) {
-    let mut model = None::<Model>;
+    let mut model = None::<TileState>;
     loop {
         match viewer.next().expect("the viewer stays connected") {
-            Kind::Hello(hello) => model = ((hello.width, hello.height) == size).then(|| Model::new(&hello).unwrap()),
+            Kind::Hello(hello) => model = ((hello.width, hello.height) == size).then(|| TileState::new(&hello).unwrap()),
             Kind::Geometry(tiles) | Kind::Snapshot(tiles) => {
                 let Some(model) = &mut model else { continue };
                 model.take(&tiles).unwrap();

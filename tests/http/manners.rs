@@ -46,7 +46,7 @@ fn if_match_protects_a_changed_photo_from_deletion_and_again_answers_a_location(
         let headers: Vec<_> = [("authorization", ann.as_str())].into_iter().chain(more.iter().copied()).collect();
         ask(&server, method, path, &headers, body)
     };
-    let again = own("POST", &format!("{at}/again"), &[("prefer", "wait=60")], &[]);
+    let again = own("POST", &format!("{at}/remake"), &[("prefer", "wait=60")], &[]);
     assert_eq!((again.status, again.header("location")), (200, Some(at.as_str())));
     let seen = own("GET", &at, &[], &[]).header("etag").unwrap().to_owned();
     assert_eq!(own("PATCH", &at, &[("content-type", "application/json")], br#"{"title": "The attic"}"#).status, 200);

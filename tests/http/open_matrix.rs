@@ -62,7 +62,7 @@ pub fn target(route: &Route, method: &str, id: &str) -> String {
     };
     let path = route
         .path
-        .replace("{id}", if method == "DELETE" || route.path.ends_with("/again") || route.path.ends_with("/exports") { NONE } else { id })
+        .replace("{id}", if method == "DELETE" || route.path.ends_with("/remake") || route.path.ends_with("/exports") { NONE } else { id })
         .replace("{key}", &NONE[..16])
         .replace("{*name}", "view/viewer.js")
         .replace("{room}", "attic")
@@ -97,7 +97,7 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         "GET" | "HEAD" if route.path == "/v1/photos" && caller.lists == 403 => (403, Some("list-closed")),
         "GET" | "HEAD" | "POST" if route.path == "/v1/network" && caller.lists == 403 => (403, Some("not-yours")),
         "POST" if route.path == "/v1/network" => (200, None),
-        "POST" if route.path.ends_with("/again") || route.path.ends_with("/exports") => (404, Some("not-found")),
+        "POST" if route.path.ends_with("/remake") || route.path.ends_with("/exports") => (404, Some("not-found")),
         "GET" | "HEAD" if route.path.starts_with("/v1/photos/{id}/exports/{key}") => (404, Some("not-found")),
         "GET" | "HEAD" | "PATCH" => (200, None),
         "POST" if route.path.ends_with("/links") => (200, None),

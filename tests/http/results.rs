@@ -397,7 +397,7 @@ fn health_and_metrics() {
     let value = |name: &str| {
         text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse::<f64>().ok()).unwrap_or_else(|| panic!("{name} in\n{text}"))
     };
-    assert_eq!(value("tmpi_jobs_total{outcome=\"done\"}"), 1.0);
+    assert_eq!(value("tmpi_jobs_total{class=\"interactive\",outcome=\"done\"}"), 1.0);
     assert_eq!(value("tmpi_photos_done "), 1.0);
     assert_eq!(value("tmpi_queue_depth "), 0.0);
     assert_eq!(value("tmpi_view_seconds_count{phase=\"render\"}"), 1.0);

@@ -24,7 +24,7 @@ fn the_quota_of_photos_applies_to_each_owner() {
     assert!(matches!(upload(&ann, 2).status, 201 | 202));
     let refused = upload(&ann, 3).problem(403);
     assert_eq!(refused["type"], "urn:tmpi:problem:quota");
-    assert!(refused["detail"].as_str().unwrap().contains("2 is the limit (quotas.photos)"), "{refused}");
+    assert!(refused["detail"].as_str().unwrap().contains("the limit is 2 (quotas.photos)"), "{refused}");
     // refused before the body is sent
     let mut connection = Connection::open(server.addr);
     let head = format!(

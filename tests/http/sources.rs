@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use tmpi::server::{Config, Limits, Reach, Server};
+use tmpi::server::{AddressPolicy, Config, Limits, Server};
 use tmpi_render::Backend;
 
 use crate::client::{Response, request};
@@ -114,10 +114,10 @@ fn whole(path: &str, head: &str) -> (u16, String, Vec<u8>) {
     }
 }
 
-fn start(data: &Path, hosts: &[String], source_reach: Reach) -> Running {
+fn start(data: &Path, hosts: &[String], source_addresses: AddressPolicy) -> Running {
     let limits = Limits { body: 1 << 20, body_read: Duration::from_millis(500), body_rate: 1000, ..Limits::default() };
     let source_hosts = hosts.iter().map(|host| host.parse().unwrap()).collect();
-    let config = Config { source_hosts, source_reach, limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
+    let config = Config { source_hosts, source_addresses, limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap() })
 }
@@ -129,7 +129,7 @@ fn post(server: &Running, body: &Value) -> Response {
 #[test]
 fn a_photo_and_its_depth_map_are_fetched() {
     let (dir, files) = (tempfile::tempdir().unwrap(), Files::start());
-    let server = start(dir.path(), &[files.url("")], Reach::Any);
+    let server = start(dir.path(), &[files.url("")], AddressPolicy::Any);
     let made = post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg#x"), "quality": 70 }));
     assert_eq!(made.status, 201, "{}", String::from_utf8_lossy(&made.body));
     let made = made.json();
@@ -149,7 +149,7 @@ fn a_photo_and_its_depth_map_are_fetched() {
 #[test]
 fn a_source_that_has_not_changed_is_not_fetched_again() {
     let (dir, files) = (tempfile::tempdir().unwrap(), Files::start());
-    let server = start(dir.path(), &[files.url("")], Reach::Any);
+    let server = start(dir.path(), &[files.url("")], AddressPolicy::Any);
     let order = json!({ "source": files.url("/tagged.jpg") });
     let first = post(&server, &order).json();
     let again = post(&server, &json!({ "source": files.url("/tagged.jpg"), "title": "New" }));
@@ -169,7 +169,7 @@ fn a_source_that_has_not_changed_is_not_fetched_again() {
 #[test]
 fn what_a_source_does_wrong_is_named_and_leaves_nothing() {
     let (dir, files) = (tempfile::tempdir().unwrap(), Files::start());
-    let server = start(dir.path(), &[files.url("")], Reach::Any);
+    let server = start(dir.path(), &[files.url("")], AddressPolicy::Any);
     for (path, status, kind) in [
         ("/text", 415, "unsupported-photo"),
         ("/torn.jpg", 422, "broken-photo"),
@@ -204,7 +204,7 @@ fn only_listed_hosts_at_public_addresses_are_asked() {
     let port = files.addr.port();
     let others = ["http://[::1]", "http://169.254.169.254", "http://10.0.0.1", "*.b.example"].map(str::to_owned);
     let hosts = [vec![files.url(""), format!("http://localhost:{port}")], others.to_vec()].concat();
-    let server = start(dir.path(), &hosts, Reach::Public);
+    let server = start(dir.path(), &hosts, AddressPolicy::Public);
     for (source, status, kind) in [
         (files.url("/By%20the%20sea.jpg"), 403, "source-address"),
         (format!("http://localhost:{port}/By%20the%20sea.jpg"), 403, "source-address"),
@@ -245,7 +245,7 @@ fn only_listed_hosts_at_public_addresses_are_asked() {
 #[test]
 fn a_server_without_sources_fetches_nothing() {
     let (dir, files) = (tempfile::tempdir().unwrap(), Files::start());
-    let server = start(dir.path(), &[], Reach::Any);
+    let server = start(dir.path(), &[], AddressPolicy::Any);
     let refused = post(&server, &json!({ "source": files.url("/By%20the%20sea.jpg") })).problem(403);
     assert_eq!(refused["type"], "urn:tmpi:problem:no-sources");
     assert_eq!(files.asked(), Vec::<String>::new());

@@ -3,7 +3,9 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceRequest;
 use opentelemetry_proto::tonic::common::v1::{KeyValue, any_value::Value};
@@ -31,13 +33,21 @@ struct StandIn {
     /// `service.name` of the last sender.
     service: Mutex<String>,
     mood: Mutex<Mood>,
+    /// Requests that it refused.
+    refused: AtomicUsize,
 }
 
 impl StandIn {
     fn start(mood: Mood) -> Arc<Self> {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
-        let made = Arc::new(Self { url, spans: Mutex::default(), service: Mutex::default(), mood: Mutex::new(mood) });
+        let made = Arc::new(Self {
+            url,
+            spans: Mutex::default(),
+            service: Mutex::default(),
+            mood: Mutex::new(mood),
+            refused: AtomicUsize::new(0),
+        });
         let of = Arc::clone(&made);
         std::thread::spawn(move || {
             for stream in listener.incoming() {
@@ -85,7 +95,10 @@ impl StandIn {
         let mood = *self.mood.lock().unwrap();
         let status = match mood {
             Mood::Takes => "200 OK",
-            Mood::Refuses => "400 Bad Request",
+            Mood::Refuses => {
+                self.refused.fetch_add(1, Ordering::AcqRel);
+                "400 Bad Request"
+            }
             // until the client gives up
             Mood::Hangs => return reader.read_to_end(&mut body).ok().and(None),
         };
@@ -123,13 +136,6 @@ fn start_with(data: &Path, traces: Collector, maker: Arc<dyn Maker>, limits: Lim
     let config = Config { traces: Some(traces), limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind(config, maker, renderer).await.unwrap() })
-}
-
-/// The count of spans with this outcome.
-fn counted(server: &Running, outcome: &str) -> u64 {
-    let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-    let line = format!("tmpi_trace_spans_total{{outcome=\"{outcome}\"}} ");
-    text.lines().find_map(|l| l.strip_prefix(&line)).map_or(0, |n| n.parse().unwrap())
 }
 
 #[test]
@@ -173,8 +179,7 @@ fn an_upload_is_one_trace_of_request_job_and_stages() {
     let (view, work) = (&collector.wait("GET /v1/photos/{id}/view", 1)[0], &collector.wait("work", 1)[0]);
     assert_eq!((&work.parent_span_id, attribute(work, "tmpi.job.class").as_str()), (&view.span_id, "interactive"));
     get(server.addr, "/healthz");
-    wait_until("sent spans are counted", || counted(&server, "sent") >= collector.spans().len() as u64);
-    assert_eq!((counted(&server, "refused"), counted(&server, "dropped")), (0, 0));
+    get(server.addr, "/metrics");
     server.stop();
     let health = collector.spans().into_iter().filter(|s| ["GET /healthz", "GET /metrics"].contains(&s.name.as_str())).count();
     assert_eq!(health, 0, "health checks and metrics have no spans");
@@ -185,7 +190,7 @@ fn a_clients_trace_continues_after_a_restart() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
     let (trace, outer) = ("0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331");
     // traces that begin here are not sampled
-    let limits = Limits { drain: std::time::Duration::from_millis(100), ..Limits::default() };
+    let limits = Limits { drain: Duration::from_millis(100), ..Limits::default() };
     let accepts = start_with(dir.path(), collector.traces(0.0), Gate::new(0), limits);
     let upload = |seed, sampled| {
         let parent = format!("00-{trace}-{outer}-{sampled}");
@@ -219,9 +224,8 @@ fn a_missing_or_refusing_collector_changes_no_answer() {
         let server = start(&dir.path().join(name), traces, Arc::new(pipeline()));
         let id = server.upload(&jpeg(1));
         server.wait(&id, "done");
-        wait_until("refused spans are counted", || counted(&server, "refused") > 0);
-        assert_eq!((counted(&server, "sent"), counted(&server, "dropped")), (0, 0), "{name}");
         if name == "refuses" {
+            wait_until("spans are refused", || refuses.refused.load(Ordering::Acquire) > 0);
             *refuses.mood.lock().unwrap() = Mood::Takes;
             get(server.addr, "/v1/photos");
             refuses.wait("GET /v1/photos", 1);
@@ -231,23 +235,19 @@ fn a_missing_or_refusing_collector_changes_no_answer() {
 }
 
 #[test]
-fn a_hanging_collector_fills_no_memory_and_does_not_delay_the_stop() {
+fn a_hanging_collector_delays_neither_answers_nor_the_stop() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Hangs));
     let server = start(dir.path(), collector.traces(1.0), Arc::new(pipeline()));
     let mut connection = Connection::open(server.addr);
-    let mut asked = 0;
-    // more spans than the queue holds and than time out meanwhile
-    while counted(&server, "dropped") == 0 {
-        for _ in 0..500 {
-            assert_eq!(connection.request("GET", "/v1/photos", &[], &[]).status, 200);
-            asked += 1;
-        }
-        assert!(asked < 1_000_000);
+    // more spans than may wait
+    for _ in 0..3000 {
+        assert_eq!(connection.request("GET", "/v1/photos", &[], &[]).status, 200);
     }
     let id = server.upload(&jpeg(1));
     server.wait(&id, "done");
-    assert_eq!(counted(&server, "sent"), 0);
+    let start = Instant::now();
     server.stop();
+    assert!(start.elapsed() < Duration::from_secs(20), "{:?}", start.elapsed());
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use tmpi::server::{Config, Fault, Limits, Maker, Problem, Reach, Server};
+use tmpi::server::{AddressPolicy, Config, Fault, Limits, Maker, Problem, Server};
 use tmpi_render::Backend;
 
 use crate::client::{Connection, Response, get, request};
@@ -22,7 +22,7 @@ const MANY: usize = 60;
 /// A server whose webhooks may have any address, with these pauses between attempts.
 fn server(data: &Path, retries: Vec<Duration>) -> Running {
     server_of(data, Arc::new(pipeline()), |config| Config {
-        webhook_reach: Reach::Any,
+        webhook_addresses: AddressPolicy::Any,
         limits: Limits { retries, ..config.limits },
         ..config
     })
@@ -101,7 +101,7 @@ fn a_failed_photo_is_told_with_its_problem() {
     let fails = Does(|_: &[u8], _: &dyn tmpi_pipeline::Sink| {
         Err(Fault::Photo(Problem::new(axum::http::StatusCode::UNPROCESSABLE_ENTITY, "broken-photo", "it is torn")))
     });
-    let server = server_of(dir.path(), Arc::new(fails), |config| Config { webhook_reach: Reach::Any, ..config });
+    let server = server_of(dir.path(), Arc::new(fails), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
     let (failed, done) = (Receiver::start(|_| Answer::of(200)), Receiver::start(|_| Answer::of(200)));
     add(&server, &json!({ "url": failed.url, "events": ["photo.failed"] }));
     let (other, _) = add(&server, &json!({ "url": done.url, "events": ["photo.done"] }));

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use serde_json::{Value, json};
-use tmpi::server::{Config, Reach, Server};
+use tmpi::server::{AddressPolicy, Config, Server};
 use tmpi_render::Backend;
 
 use crate::access::{ask, id, secret, upload};
@@ -17,7 +17,7 @@ fn start(data: &Path) -> Running {
     let config = Config {
         hosts: vec!["photos.example".into()],
         private: true,
-        webhook_reach: Reach::Any,
+        webhook_addresses: AddressPolicy::Any,
         ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned())
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();

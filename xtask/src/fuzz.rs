@@ -27,7 +27,7 @@ const TARGETS: [&str; 28] = [
     "exif",
     "icc",
     "depth",
-    "carried",
+    "embedded_depth",
     "multipart",
     "patch",
     "strokes",

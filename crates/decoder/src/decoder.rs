@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use tmpi_core::container::{Part, PhotoRows, Piece, decode_rows, strip};
+use tmpi_core::container::{PhotoRows, Piece, TileLayers, decode_rows, strip};
 use tmpi_core::{Class, MirrorBlur, Photo, Texels};
 
 /// Results that can be read.
@@ -36,7 +36,7 @@ pub struct Decoder {
     /// Blur of the photo, created when a piece beyond its borders is first requested.
     blur: Option<MirrorBlur>,
     hidden: Option<Photo>,
-    part: Part,
+    part: TileLayers,
     numbers: Vec<u8>,
     strip: Vec<[u8; 4]>,
     /// Why the last call failed.
@@ -55,7 +55,7 @@ impl Decoder {
             photo,
             blur: None,
             hidden: None,
-            part: Part { layers: Vec::new(), texels },
+            part: TileLayers { layers: Vec::new(), texels },
             numbers: Vec::new(),
             strip: Vec::new(),
             text: String::new(),

@@ -1,8 +1,8 @@
-//! Ghosts: outlines of things that stay on the background when the view moves.
+//! Measures ghosts: outlines of objects that stay on the background when the view moves.
 //!
-//! Where a camera that moves sideways uncovers the background beside a thing, the background's pixels next to the thing's silhouette in the
-//! photo come into the open. Their colours are mixed with the thing's. Looked at before plain backgrounds alone, where nothing else can be
-//! meant by such a colour.
+//! A camera that moves sideways uncovers the background beside an object. The pixels next to the object's silhouette in the photo then lie
+//! in the open, and their colours are mixed with the object's. The measurement uses only silhouettes in front of a plain background, where
+//! such a colour has no other cause.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,66 +13,66 @@ use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{MakeError, Models, Options, Silent};
 use tmpi_render::{Cpu, RenderError, Renderer};
 
-/// The camera moves by so much to either side, in units of the nearest distance.
+/// Distance that the camera moves to either side, in units of the nearest distance.
 pub const MOVE: f64 = 0.06;
-/// The background beside a thing is uncovered over at least so many pixels, so that the thing itself is out of the way.
+/// Minimum number of pixels of background that the view uncovers beside an object, so that the object itself is out of the way.
 const UNCOVERED: f64 = 6.0;
-/// Pixels beside a silhouette that may have a ghost.
+/// Number of pixels beside a silhouette that may have a ghost.
 const BAND: usize = 3;
-/// Pixels from the silhouette between which background and thing have their own colours.
+/// Distances from the silhouette, in pixels, at which background and object have their own colours.
 const BACKGROUND: std::ops::Range<usize> = 5..11;
 const THING: std::ops::Range<usize> = 2..6;
-/// The background is plain where its colours deviate by so many levels at most, as the length of their difference.
+/// Maximum deviation of a plain background's colours, in levels, as the length of the colour difference.
 const PLAIN: f64 = 8.0;
-/// Thing and background are at least so many levels apart.
+/// Minimum distance between the colours of object and background, in levels.
 const CONTRAST: f64 = 48.0;
-/// A ghost has at least so many levels of the thing's colour, in so many rows one below the other.
+/// A visible ghost has more than this many levels of the object's colour, in at least [`ROWS`] adjacent rows.
 const SEEN: f64 = 16.0;
 const ROWS: usize = 3;
 
-/// What was found.
+/// Number and strength of ghosts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Ghosts {
-    /// Silhouettes before plain background, counted once a row.
+    /// Silhouettes in front of a plain background, counted once per row.
     pub places: usize,
-    /// Those with a ghost that can be seen.
+    /// Silhouettes with a visible ghost.
     pub seen: usize,
-    /// Levels of the thing's colour on the background, of the worst pixel of each place, summed over all.
+    /// Levels of the object's colour on the background, at the worst pixel of each silhouette; the sum over all silhouettes.
     pub residue: f64,
 }
 
 impl Ghosts {
-    /// Adds what was found elsewhere.
+    /// Adds the counts of another view.
     pub fn add(&mut self, other: Self) {
         self.places += other.places;
         self.seen += other.seen;
         self.residue += other.residue;
     }
 
-    /// Share of the places with a ghost that can be seen, 0 to 1.
+    /// Share of silhouettes with a visible ghost, 0 to 1.
     #[must_use]
     pub fn share(&self) -> f64 {
         self.seen as f64 / self.places.max(1) as f64
     }
 
-    /// Mean residue in levels.
+    /// Mean residue per silhouette, in levels.
     #[must_use]
     pub fn mean(&self) -> f64 {
         self.residue / self.places.max(1) as f64
     }
 }
 
-/// A photo, δ of what each of its pixels shows, and the focal length in pixels.
+/// A photo, the δ of each of its pixels, and the focal length.
 pub struct Subject<'a> {
     /// The photo.
     pub photo: &'a Photo,
-    /// δ of each pixel, row by row.
+    /// δ of each pixel, row-major.
     pub delta: &'a [f32],
     /// Horizontal focal length in pixels.
     pub focal: f64,
 }
 
-/// A silhouette in a row: the column of its first background pixel, and levels of residue.
+/// A silhouette in a row: the column of its first background pixel, and the residue in levels.
 #[derive(Clone, Copy)]
 struct Place {
     column: usize,
@@ -80,7 +80,7 @@ struct Place {
 }
 
 impl Subject<'_> {
-    /// Looks for ghosts in a view of the photo's size, whose camera moved by `tx` to the side.
+    /// Measures ghosts in a view of the photo's size, whose camera moved sideways by `tx`, in units of the nearest distance.
     #[must_use]
     pub fn ghosts(&self, view: &[[u8; 3]], tx: f64) -> Ghosts {
         let width = self.photo.width as usize;
@@ -100,13 +100,13 @@ impl Subject<'_> {
         out
     }
 
-    /// Levels of a thing's colour on the background whose first pixel is `(x, y)`; none where that is no silhouette before plain background which
-    /// the view has in the open.
+    /// Levels of an object's colour on the background that starts at pixel `(x, y)`. `None` if there is no silhouette in front of a plain
+    /// background, or if the view does not show that background in the open.
     fn residue(&self, view: &[[u8; 3]], tx: f64, (x, y): (usize, usize)) -> Option<f64> {
         let width = self.photo.width as usize;
         let row = y * width..(y + 1) * width;
         let (delta, rgb, view) = (&self.delta[row.clone()], &self.photo.rgb[row.clone()], &view[row]);
-        // the camera goes right: the scene goes left, and what is right of a thing is uncovered
+        // if the camera moves right, the scene moves left and uncovers what is right of an object
         let away = |by: usize| if tx > 0.0 { x.checked_add(by) } else { x.checked_sub(by) }.filter(|&x| x < width);
         let back = |by: usize| if tx > 0.0 { x.checked_sub(by) } else { x.checked_add(by) }.filter(|&x| x < width);
         let moved = |d: f32| f64::from(d) * self.focal * tx.abs();
@@ -131,7 +131,7 @@ impl Subject<'_> {
             let at = away(by).filter(|&x| delta[x] < middle)?;
             let place = |x: usize| x as f64 + 0.5 - f64::from(delta[x]) * self.focal * tx;
             let to = place(at);
-            // something else is in the way, or almost
+            // something else covers this position, or nearly does
             if (0..width).any(|u| delta[u] > middle && (place(u) - to).abs() < 2.5) {
                 return None;
             }
@@ -143,7 +143,7 @@ impl Subject<'_> {
     }
 }
 
-/// Rows one after the other that have a ghost near a column, [`ROWS`] at most.
+/// Number of consecutive rows with a ghost near a column, at most [`ROWS`].
 fn chain<'a>(rows: impl Iterator<Item = &'a Vec<Place>>, mut column: usize) -> usize {
     let mut count = 0;
     for row in rows.take(ROWS) {
@@ -154,7 +154,7 @@ fn chain<'a>(rows: impl Iterator<Item = &'a Vec<Place>>, mut column: usize) -> u
     count
 }
 
-/// Colour between two pixels of a row.
+/// Colour between two pixels of a row, by linear interpolation; `None` outside the row.
 fn sample(row: &[[u8; 3]], at: f64) -> Option<[f64; 3]> {
     let first = at.floor();
     if first < 0.0 || first + 1.0 >= row.len() as f64 {
@@ -164,7 +164,7 @@ fn sample(row: &[[u8; 3]], at: f64) -> Option<[f64; 3]> {
     Some(std::array::from_fn(|c| f64::from(row[first][c]) * (1.0 - share) + f64::from(row[first + 1][c]) * share))
 }
 
-/// Mean of some colours, and how far they are off it.
+/// Mean of some colours, and their root mean square distance from it.
 struct Spread {
     mean: [f64; 3],
     deviation: f64,
@@ -179,7 +179,7 @@ impl Spread {
     }
 }
 
-/// Why ghosts could not be looked for.
+/// Why ghosts could not be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum GhostError {
     /// A photo cannot be made.
@@ -193,12 +193,12 @@ pub enum GhostError {
     Render(#[from] RenderError),
 }
 
-/// Ghosts of a photo without matting, and as it is made.
+/// Ghosts of a photo, made without matting and as usual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Pair {
-    /// With all mixed colours on the far side.
+    /// Without matting: all mixed colours are on the far side.
     pub unmatted: Ghosts,
-    /// As it is made.
+    /// As the pipeline makes it.
     pub made: Ghosts,
 }
 
@@ -213,7 +213,7 @@ pub fn unmatted(bytes: &[u8]) -> Result<Scene, container::ContainerError> {
     Ok(compose(photo, &geometry, tiles))
 }
 
-/// Makes a photo and looks for ghosts at [`MOVE`] to both sides.
+/// Makes a photo and measures ghosts at [`MOVE`] to both sides.
 ///
 /// # Errors
 /// [`GhostError`].
@@ -238,7 +238,7 @@ pub fn of_photo(models: &Models, file: &[u8]) -> Result<Pair, GhostError> {
     Ok(Pair { unmatted: without?, made: with? })
 }
 
-/// Names of the photos that ghosts are looked for in, below the folder of data.
+/// Reads a list of photos to measure: paths below the data folder, one per line. Skips blank lines and lines that start with `#`.
 pub fn listed(text: &str) -> impl Iterator<Item = &Path> {
     text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')).map(Path::new)
 }

@@ -25,7 +25,7 @@ const SIZE: (u32, u32) = (192, 128);
 /// JPEG quality of goldens.
 const QUALITY: u8 = 92;
 /// Allowed mean FLIP between a golden and the rendered view, both as JPEG of the same quality.
-const MOST_GOLDEN: f64 = 0.0005;
+const MAX_GOLDEN: f64 = 0.0005;
 /// Views per row of a golden.
 const COLUMNS: usize = 4;
 
@@ -102,9 +102,9 @@ fn the_reference_matches_its_goldens() {
         assert_eq!(golden.len(), sheet.rgba.len(), "{family}");
         let width = sheet.width as usize;
         let seen = |views: &View| flip(&golden, &of_jpeg(&encode(views, PictureFormat::Jpeg, QUALITY).unwrap()), width);
-        assert!(seen(&sheet) <= MOST_GOLDEN, "{family}: FLIP {:.5}", seen(&sheet));
+        assert!(seen(&sheet) <= MAX_GOLDEN, "{family}: FLIP {:.5}", seen(&sheet));
         for (i, fault) in faults(&views).iter().map(&seen).enumerate() {
-            assert!(fault > MOST_GOLDEN, "{family}: fault {i} in one view is not detected: FLIP {fault:.5}");
+            assert!(fault > MAX_GOLDEN, "{family}: fault {i} in one view is not detected: FLIP {fault:.5}");
         }
     }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use sqlx::{AnyConnection, Connection as _, Executor as _};
-use tmpi_library::{Asker, Class, Config, Content, Filter, Library, PhotoId, Upload};
+use tmpi_library::{Class, Config, Content, Filter, Library, PhotoId, Requester, Upload};
 
 /// Photos of the library, of 100 owners.
 const PHOTOS: u32 = 100_000;
@@ -35,13 +35,12 @@ fn upload(n: u64) -> Upload {
     let photo = Content::of_bytes(n.to_string().into_bytes());
     Upload {
         id: PhotoId::of_content(photo.digest(), None, "", ""),
-        asker: Asker::default(),
+        requester: Requester::default(),
         class: Class::Interactive,
         options: std::collections::BTreeMap::default(),
         settings: serde_json::json!({}),
         photo,
         depth: None,
-        reservation: None,
     }
 }
 

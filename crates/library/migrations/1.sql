@@ -63,15 +63,6 @@ CREATE INDEX photos_by_check ON photos (state, checked_at);
 -- for metrics, which count and weigh all of them
 CREATE INDEX photos_by_weight ON photos (state, bytes);
 
--- Room that an upload in parts takes before it is a photo.
-CREATE TABLE reservations (
-    id TEXT PRIMARY KEY,
-    owner TEXT NOT NULL REFERENCES owners (owner),
-    bytes BIGINT NOT NULL,
-    expires_at BIGINT NOT NULL
-);
-CREATE INDEX reservations_by_owner ON reservations (owner);
-
 -- Everything that takes time. What is made of a photo leaves its result there; an export keeps its row and its result here.
 CREATE TABLE jobs (
     id TEXT PRIMARY KEY,

@@ -16,7 +16,7 @@ pub const KEY_PREFIX: &str = "tmpi_k_";
 /// Prefix of a session's cookie.
 pub const SESSION_PREFIX: &str = "tmpi_s_";
 /// Longest name of a key.
-const MOST_NAME: usize = 64;
+const MAX_NAME: usize = 64;
 /// Hex digits of a key's id, from its hash.
 const ID_DIGITS: usize = 8;
 
@@ -115,7 +115,7 @@ fn hash(secret: &str) -> String {
 }
 
 fn is_name(name: &str) -> bool {
-    !name.is_empty() && name.len() <= MOST_NAME && name.bytes().all(|b| b.is_ascii_alphanumeric() || b".-_".contains(&b))
+    !name.is_empty() && name.len() <= MAX_NAME && name.bytes().all(|b| b.is_ascii_alphanumeric() || b".-_".contains(&b))
 }
 
 impl Library {
@@ -138,7 +138,7 @@ impl Library {
         let names: Vec<&str> = scopes.iter().map(|scope| scope.name()).collect();
         let insert = sqlx::query(insert).bind(hash(&secret)).bind(name.to_owned()).bind(owner.as_str().to_owned()).bind(names.join(","));
         let insert = insert.bind(tx.now).bind(lasts.map(|lasts| tx.now + millis(lasts)));
-        let key = Key::from_row(&insert.fetch_one(tx.on()).await?)?;
+        let key = Key::from_row(&insert.fetch_one(tx.connection()).await?)?;
         tx.commit().await?;
         Ok(NewKey { key, secret })
     }
@@ -155,7 +155,7 @@ impl Library {
     ///
     /// # Errors
     /// As [`Library::find_key`].
-    pub async fn is_still_good(&self, key: &Key) -> Result<bool> {
+    pub async fn is_valid(&self, key: &Key) -> Result<bool> {
         Ok(self.key_of_hash(key.hash.clone()).await?.is_some())
     }
 
@@ -181,11 +181,11 @@ impl Library {
     pub async fn remove_keys(&self, name: &str, id: Option<&str>) -> Result<u64> {
         let mut tx = self.database().write().await?;
         let delete = sqlx::query("DELETE FROM keys WHERE name = $1 AND ($2 = '' OR SUBSTR(hash, 1, 8) = $2)");
-        let removed = delete.bind(name.to_owned()).bind(id.unwrap_or_default().to_owned()).execute(tx.on()).await?.rows_affected();
+        let removed = delete.bind(name.to_owned()).bind(id.unwrap_or_default().to_owned()).execute(tx.connection()).await?.rows_affected();
         if removed == 0 {
             return Err(LibraryError::NotFound("key"));
         }
-        tx.tell(Event::Revoked);
+        tx.notify(Event::Revoked);
         tx.commit().await?;
         Ok(removed)
     }
@@ -200,11 +200,11 @@ impl Library {
         tx.lock_owner(owner.as_str()).await?;
         if let Some(key) = key {
             let select = sqlx::query("SELECT hash FROM keys WHERE hash = $1").bind(key.hash.clone());
-            select.fetch_optional(tx.on()).await?.ok_or(LibraryError::NotFound("key"))?;
+            select.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotFound("key"))?;
         }
         let insert = "INSERT INTO sessions (hash, owner, key_hash, created_at, expires_at) VALUES ($1, $2, $3, $4, $5)";
         let insert = sqlx::query(insert).bind(hash(&secret)).bind(owner.as_str().to_owned()).bind(key.map(|key| key.hash.clone()));
-        insert.bind(tx.now).bind(tx.now + millis(lasts)).execute(tx.on()).await?;
+        insert.bind(tx.now).bind(tx.now + millis(lasts)).execute(tx.connection()).await?;
         tx.commit().await?;
         Ok(secret)
     }
@@ -245,8 +245,8 @@ impl Library {
 
     async fn end(&self, delete: &'static str, of: String) -> Result<()> {
         let mut tx = self.database().write().await?;
-        if sqlx::query(delete).bind(of).execute(tx.on()).await?.rows_affected() > 0 {
-            tx.tell(Event::Revoked);
+        if sqlx::query(delete).bind(of).execute(tx.connection()).await?.rows_affected() > 0 {
+            tx.notify(Event::Revoked);
         }
         tx.commit().await
     }

@@ -33,7 +33,7 @@ pub(crate) enum Lock {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum JobKind {
     Sqlite,
     Postgres,
 }
@@ -41,7 +41,7 @@ enum Kind {
 /// Connections to the database.
 #[derive(Clone, Debug)]
 pub(crate) struct Database {
-    kind: Kind,
+    kind: JobKind,
     writer: AnyPool,
     reader: AnyPool,
     events: Events,
@@ -86,7 +86,7 @@ impl Database {
     pub async fn sqlite(path: &Path) -> Result<Self> {
         install_default_drivers();
         let (writer, reader) = sqlite(path).await?;
-        Self::ready(Kind::Sqlite, writer, reader, Events::open(None).await?).await
+        Self::ready(JobKind::Sqlite, writer, reader, Events::open(None).await?).await
     }
 
     /// Opens PostgreSQL at `url`.
@@ -101,10 +101,10 @@ impl Database {
             })
         });
         let pool = options.connect(url).await?;
-        Self::ready(Kind::Postgres, pool.clone(), pool, Events::open(Some(url)).await?).await
+        Self::ready(JobKind::Postgres, pool.clone(), pool, Events::open(Some(url)).await?).await
     }
 
-    async fn ready(kind: Kind, writer: AnyPool, reader: AnyPool, events: Events) -> Result<Self> {
+    async fn ready(kind: JobKind, writer: AnyPool, reader: AnyPool, events: Events) -> Result<Self> {
         #[cfg(test)]
         let skew = std::sync::Arc::default();
         #[cfg(test)]
@@ -117,9 +117,9 @@ impl Database {
 
     /// Migrates the schema, one node at a time.
     async fn migrate(&self) -> Result<()> {
-        let begin = if self.kind == Kind::Sqlite { "BEGIN EXCLUSIVE" } else { "BEGIN" };
+        let begin = if self.kind == JobKind::Sqlite { "BEGIN EXCLUSIVE" } else { "BEGIN" };
         let mut transaction = self.writer.begin_with(begin).await?;
-        if self.kind == Kind::Postgres {
+        if self.kind == JobKind::Postgres {
             sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(Lock::Migrations as i64).execute(&mut *transaction).await?;
         }
         transaction.execute(sqlx::raw_sql("CREATE TABLE IF NOT EXISTS migrations (version BIGINT PRIMARY KEY)")).await?;
@@ -152,8 +152,8 @@ impl Database {
 
     const fn clock(&self) -> &'static str {
         match self.kind {
-            Kind::Sqlite => "SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER) AS now",
-            Kind::Postgres => "SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT) AS now",
+            JobKind::Sqlite => "SELECT CAST(unixepoch('subsec') * 1000 AS INTEGER) AS now",
+            JobKind::Postgres => "SELECT CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT) AS now",
         }
     }
 
@@ -170,15 +170,15 @@ impl Database {
 
     /// Begins a writing transaction, which is rolled back if dropped.
     pub async fn write(&self) -> Result<Tx> {
-        let begin = if self.kind == Kind::Sqlite { "BEGIN IMMEDIATE" } else { "BEGIN" };
+        let begin = if self.kind == JobKind::Sqlite { "BEGIN IMMEDIATE" } else { "BEGIN" };
         let mut inner = self.writer.begin_with(begin).await?;
         let now = sqlx::query(self.clock()).fetch_one(&mut *inner).await?.try_get("now")?;
         Ok(Tx { inner, now: self.skewed(now), database: self.clone(), events: Vec::new() })
     }
 
     /// Sends an event without a transaction.
-    pub async fn tell(&self, event: Event) -> Result<()> {
-        if self.kind == Kind::Postgres {
+    pub async fn notify(&self, event: Event) -> Result<()> {
+        if self.kind == JobKind::Postgres {
             sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(Events::payload(&event)?).execute(&self.writer).await?;
         }
         self.events.committed(vec![event]);
@@ -204,19 +204,19 @@ pub(crate) struct Tx {
 
 impl Tx {
     /// The connection for statements.
-    pub fn on(&mut self) -> &mut AnyConnection {
+    pub fn connection(&mut self) -> &mut AnyConnection {
         &mut self.inner
     }
 
     /// Whether the database supports and needs `FOR UPDATE SKIP LOCKED`.
     pub fn has_row_locks(&self) -> bool {
-        self.database.kind == Kind::Postgres
+        self.database.kind == JobKind::Postgres
     }
 
     /// Holds a lock until the transaction ends; does nothing in SQLite, which has a single writer.
     pub async fn lock(&mut self, lock: Lock) -> Result<()> {
         if self.has_row_locks() {
-            sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(lock as i64).execute(self.on()).await?;
+            sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(lock as i64).execute(self.connection()).await?;
         }
         Ok(())
     }
@@ -225,7 +225,7 @@ impl Tx {
     pub async fn lock_jobs(&mut self, photo: PhotoId) -> Result<()> {
         if self.has_row_locks() {
             let select = sqlx::query("SELECT id FROM jobs WHERE photo = $1 ORDER BY id FOR UPDATE").bind(photo.to_string());
-            select.fetch_all(self.on()).await?;
+            select.fetch_all(self.connection()).await?;
         }
         Ok(())
     }
@@ -233,7 +233,7 @@ impl Tx {
     /// Locks the row of a photo. Lock the rows of jobs first.
     pub async fn lock_photo(&mut self, id: &str) -> Result<()> {
         if self.has_row_locks() {
-            sqlx::query("SELECT id FROM photos WHERE id = $1 FOR UPDATE").bind(id).fetch_optional(self.on()).await?;
+            sqlx::query("SELECT id FROM photos WHERE id = $1 FOR UPDATE").bind(id).fetch_optional(self.connection()).await?;
         }
         Ok(())
     }
@@ -242,15 +242,15 @@ impl Tx {
     pub async fn lock_owner(&mut self, owner: &str) -> Result<()> {
         let (text, now) = (owner.to_owned(), self.now);
         let insert = sqlx::query("INSERT INTO owners (owner, created_at) VALUES ($1, $2) ON CONFLICT (owner) DO NOTHING");
-        insert.bind(text).bind(now).execute(self.on()).await?;
+        insert.bind(text).bind(now).execute(self.connection()).await?;
         if self.has_row_locks() {
-            sqlx::query("SELECT owner FROM owners WHERE owner = $1 FOR UPDATE").bind(owner).fetch_optional(self.on()).await?;
+            sqlx::query("SELECT owner FROM owners WHERE owner = $1 FOR UPDATE").bind(owner).fetch_optional(self.connection()).await?;
         }
         Ok(())
     }
 
     /// Sends an event when the transaction commits.
-    pub fn tell(&mut self, event: Event) {
+    pub fn notify(&mut self, event: Event) {
         self.events.push(event);
     }
 
@@ -266,7 +266,7 @@ impl Tx {
         if self.has_row_locks() {
             for event in &events {
                 let payload = Events::payload(event)?;
-                sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(payload).execute(self.on()).await?;
+                sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(payload).execute(self.connection()).await?;
             }
         }
         self.inner.commit().await?;

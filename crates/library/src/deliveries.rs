@@ -17,7 +17,7 @@ use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::{Millis, Owner, PhotoId, hex, random};
 use crate::photo::{Photo, Problem, json, to_json};
-use crate::queue::{Job, Kind};
+use crate::queue::{Job, JobKind};
 use crate::webhooks::{EventType, Webhook, disable};
 use crate::{Library, millis};
 
@@ -26,7 +26,7 @@ const LEASE: Duration = Duration::from_mins(1);
 /// Deliveries of one webhook under way at a time, at all nodes together.
 const AT_ONCE: i64 = 2;
 /// Longest pause that a receiver can ask for.
-const MOST_PAUSE: Duration = Duration::from_hours(6);
+const MAX_PAUSE: Duration = Duration::from_hours(6);
 /// After a failed delivery, a webhook is disabled if it has failed for so long.
 const PATIENCE: Duration = Duration::from_hours(24 * 5);
 /// How long ended deliveries are kept, and how many of one webhook.
@@ -47,7 +47,7 @@ pub const RETRIES: [Duration; 8] = [
 /// What an event is about.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Facts {
+pub struct EventData {
     /// The photo.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photo: Option<PhotoId>,
@@ -56,7 +56,7 @@ pub struct Facts {
     pub title: Option<String>,
     /// The export.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub export: Option<ExportFacts>,
+    pub export: Option<ExportData>,
     /// Why the photo or the export failed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<Problem>,
@@ -67,23 +67,23 @@ pub struct Facts {
 
 /// An export of a photo.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ExportFacts {
+pub struct ExportData {
     /// Its name among those of its photo.
     pub key: String,
-    /// [`Kind::Export`] or [`Kind::Film`].
-    pub kind: Kind,
+    /// [`JobKind::Export`] or [`JobKind::Film`].
+    pub kind: JobKind,
     /// The worker's task.
     pub payload: Value,
 }
 
-impl Facts {
+impl EventData {
     pub(crate) fn of_photo(photo: &Photo, problem: Option<&Problem>) -> Self {
         Self { photo: Some(photo.id), title: photo.title().map(str::to_owned), problem: problem.cloned(), ..Self::default() }
     }
 
     pub(crate) fn of_export(job: &Job, photo: &Photo, problem: Option<&Problem>) -> Self {
         let key = job.key().unwrap_or_default().to_owned();
-        Self { export: Some(ExportFacts { key, kind: job.kind, payload: job.payload.clone() }), ..Self::of_photo(photo, problem) }
+        Self { export: Some(ExportData { key, kind: job.kind, payload: job.payload.clone() }), ..Self::of_photo(photo, problem) }
     }
 
     pub(crate) fn of_room(name: &str) -> Self {
@@ -125,7 +125,7 @@ pub struct Delivery {
     /// What happened.
     pub event: EventType,
     /// What it is about.
-    pub facts: Facts,
+    pub data: EventData,
     /// When it happened.
     pub created_at: Millis,
     /// When the next attempt is due.
@@ -151,7 +151,7 @@ impl Delivery {
         Ok(Self {
             id: row.try_get("id")?,
             event: EventType::of_column(&event)?,
-            facts: json(row, "data")?,
+            data: json(row, "data")?,
             created_at: row.try_get("created_at")?,
             run_after: row.try_get("run_after")?,
             attempts: row.try_get("attempts")?,
@@ -175,7 +175,7 @@ pub struct DeliveryPage {
 
 /// An attempt that is due, and leased to the caller.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Due {
+pub struct DueDelivery {
     /// The delivery, with this attempt counted.
     pub delivery: Delivery,
     /// Where it goes.
@@ -207,48 +207,48 @@ pub struct Attempt {
 }
 
 /// Inserts the deliveries of an event: to webhooks for all photos, and to those of `owner`.
-pub(crate) async fn announce(tx: &mut Tx, event: EventType, owner: Option<&Owner>, facts: &Facts) -> Result<()> {
+pub(crate) async fn announce(tx: &mut Tx, event: EventType, owner: Option<&Owner>, data: &EventData) -> Result<()> {
     let select = sqlx::query("SELECT id, events FROM webhooks WHERE disabled_at IS NULL AND (owner IS NULL OR owner = $1) ORDER BY id");
-    for row in select.bind(owner.map(|owner| owner.as_str().to_owned())).fetch_all(tx.on()).await? {
+    for row in select.bind(owner.map(|owner| owner.as_str().to_owned())).fetch_all(tx.connection()).await? {
         // an event of a newer version must not fail this one
         if row.try_get::<String, _>("events")?.split(',').any(|name| name == event.name()) {
-            insert(tx, &row.try_get::<String, _>("id")?, event, facts).await?;
+            insert(tx, &row.try_get::<String, _>("id")?, event, data).await?;
         }
     }
     Ok(())
 }
 
-async fn insert(tx: &mut Tx, webhook: &str, event: EventType, facts: &Facts) -> Result<String> {
+async fn insert(tx: &mut Tx, webhook: &str, event: EventType, data: &EventData) -> Result<String> {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     // in order of time, and of this process within a millisecond
     let id = format!("msg_{:012x}{:08x}{}", tx.now.max(0), NEXT.fetch_add(1, Ordering::Relaxed), hex(&random::<6>()?));
     let insert = "INSERT INTO deliveries (id, webhook, event, data, created_at, run_after, attempts, state)
         VALUES ($1, $2, $3, $4, $5, $5, 0, 'pending')";
-    let insert = sqlx::query(insert).bind(id.clone()).bind(webhook.to_owned()).bind(event.name()).bind(to_json(facts)?).bind(tx.now);
-    insert.execute(tx.on()).await?;
-    tx.tell(Event::Delivery);
+    let insert = sqlx::query(insert).bind(id.clone()).bind(webhook.to_owned()).bind(event.name()).bind(to_json(data)?).bind(tx.now);
+    insert.execute(tx.connection()).await?;
+    tx.notify(Event::Delivery);
     Ok(id)
 }
 
 /// Lets attempts of a process that has ended be made again. Only for a process that is alone.
 pub(crate) async fn release(tx: &mut Tx) -> Result<()> {
-    sqlx::query("UPDATE deliveries SET lease_until = NULL WHERE lease_until IS NOT NULL").execute(tx.on()).await?;
+    sqlx::query("UPDATE deliveries SET lease_until = NULL WHERE lease_until IS NOT NULL").execute(tx.connection()).await?;
     Ok(())
 }
 
 /// Removes ended deliveries that are old or many, and those of removed webhooks.
 pub(crate) async fn sweep(tx: &mut Tx) -> Result<()> {
     let old = sqlx::query("DELETE FROM deliveries WHERE state <> 'pending' AND ended_at <= $1").bind(tx.now - millis(LOG.0));
-    old.execute(tx.on()).await?;
+    old.execute(tx.connection()).await?;
     let many = "DELETE FROM deliveries WHERE id IN (SELECT id FROM (
             SELECT id, ROW_NUMBER() OVER (PARTITION BY webhook ORDER BY id DESC) AS place FROM deliveries WHERE state <> 'pending'
         ) AS placed WHERE place > $1)";
-    sqlx::query(many).bind(LOG.1).execute(tx.on()).await?;
-    sqlx::query("DELETE FROM deliveries WHERE webhook NOT IN (SELECT id FROM webhooks)").execute(tx.on()).await?;
+    sqlx::query(many).bind(LOG.1).execute(tx.connection()).await?;
+    sqlx::query("DELETE FROM deliveries WHERE webhook NOT IN (SELECT id FROM webhooks)").execute(tx.connection()).await?;
     // inserted while their webhook was disabled
     let late = "UPDATE deliveries SET state = 'failed', error = 'the webhook was disabled', ended_at = $1 WHERE state = 'pending'
         AND webhook IN (SELECT id FROM webhooks WHERE disabled_at IS NOT NULL)";
-    sqlx::query(late).bind(tx.now).execute(tx.on()).await?;
+    sqlx::query(late).bind(tx.now).execute(tx.connection()).await?;
     Ok(())
 }
 
@@ -260,11 +260,11 @@ impl Library {
     pub async fn ping(&self, webhook: &str) -> Result<String> {
         let mut tx = self.database().write().await?;
         let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(webhook.to_owned());
-        let row = select.fetch_optional(tx.on()).await?.ok_or(LibraryError::NotFound("webhook"))?;
+        let row = select.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotFound("webhook"))?;
         if Webhook::from_row(&row)?.disabled.is_some() {
             return Err(LibraryError::Invalid("the webhook is disabled".into()));
         }
-        let id = insert(&mut tx, webhook, EventType::Ping, &Facts::default()).await?;
+        let id = insert(&mut tx, webhook, EventType::Ping, &EventData::default()).await?;
         tx.commit().await?;
         Ok(id)
     }
@@ -273,7 +273,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn take_deliveries(&self, most: usize) -> Result<Vec<Due>> {
+    pub async fn take_deliveries(&self, most: usize) -> Result<Vec<DueDelivery>> {
         let mut tx = self.database().write().await?;
         // counts what is under way
         tx.lock(Lock::Deliveries).await?;
@@ -295,7 +295,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn next_delivery(&self) -> Result<Option<Duration>> {
+    pub async fn next_delivery_in(&self) -> Result<Option<Duration>> {
         let now = self.database().now().await?;
         let select = "SELECT MIN(run_after) AS due FROM deliveries WHERE state = 'pending'";
         let due: Option<Millis> = sqlx::query(select).fetch_one(self.database().reader()).await?.try_get("due")?;
@@ -307,14 +307,14 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::LeaseLost`] if another attempt has begun, or the delivery has ended; [`LibraryError::Unavailable`].
-    pub async fn attempted(&self, due: &Due, attempt: &Attempt) -> Result<DeliveryState> {
+    pub async fn record_attempt(&self, due: &DueDelivery, attempt: &Attempt) -> Result<DeliveryState> {
         let mut tx = self.database().write().await?;
         let (delivery, webhook) = (&due.delivery, due.webhook.id.as_str());
         let pause = self.limits().retries.get((delivery.attempts - 1).max(0) as usize);
         let (state, after) = match (attempt.verdict, pause) {
             (Verdict::Delivered, _) => (DeliveryState::Delivered, None),
             (Verdict::Refused(asked), Some(pause)) => {
-                (DeliveryState::Pending, Some(tx.now + jittered(*pause)?.max(millis(asked.unwrap_or_default().min(MOST_PAUSE)))))
+                (DeliveryState::Pending, Some(tx.now + jittered(*pause)?.max(millis(asked.unwrap_or_default().min(MAX_PAUSE)))))
             }
             (Verdict::Refused(_), None) | (Verdict::Gone, _) => (DeliveryState::Failed, None),
         };
@@ -323,7 +323,7 @@ impl Library {
             lease_until = NULL WHERE id = $7 AND attempts = $8 AND state = 'pending'";
         let update = sqlx::query(update).bind(state.name()).bind(after).bind(attempt.status.map(i64::from)).bind(attempt.error.clone());
         let update = update.bind(millis(attempt.took)).bind(Some(tx.now).filter(|_| state != DeliveryState::Pending));
-        let updated = update.bind(delivery.id.clone()).bind(delivery.attempts).execute(tx.on()).await?;
+        let updated = update.bind(delivery.id.clone()).bind(delivery.attempts).execute(tx.connection()).await?;
         if updated.rows_affected() == 0 {
             return Err(LibraryError::LeaseLost);
         }
@@ -346,7 +346,7 @@ impl Library {
     }
 }
 
-async fn take(tx: &mut Tx) -> Result<Option<Due>> {
+async fn take(tx: &mut Tx) -> Result<Option<DueDelivery>> {
     let update = "UPDATE deliveries SET attempts = attempts + 1, lease_until = $1 WHERE id = (
             SELECT id FROM deliveries WHERE state = 'pending' AND run_after <= $2 AND (lease_until IS NULL OR lease_until <= $2)
             AND webhook IN (SELECT id FROM webhooks WHERE disabled_at IS NULL)
@@ -354,10 +354,10 @@ async fn take(tx: &mut Tx) -> Result<Option<Due>> {
             ORDER BY run_after, id LIMIT 1
         ) AND state = 'pending' RETURNING *";
     let update = sqlx::query(update).bind(tx.now + millis(LEASE)).bind(tx.now).bind(AT_ONCE);
-    let Some(row) = update.fetch_optional(tx.on()).await? else { return Ok(None) };
+    let Some(row) = update.fetch_optional(tx.connection()).await? else { return Ok(None) };
     let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(row.try_get::<String, _>("webhook")?);
-    let Some(webhook) = select.fetch_optional(tx.on()).await? else { return Ok(None) };
-    Ok(Some(Due { delivery: Delivery::from_row(&row)?, webhook: Webhook::from_row(&webhook)? }))
+    let Some(webhook) = select.fetch_optional(tx.connection()).await? else { return Ok(None) };
+    Ok(Some(DueDelivery { delivery: Delivery::from_row(&row)?, webhook: Webhook::from_row(&webhook)? }))
 }
 
 /// Records at a webhook how an attempt ended.
@@ -365,13 +365,13 @@ async fn note(tx: &mut Tx, webhook: &str, verdict: Verdict, state: DeliveryState
     match verdict {
         Verdict::Delivered => {
             let update = sqlx::query("UPDATE webhooks SET failing_since = NULL WHERE id = $1 AND failing_since IS NOT NULL");
-            update.bind(webhook.to_owned()).execute(tx.on()).await?;
+            update.bind(webhook.to_owned()).execute(tx.connection()).await?;
         }
         Verdict::Gone => disable(tx, webhook, "it answers 410 Gone").await?,
         Verdict::Refused(_) => {
             let update =
                 sqlx::query("UPDATE webhooks SET failing_since = COALESCE(failing_since, $1) WHERE id = $2 RETURNING failing_since");
-            let row = update.bind(tx.now).bind(webhook.to_owned()).fetch_optional(tx.on()).await?;
+            let row = update.bind(tx.now).bind(webhook.to_owned()).fetch_optional(tx.connection()).await?;
             let since = row.map(|row| row.try_get::<Millis, _>("failing_since")).transpose()?;
             if state == DeliveryState::Failed && since.is_some_and(|since| tx.now - since >= millis(PATIENCE)) {
                 disable(tx, webhook, "its deliveries have failed for five days").await?;

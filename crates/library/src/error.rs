@@ -7,7 +7,7 @@ use crate::photo::Part;
 
 /// The limit of the queue that is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Share {
+pub enum QueueLimit {
     /// That of the whole queue.
     All,
     /// That of one owner: half of the queue.
@@ -44,17 +44,17 @@ pub enum LibraryError {
     #[error("the photo is being made")]
     NotReady,
     /// It has changed since the caller read it.
-    #[error("it was changed meanwhile")]
+    #[error("it has changed meanwhile")]
     Changed,
     /// The queue is full.
-    #[error("{waiting} jobs wait, and {share:?} may have {places} places")]
+    #[error("{waiting} jobs wait; the limit ({share:?}) is {places}")]
     QueueFull {
         /// Number of waiting jobs.
         waiting: u64,
         /// Size of that share.
         places: u64,
         /// Which limit is reached.
-        share: Share,
+        share: QueueLimit,
         /// When a place is likely to be free.
         retry_after: Duration,
     },
@@ -71,7 +71,7 @@ pub enum LibraryError {
         limit: u64,
     },
     /// The owner has as many webhooks as one may have.
-    #[error("there are {limit} webhooks, as many as one may have")]
+    #[error("the limit of {limit} webhooks is reached")]
     TooManyWebhooks {
         /// The limit.
         limit: u64,
@@ -150,3 +150,8 @@ impl From<sqlx::Error> for LibraryError {
 
 /// Result of the library.
 pub type Result<T> = std::result::Result<T, LibraryError>;
+
+/// Whether an error guarantees that nothing was committed. After other errors the blobs stay for `gc`.
+pub(crate) const fn is_refusal(error: &LibraryError) -> bool {
+    !matches!(error, LibraryError::Unavailable { .. } | LibraryError::Internal(_))
+}

@@ -22,7 +22,7 @@ pub(crate) const CHANNEL: &str = "tmpi_library";
 /// Number of events by which a receiver may lag.
 const BEHIND: usize = 1024;
 /// Longest notification in bytes: PostgreSQL's limit is 8 000.
-const MOST_BYTES: usize = 7_900;
+const MAX_BYTES: usize = 7_900;
 /// Pause before reconnecting.
 const RECONNECT: Duration = Duration::from_millis(500);
 /// Silence after which the connection is checked, and the timeout of the check.
@@ -150,7 +150,7 @@ impl Events {
     pub fn payload(event: &Event) -> Result<String> {
         let text = crate::photo::to_json(event)?;
         match event {
-            Event::Progress { photo, .. } if text.len() > MOST_BYTES => crate::photo::to_json(&Event::Photo(*photo)),
+            Event::Progress { photo, .. } if text.len() > MAX_BYTES => crate::photo::to_json(&Event::Photo(*photo)),
             _ => Ok(text),
         }
     }
@@ -205,7 +205,7 @@ mod tests {
         let photo = PhotoId::from_bytes([1; 16]);
         let event = |length| Event::Progress { photo, progress: Value::from("x".repeat(length)) };
         assert!(Events::payload(&event(10)).unwrap().contains("xxxxxxxxxx"));
-        assert_eq!(Events::payload(&event(MOST_BYTES)).unwrap(), Events::payload(&Event::Photo(photo)).unwrap());
+        assert_eq!(Events::payload(&event(MAX_BYTES)).unwrap(), Events::payload(&Event::Photo(photo)).unwrap());
     }
 
     #[tokio::test]

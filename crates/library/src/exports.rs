@@ -5,44 +5,45 @@ use std::time::Duration;
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::accept::{is_refusal, photo_in};
 use crate::blobs::{Content, Contents};
 use crate::database::Tx;
-use crate::deliveries::{Facts, announce};
-use crate::error::{LibraryError, Result};
+use crate::deliveries::{EventData, announce};
+use crate::error::{LibraryError, Result, is_refusal};
 use crate::events::Event;
 use crate::ids::PhotoId;
-use crate::leases::{Lease, count};
-use crate::photo::{Blob, Class, Part, Photo, PhotoState, optional_json, to_json};
-use crate::queue::{Asker, COLUMNS, Job, JobState, Kind, NewJob, id_of};
+use crate::leases::Lease;
+use crate::photo::{Blob, Class, Part, Photo, PhotoState, file_names, to_json};
+use crate::photos::locked_photo;
+use crate::queue::{COLUMNS, Job, JobKind, JobState, NewJob, Requester, id_of};
+use crate::statistics::count_outcome;
 use crate::webhooks::EventType;
 use crate::{Library, millis};
 
 /// Each export counts as at least this fraction of the limit of all, which bounds their number.
-const MOST_EXPORTS: u64 = 1024;
+const MAX_EXPORTS: u64 = 1024;
 /// Fetches of a file within this time count as one: a player requests many ranges.
 const FETCHED: Duration = Duration::from_mins(1);
 
 /// A request for an export.
 #[derive(Clone, Debug)]
-pub struct Order<'a> {
+pub struct NewExport<'a> {
     /// The finished photo, as the caller read it.
     pub photo: &'a Photo,
     /// Name among the exports of this photo: equal parameters have equal names.
     pub key: &'a str,
-    /// [`Kind::Export`] or [`Kind::Film`].
-    pub kind: Kind,
+    /// [`JobKind::Export`] or [`JobKind::Film`].
+    pub kind: JobKind,
     /// The worker's task.
     pub payload: Value,
     /// How urgent it is.
     pub class: Class,
     /// The caller.
-    pub asker: &'a Asker,
+    pub requester: &'a Requester,
 }
 
 /// An accepted order.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Ordered {
+pub struct OrderedExport {
     /// Its job.
     pub job: Job,
     /// Whether the job is new; false if the file exists or is being written.
@@ -55,33 +56,33 @@ impl Library {
     /// # Errors
     /// [`LibraryError::NotReady`] if the photo is not done, [`LibraryError::Changed`] if it was made again meanwhile,
     /// [`LibraryError::QueueFull`].
-    pub async fn order(&self, order: &Order<'_>) -> Result<Ordered> {
+    pub async fn order_export(&self, order: &NewExport<'_>) -> Result<OrderedExport> {
         match self.job(order.kind, order.photo.id, Some(order.key)).await {
-            Ok(job) if job.state != JobState::Failed && job.version == order.photo.version => return Ok(Ordered { job, new: false }),
+            Ok(job) if job.state != JobState::Failed && job.version == order.photo.version => return Ok(OrderedExport { job, new: false }),
             Ok(_) | Err(LibraryError::NotFound(_)) => {}
             Err(error) => return Err(error),
         }
         let mut tx = self.database().write().await?;
         tx.lock_jobs(order.photo.id).await?;
-        let photo = photo_in(&mut tx, order.photo.id).await?;
+        let photo = locked_photo(&mut tx, order.photo.id).await?;
         if photo.version != order.photo.version {
             return Err(LibraryError::Changed);
         }
         if photo.state != PhotoState::Done {
             return Err(LibraryError::NotReady);
         }
-        let (kind, class, asker) = (order.kind, order.class, order.asker);
-        let job = NewJob { kind, photo: photo.id, version: photo.version, key: Some(order.key), class, asker };
+        let (kind, class, requester) = (order.kind, order.class, order.requester);
+        let job = NewJob { kind, photo: photo.id, version: photo.version, key: Some(order.key), class, requester };
         match self.enqueue(&mut tx, &job, &order.payload).await {
             Ok(job) => {
-                tx.tell(Event::Photo(photo.id));
+                tx.notify(Event::Photo(photo.id));
                 tx.commit().await?;
-                Ok(Ordered { job, new: true })
+                Ok(OrderedExport { job, new: true })
             }
             // a concurrent order was faster
             Err(LibraryError::NotReady) => {
                 drop(tx);
-                Ok(Ordered { job: self.job(order.kind, photo.id, Some(order.key)).await?, new: false })
+                Ok(OrderedExport { job: self.job(order.kind, photo.id, Some(order.key)).await?, new: false })
             }
             Err(error) => {
                 tx.rollback().await;
@@ -123,13 +124,13 @@ impl Library {
              bytes = $2, used_at = $3 WHERE id = $4 AND lease_token = $5 RETURNING {COLUMNS}"
         );
         let update = sqlx::query(AssertSqlSafe(update)).bind(to_json(blob)?).bind(blob.bytes as i64).bind(tx.now);
-        let row = update.bind(lease.job.id.clone()).bind(lease.token()).fetch_optional(tx.on()).await?;
+        let row = update.bind(lease.job.id.clone()).bind(lease.token()).fetch_optional(tx.connection()).await?;
         let job = Job::from_row(&row.ok_or(LibraryError::LeaseLost)?)?;
         let gone = self.trim(&mut tx, &job.id).await?;
-        count(&mut tx, &job, Some(lease.age())).await?;
-        let facts = Facts::of_export(&job, &lease.photo, None);
-        announce(&mut tx, EventType::ExportDone, lease.photo.owner.as_ref(), &facts).await?;
-        tx.tell(Event::Photo(job.photo));
+        count_outcome(&mut tx, &job, Some(lease.age())).await?;
+        let data = EventData::of_export(&job, &lease.photo, None);
+        announce(&mut tx, EventType::ExportDone, lease.photo.owner.as_ref(), &data).await?;
+        tx.notify(Event::Photo(job.photo));
         tx.commit().await?;
         Ok((job, gone))
     }
@@ -140,12 +141,12 @@ impl Library {
         let select =
             sqlx::query("SELECT id, bytes FROM jobs WHERE state = 'done' ORDER BY CASE WHEN id = $1 THEN 0 ELSE 1 END, used_at DESC, id");
         let (mut all, mut gone) = (0_u64, Vec::new());
-        for row in select.bind(id.to_owned()).fetch_all(tx.on()).await? {
-            all += (row.try_get::<i64, _>("bytes")? as u64).max(most / MOST_EXPORTS);
+        for row in select.bind(id.to_owned()).fetch_all(tx.connection()).await? {
+            all += (row.try_get::<i64, _>("bytes")? as u64).max(most / MAX_EXPORTS);
             if all > most {
                 let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND state = 'done' RETURNING result");
-                let deleted = delete.bind(row.try_get::<String, _>("id")?).fetch_all(tx.on()).await?;
-                gone.extend(names_of(&deleted)?);
+                let deleted = delete.bind(row.try_get::<String, _>("id")?).fetch_all(tx.connection()).await?;
+                gone.extend(file_names(&deleted)?);
             }
         }
         Ok(gone)
@@ -155,10 +156,10 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn fetched(&self, job: &Job) -> Result<()> {
+    pub async fn note_export_fetch(&self, job: &Job) -> Result<()> {
         let mut tx = self.database().write().await?;
         let update = sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2 AND used_at <= $3").bind(tx.now).bind(job.id.clone());
-        update.bind(tx.now - millis(FETCHED)).execute(tx.on()).await?;
+        update.bind(tx.now - millis(FETCHED)).execute(tx.connection()).await?;
         tx.commit().await
     }
 
@@ -166,13 +167,13 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn cancel(&self, photo: PhotoId, key: &str) -> Result<bool> {
+    pub async fn cancel_export(&self, photo: PhotoId, key: &str) -> Result<bool> {
         let mut tx = self.database().write().await?;
-        let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 RETURNING result").bind(id_of(Kind::Export, photo, Some(key)));
-        let deleted = delete.fetch_all(tx.on()).await?;
-        tx.tell(Event::Photo(photo));
+        let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 RETURNING result").bind(id_of(JobKind::Export, photo, Some(key)));
+        let deleted = delete.fetch_all(tx.connection()).await?;
+        tx.notify(Event::Photo(photo));
         tx.commit().await?;
-        self.blobs().discard(names_of(&deleted)?).await;
+        self.blobs().discard(file_names(&deleted)?).await;
         Ok(!deleted.is_empty())
     }
 }
@@ -180,11 +181,5 @@ impl Library {
 /// Removes the exports of a photo; returns the names of their blobs.
 pub(crate) async fn remove_of(tx: &mut Tx, photo: PhotoId) -> Result<Vec<String>> {
     let delete = sqlx::query("DELETE FROM jobs WHERE photo = $1 AND kind IN ('export', 'film') RETURNING result");
-    names_of(&delete.bind(photo.to_string()).fetch_all(tx.on()).await?)
-}
-
-/// Names of the blobs of deleted jobs.
-pub(crate) fn names_of(deleted: &[sqlx::any::AnyRow]) -> Result<Vec<String>> {
-    let files: Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
-    Ok(files?.into_iter().flatten().map(|blob| blob.name).collect())
+    file_names(&delete.bind(photo.to_string()).fetch_all(tx.connection()).await?)
 }

@@ -11,23 +11,17 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::accept::{is_refusal, names_of, photo_in};
-use crate::blobs::Contents;
+use crate::completion::{MAX_BACK_OFF, Retry, set_state};
 use crate::database::Tx;
-use crate::deliveries::{self, Facts, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::{Millis, hex, random};
-use crate::photo::{self, Blobs, Photo, PhotoState, Problem, bytes_of, to_json};
-use crate::queue::{COLUMNS, Job, Kind};
-use crate::webhooks::EventType;
-use crate::{Library, exports, millis, rooms};
+use crate::photo::{Photo, PhotoState, to_json};
+use crate::queue::{COLUMNS, Job, JobKind};
+use crate::{Library, deliveries, millis, rooms};
 
 /// Longest lease: one that ends later was granted before the clock was set back.
-const MOST_LEASE: Duration = Duration::from_mins(10);
-/// Pause after the server's first fault, doubled after each further one, and the longest pause.
-const BACK_OFF: Duration = Duration::from_millis(500);
-const MOST_BACK_OFF: Duration = Duration::from_mins(1);
+const MAX_LEASE: Duration = Duration::from_mins(10);
 /// Every nth job is taken in the opposite order of classes, so that no class starves.
 const OTHER_WAY: u64 = 4;
 /// Polling interval for jobs without an event.
@@ -35,9 +29,9 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// Tokens of this process's leases.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Held(Arc<Mutex<HashSet<String>>>);
+pub(crate) struct OwnLeases(Arc<Mutex<HashSet<String>>>);
 
-impl Held {
+impl OwnLeases {
     fn hold(&self, token: &str) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(token.to_owned());
     }
@@ -49,7 +43,7 @@ impl Held {
 
 /// Since when this node has reached the database without interruption; `None` while it cannot.
 #[derive(Debug, Default)]
-pub(crate) struct Reached(Mutex<Since>);
+pub(crate) struct Connectivity(Mutex<Since>);
 
 #[derive(Clone, Copy, Debug, Default)]
 enum Since {
@@ -58,7 +52,7 @@ enum Since {
     Outage(Option<Instant>),
 }
 
-impl Reached {
+impl Connectivity {
     fn note(&self, is_reached: bool) {
         let mut since = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         *since = match *since {
@@ -87,7 +81,7 @@ pub struct Lease {
     token: String,
     lasts: Duration,
     taken: Instant,
-    held: Held,
+    held: OwnLeases,
 }
 
 impl Drop for Lease {
@@ -102,33 +96,13 @@ struct Over {
     token: String,
 }
 
-/// A worker's results for a photo.
-#[derive(Debug)]
-pub struct Made {
-    /// Container, disparity, thumbnail and report.
-    pub contents: Contents,
-    /// Details, a JSON object: width, height.
-    pub details: Value,
-}
-
-/// Why a worker gives a job back.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Retry {
-    /// The worker's process died. The job fails if that happens too often.
-    Died(String),
-    /// The server is at fault: disk, store or memory. The job waits, longer each time.
-    Fault(String),
-    /// The worker is shutting down.
-    Stopping,
-}
-
 impl Library {
     /// Takes the next job of these kinds, for `lasts`; `None` if none is ready.
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn take(&self, kinds: &[Kind], lasts: Duration) -> Result<Option<Lease>> {
-        let lasts = lasts.min(MOST_LEASE);
+    pub async fn take(&self, kinds: &[JobKind], lasts: Duration) -> Result<Option<Lease>> {
+        let lasts = lasts.min(MAX_LEASE);
         let begun = self.database().write().await;
         self.0.reached.note(begun.is_ok());
         let mut tx = begun?;
@@ -148,13 +122,13 @@ impl Library {
             "UPDATE jobs SET state = 'working', lease_token = $1, lease_until = $2, started_at = $3, problem = NULL WHERE id = $4 RETURNING {COLUMNS}"
         );
         let update = sqlx::query(AssertSqlSafe(update)).bind(token.clone()).bind(tx.now + millis(lasts)).bind(tx.now).bind(id);
-        let job = Job::from_row(&update.fetch_one(tx.on()).await?)?;
-        if job.kind == Kind::Make {
+        let job = Job::from_row(&update.fetch_one(tx.connection()).await?)?;
+        if job.kind == JobKind::Make {
             set_state(&mut tx, &job, PhotoState::Working).await?;
         }
         // not locked: making the photo again waits for the locks of its jobs
-        let photo = self.read_photo(tx.on(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
-        tx.tell(Event::Photo(job.photo));
+        let photo = self.read_photo(tx.connection(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
+        tx.notify(Event::Photo(job.photo));
         // before the commit makes it visible
         self.0.held.hold(&token);
         let lease = Lease { job, photo, token, lasts, taken: Instant::now(), held: self.0.held.clone() };
@@ -167,7 +141,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn next(&self, kinds: &[Kind], lasts: Duration, stop: impl Future<Output = ()>) -> Result<Option<Lease>> {
+    pub async fn next(&self, kinds: &[JobKind], lasts: Duration, stop: impl Future<Output = ()>) -> Result<Option<Lease>> {
         let mut events = self.subscribe();
         let mut stop = std::pin::pin!(stop);
         loop {
@@ -193,9 +167,9 @@ impl Library {
     /// Jobs with expired leases: their workers have died.
     async fn over(&self, tx: &mut Tx) -> Result<Vec<Over>> {
         let over = format!("SELECT {COLUMNS}, lease_token FROM jobs WHERE state = 'working' AND (lease_until <= $1 OR lease_until > $2)");
-        let over = sqlx::query(AssertSqlSafe(over)).bind(tx.now).bind(tx.now + millis(MOST_LEASE));
+        let over = sqlx::query(AssertSqlSafe(over)).bind(tx.now).bind(tx.now + millis(MAX_LEASE));
         let mut jobs = Vec::new();
-        for row in over.fetch_all(tx.on()).await? {
+        for row in over.fetch_all(tx.connection()).await? {
             let token: String = row.try_get("lease_token")?;
             if self.0.held.has(&token) {
                 continue;
@@ -244,7 +218,7 @@ impl Library {
     }
 
     /// Locks and returns the next job.
-    async fn choose(&self, tx: &mut Tx, kinds: &[Kind]) -> Result<Option<String>> {
+    async fn choose(&self, tx: &mut Tx, kinds: &[JobKind]) -> Result<Option<String>> {
         let Some(first) = kinds.first() else { return Ok(None) };
         let other_way = self.0.taken.load(Ordering::Relaxed) % OTHER_WAY == OTHER_WAY - 1;
         let lock = if tx.has_row_locks() { "FOR UPDATE SKIP LOCKED" } else { "" };
@@ -254,10 +228,10 @@ impl Library {
              ORDER BY {order}, turn, created_at, id LIMIT 1 {lock}"
         );
         let mut select = sqlx::query(AssertSqlSafe(select));
-        for n in 0..Kind::ALL.len() {
+        for n in 0..JobKind::ALL.len() {
             select = select.bind(kinds.get(n).unwrap_or(first).name());
         }
-        let row = select.bind(tx.now).bind(tx.now + millis(MOST_BACK_OFF)).fetch_optional(tx.on()).await?;
+        let row = select.bind(tx.now).bind(tx.now + millis(MAX_BACK_OFF)).fetch_optional(tx.connection()).await?;
         Ok(row.map(|row| row.try_get("id")).transpose()?)
     }
 
@@ -270,7 +244,7 @@ impl Library {
         let progress = progress.map(to_json).transpose()?;
         let update = "UPDATE jobs SET lease_until = $1, progress = COALESCE($2, progress) WHERE id = $3 AND lease_token = $4";
         let update = sqlx::query(update).bind(tx.now + millis(lease.lasts)).bind(progress);
-        let renewed = update.bind(lease.job.id.clone()).bind(lease.token.clone()).execute(tx.on()).await?;
+        let renewed = update.bind(lease.job.id.clone()).bind(lease.token.clone()).execute(tx.connection()).await?;
         if renewed.rows_affected() == 0 {
             return Err(LibraryError::LeaseLost);
         }
@@ -281,154 +255,9 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn tell_progress(&self, lease: &Lease, progress: Value) -> Result<()> {
-        self.database().tell(Event::Progress { photo: lease.job.photo, progress }).await
+    pub async fn send_progress(&self, lease: &Lease, progress: Value) -> Result<()> {
+        self.database().notify(Event::Progress { photo: lease.job.photo, progress }).await
     }
-
-    /// Stores a photo's results and marks it done.
-    ///
-    /// # Errors
-    /// [`LibraryError::LeaseLost`], after which the results are discarded; [`LibraryError::StorageFull`] and [`LibraryError::Unavailable`],
-    /// after which the lease still holds.
-    pub async fn finish(&self, lease: &Lease, made: Made) -> Result<Photo> {
-        let blobs = self.blobs().store(lease.job.photo, made.contents).await?;
-        let written = names_of(&blobs);
-        match self.keep(lease, &made.details, blobs).await {
-            Ok((photo, replaced)) => {
-                self.blobs().discard_later(replaced).await;
-                Ok(photo)
-            }
-            Err(error) => {
-                if is_refusal(&error) {
-                    self.blobs().discard(written).await;
-                }
-                Err(error)
-            }
-        }
-    }
-
-    async fn keep(&self, lease: &Lease, details: &Value, blobs: Blobs) -> Result<(Photo, Vec<String>)> {
-        let mut tx = self.database().write().await?;
-        tx.lock_jobs(lease.job.photo).await?;
-        end(&mut tx, lease).await?;
-        let before = photo_in(&mut tx, lease.job.photo).await?;
-        let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
-        all.extend(blobs);
-        let update = format!(
-            "UPDATE photos SET state = $1, blobs = $2, bytes = $3, details = $4, problem = NULL, finished_at = $5, checked_at = $5 WHERE id = $6 RETURNING {}",
-            photo::COLUMNS
-        );
-        let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Done.name()).bind(to_json(&all)?).bind(bytes_of(&all));
-        let update = update.bind(to_json(details)?).bind(tx.now).bind(lease.job.photo.to_string());
-        let photo = Photo::from_row(&update.fetch_one(tx.on()).await?)?;
-        // exports of the previous version
-        let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
-        replaced.extend(names_of(&old));
-        count(&mut tx, &lease.job, Some(lease.age())).await?;
-        announce(&mut tx, EventType::PhotoDone, photo.owner.as_ref(), &Facts::of_photo(&photo, None)).await?;
-        tx.tell(Event::Photo(lease.job.photo));
-        tx.commit().await?;
-        Ok((photo, replaced))
-    }
-
-    /// Fails a job for good because of its photo or its parameters.
-    ///
-    /// # Errors
-    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
-    pub async fn fail(&self, lease: &Lease, problem: &Problem) -> Result<()> {
-        let mut tx = self.database().write().await?;
-        self.fail_in(&mut tx, &lease.job, &lease.token, problem).await?;
-        tx.commit().await
-    }
-
-    async fn fail_in(&self, tx: &mut Tx, job: &Job, token: &str, problem: &Problem) -> Result<()> {
-        let text = to_json(problem)?;
-        let end = match job.kind {
-            Kind::Make => "DELETE FROM jobs WHERE id = $1 AND lease_token = $2",
-            Kind::Export | Kind::Film => {
-                "UPDATE jobs SET state = 'failed', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = $3, used_at = $4
-                 WHERE id = $1 AND lease_token = $2"
-            }
-        };
-        let mut query = sqlx::query(end).bind(job.id.clone()).bind(token.to_owned());
-        if matches!(job.kind, Kind::Export | Kind::Film) {
-            query = query.bind(text.clone()).bind(tx.now);
-        }
-        if query.execute(tx.on()).await?.rows_affected() == 0 {
-            return Err(LibraryError::LeaseLost);
-        }
-        if job.kind == Kind::Make {
-            let update = "UPDATE photos SET state = $1, problem = $2, finished_at = $3 WHERE id = $4";
-            let update = sqlx::query(update).bind(PhotoState::Failed.name()).bind(text).bind(tx.now);
-            update.bind(job.photo.to_string()).execute(tx.on()).await?;
-        }
-        self.announce_failure(tx, job, problem).await?;
-        count(tx, job, None).await?;
-        tx.tell(Event::Photo(job.photo));
-        Ok(())
-    }
-
-    async fn announce_failure(&self, tx: &mut Tx, job: &Job, problem: &Problem) -> Result<()> {
-        let photo = self.read_photo(tx.on(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
-        let (event, facts) = match job.kind {
-            Kind::Make => (EventType::PhotoFailed, Facts::of_photo(&photo, Some(problem))),
-            Kind::Export | Kind::Film => (EventType::ExportFailed, Facts::of_export(job, &photo, Some(problem))),
-        };
-        announce(tx, event, photo.owner.as_ref(), &facts).await
-    }
-
-    /// Requeues a job.
-    ///
-    /// # Errors
-    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
-    pub async fn retry(&self, lease: &Lease, why: &Retry) -> Result<()> {
-        let mut tx = self.database().write().await?;
-        self.put_back(&mut tx, &lease.job, &lease.token, why).await?;
-        tx.commit().await
-    }
-
-    async fn put_back(&self, tx: &mut Tx, job: &Job, token: &str, why: &Retry) -> Result<()> {
-        let (died, fault, problem) = match why {
-            Retry::Died(reason) => (1_i64, 0_i64, Some(Problem::new("died", reason))),
-            Retry::Fault(reason) => (0, 1, Some(Problem::new("fault", reason))),
-            Retry::Stopping => (0, 0, None),
-        };
-        if died == 1 && job.attempts + 1 >= self.limits().attempts {
-            let times = job.attempts + 1;
-            let problem = Problem::new("gave-up", format!("it took down the process that worked on it {times} times"));
-            self.fail_in(tx, job, token, &problem).await?;
-            return count_death(tx, job.kind).await;
-        }
-        let update =
-            "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until = NULL, attempts = attempts + $1, faults = faults + $2,
-            problem = $3 WHERE id = $4 AND lease_token = $5 RETURNING faults, attempts";
-        let update = sqlx::query(update).bind(died).bind(fault).bind(problem.as_ref().map(to_json).transpose()?);
-        let row = update.bind(job.id.clone()).bind(token.to_owned()).fetch_optional(tx.on()).await?.ok_or(LibraryError::LeaseLost)?;
-        let faults = if fault == 1 { row.try_get("faults")? } else { died * row.try_get::<i64, _>("attempts")? };
-        let after = tx.now + back_off(faults);
-        sqlx::query("UPDATE jobs SET run_after = $1 WHERE id = $2").bind(after).bind(job.id.clone()).execute(tx.on()).await?;
-        if job.kind == Kind::Make {
-            set_state(tx, job, PhotoState::Queued).await?;
-        }
-        if died == 1 {
-            count_death(tx, job.kind).await?;
-        }
-        tx.tell(Event::Photo(job.photo));
-        Ok(())
-    }
-}
-
-fn back_off(faults: i64) -> Millis {
-    if faults == 0 {
-        return 0;
-    }
-    millis(BACK_OFF.saturating_mul(1 << (faults - 1).clamp(0, 16)).min(MOST_BACK_OFF))
-}
-
-/// Deletes the row of a job.
-async fn end(tx: &mut Tx, lease: &Lease) -> Result<()> {
-    let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(lease.job.id.clone()).bind(lease.token.clone());
-    if delete.execute(tx.on()).await?.rows_affected() == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
 }
 
 impl Lease {
@@ -449,38 +278,13 @@ impl Lease {
     }
 }
 
-async fn set_state(tx: &mut Tx, job: &Job, state: PhotoState) -> Result<()> {
-    let update = sqlx::query("UPDATE photos SET state = $1 WHERE id = $2").bind(state.name()).bind(job.photo.to_string());
-    update.execute(tx.on()).await?;
-    Ok(())
-}
-
-/// Counts the end of a job: after `took` milliseconds, or without a result.
-pub(crate) async fn count(tx: &mut Tx, job: &Job, took: Option<Millis>) -> Result<()> {
-    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, $2, $3, $4, 0) ON CONFLICT (kind) DO UPDATE SET
-        mean_ms = CASE WHEN excluded.finished = 0 THEN outcomes.mean_ms WHEN outcomes.finished = 0 THEN excluded.mean_ms
-            ELSE 0.8 * outcomes.mean_ms + 0.2 * excluded.mean_ms END,
-        finished = outcomes.finished + excluded.finished, failed = outcomes.failed + excluded.failed";
-    let finished = i64::from(took.is_some());
-    let insert = sqlx::query(insert).bind(job.kind.name()).bind(took.unwrap_or_default() as f64).bind(finished).bind(1 - finished);
-    insert.execute(tx.on()).await?;
-    Ok(())
-}
-
-async fn count_death(tx: &mut Tx, kind: Kind) -> Result<()> {
-    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, 0, 0, 0, 1)
-        ON CONFLICT (kind) DO UPDATE SET died = outcomes.died + 1";
-    sqlx::query(insert).bind(kind.name()).execute(tx.on()).await?;
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn after_an_outage_other_workers_have_a_lease_s_time_to_renew() {
-        let (reached, lease) = (Reached::default(), Duration::from_millis(30));
+    fn after_an_outage_leases_get_time_to_be_renewed() {
+        let (reached, lease) = (Connectivity::default(), Duration::from_millis(30));
         reached.note(true);
         assert!(reached.for_long(lease), "at the start nothing is known of an outage");
         reached.note(false);

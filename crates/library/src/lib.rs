@@ -8,12 +8,14 @@
 
 mod accept;
 mod blobs;
+mod completion;
 mod credentials;
 mod database;
 mod deliveries;
 mod error;
 mod events;
 mod exports;
+mod garbage_collection;
 mod ids;
 mod integrity;
 mod leases;
@@ -21,6 +23,7 @@ mod photo;
 mod photos;
 mod queue;
 mod quota;
+mod remake;
 mod retention;
 mod rooms;
 mod signed_links;
@@ -40,27 +43,29 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 pub use accept::{Accepted, Outcome, Upload};
-pub use blobs::{BlobStore, Content, Contents, Reserve, Room};
+pub use blobs::{BlobStore, Content, Contents, DiskSpace, Reserve};
+pub use completion::{PhotoResults, Retry};
 pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
-pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, Due, ExportFacts, Facts, RETRIES, Verdict};
-pub use error::{LibraryError, Quota, Result, Service, Share};
+pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, DueDelivery, EventData, ExportData, RETRIES, Verdict};
+pub use error::{LibraryError, QueueLimit, Quota, Result, Service};
 pub use events::{Event, Subscription};
-pub use exports::{Order, Ordered};
+pub use exports::{NewExport, OrderedExport};
+pub use garbage_collection::Collected;
 pub use ids::{Digest, IdError, Millis, Owner, PhotoId, hex};
-pub use integrity::{Collected, Damage};
-pub use leases::{Lease, Made, Retry};
+pub use integrity::Damage;
+pub use leases::Lease;
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Filter, Page};
-pub use queue::{Asker, Job, JobState, Kind, Position};
+pub use queue::{Job, JobKind, JobState, Position, Requester};
 pub use retention::Swept;
 pub use rooms::{Claim, Origin};
 pub use signed_links::{Grant, Link, Secret, Subject};
 pub use sources::Source;
 pub use statistics::{OutcomeCounts, Statistics};
-pub use webhooks::{Disabled, EventType, MOST_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
+pub use webhooks::{Disabled, EventType, MAX_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
 
 use database::Database;
-use leases::{Held, Reached};
+use leases::{Connectivity, OwnLeases};
 use retention::TrustedClock;
 
 /// How often to read the database's clock. In between, this process's monotonic clock continues it.
@@ -149,11 +154,11 @@ struct Inner {
     limits: Limits,
     secret: Secret,
     incoming: PathBuf,
-    held: Held,
-    reached: Reached,
+    held: OwnLeases,
+    reached: Connectivity,
     /// Number of jobs that this process has taken.
     taken: AtomicU64,
-    /// Photos viewed since the last [`Library::note_views`].
+    /// Photos viewed since the last [`Library::save_views`].
     viewed: Mutex<HashSet<PhotoId>>,
     clock: Mutex<Option<(Instant, Millis)>>,
     trusted: Mutex<Option<TrustedClock>>,
@@ -190,8 +195,8 @@ impl Library {
             limits: config.limits,
             secret,
             incoming,
-            held: Held::default(),
-            reached: Reached::default(),
+            held: OwnLeases::default(),
+            reached: Connectivity::default(),
             taken: AtomicU64::new(0),
             viewed: Mutex::default(),
             clock: Mutex::default(),
@@ -259,7 +264,7 @@ impl Library {
     /// The first failed check.
     pub async fn check(&self) -> Result<()> {
         self.database().write().await?.commit().await?;
-        self.blobs().room_for(0)?;
+        self.blobs().check_space(0)?;
         self.blobs().probe().await
     }
 

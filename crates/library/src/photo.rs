@@ -249,6 +249,17 @@ pub(crate) fn title_of(settings: &Value) -> Option<&str> {
     settings.get("title").and_then(Value::as_str)
 }
 
+/// Names of blobs, for deleting them.
+pub(crate) fn blob_names(blobs: &Blobs) -> Vec<String> {
+    blobs.values().map(|blob| blob.name.clone()).collect()
+}
+
+/// Names of the blobs of deleted jobs.
+pub(crate) fn file_names(deleted: &[AnyRow]) -> Result<Vec<String>> {
+    let files: Result<Vec<Option<Blob>>> = deleted.iter().map(|row| optional_json(row, "result")).collect();
+    Ok(files?.into_iter().flatten().map(|blob| blob.name).collect())
+}
+
 pub(crate) fn bytes_of(blobs: &Blobs) -> i64 {
     blobs.values().map(|blob| blob.bytes).sum::<u64>() as i64
 }

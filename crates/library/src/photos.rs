@@ -7,15 +7,14 @@ use std::sync::PoisonError;
 use serde_json::Value;
 use sqlx::{Any, AssertSqlSafe, Executor};
 
-use crate::accept::photo_in;
-use crate::deliveries::{Facts, announce};
+use crate::Library;
+use crate::database::Tx;
+use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
-use crate::exports::names_of;
 use crate::ids::{Millis, Owner, PhotoId};
-use crate::photo::{COLUMNS, Photo, PhotoState, Problem, title_of, to_json};
+use crate::photo::{COLUMNS, Photo, PhotoState, Problem, blob_names, file_names, title_of, to_json};
 use crate::webhooks::EventType;
-use crate::{Library, accept};
 
 /// Views recorded per transaction.
 const VIEWS: usize = 500;
@@ -133,14 +132,14 @@ impl Library {
     /// [`LibraryError::Changed`], [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
     pub async fn set_settings(&self, seen: &Photo, settings: &Value) -> Result<Photo> {
         let mut tx = self.database().write().await?;
-        let before = photo_in(&mut tx, seen.id).await?;
+        let before = locked_photo(&mut tx, seen.id).await?;
         if before.settings_version != seen.settings_version || before.accepted_at != seen.accepted_at {
             return Err(LibraryError::Changed);
         }
         let update = "UPDATE photos SET settings = $1, title = $2, settings_version = settings_version + 1 WHERE id = $3";
         let update = sqlx::query(update).bind(to_json(settings)?).bind(title_of(settings).map(str::to_owned)).bind(seen.id.to_string());
-        update.execute(tx.on()).await?;
-        tx.tell(Event::Photo(seen.id));
+        update.execute(tx.connection()).await?;
+        tx.notify(Event::Photo(seen.id));
         tx.commit().await?;
         Ok(Photo { settings: settings.clone(), settings_version: before.settings_version + 1, ..before })
     }
@@ -152,11 +151,11 @@ impl Library {
     pub async fn revoke_links(&self, id: PhotoId) -> Result<()> {
         let mut tx = self.database().write().await?;
         let update = sqlx::query("UPDATE photos SET link_generation = link_generation + 1 WHERE id = $1").bind(id.to_string());
-        if update.execute(tx.on()).await?.rows_affected() == 0 {
+        if update.execute(tx.connection()).await?.rows_affected() == 0 {
             return Err(LibraryError::NotFound("photo"));
         }
-        tx.tell(Event::Photo(id));
-        tx.tell(Event::Revoked);
+        tx.notify(Event::Photo(id));
+        tx.notify(Event::Revoked);
         tx.commit().await
     }
 
@@ -168,24 +167,24 @@ impl Library {
     pub async fn delete(&self, id: PhotoId, accepted_at: Option<Millis>) -> Result<bool> {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(id).await?;
-        let photo = match photo_in(&mut tx, id).await {
+        let photo = match locked_photo(&mut tx, id).await {
             Ok(photo) if accepted_at.is_none_or(|at| at == photo.accepted_at) => photo,
             Ok(_) | Err(LibraryError::NotFound(_)) => return Ok(false),
             Err(error) => return Err(error),
         };
         let jobs = sqlx::query("DELETE FROM jobs WHERE photo = $1 RETURNING result").bind(id.to_string());
-        let mut names = names_of(&jobs.fetch_all(tx.on()).await?)?;
-        sqlx::query("DELETE FROM photos WHERE id = $1").bind(id.to_string()).execute(tx.on()).await?;
-        announce(&mut tx, EventType::PhotoDeleted, photo.owner.as_ref(), &Facts::of_photo(&photo, None)).await?;
-        tx.tell(Event::Deleted(id));
+        let mut names = file_names(&jobs.fetch_all(tx.connection()).await?)?;
+        sqlx::query("DELETE FROM photos WHERE id = $1").bind(id.to_string()).execute(tx.connection()).await?;
+        announce(&mut tx, EventType::PhotoDeleted, photo.owner.as_ref(), &EventData::of_photo(&photo, None)).await?;
+        tx.notify(Event::Deleted(id));
         tx.commit().await?;
-        names.extend(accept::names_of(&photo.blobs));
+        names.extend(blob_names(&photo.blobs));
         self.blobs().discard(names).await;
         Ok(true)
     }
 
-    /// Records a view of a photo in memory; [`Library::note_views`] writes it to the database.
-    pub fn viewed(&self, id: PhotoId) {
+    /// Records a view of a photo in memory; [`Library::save_views`] writes it to the database.
+    pub fn note_view(&self, id: PhotoId) {
         self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner).insert(id);
     }
 
@@ -193,7 +192,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn note_views(&self) -> Result<()> {
+    pub async fn save_views(&self) -> Result<()> {
         let viewed = std::mem::take(&mut *self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner));
         if viewed.is_empty() {
             return Ok(());
@@ -216,7 +215,7 @@ impl Library {
         let mut tx = self.database().write().await?;
         for id in ids {
             let update = sqlx::query("UPDATE photos SET viewed_at = $1 WHERE id = $2 AND viewed_at < $1").bind(tx.now).bind(id.to_string());
-            update.execute(tx.on()).await?;
+            update.execute(tx.connection()).await?;
         }
         tx.commit().await
     }
@@ -231,12 +230,21 @@ impl Library {
         let update =
             "UPDATE photos SET state = 'damaged', problem = $1, finished_at = $2 WHERE id = $3 AND version = $4 AND state = 'done'";
         let update = sqlx::query(update).bind(to_json(&problem)?).bind(tx.now).bind(seen.id.to_string()).bind(seen.version);
-        let marked = update.execute(tx.on()).await?.rows_affected() > 0;
+        let marked = update.execute(tx.connection()).await?.rows_affected() > 0;
         if marked {
             tracing::error!(id = %seen.id, detail, "a photo is damaged");
-            tx.tell(Event::Photo(seen.id));
+            tx.notify(Event::Photo(seen.id));
         }
         tx.commit().await?;
         Ok(marked)
     }
+}
+
+/// A photo, with its row locked.
+pub(crate) async fn locked_photo(tx: &mut Tx, id: PhotoId) -> Result<Photo> {
+    let id = id.to_string();
+    tx.lock_photo(&id).await?;
+    let row =
+        sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM photos WHERE id = $1"))).bind(id).fetch_optional(tx.connection()).await?;
+    Photo::from_row(&row.ok_or(LibraryError::NotFound("photo"))?)
 }

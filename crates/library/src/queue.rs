@@ -13,19 +13,19 @@ use sqlx::{AssertSqlSafe, Row as _};
 
 use crate::Library;
 use crate::database::{Lock, Tx};
-use crate::error::{LibraryError, Result, Share};
+use crate::error::{LibraryError, QueueLimit, Result};
 use crate::ids::{Millis, Owner, PhotoId};
 use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, to_json};
 
 /// Estimated duration of a job before any was measured.
 const FIRST_GUESS: Duration = Duration::from_secs(5);
 /// Longest `retry_after`.
-const MOST_RETRY: Duration = Duration::from_mins(2);
+const MAX_RETRY: Duration = Duration::from_mins(2);
 
 /// What a job does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub enum JobKind {
     /// Makes a photo.
     Make,
     /// Writes a file to download.
@@ -34,7 +34,7 @@ pub enum Kind {
     Film,
 }
 
-impl Kind {
+impl JobKind {
     /// All kinds.
     pub const ALL: [Self; 3] = [Self::Make, Self::Export, Self::Film];
 
@@ -92,7 +92,7 @@ impl JobState {
 
 /// The caller. The limits of the queue apply to owner and address.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Asker {
+pub struct Requester {
     /// The owner, if authenticated.
     pub owner: Option<Owner>,
     /// The client's address, if known. Deleted when the job ends.
@@ -101,7 +101,7 @@ pub struct Asker {
     pub trace: Option<String>,
 }
 
-impl Asker {
+impl Requester {
     /// The network of a single customer: 64 bits of IPv6.
     fn network(&self) -> Option<String> {
         self.address.map(|address| match address.to_canonical() {
@@ -117,7 +117,7 @@ pub struct Job {
     /// Its id, from kind, photo and key.
     pub id: String,
     /// What it does.
-    pub kind: Kind,
+    pub kind: JobKind,
     /// The photo.
     pub photo: PhotoId,
     /// The version of the photo.
@@ -160,7 +160,7 @@ impl Job {
         let state = JobState::ALL.into_iter().find(|known| known.name() == state).ok_or_else(|| LibraryError::stored("state", &state))?;
         Ok(Self {
             id: row.try_get("id")?,
-            kind: Kind::of_name(&kind)?,
+            kind: JobKind::of_name(&kind)?,
             photo: photo.parse().map_err(|e| LibraryError::stored("photo", e))?,
             version: row.try_get("version")?,
             class: class_of(row)?,
@@ -188,19 +188,19 @@ pub struct Position {
 
 /// A job to queue.
 pub(crate) struct NewJob<'a> {
-    pub kind: Kind,
+    pub kind: JobKind,
     pub photo: PhotoId,
     pub version: i64,
     /// Name of an export.
     pub key: Option<&'a str>,
     pub class: Class,
-    pub asker: &'a Asker,
+    pub requester: &'a Requester,
 }
 
 /// Id of a job.
-pub(crate) fn id_of(kind: Kind, photo: PhotoId, key: Option<&str>) -> String {
+pub(crate) fn id_of(kind: JobKind, photo: PhotoId, key: Option<&str>) -> String {
     match (kind, key) {
-        (Kind::Export | Kind::Film, Some(key)) => format!("export/{photo}/{key}"),
+        (JobKind::Export | JobKind::Film, Some(key)) => format!("export/{photo}/{key}"),
         _ => format!("{}/{photo}", kind.name()),
     }
 }
@@ -213,8 +213,8 @@ impl Library {
         self.check_places(tx, job).await?;
         let id = id_of(job.kind, job.photo, job.key);
         let ended = "DELETE FROM jobs WHERE id = $1 AND state IN ('done', 'failed')";
-        sqlx::query(ended).bind(id.clone()).execute(tx.on()).await?;
-        let (owner, address) = (job.asker.owner.as_ref().map(|o| o.as_str().to_owned()), job.asker.network());
+        sqlx::query(ended).bind(id.clone()).execute(tx.connection()).await?;
+        let (owner, address) = (job.requester.owner.as_ref().map(|o| o.as_str().to_owned()), job.requester.network());
         let turn = turn(tx, job.class, owner.as_deref().or(address.as_deref()).unwrap_or_default()).await?;
         let insert = format!(
             "INSERT INTO jobs (id, kind, photo, version, class, owner, address, payload, state, turn, created_at, run_after, attempts, faults,
@@ -223,28 +223,28 @@ impl Library {
         );
         let insert = sqlx::query(AssertSqlSafe(insert)).bind(id).bind(job.kind.name()).bind(job.photo.to_string()).bind(job.version);
         let insert = insert.bind(job.class.rank()).bind(owner).bind(address).bind(to_json(payload)?).bind(turn).bind(tx.now);
-        let row = insert.fetch_optional(tx.on()).await?;
+        let row = insert.fetch_optional(tx.connection()).await?;
         Job::from_row(&row.ok_or(LibraryError::NotReady)?)
     }
 
     /// Checks the limits of the queue.
     async fn check_places(&self, tx: &mut Tx, job: &NewJob<'_>) -> Result<()> {
         let [one, other] = job.kind.beside();
-        let all = if job.kind == Kind::Make { self.limits().queue } else { self.limits().exports };
+        let all = if job.kind == JobKind::Make { self.limits().queue } else { self.limits().exports };
         let count = "SELECT COUNT(*) AS waiting,
             CAST(COALESCE(SUM(CASE WHEN owner = $3 THEN 1 ELSE 0 END), 0) AS BIGINT) AS of_owner,
             CAST(COALESCE(SUM(CASE WHEN address = $4 THEN 1 ELSE 0 END), 0) AS BIGINT) AS of_address
             FROM jobs WHERE state = 'queued' AND kind IN ($1, $2)";
         let count = sqlx::query(count).bind(one.name()).bind(other.name());
-        let count = count.bind(job.asker.owner.as_ref().map(|o| o.as_str().to_owned())).bind(job.asker.network());
-        let row = count.fetch_one(tx.on()).await?;
+        let count = count.bind(job.requester.owner.as_ref().map(|o| o.as_str().to_owned())).bind(job.requester.network());
+        let row = count.fetch_one(tx.connection()).await?;
         let half = all.div_ceil(2);
         for (share, column, places) in
-            [(Share::All, "waiting", all), (Share::Owner, "of_owner", half), (Share::Address, "of_address", half)]
+            [(QueueLimit::All, "waiting", all), (QueueLimit::Owner, "of_owner", half), (QueueLimit::Address, "of_address", half)]
         {
             let waiting = row.try_get::<i64, _>(column)? as u64;
             if waiting >= places {
-                let retry_after = wait(tx, job.kind, waiting).await?.clamp(Duration::from_secs(1), MOST_RETRY);
+                let retry_after = wait(tx, job.kind, waiting).await?.clamp(Duration::from_secs(1), MAX_RETRY);
                 return Err(LibraryError::QueueFull { waiting, places, share, retry_after });
             }
         }
@@ -265,7 +265,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::Unavailable`].
-    pub async fn position(&self, kind: Kind, photo: PhotoId, key: Option<&str>) -> Result<Option<Position>> {
+    pub async fn position(&self, kind: JobKind, photo: PhotoId, key: Option<&str>) -> Result<Option<Position>> {
         let ahead = "SELECT (SELECT COUNT(*) FROM jobs o WHERE o.state = 'queued' AND o.kind = j.kind
                 AND (o.class, o.turn, o.created_at, o.id) < (j.class, j.turn, j.created_at, j.id)) AS ahead
             FROM jobs j WHERE j.id = $1 AND j.state = 'queued'";
@@ -280,7 +280,7 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::NotFound`].
-    pub async fn job(&self, kind: Kind, photo: PhotoId, key: Option<&str>) -> Result<Job> {
+    pub async fn job(&self, kind: JobKind, photo: PhotoId, key: Option<&str>) -> Result<Job> {
         let select = format!("SELECT {COLUMNS} FROM jobs WHERE id = $1");
         let select = sqlx::query(AssertSqlSafe(select)).bind(id_of(kind, photo, key));
         let row = select.fetch_optional(self.database().reader()).await?;
@@ -293,7 +293,7 @@ async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
     let turn = "SELECT COALESCE(
         (SELECT MAX(turn) + 1 FROM jobs WHERE state = 'queued' AND class = $1 AND COALESCE(owner, address, '') = $2),
         (SELECT MIN(turn) FROM jobs WHERE state = 'queued' AND class = $1), 0) AS turn";
-    let row = sqlx::query(turn).bind(class.rank()).bind(party.to_owned()).fetch_one(tx.on()).await?;
+    let row = sqlx::query(turn).bind(class.rank()).bind(party.to_owned()).fetch_one(tx.connection()).await?;
     Ok(row.try_get("turn")?)
 }
 
@@ -301,8 +301,8 @@ async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
 const RATE: &str = "SELECT (SELECT mean_ms FROM outcomes WHERE kind = $1 AND finished > 0) AS mean_ms,
     (SELECT COUNT(*) FROM jobs WHERE state = 'working' AND kind = $1) AS working";
 
-async fn wait(tx: &mut Tx, kind: Kind, jobs: u64) -> Result<Duration> {
-    let row = sqlx::query(RATE).bind(kind.name()).fetch_one(tx.on()).await?;
+async fn wait(tx: &mut Tx, kind: JobKind, jobs: u64) -> Result<Duration> {
+    let row = sqlx::query(RATE).bind(kind.name()).fetch_one(tx.connection()).await?;
     wait_of(&row, jobs)
 }
 
@@ -310,7 +310,7 @@ fn wait_of(rate: &AnyRow, jobs: u64) -> Result<Duration> {
     let mean: Option<f64> = rate.try_get("mean_ms")?;
     let mean = mean.map_or(FIRST_GUESS.as_secs_f64(), |ms| ms / 1000.0);
     let working = rate.try_get::<i64, _>("working")?.max(1) as f64;
-    Ok(Duration::try_from_secs_f64(mean * jobs as f64 / working).unwrap_or(MOST_RETRY))
+    Ok(Duration::try_from_secs_f64(mean * jobs as f64 / working).unwrap_or(MAX_RETRY))
 }
 
 #[cfg(test)]
@@ -319,7 +319,7 @@ mod tests {
 
     #[test]
     fn an_ipv6_network_is_one_address() {
-        let network = |text: &str| Asker { address: Some(text.parse().unwrap()), ..Asker::default() }.network();
+        let network = |text: &str| Requester { address: Some(text.parse().unwrap()), ..Requester::default() }.network();
         assert_eq!(network("2001:db8::1"), network("2001:db8::2"));
         assert_ne!(network("2001:db8::1"), network("2001:db8:0:1::1"));
         assert_eq!(network("::ffff:192.0.2.1"), network("192.0.2.1"));

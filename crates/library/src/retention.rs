@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use sqlx::Row as _;
 
 use crate::deliveries;
-use crate::exports::names_of;
 use crate::ids::{Millis, PhotoId};
+use crate::photo::file_names;
 use crate::{Library, LibraryError, Result, millis, rooms};
 
 /// Photos per query.
@@ -24,7 +24,7 @@ pub struct Swept {
     /// Photos deleted for their age.
     pub by_age: u64,
     /// Photos deleted for space.
-    pub by_room: u64,
+    pub by_space: u64,
     /// Bytes of both.
     pub bytes: u64,
     /// Exports.
@@ -50,7 +50,7 @@ impl Library {
     /// # Errors
     /// [`LibraryError::Unavailable`], possibly after some deletions.
     pub async fn sweep(&self) -> Result<Swept> {
-        self.note_views().await?;
+        self.save_views().await?;
         let mut swept = Swept::default();
         if let Some(time) = self.limits().retain {
             let before = self.trusted_now().await?.saturating_sub(millis(time));
@@ -81,7 +81,7 @@ impl Library {
                 return Ok(());
             }
             let going = self.candidates(select, Millis::MAX).await?;
-            if self.delete_all(&going, over, &mut swept.by_room, &mut swept.bytes).await? == 0 {
+            if self.delete_all(&going, over, &mut swept.by_space, &mut swept.bytes).await? == 0 {
                 return Ok(());
             }
         }
@@ -114,24 +114,23 @@ impl Library {
         Ok(deleted)
     }
 
-    /// Removes unused exports, expired sessions, reservations and rooms, and the log of deliveries beyond its limits; returns the number of exports.
+    /// Removes unused exports, expired sessions and rooms, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
         rooms::end_abandoned(&mut tx).await?;
         let (now, limits) = (tx.now, self.limits());
         let delete = "DELETE FROM jobs WHERE (state = 'done' AND used_at <= $1) OR (state = 'failed' AND used_at <= $2) RETURNING result";
         let (done, failed) = (now - millis(limits.exports_for), now - millis(FAILED_FOR.min(limits.exports_for)));
-        let deleted = sqlx::query(delete).bind(done).bind(failed).fetch_all(tx.on()).await?;
+        let deleted = sqlx::query(delete).bind(done).bind(failed).fetch_all(tx.connection()).await?;
         for (delete, until) in [
             ("DELETE FROM sessions WHERE expires_at <= $1", now),
-            ("DELETE FROM reservations WHERE expires_at <= $1", now),
             ("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1", now - millis(ROOM_FOR)),
         ] {
-            sqlx::query(delete).bind(until).execute(tx.on()).await?;
+            sqlx::query(delete).bind(until).execute(tx.connection()).await?;
         }
         deliveries::sweep(&mut tx).await?;
         tx.commit().await?;
-        self.blobs().discard(names_of(&deleted)?).await;
+        self.blobs().discard(file_names(&deleted)?).await;
         Ok(deleted.len() as u64)
     }
 
@@ -191,7 +190,7 @@ mod tests {
     const HOUR: Duration = Duration::from_hours(1);
 
     #[test]
-    fn a_jump_ahead_is_believed_after_a_day() {
+    fn a_clock_that_jumps_ahead_is_trusted_after_a_day() {
         let start = Instant::now();
         let (day, year) = (millis(HOUR * 24), millis(HOUR * 24 * 365));
         let mut clock = TrustedClock::start(day, Some(day), start);
@@ -202,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_long_after_the_newest_photo_is_no_time_yet() {
+    fn a_start_long_after_the_newest_photo_is_not_trusted_at_once() {
         let start = Instant::now();
         let year = millis(HOUR * 24 * 365);
         let mut clock = TrustedClock::start(year, Some(7), start);

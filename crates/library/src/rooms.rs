@@ -5,13 +5,13 @@ use std::time::Duration;
 use sqlx::Row as _;
 
 use crate::database::Tx;
-use crate::deliveries::{Facts, announce};
+use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
 use crate::webhooks::EventType;
 use crate::{Library, millis};
 
 /// Longest lease of a room: one that ends later was granted before the clock was set back.
-const MOST_LEASE: Duration = Duration::from_mins(1);
+const MAX_LEASE: Duration = Duration::from_mins(1);
 
 /// How to claim a room that another node has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,12 +43,12 @@ impl Library {
             origin = excluded.origin, lease_until = excluded.lease_until,
             epoch = CASE WHEN excluded.epoch > rooms.epoch THEN excluded.epoch ELSE rooms.epoch + 1 END
             WHERE rooms.lease_until <= $4 OR rooms.lease_until > $5 OR rooms.origin = excluded.origin OR $6 = 1 RETURNING epoch";
-        let ends = tx.now + millis(lasts.min(MOST_LEASE));
+        let ends = tx.now + millis(lasts.min(MAX_LEASE));
         let insert = sqlx::query(insert).bind(room.to_owned()).bind(address.to_owned()).bind(ends).bind(tx.now);
-        let insert = insert.bind(tx.now + millis(MOST_LEASE)).bind(i64::from(claim == Claim::TakeOver));
-        let Some(row) = insert.fetch_optional(tx.on()).await? else {
+        let insert = insert.bind(tx.now + millis(MAX_LEASE)).bind(i64::from(claim == Claim::TakeOver));
+        let Some(row) = insert.fetch_optional(tx.connection()).await? else {
             let select = sqlx::query("SELECT origin FROM rooms WHERE name = $1").bind(room.to_owned());
-            return Err(LibraryError::RoomTaken { origin: select.fetch_one(tx.on()).await?.try_get("origin")? });
+            return Err(LibraryError::RoomTaken { origin: select.fetch_one(tx.connection()).await?.try_get("origin")? });
         };
         start(&mut tx, room).await?;
         tx.commit().await?;
@@ -61,7 +61,7 @@ impl Library {
     /// [`LibraryError::LeaseLost`] if another node has taken it, [`LibraryError::Unavailable`].
     pub async fn renew_room(&self, room: &str, origin: &Origin, lasts: Duration) -> Result<()> {
         let mut tx = self.database().write().await?;
-        set(&mut tx, room, origin, millis(lasts.min(MOST_LEASE))).await?;
+        set(&mut tx, room, origin, millis(lasts.min(MAX_LEASE))).await?;
         tx.commit().await
     }
 
@@ -84,7 +84,7 @@ impl Library {
         let mut tx = self.database().write().await?;
         let insert = "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, '', $2, 0, 0)
             ON CONFLICT (name) DO UPDATE SET origin = excluded.origin";
-        sqlx::query(insert).bind(room.to_owned()).bind(tx.now).execute(tx.on()).await?;
+        sqlx::query(insert).bind(room.to_owned()).bind(tx.now).execute(tx.connection()).await?;
         start(&mut tx, room).await?;
         tx.commit().await
     }
@@ -114,26 +114,26 @@ impl Library {
 /// Sets how long a lease lasts from now.
 async fn set(tx: &mut Tx, room: &str, origin: &Origin, lasts: i64) -> Result<()> {
     let update = sqlx::query("UPDATE rooms SET lease_until = $1 WHERE name = $2 AND epoch = $3").bind(tx.now + lasts);
-    let updated = update.bind(room.to_owned()).bind(origin.epoch).execute(tx.on()).await?.rows_affected();
+    let updated = update.bind(room.to_owned()).bind(origin.epoch).execute(tx.connection()).await?.rows_affected();
     if updated == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
 }
 
 /// Announces that a room is live, unless it was.
 async fn start(tx: &mut Tx, room: &str) -> Result<()> {
     let update = sqlx::query("UPDATE rooms SET live = 1 WHERE name = $1 AND live = 0").bind(room.to_owned());
-    if update.execute(tx.on()).await?.rows_affected() == 0 {
+    if update.execute(tx.connection()).await?.rows_affected() == 0 {
         return Ok(());
     }
-    announce(tx, EventType::RoomStarted, None, &Facts::of_room(room)).await
+    announce(tx, EventType::RoomStarted, None, &EventData::of_room(room)).await
 }
 
 /// Announces that a room is live no more, unless it was not.
 async fn end(tx: &mut Tx, room: &str) -> Result<()> {
     let update = sqlx::query("UPDATE rooms SET live = 0 WHERE name = $1 AND live = 1").bind(room.to_owned());
-    if update.execute(tx.on()).await?.rows_affected() == 0 {
+    if update.execute(tx.connection()).await?.rows_affected() == 0 {
         return Ok(());
     }
-    announce(tx, EventType::RoomEnded, None, &Facts::of_room(room)).await
+    announce(tx, EventType::RoomEnded, None, &EventData::of_room(room)).await
 }
 
 /// Ends all rooms. Only for a process that is alone.
@@ -143,12 +143,12 @@ pub(crate) async fn end_all(tx: &mut Tx) -> Result<()> {
 
 /// Ends the rooms of nodes that have died.
 pub(crate) async fn end_abandoned(tx: &mut Tx) -> Result<()> {
-    let until = tx.now - millis(MOST_LEASE);
+    let until = tx.now - millis(MAX_LEASE);
     end_of(tx, "SELECT name FROM rooms WHERE live = 1 AND origin <> '' AND lease_until <= $1", until).await
 }
 
 async fn end_of(tx: &mut Tx, select: &'static str, until: i64) -> Result<()> {
-    for row in sqlx::query(select).bind(until).fetch_all(tx.on()).await? {
+    for row in sqlx::query(select).bind(until).fetch_all(tx.connection()).await? {
         end(tx, &row.try_get::<String, _>("name")?).await?;
     }
     Ok(())

@@ -22,11 +22,7 @@ pub enum Grant {
     View,
     /// See and change a photo.
     Edit,
-    /// Publish in a room.
-    Publish,
-    /// Watch a room.
-    Watch,
-    /// Watch a room for viewers of another node.
+    /// Relay a room to the viewers of another node.
     Relay,
 }
 
@@ -35,8 +31,6 @@ impl Grant {
         match self {
             Self::View => "view",
             Self::Edit => "edit",
-            Self::Publish => "publish",
-            Self::Watch => "watch",
             Self::Relay => "relay",
         }
     }
@@ -93,7 +87,7 @@ impl FromStr for Link {
             let (expires, signature) = text.split_once('.')?;
             Some(Self { expires: expires.parse().ok()?, signature: unhex(signature)? })
         };
-        read(text).ok_or_else(|| LibraryError::Invalid("this is not a link".into()))
+        read(text).ok_or_else(|| LibraryError::Invalid("the link is malformed".into()))
     }
 }
 
@@ -160,8 +154,8 @@ pub(crate) async fn stored_secret(database: &Database, name: &'static str) -> Re
     let mut tx = database.write().await?;
     tx.lock(Lock::Secret).await?;
     let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ($1, $2) ON CONFLICT (name) DO NOTHING");
-    insert.bind(name).bind(hex(&random::<BYTES>()?)).execute(tx.on()).await?;
-    let row = sqlx::query("SELECT value FROM secrets WHERE name = $1").bind(name).fetch_one(tx.on()).await?;
+    insert.bind(name).bind(hex(&random::<BYTES>()?)).execute(tx.connection()).await?;
+    let row = sqlx::query("SELECT value FROM secrets WHERE name = $1").bind(name).fetch_one(tx.connection()).await?;
     tx.commit().await?;
     Ok(row.try_get("value")?)
 }
@@ -171,16 +165,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_link_is_good_for_its_grant_subject_and_time_alone() {
+    fn a_link_is_valid_for_its_grant_subject_and_time_only() {
         let secret = Secret([7; BYTES]);
         let attic = Subject::Room("attic");
-        let link = secret.sign(Grant::Watch, attic, 1000);
-        assert!(secret.allows(Grant::Watch, attic, &link, 999_999));
-        assert!(!secret.allows(Grant::Watch, attic, &link, 1_000_000), "too late");
-        assert!(!secret.allows(Grant::Publish, attic, &link, 0), "another grant");
-        assert!(!secret.allows(Grant::Watch, Subject::Room("cellar"), &link, 0), "another room");
-        assert!(!secret.allows(Grant::Watch, attic, &Link { expires: 1001, ..link.clone() }, 0), "a later end");
-        assert!(!Secret([8; BYTES]).allows(Grant::Watch, attic, &link, 0), "another library");
+        let link = secret.sign(Grant::Relay, attic, 1000);
+        assert!(secret.allows(Grant::Relay, attic, &link, 999_999));
+        assert!(!secret.allows(Grant::Relay, attic, &link, 1_000_000), "too late");
+        assert!(!secret.allows(Grant::View, attic, &link, 0), "another grant");
+        assert!(!secret.allows(Grant::Relay, Subject::Room("cellar"), &link, 0), "another room");
+        assert!(!secret.allows(Grant::Relay, attic, &Link { expires: 1001, ..link.clone() }, 0), "a later end");
+        assert!(!Secret([8; BYTES]).allows(Grant::Relay, attic, &link, 0), "another library");
         assert_eq!(link.to_string().parse::<Link>().unwrap(), link);
         for wrong in ["", ".", "1000", "1000.", "x.00", &format!("{link}0"), &link.to_string()[..link.to_string().len() - 1]] {
             assert!(wrong.parse::<Link>().is_err(), "{wrong}");

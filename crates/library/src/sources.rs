@@ -38,9 +38,9 @@ impl Library {
         let mut tx = self.database().write().await?;
         let insert = "INSERT INTO sources (digest, photo, etag, last_modified) VALUES ($1, $2, $3, $4)
             ON CONFLICT (digest) DO UPDATE SET photo = excluded.photo, etag = excluded.etag, last_modified = excluded.last_modified";
-        crate::accept::photo_in(&mut tx, source.photo).await?;
+        crate::photos::locked_photo(&mut tx, source.photo).await?;
         let insert = sqlx::query(insert).bind(digest.as_str().to_owned()).bind(source.photo.to_string());
-        insert.bind(source.etag.clone()).bind(source.last_modified.clone()).execute(tx.on()).await?;
+        insert.bind(source.etag.clone()).bind(source.last_modified.clone()).execute(tx.connection()).await?;
         tx.commit().await
     }
 }

@@ -6,9 +6,11 @@ use std::time::Duration;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
+use crate::database::Tx;
 use crate::error::Result;
+use crate::ids::Millis;
 use crate::photo::{Class, PhotoState, class_of, state_of};
-use crate::queue::{JobState, Kind};
+use crate::queue::{Job, JobKind, JobState};
 use crate::{Library, LibraryError};
 
 /// Outcomes of the jobs of a kind since the library was created.
@@ -32,9 +34,9 @@ pub struct Statistics {
     /// Bytes of photos with their results.
     pub bytes: u64,
     /// Waiting jobs, by kind and class.
-    pub waiting: BTreeMap<(Kind, Class), u64>,
+    pub waiting: BTreeMap<(JobKind, Class), u64>,
     /// Running jobs, by kind.
-    pub working: BTreeMap<Kind, u64>,
+    pub working: BTreeMap<JobKind, u64>,
     /// Finished exports.
     pub exports: u64,
     /// Bytes of exports.
@@ -42,13 +44,13 @@ pub struct Statistics {
     /// Longest current wait of a job.
     pub longest_wait: Duration,
     /// Outcomes of jobs, by kind.
-    pub outcomes: BTreeMap<Kind, OutcomeCounts>,
+    pub outcomes: BTreeMap<JobKind, OutcomeCounts>,
 }
 
 impl Statistics {
     /// Waiting jobs of a kind, of all classes.
     #[must_use]
-    pub fn waiting_of(&self, kind: Kind) -> u64 {
+    pub fn waiting_of(&self, kind: JobKind) -> u64 {
         self.waiting.iter().filter(|((of, _), _)| *of == kind).map(|(_, n)| n).sum()
     }
 }
@@ -75,7 +77,7 @@ impl Library {
         let now = self.now().await?;
         for row in sqlx::query(jobs).fetch_all(reader).await? {
             let (kind, state): (String, String) = (row.try_get("kind")?, row.try_get("state")?);
-            let (kind, n) = (Kind::of_name(&kind)?, number(&row, "n")?);
+            let (kind, n) = (JobKind::of_name(&kind)?, number(&row, "n")?);
             match JobState::ALL.into_iter().find(|known| known.name() == state) {
                 Some(JobState::Queued) => {
                     *statistics.waiting.entry((kind, class_of(&row)?)).or_default() += n;
@@ -94,8 +96,29 @@ impl Library {
         for row in sqlx::query("SELECT kind, finished, failed, died, mean_ms FROM outcomes").fetch_all(reader).await? {
             let kind: String = row.try_get("kind")?;
             let (finished, failed, died) = (number(&row, "finished")?, number(&row, "failed")?, number(&row, "died")?);
-            statistics.outcomes.insert(Kind::of_name(&kind)?, OutcomeCounts { finished, failed, died, mean_ms: row.try_get("mean_ms")? });
+            statistics
+                .outcomes
+                .insert(JobKind::of_name(&kind)?, OutcomeCounts { finished, failed, died, mean_ms: row.try_get("mean_ms")? });
         }
         Ok(statistics)
     }
+}
+
+/// Records the end of a job: after `took` milliseconds, or without a result.
+pub(crate) async fn count_outcome(tx: &mut Tx, job: &Job, took: Option<Millis>) -> Result<()> {
+    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, $2, $3, $4, 0) ON CONFLICT (kind) DO UPDATE SET
+        mean_ms = CASE WHEN excluded.finished = 0 THEN outcomes.mean_ms WHEN outcomes.finished = 0 THEN excluded.mean_ms
+            ELSE 0.8 * outcomes.mean_ms + 0.2 * excluded.mean_ms END,
+        finished = outcomes.finished + excluded.finished, failed = outcomes.failed + excluded.failed";
+    let finished = i64::from(took.is_some());
+    let insert = sqlx::query(insert).bind(job.kind.name()).bind(took.unwrap_or_default() as f64).bind(finished).bind(1 - finished);
+    insert.execute(tx.connection()).await?;
+    Ok(())
+}
+
+pub(crate) async fn count_death(tx: &mut Tx, kind: JobKind) -> Result<()> {
+    let insert = "INSERT INTO outcomes (kind, mean_ms, finished, failed, died) VALUES ($1, 0, 0, 0, 1)
+        ON CONFLICT (kind) DO UPDATE SET died = outcomes.died + 1";
+    sqlx::query(insert).bind(kind.name()).execute(tx.connection()).await?;
+    Ok(())
 }

@@ -13,7 +13,7 @@ use crate::error::{LibraryError, Result};
 use crate::ids::{Digest, Millis, Owner, hex, random};
 
 /// Webhooks of one owner, and those for all photos, besides the configuration's.
-pub const MOST_WEBHOOKS: u64 = 16;
+pub const MAX_WEBHOOKS: u64 = 16;
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -191,13 +191,14 @@ impl Library {
         tx.lock(Lock::Webhooks).await?;
         let owner = owner.map(|owner| owner.as_str().to_owned());
         let count = "SELECT COUNT(*) AS count FROM webhooks WHERE configured = 0 AND COALESCE(owner, '') = $1";
-        let count = sqlx::query(count).bind(owner.clone().unwrap_or_default()).fetch_one(tx.on()).await?.try_get::<i64, _>("count")?;
-        if count as u64 >= MOST_WEBHOOKS {
-            return Err(LibraryError::TooManyWebhooks { limit: MOST_WEBHOOKS });
+        let count =
+            sqlx::query(count).bind(owner.clone().unwrap_or_default()).fetch_one(tx.connection()).await?.try_get::<i64, _>("count")?;
+        if count as u64 >= MAX_WEBHOOKS {
+            return Err(LibraryError::TooManyWebhooks { limit: MAX_WEBHOOKS });
         }
         let insert = sqlx::query(AssertSqlSafe(format!("{INSERT} RETURNING *"))).bind(format!("wh_{}", hex(&random::<16>()?)));
         let insert = insert.bind(owner).bind(0_i64).bind(new.url.clone()).bind(new.secret.clone()).bind(names_of(&new.events));
-        let webhook = Webhook::from_row(&insert.bind(tx.now).fetch_one(tx.on()).await?)?;
+        let webhook = Webhook::from_row(&insert.bind(tx.now).fetch_one(tx.connection()).await?)?;
         tx.commit().await?;
         Ok(webhook)
     }
@@ -210,7 +211,7 @@ impl Library {
         let mut tx = self.database().write().await?;
         tx.lock(Lock::Webhooks).await?;
         let ids: Vec<String> = all.iter().map(|webhook| configured_id(&webhook.url)).collect();
-        for row in sqlx::query("SELECT id FROM webhooks WHERE configured = 1").fetch_all(tx.on()).await? {
+        for row in sqlx::query("SELECT id FROM webhooks WHERE configured = 1").fetch_all(tx.connection()).await? {
             let id: String = row.try_get("id")?;
             if !ids.contains(&id) {
                 remove(&mut tx, &id).await?;
@@ -220,7 +221,7 @@ impl Library {
             let insert = format!("{INSERT} ON CONFLICT (id) DO UPDATE SET secret = excluded.secret, events = excluded.events");
             let insert = sqlx::query(AssertSqlSafe(insert)).bind(id).bind(None::<String>).bind(1_i64).bind(webhook.url.clone());
             let insert = insert.bind(webhook.secret.clone()).bind(names_of(&webhook.events)).bind(tx.now);
-            insert.execute(tx.on()).await?;
+            insert.execute(tx.connection()).await?;
         }
         tx.commit().await
     }
@@ -254,14 +255,14 @@ impl Library {
         match change.enabled {
             Some(true) => {
                 let enable = "UPDATE webhooks SET disabled_at = NULL, reason = NULL, failing_since = NULL WHERE id = $1";
-                sqlx::query(enable).bind(id.to_owned()).execute(tx.on()).await?;
+                sqlx::query(enable).bind(id.to_owned()).execute(tx.connection()).await?;
             }
             Some(false) => disable(&mut tx, id, "a caller disabled it").await?,
             None => {}
         }
         let update = "UPDATE webhooks SET url = COALESCE($1, url), events = COALESCE($2, events) WHERE id = $3 RETURNING *";
         let update = sqlx::query(update).bind(change.url.clone()).bind(change.events.as_deref().map(names_of)).bind(id.to_owned());
-        let row = update.fetch_optional(tx.on()).await?.ok_or(LibraryError::NotFound("webhook"))?;
+        let row = update.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotFound("webhook"))?;
         tx.commit().await?;
         Webhook::from_row(&row)
     }
@@ -279,18 +280,18 @@ impl Library {
 }
 
 async fn remove(tx: &mut Tx, id: &str) -> Result<bool> {
-    sqlx::query("DELETE FROM deliveries WHERE webhook = $1").bind(id.to_owned()).execute(tx.on()).await?;
+    sqlx::query("DELETE FROM deliveries WHERE webhook = $1").bind(id.to_owned()).execute(tx.connection()).await?;
     let delete = sqlx::query("DELETE FROM webhooks WHERE id = $1").bind(id.to_owned());
-    Ok(delete.execute(tx.on()).await?.rows_affected() > 0)
+    Ok(delete.execute(tx.connection()).await?.rows_affected() > 0)
 }
 
 /// Disables a webhook, and fails its pending deliveries.
 pub(crate) async fn disable(tx: &mut Tx, id: &str, reason: &str) -> Result<()> {
     let update = sqlx::query("UPDATE webhooks SET disabled_at = $1, reason = $2 WHERE id = $3 AND disabled_at IS NULL").bind(tx.now);
-    update.bind(reason.to_owned()).bind(id.to_owned()).execute(tx.on()).await?;
+    update.bind(reason.to_owned()).bind(id.to_owned()).execute(tx.connection()).await?;
     let fail =
         "UPDATE deliveries SET state = 'failed', lease_until = NULL, ended_at = $1, error = $2 WHERE webhook = $3 AND state = 'pending'";
     let fail = sqlx::query(fail).bind(tx.now).bind(format!("the webhook was disabled: {reason}")).bind(id.to_owned());
-    fail.execute(tx.on()).await?;
+    fail.execute(tx.connection()).await?;
     Ok(())
 }

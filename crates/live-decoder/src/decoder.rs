@@ -6,7 +6,7 @@ use std::time::Duration;
 use prost::bytes::Bytes;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Bye, Hello, Sound, Statistics, Video};
-use tmpi_core::live::{Changes, Colour, I420, KeyFrame, Layers, Model, VERSION, When, key_frame, read, to_rgb, write};
+use tmpi_core::live::{Changes, Colour, FrameTiming, I420, KeyFrame, Layers, TileState, VERSION, key_frame, read, to_rgb, write};
 use tmpi_core::{Class, Photo};
 
 /// Results that can be read.
@@ -61,7 +61,7 @@ const UNCHANGED: u32 = u32::MAX;
 #[derive(Default)]
 pub struct Decoder {
     input: Vec<u8>,
-    model: Option<Model>,
+    model: Option<TileState>,
     /// Frame size of the room in pixels, and its codec.
     size: (u32, u32),
     codec: String,
@@ -113,7 +113,7 @@ impl Decoder {
                 self.data = data;
                 let Format { colour: Colour { matrix, full_range }, left, top } = self.format_of(frame);
                 let (width, height) = self.size;
-                let format = [matrix.number().into(), u8::from(full_range).into(), left.into(), top.into(), width.into(), height.into()];
+                let format = [matrix.code().into(), u8::from(full_range).into(), left.into(), top.into(), width.into(), height.into()];
                 Ok(self.store_numbers(2, &[&[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)][..], &format].concat()))
             }
             Kind::Geometry(tiles) => self.take(3, &tiles),
@@ -164,14 +164,14 @@ impl Decoder {
 
     /// Resets the tiles; the current layers stay until all tiles have arrived.
     fn hello(&mut self, h: &Hello) -> Result<i32, String> {
-        let model = Model::new(h).map_err(|e| e.to_string())?;
+        let model = TileState::new(h).map_err(|e| e.to_string())?;
         self.changed = vec![false; model.tiles() as usize];
         let [width, height, size, stride] = [h.width, h.height, h.tile_size, h.tile_stride].map(f64::from);
         let numbers = [width, height, size, stride, h.fx, h.fy, h.cx, h.cy, h.view_x, h.view_y, h.view_z];
         let bits = numbers.map(f64::to_bits);
         if self.hello_bits != bits {
             (self.size, self.hello_bits) = ((h.width, h.height), bits);
-            (self.frame, self.layers) = (None, Layers::remembering());
+            (self.frame, self.layers) = (None, Layers::with_memory());
         }
         self.model = Some(model);
         self.formats.clear();
@@ -225,12 +225,12 @@ impl Decoder {
     /// soft.
     pub fn layers(&mut self) -> i32 {
         (self.tiles, self.rows) = (Vec::new(), Vec::new());
-        let Some(geometry) = self.model.as_ref().and_then(Model::geometry) else { return 0 };
+        let Some(geometry) = self.model.as_ref().and_then(TileState::geometry) else { return 0 };
         let shown = self.layers.photo();
         let again = || (!shown.rgb.is_empty()).then(|| shown.clone());
-        let gone = self.frame.is_some().then(|| self.taken.saturating_sub(std::mem::replace(&mut self.shown, self.taken)));
+        let elapsed = self.frame.is_some().then(|| self.taken.saturating_sub(std::mem::replace(&mut self.shown, self.taken)));
         let Some(frame) = self.frame.take().or_else(again) else { return 0 };
-        let when = When { frame: self.number, tiles: self.tiles_of.take(), gone };
+        let when = FrameTiming { frame: self.number, tiles: self.tiles_of.take(), elapsed };
         let changed = std::mem::replace(&mut self.changed, vec![false; geometry.tiles.len()]);
         let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame, when);
         for t in &texels {

@@ -10,7 +10,7 @@ use tmpi_core::{self as core, DisparityMap, Grid, Intrinsics, Photo, Rect, Tile}
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::planes::MAX_AUTO_PLANES;
 use tmpi_pipeline::run::Context;
-use tmpi_pipeline::run::stages::{Estimated, Planes, Prepared};
+use tmpi_pipeline::run::stages::{Planes, Prepared, WeightedDisparity};
 use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, layers};
 
 use crate::align;
@@ -197,7 +197,16 @@ impl Geometry {
     #[must_use]
     pub fn new(models: Models, settings: Settings) -> Self {
         let (budget, compare) = (Budget::new(settings.frame_ms), Compare::new(settings.tolerance));
-        Self { models, settings, limits: Limits::default(), budget, compare, planes: Planes::carrying(), state: None, reader_tiles: None }
+        Self {
+            models,
+            settings,
+            limits: Limits::default(),
+            budget,
+            compare,
+            planes: Planes::with_warm_start(),
+            state: None,
+            reader_tiles: None,
+        }
     }
 
     /// All tiles as a reader of every chunk has them. After a cut, tiles of the old scene remain until they are replaced. `None` until
@@ -243,7 +252,7 @@ impl Geometry {
         let change = job.run(&mut self.compare, &frame.photo)?;
         if change.cut {
             self.state = None;
-            self.planes.forget();
+            self.planes.reset();
         }
         let mut update = Update { cut: change.cut, ..Update::default() };
         let state = self.state.get_or_insert_with(|| State::new(&frame.photo, &self.settings));
@@ -378,7 +387,7 @@ impl State {
     }
 
     /// Copies a new map into the stale blocks. With `align`, first aligns it with the other blocks, and damps small changes.
-    fn merge_depth(&mut self, mut map: Estimated, align: bool, across: usize) {
+    fn merge_depth(&mut self, mut map: WeightedDisparity, align: bool, across: usize) {
         let width = self.delta.width as usize;
         let block = |i: usize| i / width / BLOCK as usize * across + i % width / BLOCK as usize;
         let noise = if align { (DEPTH_NOISE.0 * to_disparity(&self.geometry, 1.0)) as f32 } else { 0.0 };
@@ -410,13 +419,13 @@ impl State {
         for t in chosen_tiles {
             chosen[*t as usize] = true;
         }
-        planes.change(chosen.clone());
-        planes.at_most(share.planes);
+        planes.set_changed(chosen.clone());
+        planes.set_plane_limit(share.planes);
         let intrinsics = self.geometry.intrinsics;
         // the stage uses only the camera and the map
         let photo = Photo { width: frame.photo.width, height: frame.photo.height, rgb: Vec::new() };
-        let prepared = Prepared { photo, intrinsics, format: PhotoFormat::Jpeg, uploaded: None, reduced: None, other_eye: None };
-        let map = Estimated {
+        let prepared = Prepared { photo, intrinsics, format: PhotoFormat::Jpeg, uploaded: None, reduced: None, second_half: None };
+        let map = WeightedDisparity {
             delta: std::mem::replace(&mut self.delta, DisparityMap { width: 0, height: 0, delta: Vec::new() }),
             confidence: None,
             given: true,
@@ -439,7 +448,7 @@ impl State {
                 update.sent.push(t);
             } else {
                 // the next fit starts from the planes that readers have
-                planes.hold(t, old);
+                planes.set_last_tile(t, old);
                 update.kept.push(t);
                 update.kept_error = update.kept_error.max(error);
             }

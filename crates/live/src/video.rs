@@ -258,7 +258,7 @@ mod tests {
     fn unknown_codecs_and_other_sizes_are_refused() {
         assert!(matches!(decoder("av01.0", (8, 8)), Err(VideoError::Codec(_))));
         let photo = Photo { width: 16, height: 8, rgb: vec![[90; 3]; 128] };
-        let jpeg = tmpi_core::container::Carried { format: PhotoFormat::Jpeg, bytes: vec![] };
+        let jpeg = tmpi_core::container::EncodedPhoto { format: PhotoFormat::Jpeg, bytes: vec![] };
         assert!(jpeg.decode().is_err());
         assert!(expect_size(photo.clone(), (16, 8)).is_ok_and(|p| p.is_some()) && expect_size(photo, (8, 16)).is_err());
         assert!(matches!(decoder(JPEG, (16, 8)).unwrap().decode(b"no JPEG"), Err(VideoError::Broken(_))));
@@ -268,7 +268,7 @@ mod tests {
     #[test]
     fn jpeg_frames_without_tables_or_end_marker_decode() {
         let rgb = (0..48 * 32).map(|i| [(i % 48 * 5) as u8, (i / 48 * 7) as u8, 90]).collect();
-        let frame = tmpi_core::container::Carried::from_photo(&Photo { width: 48, height: 32, rgb }, 90).unwrap().bytes;
+        let frame = tmpi_core::container::EncodedPhoto::from_photo(&Photo { width: 48, height: 32, rgb }, 90).unwrap().bytes;
         let decoded = |frame: &[u8]| decoder(JPEG, (48, 32)).unwrap().decode(frame).unwrap().unwrap();
         let whole = decoded(&frame);
         let mut bare = frame.clone();

@@ -16,7 +16,8 @@ pub mod usage;
 
 pub use error::StageError;
 pub use run::{
-    Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Moved, Movement, Options, PlaneCount,
-    PlaneError, PlaneMethod, Progress, PruneError, Reduction, Report, STAGES, Silent, Sink, Sizes, StageTime, Switch, TileSize, make,
+    Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Options, Parallax, ParallaxShift,
+    PlaneCount, PlaneError, PlaneMethod, Progress, PruneError, Reduction, Report, STAGES, Silent, Sink, Sizes, StageTime, Switch, TileSize,
+    make,
 };
 pub use stereo::Stereo;

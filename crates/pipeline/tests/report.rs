@@ -11,7 +11,7 @@ use tmpi_core::container;
 use tmpi_core::{Camera, DisparityMap, Geometry, Intrinsics, Photo, Pose, Scene, TileFrame, ViewBox, compose, texture};
 use tmpi_pipeline::depth::{DepthError, DepthKind, Estimator, to_png};
 use tmpi_pipeline::photo::{Limits, decode};
-use tmpi_pipeline::run::{ErrorFigures, Moved};
+use tmpi_pipeline::run::{ErrorFigures, ParallaxShift};
 use tmpi_pipeline::{Denoise, Made, Models, Options, Silent, Switch, make};
 use tmpi_render::{Reference, Renderer};
 use tmpi_testing::pictures::{noise, png, waves as photo};
@@ -25,7 +25,7 @@ impl Estimator for NoNetwork {
     }
 
     fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
-        Err(DepthError::NotCarried)
+        Err(DepthError::NotEmbedded)
     }
 }
 
@@ -117,17 +117,17 @@ fn psnr_of(a: &[[u8; 3]], b: &[[u8; 3]]) -> f64 {
 }
 
 /// How far a step shifted a map; `None` if it changed nothing.
-fn moved(k: &Intrinsics, v: &ViewBox, before: &DisparityMap, after: &DisparityMap) -> Option<Moved> {
+fn moved(k: &Intrinsics, v: &ViewBox, before: &DisparityMap, after: &DisparityMap) -> Option<ParallaxShift> {
     let width = before.width as usize;
     let place = |i: usize| ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
     let each = before.delta.iter().zip(&after.delta).enumerate();
     let px = each.map(|(i, (a, b))| distance_px(k, v, place(i), [f64::from(*a), f64::from(*b)]));
     let (sum, most) = px.fold((0.0, 0.0), |(sum, most): (f64, f64), px| (sum + px, most.max(px)));
-    (before != after).then(|| Moved { mean_px: sum / before.delta.len() as f64, most_px: most, sampled: false })
+    (before != after).then(|| ParallaxShift { mean_px: sum / before.delta.len() as f64, most_px: most, sampled: false })
 }
 
 /// Distance of a map at the photo's size from the file's map, at the centres of the file's pixels; `None` if both have the same size.
-fn resampled(k: &Intrinsics, v: &ViewBox, own: &DisparityMap, delta: &DisparityMap) -> Option<Moved> {
+fn resampled(k: &Intrinsics, v: &ViewBox, own: &DisparityMap, delta: &DisparityMap) -> Option<ParallaxShift> {
     let (w, size) = (own.width as usize, (delta.width, delta.height));
     let scale = (f64::from(size.0) / f64::from(own.width), f64::from(size.1) / f64::from(own.height));
     let px = own.delta.iter().enumerate().map(|(i, known)| {
@@ -136,7 +136,7 @@ fn resampled(k: &Intrinsics, v: &ViewBox, own: &DisparityMap, delta: &DisparityM
         distance_px(k, v, place, [f64::from(*known), shown])
     });
     let (sum, most) = px.fold((0.0, 0.0), |(sum, most): (f64, f64), px| (sum + px, most.max(px)));
-    ((own.width, own.height) != size).then(|| Moved { mean_px: sum / own.delta.len() as f64, most_px: most, sampled: false })
+    ((own.width, own.height) != size).then(|| ParallaxShift { mean_px: sum / own.delta.len() as f64, most_px: most, sampled: false })
 }
 
 /// Computes the figures of the planes of all tiles and writes them to `e`.
@@ -222,7 +222,7 @@ fn reduced(small: &Photo, whole: &Photo, (first, step): (usize, usize)) -> f64 {
 type Figures = Vec<(&'static str, f64, f64, f64)>;
 
 /// Adds the figures of a step, which the report holds only if the step changed something.
-fn add_step(all: &mut Figures, name: [&'static str; 2], reported: Option<Moved>, computed: Option<Moved>) {
+fn add_step(all: &mut Figures, name: [&'static str; 2], reported: Option<ParallaxShift>, computed: Option<ParallaxShift>) {
     assert_eq!(reported.is_some(), computed.is_some(), "{}: reported {reported:?}, computed {computed:?}", name[0]);
     let (Some(reported), Some(computed)) = (reported, computed) else { return };
     // from a sample, the mean is close and the maximum is at most the true one

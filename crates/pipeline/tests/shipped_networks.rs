@@ -6,7 +6,7 @@ use std::path::Path;
 use tmpi_core::{Class, DisparityMap, Intrinsics, LayerMask, Photo, compose};
 use tmpi_pipeline::networks::models::{Settings, load};
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::run::stages::{self, Estimated, Layered, Prepared};
+use tmpi_pipeline::run::stages::{self, Layered, Prepared, WeightedDisparity};
 use tmpi_pipeline::run::{Context, Denoise, Switch};
 use tmpi_pipeline::{Models, Options, Silent};
 use tmpi_render::draw_reference_view;
@@ -79,10 +79,10 @@ fn mean(values: &[f32]) -> f32 {
 }
 
 /// Runs the denoising stage with Θ.
-fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> Estimated {
+fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> WeightedDisparity {
     let (limits, options) = (Limits::default(), Options { denoise: Denoise::Theta, ..Options::default() });
     let mut job = Context::new(models, &limits, &options, &Silent);
-    job.run(&mut stages::Denoise, (photo, Estimated { delta: map.clone(), confidence: None, given: true })).unwrap()
+    job.run(&mut stages::Denoise, (photo, WeightedDisparity { delta: map.clone(), confidence: None, given: true })).unwrap()
 }
 
 #[test]
@@ -121,8 +121,8 @@ fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
     let mut job = Context::new(models, &limits, &options, &Silent);
     let intrinsics = Intrinsics::centred(SIZE.0, SIZE.1, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(SIZE.0));
     let format = tmpi_core::container::PhotoFormat::Png;
-    let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None, other_eye: None };
-    let map = Estimated { delta: scene.delta.clone(), confidence: None, given: true };
+    let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None, second_half: None };
+    let map = WeightedDisparity { delta: scene.delta.clone(), confidence: None, given: true };
     let placed = job.run(&mut stages::Planes::default(), (&prepared, &map)).unwrap();
     let layered = job.run(&mut stages::Layers, (&mut prepared, placed, &map.delta)).unwrap();
     let before = layered.clone();
@@ -162,7 +162,7 @@ fn psi_changes_only_hidden_texels_and_keeps_their_quality() {
         assert_eq!(shapes(&then), shapes(&first));
         let counts = |l: &Layered| l.tiles.iter().flatten().map(|l| l.hidden.len()).collect::<Vec<_>>();
         assert_eq!(counts(&then), counts(&first));
-        assert!(then.carries.alpha && then.carries.hidden.is_some(), "the container stores what does not follow from the photo");
+        assert!(then.optional.alpha && then.optional.hidden.is_some(), "the container stores what does not follow from the photo");
         // the reference view is the photo
         let made = compose(scene.photo.clone(), &then.geometry, then.tiles.clone());
         let view = draw_reference_view(&made).unwrap();
@@ -181,6 +181,6 @@ fn psi_runs_only_if_switched_on() {
     for refine in [Switch::Auto, Switch::Off] {
         let [first, then] = refined(&models, &scene, refine);
         let colours = |l: &Layered| l.tiles.iter().flatten().flat_map(|l| l.hidden.clone()).collect::<Vec<_>>();
-        assert_eq!((shapes(&then), colours(&then), then.carries), (shapes(&first), colours(&first), first.carries));
+        assert_eq!((shapes(&then), colours(&then), then.optional), (shapes(&first), colours(&first), first.optional));
     }
 }

@@ -1,4 +1,4 @@
-//! Closed ways of the camera through the view box, and their frames as an animated picture or a film.
+//! Closed camera paths through the view box, and their frames as an animated picture or a film.
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -11,17 +11,17 @@ use std::time::Duration;
 use super::{MotionRange, View, looking_at};
 use tmpi_core::{Camera, Intrinsics, Pose};
 
-/// Longest time that `ffmpeg` may run: the longest film of the largest frames takes about a minute of one core.
-const MOST_TIME: Duration = Duration::from_mins(5);
-/// How often the end of `ffmpeg` is looked for.
+/// Time limit of `ffmpeg`: the longest film of the largest frames takes about one minute of one core.
+const MAX_TIME: Duration = Duration::from_mins(5);
+/// Interval at which the program checks whether `ffmpeg` has ended.
 const TICK: Duration = Duration::from_millis(2);
-/// Bytes of what `ffmpeg` says that are told.
+/// Maximum number of bytes of `ffmpeg`'s messages in an error.
 const SAID: u64 = 4 << 10;
 
-/// Frames a second.
+/// Frames per second.
 pub const RATE: u32 = 30;
 
-/// A closed way of the camera around its pose.
+/// A closed camera path around the camera's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum Path {
     /// An ellipse to the sides, up and down
@@ -36,21 +36,21 @@ pub enum Path {
     Zoom,
 }
 
-/// How much narrower a lens looks at the end of [`Path::Zoom`].
+/// How much the lens narrows at the end of [`Path::Zoom`].
 const ZOOM: f64 = 1.3;
 
 impl Path {
-    /// Names of all ways; viewers and settings have the same.
+    /// Names of all paths; viewers and settings use the same names.
     pub const NAMES: [&'static str; 5] = ["orbit", "swing", "dolly", "dolly-zoom", "zoom"];
 
-    /// The way of that name, one of [`Path::NAMES`].
+    /// Returns the path of a name, one of [`Path::NAMES`].
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         let ways = [Self::Orbit, Self::Swing, Self::Dolly, Self::DollyZoom, Self::Zoom];
         Self::NAMES.iter().position(|n| *n == name).map(|i| ways[i])
     }
 
-    /// The camera of frame `frame` of `frames` around `camera`, as far as the scene moves by itself.
+    /// The camera of frame `frame` of `frames` around `camera`, within the travel of `range`.
     #[must_use]
     pub fn camera(self, camera: &Camera, frame: u32, frames: u32, range: &MotionRange) -> Camera {
         let (turn, v) = (f64::from(frame) / f64::from(frames.max(1)), &range.travel);
@@ -76,14 +76,15 @@ impl Path {
     }
 }
 
-/// Most of each side that is left out of a film.
-const MOST_HIDDEN: f64 = 0.025;
+/// Maximum share of each side that a film crops.
+const MAX_HIDDEN: f64 = 0.025;
 
-/// Places on the ellipse of a way at which the photo's borders are looked at.
+/// Number of positions on a path's ellipse at which the photo's borders are checked.
 const LOOKS: u32 = 8;
 
-/// How much larger a film shows the photo, so that what lies beyond its border stays out of sight. The camera turns as it moves, which shifts the
-/// borders of a wide lens more than its middle: so it goes by where the corners of the nearest and the farthest plane come to lie.
+/// How much a film enlarges the photo, so that what lies beyond its border stays out of sight. The camera turns as it moves, which shifts
+/// the borders of a wide lens more than its centre. The result therefore depends on the projected corners of the nearest and the farthest
+/// plane.
 fn overscan(camera: &Camera, range: &MotionRange) -> f64 {
     let (v, sides) = (&range.travel, [camera.width, camera.height].map(f64::from));
     let needed = |look: u32| {
@@ -96,17 +97,17 @@ fn overscan(camera: &Camera, range: &MotionRange) -> f64 {
         let past = corners.map(|(share, delta)| {
             let h = tmpi_core::homography([0.0, 0.0, delta], &camera.intrinsics, &moved);
             let [px, py, w] = tmpi_core::mat3_vec(&h, [share[0] * sides[0], share[1] * sides[1], 1.0]);
-            // from the middle, in halves of a side
+            // distance from the centre, in halves of a side
             let from_middle = [px / w, py / w].into_iter().zip(sides).map(|(p, side)| (2.0 * p / side - 1.0).abs());
             from_middle.fold(f64::INFINITY, f64::min)
         });
         past.fold(1.0, f64::min)
     };
     let shown = (0..LOOKS).map(needed).fold(1.0, f64::min);
-    1.0 / shown.max(1.0 - 2.0 * MOST_HIDDEN)
+    1.0 / shown.max(1.0 - 2.0 * MAX_HIDDEN)
 }
 
-/// The lens that shows everything `by` times as large, while what is at `place` (shares of width and height) stays there.
+/// The lens that shows everything `by` times as large and keeps `place` (shares of width and height) fixed.
 fn magnified(camera: &Camera, by: f64, place: [f64; 2]) -> Intrinsics {
     let k = &camera.intrinsics;
     let about = |c: f64, share: f64, side: u32| share * f64::from(side) * (1.0 - by) + c * by;
@@ -114,17 +115,17 @@ fn magnified(camera: &Camera, by: f64, place: [f64; 2]) -> Intrinsics {
     Intrinsics { fx: k.fx * by, fy: k.fy * by, cx, cy }
 }
 
-/// What frames become.
+/// File format of an animation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum AnimationFormat {
-    /// Animated, lossy, repeats for ever.
+    /// Animated and lossy; repeats forever.
     WebP,
     /// H.264.
     Mp4,
 }
 
 impl AnimationFormat {
-    /// The format of that name, in any case: `webp` or `mp4`.
+    /// Returns the format of a name, in any case: `webp` or `mp4`.
     #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
         match extension.to_ascii_lowercase().as_str() {
@@ -150,14 +151,14 @@ impl AnimationFormat {
         }
     }
 
-    /// How `ffmpeg` is to write it at a quality of 1 to 100.
+    /// Arguments that make `ffmpeg` write the format, for a quality of 1 to 100.
     fn arguments(self, quality: u8) -> Vec<String> {
         let quality = quality.clamp(1, 100);
         let text = |all: &[&str]| all.iter().map(|&a| a.to_owned()).collect::<Vec<_>>();
         match self {
             Self::WebP => [text(&["-c:v", "libwebp_anim", "-loop", "0", "-q:v"]), vec![quality.to_string()]].concat(),
             Self::Mp4 => {
-                // 90 is 20, which nobody tells from the frames; chroma of half the size wants even sides
+                // quality 90 gives a rate factor of 20, which nobody can tell from the frames; half-size chroma needs even sides
                 let rate = 51 - u32::from(quality) * 31 / 90;
                 let even = text(&["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]);
                 [text(&["-c:v", "libx264", "-preset", "veryfast", "-crf"]), vec![rate.to_string()], even].concat()
@@ -166,13 +167,13 @@ impl AnimationFormat {
     }
 }
 
-/// Why frames did not become an animation.
+/// Why frames could not become an animation.
 #[derive(Debug, thiserror::Error)]
 pub enum AnimationError {
-    /// There is no `ffmpeg`.
+    /// `ffmpeg` is not installed.
     #[error("animations are written by ffmpeg, which is not installed here")]
     Missing,
-    /// A frame of another size than the first.
+    /// A frame differs in size from the first one.
     #[error("all frames must have {0}×{1} pixels")]
     Size(u32, u32),
     /// `ffmpeg` failed.
@@ -180,7 +181,7 @@ pub enum AnimationError {
     Failed(String),
 }
 
-/// Takes frames and gives a file.
+/// Encodes frames as a file.
 #[derive(Debug)]
 pub struct Animation {
     child: Arc<Mutex<Child>>,
@@ -188,25 +189,26 @@ pub struct Animation {
     file: PathBuf,
     said: PathBuf,
     size: (u32, u32),
-    // dropped: nobody watches any more
+    // dropping this sender ends the watch
     _over: Sender<()>,
-    // nobody else may look into it, and it goes with what is in it
+    // only this user can read the folder; dropping it deletes its files
     _folder: tempfile::TempDir,
 }
 
 impl Animation {
-    /// Starts an animation of frames of `size` at [`RATE`] frames a second; `quality` is 1 to 100. It is stopped after five minutes.
+    /// Starts an animation of frames of `size` at [`RATE`] frames per second; `quality` is 1 to 100. It is stopped after five minutes.
     ///
     /// # Errors
     /// [`AnimationError::Missing`], [`AnimationError::Failed`].
     pub fn start(format: AnimationFormat, size: (u32, u32), quality: u8) -> Result<Self, AnimationError> {
-        Self::start_for(MOST_TIME, format, size, quality)
+        Self::start_for(MAX_TIME, format, size, quality)
     }
 
     fn start_for(time: Duration, format: AnimationFormat, size: (u32, u32), quality: u8) -> Result<Self, AnimationError> {
         let failed = |e: std::io::Error| AnimationError::Failed(e.to_string());
         let folder = tempfile::Builder::new().prefix("tmpi-").tempdir().map_err(failed)?;
-        // formats are finished by going back to their start, which a pipe cannot; a pipe of messages that nobody reads would fill
+        // `ffmpeg` finishes a file by seeking back to its start, which a pipe does not allow; messages go to a file, because an unread pipe
+        // would fill
         let (file, said) = (folder.path().join(format!("film.{}", format.extension())), folder.path().join("said"));
         let mut command = Command::new("ffmpeg");
         command.args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
@@ -224,7 +226,7 @@ impl Animation {
         let watched = Arc::clone(&child);
         let watch = std::thread::Builder::new().name("tmpi-film".into()).spawn(move || {
             if matches!(ended.recv_timeout(time), Err(RecvTimeoutError::Timeout)) {
-                // it may have ended just now
+                // the process may have ended just now
                 let _ = watched.lock().unwrap_or_else(PoisonError::into_inner).kill();
             }
         });
@@ -232,7 +234,7 @@ impl Animation {
         watch.map(|_| animation).map_err(failed)
     }
 
-    /// Adds a frame; what is transparent lies over black.
+    /// Adds a frame; transparent pixels lie over black.
     ///
     /// # Errors
     /// [`AnimationError::Size`], [`AnimationError::Failed`].
@@ -242,11 +244,11 @@ impl Animation {
         }
         let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
         let written = self.input.as_mut().map_or(Ok(()), |pipe| pipe.write_all(rgb.as_flattened()));
-        // a pipe that broke means that it ended, and it says why
+        // a broken pipe means that `ffmpeg` ended; its messages say why
         written.or_else(|e| self.ended().and(Err(AnimationError::Failed(e.to_string()))))
     }
 
-    /// Ends the animation and gives its file.
+    /// Ends the animation and returns its file.
     ///
     /// # Errors
     /// [`AnimationError::Failed`].
@@ -255,7 +257,7 @@ impl Animation {
         std::fs::read(&self.file).map_err(|e| AnimationError::Failed(e.to_string()))
     }
 
-    /// Waits for the end; an error with what `ffmpeg` says where it is a bad one.
+    /// Waits for `ffmpeg` to end; if it failed, returns an error with its messages.
     fn ended(&mut self) -> Result<(), AnimationError> {
         drop(self.input.take());
         let status = self.wait().map_err(|e| AnimationError::Failed(e.to_string()))?;
@@ -263,12 +265,12 @@ impl Animation {
             return Ok(());
         }
         let mut said = Vec::new();
-        // what cannot be read is not told
+        // messages that cannot be read are left out
         let _ = File::open(&self.said).and_then(|f| f.take(SAID).read_to_end(&mut said));
         Err(AnimationError::Failed(format!("{status}: {}", String::from_utf8_lossy(&said).trim())))
     }
 
-    /// Waits without keeping the watch from ending it.
+    /// Waits without holding the lock, so that the watch can kill `ffmpeg`.
     fn wait(&self) -> std::io::Result<ExitStatus> {
         loop {
             let ended = self.child.lock().unwrap_or_else(PoisonError::into_inner).try_wait()?;
@@ -283,7 +285,7 @@ impl Animation {
 impl Drop for Animation {
     fn drop(&mut self) {
         let mut child = self.child.lock().unwrap_or_else(PoisonError::into_inner);
-        // given up before its end, or ended already
+        // abandoned before its end, or already ended
         let _ = child.kill();
         let _ = child.wait();
     }

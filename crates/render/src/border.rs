@@ -1,32 +1,32 @@
-//! A scene is continued beyond the photo's borders by its mirror image, so that no camera of the view box sees past them.
+//! Mirrors a scene at the photo's borders, so that no camera of the view box sees past them.
 //!
-//! What is mirrored is the scene, not the picture: planes tilt the other way, and hidden texels stay behind what hides them, so the
-//! continuation moves like the photo does. Its colours are blurred, the more the farther out ([`MirrorBlur`]). Derived from the scene when
-//! it is drawn; no container holds it.
+//! This mirrors the scene, not the picture: mirrored planes tilt the other way, and hidden texels stay behind what hides them. The
+//! continuation therefore moves like the photo. [`MirrorBlur`] blurs its colours, more with growing distance from the border. Backends
+//! derive the continuation when they draw; no container holds it.
 
 use tmpi_core::{Camera, Mat3, MirrorBlur, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
 
-/// The widest margin, as a share of the photo's longer side. A view box that needs more sees past it at its corners.
+/// Maximum margin, as a share of the photo's longer side. If a view box needs more, its corners see past the margin.
 const WIDEST: f64 = 1.0 / 4.0;
 
-/// A part of a layer at its own place, or mirrored beyond a border.
+/// A part of a layer, at its own position or mirrored beyond a border.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Piece {
-    /// The layer whose texels it takes.
+    /// Index of the layer that the texels come from.
     pub layer: usize,
-    /// Its plane, in `(u, v)` about `centre`.
+    /// Plane, in `(u, v)` relative to `centre`.
     pub plane: Plane,
-    /// Origin of `(u, v)`, reference pixels.
+    /// Origin of `(u, v)`, in reference pixels.
     pub centre: (f64, f64),
-    /// Upper left corner, reference pixels; outside the photo where mirrored.
+    /// Upper left corner, in reference pixels; outside the photo for a mirrored piece.
     pub corner: [i64; 2],
-    /// Width and height.
+    /// Width and height, in texels.
     pub size: [u32; 2],
-    /// From and to where it is drawn, across and down, in texels from its upper left corner.
+    /// Start and end of the drawn range, across and down, in texels from the upper left corner.
     pub drawn: [[f64; 2]; 2],
-    /// First column and row that it takes of the layer's rectangle.
+    /// First column and row of the piece in the layer's rectangle.
     first: [u32; 2],
-    /// Mirrored in x, in y.
+    /// Whether the piece is mirrored in x, in y.
     pub mirrored: [bool; 2],
 }
 
@@ -36,9 +36,9 @@ struct Side {
     corner: i64,
     size: u32,
     first: u32,
-    /// From and to where it is drawn.
+    /// Start and end of the drawn range.
     drawn: [f64; 2],
-    /// Twice the place of the mirror, where there is one.
+    /// Twice the mirror's position; `None` for a piece that is not mirrored.
     mirror: Option<i64>,
 }
 
@@ -64,13 +64,13 @@ impl Piece {
         }
     }
 
-    /// δ at the centre of the piece, which is its mean over the piece.
+    /// δ at the centre of the piece, which is also its mean δ.
     pub fn mean_delta(&self, half: f64) -> f64 {
         let middle = |axis: usize| self.corner[axis] as f64 + f64::from(self.size[axis]) / 2.0;
         self.plane.disparity((middle(0) - self.centre.0) / half, (middle(1) - self.centre.1) / half)
     }
 
-    /// The least δ of the piece: at one of its corners.
+    /// Minimum δ of the piece, which is at one of its corners.
     pub fn least_delta(&self, half: f64) -> f64 {
         let ends = |axis: usize, centre: f64| {
             let from = self.corner[axis] as f64 - centre;
@@ -80,7 +80,7 @@ impl Piece {
         us.into_iter().flat_map(|u| vs.map(|v| self.plane.disparity(u, v))).fold(f64::INFINITY, f64::min)
     }
 
-    /// Rows of the piece in `all`, one value for each texel of its layer; not mirrored.
+    /// Rows of the piece in `all`, which has one value per texel of the layer; not mirrored.
     fn rows<'a, T>(&self, scene: &Scene, all: &'a [T]) -> impl DoubleEndedIterator<Item = &'a [T]> {
         let (x, w) = (self.first[0] as usize, self.size[0] as usize);
         let (y, h) = (self.first[1] as usize, self.size[1] as usize);
@@ -93,28 +93,28 @@ impl Piece {
         self.rows(scene, &scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()])
     }
 
-    /// Whether it lies beyond a border.
+    /// Whether the piece lies beyond a border.
     pub fn is_mirrored(&self) -> bool {
         self.mirrored != [false; 2]
     }
 }
 
-/// Expands the texels of a scene's pieces; pieces of a layer that come one after the other share the work.
+/// Expands the texels of a scene's pieces. Consecutive pieces of one layer share the work.
 pub(super) struct Expander<'a> {
     scene: &'a Scene,
     blur: Option<&'a MirrorBlur>,
-    /// All texels of the layer at hand, with the colours of pieces that are mirrored as `of` says.
+    /// All texels of the current layer. For mirrored pieces, the colours are blurred for the directions in `of`.
     layer: Vec<[u8; 4]>,
     of: Option<(usize, [bool; 2])>,
 }
 
 impl<'a> Expander<'a> {
-    /// For pieces of `scene`; `blur` comes from [`mirror_blur`]. Without it, mirrored pieces stay sharp.
+    /// Creates an expander for pieces of `scene`; `blur` comes from [`mirror_blur`]. Without it, mirrored pieces stay sharp.
     pub const fn new(scene: &'a Scene, blur: Option<&'a MirrorBlur>) -> Self {
         Self { scene, blur, layer: Vec::new(), of: None }
     }
 
-    /// Rows of a piece's texels from its upper one on, each from left to right of the layer: backward where it is mirrored in x.
+    /// Rows of a piece's texels, from the top. Each row runs from left to right of the layer: backward if the piece is mirrored in x.
     pub fn rows(&mut self, piece: &Piece) -> impl Iterator<Item = &[[u8; 4]]> {
         let Self { scene, blur, layer, of } = self;
         if *of != Some((piece.layer, piece.mirrored)) {
@@ -141,13 +141,13 @@ impl<'a> Expander<'a> {
     }
 }
 
-/// The blur of a scene's mirrored pieces; `None` if it has none.
+/// The blur of a scene's mirrored pieces; `None` if the scene has no such pieces.
 pub(super) fn mirror_blur(scene: &Scene, pieces: &[Piece]) -> Option<MirrorBlur> {
     let size = [scene.photo.width, scene.photo.height];
     pieces.iter().any(Piece::is_mirrored).then(|| MirrorBlur::new(&scene.photo.rgb, size, 0))
 }
 
-/// All pieces of a scene, layer after layer in their order, each layer's own place first.
+/// All pieces of a scene, in layer order; each layer's own piece comes first.
 pub(super) fn pieces(scene: &Scene) -> Vec<Piece> {
     let (grid, margin) = (&scene.grid, margin(scene));
     let mut out = Vec::with_capacity(scene.layers.len() * 3 / 2);
@@ -162,12 +162,12 @@ pub(super) fn pieces(scene: &Scene) -> Vec<Piece> {
     out
 }
 
-/// `from..from + size` of an axis of `length` pixels, of which `drawn` is drawn: itself, and its parts within `margin` of either end
-/// mirrored there; those of which anything is drawn.
+/// The pieces of the range `from..from + size` on an axis of `length` pixels, of which `drawn` is drawn: the range itself, and its parts
+/// within `margin` of either end, mirrored there. `None` for each piece of which nothing is drawn.
 fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Option<Side>; 3] {
     let end = from + size;
     let own = Side { corner: i64::from(from), size, first: 0, drawn, mirror: None };
-    // what is drawn of the `size` texels from `first` on, seen from the other end
+    // the drawn range of the `size` texels from `first` on, measured from the other end
     let back = |first: u32, size: u32| {
         let [from, to] = drawn.map(|v| (v - f64::from(first)).clamp(0.0, f64::from(size)));
         [f64::from(size) - to, f64::from(size) - from]
@@ -187,8 +187,8 @@ fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Op
     [Some(own), low, high].map(|side| side.filter(|s| s.drawn[0] < s.drawn[1]))
 }
 
-/// Pixels by which the corners of the view box see past the photo's borders, to the sides and up and down: the larger of
-/// cameras that look straight ahead and of cameras that turn to keep the nearest things in place, at δ = 0 and δ = 1.
+/// How far the corners of the view box see past the photo's borders, in pixels, to the sides and up and down. This is the maximum over
+/// cameras that look straight ahead and cameras that turn to keep the nearest surface in place, at δ = 0 and δ = 1.
 #[must_use]
 pub fn margin(scene: &Scene) -> [u32; 2] {
     let (w, h) = (f64::from(scene.grid.width), f64::from(scene.grid.height));
@@ -206,11 +206,11 @@ pub fn margin(scene: &Scene) -> [u32; 2] {
         }
     }
     let widest = w.max(h) * WIDEST;
-    // a pixel for rounding, and one because a piece ends at its last texel; `as` saturates
+    // one pixel for rounding, and one because a piece ends at its last texel; `as` saturates
     [(past[0], w), (past[1], h)].map(|(past, length)| if past > 0.0 { (past.min(widest) + 2.0).min(length) as u32 } else { 0 })
 }
 
-/// Cameras at the corners of a view box that turn so that what lies ahead at disparity `pivot` stays in place; with 0 they look
+/// Poses at the corners of a view box. Each turns so that a point straight ahead at disparity `pivot` stays in place; with 0, cameras look
 /// straight ahead.
 pub fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
     let v = *v;
@@ -220,20 +220,20 @@ pub fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
     })
 }
 
-/// True where a camera stands within the view box, up to rounding; what cameras outside it see is not known to be without holes.
+/// Whether a camera is inside the view box, up to rounding. Views from outside may have holes.
 #[must_use]
-pub fn holds(v: &ViewBox, pose: &Pose) -> bool {
+pub fn contains_pose(v: &ViewBox, pose: &Pose) -> bool {
     let within = |at: f64, extent: f64| at.abs() <= extent + 1e-9;
     within(pose.tx, v.x) && within(pose.ty, v.y) && within(pose.tz, v.z)
 }
 
-/// `m · place` as a pixel; infinitely far where it lies behind.
+/// `m · place` as a pixel; infinite if it lies behind the camera.
 fn divided(m: &Mat3, place: [f64; 3]) -> [f64; 2] {
     let [x, y, z] = mat3_vec(m, place);
     if z > 0.0 { [x / z, y / z] } else { [f64::INFINITY; 2] }
 }
 
-/// A camera at an offset that turns against it, so that what lies ahead at disparity `pivot` stays in place.
+/// A camera at an offset that turns back, so that a point straight ahead at disparity `pivot` stays in place.
 #[must_use]
 pub fn looking_at(pivot: f64, tx: f64, ty: f64, tz: f64) -> Pose {
     let depth = 1.0 - tz * pivot;

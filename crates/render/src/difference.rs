@@ -1,24 +1,24 @@
-//! How far two pictures are apart, pixel by pixel.
+//! Measures how much two pictures differ, pixel by pixel.
 
-/// PSNR in dB of two pictures of 8-bit values, over all values; [`EQUAL`] where they are the same (or empty).
+/// PSNR in dB of two pictures of 8-bit values, over all values; [`MAX_PSNR`] if they are equal or empty.
 #[must_use]
 pub fn psnr(a: &[u8], b: &[u8]) -> f64 {
-    // sums of 32 bits are twice as many a step, and hold 65 535 squares of 8 bits
+    // 32-bit sums process twice as many values per step, and hold 65 535 squares of 8-bit values
     let part = |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum::<u32>();
     let sum: u64 = a.chunks(1 << 15).zip(b.chunks(1 << 15)).map(|both| u64::from(part(both))).sum();
     psnr_of(sum as f64 / a.len().min(b.len()).max(1) as f64)
 }
 
-/// PSNR in dB of a mean squared difference of 8-bit values; [`EQUAL`] where there is none.
+/// PSNR in dB for a mean squared difference of 8-bit values; [`MAX_PSNR`] for a difference of 0.
 #[must_use]
 pub fn psnr_of(mean_squared: f64) -> f64 {
-    if mean_squared > 0.0 { (10.0 * (255.0 * 255.0 / mean_squared).log10()).min(EQUAL) } else { EQUAL }
+    if mean_squared > 0.0 { (10.0 * (255.0 * 255.0 / mean_squared).log10()).min(MAX_PSNR) } else { MAX_PSNR }
 }
 
-/// PSNR reported for equal pictures, where it is infinite.
-pub const EQUAL: f64 = 99.0;
+/// PSNR reported for equal pictures, whose PSNR is infinite.
+pub const MAX_PSNR: f64 = 99.0;
 
-/// Share of pixels, 0 to 1, of which some channel differs by more than `levels`.
+/// Share of pixels, 0 to 1, in which at least one channel differs by more than `levels`.
 #[must_use]
 pub fn share_off<const N: usize>(a: &[[u8; N]], b: &[[u8; N]], levels: u8) -> f64 {
     if a.is_empty() {
@@ -42,7 +42,7 @@ mod tests {
     fn known_values() {
         assert!((psnr(&[0, 0], &[255, 255]) - 0.0).abs() < 1e-12);
         assert!((psnr(&[100; 100], &[101; 100]) - 48.130_803_6).abs() < 1e-6);
-        assert!((psnr(&[7], &[7]) - EQUAL).abs() < 1e-12);
+        assert!((psnr(&[7], &[7]) - MAX_PSNR).abs() < 1e-12);
         assert!((share_off(&[[0, 0], [9, 0]], &[[8, 8], [0, 0]], 8) - 0.5).abs() < 1e-12);
         assert_eq!(max_abs(&[[0, 5]], &[[3, 1]]), 4);
     }

@@ -1,4 +1,4 @@
-//! A drawn view as a picture file.
+//! Encodes views as picture files.
 
 use image::codecs::{jpeg::JpegEncoder, png, webp::WebPEncoder};
 use image::{ExtendedColorType, ImageEncoder};
@@ -6,7 +6,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use super::{View, mpo};
 use tmpi_core::Photo;
 
-/// Picture formats that views are written in.
+/// Picture formats for views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum PictureFormat {
@@ -24,7 +24,7 @@ pub enum PictureFormat {
 }
 
 impl PictureFormat {
-    /// All formats of single pictures, the default first.
+    /// All formats of single pictures; the default comes first.
     pub const ALL: [Self; 3] = [Self::Png, Self::Jpeg, Self::WebP];
 
     /// Media type.
@@ -38,7 +38,7 @@ impl PictureFormat {
         }
     }
 
-    /// The format that a file name ending stands for: `png`, `jpg`, `jpeg`, `webp` or `mpo`, in any case.
+    /// Returns the format of a file name extension: `png`, `jpg`, `jpeg`, `webp` or `mpo`, in any case.
     #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
         match extension.to_ascii_lowercase().as_str() {
@@ -51,7 +51,7 @@ impl PictureFormat {
     }
 }
 
-/// Why a view could not be written as a picture.
+/// Why a view could not be encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
     /// The format cannot hold the picture, or the codec failed.
@@ -63,19 +63,19 @@ pub enum EncodeError {
         height: u32,
         /// The format.
         format: PictureFormat,
-        /// What the codec says.
+        /// The codec's message.
         reason: String,
     },
 }
 
-/// JPEG quality where the caller has no wish.
+/// Default JPEG quality.
 pub const DEFAULT_QUALITY: u8 = 90;
 
-/// Writes a view as a picture file: PNG and WebP with straight alpha, JPEG over black at `quality` (clamped to 1..=100), MPO as the JPEGs of
-/// its left and its right half.
+/// Encodes a view: PNG and WebP with straight alpha, JPEG over black at `quality` (clamped to 1..=100), MPO as the JPEGs of its left and
+/// its right half.
 ///
 /// # Errors
-/// [`EncodeError::Codec`]: WebP holds at most 16 384 pixels a side, JPEG 65 535.
+/// [`EncodeError::Codec`]: WebP holds at most 16 384 pixels per side, JPEG 65 535.
 pub fn encode(view: &View, format: PictureFormat, quality: u8) -> Result<Vec<u8>, EncodeError> {
     let (width, height) = (view.width, view.height);
     if format == PictureFormat::Mpo {
@@ -91,7 +91,7 @@ pub fn encode(view: &View, format: PictureFormat, quality: u8) -> Result<Vec<u8>
             ExtendedColorType::Rgba8,
         ),
         PictureFormat::Jpeg | PictureFormat::Mpo => {
-            // premultiplied colour is the colour over black
+            // premultiplied colour equals the colour over black
             let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
             JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100)).write_image(
                 rgb.as_flattened(),
@@ -107,14 +107,14 @@ pub fn encode(view: &View, format: PictureFormat, quality: u8) -> Result<Vec<u8>
     written.map(|()| out).map_err(|e| EncodeError::Codec { width, height, format, reason: e.to_string() })
 }
 
-/// Columns of a view.
+/// The columns `from..from + width` of a view.
 fn part(view: &View, from: u32, width: u32) -> View {
     let row = |row: &[[u8; 4]]| row[from as usize..][..width as usize].to_vec();
     let rgba = view.rgba.chunks_exact(view.width.max(1) as usize).flat_map(row).collect();
     View { width, height: view.height, rgba }
 }
 
-/// Straight-alpha texels; fully transparent ones are 0.
+/// Texels with straight alpha; fully transparent ones are 0.
 fn straight(view: &View) -> Vec<[u8; 4]> {
     view.rgba.iter().map(|&p| unpremultiply(p)).collect()
 }

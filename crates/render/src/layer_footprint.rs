@@ -1,32 +1,32 @@
-//! Where a layer falls in a picture: its inverse homography, its bounds, and the pixels of a row that it covers.
+//! Projects a layer into a picture: its inverse homography, its bounds, and the condition that a pixel of a row is covered.
 
 use tmpi_core::{Camera, Mat3, Scene, homography, mat3_vec};
 
 use super::NEAR;
 use super::border::Piece;
 
-/// Linear function of a target pixel place, `f(x, y) = f[0]·x + f[1]·y + f[2]`.
+/// Linear function of a target pixel position, `f(x, y) = f[0]·x + f[1]·y + f[2]`.
 pub(super) type Form = [f64; 3];
 
 fn value(f: &Form, x: f64, y: f64) -> f64 {
     f[0] * x + f[1] * y + f[2]
 }
 
-/// A piece of a layer seen by a camera.
+/// A piece of a layer as a camera sees it.
 ///
-/// With `λ = 1/p_z`, all of `λ`, `x·λ`, `y·λ` and the target disparity are linear in the target pixel place, so a row is walked by
-/// increments and divided once a pixel.
+/// With `λ = 1/p_z`, the values `λ`, `x·λ`, `y·λ` and the target disparity are linear in the target pixel position. A backend therefore
+/// walks a row by increments, with one division per pixel.
 #[derive(Clone, Debug)]
 pub(super) struct Footprint {
     /// `λ`; positive in front of the camera.
     pub lambda: Form,
-    /// Reference pixels from the rectangle's left border, times `λ`.
+    /// `λ` times the distance from the rectangle's left border, in reference pixels.
     pub x: Form,
-    /// Reference pixels from the rectangle's upper border, times `λ`.
+    /// `λ` times the distance from the rectangle's upper border, in reference pixels.
     pub y: Form,
-    /// Target disparity `δ_t`, before anything beyond infinity (below 0) counts as 0.
+    /// Target disparity `δ_t`. Values below 0 (beyond infinity) are not yet clamped to 0.
     pub delta: Form,
-    /// From and to where it is drawn, across and down, in texels from the rectangle's upper left corner.
+    /// Start and end of the drawn range, across and down, in texels from the rectangle's upper left corner.
     pub drawn: [[f64; 2]; 2],
     /// First column that may be covered.
     pub x0: u32,
@@ -38,19 +38,19 @@ pub(super) struct Footprint {
     pub y1: u32,
 }
 
-/// What was sampled at a pixel.
+/// Position of a sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
-    /// Reference pixels from the rectangle's left border.
+    /// Distance from the rectangle's left border, in reference pixels.
     pub x: f64,
-    /// Reference pixels from the rectangle's upper border.
+    /// Distance from the rectangle's upper border, in reference pixels.
     pub y: f64,
     /// Target disparity, at least 0.
     pub delta: f64,
 }
 
 impl Footprint {
-    /// Footprint of `piece`; none where the camera cannot see it (behind, edge-on, outside the picture, not finite).
+    /// Projects `piece`; `None` if the camera cannot see it (behind, edge-on, outside the picture, not finite).
     pub fn new(scene: &Scene, piece: &Piece, camera: &Camera) -> Option<Self> {
         let (half, centre, k) = (scene.grid.half(), piece.centre, &scene.intrinsics);
         let p = &piece.plane;
@@ -68,7 +68,7 @@ impl Footprint {
         [footprint.lambda, footprint.x, footprint.y, footprint.delta].iter().flatten().all(|v| v.is_finite()).then_some(footprint)
     }
 
-    /// All conditions for a target place to be covered, each `≥ 0`.
+    /// The conditions for a layer to cover a target position: each must be `≥ 0`.
     pub fn conditions(&self) -> [Form; 6] {
         let after = |f: &Form, from: f64| std::array::from_fn(|j| f[j] - from * self.lambda[j]);
         let before = |f: &Form, to: f64| std::array::from_fn(|j| to * self.lambda[j] - f[j]);
@@ -77,7 +77,7 @@ impl Footprint {
         [self.lambda, after(&self.x, left), after(&self.y, upper), before(&self.x, right), before(&self.y, lower), near]
     }
 
-    /// Where the layer is hit by the ray through target place `(x, y)`, if it is.
+    /// Where the ray through target position `(x, y)` hits the layer; `None` if it misses.
     pub fn hit(&self, x: f64, y: f64) -> Option<Place> {
         let lambda = value(&self.lambda, x, y);
         let delta = value(&self.delta, x, y);
@@ -91,7 +91,7 @@ impl Footprint {
     }
 }
 
-/// Inverse by cofactors; none where it is not finite.
+/// Inverse by cofactors; `None` if it is not finite.
 pub(super) fn inverted(m: &Mat3) -> Option<Mat3> {
     let c = |i: usize, j: usize| {
         let (a, b, p, q) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
@@ -102,9 +102,9 @@ pub(super) fn inverted(m: &Mat3) -> Option<Mat3> {
     inverse.iter().flatten().all(|v| v.is_finite()).then_some(inverse)
 }
 
-/// Pixel bounds of a rectangle's visible part: clipped in homogeneous coordinates, so nothing behind the camera is projected.
+/// Pixel bounds of a rectangle's visible part. Clips in homogeneous coordinates, so that it projects nothing behind the camera.
 fn bounds(h: &Mat3, n: &[f64; 3], from: [f64; 2], to: [f64; 2], origin: [f64; 2], camera: &Camera) -> Option<(u32, u32, u32, u32)> {
-    // below this depth per reference depth a direction lies 90° off the axis and projects outside any picture
+    // below this ratio of target depth to reference depth, a direction lies 90° off the axis and projects outside any picture
     const LEAST: f64 = 1e-9;
     let corners = [[from[0], from[1]], [to[0], from[1]], to, [from[0], to[1]]].map(|[x, y]| {
         let r = [origin[0] + x, origin[1] + y, 1.0];
@@ -123,7 +123,7 @@ fn bounds(h: &Mat3, n: &[f64; 3], from: [f64; 2], to: [f64; 2], origin: [f64; 2]
             *r = [r[0].min(v), r[1].max(v)];
         }
     }
-    // centres lie at half-integers; a pixel more on each side for rounding. `as` saturates.
+    // pixel centres are at half-integers; one more pixel on each side allows for rounding; `as` saturates
     let first = |v: f64| (v - 1.5).max(0.0) as u32;
     let last = |v: f64, size: u32| ((v + 1.5).max(0.0) as u32).min(size);
     let found = (first(range[0][0]), last(range[0][1], camera.width), first(range[1][0]), last(range[1][1], camera.height));

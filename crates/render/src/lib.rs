@@ -1,4 +1,4 @@
-//! Drawing a scene for a camera (paper, algorithm 1) on three backends that are held against each other.
+//! Draws a scene for a camera (paper, algorithm 1) with three backends, which tests compare with each other.
 
 mod animation;
 mod border;
@@ -16,32 +16,33 @@ mod scene_cache;
 mod testing;
 
 pub use animation::{Animation, AnimationError, AnimationFormat, Path, RATE};
-pub use border::{corners, holds, looking_at, margin as border_margin};
+pub use border::{contains_pose, corners, looking_at, margin as border_margin};
 pub use cpu::{Cpu, draw_reference_view};
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::{Gpu, without_a_display};
 pub use motion_range::MotionRange;
-pub use multiview::{Arrangement, EYES, MAX_QUILT, Rig, StereoLayout, draw_multiview, pivot};
+pub use multiview::{Arrangement, EYE_DISTANCE, MAX_QUILT, Rig, StereoLayout, draw_multiview, pivot};
 pub use reference::Reference;
 
 use std::sync::Arc;
 
 use tmpi_core::{Camera, Scene, SceneError};
 
-/// What is nearer to the camera than this is not drawn, in units of the photo's nearest distance: depth 1 of the depth buffer. A power of two: a
-/// surface at exactly this distance is drawn by every backend, as `f32` rounds neither it nor the step that leads there.
+/// Near plane: backends draw nothing that is closer to the camera. In units of the photo's nearest distance; depth 1 of the depth buffer. A
+/// power of two, so that `f32` rounds neither this distance nor the step that leads there: every backend draws a surface at exactly this
+/// distance.
 pub const NEAR: f64 = 1.0 / 1024.0;
 
-/// Sampled alpha from which `cpu` and `gpu` take a texel as opaque.
+/// Minimum sampled alpha of a texel that `cpu` and `gpu` treat as opaque.
 pub const OPAQUE: f32 = 0.99;
 
-/// Largest width or height of a view in pixels.
+/// Maximum width or height of a view, in pixels.
 pub const MAX_SIDE: u32 = 16_384;
 
-/// Largest count of pixels of a view.
+/// Maximum number of pixels of a view.
 pub const MAX_PIXELS: u64 = 1 << 26;
 
-/// Which backend draws.
+/// The backend to draw with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Backend {
@@ -56,22 +57,22 @@ pub enum Backend {
     Reference,
 }
 
-/// Why nothing was drawn.
+/// Why a backend drew nothing.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// The camera is not usable; the text names the field.
+    /// The camera is invalid; the text names the field.
     #[error("camera: {0}")]
     Camera(&'static str),
-    /// The scene is not usable.
+    /// The scene is invalid.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// There is no graphics adapter, or it was lost and could not be rebuilt.
+    /// There is no graphics adapter, or the device was lost and could not be rebuilt.
     #[error("graphics adapter: {0}")]
     Adapter(String),
     /// Nobody waits for the view any more.
     #[error("the view is not wanted any more")]
     Cancelled,
-    /// The scene does not fit into the adapter's limits.
+    /// The scene exceeds the adapter's limits.
     #[error("the scene does not fit the graphics adapter: {0}")]
     TooLarge(String),
 }
@@ -83,12 +84,12 @@ pub struct View {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Premultiplied RGBA, row-major; alpha is below 255 where nothing is known, which no camera of the view box sees.
+    /// Premultiplied RGBA, row-major. Alpha is below 255 where the scene has no content; no camera of the view box sees such a pixel.
     pub rgba: Vec<[u8; 4]>,
 }
 
 impl View {
-    /// A view of `camera`'s size that nothing covers.
+    /// A fully transparent view of `camera`'s size.
     fn transparent(camera: &Camera) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
         Self { width: camera.width, height: camera.height, rgba: vec![[0; 4]; pixels] }
@@ -97,7 +98,7 @@ impl View {
 
 /// A backend that draws scenes.
 pub trait Renderer: Send + Sync {
-    /// `gpu`, `cpu` or `reference`.
+    /// The backend's name: `gpu`, `cpu` or `reference`.
     fn name(&self) -> &'static str;
 
     /// Draws `scene` for `camera`.
@@ -106,11 +107,11 @@ pub trait Renderer: Send + Sync {
     /// [`RenderError`].
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError>;
 
-    /// Frees what is kept of scenes that were dropped; without it that is freed with the next view. May wait for a view that is drawn.
+    /// Frees the cached data of scenes that were dropped; otherwise the next view frees it. May wait until a view in progress is drawn.
     fn settle(&self) {}
 }
 
-/// Checks what every backend relies on: a finite pose, valid intrinsics, a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
+/// Checks what every backend relies on: a finite pose, valid intrinsics, and a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
 fn check(camera: &Camera) -> Result<(), RenderError> {
     let (w, h) = (camera.width, camera.height);
     if !camera.pose.is_finite() {
@@ -125,19 +126,19 @@ fn check(camera: &Camera) -> Result<(), RenderError> {
     Ok(())
 }
 
-/// The backend for `backend`. An adapter in software counts only where `gpu` is asked for by name.
+/// Opens the backend for `backend`. A software adapter counts only if you ask for `gpu` by name.
 ///
 /// # Errors
-/// [`RenderError::Adapter`] where `gpu` is asked for and there is no adapter.
+/// [`RenderError::Adapter`] if you ask for `gpu` and there is no adapter.
 pub fn select(backend: Backend) -> Result<Arc<dyn Renderer>, RenderError> {
-    select_within(backend, Cpu::CACHE_BYTES)
+    select_with_cache(backend, Cpu::CACHE_BYTES)
 }
 
-/// The same, with at most `cache_bytes` of expanded texels kept in the processor's memory.
+/// Like [`select`], but keeps at most `cache_bytes` of expanded texels in main memory.
 ///
 /// # Errors
 /// As [`select`].
-pub fn select_within(backend: Backend, cache_bytes: usize) -> Result<Arc<dyn Renderer>, RenderError> {
+pub fn select_with_cache(backend: Backend, cache_bytes: usize) -> Result<Arc<dyn Renderer>, RenderError> {
     let cpu = || Cpu::new(cache_bytes);
     match backend {
         Backend::Reference => Ok(Arc::new(Reference)),
@@ -153,7 +154,7 @@ pub fn select_within(backend: Backend, cache_bytes: usize) -> Result<Arc<dyn Ren
     }
 }
 
-/// `gpu`, and `cpu` for a view that it cannot draw: too large, or the device was lost.
+/// Draws with `gpu`, or with `cpu` if `gpu` cannot: the scene or the view is too large, or the device was lost.
 struct GpuOrCpu {
     gpu: Gpu,
     cpu: Cpu,

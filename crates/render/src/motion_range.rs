@@ -1,43 +1,44 @@
-//! How far a photo moves where nobody says, and about what: so that each moves by about the same share of its width, little where its
-//! depth is flat or broken up. `static/view/motion-range.js` has the same rules.
+//! Default range and centre of a photo's motion. Each photo moves by about the same share of its width, and less if its depth is flat or
+//! fragmented. `static/view/motion-range.js` has the same rules.
 
 use tmpi_core::{Class, Scene, ViewBox};
 
-/// Way of near things against far ones between the ends of the travel, as a share of the photo's width.
+/// How far near surfaces move against far ones from one end of the travel to the other, as a share of the photo's width.
 const SHARE: f64 = 0.06;
-/// Least half extent of the travel, in units of the nearest distance, where the view box has it.
+/// Minimum half extent of the travel, in units of the nearest distance, if the view box is that large.
 const LEAST: f64 = 0.02;
-/// Shares of the photo that lie beyond what is taken for its far and its near end.
+/// Quantiles of the photo's area at which its far and its near end lie.
 const ENDS: [f64; 2] = [0.03, 0.97];
-/// Layers a tile from which on depth counts as broken up, and how much less each further one moves it; at most down to [`CALMEST`].
+/// Depth counts as fragmented above this number of layers per tile. Each further layer reduces the motion by [`CALMER`], down to
+/// [`CALMEST`].
 const BROKEN: f64 = 4.0;
 const CALMER: f64 = 0.15;
 const CALMEST: f64 = 0.6;
-/// Disparity that views turn about where a scene shows nothing.
+/// Disparity that views turn about if a scene shows nothing.
 const PIVOT: f64 = 0.35;
-/// Bins of disparity.
+/// Number of disparity bins.
 const BINS: usize = 256;
 
-/// What a scene's disparities say about moving it.
+/// Motion that suits a scene's disparities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionRange {
-    /// Half extents of where the camera goes by itself, within the view box.
+    /// Half extents of the camera's automatic motion, within the view box.
     pub travel: ViewBox,
-    /// Disparity that views turn about: that at the middle of the picture's area.
+    /// Disparity that views turn about: the median over the picture's area.
     pub pivot: f64,
-    /// Where the nearest things are, as shares of the photo's width and height.
+    /// Mean position of the nearest surfaces, as shares of the photo's width and height.
     pub nearest: [f64; 2],
 }
 
 impl MotionRange {
-    /// Half extent of the travel, at most, in units of the nearest distance.
+    /// Maximum half extent of the travel, in units of the nearest distance.
     pub const TRAVEL: f64 = 0.06;
 
-    /// Looks over a scene.
+    /// Derives the motion range of a scene.
     #[must_use]
     pub fn of(scene: &Scene) -> Self {
         let (half, grid) = (scene.grid.half(), &scene.grid);
-        // disparity, visible texels and middle of each layer
+        // disparity bin, visible texels and centre of each layer
         let layers: Vec<(usize, f64, [f64; 2])> = scene
             .layers
             .iter()
@@ -47,7 +48,7 @@ impl MotionRange {
                 let delta = l.plane.disparity((middle[0] - cx) / half, (middle[1] - cy) / half);
                 let classes = scene.texels.class.get(l.first_texel..l.first_texel + l.rect.area()).unwrap_or_default();
                 let visible = classes.iter().filter(|&&c| c == Class::Photo as u8).count();
-                // `as` saturates, and takes what is no number to 0
+                // `as` saturates, and turns NaN into 0
                 (((delta * BINS as f64).floor().max(0.0) as usize).min(BINS - 1), visible as f64, middle)
             })
             .collect();
@@ -79,7 +80,7 @@ impl MotionRange {
     }
 }
 
-/// The travel of a scene whose disparities spread over `spread`.
+/// Travel for a scene whose disparities have a range of `spread`.
 fn travel(scene: &Scene, spread: f64) -> ViewBox {
     let ViewBox { x, y, z } = scene.view_box;
     let a_tile = scene.layers.len() as f64 / f64::from(scene.grid.tiles()).max(1.0);

@@ -6,17 +6,17 @@ const APP2: [u8; 2] = [0xFF, 0xE2];
 const NAME: &[u8; 4] = b"MPF\0";
 /// Header of the directories: big-endian, and the first one follows.
 const TIFF: [u8; 8] = *b"MM\0\x2A\0\0\0\x08";
-/// Bytes of a directory without its entries, of one of them, and of a picture in the index.
+/// Sizes in bytes: a directory without its entries, one entry, and one picture in the index.
 const DIRECTORY: usize = 6;
 const ENTRY: usize = 12;
 const PICTURE: usize = 16;
-/// The picture is one of several eyes; and the one to show if only one can be shown.
+/// Picture type: one of several eyes. Flag: the picture to show if a reader shows only one.
 const DISPARITY: u32 = 0x0002_0002;
 const REPRESENTATIVE: u32 = 0x2000_0000;
-/// Numerator and denominator of a ratio that is unknown.
+/// Numerator and denominator of an unknown ratio.
 const UNKNOWN: [u32; 2] = [u32::MAX; 2];
 
-/// Types of values.
+/// Value types.
 const LONG: u16 = 4;
 const RATIONAL: u16 = 5;
 const UNDEFINED: u16 = 7;
@@ -24,10 +24,11 @@ const SRATIONAL: u16 = 10;
 
 /// Joins the JPEG files of the left and the right eye.
 pub(crate) fn join(left: &[u8], right: &[u8]) -> Vec<u8> {
-    // the length of the segments does not depend on what they say
+    // the segments' length does not depend on their values
     let first = left.len() + segment(&index(0, 0, 0)).len();
     let second = [right.get(..2).unwrap_or_default(), &segment(&attributes(2, 8)), right.get(2..).unwrap_or_default()].concat();
-    // places in the file count from the header in the first segment: behind the start, the marker, the length and the name
+    // offsets in the file count from the header in the first segment, which follows the start marker, the segment's marker, its length and
+    // its name
     let base = 2 + 4 + NAME.len();
     let index = index(first as u32, second.len() as u32, (first - base) as u32);
     [left.get(..2).unwrap_or_default(), &segment(&index), left.get(2..).unwrap_or_default(), &second].concat()
@@ -38,7 +39,8 @@ fn segment(body: &[u8]) -> Vec<u8> {
     [&APP2[..], &length.to_be_bytes(), NAME, &TIFF, body].concat()
 }
 
-/// The directory of the whole file, by the bytes of both pictures and the place of the second, and that of the first picture.
+/// The directory of the whole file, then that of the first picture. `first` and `second` are the pictures' sizes in bytes; `place` is the
+/// offset of the second.
 fn index(first: u32, second: u32, place: u32) -> Vec<u8> {
     let pictures_at = TIFF.len() + DIRECTORY + 3 * ENTRY;
     let next = pictures_at + 2 * PICTURE;
@@ -52,8 +54,8 @@ fn index(first: u32, second: u32, place: u32) -> Vec<u8> {
     [directory(&entries, next as u32), pictures, attributes(1, next)].concat()
 }
 
-/// The directory of the picture with this number, which lies `at` bytes behind the header. How far the eyes are apart is unknown, as the photo's
-/// scale is.
+/// The directory of picture `number`, which starts `at` bytes after the header. The distance between the eyes is unknown, because the
+/// photo's scale is.
 fn attributes(number: u32, at: usize) -> Vec<u8> {
     let ratios_at = (at + DIRECTORY + 5 * ENTRY) as u32;
     let entries = [

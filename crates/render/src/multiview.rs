@@ -1,4 +1,4 @@
-//! Pictures made of several views: stereo pairs and quilts for light-field displays.
+//! Pictures that combine several views: stereo pairs, and quilts for light-field displays.
 
 use std::sync::Arc;
 
@@ -37,45 +37,45 @@ pub enum StereoLayout {
     AnaglyphAmberBlue,
 }
 
-/// How the views of a picture lie in it.
+/// How views are arranged in a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Arrangement {
-    /// The views of two eyes.
+    /// Views of two eyes.
     Stereo(StereoLayout),
-    /// `columns × rows` views from left to right, row after row from the lower left, as light-field displays take them.
+    /// `columns × rows` views from left to right, row by row from the lower left, as light-field displays expect them.
     Quilt {
-        /// Views in a row, at least 1.
+        /// Views per row, at least 1.
         columns: u32,
-        /// Rows, at least 1.
+        /// Number of rows, at least 1.
         rows: u32,
     },
 }
 
-/// Cameras in a row that look the same way.
+/// A row of cameras that look in the same direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rig {
-    /// What becomes of their views.
+    /// How to combine their views.
     pub arrangement: Arrangement,
-    /// From the first camera to the last, in units of the nearest distance.
+    /// Distance from the first to the last camera, in units of the nearest distance.
     pub baseline: f64,
-    /// Disparity that lies at the same place in all views: what is nearer stands before the screen.
+    /// Disparity that appears at the same position in all views; nearer points appear in front of the screen.
     pub focus: f64,
 }
 
-/// Distance of the eyes where none is given: a thirtieth of the distance to the nearest thing, as stereographers have it.
-pub const EYES: f64 = 1.0 / 30.0;
+/// Default distance of the eyes: a thirtieth of the distance to the nearest surface, a rule of stereographers.
+pub const EYE_DISTANCE: f64 = 1.0 / 30.0;
 
-/// Most views of a quilt.
+/// Maximum number of views of a quilt.
 pub const MAX_QUILT: u32 = 100;
 
 impl StereoLayout {
-    /// The layout that a name of the command line and of queries stands for.
+    /// Returns the layout of a name in the command line or a query.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         <Self as clap::ValueEnum>::from_str(name, false).ok()
     }
 
-    /// The name of the command line and of queries.
+    /// The layout's name in the command line and in queries.
     #[must_use]
     pub fn name(self) -> String {
         clap::ValueEnum::to_possible_value(&self).map(|value| value.get_name().to_owned()).unwrap_or_default()
@@ -103,7 +103,7 @@ impl StereoLayout {
 }
 
 impl Arrangement {
-    /// Views in a row of the picture, and rows.
+    /// Number of columns and rows of views in the picture.
     const fn cells(self) -> (u32, u32) {
         match self {
             Self::Stereo(StereoLayout::SideBySide | StereoLayout::HalfSideBySide | StereoLayout::Crossed) => (2, 1),
@@ -113,7 +113,7 @@ impl Arrangement {
         }
     }
 
-    /// Width and height of the picture in multiples of those of a view; a squeezed view may make it a pixel less.
+    /// Width and height of the picture, as multiples of a view's; a squeezed view may make it one pixel smaller.
     #[must_use]
     pub const fn grid(self) -> (u32, u32) {
         let (columns, rows) = self.cells();
@@ -121,7 +121,7 @@ impl Arrangement {
         (columns / wide, rows / high)
     }
 
-    /// Size of the picture whose views have `width × height` pixels before they are squeezed.
+    /// Size of the picture, for views of `width × height` pixels before they are squeezed.
     #[must_use]
     pub fn size(self, (width, height): (u32, u32)) -> (u32, u32) {
         let ((columns, rows), (wide, high)) = (self.cells(), self.squeeze());
@@ -141,10 +141,10 @@ impl Arrangement {
         if let Self::Stereo(layout) = self { layout.squeeze() } else { (1, 1) }
     }
 
-    /// `CxR`, both at least 1 and at most [`MAX_QUILT`] views.
+    /// Parses `CxR`, both at least 1 and at most [`MAX_QUILT`] views in total.
     ///
     /// # Errors
-    /// What is wrong, as text.
+    /// A text that says what is wrong.
     pub fn quilt(text: &str) -> Result<Self, String> {
         let parsed = text.split_once(['x', 'X']).and_then(|(c, r)| Some((c.parse::<u32>().ok()?, r.parse::<u32>().ok()?)));
         match parsed {
@@ -157,7 +157,7 @@ impl Arrangement {
 }
 
 impl Rig {
-    /// Cameras of the views in their order, around `camera`.
+    /// The views' cameras around `camera`, in view order.
     fn cameras(&self, camera: &Camera) -> impl Iterator<Item = Camera> + use<> {
         let (count, (wide, high)) = (self.arrangement.views(), self.arrangement.squeeze());
         let (rig, camera) = (*self, squeezed(camera, wide, high));
@@ -171,7 +171,7 @@ impl Rig {
     }
 }
 
-/// The camera with its picture squeezed to `1 / wide` of the width and `1 / high` of the height, at least a pixel.
+/// The camera with its picture squeezed to `1 / wide` of the width and `1 / high` of the height, at least one pixel.
 fn squeezed(camera: &Camera, wide: u32, high: u32) -> Camera {
     let (width, height) = ((camera.width / wide).max(1), (camera.height / high).max(1));
     let (sx, sy) = (f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
@@ -180,8 +180,8 @@ fn squeezed(camera: &Camera, wide: u32, high: u32) -> Camera {
     Camera { intrinsics, width, height, ..*camera }
 }
 
-/// Disparity that views turn about where none is chosen, and that lies in the screen of stereo pairs: the median over the photo's
-/// area, in steps of 1/256, as the page's viewer has it. 0.35 where nothing of the photo is seen.
+/// Default disparity that views turn about, which is also the screen plane of stereo pairs: the median over the photo's area, in steps of
+/// 1/256, as in the page's viewer. 0.35 if the scene shows nothing of the photo.
 #[must_use]
 pub fn pivot(scene: &Scene) -> f64 {
     const BINS: usize = 256;
@@ -205,7 +205,7 @@ pub fn pivot(scene: &Scene) -> f64 {
     median.map_or(UNKNOWN, |bin| (bin as f64 + 0.5) / BINS as f64)
 }
 
-/// Draws `scene` by all cameras of `rig` around `camera`, whose size is that of one view before it is squeezed.
+/// Draws `scene` for all cameras of `rig` around `camera`, whose size is that of one view before it is squeezed.
 ///
 /// # Errors
 /// [`RenderError`].
@@ -215,7 +215,7 @@ pub fn draw_multiview(renderer: &dyn Renderer, scene: &Arc<Scene>, camera: &Came
         if let Some(mix) = layout.mix() {
             return Ok(anaglyph(&renderer.render(scene, left)?, &renderer.render(scene, right)?, mix));
         }
-        // rows of a quilt begin at the bottom, while the left eye is on top
+        // the rows of a quilt start at the bottom, but the left eye's view is on top
         if matches!(layout, StereoLayout::Crossed | StereoLayout::TopBottom | StereoLayout::HalfTopBottom) {
             cameras.reverse();
         }
@@ -235,14 +235,14 @@ pub fn draw_multiview(renderer: &dyn Renderer, scene: &Arc<Scene>, camera: &Came
     Ok(out)
 }
 
-/// Rows of red, green and blue of an anaglyph, by the colours of each eye's view.
+/// For each eye, the matrix from the view's colour to the red, green and blue of an anaglyph.
 struct Mix {
     left: [[f32; 3]; 3],
     right: [[f32; 3]; 3],
 }
 
-/// Least-squares projections onto what the eyes see through the glasses, which keep the colours of skin and leaves, with little ghosting:
-/// Dubois, *A projection method to generate anaglyph stereo images*, ICASSP 2001; matrices of his table of 2009.
+/// Least-squares projections onto what the eyes see through the glasses. They keep the colours of skin and leaves, with little ghosting.
+/// Source: Dubois, *A projection method to generate anaglyph stereo images*, ICASSP 2001; matrices from his table of 2009.
 const RED_CYAN: Mix = Mix {
     left: [[0.456, 0.500, 0.176], [-0.040, -0.038, -0.016], [-0.015, -0.021, -0.005]],
     right: [[-0.043, -0.088, -0.002], [0.378, 0.734, -0.018], [-0.072, -0.113, 1.226]],
@@ -255,7 +255,7 @@ const AMBER_BLUE: Mix = Mix {
     left: [[1.062, -0.205, 0.299], [-0.026, 0.908, 0.068], [-0.038, -0.173, 0.022]],
     right: [[-0.016, -0.123, -0.017], [0.006, 0.062, -0.017], [0.094, 0.185, 0.911]],
 };
-/// Luma of BT.601.
+/// Luma weights of BT.601.
 const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 const GREY: Mix = Mix { left: [LUMA, [0.0; 3], [0.0; 3]], right: [[0.0; 3], LUMA, LUMA] };
 
@@ -264,7 +264,7 @@ fn anaglyph(left: &View, right: &View, mix: &Mix) -> View {
         let alpha = l[3].min(r[3]);
         let [red, green, blue] = std::array::from_fn(|i| {
             let sum: f32 = (0..3).map(|c| mix.left[i][c] * f32::from(l[c]) + mix.right[i][c] * f32::from(r[c])).sum();
-            // `as` saturates; premultiplied colour is at most alpha
+            // `as` saturates; a premultiplied colour is at most alpha
             ((sum + 0.5) as u8).min(alpha)
         });
         [red, green, blue, alpha]

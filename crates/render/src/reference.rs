@@ -1,4 +1,4 @@
-//! The standard that the other backends are held against: `f64`, every sample of a pixel gathered, sorted and composited.
+//! The reference for the other backends: in `f64`, gathers, sorts and composites all samples of a pixel.
 
 use std::sync::Arc;
 
@@ -9,10 +9,10 @@ use super::layer_footprint::Footprint;
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene};
 
-/// The paper's algorithm 1 as it stands.
+/// The paper's algorithm 1 without shortcuts.
 ///
-/// A pixel's samples are composited nearest first by target disparity; where two are equal, the layer of the higher index is nearer.
-/// Colours are interpolated bilinearly on premultiplied texels, clamped to the layer's rectangle.
+/// Composites the samples of a pixel by target disparity, nearest first; of equal ones, the layer with the higher index is nearer.
+/// Interpolates colours bilinearly on premultiplied texels, clamped to the layer's rectangle.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Reference;
 
@@ -86,7 +86,7 @@ fn composite(mut samples: Vec<Sample>) -> [f64; 4] {
     sum
 }
 
-/// Premultiplied colour at `(x, y)` texels from the upper left border of a `w × h` rectangle.
+/// Premultiplied colour at `(x, y)`, in texels from the upper left corner of a `w × h` rectangle.
 fn bilinear(texels: &[[u8; 4]], w: usize, h: usize, x: f64, y: f64) -> [f64; 4] {
     let (x, y) = ((x - 0.5).max(0.0).min((w - 1) as f64), (y - 0.5).max(0.0).min((h - 1) as f64));
     let (x0, y0) = (x as usize, y as usize);

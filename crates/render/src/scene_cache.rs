@@ -1,4 +1,4 @@
-//! What does not depend on the camera, kept per scene: texels in drawing form, drawing order, and the caches that hold them.
+//! Camera-independent data of a scene: texels in drawing form, drawing order, and the caches that hold them.
 
 use std::sync::{Arc, Weak};
 
@@ -8,7 +8,7 @@ use super::OPAQUE;
 use super::border::{Expander, Piece, mirror_blur, pieces};
 use super::cpu::ReferenceView;
 
-/// What the texels of a piece allow to be left out.
+/// Which drawing passes a piece's texels need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Content {
     /// Some sample can reach the alpha that counts as opaque.
@@ -18,7 +18,7 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// Of rows of the texels' alphas: an interpolated alpha lies between them.
+    /// From rows of the texels' alphas: an interpolated alpha lies between their minimum and maximum.
     pub fn of<'a>(rows: impl Iterator<Item = &'a [u8]>) -> Self {
         let (mut least, mut most) = (u8::MAX, 0);
         for row in rows {
@@ -29,9 +29,10 @@ impl Content {
     }
 }
 
-/// Pieces back to front by (mean δ, index): the same for every camera that looks forward, so nothing flickers.
+/// Pieces from back to front, by (mean δ, index). The order is the same for every camera that looks forward, so nothing flickers.
 ///
-/// `backward` is for cameras that look against the reference camera's view: rays meet the planes in the opposite order, ties stay.
+/// `backward` is for cameras that look against the reference camera's direction: their rays meet the planes in the opposite order; the
+/// order of ties stays.
 pub(super) fn back_to_front(scene: &Scene, pieces: &[Piece], backward: bool) -> Vec<usize> {
     let sign = if backward { -1.0 } else { 1.0 };
     let mean: Vec<f64> = pieces.iter().map(|p| sign * p.mean_delta(scene.grid.half())).collect();
@@ -40,30 +41,30 @@ pub(super) fn back_to_front(scene: &Scene, pieces: &[Piece], backward: bool) -> 
     order
 }
 
-/// Texels that are worth a thread to expand them.
+/// Number of texels that is worth a thread to expand them.
 const THREAD_TEXELS: usize = 1 << 17;
 
-/// Texels after the last one.
+/// Number of extra texels after the last one.
 pub(super) const PADDING: usize = 8;
 
 /// A scene as the `cpu` backend draws it.
 #[derive(Debug)]
 pub(super) struct Prepared {
-    /// The layers and what is mirrored beyond the borders.
+    /// The layers, and their mirror images beyond the borders.
     pub pieces: Vec<Piece>,
-    /// Straight-alpha texels of all pieces; each has its last column and last row twice, so that two by two neighbours always exist.
-    /// After the last come [`PADDING`] more, so that several may be loaded at once.
+    /// Straight-alpha texels of all pieces. Each piece repeats its last column and last row, so that all 2×2 neighbours exist. [`PADDING`]
+    /// more texels follow the last one, so that a kernel may load several at once.
     pub texels: Vec<[u8; 4]>,
-    /// Place of each piece's first texel; its rows are one texel longer than the piece.
+    /// Index of each piece's first texel. The piece's rows are one texel longer than the piece.
     pub first: Vec<usize>,
-    /// Pieces with anything to draw, nearest first; those that reach infinity come last, the highest index first.
+    /// Pieces with visible content, nearest first. Those that reach infinity come last, the highest index first.
     pub order: Vec<usize>,
-    /// Whether the view from the photo's own place is the photo.
+    /// Whether the view from the photo's own position is the photo.
     pub reference: ReferenceView,
 }
 
 impl Prepared {
-    /// Checks and expands `scene`; `blurred`: mirrored pieces are blurred.
+    /// Validates and expands `scene`; `blurred` blurs mirrored pieces.
     pub fn new(scene: &Scene, blurred: bool) -> Result<Self, SceneError> {
         scene.validate()?;
         let pieces = pieces(scene);
@@ -71,7 +72,7 @@ impl Prepared {
         Ok(Self::of(scene, pieces, blur.as_ref()))
     }
 
-    /// Checks and expands what the photo's own place sees of `scene`: nothing beyond the borders.
+    /// Validates and expands what the photo's own position sees of `scene`, without mirrored pieces.
     pub fn for_reference_view(scene: &Scene) -> Result<Self, SceneError> {
         scene.validate()?;
         let mut pieces = pieces(scene);
@@ -92,7 +93,7 @@ impl Prepared {
         let mut order = back_to_front(scene, &pieces, false);
         order.retain(|&i| drawn(i));
         order.reverse();
-        // all that is beyond infinity counts as being there, where the index decides: the higher one comes first
+        // everything beyond infinity counts as at infinity, where the index decides: the higher one comes first
         let (mut order, mut last): (Vec<usize>, Vec<usize>) =
             order.into_iter().partition(|&i| pieces[i].least_delta(scene.grid.half()) > 0.0);
         last.sort_unstable_by(|a, b| b.cmp(a));
@@ -109,7 +110,7 @@ impl Prepared {
         Self { pieces, texels, first, order, reference: ReferenceView::default() }
     }
 
-    /// Bytes that [`Prepared::new`] takes for `scene`, at most.
+    /// Maximum number of bytes that [`Prepared::new`] takes for `scene`.
     pub fn bytes(scene: &Scene) -> usize {
         let pieces = pieces(scene);
         let texels = pieces.iter().map(padded).sum::<usize>() + PADDING;
@@ -117,9 +118,9 @@ impl Prepared {
     }
 }
 
-/// Writes the texels of pieces into their places, `count` of them.
+/// Expands the texels of pieces, `count` in total, into their slices.
 ///
-/// Threads of its own, not rayon's: one of those may wait for this scene while it holds what this waits for.
+/// Uses its own threads, not rayon's: a rayon thread may wait for this scene while it holds what this function waits for.
 fn expand(scene: &Scene, blur: Option<&MirrorBlur>, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(count / THREAD_TEXELS);
     if threads < 2 {
@@ -160,16 +161,16 @@ fn expand_some(scene: &Scene, blur: Option<&MirrorBlur>, parts: &mut [(&Piece, &
     }
 }
 
-/// Texels of a piece with the column and the row that come twice.
+/// Number of texels of a piece, with the repeated column and row.
 fn padded(piece: &Piece) -> usize {
     (piece.size[0] as usize + 1) * (piece.size[1] as usize + 1)
 }
 
-/// Values by scene, within a budget of bytes; the least recently used go first, those of dropped scenes at once.
+/// Values by scene, within a budget in bytes. Evicts the least recently used values first, and those of dropped scenes at once.
 #[derive(Debug)]
 pub(super) struct SceneCache<T> {
     budget: usize,
-    /// Least recently used first. A `Weak` keeps its address taken, so equal pointers are the same scene.
+    /// Least recently used first. A `Weak` keeps the allocation, so equal pointers mean the same scene.
     entries: Vec<(Weak<Scene>, usize, T)>,
 }
 
@@ -179,12 +180,12 @@ impl<T> SceneCache<T> {
         Self { budget, entries: Vec::new() }
     }
 
-    /// Lets go of the values of dropped scenes.
+    /// Removes the values of dropped scenes.
     pub fn settle(&mut self) {
         self.entries.retain(|(weak, ..)| weak.strong_count() > 0);
     }
 
-    /// The value of `scene`, which becomes the most recently used.
+    /// Returns the value of `scene` and marks it as the most recently used.
     pub fn get(&mut self, scene: &Arc<Scene>) -> Option<&mut T> {
         self.settle();
         let at = self.entries.iter().position(|(weak, ..)| std::ptr::eq(weak.as_ptr(), Arc::as_ptr(scene)))?;
@@ -192,7 +193,7 @@ impl<T> SceneCache<T> {
         self.entries.last_mut().map(|(.., value)| value)
     }
 
-    /// Makes room for `bytes`, then creates the value of `scene`. The newest stays even where it alone exceeds the budget.
+    /// Makes room for `bytes`, then creates the value of `scene`. The newest value stays even if it alone exceeds the budget.
     pub fn insert(&mut self, scene: &Arc<Scene>, bytes: usize, create: impl FnOnce() -> T) -> &mut T {
         while !self.entries.is_empty() && self.bytes().saturating_add(bytes) > self.budget {
             self.entries.remove(0);

@@ -1,8 +1,8 @@
-//! Small scenes for the unit tests of this module.
+//! Small scenes for this crate's unit tests.
 
 use tmpi_core::{Class, Grid, Intrinsics, Layer, Photo, Plane, Scene, Texels, ViewBox};
 
-/// One tile, one fronto-parallel layer of disparity `delta` that shows the photo.
+/// One tile with one fronto-parallel layer of disparity `delta` that shows the photo.
 pub(super) fn flat(width: u32, height: u32, delta: f64) -> Scene {
     let rgb = (0..width * height).map(|i| [(i * 7 % 256) as u8, (i / width) as u8, 90]).collect();
     let layer = |rect| Layer { tile: 0, plane: Plane::fronto_parallel(delta), rect, first_texel: 0, first_hidden: 0 };

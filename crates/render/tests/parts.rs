@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use tmpi_core::container::fixtures::{bare_in, discs};
-use tmpi_core::container::{RegionPhoto, Tiles, decode, region};
+use tmpi_core::container::{RegionPhoto, TileRect, decode, region};
 use tmpi_core::{Camera, Grid, Pose, Rect, Scene};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Backend, select};
@@ -20,7 +20,7 @@ fn views(whole: &Arc<Scene>, part: &Arc<Scene>, pose: Pose) -> [Vec<[u8; 4]>; 2]
 #[test]
 fn away_from_its_border_a_region_looks_as_the_whole() {
     let whole = bare_in(None, &discs(500, 440));
-    let tiles = Tiles::over_region(&whole, Rect { x: 120, y: 120, w: 250, h: 240 }).unwrap().unwrap();
+    let tiles = TileRect::over_region(&whole, Rect { x: 120, y: 120, w: 250, h: 240 }).unwrap().unwrap();
     let [exact, coded] =
         [RegionPhoto::Lossless, RegionPhoto::Jpeg].map(|photo| Arc::new(decode(&region(&whole, &tiles, 0, photo).unwrap()).unwrap()));
     let whole = Arc::new(decode(&whole).unwrap());

@@ -93,5 +93,5 @@ fn readable(settings: &Settings) -> anyhow::Result<()> {
     let Some(file) = &settings.depth_file else { return Ok(()) };
     let open = |file: &Path| std::fs::File::open(file).map(drop).with_context(|| file.display().to_string());
     open(file)?;
-    models::beside(file)?.iter().try_for_each(|(_, beside)| open(beside))
+    models::external_data_files(file)?.iter().try_for_each(|(_, weights)| open(weights))
 }

@@ -13,27 +13,27 @@ fn limits(args: &[&str]) -> Limits {
 }
 
 #[test]
-fn without_arguments_the_limits_are_the_documented_ones() {
+fn without_arguments_the_limits_have_their_documented_defaults() {
     assert_eq!(limits(&[]), Limits::default());
     let photo = limits(&[]).photo();
     assert_eq!((photo.bytes, photo.pixels), (tmpi_pipeline::photo::Limits::BYTES, tmpi_pipeline::photo::Limits::PIXELS));
 }
 
 #[test]
-fn what_is_set_counts_more_than_what_follows_from_flags() {
+fn explicit_settings_override_those_implied_by_flags() {
     let shared = limits(&["--memory", "256", "--set", "cache.scenes=9", "--workers", "3"]);
     assert_eq!((shared.cache.scenes, shared.cache.files, shared.job_memory, shared.workers), (9 << 20, 4 << 20, 240 << 20, 3));
 }
 
 #[test]
-fn a_node_that_works_has_a_database() {
+fn a_worker_node_needs_a_database() {
     let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.at_work();
     assert!(of(&[]).unwrap_err().is::<Usage>());
     assert_eq!(of(&["--database", "postgres://db/tmpi"]).unwrap().role, Role::Work);
 }
 
 #[test]
-fn access_is_private_beyond_loopback_and_with_another_host_name() {
+fn access_is_private_beyond_loopback_and_with_host_names() {
     let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.is_private();
     assert!(!of(&[]) && !of(&["--addr", "[::1]:80"]), "loopback is open by default");
     assert!(of(&["--addr", "0.0.0.0:80"]) && of(&["--host", "photos.example"]) && of(&["--access", "private"]));
@@ -72,7 +72,7 @@ fn addresses_are_written_as_people_write_them() {
 }
 
 #[test]
-fn a_node_that_advertises_an_address_shares_a_database() {
+fn a_node_with_a_shared_address_needs_a_shared_database() {
     let of = |args: &[&str]| Cli::try_parse_from([&["serve", "--advertise"], args].concat()).ok().and_then(|c| c.serve.advertise);
     let database = ["--database", "postgres://127.0.0.1/tmpi"];
     assert_eq!(of(&[&["http://10.0.0.3:8080"][..], &database].concat()).unwrap().host(), "10.0.0.3");
@@ -80,7 +80,7 @@ fn a_node_that_advertises_an_address_shares_a_database() {
 }
 
 #[test]
-fn a_server_for_others_says_goodbye_before_it_goes() {
+fn a_public_server_has_a_lame_duck_period() {
     let of = |args: &[&str]| limits(args).lame_duck.as_secs();
     assert_eq!((of(&[]), of(&["--addr", "0.0.0.0:80"]), of(&["--set", "limits.lame-duck=9"])), (0, 5, 9));
 }

@@ -8,9 +8,9 @@ use tokio_util::sync::CancellationToken;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Hello};
 
-use super::{Room, Viewer, Watches};
+use super::{Room, Viewer, ViewerKind};
 use crate::live::chunk_store::Chunks;
-use crate::live::ring::What;
+use crate::live::ring::MessageKind;
 
 impl Room {
     /// Whether this node is an edge of the room.
@@ -52,7 +52,7 @@ impl Room {
             return false;
         }
         if hello.epoch > state.epoch {
-            (state.epoch, state.came, state.farewell) = (hello.epoch, hello.epoch, None);
+            (state.epoch, state.publisher_epoch, state.farewell) = (hello.epoch, hello.epoch, None);
             state.begin(hello, Some(chunks));
             drop(state);
             self.changed();
@@ -71,17 +71,17 @@ impl Room {
                 Kind::Video(video) if state.relayed >= Some(video.frame) => return,
                 Kind::Video(video) => {
                     state.relayed = Some(video.frame);
-                    if video.key { What::Key } else { What::Frame { layer: video.layer } }
+                    if video.key { MessageKind::Key } else { MessageKind::Frame { layer: video.layer } }
                 }
                 Kind::Geometry(tiles) | Kind::Snapshot(tiles) => {
                     if !state.chunks.as_mut().is_some_and(|chunks| chunks.take(tiles)) {
                         return;
                     }
-                    What::Geometry { frame: tiles.frame }
+                    MessageKind::Geometry { frame: tiles.frame }
                 }
-                Kind::Sound(_) => What::Sound,
+                Kind::Sound(_) => MessageKind::Sound,
                 Kind::Statistics(told) => {
-                    state.elsewhere = told.viewers.saturating_sub(state.viewers as u32);
+                    state.remote_viewers = told.viewers.saturating_sub(state.viewers as u32);
                     state.statistics = *told;
                     return;
                 }
@@ -92,11 +92,11 @@ impl Room {
     }
 
     /// Records an edge's number of viewers, and requests a key frame if one of them needs it.
-    pub fn hear_edge(&self, viewer: &mut Viewer, viewers: u32, key: bool) {
-        let Watches::Edge(before) = viewer.kind else { return };
+    pub fn update_edge(&self, viewer: &mut Viewer, viewers: u32, key: bool) {
+        let ViewerKind::Edge(before) = viewer.kind else { return };
         let mut state = self.lock();
-        state.at_edges = state.at_edges.saturating_sub(before).saturating_add(viewers);
-        viewer.kind = Watches::Edge(viewers);
+        state.edge_viewers = state.edge_viewers.saturating_sub(before).saturating_add(viewers);
+        viewer.kind = ViewerKind::Edge(viewers);
         if key {
             self.want_key(&mut state, Instant::now());
         }

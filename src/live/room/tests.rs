@@ -2,7 +2,7 @@ use std::collections::BTreeSet;
 
 use futures_util::FutureExt as _;
 use tmpi_core::live::chunk::{self, Area};
-use tmpi_core::live::{Model, read};
+use tmpi_core::live::{TileState, read};
 use tmpi_core::{Geometry, Photo};
 
 use super::*;
@@ -19,8 +19,8 @@ pub struct Made {
 
 impl Made {
     pub fn new() -> Self {
-        let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
-        assert_eq!(room.publish(Model::hello(&tiles), 0, EPOCH), EPOCH);
+        let (room, tiles) = (Room::new(RoomLimits::default()), geometry(0.5));
+        assert_eq!(room.publish(TileState::hello(&tiles), 0, EPOCH), EPOCH);
         let mut made = Self { room, tiles, frame: 0 };
         made.next(true, 10, Some(Area::all(&made.tiles.grid)));
         made
@@ -30,14 +30,14 @@ impl Made {
     pub fn next(&mut self, key: bool, bytes: usize, changed: Option<Area>) {
         self.frame += 1;
         let video = schema::Video { frame: self.frame, key, data: vec![0; bytes].into(), ..schema::Video::default() };
-        self.room.push(EPOCH, if key { What::Key } else { What::Frame { layer: 0 } }, write(Kind::Video(video)));
+        self.room.push(EPOCH, if key { MessageKind::Key } else { MessageKind::Frame { layer: 0 } }, write(Kind::Video(video)));
         // exactly representable when encoded
         let depth = 0.125 + self.frame as f64 / 64.0;
         for tile in changed.into_iter().flat_map(|area| area.tiles(&self.tiles.grid)) {
             self.tiles.tiles[tile as usize] = geometry(depth).tiles[tile as usize].clone();
         }
         let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-        self.room.keep(EPOCH, FrameWithTiles::new(self.frame, photo, self.tiles.clone()), |_| {});
+        self.room.set_newest_frame(EPOCH, FrameWithTiles::new(self.frame, photo, self.tiles.clone()), |_| {});
         if let Some(area) = changed {
             self.room.push_tiles(EPOCH, message(&self.tiles, area, self.frame));
         }
@@ -52,7 +52,7 @@ impl Made {
 /// A viewer.
 pub struct Watcher {
     viewer: Viewer,
-    pub model: Model,
+    pub model: TileState,
     frames: usize,
     /// Tiles of each GEOMETRY message of the room.
     pub given: Vec<BTreeSet<u32>>,
@@ -65,8 +65,8 @@ impl Watcher {
 
     /// Joins a room with such tiles.
     pub fn at(room: &Room, tiles: &Geometry) -> Self {
-        let model = Model::new(&Model::hello(tiles)).unwrap();
-        let mut watcher = Self { viewer: room.join(Watches::Itself).unwrap(), model, frames: 0, given: Vec::new() };
+        let model = TileState::new(&TileState::hello(tiles)).unwrap();
+        let mut watcher = Self { viewer: room.join(ViewerKind::Local).unwrap(), model, frames: 0, given: Vec::new() };
         watcher.read(room);
         watcher
     }
@@ -89,24 +89,24 @@ impl Watcher {
         let mut told = Vec::new();
         loop {
             match room.next(&mut self.viewer) {
-                Next::Send(bytes) if matches!(read(bytes.clone()), Ok(Kind::Geometry(_) | Kind::Snapshot(_))) => {
+                NextStep::Send(bytes) if matches!(read(bytes.clone()), Ok(Kind::Geometry(_) | Kind::Snapshot(_))) => {
                     let tiles = self.take(bytes);
                     self.given.push(tiles);
                 }
-                Next::Send(_) => self.frames += 1,
-                Next::Hello(_) | Next::Tiles => {
+                NextStep::Send(_) => self.frames += 1,
+                NextStep::Hello(_) | NextStep::Tiles => {
                     let sent = room.tiles(&mut self.viewer).map(|bytes| self.take(bytes.unwrap()));
                     told.push(sent.unwrap_or_default());
                 }
-                Next::Wait => return told,
-                Next::Closed => panic!("the room is closed"),
+                NextStep::Wait => return told,
+                NextStep::Closed => panic!("the room is closed"),
             }
         }
     }
 }
 
 #[test]
-fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who_comes_then() {
+fn after_a_skip_a_viewer_gets_the_changed_tiles() {
     let mut made = Made::new();
     let mut slow = Watcher::new(&made);
     assert!(slow.model.geometry().is_some(), "a new viewer gets all tiles");
@@ -127,7 +127,7 @@ fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who
 }
 
 #[test]
-fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once() {
+fn a_skip_sends_only_changed_tiles_and_a_cut_sends_all_once() {
     let mut made = Made::new();
     let mut slow = Watcher::new(&made);
     for _ in 0..5 {
@@ -148,27 +148,27 @@ fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once(
 }
 
 #[test]
-fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() {
+fn another_publisher_begins_with_all_tiles() {
     let mut made = Made::new();
     let mut viewer = Watcher::new(&made);
     let all: BTreeSet<u32> = (0..made.tiles.grid.tiles()).collect();
     made.room.unpublish();
-    assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
-    made.room.push(EPOCH + 1, What::Key, vec![0; 10].into());
+    assert_eq!(made.room.publish(TileState::hello(&made.tiles), 0, 0), EPOCH + 1);
+    made.room.push(EPOCH + 1, MessageKind::Key, vec![0; 10].into());
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-    made.room.keep(EPOCH + 1, FrameWithTiles::new(0, photo, made.tiles.clone()), |_| {});
+    made.room.set_newest_frame(EPOCH + 1, FrameWithTiles::new(0, photo, made.tiles.clone()), |_| {});
     made.frame = 0;
     assert_eq!(viewer.read(&made.room), [all]);
 }
 
 #[test]
 fn tiles_sent_before_the_first_whole_frame_reach_new_viewers() {
-    let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
-    room.publish(Model::hello(&tiles), 0, EPOCH);
+    let (room, tiles) = (Room::new(RoomLimits::default()), geometry(0.5));
+    room.publish(TileState::hello(&tiles), 0, EPOCH);
     let mut made = Made { room, tiles, frame: 9 };
     let columns = Area { columns: 1, ..Area::all(&made.tiles.grid) };
     for column in 0..made.tiles.grid.columns() {
-        made.room.push(EPOCH, What::Key, vec![0; 10].into());
+        made.room.push(EPOCH, MessageKind::Key, vec![0; 10].into());
         made.room.push_tiles(EPOCH, message(&made.tiles, Area { column, ..columns }, u64::from(column)));
     }
     let whole = Watcher::new(&made);
@@ -177,13 +177,13 @@ fn tiles_sent_before_the_first_whole_frame_reach_new_viewers() {
     made.next(true, 10, None);
     made.tiles = geometry(0.25);
     made.room.push_tiles(EPOCH, message(&made.tiles, Area::all(&made.tiles.grid), made.frame + 1));
-    made.room.push(EPOCH, What::Key, vec![0; 10].into());
+    made.room.push(EPOCH, MessageKind::Key, vec![0; 10].into());
     let fresh = Watcher::new(&made);
     assert_eq!(fresh.model.geometry().map(|g| &g.tiles), Some(&made.tiles.tiles));
 }
 
 #[test]
-fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_once_a_second() {
+fn key_frames_are_requested_at_most_once_a_second_while_a_viewer_waits() {
     let mut made = Made::new();
     let asked = |made: &Made| made.room.keys.notified().now_or_never().is_some();
     let mut healthy = Watcher::new(&made);
@@ -215,7 +215,7 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
     }
     assert!(!asked(&made));
     // a viewer that cannot decode gets nothing before a key frame
-    healthy.viewer.lose();
+    healthy.viewer.skip_to_key();
     let frames = healthy.frames;
     made.next(false, 10, None);
     healthy.read(&made.room);
@@ -226,26 +226,26 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
 }
 
 #[test]
-fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_gone() {
-    let room = Room::new(Bounds::default());
-    let viewers: Vec<_> = (0..Bounds::VIEWERS).map_while(|_| room.join(Watches::Itself)).collect();
-    assert_eq!(viewers.len(), Bounds::VIEWERS);
-    assert!(room.is_full() && room.join(Watches::Itself).is_none());
-    assert!(room.join(Watches::Edge(0)).is_some(), "an edge takes no viewer's place");
-    room.part(&viewers[0]);
-    assert!(!room.is_full() && room.join(Watches::Itself).is_some());
+fn a_full_room_has_a_place_again_after_a_viewer_leaves() {
+    let room = Room::new(RoomLimits::default());
+    let viewers: Vec<_> = (0..RoomLimits::VIEWERS).map_while(|_| room.join(ViewerKind::Local)).collect();
+    assert_eq!(viewers.len(), RoomLimits::VIEWERS);
+    assert!(room.is_full() && room.join(ViewerKind::Local).is_none());
+    assert!(room.join(ViewerKind::Edge(0)).is_some(), "an edge takes no viewer's place");
+    room.leave(&viewers[0]);
+    assert!(!room.is_full() && room.join(ViewerKind::Local).is_some());
 }
 
 #[test]
 fn tiles_of_the_next_epoch_are_not_sent_after_the_hello_of_the_last_one() {
     let mut made = Made::new();
-    let mut viewer = made.room.join(Watches::Itself).unwrap();
-    assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH));
+    let mut viewer = made.room.join(ViewerKind::Local).unwrap();
+    assert!(matches!(made.room.next(&mut viewer), NextStep::Hello(hello) if hello.epoch == EPOCH));
     made.tiles = geometry(0.25);
-    assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
+    assert_eq!(made.room.publish(TileState::hello(&made.tiles), 0, 0), EPOCH + 1);
     let photo = Photo { width: 1, height: 1, rgb: vec![[0; 3]] };
-    made.room.keep(EPOCH + 1, FrameWithTiles::new(1, photo, made.tiles.clone()), |_| {});
+    made.room.set_newest_frame(EPOCH + 1, FrameWithTiles::new(1, photo, made.tiles.clone()), |_| {});
     assert!(made.room.tiles(&mut viewer).is_none());
-    assert!(matches!(made.room.next(&mut viewer), Next::Hello(hello) if hello.epoch == EPOCH + 1));
+    assert!(matches!(made.room.next(&mut viewer), NextStep::Hello(hello) if hello.epoch == EPOCH + 1));
     assert!(made.room.tiles(&mut viewer).is_some());
 }

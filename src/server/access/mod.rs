@@ -21,11 +21,11 @@ use axum::response::{IntoResponse, Response};
 use tmpi_library::{Grant, KEY_PREFIX, Library, Link, Millis, Owner, Photo, PhotoId, SESSION_PREFIX, Scope, Subject};
 
 use super::client_slots::client_address;
+use super::cross_site::check_origin;
 use super::hosts::Hosts;
 use super::photo_settings::{Settings, Visibility};
 use super::problem::Problem;
-use super::rates::{RateHeaders, RateKey, Rates};
-use crate::live::check_origin;
+use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
 use callers::{Principal, bearer, is_secret, new_secret};
 use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
 pub use cookies::{set_manage, set_owner};
@@ -63,7 +63,7 @@ fn caller() -> Option<Arc<Caller>> {
 }
 
 /// The rights with which a caller was admitted.
-pub struct Pass(Arc<Caller>);
+pub struct Admission(Arc<Caller>);
 
 /// Decides who may do what.
 pub struct Guard {
@@ -89,16 +89,16 @@ impl Guard {
     ///
     /// # Errors
     /// 401, 403, 404 or 405 if the caller has no right to the route, 429 if it sends too many requests.
-    pub async fn admit(&self, hosts: &Hosts, rates: &Rates, request: &mut Request) -> (RateHeaders, Result<Pass, Problem>) {
-        let come = self.come_in(hosts, request).await;
+    pub async fn admit(&self, hosts: &Hosts, rates: &RateLimiter, request: &mut Request) -> (RateHeaders, Result<Admission, Problem>) {
+        let come = self.authenticate(hosts, request).await;
         // refused requests count, too
         let key = come.as_ref().ok().and_then(|caller| if let Principal::Key(key) = &caller.who { Some(key.name.clone()) } else { None });
         let (told, taken) = rates.count(RateKey::of(key, client_address()), request);
-        (told, taken.and(come).map(|caller| Pass(Arc::new(caller))))
+        (told, taken.and(come).map(|caller| Admission(Arc::new(caller))))
     }
 
     /// Answers a request by `next`, with the caller available to handlers.
-    pub async fn answer(&self, Pass(caller): Pass, request: Request, next: Next) -> Response {
+    pub async fn answer(&self, Admission(caller): Admission, request: Request, next: Next) -> Response {
         let path = request.uri().path().to_owned();
         let headers = request.headers().clone();
         let link = request.extensions().get::<LinkInUrl>().and_then(|asked| asked.0.clone());
@@ -127,7 +127,7 @@ impl Guard {
     }
 
     /// Identifies the caller, and refuses what needs no photo to decide.
-    async fn come_in(&self, hosts: &Hosts, request: &mut Request) -> Result<Caller, Problem> {
+    async fn authenticate(&self, hosts: &Hosts, request: &mut Request) -> Result<Caller, Problem> {
         let permission = match request.extensions().get::<MatchedPath>() {
             // 404s and preflights need no rights
             None => Permission::Nothing,
@@ -154,11 +154,11 @@ impl Guard {
             Permission::Upload => who.require_scope(Scope::Upload, "upload")?,
             Permission::List => who.require_scope(Scope::Read, "read")?,
             Permission::Metrics if !who.has_scope(Scope::Metrics) => {
-                let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope metrics or admin";
+                let detail = "only this machine's own user, at a loopback address, and keys with the scope metrics or admin may do this";
                 return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
             Permission::Admin if !who.is_admin() => {
-                let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope admin";
+                let detail = "only this machine's own user, at a loopback address, and keys with the scope admin may do this";
                 return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
             _ => {}
@@ -238,7 +238,7 @@ impl Guard {
     ///
     /// # Errors
     /// 503 where the library cannot be reached.
-    pub async fn to_keep(&self, owner: &Owner) -> Result<String, Problem> {
+    pub async fn session_cookie(&self, owner: &Owner) -> Result<String, Problem> {
         match caller().as_deref() {
             Some(Caller { who: Principal::Owner(_, kept), .. }) => Ok(kept.clone()),
             _ => Ok(self.library.open_session(owner, None, Duration::from_secs(KEPT)).await?),
@@ -279,15 +279,15 @@ impl Guard {
 
     /// The caller's rights, for answers that go on; `None` without a caller.
     #[must_use]
-    pub fn pass() -> Option<Pass> {
-        caller().map(Pass)
+    pub fn admission() -> Option<Admission> {
+        caller().map(Admission)
     }
 
     /// Whether the caller still has access: its key may be revoked, its link expired, or the photo made private meanwhile.
-    pub async fn still_allows(&self, Pass(caller): &Pass, photo: &Photo) -> bool {
+    pub async fn still_allows(&self, Admission(caller): &Admission, photo: &Photo) -> bool {
         // a failed lookup denies
         let good = match &caller.who {
-            Principal::Key(key) => self.library.is_still_good(key).await.unwrap_or(false),
+            Principal::Key(key) => self.library.is_valid(key).await.unwrap_or(false),
             Principal::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => {
                 self.library.find_session(kept).await.is_ok_and(|found| found.is_some())
             }
@@ -318,7 +318,7 @@ impl Guard {
 
     /// Whether the caller has the rights of an administrator, and thus to all photos.
     #[must_use]
-    pub fn has_all() -> bool {
+    pub fn is_admin() -> bool {
         caller().is_some_and(|caller| caller.who.is_admin())
     }
 
@@ -343,7 +343,7 @@ impl Caller {
 
 /// The owner that the caller's secret or ticket names.
 #[must_use]
-pub fn to_be() -> Option<Owner> {
+pub fn named_owner() -> Option<Owner> {
     match &caller()?.who {
         Principal::Owner(owner, _) | Principal::Ticket(owner) => Some(owner.clone()),
         _ => None,
@@ -377,7 +377,7 @@ pub fn drop_link(request: &mut Request) {
 
 /// Whether two texts are equal, in a time that depends only on their lengths.
 #[must_use]
-pub fn same(a: &[u8], b: &[u8]) -> bool {
+pub fn constant_time_eq(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && std::hint::black_box(a.iter().zip(b).fold(0, |all, (x, y)| all | (x ^ y))) == 0
 }
 

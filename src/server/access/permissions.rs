@@ -53,7 +53,7 @@ const TABLE: &[(&str, &str, Permission)] = &[
     ("GET", "/v1/photos/{id}", Read),
     ("PATCH", "/v1/photos/{id}", Change),
     ("DELETE", "/v1/photos/{id}", Change),
-    ("POST", "/v1/photos/{id}/again", Change),
+    ("POST", "/v1/photos/{id}/remake", Change),
     ("POST", "/v1/photos/{id}/links", Change),
     ("POST", "/v1/photos/{id}/manage", Change),
     // a token does not entitle its holder to revoke it for others
@@ -121,7 +121,7 @@ mod tests {
     use crate::server::routes;
 
     #[test]
-    fn every_route_has_a_need_and_every_need_a_route() {
+    fn every_route_has_a_permission_and_every_permission_a_route() {
         let all = routes::routes();
         for route in &all {
             for method in &route.methods {

@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tokens_are_told_from_secrets_and_keys() {
+    fn tokens_secrets_and_keys_are_distinguishable() {
         let fine = format!("{PREFIX}{}", "0f".repeat(32));
         assert!(is_token(&fine) && link_of(&fine).is_some() && !super::super::callers::is_secret(&fine));
         for wrong in

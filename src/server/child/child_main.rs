@@ -8,12 +8,12 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use super::pipe_frames::{StageFrame, kind, read, write};
 use super::{GIVES_WAY, VARIABLE};
-use crate::server::exports::{Drawing, Recipe, Work};
+use crate::server::exports::{Drawing, ExportTask, Recipe};
 use crate::server::limits::Limits;
 use crate::server::maker::{Fault, Maker, PipelineMaker, Product};
 use crate::server::photo_options;
 use crate::server::problem::Problem;
-use crate::server::workers::{caught, said};
+use crate::server::workers::{catch_panic, panic_message};
 use tmpi_pipeline::{Progress, Silent, Sink, strokes};
 
 /// If memory is short, Linux kills the process with the highest score first: never the server because of a photo.
@@ -99,10 +99,10 @@ pub fn serve(maker: &PipelineMaker, limits: &Limits, drawing: Drawing<'_>) {
 
 fn file(recipe: &[u8], container: &[u8], limits: &Limits, drawing: Drawing<'_>) -> Result<Vec<u8>, Fault> {
     let recipe = Recipe::parse(&String::from_utf8_lossy(recipe), limits).map_err(Fault::Photo)?;
-    let work = Work { recipe: &recipe, container, drawing, is_low_priority: false };
+    let work = ExportTask { recipe: &recipe, container, drawing, is_low_priority: false };
     // the server kills this process to cancel
-    catch_unwind(AssertUnwindSafe(|| work.here(&Silent)))
-        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("writing a file panicked", &said(panic.as_ref())))))
+    catch_unwind(AssertUnwindSafe(|| work.run(&Silent)))
+        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("writing a file panicked", &panic_message(panic.as_ref())))))
 }
 
 fn tell_file(output: &FrameWriter<impl Write + Send>, outcome: Result<Vec<u8>, Fault>) {
@@ -136,7 +136,7 @@ fn one(
     let text: BTreeMap<String, String> = serde_json::from_slice(options).map_err(|e| Fault::Server(e.to_string()))?;
     let mut options = photo_options::from_text(&text).map_err(Fault::Photo)?;
     options.strokes = strokes::read(strokes).map_err(|e| Fault::Server(e.to_string()))?;
-    caught(|| maker.make(photo, depth, &options, sink))
+    catch_panic(|| maker.make(photo, depth, &options, sink))
 }
 
 fn answer(output: &FrameWriter<impl Write + Send>, outcome: Result<Product, Fault>) {

@@ -6,7 +6,7 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::Instant;
 
 use super::pipe_frames::kind;
-use super::{Frames, KEPT_BYTES, ProcessMaker, TICK, Worker, end, ending};
+use super::{ChildProcess, Frames, KEPT_BYTES, ProcessMaker, TICK, end, ending};
 use crate::server::maker::Fault;
 use tmpi_pipeline::Sink;
 
@@ -45,13 +45,13 @@ impl ProcessMaker {
     /// possible, else ends it.
     pub(super) fn ask<A: Answer>(
         &self,
-        mut worker: Worker,
+        mut worker: ChildProcess,
         send: impl FnOnce(&mut ChildStdin) -> io::Result<()> + Send,
         mut answer: A,
         sink: &dyn Sink,
     ) -> Result<A::Made, Fault> {
         let (outcome, keep) = std::thread::scope(|scope| {
-            let Worker { child, input, output, .. } = &mut worker;
+            let ChildProcess { child, input, output, .. } = &mut worker;
             // send on a thread: a process that does not read would block past deadline and cancellation
             let sending = std::thread::Builder::new().name("tmpi-sends".into()).spawn_scoped(scope, || {
                 // if the process has ended, the end of its output shows it

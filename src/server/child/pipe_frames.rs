@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_are_read_as_they_were_written_and_cut_ones_are_not() {
+    fn frames_read_back_and_truncated_ones_are_errors() {
         let mut bytes = Vec::new();
         write(&mut bytes, kind::PHOTO, b"abc").unwrap();
         write(&mut bytes, kind::MAKE, b"").unwrap();

@@ -17,7 +17,7 @@ const PAUSE: Duration = Duration::from_millis(2);
 ///
 /// # Errors
 /// If they cannot be removed.
-pub fn empty(data: &Path) -> io::Result<()> {
+pub fn remove_leftovers(data: &Path) -> io::Result<()> {
     match std::fs::remove_dir_all(data.join(FOLDER)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),

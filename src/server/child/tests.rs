@@ -57,7 +57,7 @@ fn credentials_are_not_passed_on() {
 #[test]
 #[allow(unsafe_code, reason = "a call of libc without memory of ours")]
 fn other_processes_cannot_read_the_memory_of_the_server() {
-    keep_from_others();
+    disable_process_inspection();
     // SAFETY: it takes no pointer
     assert_eq!(unsafe { libc::prctl(libc::PR_GET_DUMPABLE, 0, 0, 0, 0) }, 0);
 }
@@ -80,7 +80,7 @@ fn invalid_answers_of_a_process_fail_only_its_photo() {
 }
 
 #[test]
-fn an_idle_process_ends_after_its_rest() {
+fn an_idle_process_ends_after_its_timeout() {
     let dir = tempfile::tempdir().unwrap();
     let maker = maker(|| Ok(shell("cat > /dev/null")), dir.path());
     maker.prepare();
@@ -126,7 +126,7 @@ fn children_of_a_process_end_with_it_and_its_temporary_files_are_removed() {
         let told = dir.path().join("id");
         let recipe = Recipe::parse("format=zip", &Limits::default()).unwrap();
         // the folder exists before anything is sent
-        let work = Work { recipe: &recipe, container: b"line\n", drawing: &|| Err(String::new()), is_low_priority: true };
+        let work = ExportTask { recipe: &recipe, container: b"line\n", drawing: &|| Err(String::new()), is_low_priority: true };
         let fault = if n == 0 { maker.export(&work, &Once(&told)) } else { maker.export(&work, &Silent) }.unwrap_err();
         assert!(matches!((n, &fault), (0, Fault::Cancelled) | (1, Fault::Crashed(_))), "{fault:?}");
         let id = std::fs::read_to_string(&told).unwrap();
@@ -144,9 +144,9 @@ fn children_of_a_process_end_with_it_and_its_temporary_files_are_removed() {
 #[test]
 fn leftovers_of_earlier_processes_are_removed_at_the_start() {
     let dir = tempfile::tempdir().unwrap();
-    empty_scratch(dir.path()).unwrap();
+    remove_leftovers(dir.path()).unwrap();
     let left = scratch::folder(dir.path()).join("7/film");
     std::fs::create_dir_all(&left).unwrap();
-    empty_scratch(dir.path()).unwrap();
+    remove_leftovers(dir.path()).unwrap();
     assert!(!left.exists() && dir.path().exists());
 }

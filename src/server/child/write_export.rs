@@ -3,13 +3,13 @@
 use super::ProcessMaker;
 use super::exchange::Answer;
 use super::pipe_frames::{kind, write};
-use crate::server::exports::{Work, late};
+use crate::server::exports::{ExportTask, timeout_problem};
 use crate::server::maker::Fault;
 use tmpi_pipeline::Sink;
 
 impl ProcessMaker {
     /// Writes a file in a process that is killed if the file is unwanted or late.
-    pub(super) fn write_file(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+    pub(super) fn write_file(&self, work: &ExportTask<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
         let recipe = work.recipe.text();
         let worker = self.take(work.is_low_priority)?;
         self.ask(
@@ -40,6 +40,6 @@ impl Answer for Written {
     }
 
     fn late(&self) -> Fault {
-        Fault::Photo(late())
+        Fault::Photo(timeout_problem())
     }
 }

@@ -7,5 +7,5 @@ mod write_limits;
 
 pub use query::ExportQuery;
 pub use recipe::Recipe;
-pub use write::{Drawing, TITLE, Work, late};
-pub use write_limits::{WriteRequest, written};
+pub use write::{Drawing, ExportTask, TITLE, timeout_problem};
+pub use write_limits::{WriteRequest, write_export};

@@ -45,7 +45,7 @@ impl ExportQuery {
         })?;
         for name in ["shape", "textures"] {
             if format != ExportFormat::Glb && pairs.get(name).is_some() {
-                return Err(Problem::parameter(name, "goes with format=glb"));
+                return Err(Problem::parameter(name, "requires format=glb"));
             }
         }
         let shape = pairs.get("shape").map(|value| match value {

@@ -51,7 +51,7 @@ impl Recipe {
             return Ok(Self::Film(Box::new(query), size));
         }
         if let Some((_, film)) = pairs.iter().find(|(name, value)| name == "format" && AnimationFormat::from_extension(value).is_some()) {
-            return Err(Problem::parameter("path", format!("is wanted for {film}: one of {}", Path::NAMES.join(", "))));
+            return Err(Problem::parameter("path", format!("is required for {film}: one of {}", Path::NAMES.join(", "))));
         }
         let query = ExportQuery::of(Pairs::of(pairs, &["format", "shape", "textures"])?)?;
         Ok(Self::File { format: query.format, model: query.model() })
@@ -153,11 +153,11 @@ fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static s
         Arrangement::Stereo(_) => None,
     });
     let crop = q.crop.map(|c| format!("{},{},{},{}", c.corner[0], c.corner[1], c.size[0], c.size[1]));
-    let moving = q.moving.map(|m| (ending(m.format), way(m.path), m.frames));
+    let film = q.film.map(|m| (ending(m.format), way(m.path), m.frames));
     let all = [
-        ("path", moving.map(|m| m.1.to_owned())),
-        ("format", moving.map(|m| m.0.to_owned())),
-        ("frames", moving.map(|m| m.2.to_string())),
+        ("path", film.map(|m| m.1.to_owned())),
+        ("format", film.map(|m| m.0.to_owned())),
+        ("frames", film.map(|m| m.2.to_string())),
         ("w", Some(width.to_string())),
         ("h", Some(height.to_string())),
         ("tx", pose(q.tx)),
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn what_means_the_same_is_said_in_one_way_and_read_back() {
+    fn equal_recipes_have_one_text_which_reads_back() {
         for (asked, text) in [
             ("format=GLB", "format=glb&shape=relief&textures=plain"),
             ("textures=webp&shape=metric&format=glb", "format=glb&shape=metric&textures=webp"),
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_is_known_under_any_limits() {
+    fn a_stored_recipe_is_readable_under_any_limits() {
         let tight = Limits { view_side: 8, ..Limits::default() };
         for (asked, kind) in [
             ("format=html", ("text/html; charset=utf-8", "html")),
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_heavy_is_not_for_the_serving_process() {
+    fn cheap_exports_are_small_and_memory_covers_measured_peaks() {
         let done = |width, height| FinishedPhoto { at_ms: 1, width, height, atlas_bytes: 400_000, atlas_hash: String::new() };
         let (small, large) = (done(1000, 1000), done(4000, 3000));
         for (asked, cheap) in [("format=html", [true, true]), ("format=glb", [true, false]), ("path=orbit", [false, false])] {

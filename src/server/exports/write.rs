@@ -21,7 +21,7 @@ pub const TITLE: &str = "3D photo";
 pub type Drawing<'a> = &'a (dyn Fn() -> Result<Arc<dyn Renderer>, String> + Sync);
 
 /// An export file to write.
-pub struct Work<'a> {
+pub struct ExportTask<'a> {
     /// Its recipe.
     pub recipe: &'a Recipe,
     /// The photo's container.
@@ -32,12 +32,12 @@ pub struct Work<'a> {
     pub is_low_priority: bool,
 }
 
-impl Work<'_> {
+impl ExportTask<'_> {
     /// Writes it in this process.
     ///
     /// # Errors
     /// [`Fault::Cancelled`] once `sink` says so, [`Fault::Photo`] for anything else.
-    pub fn here(&self, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+    pub fn run(&self, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
         let unread = |e| Fault::Photo(Problem::from(&e));
         match self.recipe {
             Recipe::File { format: export::ExportFormat::Html, .. } => export::html(self.container, TITLE).map_err(|e| fault(&e)),
@@ -61,8 +61,8 @@ fn is_over(sink: &dyn Sink) -> bool {
 
 /// The answer if writing takes too long.
 #[must_use]
-pub fn late() -> Problem {
-    let detail = "writing the file takes longer than it may (exports.timeout): ask for fewer frames, a smaller size or another format";
+pub fn timeout_problem() -> Problem {
+    let detail = "writing the file exceeds the time limit (exports.timeout): request fewer frames, a smaller size or another format";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
 }
 
@@ -75,7 +75,7 @@ fn fault(error: &ExportError) -> Fault {
 }
 
 fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unless<'_>) -> Result<Vec<u8>, Fault> {
-    let Some(moving) = query.moving else { return Err(Fault::Photo(Problem::parameter("path", "is wanted for a film"))) };
+    let Some(film) = query.film else { return Err(Fault::Photo(Problem::parameter("path", "is required for a film"))) };
     let (camera, rig, range) = (query.camera(scene, size), query.rig(scene), MotionRange::of(scene));
     let photo = |problem: Problem| Fault::Photo(problem);
     let draw = |camera: &Camera| match &rig {
@@ -83,13 +83,13 @@ fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unle
         None => renderer.render(scene, camera),
     };
     let mut animation = None;
-    for frame in 0..moving.frames {
-        let camera = moving.path.camera(&camera, frame, moving.frames, &range);
+    for frame in 0..film.frames {
+        let camera = film.path.camera(&camera, frame, film.frames, &range);
         let view =
             draw(&camera).map_err(|e| if matches!(e, RenderError::Cancelled) { Fault::Cancelled } else { photo(Problem::from(&e)) })?;
         let size = (view.width, view.height);
         if animation.is_none() {
-            animation = Some(Animation::start(moving.format, size, DEFAULT_QUALITY).map_err(|e| photo(Problem::from(&e)))?);
+            animation = Some(Animation::start(film.format, size, DEFAULT_QUALITY).map_err(|e| photo(Problem::from(&e)))?);
         }
         if let Some(animation) = &mut animation {
             animation.push(&view).map_err(|e| photo(Problem::from(&e)))?;

@@ -7,11 +7,11 @@ use axum::http::StatusCode;
 use tokio_util::sync::CancellationToken;
 
 use super::recipe::Recipe;
-use super::write::{Work, late};
-use crate::server::app_state::Shared;
+use super::write::{ExportTask, timeout_problem};
+use crate::server::app_state::AppState;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::maker::Fault;
-use crate::server::memory::Priority;
+use crate::server::memory_budget::Priority;
 use crate::server::problem::Problem;
 use tmpi_pipeline::{Progress, Sink};
 
@@ -37,14 +37,14 @@ impl Sink for Until<'_> {
     }
 }
 
-impl Shared {
+impl AppState {
     /// Writes a file for a waiting client until it is `gone`, in a child process if the maker has those; blocks.
     ///
     /// # Errors
-    /// As [`written`].
-    pub fn written(&self, recipe: &Recipe, of: (&[u8], &FinishedPhoto), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
+    /// As [`write_export`].
+    pub fn write_export(&self, recipe: &Recipe, of: (&[u8], &FinishedPhoto), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
         let unwanted = || gone.is_cancelled();
-        written(self, recipe, of, &WriteRequest { unwanted: &unwanted, is_low_priority: false })
+        write_export(self, recipe, of, &WriteRequest { unwanted: &unwanted, is_low_priority: false })
     }
 }
 
@@ -52,30 +52,30 @@ impl Shared {
 ///
 /// # Errors
 /// 503 if it is unwanted or takes too long, 422 after too many crashes, and the errors of writing.
-pub fn written(
-    app: &Shared,
+pub fn write_export(
+    app: &AppState,
     recipe: &Recipe,
     (container, done): (&[u8], &FinishedPhoto),
     wanted: &WriteRequest<'_>,
 ) -> Result<Vec<u8>, Problem> {
-    let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export is not wanted any more").retry_after(1);
+    let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export was cancelled").retry_after(1);
     let sink = Until(wanted, Instant::now() + app.limits.exports.timeout);
     let over = || sink.cancelled() || Instant::now() >= sink.1;
     let way = if wanted.is_low_priority { Priority::Low } else { Priority::Normal };
     let Some(_memory) = app.memory.wait_for(recipe.memory(done), way, over) else {
-        let busy = "there was no memory for this file in the time that it may take (limits.job-memory, exports.timeout)";
+        let busy = "no memory for this file became free within its time limit (limits.job-memory, exports.timeout)";
         let busy = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", busy).retry_after(10);
         return Err(if sink.cancelled() { cancelled() } else { busy() });
     };
     let drawing = || Ok(Arc::clone(&app.renderer));
-    let work = Work { recipe, container, drawing: &drawing, is_low_priority: wanted.is_low_priority };
+    let work = ExportTask { recipe, container, drawing: &drawing, is_low_priority: wanted.is_low_priority };
     let mut crashed = 0;
     loop {
         match app.maker.export(&work, &sink) {
             Ok(bytes) => return Ok(bytes),
             Err(Fault::Cancelled) if sink.cancelled() => return Err(cancelled()),
             // only its time limit cancelled it
-            Err(Fault::Cancelled) => return Err(late()),
+            Err(Fault::Cancelled) => return Err(timeout_problem()),
             Err(Fault::Photo(problem)) => return Err(problem),
             Err(Fault::Server(reason)) => return Err(Problem::internal("exporting a photo", &reason)),
             Err(Fault::Crashed(reason)) => {

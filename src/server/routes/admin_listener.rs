@@ -65,7 +65,7 @@ async fn purge(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Re
     let nothing = || Problem::not_found(format!("there is no photo {id:?}"));
     let photo: PhotoId = id.parse().map_err(|_| nothing())?;
     let known = app.library.delete(photo, None).await?;
-    app.forget(photo).await;
+    app.evict_photo(photo).await;
     if !known {
         return Err(nothing());
     }
@@ -87,7 +87,7 @@ fn api() -> OpenApiRouter<App> {
 pub fn router(app: App, addr: SocketAddr, names: &[String]) -> Router {
     let (router, document) = api().split_for_parts();
     let mut document = serde_json::json!(document);
-    openapi_errors::put(&mut document);
+    openapi_errors::add_errors(&mut document);
     let state = (App::clone(&app), Arc::new(Hosts::new(addr, names)));
     router
         .route("/openapi.json", axum::routing::get(async move || axum::Json(document)))

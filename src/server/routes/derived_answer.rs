@@ -5,9 +5,9 @@ use std::time::Duration;
 use axum::http::{HeaderMap, HeaderName};
 use axum::response::Response;
 
-use crate::server::app_state::{Shared, Stored};
+use crate::server::app_state::{AppState, StoredFile};
 use crate::server::build_identity;
-use crate::server::conditional::{Coding, Entity, insert, kept, known_as, not_modified, respond};
+use crate::server::conditional::{ContentCoding, Entity, cache_control_for, insert, known_etag, not_modified, respond};
 use crate::server::finished_photo::FinishedPhoto;
 
 /// A derived answer before it is made.
@@ -19,20 +19,25 @@ pub(super) struct Derived {
 
 impl Derived {
     /// For a finished photo. `asked` is the version in the query; `name` maps the photo's version to everything that the answer depends on.
-    pub fn new(app: &Shared, done: &FinishedPhoto, asked: Option<&str>, name: impl FnOnce(&str) -> String) -> Self {
+    pub fn new(app: &AppState, done: &FinishedPhoto, asked: Option<&str>, name: impl FnOnce(&str) -> String) -> Self {
         let results = app.version(done);
-        Self { cache_control: kept(asked, || results.clone()), made: build_identity::short(&name(&results)) }
+        Self { cache_control: cache_control_for(asked, || results.clone()), made: build_identity::short(&name(&results)) }
     }
 
     /// 304 for a client that has the answer already.
     pub fn known(&self, headers: &HeaderMap) -> Option<Response> {
-        known_as(headers, &self.made).map(|etag| not_modified(etag, self.cache_control))
+        known_etag(headers, &self.made).map(|etag| not_modified(etag, self.cache_control))
     }
 
     /// The answer, with the time of each phase if it was made for this request.
-    pub fn answer(&self, headers: &HeaderMap, stored: Stored, content_type: &str, timing: &[(&str, Duration)]) -> Response {
-        let entity =
-            Entity { source: stored.source, etag: &stored.etag, content_type, cache_control: self.cache_control, coding: Coding::Plain };
+    pub fn answer(&self, headers: &HeaderMap, stored: StoredFile, content_type: &str, timing: &[(&str, Duration)]) -> Response {
+        let entity = Entity {
+            source: stored.source,
+            etag: &stored.etag,
+            content_type,
+            cache_control: self.cache_control,
+            coding: ContentCoding::Plain,
+        };
         let mut response = respond(headers, entity);
         if !timing.is_empty() {
             let all: Vec<String> = timing.iter().map(|(name, d)| format!("{name};dur={:.2}", d.as_secs_f64() * 1e3)).collect();

@@ -9,12 +9,12 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::{StreamExt as _, stream};
 use serde::Serialize;
-use tmpi_library::{Event as Happened, Kind, Photo, PhotoId, PhotoState as Phase, Subscription};
+use tmpi_library::{Event as Happened, JobKind, Photo, PhotoId, PhotoState as Phase, Subscription};
 use tokio::time::Instant;
 
+use super::photo_state::{PhotoState, Progress};
 use super::query::NoQuery;
-use super::state::{PhotoState, Progress};
-use crate::server::access::{Guard, Pass};
+use crate::server::access::{Admission, Guard};
 use crate::server::app_state::App;
 use crate::server::client_slots::{ClientSlot, client_address};
 use crate::server::conditional::insert;
@@ -44,7 +44,7 @@ struct Listener {
     queued: Option<u64>,
     ended: bool,
     /// The client's rights, with private access.
-    pass: Option<Pass>,
+    pass: Option<Admission>,
     _place: ClientSlot,
 }
 
@@ -105,7 +105,7 @@ impl Listener {
             return None;
         }
         if photo.state == Phase::Queued {
-            let position = self.app.library.position(Kind::Make, self.id, None).await.ok()?.map_or(0, |position| position.ahead);
+            let position = self.app.library.position(JobKind::Make, self.id, None).await.ok()?.map_or(0, |position| position.ahead);
             let moved = self.queued.replace(position) != Some(position);
             return Some(if moved { vec![event("queued", &Position { position })] } else { Vec::new() });
         }
@@ -204,7 +204,7 @@ pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) 
         stage,
         queued: None,
         ended: false,
-        pass: Guard::pass(),
+        pass: Guard::admission(),
         _place: place,
     };
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));

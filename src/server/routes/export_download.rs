@@ -10,10 +10,10 @@ use tokio_util::sync::CancellationToken;
 
 use super::derived_answer::Derived;
 use crate::export::{self, ExportError, ExportFormat, ExportOptions};
-use crate::server::app_state::{App, Export, Shared, Stored, WhenFull};
-use crate::server::attachment::attachment;
-use crate::server::blocking_pool::Class;
+use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile};
+use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
+use crate::server::content_disposition::content_disposition;
 use crate::server::exports::{ExportQuery, Recipe, TITLE};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
@@ -54,7 +54,7 @@ pub async fn export(
     let photo = app.photo(&id).await?;
     let query = ExportQuery::read(&uri)?;
     let (format, model, asked) = (query.format, query.model(), query.version);
-    let (version, done) = Shared::done(&photo)?;
+    let (version, done) = AppState::finished(&photo)?;
     let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?} {model:?}"));
     if let Some(response) = derived.known(&headers) {
         return Ok(response);
@@ -67,7 +67,7 @@ pub async fn export(
         let _guard = gone.clone().drop_guard();
         let pixels = u64::from(done.width) * u64::from(done.height);
         let own = if format == ExportFormat::Ora { export::ORA_BYTES * pixels } else { 0 };
-        let slot = app.pool.enter(Class::Export, done.scene_bytes() + own).await?;
+        let slot = app.pool.enter(WorkClass::Export, done.scene_bytes() + own).await?;
         let cheap = recipe.is_cheap(&done);
         // a page contains the container as it is
         let scene = if cheap && format != ExportFormat::Html { Some(app.scene(&photo, &slot).await?.0) } else { None };
@@ -78,9 +78,9 @@ pub async fn export(
                 Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, model }, &|| gone.is_cancelled())
                     .map_err(problem),
                 None if cheap => export::html(&container, TITLE).map_err(problem),
-                None => shared.written(&recipe, (&container, &done), &gone),
+                None => shared.write_export(&recipe, (&container, &done), &gone),
             };
-            let stored = Stored::derived(Some(&name), bytes?, &shared.disk(), WhenFull::Refuse)?;
+            let stored = StoredFile::derived(Some(&name), bytes?, &shared.temp_folder(), DiskFullPolicy::Refuse)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;
@@ -89,7 +89,7 @@ pub async fn export(
     };
     let Export(stored) = app.exports.get((version, derived.made.clone()), Box::pin(write)).await?;
     let mut response = derived.answer(&headers, stored, format.media_type(), &timing);
-    insert(&mut response, header::CONTENT_DISPOSITION, &attachment(&photo, format.extension()));
+    insert(&mut response, header::CONTENT_DISPOSITION, &content_disposition(&photo, format.extension()));
     Ok(response)
 }
 

@@ -11,15 +11,15 @@ use serde::Serialize;
 
 use super::query::NoQuery;
 use crate::server::access::Guard;
-use crate::server::app_state::{App, Shared, Stored};
-use crate::server::attachment::attachment;
+use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::build_identity;
-use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
+use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
 use crate::server::request_body;
 use crate::server::timestamps::rfc3339;
-use tmpi_library::{Class, Job, JobState, Kind, LibraryError, Order, Part, Photo, Share};
+use tmpi_library::{Class, Job, JobKind, JobState, LibraryError, NewExport, Part, Photo, QueueLimit};
 
 /// Most bytes of the parameters.
 const MOST: usize = 4 << 10;
@@ -96,7 +96,7 @@ pub struct ExportState {
 }
 
 impl ExportState {
-    fn of(app: &Shared, job: &Job) -> Self {
+    fn of(app: &AppState, job: &Job) -> Self {
         let state = match job.state {
             JobState::Queued => ExportStateName::Queued,
             JobState::Working => ExportStateName::Working,
@@ -155,7 +155,7 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
                     serde_json::Value::Null => continue,
                     serde_json::Value::String(text) => text,
                     serde_json::Value::Number(number) => number.to_string(),
-                    _ => return Err(Problem::parameter(name, "must be a text or a number")),
+                    _ => return Err(Problem::parameter(name, "must be text or a number")),
                 };
                 pairs.push((name, text));
             }
@@ -192,24 +192,24 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
 pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let pairs = parameters(request).await?;
-    let (_, done) = Shared::done(&photo)?;
+    let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
     let key = build_identity::short(&format!("file {} {text}", app.version(&done)));
-    let order = Order {
+    let order = NewExport {
         photo: &photo,
         key: &key,
-        kind: if matches!(recipe, Recipe::Film(..)) { Kind::Film } else { Kind::Export },
+        kind: if matches!(recipe, Recipe::Film(..)) { JobKind::Film } else { JobKind::Export },
         payload: text.into(),
         class: Class::Interactive,
-        asker: &Shared::asker(Guard::owner()),
+        requester: &AppState::requester(Guard::owner()),
     };
-    match app.library.order(&order).await {
+    match app.library.order_export(&order).await {
         Ok(ordered) => Ok(ExportState::of(&app, &ordered.job).answer(StatusCode::OK)),
         Err(LibraryError::QueueFull { share, retry_after, .. }) => {
             let detail = match share {
-                Share::All => "too many files are waiting to be written (exports.waiting)",
-                Share::Owner | Share::Address => "your files already take half of the queue",
+                QueueLimit::All => "too many files are waiting to be written (exports.waiting)",
+                QueueLimit::Owner | QueueLimit::Address => "your files already take half of the queue",
             };
             Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(retry_after.as_secs().max(1)))
         }
@@ -219,9 +219,9 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
 
 /// The job of an ordered file, if it belongs to the photo's current version.
 async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
-    let none = || Problem::not_found("the photo has no such file: it was not ordered, or is deleted; order it again");
-    let (_, done) = Shared::done(photo).map_err(|_| none())?;
-    let job = match app.library.job(Kind::Export, photo.id, Some(key)).await {
+    let none = || Problem::not_found("the photo has no such file: it was not ordered, or was deleted; order it again");
+    let (_, done) = AppState::finished(photo).map_err(|_| none())?;
+    let job = match app.library.job(JobKind::Export, photo.id, Some(key)).await {
         Err(LibraryError::NotFound(_)) => return Err(none()),
         job => job?,
     };
@@ -287,23 +287,23 @@ pub async fn file(
         (None, Some(problem)) if job.state == JobState::Failed => return Err(Problem::of_library(problem)),
         (None, _) => return Err(Problem::new(StatusCode::CONFLICT, "not-ready", "the file is not written yet").retry_after(LATER)),
     };
-    let stored = match Stored::of_blob(app.library.blobs(), Part::Export, blob).await {
+    let stored = match StoredFile::of_blob(app.library.blobs(), Part::Export, blob).await {
         Err(error @ LibraryError::Damaged { .. }) => {
             tracing::error!(photo = %photo.id, key, %error, "an export file is damaged; the next order writes it again");
-            app.library.cancel(photo.id, &key).await?;
+            app.library.cancel_export(photo.id, &key).await?;
             return Err(Problem::not_found("the file is deleted; order it again"));
         }
         opened => opened?,
     };
-    if let Err(error) = app.library.fetched(&job).await {
+    if let Err(error) = app.library.note_export_fetch(&job).await {
         tracing::warn!(%error, key, "cannot record a fetch; the file may be deleted early");
     }
     // without checking today's limits: the file was written under earlier ones
     let (content_type, ending) = Recipe::kind(recipe_of(&job)).unwrap_or(("application/octet-stream", "bin"));
     let etag = format!("\"{key}-{}\"", blob.digest.as_str().get(..16).unwrap_or_default());
-    let entity = Entity { source: stored.source, etag: &etag, content_type, cache_control: REVALIDATE, coding: Coding::Plain };
+    let entity = Entity { source: stored.source, etag: &etag, content_type, cache_control: REVALIDATE, coding: ContentCoding::Plain };
     let mut response = respond(&headers, entity);
-    insert(&mut response, CONTENT_DISPOSITION, &attachment(&photo, ending));
+    insert(&mut response, CONTENT_DISPOSITION, &content_disposition(&photo, ending));
     Ok(response)
 }
 
@@ -319,6 +319,6 @@ pub async fn file(
 pub async fn cancel(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id).await?;
     find(&app, &photo, &key).await?;
-    app.library.cancel(photo.id, &key).await?;
+    app.library.cancel_export(photo.id, &key).await?;
     Ok(StatusCode::NO_CONTENT)
 }

@@ -10,12 +10,12 @@ mod network;
 mod oembed;
 mod openapi_errors;
 mod openapi_values;
+mod photo_state;
 mod photos;
 mod query;
-mod remake_answer;
+mod remake;
 mod results;
 mod sharing;
-mod state;
 mod strokes;
 mod system;
 mod view;
@@ -40,8 +40,8 @@ use super::app_state::App;
 use super::limits::Limits;
 use super::middleware;
 pub(super) use admin_listener::router as admin_router;
+pub(super) use photo_state::Progress as Stage;
 pub(crate) use query::{NoBody, Pairs};
-pub(super) use state::Progress as Stage;
 pub(super) use view_query::ViewQuery;
 
 use super::pages;
@@ -85,11 +85,11 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
         .routes(routes!(strokes::strokes, strokes::touch_up))
-        .routes(routes!(network::again))
+        .routes(routes!(remake::remake))
         .routes(routes!(sharing::links))
-        .routes(routes!(sharing::keep_token, sharing::take_back))
+        .routes(routes!(sharing::keep_token, sharing::revoke_links))
         .routes(routes!(sharing::ticket))
-        .routes(routes!(sharing::keep))
+        .routes(routes!(sharing::adopt_owner))
         .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
@@ -178,9 +178,9 @@ pub fn openapi_of(limits: &Limits, has_admin: bool) -> serde_json::Result<Bytes>
     document.merge(live::routes::watching_api().into_openapi());
     document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;
-    openapi_values::put(&mut document);
-    openapi_errors::put(&mut document);
-    openapi_values::put_link(&mut document, limits.link.as_secs());
+    openapi_values::add_values(&mut document);
+    openapi_errors::add_errors(&mut document);
+    openapi_values::add_link_limit(&mut document, limits.link.as_secs());
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
 
@@ -287,7 +287,7 @@ pub fn router(app: App, rooms: Option<live::RoomsContext>) -> Router {
     own_pages()
         .into_iter()
         .fold(router, |router, (path, handler, _)| router.route(path, handler))
-        .fallback(pages::nothing)
+        .fallback(pages::not_found)
         .method_not_allowed_fallback(no_method)
         .layer((
             from_fn_with_state(app.clone(), middleware::around),

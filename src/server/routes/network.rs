@@ -1,20 +1,15 @@
-//! The server's depth network, and remaking photos with it.
+//! The server's depth network.
 
 use axum::Json;
-use axum::extract::{Extension, Path, State};
-use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::{NoBody, NoQuery, Pairs};
-use super::remake_answer::answer;
-use super::state::PhotoState;
-use crate::server::app_state::{App, Shared};
-use crate::server::network_download::{Fetching, Offer};
+use super::query::{NoBody, NoQuery};
+use crate::server::app_state::{App, AppState};
+use crate::server::network_download::{DownloadState, NetworkOffer};
 use crate::server::problem::Problem;
-use crate::server::time_limit::TimeLimit;
-use crate::server::upload::class_of;
-use tmpi_library::Class;
 use tmpi_pipeline::networks::models::registry::better_than;
 
 /// The network that estimates depth, and a better one that is available.
@@ -28,7 +23,7 @@ pub struct Network {
     better_than: &'static [&'static str],
     /// A better network to download; missing if there is none, or it is installed.
     #[serde(skip_serializing_if = "Option::is_none")]
-    better: Option<Offer>,
+    better: Option<NetworkOffer>,
     /// Bytes downloaded; only during the download.
     #[serde(skip_serializing_if = "Option::is_none")]
     fetched_bytes: Option<u64>,
@@ -37,19 +32,19 @@ pub struct Network {
     problem: Option<String>,
 }
 
-fn network_now(app: &Shared) -> Network {
+fn network_now(app: &AppState) -> Network {
     let (maker, state) = (&app.maker, app.download.state());
     let (fetched_bytes, problem) = match state {
-        Fetching::Idle => (None, None),
-        Fetching::UnderWay(bytes) => (Some(bytes), None),
-        Fetching::Failed(problem) => (None, Some(problem)),
+        DownloadState::Idle => (None, None),
+        DownloadState::UnderWay(bytes) => (Some(bytes), None),
+        DownloadState::Failed(problem) => (None, Some(problem)),
     };
     let name = maker.network().to_owned();
     Network { better_than: better_than(&name), name, better: maker.better(), fetched_bytes, problem }
 }
 
 /// Refuses remote callers, if the access guard has not checked already.
-fn own(app: &Shared, headers: &HeaderMap) -> Result<(), Problem> {
+fn own(app: &AppState, headers: &HeaderMap) -> Result<(), Problem> {
     // with private access the guard has checked for the local user or an admin key
     if app.guard.is_some() || app.hosts.is_own(headers) {
         return Ok(());
@@ -93,40 +88,4 @@ pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: No
     let now = network_now(&app);
     let status = if now.fetched_bytes.is_some() { StatusCode::ACCEPTED } else { StatusCode::OK };
     Ok((status, Json(now)).into_response())
-}
-
-/// Make a photo again.
-///
-/// Uses the current program and network. The photo keeps its id, settings and strokes and gets a new version. Its results answer 409 until
-/// it is done.
-#[utoipa::path(
-    post, path = "/v1/photos/{id}/again", tag = "photos",
-    params(
-        ("id" = String, Path, description = "Id of the photo"),
-        ("class" = Option<String>, Query, pattern = "^(interactive|batch)$", description = "`batch` for bulk work, which gives way to others; else `interactive`"),
-        ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
-    ),
-    responses(
-        (status = 200, description = "Made within the time of `Prefer: wait`", body = PhotoState),
-        (status = 202, description = "In the queue", body = PhotoState, headers(("Location" = String, description = "Address of the photo"))),
-        (status = 400, description = "A parameter is wrong, or there is a body"),
-        (status = 404, description = "There is no such photo"),
-        (status = 409, description = "The photo is being made"),
-        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
-        (status = 507, description = "The disk is full"),
-    )
-)]
-pub async fn again(
-    State(app): State<App>,
-    Path(id): Path<String>,
-    Extension(clock): Extension<TimeLimit>,
-    uri: Uri,
-    headers: HeaderMap,
-    _: NoBody,
-) -> Result<Response, Problem> {
-    let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), class_of);
-    let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
-    let photo = app.photo(&id).await?;
-    let again = app.library.make_again(&photo, class, &Shared::asker(photo.owner.clone())).await?;
-    answer(&app, again, &headers, &clock).await
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::query::Pairs;
 use crate::server::app_state::App;
 use crate::server::hosts;
-use crate::server::link_preview::Card;
+use crate::server::link_preview::PreviewCard;
 use crate::server::problem::Problem;
 
 /// Default longest sides of a frame in pixels.
@@ -95,7 +95,7 @@ pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEm
     let id = photo_of(&app, url).ok_or_else(|| Problem::not_found("the URL is not a photo page of this server").field("url"))?;
     let photo = app.photo(&id).await?;
     let base = hosts::origin(request.headers()).ok_or_else(|| Problem::bad_request("the Host header is not a host"))?;
-    let card = Card::of(&app, &photo, base.clone());
+    let card = PreviewCard::of(&app, &photo, base.clone());
     let (html, width, height) = card.frame(most);
     let picture = card.picture(most);
     let (thumbnail_width, thumbnail_height) = picture.as_ref().map(|p| (p.width, p.height)).unzip();

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::server::problem::MEDIA_TYPE;
 
 /// Gives every answer of `document` with a status from 400 on a problem document (RFC 9457) as its body.
-pub fn put(document: &mut Value) {
+pub fn add_errors(document: &mut Value) {
     let content = json!({MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}});
     let paths = document["paths"].as_object_mut().into_iter().flat_map(|paths| paths.values_mut());
     let operations = paths.filter_map(Value::as_object_mut).flat_map(|path| path.values_mut());
@@ -23,7 +23,7 @@ mod tests {
     #[test]
     fn only_errors_get_a_body() {
         let mut document = json!({"paths": {"/a": {"get": {"responses": {"204": {}, "304": {}, "400": {}, "503": {"description": "x"}}}}}});
-        put(&mut document);
+        add_errors(&mut document);
         let answers = &document["paths"]["/a"]["get"]["responses"];
         assert!(answers["204"] == json!({}) && answers["304"] == json!({}));
         for status in ["400", "503"] {

@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use serde_json::Value;
 
 use crate::export::ExportFormat;
-use crate::server::photo_options::chosen;
+use crate::server::photo_options::value_name;
 use crate::server::photo_settings::{Idle, SPEED, TITLE, VERSION};
 use tmpi_library::EventType;
 use tmpi_pipeline::depth::DepthKind;
@@ -14,7 +14,7 @@ use tmpi_render::{Path, PictureFormat, StereoLayout};
 
 /// All values of a choice.
 fn words<T: ValueEnum>() -> Vec<String> {
-    T::value_variants().iter().map(chosen).collect()
+    T::value_variants().iter().map(value_name).collect()
 }
 
 /// Allowed values of a string.
@@ -37,7 +37,7 @@ impl Text {
 const CLOSED: [&str; 8] = ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm", "WebhookOrder", "WebhookPatch"];
 
 /// Writes allowed values, closed schemas and security schemes into `document`.
-pub fn put(document: &mut Value) {
+pub fn add_values(document: &mut Value) {
     for name in CLOSED {
         document["components"]["schemas"][name]["additionalProperties"] = false.into();
     }
@@ -74,7 +74,7 @@ pub fn put(document: &mut Value) {
         Text::Words(EventType::ALL.map(|event| event.name().to_owned()).into()).put(&mut fields["events"]["items"]);
         fields["url"]["format"] = "uri".into();
     }
-    let stills = PictureFormat::ALL.map(|f| chosen(&f));
+    let stills = PictureFormat::ALL.map(|f| value_name(&f));
     let exports = [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Ora, ExportFormat::Zip].map(|f| f.extension().to_owned());
     let order = &mut document["components"]["schemas"]["ExportOrder"]["properties"];
     Text::Words([&exports[..], &["webp".to_owned(), "mp4".to_owned()]].concat()).put(&mut order["format"]);
@@ -126,7 +126,7 @@ fn settings(schemas: &mut Value) {
 }
 
 /// Writes the longest lifetime of a link.
-pub fn put_link(document: &mut Value, most: u64) {
+pub fn add_link_limit(document: &mut Value, most: u64) {
     let parameters = document["paths"]["/v1/photos/{id}/links"]["post"]["parameters"].as_array_mut();
     if let Some(seconds) = parameters.into_iter().flatten().find(|p| p["name"] == "seconds") {
         seconds["schema"]["maximum"] = most.into();

@@ -10,13 +10,13 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
 use super::depth_upgrade::better_depth;
+use super::photo_state::{PhotoList, PhotoState};
 use super::query::{NoQuery, Pairs};
-use super::state::{PhotoList, PhotoState};
 use crate::server::access::Guard;
-use crate::server::app_state::{App, Stored};
+use crate::server::app_state::{App, StoredFile};
 use crate::server::build_identity::short;
-use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, respond_once};
-use crate::server::photo_settings::{PATCH_BYTES, Settings, still_as_seen};
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond, respond_uncached};
+use crate::server::photo_settings::{PATCH_BYTES, Settings};
 use crate::server::problem::Problem;
 use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
@@ -131,12 +131,12 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<TimeLimi
     let (owner, is_new) = uploader(&app)?;
     // before the body comes
     if let Some(owner) = &owner {
-        app.library.check_quota(owner, length_told(request.headers()), None).await?;
+        app.library.check_quota(owner, length_told(request.headers())).await?;
     }
     let photo = if upload_by_address::is_address(request.headers()) {
-        upload_by_address::take(&app, &query, request, owner, &clock).await?
+        upload_by_address::fetch_upload(&app, &query, request, owner, &clock).await?
     } else {
-        upload::take(&app, &query, request, owner).await?
+        upload::upload(&app, &query, request, owner).await?
     };
     accepted(&app, photo, &clock, wait, is_new).await
 }
@@ -242,7 +242,7 @@ pub struct ListQuery {
 pub async fn list(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     if app.guard.is_none() && !app.public_list && !app.hosts.is_own(request.headers()) {
         let detail =
-            "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --access public opens the list to all";
+            "only this machine's own user, at a loopback address, may list photos; tmpi serve --access public opens the list to all";
         return Err(Problem::new(StatusCode::FORBIDDEN, "list-closed", detail));
     }
     let pairs = Pairs::read(request.uri(), &["limit", "after"])?;
@@ -255,7 +255,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         Some(text) => Some(cursor(&app, text).await.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))?),
         None => None,
     };
-    let page = match app.guard.as_ref().filter(|_| !Guard::has_all()).map(|_| Guard::owner()) {
+    let page = match app.guard.as_ref().filter(|_| !Guard::is_admin()).map(|_| Guard::owner()) {
         // a stranger has none
         Some(None) => Page { photos: Vec::new(), next: None },
         Some(owner) => app.library.list(&Filter { owner, ..Filter::default() }, after, limit).await?,
@@ -267,7 +267,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         photos.push(PhotoState::of(&app, photo).await?);
     }
     let list = serde_json::to_vec(&PhotoList { photos, next }).map_err(|e| Problem::internal("writing the list", &e))?;
-    Ok(respond_once(request.headers(), list.into(), "application/json"))
+    Ok(respond_uncached(request.headers(), list.into(), "application/json"))
 }
 
 /// A place in the list: that of a page before, or of a photo.
@@ -301,7 +301,7 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
             etag: &state.etag,
             content_type: "application/json",
             cache_control: REVALIDATE,
-            coding: Coding::Gzip,
+            coding: ContentCoding::Gzip,
         },
     ))
 }
@@ -321,18 +321,23 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
 pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let settings = Settings::of(&app.photo(&id).await?);
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
-    let file = Stored::new(bytes);
-    let entity =
-        Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE, coding: Coding::Gzip };
+    let file = StoredFile::new(bytes);
+    let entity = Entity {
+        source: file.source,
+        etag: &file.etag,
+        content_type: "application/json",
+        cache_control: REVALIDATE,
+        coding: ContentCoding::Gzip,
+    };
     Ok(respond(&headers, entity))
 }
 
 /// The state as it is sent. The first half of its tag names the settings, which alone can be changed, the second half all of it.
-async fn state_now(app: &App, photo: &Photo, better_depth: Option<String>) -> Result<Stored, Problem> {
+async fn state_now(app: &App, photo: &Photo, better_depth: Option<String>) -> Result<StoredFile, Problem> {
     let state = PhotoState { better_depth, ..PhotoState::of(app, photo).await? };
     let wrong = |e| Problem::internal("writing a photo's state", &e);
     let (settings, all) = (serde_json::to_string(&state.settings).map_err(wrong)?, serde_json::to_vec(&state).map_err(wrong)?);
-    Ok(Stored::derived_in_memory(&short(&settings), all))
+    Ok(StoredFile::derived_in_memory(&short(&settings), all))
 }
 
 /// Change the settings of a photo.
@@ -359,7 +364,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
     let mut photo = app.photo(&id).await?;
     let (headers, patch) = merge_patch(request, PATCH_BYTES, "settings").await?;
     let changed = loop {
-        still_as_seen(&headers, &state_now(&app, &photo, None).await?.etag)?;
+        check_if_match(&headers, &state_now(&app, &photo, None).await?.etag)?;
         let settings = Settings::of(&photo).patched(&patch)?;
         match app.library.set_settings(&photo, &settings.to_value()).await {
             // somebody was quicker: it is looked at again
@@ -405,9 +410,9 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
 )]
 pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id).await?;
-    still_as_seen(&headers, &state_now(&app, &photo, None).await?.etag)?;
+    check_if_match(&headers, &state_now(&app, &photo, None).await?.etag)?;
     let deleted = app.library.delete(photo.id, Some(photo.accepted_at)).await?;
-    app.forget(photo.id).await;
+    app.evict_photo(photo.id).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }
 
@@ -418,7 +423,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn preferences_as_in_the_standard() {
+    fn accept_preferences_follow_rfc_9110() {
         let with =
             |text: &str| prefer_wait(&[(HeaderName::from_static("prefer"), HeaderValue::from_str(text).unwrap())].into_iter().collect());
         assert_eq!(with("wait=10"), Some(10));

@@ -5,8 +5,8 @@ use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
 use super::query::{OnlyVersion, Pairs};
-use crate::server::app_state::{App, Shared, Stored};
-use crate::server::conditional::{Coding, Entity, kept, respond};
+use crate::server::app_state::{App, AppState, StoredFile};
+use crate::server::conditional::{ContentCoding, Entity, cache_control_for, respond};
 use crate::server::problem::Problem;
 use tmpi_core::Rect;
 use tmpi_core::container::{LEVELS, MEDIA_TYPE, SECTIONS};
@@ -56,12 +56,12 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     let pairs = Pairs::read(&uri, &["level", "fit", "region", "sections", "v"])?;
     wanted_level(&pairs, 0)?;
     let (sections, region) = (wanted_sections(&pairs)?, wanted_region(&pairs)?);
-    let (_, done) = Shared::done(&photo)?;
+    let (_, done) = AppState::finished(&photo)?;
     let side = region.map_or(done.width.max(done.height), |r| r.w.max(r.h));
     let level = wanted_level(&pairs, side)?;
-    let cache_control = kept(pairs.get("v"), || app.version(&done));
+    let cache_control = cache_control_for(pairs.get("v"), || app.version(&done));
     let file = app.container(&photo, (level, region), sections.as_deref()).await?;
-    Ok(answer(file, &headers, MEDIA_TYPE, cache_control, Coding::Plain))
+    Ok(answer(file, &headers, MEDIA_TYPE, cache_control, ContentCoding::Plain))
 }
 
 /// Names of the sections in a query; `None` for all.
@@ -121,13 +121,13 @@ pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     if !before {
         return stored(&app, &id, &OnlyVersion(pairs.take("v")), &headers, Part::Disparity, "image/png").await;
     }
-    let (_, done) = Shared::done(&photo)?;
-    let cache_control = kept(pairs.get("v"), || app.version(&done));
+    let (_, done) = AppState::finished(&photo)?;
+    let cache_control = cache_control_for(pairs.get("v"), || app.version(&done));
     let file = app.file(&photo, Part::Disparity).await?;
     let head = file.source.head(strokes::HEAD).await.map_err(|e| Problem::store(&e))?;
     let none = || Problem::not_found("there is no map before the strokes: the photo has no strokes, or an older program made it");
     let map = strokes::before(&head).ok_or_else(none)?;
-    Ok(answer(Stored::new(map.to_vec()), &headers, "image/png", cache_control, Coding::Plain))
+    Ok(answer(StoredFile::new(map.to_vec()), &headers, "image/png", cache_control, ContentCoding::Plain))
 }
 
 /// Report on how the photo was made: steps taken, steps skipped, errors and costs.
@@ -170,13 +170,13 @@ pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, v: OnlyVe
 
 async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
     let photo = app.photo(id).await?;
-    let (_, done) = Shared::done(&photo)?;
-    let cache_control = kept(v.0.as_deref(), || app.version(&done));
+    let (_, done) = AppState::finished(&photo)?;
+    let cache_control = cache_control_for(v.0.as_deref(), || app.version(&done));
     let file = app.file(&photo, part).await?;
-    let coding = if part == Part::Report { Coding::Gzip } else { Coding::Plain };
+    let coding = if part == Part::Report { ContentCoding::Gzip } else { ContentCoding::Plain };
     Ok(answer(file, headers, content_type, cache_control, coding))
 }
 
-fn answer(file: Stored, headers: &HeaderMap, content_type: &str, cache_control: &str, coding: Coding) -> Response {
+fn answer(file: StoredFile, headers: &HeaderMap, content_type: &str, cache_control: &str, coding: ContentCoding) -> Response {
     respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control, coding })
 }

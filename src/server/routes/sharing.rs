@@ -126,7 +126,7 @@ pub async fn keep_token(
         (status = 412, description = "The photo changed meanwhile"),
     )
 )]
-pub async fn take_back(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
+pub async fn revoke_links(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id).await?;
     app.library.revoke_links(photo.id).await?;
     Ok(StatusCode::NO_CONTENT)
@@ -178,7 +178,7 @@ pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Res
         (status = 409, description = "The browser has another owner's cookie; without it, it loses access to that owner's photos"),
     )
 )]
-pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
+pub async fn adopt_owner(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
     let replace = match Pairs::read(&uri, &["replace"])?.get("replace") {
         None | Some("false") => false,
         Some("true") => true,
@@ -186,13 +186,13 @@ pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBod
     };
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(guard) = &app.guard
-        && let Some(owner) = access::to_be()
+        && let Some(owner) = access::named_owner()
     {
         if !replace && guard.is_another(&headers, &owner).await? {
             let detail = "the browser has another owner's secret, which would be lost; replace=true overwrites it";
             return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
         }
-        access::set_owner(&mut response, &headers, &guard.to_keep(&owner).await?);
+        access::set_owner(&mut response, &headers, &guard.session_cookie(&owner).await?);
     }
     Ok(response)
 }

@@ -4,21 +4,20 @@ use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::Response;
 
+use super::photo_state::PhotoState;
 use super::photos::merge_patch;
 use super::query::NoQuery;
-use super::remake_answer;
-use super::state::PhotoState;
-use crate::server::app_state::{App, Shared, Stored};
-use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
-use crate::server::photo_settings::still_as_seen;
+use super::remake;
+use crate::server::app_state::{App, AppState, StoredFile};
+use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use tmpi_library::Content;
 use tmpi_pipeline::strokes::{BYTES, Stroke, patch, write};
 
 /// Strokes as JSON, with an entity tag of its bytes.
-fn stored(strokes: &[Stroke]) -> Stored {
-    Stored::new(write(strokes))
+fn stored(strokes: &[Stroke]) -> StoredFile {
+    StoredFile::new(write(strokes))
 }
 
 /// Strokes over a photo.
@@ -56,8 +55,13 @@ pub struct StrokesPatch {
 pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let file = stored(&app.strokes(&photo).await?);
-    let entity =
-        Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE, coding: Coding::Gzip };
+    let entity = Entity {
+        source: file.source,
+        etag: &file.etag,
+        content_type: "application/json",
+        cache_control: REVALIDATE,
+        coding: ContentCoding::Gzip,
+    };
     Ok(respond(&headers, entity))
 }
 
@@ -100,13 +104,13 @@ pub async fn touch_up(
     let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
     let before = app.strokes(&photo).await?;
     let wanted = patch(&body).map_err(|e| Problem::from(&e))?.unwrap_or_else(|| before.clone());
-    still_as_seen(&headers, &stored(&before).etag)?;
+    check_if_match(&headers, &stored(&before).etag)?;
     let answer = if before == wanted {
-        remake_answer::state(&app, &photo, StatusCode::OK).await
+        remake::state(&app, &photo, StatusCode::OK).await
     } else {
-        let asker = Shared::asker(photo.owner.clone());
-        let again = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &asker).await?;
-        remake_answer::answer(&app, again, &headers, &clock).await
+        let requester = AppState::requester(photo.owner.clone());
+        let queued = app.library.touch_up(&photo, Content::of_bytes(write(&wanted)), &requester).await?;
+        remake::answer(&app, queued, &headers, &clock).await
     };
     let etag = stored(&wanted).etag;
     let mut response = answer?;

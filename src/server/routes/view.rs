@@ -9,8 +9,8 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app_state::{App, Export, Shared, Stored, WhenFull};
-use crate::server::blocking_pool::Class;
+use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile};
+use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
 use crate::server::finished_photo::FinishedPhoto;
@@ -89,9 +89,9 @@ pub async fn view(
 ) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let query = ViewQuery::read(&uri, &app.limits)?;
-    let (version, done) = Shared::done(&photo)?;
+    let (version, done) = AppState::finished(&photo)?;
     let size = query.size((done.width, done.height), &app.limits)?;
-    let still = query.moving.map(|_| PictureFormat::default());
+    let still = query.film.map(|_| PictureFormat::default());
     let format = picked(query.format.or(still), &headers)?;
     let name = |results: &str| format!("{results} {size:?} {format:?} {:?}", query.canonical());
     let derived = Derived::new(&app, &done, query.version.as_deref(), name);
@@ -100,24 +100,24 @@ pub async fn view(
         return Ok(response);
     }
     let mut timing = Vec::new();
-    let full = if query.moving.is_some() { WhenFull::Refuse } else { WhenFull::Memory };
+    let full = if query.film.is_some() { DiskFullPolicy::Refuse } else { DiskFullPolicy::Memory };
     // concurrent requests for the same view wait for this one
     let drawn = async {
         let (bytes, took) = draw(&app, (&photo, &done), &query, size, format).await?;
         timing = took;
-        let (name, disk) = (derived.made.clone(), app.disk());
-        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &disk, full));
+        let (name, disk) = (derived.made.clone(), app.temp_folder());
+        let keep = tokio::task::spawn_blocking(move || StoredFile::derived(Some(&name), bytes, &disk, full));
         keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
     };
     let key = (version, derived.made.clone());
-    let stored = if query.moving.is_some() {
+    let stored = if query.film.is_some() {
         clock.allow(app.limits.exports.timeout);
         app.exports.get(key, Box::pin(drawn.map_ok(Export))).await?.0
     } else {
         app.views.get(key, Box::pin(drawn)).await?
     };
     count(&app, &timing);
-    let content_type = query.moving.map_or(format.media_type(), |moving| moving.format.media_type());
+    let content_type = query.film.map_or(format.media_type(), |film| film.format.media_type());
     let mut response = derived.answer(&headers, stored, content_type, &timing);
     insert(&mut response, header::VARY, "Accept");
     Ok(response)
@@ -144,16 +144,16 @@ async fn draw(
     let renderer = Unless { gone: gone.clone(), renderer: Arc::clone(&app.renderer) };
     let _guard = gone.drop_guard();
     let asked = Instant::now();
-    let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
+    let class = if query.film.is_some() { WorkClass::Export } else { WorkClass::Interactive };
     // decode inside the slot, so that waiting requests hold no scene
     let slot = app.pool.enter(class, done.scene_bytes()).await?;
     let waited = asked.elapsed();
-    if query.moving.is_some() {
+    if query.film.is_some() {
         let recipe = Recipe::Film(Box::new(query.clone()), size);
         let (container, shared, done) = (app.container_of(photo).await?, Arc::clone(app), done.clone());
         let written = slot.run(move || {
             let start = Instant::now();
-            let bytes = shared.written(&recipe, (&container, &done), &renderer.gone)?;
+            let bytes = shared.write_export(&recipe, (&container, &done), &renderer.gone)?;
             Ok::<_, Problem>((bytes, start.elapsed()))
         });
         let (bytes, rendering) = written.await??;

@@ -7,7 +7,7 @@ use super::query::Pairs;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
-use tmpi_render::{AnimationFormat, Arrangement, EYES, MotionRange, Path, PictureFormat, Rig, StereoLayout, pivot};
+use tmpi_render::{AnimationFormat, Arrangement, EYE_DISTANCE, MotionRange, Path, PictureFormat, Rig, StereoLayout, pivot};
 
 /// Allowed fields of view in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
@@ -36,7 +36,7 @@ const USUAL_SIDE: u32 = 640;
 
 /// A camera that moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Moving {
+pub struct FilmOptions {
     /// Its path.
     pub path: Path,
     /// Number of frames.
@@ -55,7 +55,7 @@ pub struct Crop {
 }
 
 /// Smallest side of a crop as a fraction: about a pixel of the largest photo.
-const LEAST_CROP: f64 = 1e-4;
+const MIN_CROP: f64 = 1e-4;
 
 impl std::str::FromStr for Crop {
     type Err = &'static str;
@@ -65,7 +65,7 @@ impl std::str::FromStr for Crop {
         let numbers: Vec<f64> = text.split(',').map(|v| v.trim().parse().map_err(|_| WRONG)).collect::<Result<_, _>>()?;
         let &[x, y, w, h] = numbers.as_slice() else { return Err(WRONG) };
         // rounding may make it slightly too wide
-        let within = |from: f64, length: f64| from >= 0.0 && length >= LEAST_CROP && from + length <= 1.0 + LEAST_CROP;
+        let within = |from: f64, length: f64| from >= 0.0 && length >= MIN_CROP && from + length <= 1.0 + MIN_CROP;
         if within(x, w) && within(y, h) { Ok(Self { corner: [x, y], size: [w, h] }) } else { Err(WRONG) }
     }
 }
@@ -119,7 +119,7 @@ pub struct ViewQuery {
     /// `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom` (into the nearest thing): an animation along this path of the camera, 30 frames a
     /// second, with at most 640 pixels a side if you give no size. Needs ffmpeg on the server.
     #[param(value_type = Option<String>, rename = "path")]
-    pub moving: Option<Moving>,
+    pub film: Option<FilmOptions>,
     /// Frames of an animation, 60 if it is not given.
     #[param(minimum = 2, maximum = 240)]
     pub frames: Option<u32>,
@@ -171,17 +171,17 @@ impl ViewQuery {
         let path = path.transpose()?;
         let frames = given.take("frames").map(|text| {
             let value = text.parse().ok().filter(|v| path.is_some() && FRAMES.contains(v));
-            let detail = format!("goes with path and must be from {} to {}, not {text:?}", FRAMES.start(), FRAMES.end());
+            let detail = format!("requires path and must be from {} to {}, not {text:?}", FRAMES.start(), FRAMES.end());
             value.ok_or_else(|| Problem::parameter("frames", detail))
         });
         let frames = frames.transpose()?;
-        let moving = path.map(|path| {
+        let film = path.map(|path| {
             let text = given.take("format").unwrap_or_else(|| "webp".into());
             let format = AnimationFormat::from_extension(&text);
             let format = format.ok_or_else(|| Problem::parameter("format", format!("must be webp or mp4 with path, not {text:?}")))?;
-            Ok::<_, Problem>(Moving { path, frames: frames.unwrap_or(USUAL_FRAMES), format })
+            Ok::<_, Problem>(FilmOptions { path, frames: frames.unwrap_or(USUAL_FRAMES), format })
         });
-        let moving = moving.transpose()?;
+        let film = film.transpose()?;
         let format = given.take("format").map(|text| {
             let known = PictureFormat::from_extension(&text);
             known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg, webp or mpo, not {text:?}")))
@@ -196,17 +196,17 @@ impl ViewQuery {
         let stereo = stereo.transpose()?;
         let quilt = given.take("quilt").map(|text| Arrangement::quilt(&text).map_err(|e| Problem::parameter("quilt", e))).transpose()?;
         if stereo.is_some() && quilt.is_some() {
-            return Err(Problem::parameter("quilt", "goes without stereo"));
+            return Err(Problem::parameter("quilt", "cannot be combined with stereo"));
         }
         for (name, value) in [("ipd", ipd), ("focus", focus)] {
             if value.is_some() && stereo.is_none() && quilt.is_none() {
-                return Err(Problem::parameter(name, "goes with stereo or quilt"));
+                return Err(Problem::parameter(name, "requires stereo or quilt"));
             }
         }
         if format == Some(PictureFormat::Mpo) && stereo != Some(StereoLayout::SideBySide) {
-            return Err(Problem::parameter("format", "mpo goes with stereo=sbs"));
+            return Err(Problem::parameter("format", "mpo requires stereo=sbs"));
         }
-        Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, moving, frames, version })
+        Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, film, frames, version })
     }
 
     /// Size of each view of a photo of `photo` pixels. Without a size in the query, views of large photos are reduced to the limits.
@@ -217,7 +217,7 @@ impl ViewQuery {
         let (columns, rows) = self.arrangement().map_or((1, 1), Arrangement::grid);
         self.renders_within(Limits::RENDERS)?;
         let (most_wide, most_high) = (limits.view_side / columns, limits.view_side / rows);
-        let frames = self.moving.map_or(1, |m| u64::from(m.frames));
+        let frames = self.film.map_or(1, |m| u64::from(m.frames));
         let most = limits.view_pixels / (u64::from(columns) * u64::from(rows)) * FILM / frames.max(FILM);
         let [cw, ch] = self.crop.map_or([1.0; 2], |c| c.size);
         let (pw, ph) = (f64::from(photo.0) * cw, f64::from(photo.1) * ch);
@@ -227,14 +227,14 @@ impl ViewQuery {
             (Some(w), None) => (w, side(f64::from(w) * ph / pw)),
             (None, Some(h)) => (side(f64::from(h) * pw / ph), h),
             (None, None) => {
-                let side = if self.moving.is_some() { USUAL_SIDE } else { limits.view_side };
+                let side = if self.film.is_some() { USUAL_SIDE } else { limits.view_side };
                 let (most_wide, most_high) = (most_wide.min(side), most_high.min(side));
                 let scale = (most as f64 / (pw * ph)).sqrt().min(f64::from(most_wide) / pw).min(f64::from(most_high) / ph).min(1.0);
                 // rounded down, so that the product stays within the limit
                 return Ok((((pw * scale) as u32).max(1), ((ph * scale) as u32).max(1)));
             }
         };
-        let webp = self.moving.is_some_and(|m| m.format == AnimationFormat::WebP);
+        let webp = self.film.is_some_and(|m| m.format == AnimationFormat::WebP);
         if webp && (w > WEBP_SIDE / columns || h > WEBP_SIDE / rows) {
             let field = if self.w.is_some() { "w" } else { "h" };
             return Err(Problem::parameter(field, format!("WebP animations have at most {WEBP_SIDE} pixels a side; format=mp4 has more")));
@@ -251,9 +251,9 @@ impl ViewQuery {
     /// Limits the number of pictures: each has a cost, however small it is.
     fn renders_within(&self, most: u32) -> Result<(), Problem> {
         let views = self.arrangement().map_or(1, Arrangement::views);
-        let frames = self.moving.map_or(1, |m| m.frames);
+        let frames = self.film.map_or(1, |m| m.frames);
         if views * frames > most {
-            let field = if self.moving.is_some() { "frames" } else { "quilt" };
+            let field = if self.film.is_some() { "frames" } else { "quilt" };
             return Err(Problem::parameter(field, format!("{frames} frames of {views} views are over the limit of {most} pictures")));
         }
         Ok(())
@@ -267,7 +267,7 @@ impl ViewQuery {
     #[must_use]
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
-        let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(MotionRange::TRAVEL) } else { EYES };
+        let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(MotionRange::TRAVEL) } else { EYE_DISTANCE };
         Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or_else(|| pivot(scene)) })
     }
 

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::server::app_state::Shared;
+use crate::server::app_state::AppState;
 use crate::server::timestamps::rfc3339;
 use crate::server::webhooks::data;
 use tmpi_library::{Delivery, DeliveryState, EventType, Webhook};
@@ -125,7 +125,7 @@ pub struct DeliveryRecord {
 
 impl DeliveryRecord {
     /// As a caller sees it.
-    pub fn of(app: &Shared, delivery: Delivery) -> Self {
+    pub fn of(app: &AppState, delivery: Delivery) -> Self {
         Self {
             event: delivery.event.name(),
             data: data(&delivery, app.origin.get().map(String::as_str)),

@@ -12,19 +12,19 @@ use super::photos::merge_patch;
 use super::query::{NoBody, NoQuery, Pairs};
 use super::webhook_state::{DeliveryList, DeliveryRecord, WebhookList, WebhookOrder, WebhookPatch, WebhookState, WebhookTest};
 use crate::server::access::Guard;
-use crate::server::app_state::{App, Shared};
+use crate::server::app_state::{App, AppState};
 use crate::server::conditional::insert;
 use crate::server::outbound;
 use crate::server::problem::Problem;
 use crate::server::request_body;
-use crate::server::webhooks::{SigningSecret, events};
+use crate::server::webhooks::{SigningSecret, event_types};
 use tmpi_library::{EventType, LibraryError, NewWebhook, Owner, Webhook, WebhookChange};
 
 /// Most bytes of a webhook's fields.
 const MOST: usize = 16 << 10;
 /// Deliveries on a page, if the client does not say, and at most.
 const USUAL_PAGE: usize = 50;
-const MOST_PAGE: usize = 200;
+const MAX_PAGE: usize = 200;
 
 /// Whose webhooks a caller manages.
 enum Whose {
@@ -39,12 +39,12 @@ impl Whose {
     ///
     /// # Errors
     /// 403 if the caller is no owner, or with open access not this machine's own user.
-    fn of(app: &Shared, headers: &HeaderMap) -> Result<Self, Problem> {
+    fn of(app: &AppState, headers: &HeaderMap) -> Result<Self, Problem> {
         let refused = |kind, detail| Err(Problem::new(StatusCode::FORBIDDEN, kind, detail));
         match (&app.guard, Guard::owner()) {
             (None, _) if app.hosts.is_own(headers) => Ok(Self::All),
             (None, _) => refused("not-yours", "only this machine's own user can manage webhooks, at a loopback address"),
-            (Some(_), _) if Guard::has_all() => Ok(Self::All),
+            (Some(_), _) if Guard::is_admin() => Ok(Self::All),
             (Some(_), Some(owner)) => Ok(Self::Of(owner)),
             (Some(_), None) => refused("no-owner", "only a caller with a key or an owner's secret has webhooks"),
         }
@@ -61,7 +61,7 @@ impl Whose {
     ///
     /// # Errors
     /// 404.
-    async fn find(&self, app: &Shared, id: &str) -> Result<Webhook, Problem> {
+    async fn find(&self, app: &AppState, id: &str) -> Result<Webhook, Problem> {
         let none = || Problem::not_found(format!("there is no webhook {id:?}"));
         let webhook = app.library.webhook(id).await.map_err(|error| match error {
             LibraryError::NotFound(_) => none(),
@@ -82,10 +82,10 @@ async fn fields(request: Request, names: &[&str]) -> Result<Map<String, Value>, 
 }
 
 /// Where events go, if a field says so.
-fn url(app: &Shared, fields: &Map<String, Value>) -> Result<Option<String>, Problem> {
+fn url(app: &AppState, fields: &Map<String, Value>) -> Result<Option<String>, Problem> {
     let Some(value) = fields.get("url") else { return Ok(None) };
-    let text = value.as_str().ok_or_else(|| Problem::parameter("url", "must be a text"))?;
-    outbound::url(text, app.webhook_reach).map_err(|error| Problem::parameter("url", error))?;
+    let text = value.as_str().ok_or_else(|| Problem::parameter("url", "must be text"))?;
+    outbound::url(text, app.webhook_addresses).map_err(|error| Problem::parameter("url", error))?;
     Ok(Some(text.to_owned()))
 }
 
@@ -93,8 +93,8 @@ fn url(app: &Shared, fields: &Map<String, Value>) -> Result<Option<String>, Prob
 fn asked(fields: &Map<String, Value>) -> Result<Option<Vec<EventType>>, Problem> {
     let Some(value) = fields.get("events") else { return Ok(None) };
     let names: Option<Vec<&str>> = value.as_array().and_then(|all| all.iter().map(Value::as_str).collect());
-    let names = names.ok_or_else(|| Problem::parameter("events", "must be a list of texts"))?;
-    events(&names).map(Some).map_err(|error| Problem::parameter("events", error))
+    let names = names.ok_or_else(|| Problem::parameter("events", "must be a list of event names"))?;
+    event_types(&names).map(Some).map_err(|error| Problem::parameter("events", error))
 }
 
 /// Add a webhook.
@@ -280,8 +280,8 @@ pub async fn deliveries(State(app): State<App>, Path(id): Path<String>, uri: Uri
     Whose::of(&app, &headers)?.find(&app, &id).await?;
     let pairs = Pairs::read(&uri, &["limit", "after"])?;
     let limit = pairs.get("limit").map_or(Ok(USUAL_PAGE), |text| {
-        let n = text.parse().ok().filter(|n| (1..=MOST_PAGE).contains(n));
-        n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {MOST_PAGE}, not {text:?}")))
+        let n = text.parse().ok().filter(|n| (1..=MAX_PAGE).contains(n));
+        n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {MAX_PAGE}, not {text:?}")))
     })?;
     let page = app.library.deliveries(&id, pairs.get("after"), limit).await?;
     Ok(own(DeliveryList {

@@ -4,10 +4,10 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::Deserialize;
-use tmpi_library::NewWebhook;
+use tmpi_library::{EventType, NewWebhook};
 
-use super::{SigningSecret, events};
-use crate::server::outbound::{self, Reach};
+use super::SigningSecret;
+use crate::server::outbound::{self, AddressPolicy};
 
 /// A webhook of the configuration. It may have any address.
 #[derive(Clone)]
@@ -47,10 +47,23 @@ impl FromStr for ConfiguredWebhook {
             .map_err(|error| {
                 format!("an object of url, secret and events is expected: line {}, column {}", error.line(), error.column())
             })?;
-        outbound::url(&url, Reach::Any).map_err(|error| format!("url: {error}"))?;
+        outbound::url(&url, AddressPolicy::Any).map_err(|error| format!("url: {error}"))?;
         SigningSecret::parse(&secret).map_err(|error| format!("secret: {error}"))?;
-        Ok(Self(NewWebhook { url, secret, events: events(&names).map_err(|error| format!("events: {error}"))? }))
+        Ok(Self(NewWebhook { url, secret, events: event_types(&names).map_err(|error| format!("events: {error}"))? }))
     }
+}
+
+/// Reads the names of events; none stands for all.
+///
+/// # Errors
+/// What is wrong with them.
+pub fn event_types<S: AsRef<str>>(names: &[S]) -> Result<Vec<EventType>, String> {
+    let known = || EventType::ALL.map(EventType::name).join(", ");
+    let one = |name: &S| EventType::of_name(name.as_ref()).ok_or_else(|| format!("must be of {}, not {:?}", known(), name.as_ref()));
+    let mut all: Vec<EventType> = names.iter().map(one).collect::<Result<_, _>>()?;
+    all.sort_unstable();
+    all.dedup();
+    Ok(if all.is_empty() { EventType::ALL.to_vec() } else { all })
 }
 
 #[cfg(test)]

@@ -5,13 +5,13 @@ use std::time::{Duration, Instant};
 
 use axum::http::{StatusCode, header};
 use reqwest::Response;
-use tmpi_library::{Attempt, DeliveryState, Due, Event, LibraryError, Subscription, Verdict};
+use tmpi_library::{Attempt, DeliveryState, DueDelivery, Event, LibraryError, Subscription, Verdict};
 use tokio::task::JoinSet;
 
-use super::event::body;
+use super::payload::body;
 use super::signature::SigningSecret;
 use crate::server::app_state::App;
-use crate::server::outbound::{self, Outbound, Reach, cause};
+use crate::server::outbound::{self, AddressPolicy, Outbound, cause};
 
 /// Attempts at a time of this node.
 const AT_ONCE: usize = 8;
@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(15);
 /// Interval of looking for due attempts, if some are pending: those of other nodes become due without an event.
 const LOOK: Duration = Duration::from_secs(1);
 /// Most bytes to read of an answer, and how long, so that the connection can be used again.
-const MOST_ANSWER: usize = 16 << 10;
+const MAX_ANSWER: usize = 16 << 10;
 const REST: Duration = Duration::from_secs(1);
 
 /// Clients for webhooks.
@@ -34,12 +34,12 @@ pub struct Clients {
 impl Clients {
     /// Clients of which those for webhooks of callers are limited to `reach`.
     #[must_use]
-    pub const fn new(reach: Reach) -> Self {
-        Self { named: Outbound::new(reach), configured: Outbound::new(Reach::Any) }
+    pub const fn new(reach: AddressPolicy) -> Self {
+        Self { named: Outbound::new(reach), configured: Outbound::new(AddressPolicy::Any) }
     }
 
     /// Makes an attempt.
-    async fn send(&self, due: &Due, seconds: u64, origin: Option<&str>) -> Attempt {
+    async fn send(&self, due: &DueDelivery, seconds: u64, origin: Option<&str>) -> Attempt {
         let begun = Instant::now();
         let sent = tokio::time::timeout(PATIENCE, self.post(due, seconds, origin)).await;
         let sent = sent.unwrap_or_else(|_| Err(format!("no answer in {} s", PATIENCE.as_secs())));
@@ -54,7 +54,7 @@ impl Clients {
         }
     }
 
-    async fn post(&self, due: &Due, seconds: u64, origin: Option<&str>) -> Result<Response, String> {
+    async fn post(&self, due: &DueDelivery, seconds: u64, origin: Option<&str>) -> Result<Response, String> {
         let (delivery, webhook) = (&due.delivery, &due.webhook);
         let outbound = if webhook.configured { &self.configured } else { &self.named };
         let url = outbound::url(&webhook.url, outbound.reach()).map_err(|error| format!("the address {error}"))?;
@@ -97,7 +97,7 @@ async fn drain(mut answer: Response) {
         let mut bytes = 0;
         while let Ok(Some(chunk)) = answer.chunk().await {
             bytes += chunk.len();
-            if bytes > MOST_ANSWER {
+            if bytes > MAX_ANSWER {
                 break;
             }
         }
@@ -144,7 +144,7 @@ async fn news(events: &mut Subscription) -> bool {
 
 /// Begins due attempts; returns how long to wait for the next one, `None` if none is pending.
 async fn begin(app: &App, clients: &Arc<Clients>, sending: &mut JoinSet<()>) -> Result<Option<Duration>, LibraryError> {
-    let Some(wait) = app.library.next_delivery().await? else { return Ok(None) };
+    let Some(wait) = app.library.next_delivery_in().await? else { return Ok(None) };
     let free = AT_ONCE - sending.len();
     if !wait.is_zero() || free == 0 {
         return Ok(Some(wait.min(LOOK)));
@@ -156,12 +156,12 @@ async fn begin(app: &App, clients: &Arc<Clients>, sending: &mut JoinSet<()>) -> 
 }
 
 /// Makes and records an attempt. One that cannot be recorded is made again.
-async fn attempt(app: App, clients: Arc<Clients>, due: Due) {
+async fn attempt(app: App, clients: Arc<Clients>, due: DueDelivery) {
     let (delivery, webhook) = (due.delivery.id.as_str(), due.webhook.id.as_str());
     let attempted = async {
         let seconds = app.library.now().await?.max(0) as u64 / 1000;
         let attempt = clients.send(&due, seconds, app.origin.get().map(String::as_str)).await;
-        let state = app.library.attempted(&due, &attempt).await?;
+        let state = app.library.record_attempt(&due, &attempt).await?;
         let outcome = if state == DeliveryState::Pending { "retried" } else { state.name() };
         app.telemetry.delivery(outcome);
         let (ms, status) = (attempt.took.as_millis() as u64, attempt.status);

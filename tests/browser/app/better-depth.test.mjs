@@ -37,7 +37,7 @@ describe('better depth', () => {
       if (states.length > 1) states.shift();
       return route.fulfill(typeof now === 'number' ? { status: now, json: { title: 'refused', status: now } } : { json: now });
     });
-    await page.route('**/v1/photos/box/again', (route) => {
+    await page.route('**/v1/photos/box/remake', (route) => {
       requests.push('again');
       report.depth_model = states[0].name ?? name;
       return route.fulfill({ json: suite.server.state });

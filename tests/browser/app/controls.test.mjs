@@ -12,7 +12,6 @@ import { until as waitUntil } from '../support/until.mjs';
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
 /** A touch device on which all controls appear. */
 const EVERYTHING = {
-  reducedMotion: 'reduce',
   hasTouch: true,
   isMobile: true,
   viewport: { width: 700, height: 800 },
@@ -319,7 +318,7 @@ describe('every control', () => {
   test('pages fit any screen width in both languages', async () => {
     server.state.settings = { version: 1, title: 'A name that is long enough to fill a line of its own, and then some more of it' };
     for (const locale of ['en', 'de']) {
-      const { page, context } = await openPage(browser, { reducedMotion: 'reduce', locale });
+      const { page, context } = await openPage(browser, { locale });
       for (const path of ['/view/box', '/']) {
         await page.goto(server.url + path);
         if (path.startsWith('/view')) await page.waitForFunction(() => !document.getElementById('settings').hidden);

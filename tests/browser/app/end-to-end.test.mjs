@@ -65,7 +65,7 @@ describe('the whole program', () => {
       }).observe(document, { childList: true, subtree: true, characterData: true });
     });
     await page.goto(server.url);
-    await page.setInputFiles('#picker', { name: 'garden.png', mimeType: 'image/png', buffer: boxPhoto(1200, 780) });
+    await page.setInputFiles('#picker', { name: 'garden.png', mimeType: 'image/png', buffer: boxPhoto(720, 468) });
     const open = page.getByRole('link', { name: 'Open garden.png' });
     await open.waitFor();
     const stages = await page.evaluate(() => window.stagesShown);
@@ -78,8 +78,9 @@ describe('the whole program', () => {
     await open.click();
     await waitForMode(page, 'gpu');
     assert.equal(await page.locator('#title').textContent(), 'garden');
-    const first = await page.evaluate(() => window.viewer.pose.tx);
-    await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 1e-3, first);
+    await page.locator('#stage').focus();
+    await page.keyboard.press('ArrowRight');
+    await page.waitForFunction(() => window.viewer.pose.tx > 1e-3);
     // the frame time appears after the first measurement
     await page.waitForFunction(() => /\d kB · [\d.]+ ms/.test(document.getElementById('facts').textContent));
     const [download] = await Promise.all([
@@ -142,7 +143,8 @@ describe('the whole program', () => {
 
   test('a real photo looks the same in browser and server', async (t) => {
     if (!existsSync(realPhoto)) return skip(t, 'data', 'TMPI_DATA has no photos');
-    const { page, context, errors } = await openPage(browser);
+    // the page loads all of the photo's pixels only for a large screen
+    const { page, context, errors } = await openPage(browser, { viewport: { width: 1280, height: 800 } });
     const state = await makePhoto(server.url, readFileSync(realPhoto));
     await page.goto(`${server.url}/view/${state.id}`);
     await waitForMode(page, 'gpu');
@@ -174,20 +176,18 @@ describe('the whole program', () => {
     await disableGraphics(page, { webgl: false });
     await page.goto(`${server.url}/view/${made.id}`);
     await waitForMode(page, 'served');
-    const shown = () => page.evaluate(() => window.viewer.serverViews.shown);
     await page.waitForFunction(() => window.viewer.serverViews.shown);
-    const before = await shown();
     await page.locator('#stage').focus();
     for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
-    await page.waitForFunction((old) => window.viewer.serverViews.shown !== old && !window.viewer.serverViews.busy, before);
-    assert.match(await shown(), /tx=0\.0[1-5]/);
+    // four steps to the right; earlier ones may be shown first
+    await page.waitForFunction(() => /tx=0\.0[1-5]/.test(window.viewer.serverViews.shown));
     assert.ok(await page.evaluate(() => document.querySelector('.tmpi-poster').naturalWidth > 0));
     assert.deepEqual(errors, []);
     await context.close();
   });
 
   test('the demo page shows three elements, one from another origin', async () => {
-    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    const { page, context, errors } = await openPage(browser);
     await page.goto(`${server.url}/demo`);
     for (const i of [0, 1, 2]) {
       await page.evaluate((n) => document.querySelectorAll('tmpi-viewer')[n].scrollIntoView(), i);
@@ -205,7 +205,7 @@ describe('the whole program', () => {
   });
 
   test('the owner’s settings are saved with the photo', async () => {
-    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    const { page, context, errors } = await openPage(browser);
     const other = await makePhoto(server.url, boxPhoto(240, 150), boxDepth(240, 150));
     await page.goto(`${server.url}/view/${other.id}`);
     await waitForMode(page, 'gpu');

@@ -39,7 +39,7 @@ describe('a frame on another site', () => {
   });
 
   async function open(query, graphics) {
-    const opened = await openPage(browser, { reducedMotion: 'reduce' });
+    const opened = await openPage(browser);
     if (!graphics) await disableGraphics(opened.page, { webgl: false });
     const requests = [];
     opened.page.on('request', (request) => {

@@ -71,7 +71,7 @@ describe('full screen of a photo', () => {
         // hides the hint of a first visit, which covers the photo
         const localStorage = [{ name: 'tmpi-hinted', value: '1' }];
         const storageState = { cookies: [], origins: [{ origin: suite.server.url, localStorage }] };
-        const { page, context, errors } = await suite.open({ reducedMotion: 'reduce', storageState, ...options });
+        const { page, context, errors } = await suite.open({ storageState, ...options });
         await waitForMode(page, 'gpu');
         await enter(page, trigger);
         const shot = await screenPixels(page, await assertFills(page));
@@ -94,7 +94,7 @@ describe('full screen of a room', () => {
   test('shows the picture on every screen', async () => {
     const publisher = await suite.publish('wide');
     for (const [screen, options] of Object.entries(SCREENS)) {
-      const { page, context } = await suite.watch('wide', { options: { reducedMotion: 'reduce', ...options } });
+      const { page, context } = await suite.watch('wide', { options: { ...options } });
       await page.waitForFunction(() => document.getElementById('stage').dataset.mode && document.getElementById('loading').hidden);
       await enter(page, 'the button');
       const shot = await screenPixels(page, await assertFills(page));

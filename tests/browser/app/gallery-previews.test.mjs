@@ -1,9 +1,9 @@
 // Moving previews on the gallery page: a sample if there is no photo, and one card at a time.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { openPage } from '../support/browser.mjs';
+import { MOTION, openPage } from '../support/browser.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 
 describe('previews in the gallery', () => {
   const suite = boxSuite();
@@ -17,8 +17,8 @@ describe('previews in the gallery', () => {
     links: { atlas: '/v1/photos/box/atlas?v=1', poster: '/v1/photos/box/thumbnail' },
   });
 
-  async function open(photos, options = {}) {
-    const opened = await openPage(suite.browser, options);
+  async function open(photos, options = MOTION) {
+    const opened = await openPage(suite.browser, { viewport: { width: 1280, height: 800 }, ...options });
     const requests = [];
     await opened.page.route('**/v1/photos', (route) => route.fulfill({ json: { photos } }));
     await opened.page.route('**/thumbnail', (route) => route.fulfill({ contentType: 'image/png', body: boxPhoto(60, 36) }));
@@ -68,7 +68,7 @@ describe('previews in the gallery', () => {
   });
 
   test('cards do not move with reduced motion', async () => {
-    const calm = await open([listed('a'), listed('b')], REDUCED_MOTION);
+    const calm = await open([listed('a'), listed('b')], {});
     await calm.page.locator('.card').first().hover();
     // by the time another page moves, this one would have moved too
     const other = await open([listed('a')]);

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
 import { roomSuite } from '../support/room.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 
 const DESKTOP = { viewport: { width: 1280, height: 800 } };
 const PHONE = { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true };
@@ -25,7 +25,7 @@ describe('the photo page', () => {
   const suite = boxSuite();
   async function open(options) {
     suite.server.state.settings = { version: 1 };
-    const opened = await suite.open({ ...REDUCED_MOTION, ...options });
+    const opened = await suite.open(options);
     await waitForMode(opened.page, 'gpu');
     return opened;
   }

@@ -9,9 +9,8 @@ import { startServer } from '../support/program.mjs';
 const WIDTH = 320;
 const HEIGHT = 200;
 const [FAR, NEAR] = [40, 220];
-const REDUCED_MOTION = { reducedMotion: 'reduce' };
 /** A photo from a phone: 64 × 48 pixels, left half near. */
-const PHONE = readFileSync(new URL('../../../fuzz/seeds/carried/gdepth.jpg', import.meta.url));
+const PHONE = readFileSync(new URL('../../../fuzz/seeds/embedded_depth/gdepth.jpg', import.meta.url));
 
 /** An 8-bit depth map of the box; `shade` makes the file unique. */
 const map = (width, height, shade = 0) =>
@@ -31,7 +30,7 @@ describe('photos with depth', () => {
 
   /** Drops a folder with `files`, each `[name, type, bytes]`, on the gallery page. */
   async function dropFolder(files) {
-    const all = await openPage(browser, REDUCED_MOTION);
+    const all = await openPage(browser);
     await all.page.goto(server.url);
     await all.page.evaluate(
       (entries) => {

@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, seriousViolations } from '../support/browser.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 
 const SECRET = `tmpi_o_${'a'.repeat(40)}`;
 const TICKET = `tmpi_t_1_${'5e'.repeat(64)}`;
@@ -13,7 +13,7 @@ describe('a link with a secret', () => {
 
   async function open(hash, more = {}) {
     suite.server.posts.length = 0;
-    const opened = await openPage(suite.browser, { ...REDUCED_MOTION, ...more });
+    const opened = await openPage(suite.browser, { ...more });
     await opened.page.goto(`${suite.server.url}/view/box${hash}`);
     return opened;
   }

@@ -16,7 +16,7 @@ describe('sharing', () => {
   const suite = boxSuite();
 
   async function open(viewport = SIZES[0], more = {}) {
-    const opened = await suite.open({ reducedMotion: 'reduce', viewport, acceptDownloads: true, ...more });
+    const opened = await suite.open({ viewport, acceptDownloads: true, ...more });
     await waitForMode(opened.page, 'gpu');
     return opened;
   }
@@ -190,7 +190,7 @@ describe('sharing', () => {
 
   test('visitors share the signed link that they have', async () => {
     suite.server.state.visibility = 'private';
-    const { page, context } = await openPage(suite.browser, { reducedMotion: 'reduce' });
+    const { page, context } = await openPage(suite.browser);
     const signed = `${suite.server.url}/view/box?expires=4102444800&signature=5e`;
     for (const [address, link] of [
       [signed, signed],
@@ -252,8 +252,9 @@ describe('sharing', () => {
   test('dialogs fit every screen in both languages', async () => {
     Object.assign(suite.server.state, { visibility: 'private', links: { manage: `/view/box#manage=tmpi_m_${'a'.repeat(64)}` } });
     for (const locale of ['en', 'de']) {
+      const { page, context } = await open(SIZES[0], { locale });
       for (const viewport of SIZES) {
-        const { page, context } = await open(viewport, { locale });
+        await page.setViewportSize(viewport);
         for (const entry of ['#share-link', '#share-embed', '#share-film', '#share-access']) {
           await page.locator('#share').click();
           await page.locator(entry).click();
@@ -267,8 +268,8 @@ describe('sharing', () => {
           await dialog.locator('.row button').last().click();
           await dialog.waitFor({ state: 'detached' });
         }
-        await context.close();
       }
+      await context.close();
     }
     Object.assign(suite.server.state, { visibility: undefined, links: undefined });
   });

@@ -9,7 +9,6 @@ const WIDTH = 320;
 const HEIGHT = 200;
 /** Disparity of the whole photo: the box is wrongly as far as the wall. */
 const WALL = 0.3;
-const REDUCED_MOTION = { reducedMotion: 'reduce' };
 
 /** Intersection over union of two masks. */
 function overlap(a, b) {
@@ -35,7 +34,7 @@ describe('touch-up', () => {
   });
 
   /** Uploads a new photo and opens its page: `{page, context, errors, id, depth}`. */
-  async function opened(shade, options = REDUCED_MOTION) {
+  async function opened(shade, options = {}) {
     const made = await makePhoto(
       server.url,
       boxPhoto(WIDTH, HEIGHT),
@@ -351,7 +350,7 @@ describe('touch-up', () => {
   });
 
   test('works by touch, and reports a conflicting change', async () => {
-    const phone = { ...REDUCED_MOTION, hasTouch: true, isMobile: true, viewport: { width: 360, height: 740 } };
+    const phone = { hasTouch: true, isMobile: true, viewport: { width: 360, height: 740 } };
     const { page, context, errors, id } = await opened(0.04, phone);
     await start(page);
     const wide = await page.evaluate(() => document.querySelector('dialog.touch-up').scrollWidth);

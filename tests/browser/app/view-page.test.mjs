@@ -1,10 +1,10 @@
 // Texts and dialogs of the photo page.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { waitForMode } from '../support/browser.mjs';
+import { MOTION, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
-const PHONE = { reducedMotion: 'reduce', hasTouch: true, isMobile: true, viewport: { width: 390, height: 844 } };
+const PHONE = { hasTouch: true, isMobile: true, viewport: { width: 390, height: 844 } };
 
 describe('the photo page', () => {
   const suite = boxSuite();
@@ -56,7 +56,7 @@ describe('the photo page', () => {
   });
 
   test('stops idle motion while the user sets the blur', async () => {
-    const { page, context } = await suite.open({});
+    const { page, context } = await suite.open(MOTION);
     await waitForMode(page, 'gpu');
     assert.ok(await page.evaluate(() => window.viewer.idle));
     await page.locator('#show').click();
@@ -66,7 +66,7 @@ describe('the photo page', () => {
   });
 
   for (const [device, options, seen, other] of [
-    ['a mouse', { reducedMotion: 'reduce' }, 'Click the picture', 'Tap the picture'],
+    ['a mouse', {}, 'Click the picture', 'Tap the picture'],
     ['fingers', PHONE, 'Tap the picture', 'Click the picture'],
   ]) {
     test(`explains how to use it with ${device}`, async () => {

@@ -7,7 +7,8 @@ import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
 import { HOME, lookingAt, POSE_KEYS } from '../../../static/view/camera.js';
-import { disableGraphics, launch, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
+import { disableGraphics, launch, openPage, pixelsAt } from '../support/browser.mjs';
+import { boxContainer } from '../support/container.mjs';
 import { serve } from '../support/fake-server.mjs';
 import { png } from '../support/pictures.mjs';
 import { lab, program } from '../support/program.mjs';
@@ -16,8 +17,6 @@ const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
 /** Largest fraction of pixels off by more than 8 levels, and largest mean FLIP. */
 const MOST_OFF = 0.015;
 const MOST_FLIP = 0.02;
-/** A small page, for fast software rendering. */
-const SMALL = { reducedMotion: 'reduce', viewport: { width: 480, height: 460 } };
 /** The scenes have twice the default view box. */
 const REACH = 0.06;
 
@@ -38,12 +37,15 @@ describe('scenes', () => {
   const scenes = readdirSync(FOLDER).filter((name) => name.endsWith('.tmpi'));
   let browser;
   let folder;
+  let server;
   before(async () => {
+    server = await serve({ atlas: boxContainer() });
     folder = mkdtempSync(join(tmpdir(), 'tmpi-scenes-'));
     browser = await launch();
   });
   after(async () => {
     await browser?.close();
+    await server?.close();
     if (folder) rmSync(folder, { recursive: true });
   });
 
@@ -62,15 +64,26 @@ describe('scenes', () => {
   async function compare(t, mode) {
     assert.equal(scenes.length, 12);
     let [worstOff, worstFlip] = [0, 0];
+    const { page, context, errors } = await openPage(browser);
+    if (mode === 'webgl') await disableGraphics(page, { webgl: true });
+    await page.route('**/scenes/*', (route) => {
+      const name = new URL(route.request().url()).pathname.split('/').at(-1);
+      return route.fulfill({ contentType: 'application/vnd.tmpi', body: readFileSync(join(FOLDER, name)) });
+    });
+    await page.goto(`${server.url}/embed?host=${server.url}`);
     for (const scene of scenes) {
-      const server = await serve({ atlas: readFileSync(join(FOLDER, scene)) });
-      const { page, context, errors } = await openPage(browser, SMALL);
-      if (mode === 'webgl') await disableGraphics(page, { webgl: true });
-      await page.goto(`${server.url}/view/box`);
-      await waitForMode(page, mode);
+      const drawnBy = await page.evaluate(async (src) => {
+        const element = document.querySelector('tmpi-viewer');
+        // a small canvas, for fast software rendering
+        element.style.width = '200px';
+        const loaded = new Promise((resolve) => element.addEventListener('load', resolve, { once: true }));
+        element.src = src;
+        return (await loaded).detail.mode;
+      }, `/scenes/${scene}`);
+      assert.equal(drawnBy, mode);
       for (const [i, pose] of poses().entries()) {
         const { path, width, height } = reference(scene, pose, i);
-        const data = await pixelsAt(page, pose, width, height);
+        const data = await pixelsAt(page, pose, width, height, 'tmpi-viewer');
         const browserPicture = join(folder, 'browser.png');
         writeFileSync(
           browserPicture,
@@ -80,10 +93,9 @@ describe('scenes', () => {
         assert.ok(figures.share_off <= MOST_OFF && figures.flip <= MOST_FLIP, `${scene} from ${i}: ${JSON.stringify(figures)}`);
         [worstOff, worstFlip] = [Math.max(worstOff, figures.share_off), Math.max(worstFlip, figures.flip)];
       }
-      assert.deepEqual(errors, []);
-      await context.close();
-      await server.close();
     }
+    assert.deepEqual(errors, []);
+    await context.close();
     t.diagnostic(
       `${mode}: at most ${(worstOff * 100).toFixed(3)} % of the pixels off by more than 8 levels, FLIP at most ${worstFlip.toFixed(4)}`,
     );

@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { fractionDifferent, openPage, pixelsAt, waitForMode } from '../support/browser.mjs';
-import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
+import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 
 const SIDE = 128;
 
@@ -25,7 +25,7 @@ for (const [mode, webgpu] of [
     test('the scene fits into smaller pages and looks the same', async () => {
       const seen = [];
       for (const small of [false, true]) {
-        const { page, context } = await openPage(suite.browser, REDUCED_MOTION);
+        const { page, context } = await openPage(suite.browser);
         if (small) await page.addInitScript(limitTextures, SIDE);
         await page.goto(`${suite.server.url}/view/box`);
         await waitForMode(page, mode);

@@ -3,14 +3,14 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, seriousViolations } from '../support/browser.mjs';
 import { serve } from '../support/fake-server.mjs';
-import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
+import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 
 describe('layout of the element', () => {
   const suite = boxSuite();
   /** Opens a page of another site with the element. */
   async function open(more = 'still', within = '', host = suite.server.url) {
     const other = await serve({ atlas: Buffer.alloc(0) });
-    const opened = await openPage(suite.browser, REDUCED_MOTION);
+    const opened = await openPage(suite.browser);
     await opened.page.goto(`${other.url}/embed?${new URLSearchParams({ host, more, in: within })}`);
     const close = async () => {
       await opened.context.close();

@@ -1,18 +1,17 @@
 // Many elements on a page, and changes to running elements.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage } from '../support/browser.mjs';
+import { launch, MOTION, openPage } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
 import { serve } from '../support/fake-server.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 /** More than the 16 WebGL contexts that Chromium allows per page. */
 const MANY = 18;
-const REDUCED_MOTION = { reducedMotion: 'reduce' };
 const element = (more = '') => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
 
 /** Opens a page with this HTML. */
-async function open(browser, server, html, options = REDUCED_MOTION) {
+async function open(browser, server, html, options = {}) {
   const opened = await openPage(browser, options);
   await opened.page.goto(`${server.url}/embed/blank`);
   await opened.page.evaluate((markup) => (document.body.innerHTML = markup), html);
@@ -92,8 +91,8 @@ describe('many elements without WebGPU', () => {
 
 describe('a running element', () => {
   const suite = boxSuite();
-  const running = async (html, options = {}) => {
-    const opened = await open(suite.browser, suite.server, `<style>tmpi-viewer { width: 300px }</style>${html}`, options);
+  const running = async (html) => {
+    const opened = await open(suite.browser, suite.server, `<style>tmpi-viewer { width: 300px }</style>${html}`, MOTION);
     await opened.page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
     return opened;
   };

@@ -12,7 +12,6 @@ import { launch, openPage, seriousViolations } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
 import { startServer } from '../support/program.mjs';
-import { REDUCED_MOTION } from '../support/suite.mjs';
 
 const TYPES = { '.js': 'text/javascript', '.wasm': 'application/wasm', '.wgsl': 'text/plain', '.html': 'text/html' };
 const POLICY =
@@ -118,7 +117,7 @@ describe('npm package', () => {
   ]) {
     test(`shows and moves a photo under a strict policy (${mode})`, async () => {
       const browser = await launch({ webgpu: true });
-      const { page, errors } = await openPage(browser, REDUCED_MOTION);
+      const { page, errors } = await openPage(browser);
       if (!webgpu) await page.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
       await page.goto(`http://127.0.0.1:${server.address().port}/`);
       await page.waitForFunction((wanted) => document.querySelector('tmpi-viewer').viewer?.mode === wanted, mode);
@@ -161,7 +160,7 @@ describe('npm package', () => {
     const url = `http://127.0.0.1:${site.address().port}`;
     const browser = await launch({ webgpu: true });
     try {
-      const { page, errors } = await openPage(browser, REDUCED_MOTION);
+      const { page, errors } = await openPage(browser);
       await page.goto(`${url}/tmpi-viewer/upload.html`);
       for (const [name, length] of [
         ['a box.png', 0],

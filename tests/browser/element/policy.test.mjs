@@ -4,7 +4,7 @@ import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
 import { openPage } from '../support/browser.mjs';
 import { serve } from '../support/fake-server.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 import { until } from '../support/until.mjs';
 
 const PAGE = readFileSync(new URL('../../../docs/guides/embedding.md', import.meta.url), 'utf8');
@@ -16,7 +16,7 @@ describe('content security policy', () => {
   /** Mode, poster width and errors of the element on a page with a policy. */
   async function under(policy) {
     const other = await serve({ atlas: Buffer.alloc(0) });
-    const { page, context, errors } = await openPage(suite.browser, REDUCED_MOTION);
+    const { page, context, errors } = await openPage(suite.browser);
     const host = suite.server.url;
     const poster = `still poster="${host}/v1/photos/box/view?w=20&h=12"`;
     await page.goto(`${other.url}/embed?${new URLSearchParams({ host, policy: policy.replaceAll('HOST', host), more: poster })}`);

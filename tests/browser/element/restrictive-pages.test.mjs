@@ -36,7 +36,7 @@ describe('restrictive pages', () => {
   });
 
   /** Opens a page of another site. */
-  async function open(html, { headers = {}, prepare = async () => {}, options = { reducedMotion: 'reduce' }, on = browser } = {}) {
+  async function open(html, { headers = {}, prepare = async () => {}, options = {}, on = browser } = {}) {
     const path = `/${responses.size}`;
     responses.set(path, [html, headers]);
     const opened = await openPage(on, options);

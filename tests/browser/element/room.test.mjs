@@ -8,7 +8,7 @@ import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { fractionDifferent, openPage, pixelsAt } from '../support/browser.mjs';
 import { program } from '../support/program.mjs';
-import { compareWithFilm, REDUCED_MOTION, roomSuite, SAME_DB, saveScreenshot } from '../support/room.mjs';
+import { compareWithFilm, roomSuite, SAME_DB, saveScreenshot } from '../support/room.mjs';
 import { until } from '../support/until.mjs';
 import { HEIGHT, WIDTH } from '../support/video.mjs';
 
@@ -41,7 +41,7 @@ describe('rooms in the element', () => {
     <script type="module" src="${suite.server.url}/tmpi-viewer.js"></script><tmpi-viewer ${attributes} alt="The attic"></tmpi-viewer>`;
 
   /** Opens a page with an element, on the server's own site or another. */
-  async function open(attributes, { sameSite = false, options = REDUCED_MOTION } = {}) {
+  async function open(attributes, { sameSite = false, options = {} } = {}) {
     const opened = await openPage(suite.browser, options);
     const { page } = opened;
     await page.addInitScript(() => {

@@ -1,10 +1,10 @@
 // The element on pages of other sites.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { fractionDifferent, openPage, pixelsAt } from '../support/browser.mjs';
+import { fractionDifferent, MOTION, openPage, pixelsAt } from '../support/browser.mjs';
 import { serve } from '../support/fake-server.mjs';
 import { boxPhoto, readPng } from '../support/pictures.mjs';
-import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
+import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 import { until, waitForAnimationFrames } from '../support/until.mjs';
 
 describe('element', () => {
@@ -12,7 +12,7 @@ describe('element', () => {
 
   test('shows a photo on a page of another origin', async () => {
     const other = await serve({ atlas: Buffer.alloc(0) });
-    const { page, context, errors } = await openPage(suite.browser);
+    const { page, context, errors } = await openPage(suite.browser, MOTION);
     const requests = [];
     page.on('request', (request) => requests.push(new URL(request.url()).pathname));
     await page.goto(`${other.url}/embed?host=${encodeURIComponent(suite.server.url)}`);
@@ -35,7 +35,7 @@ describe('element', () => {
   });
 
   test('attributes set motion and speed', async () => {
-    const { page, context } = await openPage(suite.browser);
+    const { page, context } = await openPage(suite.browser, MOTION);
     await page.goto(`${suite.server.url}/embed?host=${encodeURIComponent(suite.server.url)}`);
     await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer?.mode === 'gpu');
     const setMotion = (motion, speed) =>
@@ -66,7 +66,7 @@ describe('element', () => {
   });
 
   test('elements share a device, sleep unseen and clean up', async () => {
-    const { page, context, errors } = await openPage(suite.browser);
+    const { page, context, errors } = await openPage(suite.browser, MOTION);
     await page.goto(`${suite.server.url}/embed/three`);
     const modes = () => page.evaluate(() => [...document.querySelectorAll('tmpi-viewer')].map((e) => e.viewer?.mode ?? null));
     const drawn = (n) => page.waitForFunction((i) => document.querySelectorAll('tmpi-viewer')[i].viewer?.mode === 'gpu', n);
@@ -106,7 +106,7 @@ describe('element', () => {
 
   /** Opens a page with an element; its script loads after `prepare` has run on the element. */
   async function openBeforeScript(markup, prepare = () => {}) {
-    const opened = await openPage(suite.browser, REDUCED_MOTION);
+    const opened = await openPage(suite.browser, MOTION);
     opened.requests = [];
     opened.page.on('request', (request) => opened.requests.push(request));
     await opened.page.goto(`${suite.server.url}/embed/blank`);

@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
 import { skip } from '../support/skip.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 
 describe('films', () => {
   const suite = boxSuite();
@@ -10,7 +10,7 @@ describe('films', () => {
   let context;
   let errors;
   before(async () => {
-    ({ page, context, errors } = await suite.open(REDUCED_MOTION));
+    ({ page, context, errors } = await suite.open());
     await page.waitForFunction(() => window.viewer?.mode === 'gpu');
   });
   after(() => context?.close());

@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { Motion, STYLES } from '../../../static/input/camera-motion.js';
-import { waitForMode } from '../support/browser.mjs';
+import { MOTION, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 /** Simulates `seconds` of motion; returns the state at each frame. */
@@ -96,8 +96,8 @@ describe('motion', () => {
       };
       return { page, context, pressed, distance, toggled };
     };
-    const calm = await open({ reducedMotion: 'reduce' });
-    const usual = await open({});
+    const calm = await open();
+    const usual = await open(MOTION);
     assert.equal(await usual.pressed(), 'true');
     await usual.page.waitForFunction(() => Math.abs(window.viewer.pose.tx) > 0.01);
     assert.deepEqual([await calm.pressed(), await calm.distance()], ['false', 0], 'it had more time to move');

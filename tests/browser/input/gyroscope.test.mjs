@@ -9,7 +9,7 @@ describe('gyroscope', () => {
   const suite = boxSuite();
 
   test('tilt moves the camera until the box is unchecked', async () => {
-    const { page, context, errors } = await openPage(suite.browser, { reducedMotion: 'reduce', hasTouch: true });
+    const { page, context, errors } = await openPage(suite.browser, { hasTouch: true });
     await page.goto(`${suite.server.url}/view/box`);
     await waitForMode(page, 'gpu');
     await page.locator('#show').click();

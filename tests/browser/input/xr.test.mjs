@@ -4,10 +4,10 @@ import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 
 /** A small page, for fast software rendering. */
-const SMALL = { ...REDUCED_MOTION, viewport: { width: 480, height: 460 } };
+const SMALL = { viewport: { width: 480, height: 460 } };
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
 
 /** In the page: fraction of an eye's pixels that differ from the page's view at its pose, and fraction that is not black. */

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
 import { fractionDifferent, openPage } from '../support/browser.mjs';
-import { boxSuite, REDUCED_MOTION } from '../support/suite.mjs';
+import { boxSuite } from '../support/suite.mjs';
 
 const seed = (name) => readFileSync(new URL(`../../../fuzz/seeds/message/${name}`, import.meta.url)).toString('base64');
 const SEEDS = ['hello', 'geometry', 'snapshot'].map(seed);
@@ -95,7 +95,7 @@ for (const [name, webgpu] of [
     const suite = boxSuite({ webgpu });
 
     test('looks like mirrored copies of its texels', async () => {
-      const { page, context } = await openPage(suite.browser, REDUCED_MOTION);
+      const { page, context } = await openPage(suite.browser);
       await page.goto(`${suite.server.url}/view/box`);
       const given = { seeds: SEEDS, poses: POSES, webgpu, width: WIDTH, height: HEIGHT };
       const { views, mirrored, size } = await page.evaluate(drawViews, given);

@@ -155,7 +155,6 @@ describe('a room', () => {
       deviceScaleFactor: 2,
       hasTouch: true,
       locale: 'de-DE',
-      ...{ reducedMotion: 'reduce' },
     };
     const publisher = await suite.publish('kitchen', { options: phone });
     const watcher = await suite.watch('kitchen', { options: phone });

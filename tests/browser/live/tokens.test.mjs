@@ -11,7 +11,7 @@ import { roomSuite, saveScreenshot } from '../support/room.mjs';
 
 /** Requests through a proxy do not come from the local user. */
 const STRANGER = { extraHTTPHeaders: { 'x-forwarded-for': '192.0.2.1' } };
-const DENIED = /you need (?:a link|an invitation) that is still valid/;
+const DENIED = /you need a link that is still valid/;
 
 describe('tokens', () => {
   let key;

@@ -3,7 +3,7 @@
 import { existsSync, readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { chromium } from 'playwright-core';
-import { TIMEOUT_MS } from './until.mjs';
+import { POLL_MS, TIMEOUT_MS } from './until.mjs';
 
 const executablePath = process.env.CHROMIUM || '/usr/bin/chromium';
 const PLAIN = [
@@ -48,12 +48,20 @@ export async function launch({ webgpu = true, more = [] } = {}) {
   return browser;
 }
 
+/** Page options for idle motion. By default pages rest until the test moves the camera, because software rendering is slow. */
+export const MOTION = { reducedMotion: 'no-preference' };
+/** Size of a page without further options. */
+export const VIEWPORT = { width: 960, height: 600 };
+
 /** Opens a page; `errors` collects script and console errors. */
 export async function openPage(browser, more = {}) {
-  const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, ...more });
+  const context = await browser.newContext({ viewport: VIEWPORT, reducedMotion: 'reduce', ...more });
   if (withoutWebGpu.has(browser)) await context.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
   const page = await context.newPage();
   page.setDefaultTimeout(TIMEOUT_MS);
+  // by default the browser draws a frame for each check, which is slow without a GPU
+  const waitForFunction = page.waitForFunction.bind(page);
+  page.waitForFunction = (condition, argument, options) => waitForFunction(condition, argument, { polling: POLL_MS, ...options });
   const errors = [];
   page.on('pageerror', (error) => errors.push(error.message));
   page.on('console', (message) => {

@@ -9,7 +9,6 @@ import { FRAMES, frameNumber, HEIGHT, psnr, rgba, WIDTH, writeFilm } from './vid
 
 /** PSNR in dB from which a picture equals its source except for compression. */
 export const SAME_DB = 32;
-export const REDUCED_MOTION = { reducedMotion: 'reduce' };
 
 /** Call it in `describe`. `args` returns further server arguments, given a temporary folder. */
 export function roomSuite(args = () => []) {
@@ -29,7 +28,7 @@ export function roomSuite(args = () => []) {
       return opened;
     },
     /** Opens the viewer's page. */
-    async watch(room, { hash = '', options = REDUCED_MOTION, prepare = async () => {} } = {}) {
+    async watch(room, { hash = '', options = {}, prepare = async () => {} } = {}) {
       const opened = await openPage(suite.browser, options);
       await prepare(opened.page);
       await opened.page.goto(`${suite.server.url}/live/${room}${hash}`);

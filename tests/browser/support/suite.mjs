@@ -6,8 +6,6 @@ import { serve } from './fake-server.mjs';
 
 /** Size of the photo of the box. */
 export const [WIDTH, HEIGHT] = [200, 120];
-/** Without idle motion the picture rests until the test moves it. */
-export const REDUCED_MOTION = { reducedMotion: 'reduce' };
 
 /**
  * A server with the photo of the box, and a browser. Call it in `describe`.
@@ -19,7 +17,7 @@ export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, wasm =
     server: null,
     browser: null,
     /** Opens the photo page. */
-    async open(options = REDUCED_MOTION, hash = '') {
+    async open(options = {}, hash = '') {
       const opened = await openPage(suite.browser, options);
       await opened.page.goto(`${suite.server.url}/view/box${hash}`);
       return opened;

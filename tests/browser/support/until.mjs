@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 /** Timeout of all waits; software rendering on a busy machine is slow. */
 export const TIMEOUT_MS = 60_000;
 /** Pause between two checks. */
-const POLL_MS = 10;
+export const POLL_MS = 20;
 
 /**
  * Waits until `condition` returns a truthy value, and returns it.

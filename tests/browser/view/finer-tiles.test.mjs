@@ -4,7 +4,6 @@ import { after, before, describe, test } from 'node:test';
 import { disableGraphics, launch, openPage, waitForMode } from '../support/browser.mjs';
 import { boxDepth, inBox, png } from '../support/pictures.mjs';
 import { makePhoto, startServer } from '../support/program.mjs';
-import { REDUCED_MOTION } from '../support/suite.mjs';
 
 const [WIDTH, HEIGHT] = [1600, 1000];
 /** One-pixel stripes, which turn grey at half size. */
@@ -38,7 +37,7 @@ describe('finer tiles', () => {
 
   for (const mode of ['gpu', 'webgl']) {
     test(`appear when zoomed in, also from the side (${mode})`, async (t) => {
-      const { page, context, errors } = await openPage(browser, { ...REDUCED_MOTION, viewport: { width: 640, height: 480 } });
+      const { page, context, errors } = await openPage(browser, { viewport: { width: 640, height: 480 } });
       if (mode === 'webgl') await disableGraphics(page, { webgl: true });
       const requests = [];
       page.on('request', (request) => request.url().includes('region=') && requests.push(new URL(request.url()).searchParams));

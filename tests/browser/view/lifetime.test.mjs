@@ -4,7 +4,7 @@ import { describe, test } from 'node:test';
 import { openPage } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
-const CYCLES = 50;
+const CYCLES = 20;
 /** Allowed heap growth per cycle in bytes, for requests and garbage that the browser keeps. */
 const HEAP_BYTES = 20_000;
 
@@ -12,7 +12,7 @@ describe('viewer lifetime', () => {
   const suite = boxSuite();
 
   test(`${CYCLES} viewers leave no GPU objects and memory behind`, async (t) => {
-    const { page, context, errors } = await openPage(suite.browser, { reducedMotion: 'reduce' });
+    const { page, context, errors } = await openPage(suite.browser);
     await page.addInitScript(() => {
       // counts live GPU objects
       window.alive = { textures: 0, buffers: 0, devices: 0 };

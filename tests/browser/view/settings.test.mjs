@@ -8,7 +8,7 @@ describe('settings', () => {
   const suite = boxSuite();
 
   test('settings apply, can be changed and are saved', async () => {
-    const { page, context, errors } = await openPage(suite.browser, { reducedMotion: 'reduce' });
+    const { page, context, errors } = await openPage(suite.browser);
     suite.server.state.settings = {
       version: 1,
       title: 'The box',

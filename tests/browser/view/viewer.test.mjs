@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { fractionDifferent, imagePixels, openPage, pixelsAt, seriousViolations, waitForMode } from '../support/browser.mjs';
 import { BOX, boxPhoto, inBox, readPng, wall } from '../support/pictures.mjs';
-import { boxSuite, HEIGHT, REDUCED_MOTION, WIDTH } from '../support/suite.mjs';
+import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 import { gate } from '../support/until.mjs';
 
 const HOME = {};
@@ -114,7 +114,7 @@ describe('viewer', () => {
 
   test('has no serious accessibility violations', async () => {
     for (const colorScheme of ['light', 'dark']) {
-      const { page, context } = await suite.open({ colorScheme, reducedMotion: 'reduce' });
+      const { page, context } = await suite.open({ colorScheme });
       await waitForMode(page, 'gpu');
       await page.locator('#show').click();
       assert.deepEqual(await seriousViolations(page), []);
@@ -123,7 +123,7 @@ describe('viewer', () => {
   });
 
   test('a shared link restores the pose', async () => {
-    const { page, context } = await suite.open(REDUCED_MOTION, '#pose=0.5,-0.25,0.1');
+    const { page, context } = await suite.open({}, '#pose=0.5,-0.25,0.1');
     await waitForMode(page, 'gpu');
     const pose = await page.evaluate(() => window.viewer.pose);
     assert.ok(

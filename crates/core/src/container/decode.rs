@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use prost::Message;
 
-use super::decode_rows::Part;
+use super::decode_rows::TileLayers;
 use super::schema::{Codec, Index, Kind, Section};
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bounds, columns, hidden, label_bands, labels, planes, select_sections};
 use crate::layers::{Surface, texture_tiles};
@@ -14,7 +14,7 @@ use crate::{Class, Geometry, Grid, Intrinsics, Layer, LayerMasks, Photo, Scene, 
 /// All rows of tiles.
 const ALL_ROWS: Range<u32> = 0..u32::MAX;
 /// Decodes a picture section: format, file, and maximum width and height in pixels.
-pub type Pictures<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Photo, ContainerError> + Sync);
+pub type PictureDecoder<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Photo, ContainerError> + Sync);
 
 /// A section, as described by the index.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -100,7 +100,7 @@ pub fn read_plain(bytes: &[u8]) -> Result<(&[u8], Vec<u8>), ContainerError> {
     Ok((&bytes[..bytes.len() - body.len()], plane_section(&index, body, &grid, index.planes as usize)?))
 }
 
-fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: Pictures) -> Result<(Photo, Geometry), ContainerError> {
+fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: PictureDecoder) -> Result<(Photo, Geometry), ContainerError> {
     let (grid, intrinsics, view_box) = cameras(index)?;
     let section = find(index, Kind::Photo).ok_or_else(|| ContainerError::broken("there is no photo section"))?;
     let file = range(section, body)?;
@@ -128,12 +128,12 @@ pub fn decode(bytes: &[u8]) -> Result<Scene, ContainerError> {
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`], or the error of `pictures`.
-pub fn decode_with(bytes: &[u8], pictures: Pictures) -> Result<Scene, ContainerError> {
+pub fn decode_with(bytes: &[u8], pictures: PictureDecoder) -> Result<Scene, ContainerError> {
     let (index, body) = split(bytes)?;
     let (photo, geometry) = parts(&index, body, &ALL_ROWS, pictures)?;
     let Geometry { grid, intrinsics, view_box, .. } = geometry;
     let tiles = 0..geometry.tiles.len() as u32;
-    let Part { layers, texels, .. } = derive_layers(&index, body, &geometry, tiles, geometry.surface(), &photo.rgb, pictures)?;
+    let TileLayers { layers, texels, .. } = derive_layers(&index, body, &geometry, tiles, geometry.surface(), &photo.rgb, pictures)?;
     let scene = Scene { grid, intrinsics, view_box, photo, layers, texels };
     scene.validate().map_err(|e| ContainerError::broken(e.to_string()))?;
     Ok(scene)
@@ -147,8 +147,8 @@ pub(super) fn derive_layers(
     tiles: Range<u32>,
     surface: Surface,
     rgb: &[[u8; 3]],
-    pictures: Pictures,
-) -> Result<Part, ContainerError> {
+    pictures: PictureDecoder,
+) -> Result<TileLayers, ContainerError> {
     let (mut layers, mut texels) = (Vec::new(), Texels::default());
     let shapes = geometry.masks_of(tiles.clone(), &surface, false);
     let carried = find(index, Kind::Hidden).is_some();
@@ -176,7 +176,7 @@ pub(super) fn derive_layers(
     if carried {
         texels.hidden = hidden_colours(index, body, &layers, &texels.class, hidden, pictures)?;
     }
-    Ok(Part { layers, texels })
+    Ok(TileLayers { layers, texels })
 }
 
 /// Checks header and sections; returns the index and the bytes after it.
@@ -344,7 +344,7 @@ fn hidden_colours(
     layers: &[Layer],
     class: &[u8],
     count: usize,
-    pictures: Pictures,
+    pictures: PictureDecoder,
 ) -> Result<Vec<[u8; 3]>, ContainerError> {
     if count == 0 {
         return Ok(Vec::new());

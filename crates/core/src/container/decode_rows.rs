@@ -22,7 +22,7 @@ pub struct PhotoRows {
 
 /// Layers of some tiles, and their texels. Texel indices start at 0 for the first layer.
 #[derive(Clone, Debug, Default)]
-pub struct Part {
+pub struct TileLayers {
     /// The layers.
     pub layers: Vec<Layer>,
     /// Texels of these layers.
@@ -31,24 +31,24 @@ pub struct Part {
 
 /// Rows of pixels that determine the layers in some rows of tiles.
 #[must_use]
-pub fn reach(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
-    Geometry::reach(grid, rows)
+pub fn pixel_rows(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
+    Geometry::pixel_rows(grid, rows)
 }
 
-/// Decodes some rows of tiles, at least one. `photo` must cover their [`reach`]; `hidden` is the picture of carried hidden colours, if
+/// Decodes some rows of tiles, at least one. `photo` must cover their [`pixel_rows`]; `hidden` is the picture of carried hidden colours, if
 /// there is one and it can be decoded.
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
-pub fn decode_rows(bytes: &[u8], rows: &Range<u32>, photo: &PhotoRows, hidden: Option<&Photo>) -> Result<Part, ContainerError> {
+pub fn decode_rows(bytes: &[u8], rows: &Range<u32>, photo: &PhotoRows, hidden: Option<&Photo>) -> Result<TileLayers, ContainerError> {
     let (index, body) = decode::split(bytes)?;
     let (grid, intrinsics, view_box) = decode::cameras(&index)?;
     if rows.is_empty() || rows.end > grid.rows() {
         return Err(ContainerError::broken("rows of tiles out of range"));
     }
-    let reach = reach(&grid, rows);
+    let pixel_rows = pixel_rows(&grid, rows);
     // all rows of tiles that overlap these rows of pixels
-    let near = reach.start.saturating_sub(grid.size) / grid.stride..reach.end.div_ceil(grid.stride);
+    let near = pixel_rows.start.saturating_sub(grid.size) / grid.stride..pixel_rows.end.div_ceil(grid.stride);
     let geometry = decode::layer_geometry(&index, body, grid, (intrinsics, view_box), &near)?;
     if decode::find(&index, Kind::Photo).is_none() {
         return Err(ContainerError::broken("there is no photo section"));
@@ -57,12 +57,12 @@ pub fn decode_rows(bytes: &[u8], rows: &Range<u32>, photo: &PhotoRows, hidden: O
         return Err(ContainerError::broken("photo: its size differs from the index"));
     }
     let width = grid.width as usize;
-    let own = (reach.start as usize).wrapping_sub(photo.top as usize).saturating_mul(width);
-    let rgb = photo.rgb.get(own..own.saturating_add(width * reach.len()));
+    let own = (pixel_rows.start as usize).wrapping_sub(photo.top as usize).saturating_mul(width);
+    let rgb = photo.rgb.get(own..own.saturating_add(width * pixel_rows.len()));
     let rgb = rgb.ok_or_else(|| ContainerError::broken("photo: rows are missing"))?;
     let carried = |_: PhotoFormat, _: &[u8], _: (u32, u32)| {
         hidden.cloned().ok_or_else(|| ContainerError::broken("hidden: the picture cannot be read"))
     };
     let tiles = rows.start * grid.columns()..rows.end * grid.columns();
-    decode::derive_layers(&index, body, &geometry, tiles, geometry.surface_of(reach), rgb, &carried)
+    decode::derive_layers(&index, body, &geometry, tiles, geometry.surface_of(pixel_rows), rgb, &carried)
 }

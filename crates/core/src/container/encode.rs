@@ -5,7 +5,9 @@ use prost::Message;
 
 use super::schema::{Codec, Index, Kind, Section};
 use super::select_sections::header;
-use super::{Carried, ContainerError, MAJOR, MINOR, bounds, columns, encode_jpeg, encode_lossless, hidden, label_bands, labels, planes};
+use super::{
+    ContainerError, EncodedPhoto, MAJOR, MINOR, bounds, columns, encode_jpeg, encode_lossless, hidden, label_bands, labels, planes,
+};
 use crate::{Geometry, Grid, Scene};
 
 /// zstd level; sections are small, so the highest ordinary level costs little time.
@@ -16,11 +18,11 @@ const LARGE_LEVEL: i32 = 9;
 
 /// What a container carries in addition to photo, planes and labels, which determine everything else.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Carries {
+pub struct OptionalSections {
     /// Soft alphas, if a network has refined them.
     pub alpha: bool,
     /// Hidden colours, if they differ from those of [`crate::Inpainter`].
-    pub hidden: Option<HiddenAs>,
+    pub hidden: Option<HiddenCodec>,
 }
 
 /// Sizes of a container's sections in bytes.
@@ -40,7 +42,7 @@ pub struct SectionBytes {
 
 /// Codec for hidden colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum HiddenAs {
+pub enum HiddenCodec {
     /// JPEG with a quality from 1 to 100.
     Jpeg(u8),
     /// Lossless PNG.
@@ -49,14 +51,19 @@ pub enum HiddenAs {
     Webp,
 }
 
-/// Encodes a container of `geometry`, with the parts of `scene` that `carries` selects. `carried` is the photo's file. Returns the
+/// Encodes a container of `geometry`, with the parts of `scene` that `optional` selects. `photo_file` is the photo's file. Returns the
 /// container and the sizes of its sections.
 ///
 /// # Errors
 /// [`ContainerError::Encode`] if a codec fails, or if a matted geometry is to carry alphas or hidden colours;
 /// [`ContainerError::Bound`] if the geometry exceeds a limit of readers; [`ContainerError::Broken`] if the planes are inconsistent.
-pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
-    encode_in(label_bands::rows(&geometry.grid), geometry, scene, carried, carries)
+pub fn encode(
+    geometry: &Geometry,
+    scene: &Scene,
+    photo_file: &EncodedPhoto,
+    optional: OptionalSections,
+) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
+    encode_in(label_bands::rows(&geometry.grid), geometry, scene, photo_file, optional)
 }
 
 /// Like [`encode`] with labels in bands of `rows` rows of tiles, or in a single stream for `None`.
@@ -67,15 +74,15 @@ pub fn encode_in(
     rows: Option<u32>,
     geometry: &Geometry,
     scene: &Scene,
-    carried: &Carried,
-    carries: Carries,
+    photo_file: &EncodedPhoto,
+    optional: OptionalSections,
 ) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
     bounds::geometry(geometry)?;
-    if geometry.matted && carries != Carries::default() {
+    if geometry.matted && optional != OptionalSections::default() {
         return Err(ContainerError::Encode("a matted container must not carry alphas or hidden colours".into()));
     }
     let mut file = File::default();
-    file.add(Kind::Photo, carried.format.codec(), carried.bytes.clone(), 0);
+    file.add(Kind::Photo, photo_file.format.codec(), photo_file.bytes.clone(), 0);
     let planes = columns::write(&geometry.tiles);
     let layout = planes::Layout::of(&geometry.grid, geometry.planes());
     let coded = planes::encode(layout, &planes)?;
@@ -88,19 +95,19 @@ pub fn encode_in(
     let counts: Vec<u8> = geometry.tiles.iter().map(|t| t.planes.len() as u8).collect();
     let all: Vec<u8> = geometry.tiles.iter().flat_map(|t| &t.labels).copied().collect();
     file.add_labels(&geometry.grid, &counts, &all, rows);
-    if carries.alpha {
+    if optional.alpha {
         file.add_packed(Kind::Alpha, &refined_alpha(geometry, scene))?;
     }
     let (mut blocks, mut per_row) = (0, 0);
-    if let Some(how) = carries.hidden {
+    if let Some(how) = optional.hidden {
         blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
         per_row = hidden::columns_for(blocks);
         if blocks > 0 {
             let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
             let (codec, picture) = match how {
-                HiddenAs::Jpeg(quality) => (Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?),
-                HiddenAs::Png => (Codec::Png, encode_lossless(ImageFormat::Png, w, h, &rgb)?),
-                HiddenAs::Webp => (Codec::Webp, encode_lossless(ImageFormat::WebP, w, h, &rgb)?),
+                HiddenCodec::Jpeg(quality) => (Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?),
+                HiddenCodec::Png => (Codec::Png, encode_lossless(ImageFormat::Png, w, h, &rgb)?),
+                HiddenCodec::Webp => (Codec::Webp, encode_lossless(ImageFormat::WebP, w, h, &rgb)?),
             };
             file.add(Kind::Hidden, codec, picture, 0);
         }

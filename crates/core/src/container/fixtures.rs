@@ -1,7 +1,7 @@
 //! Scenes for the tests of several crates.
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, reason = "for tests alone")]
 
-use super::{Carried, Carries, PhotoFormat, encode_in, encode_lossless};
+use super::{EncodedPhoto, OptionalSections, PhotoFormat, encode_in, encode_lossless};
 use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Scene, TexturedLayer, Tile, ViewBox, compose};
 
 /// Near discs in front of a slanted wall; some tiles have background planes, some alphas are refined, and hidden colours survive JPEG well.
@@ -75,6 +75,6 @@ pub fn rough((mut geometry, scene): (Geometry, Scene)) -> (Geometry, Scene) {
 #[must_use]
 pub fn bare_in(rows: Option<u32>, (geometry, s): &(Geometry, Scene)) -> Vec<u8> {
     let png = encode_lossless(image::ImageFormat::Png, s.photo.width, s.photo.height, s.photo.rgb.as_flattened()).unwrap();
-    let photo = Carried { bytes: png, format: PhotoFormat::Png };
-    encode_in(rows, geometry, s, &photo, Carries::default()).unwrap().0
+    let photo = EncodedPhoto { bytes: png, format: PhotoFormat::Png };
+    encode_in(rows, geometry, s, &photo, OptionalSections::default()).unwrap().0
 }

@@ -16,12 +16,12 @@ const PIXELS: u64 = 1_000_000;
 /// Rows of tiles per band for a photo of this grid; `None` for a single stream.
 #[cfg(feature = "write")]
 pub fn rows(grid: &Grid) -> Option<u32> {
-    rows_for(grid, PIXELS)
+    band_rows(grid, PIXELS)
 }
 
 /// Rows of tiles per band for bands of about equal size and at least `pixels` pixels; `None` for a single stream.
 #[must_use]
-pub fn rows_for(grid: &Grid, pixels: u64) -> Option<u32> {
+pub fn band_rows(grid: &Grid, pixels: u64) -> Option<u32> {
     let most = u64::from(grid.width) * u64::from(grid.height) / pixels.max(1);
     let bands = most.min(u64::from(grid.rows())) as u32;
     (bands > 1).then(|| grid.rows().div_ceil(bands))

@@ -32,20 +32,20 @@ mod texture_strip;
 mod unpack;
 
 pub use bounds::{most_planes, readable};
-pub use decode::{Pictures, SectionInfo, decode_with, read_geometry, read_plain, sections};
+pub use decode::{PictureDecoder, SectionInfo, decode_with, read_geometry, read_plain, sections};
 #[cfg(feature = "pictures")]
 pub use decode::{decode, read};
-pub use decode_rows::{Part, PhotoRows, decode_rows, reach};
+pub use decode_rows::{PhotoRows, TileLayers, decode_rows, pixel_rows};
 #[cfg(feature = "write")]
-pub use encode::{Carries, HiddenAs, SectionBytes, encode, encode_in};
-pub use label_bands::rows_for;
-pub use photo::{Carried, PhotoFormat};
+pub use encode::{HiddenCodec, OptionalSections, SectionBytes, encode, encode_in};
+pub use label_bands::band_rows;
+pub use photo::{EncodedPhoto, PhotoFormat};
 #[cfg(feature = "pictures")]
 pub use picture_codec::decode as decode_picture;
 #[cfg(feature = "write")]
 pub use picture_codec::{encode_jpeg, encode_lossless};
 #[cfg(feature = "write")]
-pub use region::{RegionPhoto, Tiles, region};
+pub use region::{RegionPhoto, TileRect, region};
 pub use select_sections::{SECTIONS, select, with_section};
 #[cfg(feature = "write")]
 pub use smaller_level::{LEVELS, level};

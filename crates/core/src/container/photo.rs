@@ -51,7 +51,7 @@ impl PhotoFormat {
 
 /// The photo's file, as a container carries it.
 #[derive(Clone, Debug)]
-pub struct Carried {
+pub struct EncodedPhoto {
     /// Contents of the picture file.
     pub bytes: Vec<u8>,
     /// Format of the file.

@@ -3,7 +3,7 @@
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 
-use super::{Carried, ContainerError, PhotoFormat, bounds};
+use super::{ContainerError, EncodedPhoto, PhotoFormat, bounds};
 use crate::scene::Photo;
 
 /// Encodes 8-bit RGB as JPEG with a quality from 1 to 100.
@@ -30,7 +30,7 @@ pub fn encode_lossless(format: ImageFormat, width: u32, height: u32, pixels: &[u
     Ok(out.into_inner())
 }
 
-impl Carried {
+impl EncodedPhoto {
     /// Encodes a photo as JPEG with a quality from 1 to 100.
     ///
     /// # Errors

@@ -10,14 +10,14 @@ use crate::{Geometry, Grid, Intrinsics, Photo, Rect};
 
 /// A rectangle of whole tiles in a grid; neither range is empty.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Tiles {
+pub struct TileRect {
     /// Columns of tiles.
     pub columns: Range<u32>,
     /// Rows of tiles.
     pub rows: Range<u32>,
 }
 
-impl Tiles {
+impl TileRect {
     /// The fewest whole tiles that cover `region`; `None` if it is empty or extends beyond the photo.
     #[must_use]
     pub fn over(grid: &Grid, region: Rect) -> Option<Self> {
@@ -34,7 +34,7 @@ impl Tiles {
         Some(Self { columns: range(region.x, region.w, grid.columns()), rows: range(region.y, region.h, grid.rows()) })
     }
 
-    /// [`Tiles::over`] for the grid of a container.
+    /// [`TileRect::over`] for the grid of a container.
     ///
     /// # Errors
     /// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
@@ -61,7 +61,7 @@ pub enum RegionPhoto {
 /// # Errors
 /// [`ContainerError::Broken`], also if `tiles` is empty or out of range; [`ContainerError::Bound`], [`ContainerError::Newer`] or
 /// [`ContainerError::Encode`].
-pub fn region(container: &[u8], tiles: &Tiles, level: u8, as_: RegionPhoto) -> Result<Vec<u8>, ContainerError> {
+pub fn region(container: &[u8], tiles: &TileRect, level: u8, as_: RegionPhoto) -> Result<Vec<u8>, ContainerError> {
     let (_, grid) = decode::declared(container)?;
     let within = |range: &Range<u32>, count: u32| range.start < range.end && range.end <= count;
     if !within(&tiles.columns, grid.columns()) || !within(&tiles.rows, grid.rows()) {
@@ -74,15 +74,15 @@ pub fn region(container: &[u8], tiles: &Tiles, level: u8, as_: RegionPhoto) -> R
     let (rect, geometry) = cut(geometry, tiles);
     let photo = crop(&photo, rect);
     let (photo, geometry, _) = smaller_level::smaller(photo, geometry, level);
-    let carried = match as_ {
-        RegionPhoto::Jpeg => smaller_level::carried(&photo)?,
-        RegionPhoto::Lossless => super::Carried::lossless(&photo)?,
+    let photo_file = match as_ {
+        RegionPhoto::Jpeg => smaller_level::encode_photo(&photo)?,
+        RegionPhoto::Lossless => super::EncodedPhoto::lossless(&photo)?,
     };
-    smaller_level::encode_geometry(photo, &geometry, &carried)
+    smaller_level::encode_geometry(photo, &geometry, &photo_file)
 }
 
 /// The rectangle of the tiles in pixels, and the geometry of these tiles.
-fn cut(geometry: Geometry, tiles: &Tiles) -> (Rect, Geometry) {
+fn cut(geometry: Geometry, tiles: &TileRect) -> (Rect, Geometry) {
     let Geometry { grid, intrinsics: k, view_box, tiles: all, matted } = geometry;
     let (rect, part) = grid.part(tiles.columns.clone(), tiles.rows.clone());
     let columns = grid.columns();
@@ -119,17 +119,17 @@ mod tests {
             };
             let ((x, w), (y, h)) = (side(at[0], at[1], grid.width), side(at[2], at[3], grid.height));
             let wanted = Rect { x, y, w, h };
-            let tiles = Tiles::over_region(one, wanted).unwrap().unwrap();
+            let tiles = TileRect::over_region(one, wanted).unwrap().unwrap();
             let (rect, _) = grid.part(tiles.columns.clone(), tiles.rows.clone());
             prop_assert!(rect.contains(&wanted));
             // with one tile less on any side, the region is not covered
             for less in [
-                Tiles { columns: tiles.columns.start + 1..tiles.columns.end, ..tiles.clone() },
-                Tiles { columns: tiles.columns.start..tiles.columns.end - 1, ..tiles.clone() },
-                Tiles { rows: tiles.rows.start + 1..tiles.rows.end, ..tiles.clone() },
-                Tiles { rows: tiles.rows.start..tiles.rows.end - 1, ..tiles.clone() },
+                TileRect { columns: tiles.columns.start + 1..tiles.columns.end, ..tiles.clone() },
+                TileRect { columns: tiles.columns.start..tiles.columns.end - 1, ..tiles.clone() },
+                TileRect { rows: tiles.rows.start + 1..tiles.rows.end, ..tiles.clone() },
+                TileRect { rows: tiles.rows.start..tiles.rows.end - 1, ..tiles.clone() },
             ] {
-                let covers = |l: &Tiles| grid.part(l.columns.clone(), l.rows.clone()).0.contains(&wanted);
+                let covers = |l: &TileRect| grid.part(l.columns.clone(), l.rows.clone()).0.contains(&wanted);
                 prop_assert!(less.columns.is_empty() || less.rows.is_empty() || !covers(&less));
             }
             let file = region(one, &tiles, level, RegionPhoto::Lossless).unwrap();
@@ -158,17 +158,17 @@ mod tests {
         for (x, y, w, h) in
             [(0, 0, 0, 1), (0, 0, 1, 0), (199, 0, 2, 1), (0, 99, 1, 2), (200, 0, 1, 1), (u32::MAX, 0, 1, 1), (0, 0, u32::MAX, 1)]
         {
-            assert_eq!(Tiles::over(&grid, Rect { x, y, w, h }), None);
+            assert_eq!(TileRect::over(&grid, Rect { x, y, w, h }), None);
         }
         assert_eq!(
-            Tiles::over(&grid, Rect { x: 0, y: 0, w: 200, h: 100 }),
-            Some(Tiles { columns: 0..grid.columns(), rows: 0..grid.rows() })
+            TileRect::over(&grid, Rect { x: 0, y: 0, w: 200, h: 100 }),
+            Some(TileRect { columns: 0..grid.columns(), rows: 0..grid.rows() })
         );
         // inside an overlap, either tile would do
-        assert_eq!(Tiles::over(&grid, Rect { x: 57, y: 0, w: 3, h: 9 }), Some(Tiles { columns: 1..2, rows: 0..1 }));
+        assert_eq!(TileRect::over(&grid, Rect { x: 57, y: 0, w: 3, h: 9 }), Some(TileRect { columns: 1..2, rows: 0..1 }));
         let whole = bare_in(None, &scene(70, 40));
         for columns in [0..3, 1..1, 5..6] {
-            assert!(region(&whole, &Tiles { columns, rows: 0..1 }, 0, RegionPhoto::Jpeg).is_err());
+            assert!(region(&whole, &TileRect { columns, rows: 0..1 }, 0, RegionPhoto::Jpeg).is_err());
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Planes do not change, because δ is affine in units of half a tile, and tiles shrink with the photo. Nothing is estimated again.
 
-use super::{Carried, Carries, ContainerError, bounds, decode, encode};
+use super::{ContainerError, EncodedPhoto, OptionalSections, bounds, decode, encode};
 use crate::{Geometry, Grid, Intrinsics, Photo, Scene, Texels, Tile};
 
 /// The smallest level: an eighth of the size.
@@ -21,8 +21,8 @@ pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, ContainerError> {
     if done == 0 {
         return Ok(container.to_vec());
     }
-    let carried = carried(&photo)?;
-    encode_geometry(photo, &geometry, &carried)
+    let photo_file = encode_photo(&photo)?;
+    encode_geometry(photo, &geometry, &photo_file)
 }
 
 /// Photo and geometry at `1 / 2^level` of their size, or at the smallest possible level, and the number of halvings.
@@ -39,15 +39,15 @@ pub(super) fn smaller(mut photo: Photo, mut geometry: Geometry, level: u8) -> (P
 }
 
 /// Encodes the photo of a level.
-pub(super) fn carried(photo: &Photo) -> Result<Carried, ContainerError> {
-    Carried::from_photo(photo, QUALITY)
+pub(super) fn encode_photo(photo: &Photo) -> Result<EncodedPhoto, ContainerError> {
+    EncodedPhoto::from_photo(photo, QUALITY)
 }
 
 /// Encodes a container with only photo and geometry, which determine all texels.
-pub(super) fn encode_geometry(photo: Photo, geometry: &Geometry, carried: &Carried) -> Result<Vec<u8>, ContainerError> {
+pub(super) fn encode_geometry(photo: Photo, geometry: &Geometry, photo_file: &EncodedPhoto) -> Result<Vec<u8>, ContainerError> {
     let Geometry { grid, intrinsics, view_box, .. } = *geometry;
     let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
-    Ok(encode(geometry, &scene, carried, Carries::default())?.0)
+    Ok(encode(geometry, &scene, photo_file, OptionalSections::default())?.0)
 }
 
 /// The same planes over tiles of half the size; `None` if a tile's size or stride is odd.

@@ -6,8 +6,8 @@ use super::*;
 use crate::{Geometry, Grid, Inpainter, Scene};
 
 fn container((geometry, s): &(Geometry, Scene)) -> Vec<u8> {
-    let photo = Carried::from_photo(&s.photo, 90).unwrap();
-    let (bytes, parts) = encode(geometry, s, &photo, Carries { alpha: true, hidden: Some(HiddenAs::Jpeg(90)) }).unwrap();
+    let photo = EncodedPhoto::from_photo(&s.photo, 90).unwrap();
+    let (bytes, parts) = encode(geometry, s, &photo, OptionalSections { alpha: true, hidden: Some(HiddenCodec::Jpeg(90)) }).unwrap();
     assert_eq!(parts.total, bytes.len());
     assert_eq!(parts.index + parts.photo + parts.alpha + parts.hidden, bytes.len());
     bytes
@@ -41,9 +41,9 @@ fn everything_but_lossy_pictures_round_trips_exactly() {
     }
     assert!(scene(150, 100).1.texels.hidden.len() > 1000);
     let (geometry, scene) = scene(150, 100);
-    let photo = Carried::from_photo(&scene.photo, 90).unwrap();
-    for how in [HiddenAs::Png, HiddenAs::Webp] {
-        let bytes = encode(&geometry, &scene, &photo, Carries { alpha: true, hidden: Some(how) }).unwrap().0;
+    let photo = EncodedPhoto::from_photo(&scene.photo, 90).unwrap();
+    for how in [HiddenCodec::Png, HiddenCodec::Webp] {
+        let bytes = encode(&geometry, &scene, &photo, OptionalSections { alpha: true, hidden: Some(how) }).unwrap().0;
         assert_eq!(decode(&bytes).unwrap().texels, scene.texels);
     }
 }
@@ -283,7 +283,7 @@ fn matting_is_a_flag_and_needs_no_section() {
     let scene = decode(&bytes).unwrap();
     assert!(same(&got, &scene) && !same(&unmatted, &scene));
     // its levels and regions are matted, too
-    let parts = [level(&bytes, 1).unwrap(), region(&bytes, &Tiles { columns: 1..3, rows: 0..1 }, 0, RegionPhoto::Lossless).unwrap()];
+    let parts = [level(&bytes, 1).unwrap(), region(&bytes, &TileRect { columns: 1..3, rows: 0..1 }, 0, RegionPhoto::Lossless).unwrap()];
     assert!(parts.iter().all(|part| decode::read_geometry(part).unwrap().matted));
     assert!(!decode::read_geometry(&bare(&plain)).unwrap().matted);
 }
@@ -292,9 +292,9 @@ fn matting_is_a_flag_and_needs_no_section() {
 fn a_matted_container_carries_no_derived_sections() {
     use prost::Message;
     let (geometry, s) = matted(scene(70, 40));
-    let photo = Carried::from_photo(&s.photo, 90).unwrap();
-    for carries in [Carries { alpha: true, hidden: None }, Carries { alpha: false, hidden: Some(HiddenAs::Png) }] {
-        assert!(matches!(encode(&geometry, &s, &photo, carries), Err(ContainerError::Encode(_))));
+    let photo = EncodedPhoto::from_photo(&s.photo, 90).unwrap();
+    for optional in [OptionalSections { alpha: true, hidden: None }, OptionalSections { alpha: false, hidden: Some(HiddenCodec::Png) }] {
+        assert!(matches!(encode(&geometry, &s, &photo, optional), Err(ContainerError::Encode(_))));
     }
     let carried = container(&scene(70, 40));
     let (mut index, body) = decode::split(&carried).unwrap();
@@ -310,9 +310,9 @@ fn rows_of_a_matted_container_match_the_whole() {
         let whole = decode(&bytes).unwrap();
         let grid = whole.grid;
         for row in 0..grid.rows() {
-            let reach = reach(&grid, &(row..row + 1));
-            let own = reach.start as usize * 150..reach.end as usize * 150;
-            let photo = PhotoRows { width: 150, height: 300, top: reach.start, rgb: whole.photo.rgb[own].to_vec() };
+            let pixel_rows = pixel_rows(&grid, &(row..row + 1));
+            let own = pixel_rows.start as usize * 150..pixel_rows.end as usize * 150;
+            let photo = PhotoRows { width: 150, height: 300, top: pixel_rows.start, rgb: whole.photo.rgb[own].to_vec() };
             let part = decode_rows(&bytes, &(row..row + 1), &photo, None).unwrap();
             let of_row = |l: &&crate::Layer| l.tile / grid.columns() == row;
             let all: Vec<_> = whole.layers.iter().filter(of_row).collect();

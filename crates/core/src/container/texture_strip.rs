@@ -1,6 +1,6 @@
 //! Texels in the layout for GPU textures: strips of texture pages.
 
-use super::{Part, PhotoRows};
+use super::{PhotoRows, TileLayers};
 use crate::scene::packed_rgb;
 use crate::{Class, Layer, MirrorBlur};
 
@@ -45,7 +45,7 @@ impl Piece {
 /// `photo`. `None` if a piece does not fit.
 #[must_use]
 pub fn strip(
-    part: &Part,
+    part: &TileLayers,
     (photo, blur): (&PhotoRows, &MirrorBlur),
     pieces: impl Iterator<Item = Piece>,
     size: (usize, usize),
@@ -69,7 +69,7 @@ pub fn strip(
 }
 
 /// Appends the texels of a layer to `out`, row by row, as premultiplied RGBA. `photo` has the colours of the whole photo, `width` to a row.
-pub(crate) fn texels(part: &Part, layer: &Layer, (photo, width): (&[u32], usize), out: &mut Vec<[u8; 4]>) {
+pub(crate) fn texels(part: &TileLayers, layer: &Layer, (photo, width): (&[u32], usize), out: &mut Vec<[u8; 4]>) {
     let (from, size) = (out.len(), (layer.rect.w as usize, layer.rect.h as usize));
     out.resize(from + size.0 * size.1, [0; 4]);
     let piece = Piece { layer: 0, from: (0, 0), size, mirrored: (false, false), x: 0 };
@@ -139,7 +139,7 @@ impl Colours for Words<'_> {
     }
 }
 
-fn expand(part: &Part, l: &Layer, piece: &Piece, photo: &mut dyn Colours, out: &mut [[u8; 4]], width: usize) {
+fn expand(part: &TileLayers, l: &Layer, piece: &Piece, photo: &mut dyn Colours, out: &mut [[u8; 4]], width: usize) {
     let (w, h) = piece.size;
     let hidden_of = |class: &[u8]| class.iter().filter(|&&c| c == Class::Hidden as u8).count();
     let texel = |v: usize| l.first_texel + v * l.rect.w as usize;

@@ -41,17 +41,17 @@ impl<'a> Inpainter<'a> {
     /// Computes the visible surface, and excludes pixels that touch a nearer surface.
     #[must_use]
     pub fn new(photo: &'a Photo, geometry: &Geometry) -> Self {
-        Self::on(geometry.grid, geometry.surface(), &photo.rgb)
+        Self::with_surface(geometry.grid, geometry.surface(), &photo.rgb)
     }
 
     /// Like [`Inpainter::new`] for some rows of the photo whose visible `surface` is known; `rgb` has the pixels of the same rows.
     #[must_use]
-    pub fn on(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
+    pub fn with_surface(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
         surface.exclude_mixed();
         Self::with_sources(grid, surface, rgb)
     }
 
-    /// Like [`Inpainter::on`] for a surface from which mixed pixels are already excluded.
+    /// Like [`Inpainter::with_surface`] for a surface from which mixed pixels are already excluded.
     #[must_use]
     pub(crate) const fn with_sources(grid: Grid, sources: Surface, rgb: &'a [[u8; 3]]) -> Self {
         Self { rgb, grid, sources }

@@ -28,13 +28,13 @@ pub struct Tile {
 impl Tile {
     /// The smallest δ that this tile shows; `index` is its index in the grid.
     #[must_use]
-    pub fn farthest(&self, grid: &Grid, index: u32) -> f32 {
-        self.shown(grid, index).iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least })
+    pub fn min_disparity(&self, grid: &Grid, index: u32) -> f32 {
+        self.disparities(grid, index).iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least })
     }
 
     /// δ of each pixel, row-major; `index` is the tile's index in the grid.
     #[must_use]
-    pub fn shown(&self, grid: &Grid, index: u32) -> Vec<f32> {
+    pub fn disparities(&self, grid: &Grid, index: u32) -> Vec<f32> {
         let (r, place) = (grid.rect(index), TileFrame::of(grid, index));
         let (mut us, mut planes, mut out) = (Vec::new(), Vec::new(), vec![0f32; r.area()]);
         place.columns(r.x, r.w, &mut us);
@@ -150,7 +150,7 @@ impl Geometry {
         self.masks_of(0..self.tiles.len() as u32, &self.surface(), all)
     }
 
-    /// Masks of some tiles. The surface must cover at least their [`Geometry::reach`]. With `all`, keeps hidden texels that no camera can
+    /// Masks of some tiles. The surface must cover at least their [`Geometry::pixel_rows`]. With `all`, keeps hidden texels that no camera can
     /// see.
     pub(crate) fn masks_of(&self, tiles: Range<u32>, surface: &Surface, all: bool) -> Vec<LayerMasks> {
         let scratch = || Scratch { all, ..Scratch::default() };

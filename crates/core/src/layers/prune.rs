@@ -59,7 +59,7 @@ pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
 
 impl Geometry {
     /// Rows of pixels that determine the texels, and their colours, in some rows of tiles.
-    pub(crate) fn reach(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
+    pub(crate) fn pixel_rows(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
         let last = grid.rect((rows.end - 1) * grid.columns());
         let reach = MAX_REACH as u32;
         (rows.start * grid.stride).saturating_sub(reach)..(last.y + last.h + reach).min(grid.height)
@@ -168,10 +168,10 @@ mod tests {
     fn rows_of_tiles_depend_on_pixels_within_the_maximum_reach() {
         let grid = Grid { width: 100, height: 3000, size: 64, stride: 56 };
         let reach = MAX_REACH as u32;
-        assert_eq!(Geometry::reach(&grid, &(20..22)), 20 * 56 - reach..21 * 56 + 64 + reach);
-        assert_eq!(Geometry::reach(&grid, &(0..1)), 0..64 + reach);
+        assert_eq!(Geometry::pixel_rows(&grid, &(20..22)), 20 * 56 - reach..21 * 56 + 64 + reach);
+        assert_eq!(Geometry::pixel_rows(&grid, &(0..1)), 0..64 + reach);
         let rows = grid.tiles() / grid.columns();
-        assert_eq!(Geometry::reach(&grid, &(rows - 1..rows)), (rows - 1) * 56 - reach..3000);
+        assert_eq!(Geometry::pixel_rows(&grid, &(rows - 1..rows)), (rows - 1) * 56 - reach..3000);
     }
 
     #[test]

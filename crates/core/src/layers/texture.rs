@@ -27,7 +27,7 @@ pub(crate) fn texture_tiles(
     shapes: Vec<LayerMasks>,
 ) -> Vec<Vec<TexturedLayer>> {
     let photo = Rows { top: surface.top(), rgb };
-    let colours = Inpainter::on(geometry.grid, surface, rgb).fill_tiles(first, &shapes);
+    let colours = Inpainter::with_surface(geometry.grid, surface, rgb).fill_tiles(first, &shapes);
     let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();
     let mut tiles: Vec<Vec<TexturedLayer>> = shapes.into_iter().zip(colours).map(tile).collect();
     if geometry.matted {

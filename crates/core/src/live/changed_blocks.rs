@@ -16,7 +16,7 @@ pub(super) struct Blocks {
 impl Blocks {
     /// Compares the values of two frames with `width` pixels to a row. All blocks differ if the old frame has another size.
     #[allow(clippy::needless_bitwise_bool, reason = "without a branch")]
-    pub fn that_differ<T: PartialEq>(width: u32, old: &[T], new: &[T]) -> Self {
+    pub fn differing<T: PartialEq>(width: u32, old: &[T], new: &[T]) -> Self {
         let width = (width as usize).max(1);
         let (across, down) = (width.div_ceil(SIDE), new.len().div_ceil(width).div_ceil(SIDE));
         let mut sums = vec![0; (across + 1) * (down + 1)];
@@ -72,14 +72,14 @@ mod tests {
             for i in &at {
                 new[i.index(old.len())] = 1;
             }
-            let blocks = Blocks::that_differ(width, &old, &new);
+            let blocks = Blocks::differing(width, &old, &new);
             let (x, y) = (x.min(width), y.min(height));
             let r = Rect { x, y, w: w.min(width - x), h: h.min(height - y) };
             // the rectangle, extended to whole blocks
             let about = |from: u32, len: u32, i: u32| len > 0 && (from / 8..(from + len).div_ceil(8)).contains(&(i / 8));
             let want = (0..).zip(&new).any(|(i, v)| *v == 1 && about(r.x, r.w, i % width) && about(r.y, r.h, i / width));
             prop_assert_eq!(blocks.any(&r), want);
-            prop_assert_eq!(Blocks::that_differ(width, &old[1..], &new).any(&r), r.w > 0 && r.h > 0);
+            prop_assert_eq!(Blocks::differing(width, &old[1..], &new).any(&r), r.w > 0 && r.h > 0);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Entry point for fuzzing.
 
 use super::schema::message::Kind;
-use super::{Model, chunk, read};
+use super::{TileState, chunk, read};
 use crate::{Geometry, Grid, Intrinsics, ViewBox};
 
 /// Reads a message, and applies its tiles to a small room; then encodes and decodes the tiles again.
@@ -11,7 +11,7 @@ use crate::{Geometry, Grid, Intrinsics, ViewBox};
 pub fn message(data: &[u8]) {
     let Ok(kind) = read(data.to_vec().into()) else { return };
     match kind {
-        Kind::Hello(hello) => drop(Model::new(&hello)),
+        Kind::Hello(hello) => drop(TileState::new(&hello)),
         Kind::Geometry(g) | Kind::Snapshot(g) => {
             let grid = Grid::new(130, 100, 64);
             let empty = Geometry {
@@ -21,7 +21,7 @@ pub fn message(data: &[u8]) {
                 tiles: Vec::new(),
                 matted: false,
             };
-            let Ok(mut model) = Model::new(&Model::hello(&empty)) else { return };
+            let Ok(mut model) = TileState::new(&TileState::hello(&empty)) else { return };
             if model.take(&g).is_err() {
                 return;
             }

@@ -86,8 +86,8 @@ fn h264(nal: &[u8]) -> Result<KeyFrame, KeyFrameError> {
     let FrameCropping { left_offset, top_offset, .. } =
         sps.frame_cropping.unwrap_or(FrameCropping { left_offset: 0, right_offset: 0, top_offset: 0, bottom_offset: 0 });
     let signal = sps.vui_parameters.as_ref().and_then(|vui| vui.video_signal_type.as_ref());
-    let matrix = signal.and_then(|s| s.colour_description.as_ref()).and_then(|c| Matrix::numbered(c.matrix_coefficients));
-    let colour = Colour::said(matrix, signal.is_some_and(|s| s.video_full_range_flag));
+    let matrix = signal.and_then(|s| s.colour_description.as_ref()).and_then(|c| Matrix::from_code(c.matrix_coefficients));
+    let colour = Colour::signalled(matrix, signal.is_some_and(|s| s.video_full_range_flag));
     Ok(KeyFrame { width, height, left: 2 * left_offset, top: 2 * fields * top_offset, coded, colour })
 }
 
@@ -113,6 +113,6 @@ fn vp9(data: &[u8]) -> Result<Option<KeyFrame>, KeyFrameError> {
         5 => Some(Matrix::Bt2020),
         _ => None,
     };
-    let colour = Colour::said(matrix, colour & 16 != 0);
+    let colour = Colour::signalled(matrix, colour & 16 != 0);
     Ok(Some(KeyFrame { width, height, left: 0, top: 0, coded: (width, height), colour }))
 }

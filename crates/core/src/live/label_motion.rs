@@ -40,7 +40,7 @@ const MIN_UNPLACED: usize = 40;
 
 /// Motion of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Way {
+pub struct MotionVector {
     /// Pixels to the right and down.
     x: i32,
     y: i32,
@@ -48,7 +48,7 @@ pub struct Way {
     time: Duration,
 }
 
-impl Way {
+impl MotionVector {
     /// The motion scaled to another duration: pixels to the right and down.
     fn within(&self, time: Duration) -> (i32, i32) {
         let share = if self.time.is_zero() { 1.0 } else { time.as_secs_f64() / self.time.as_secs_f64() };
@@ -58,7 +58,7 @@ impl Way {
 }
 
 /// Two frames; the tiles belong to the first.
-pub struct Motion<'a> {
+pub struct MotionSearch<'a> {
     geometry: &'a Geometry,
     /// Time from the first frame to the second.
     time: Duration,
@@ -73,7 +73,7 @@ pub struct Motion<'a> {
     near_change: Dilation,
 }
 
-impl<'a> Motion<'a> {
+impl<'a> MotionSearch<'a> {
     /// Compares two frames that are `time` apart. Both frames, and the visible `surface`, have the size of the geometry's grid.
     #[must_use]
     pub fn new(geometry: &'a Geometry, surface: &'a Surface, (was, now): (&'a [u32], &'a [u32]), time: Duration) -> Self {
@@ -88,14 +88,14 @@ impl<'a> Motion<'a> {
     /// Motion of the nearer objects of a tile; `None` if they did not move. Also searches around the positions predicted from the motions
     /// `before` of this tile and its neighbours.
     #[must_use]
-    pub fn way(&self, index: u32, before: &[Option<Way>]) -> Option<Way> {
+    pub fn vector(&self, index: u32, before: &[Option<MotionVector>]) -> Option<MotionVector> {
         let grid = &self.geometry.grid;
         let (columns, rows) = (grid.columns(), grid.rows());
         let around = |at: u32, most: u32| at.saturating_sub(1)..=(at + 1).min(most - 1);
         let mut guesses = Vec::new();
         for row in around(index / columns, rows) {
-            for way in around(index % columns, columns).filter_map(|column| before.get((row * columns + column) as usize)?.as_ref()) {
-                let guess = way.within(self.time);
+            for vector in around(index % columns, columns).filter_map(|column| before.get((row * columns + column) as usize)?.as_ref()) {
+                let guess = vector.within(self.time);
                 // adjacent positions are within its search range
                 if guesses.iter().all(|g: &(i32, i32)| (g.0 - guess.0).abs().max((g.1 - guess.1).abs()) > 1) {
                     guesses.push(guess);
@@ -104,13 +104,13 @@ impl<'a> Motion<'a> {
         }
         let reach = |of: fn(&(i32, i32)) -> i32| guesses.iter().map(|g| of(g).abs() + DENSE_REACH).fold(REACH, i32::max) as u32;
         let part = grown(grid.rect(index), reach(|g| g.0), reach(|g| g.1), grid);
-        self.way_in(part, &guesses).map(|(x, y)| Way { x, y, time: self.time })
+        self.search(part, &guesses).map(|(x, y)| MotionVector { x, y, time: self.time })
     }
 
     /// The tile in the second frame, from the motion of its nearer objects; `None` if it does not change. If something enters from a
     /// neighbouring tile and lies on none of this tile's planes, the tile gets a fronto-parallel plane for it.
     #[must_use]
-    pub fn moved(&self, index: u32, Way { x: dx, y: dy, .. }: Way) -> Option<Tile> {
+    pub fn moved(&self, index: u32, MotionVector { x: dx, y: dy, .. }: MotionVector) -> Option<Tile> {
         let (grid, tile) = (&self.geometry.grid, self.geometry.tiles.get(index as usize)?);
         let rect = grid.rect(index);
         let place = TileFrame::of(grid, index);
@@ -151,7 +151,7 @@ impl<'a> Motion<'a> {
     }
 
     /// Motion of the nearer objects in a part of the frame, in pixels to the right and down. `None` if they did not move or were not found.
-    fn way_in(&self, part: Rect, guesses: &[(i32, i32)]) -> Option<(i32, i32)> {
+    fn search(&self, part: Rect, guesses: &[(i32, i32)]) -> Option<(i32, i32)> {
         let width = self.geometry.grid.width;
         let mut changed = Vec::new();
         for y in part.y..part.y + part.h {
@@ -190,12 +190,12 @@ impl<'a> Motion<'a> {
             let side = move || (-reach..=reach).step_by(step);
             side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
         };
-        let least = |voters: &[(i32, i32, f32)], ways: &mut dyn Iterator<Item = (i32, i32)>| {
+        let least = |voters: &[(i32, i32, f32)], motion_vectors: &mut dyn Iterator<Item = (i32, i32)>| {
             let (mut best, mut best_cost) = ((0, 0), u32::MAX);
-            for way in ways {
-                let way_cost = cost(voters, way, best_cost);
-                if way_cost < best_cost {
-                    (best, best_cost) = (way, way_cost);
+            for vector in motion_vectors {
+                let vector_cost = cost(voters, vector, best_cost);
+                if vector_cost < best_cost {
+                    (best, best_cost) = (vector, vector_cost);
                 }
             }
             best
@@ -203,9 +203,9 @@ impl<'a> Motion<'a> {
         let guessed = guesses.iter().flat_map(|guess| square(*guess, DENSE_REACH, 1));
         let about = least(&some(FIRST_VOTERS), &mut guessed.chain(square((0, 0), REACH, 2)).chain(square((0, 0), DENSE_REACH, 1)));
         let voters = some(VOTERS);
-        let way = least(&voters, &mut square(about, 1, 1));
-        (way != (0, 0) && f64::from(cost(&voters, way, u32::MAX)) < MAX_REMAINING * f64::from(cost(&voters, (0, 0), u32::MAX)))
-            .then_some(way)
+        let vector = least(&voters, &mut square(about, 1, 1));
+        (vector != (0, 0) && f64::from(cost(&voters, vector, u32::MAX)) < MAX_REMAINING * f64::from(cost(&voters, (0, 0), u32::MAX)))
+            .then_some(vector)
     }
 }
 
@@ -241,7 +241,7 @@ fn mark_changed_body(was: &[u32], now: &[u32], changed: &mut [u8]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::{Layers, When};
+    use crate::live::{FrameTiming, Layers};
     use crate::scene::packed_rgb::of_word;
     use crate::{Grid, Intrinsics, Photo, ViewBox};
 
@@ -278,9 +278,9 @@ mod tests {
             let (geometry, was) = frame_on(deltas, (40, 16));
             let surface = geometry.surface();
             let (other, now) = frame_on(deltas, to);
-            let motion = Motion::new(&geometry, &surface, (&was, &now), Duration::ZERO);
+            let motion = MotionSearch::new(&geometry, &surface, (&was, &now), Duration::ZERO);
             for (t, (tile, other)) in (0..).zip(geometry.tiles.iter().zip(&other.tiles)) {
-                let moved = motion.way(t, &[]).and_then(|way| motion.moved(t, way));
+                let moved = motion.vector(t, &[]).and_then(|vector| motion.moved(t, vector));
                 let off = moved.as_ref().unwrap_or(tile).labels.iter().zip(&other.labels).filter(|(a, b)| a != b).count();
                 assert_eq!(off, 0, "pixels of tile {t} at {deltas:?}, to {to:?}");
             }
@@ -292,19 +292,21 @@ mod tests {
         let (geometry, was) = frame(10, 16);
         let surface = geometry.surface();
         let (thirtieth, tiles) = (Duration::from_micros(33_333), geometry.grid.tiles());
-        let labels = |motion: &Motion, before: &[Option<Way>]| -> Vec<_> {
+        let labels = |motion: &MotionSearch, before: &[Option<MotionVector>]| -> Vec<_> {
             (0..tiles)
-                .map(|t| motion.way(t, before).and_then(|way| motion.moved(t, way)).unwrap_or(geometry.tiles[t as usize].clone()).labels)
+                .map(|t| {
+                    motion.vector(t, before).and_then(|vector| motion.moved(t, vector)).unwrap_or(geometry.tiles[t as usize].clone()).labels
+                })
                 .collect()
         };
         let first = frame(20, 18).1;
-        let motion = Motion::new(&geometry, &surface, (&was, &first), thirtieth);
-        let ways: Vec<_> = (0..tiles).map(|t| motion.way(t, &[])).collect();
+        let motion = MotionSearch::new(&geometry, &surface, (&was, &first), thirtieth);
+        let motion_vectors: Vec<_> = (0..tiles).map(|t| motion.vector(t, &[])).collect();
         let (other, third) = frame(40, 22);
-        let motion = Motion::new(&geometry, &surface, (&was, &third), 3 * thirtieth);
+        let motion = MotionSearch::new(&geometry, &surface, (&was, &third), 3 * thirtieth);
         let expected: Vec<_> = other.tiles.into_iter().map(|t| t.labels).collect();
         assert!(labels(&motion, &[]) != expected, "not found without the previous motions");
-        assert!(labels(&motion, &ways) == expected, "found with the previous motions");
+        assert!(labels(&motion, &motion_vectors) == expected, "found with the previous motions");
     }
 
     #[test]
@@ -316,8 +318,8 @@ mod tests {
         assert!(!geometry.tiles[1].labels.contains(&1) && other.tiles[1].labels.contains(&1));
         geometry.tiles[1].planes.truncate(1);
         let surface = geometry.surface();
-        let motion = Motion::new(&geometry, &surface, (&was, &now), Duration::ZERO);
-        let moved = motion.way(1, &[]).and_then(|way| motion.moved(1, way)).unwrap();
+        let motion = MotionSearch::new(&geometry, &surface, (&was, &now), Duration::ZERO);
+        let moved = motion.vector(1, &[]).and_then(|vector| motion.moved(1, vector)).unwrap();
         assert_eq!(moved.labels, other.tiles[1].labels);
         let off = |i: usize| (moved.planes[i].a - other.tiles[1].planes[i].a).abs();
         assert!(moved.planes.len() == 2 && off(0) < 1e-3 && off(1) < 1e-3, "{:?}", moved.planes);
@@ -341,14 +343,14 @@ mod tests {
         let time = Some(Duration::from_millis(33));
         let labels = |geometry: &Geometry| geometry.tiles.iter().map(|t| t.labels.clone()).collect::<Vec<_>>();
         for (late, of) in [(0, 3), (1, 2), (2, 1), (3, 0)] {
-            let mut layers = Layers::remembering();
+            let mut layers = Layers::with_memory();
             for (n, (_, colours)) in (0u64..).zip(&frames) {
                 let last = n == 3;
-                let when = When { frame: n, tiles: last.then(|| n - late), gone: time };
+                let when = FrameTiming { frame: n, tiles: last.then(|| n - late), elapsed: time };
                 let geometry = if last { &frames[of].0 } else { &frames[0].0 };
                 layers.update(geometry, |_| last, photo(colours), when);
             }
-            let shown = layers.with_moved().unwrap_or(&frames[of].0);
+            let shown = layers.moved_geometry().unwrap_or(&frames[of].0);
             assert!(labels(shown) == labels(&frames[3].0), "tiles of {late} frames before");
         }
     }
@@ -358,8 +360,8 @@ mod tests {
         let (geometry, was) = frame(30, 16);
         let surface = geometry.surface();
         let of = |now: &[u32]| {
-            let motion = Motion::new(&geometry, &surface, (&was, now), Duration::ZERO);
-            (0..geometry.grid.tiles()).filter_map(|t| motion.moved(t, motion.way(t, &[])?)).count()
+            let motion = MotionSearch::new(&geometry, &surface, (&was, now), Duration::ZERO);
+            (0..geometry.grid.tiles()).filter_map(|t| motion.moved(t, motion.vector(t, &[])?)).count()
         };
         assert_eq!(of(&was), 0);
         // noise, a change of light, and an unrelated picture

@@ -7,9 +7,9 @@
 use std::time::Duration;
 
 use super::changed_blocks::Blocks;
-use super::label_motion::{Motion, Way};
-use super::shown_frames::{self, History, Shown, When};
-use crate::container::{Part, texels};
+use super::label_motion::{MotionSearch, MotionVector};
+use super::shown_frames::{self, FrameTiming, History, Shown};
+use crate::container::{TileLayers, texels};
 use crate::layers::{CONTEXT, MAX_FRAMES, STEADY, Surface};
 use crate::scene::packed_rgb;
 use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Photo, Pyramid, Scene, SeenBackground, Texels, grown};
@@ -22,7 +22,7 @@ pub(super) const TURNS: u32 = 8;
 /// Duration of a frame at 30 a second. If frames are less frequent, several groups have their turn at once, so that none waits longer.
 pub(super) const TURN: Duration = Duration::from_micros(33_333);
 /// Maximum number of frames, after the frame of the last tiles, in which labels follow motion.
-pub const FOLLOWS: u32 = shown_frames::KEPT as u32;
+pub const MAX_MOTION_FRAMES: u32 = shown_frames::KEPT as u32;
 
 /// Layers and texels of all tiles, updated from frame to frame.
 #[derive(Default)]
@@ -34,7 +34,7 @@ pub struct Layers {
     surface: Option<Surface>,
     /// Visible surface with labels that have followed motion, if there are any.
     moved_surface: Option<Surface>,
-    parts: Vec<Part>,
+    parts: Vec<TileLayers>,
     /// Tiles whose hidden colours are out of date.
     stale: Vec<bool>,
     /// Frames, at 30 a second, since the last change to what a tile's hidden colours depend on.
@@ -53,11 +53,11 @@ pub struct Layers {
     /// Number and capture time of the shown frame.
     now: (u64, Duration),
     /// Last known motion of the objects in each tile.
-    ways: Vec<Option<Way>>,
+    motion_vectors: Vec<Option<MotionVector>>,
     /// Tiles whose labels have followed motion.
     moved: Vec<bool>,
     /// All tiles with these labels, if there are any.
-    with_moved: Option<Geometry>,
+    moved_geometry: Option<Geometry>,
 }
 
 /// Indices of changed tiles, in ascending order.
@@ -72,15 +72,15 @@ pub struct Changes {
 impl Layers {
     /// Layers with a memory: they show what was visible before something moved in front of it, and their labels follow motion.
     #[must_use]
-    pub fn remembering() -> Self {
-        Self { remembers: true, follows: FOLLOWS, ..Self::default() }
+    pub fn with_memory() -> Self {
+        Self { remembers: true, follows: MAX_MOTION_FRAMES, ..Self::default() }
     }
 
-    /// Limits the number of frames, after the frame of the last tiles, in which labels follow motion: at most [`FOLLOWS`]. With 0, labels
-    /// do not move.
+    /// Limits the number of frames, after the frame of the last tiles, in which labels follow motion: at most [`MAX_MOTION_FRAMES`]. With
+    /// 0, labels do not move.
     #[must_use]
-    pub fn following(self, frames: u32) -> Self {
-        Self { follows: frames.min(FOLLOWS), ..self }
+    pub fn with_motion_frames(self, frames: u32) -> Self {
+        Self { follows: frames.min(MAX_MOTION_FRAMES), ..self }
     }
 
     /// The shown frame.
@@ -104,13 +104,13 @@ impl Layers {
 
     /// The shown tiles, if labels of some have followed motion; `None` if all are as received.
     #[must_use]
-    pub const fn with_moved(&self) -> Option<&Geometry> {
-        self.with_moved.as_ref()
+    pub const fn moved_geometry(&self) -> Option<&Geometry> {
+        self.moved_geometry.as_ref()
     }
 
     /// Layers and texels of a tile.
     #[must_use]
-    pub fn tile(&self, index: u32) -> Option<&Part> {
+    pub fn tile(&self, index: u32) -> Option<&TileLayers> {
         self.parts.get(index as usize)
     }
 
@@ -132,7 +132,7 @@ impl Layers {
 
     /// Updates to the next frame and tiles; `changed` is true for the tiles that differ from the previous call. If the tiles belong to an
     /// earlier frame, their labels follow the motion since then. Ignores a frame whose size is not the grid's.
-    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, when: When) -> Changes {
+    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, when: FrameTiming) -> Changes {
         let grid = &geometry.grid;
         if (photo.width, photo.height) != (grid.width, grid.height) || photo.rgb.len() != grid.width as usize * grid.height as usize {
             return Changes::default();
@@ -142,40 +142,40 @@ impl Layers {
         let anew = (self.photo.width, self.photo.height, self.parts.len()) != (grid.width, grid.height, grid.tiles() as usize);
         let mut changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
         let before = if anew { &[][..] } else { &self.words };
-        let pixels = Blocks::that_differ(grid.width, before, &words);
+        let pixels = Blocks::differing(grid.width, before, &words);
         let last = std::mem::replace(&mut self.words, words);
         let kept = self.surface.as_ref().filter(|_| !changed.contains(&true));
         let surface = kept.cloned().unwrap_or_else(|| geometry.surface());
         if anew {
             self.moved = vec![false; grid.tiles() as usize];
-            self.parts = vec![Part::default(); grid.tiles() as usize];
+            self.parts = vec![TileLayers::default(); grid.tiles() as usize];
             self.stale = vec![false; grid.tiles() as usize];
             self.since = vec![0; grid.tiles() as usize];
             self.memory = self.remembers.then(|| SeenBackground::new(*grid));
-            self.ways = vec![None; grid.tiles() as usize];
+            self.motion_vectors = vec![None; grid.tiles() as usize];
             self.history.clear();
-        } else if self.remembers && when.gone.is_some() {
+        } else if self.remembers && when.elapsed.is_some() {
             self.history.add(Shown { number: self.now.0, at: self.now.1, words: last });
         }
-        self.now = (when.frame, self.now.1 + when.gone.unwrap_or_default());
-        let with_moved = if self.remembers { self.move_labels(geometry, &surface, when, &mut changed) } else { None };
-        let of_moved = with_moved.as_ref().map(Geometry::surface);
-        let (geometry, shown) = (with_moved.as_ref().unwrap_or(geometry), of_moved.as_ref().unwrap_or(&surface));
+        self.now = (when.frame, self.now.1 + when.elapsed.unwrap_or_default());
+        let moved_geometry = if self.remembers { self.move_labels(geometry, &surface, when, &mut changed) } else { None };
+        let of_moved = moved_geometry.as_ref().map(Geometry::surface);
+        let (geometry, shown) = (moved_geometry.as_ref().unwrap_or(geometry), of_moved.as_ref().unwrap_or(&surface));
         let was = self.moved_surface.take().or_else(|| self.surface.take()).filter(|_| !anew);
-        let depth = Blocks::that_differ(grid.width, was.as_ref().map_or(&[], Surface::all), shown.all());
+        let depth = Blocks::differing(grid.width, was.as_ref().map_or(&[], Surface::all), shown.all());
         let unmixed = shown.without_mixed();
         if let Some(memory) = &mut self.memory {
-            memory.take(&self.words, shown, &unmixed, frames(when.gone));
+            memory.take(&self.words, shown, &unmixed, frames(when.elapsed));
         }
         self.photo = photo;
-        let changes = self.update_tiles(geometry, (shown, unmixed), &changed, (&pixels, &depth), frames(when.gone));
-        (self.surface, self.moved_surface, self.with_moved) = (Some(surface), of_moved, with_moved);
+        let changes = self.update_tiles(geometry, (shown, unmixed), &changed, (&pixels, &depth), frames(when.elapsed));
+        (self.surface, self.moved_surface, self.moved_geometry) = (Some(surface), of_moved, moved_geometry);
         changes
     }
 
     /// The tiles with labels that have followed the motion since the frame of the tiles; `None` if no label moved. Sets `changed` for tiles
     /// whose labels moved now or in the previous frame.
-    fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, when: When, changed: &mut [bool]) -> Option<Geometry> {
+    fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, when: FrameTiming, changed: &mut [bool]) -> Option<Geometry> {
         let received = changed.contains(&true);
         for (changed, moved) in changed.iter_mut().zip(&mut self.moved) {
             *changed |= std::mem::take(moved);
@@ -185,19 +185,19 @@ impl Layers {
             let now = || (Shown { number: self.now.0, at: self.now.1, words: self.words.clone() }, 0);
             self.received = late.map_or_else(now, |(shown, late)| (shown.clone(), late));
         } else {
-            self.received.1 += u32::from(when.gone.is_some());
+            self.received.1 += u32::from(when.elapsed.is_some());
         }
         let (received, since) = &self.received;
         if *since == 0 || *since > self.follows {
             return None;
         }
-        let motion = Motion::new(geometry, surface, (&received.words, &self.words), self.now.1.saturating_sub(received.at));
+        let motion = MotionSearch::new(geometry, surface, (&received.words, &self.words), self.now.1.saturating_sub(received.at));
         let mut out = None;
-        let before = self.ways.clone();
+        let before = self.motion_vectors.clone();
         for t in 0..geometry.grid.tiles() {
-            let way = motion.way(t, &before);
-            self.ways[t as usize] = way;
-            let Some(tile) = way.and_then(|way| motion.moved(t, way)) else { continue };
+            let vector = motion.vector(t, &before);
+            self.motion_vectors[t as usize] = vector;
+            let Some(tile) = vector.and_then(|vector| motion.moved(t, vector)) else { continue };
             out.get_or_insert_with(|| geometry.clone()).tiles[t as usize] = tile;
             (changed[t as usize], self.moved[t as usize]) = (true, true);
         }
@@ -234,7 +234,7 @@ impl Layers {
             if reshaped || turn {
                 let of = new.as_ref().unwrap_or(part);
                 // unchanged layers wait for their turn
-                let before = if turn { &Part::default() } else { &*part };
+                let before = if turn { &TileLayers::default() } else { &*part };
                 let (hidden, all_anew) = hidden_colours(&inpainter, self.memory.as_ref(), (of, before), &mut self.pyramid);
                 other |= reshaped || hidden != part.texels.hidden;
                 // pixels seen since then are remembered only later
@@ -255,17 +255,17 @@ impl Layers {
 }
 
 /// A duration in frames at 30 a second, rounded, at least 1 even if the publisher's clock stands still; 0 for `None`.
-fn frames(gone: Option<Duration>) -> u8 {
-    gone.map_or(0, |gone| ((gone.as_secs_f64() / TURN.as_secs_f64()).round() as u8).max(1))
+fn frames(elapsed: Option<Duration>) -> u8 {
+    elapsed.map_or(0, |elapsed| ((elapsed.as_secs_f64() / TURN.as_secs_f64()).round() as u8).max(1))
 }
 
 /// True if two parts have the same layers, classes and alphas; ignores colours.
-fn same_texels(a: &Part, b: &Part) -> bool {
+fn same_texels(a: &TileLayers, b: &TileLayers) -> bool {
     a.layers == b.layers && a.texels.class == b.texels.class && a.texels.alpha == b.texels.alpha
 }
 
 /// Layers of a tile, without hidden colours.
-fn part_of(tile: u32, masks: LayerMasks) -> Part {
+fn part_of(tile: u32, masks: LayerMasks) -> TileLayers {
     let (mut layers, mut texels, mut hidden) = (Vec::new(), Texels::default(), 0);
     for mask in masks.layers {
         layers.push(Layer { tile, plane: mask.plane, rect: mask.rect, first_texel: texels.class.len(), first_hidden: hidden });
@@ -273,7 +273,7 @@ fn part_of(tile: u32, masks: LayerMasks) -> Part {
         texels.class.extend_from_slice(&mask.class);
         texels.alpha.extend_from_slice(&mask.alpha);
     }
-    Part { layers, texels }
+    TileLayers { layers, texels }
 }
 
 /// Hidden colours of a tile: those of `before` for layers that it shares, then remembered ones, and the rest inpainted, which costs by far
@@ -281,7 +281,7 @@ fn part_of(tile: u32, masks: LayerMasks) -> Part {
 fn hidden_colours(
     inpainter: &Inpainter,
     memory: Option<&SeenBackground>,
-    (part, before): (&Part, &Part),
+    (part, before): (&TileLayers, &TileLayers),
     pyramid: &mut Pyramid,
 ) -> (Vec<[u8; 3]>, bool) {
     let (mut out, mut all_anew) = (Vec::with_capacity(part.texels.hidden.len()), true);
@@ -309,6 +309,6 @@ fn hidden_colours(
 }
 
 /// Classes of a layer's texels.
-fn classes<'a>(part: &'a Part, l: &Layer) -> &'a [u8] {
+fn classes<'a>(part: &'a TileLayers, l: &Layer) -> &'a [u8] {
     &part.texels.class[l.first_texel..l.first_texel + l.rect.area()]
 }

@@ -1,7 +1,7 @@
 //! Messages of a room, a live tiled multiplane image (schema in `proto/live.proto`).
 //!
 //! The picture is sent as video, and its planes and labels beside it in [`chunk`]s of a few tiles. Each chunk is independent, so a viewer
-//! may miss any; it gets the chunks of tiles that it does not have yet. [`Model`] is a viewer's knowledge of all tiles, and [`Layers`] are
+//! may miss any; it gets the chunks of tiles that it does not have yet. [`TileState`] is a viewer's knowledge of all tiles, and [`Layers`] are
 //! what it shows of them.
 
 mod changed_blocks;
@@ -22,9 +22,9 @@ mod yuv;
 pub use fuzzing::message as fuzz_message;
 #[cfg(feature = "video")]
 pub use key_frame_header::{KeyFrame, KeyFrameError, key_frame};
-pub use layers::{Changes, FOLLOWS, Layers};
-pub use shown_frames::When;
-pub use tile_state::Model;
+pub use layers::{Changes, Layers, MAX_MOTION_FRAMES};
+pub use shown_frames::FrameTiming;
+pub use tile_state::TileState;
 pub use yuv::{Colour, I420, Matrix, to_rgb};
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};

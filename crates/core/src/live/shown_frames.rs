@@ -8,14 +8,14 @@ pub(super) const KEPT: usize = 6;
 
 /// Number and time of a frame that is to be shown, and the frame of its tiles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct When {
+pub struct FrameTiming {
     /// Number of the frame; increases while the publisher is the same.
     pub frame: u64,
     /// Newest frame to which tiles belong that arrived since the previous frame. `None`, or a number not below `frame`, if they belong to
     /// this frame.
     pub tiles: Option<u64>,
     /// Time since the previous frame was captured; `None` if this is the same frame again.
-    pub gone: Option<Duration>,
+    pub elapsed: Option<Duration>,
 }
 
 /// A shown frame.

@@ -26,9 +26,9 @@ fn geometry(width: u32, height: u32, size: u32, seed: u32) -> Geometry {
     Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles, matted: false }
 }
 
-/// A frame `gone` after the previous one, with its own tiles.
-fn after(gone: Option<std::time::Duration>) -> When {
-    When { gone, ..When::default() }
+/// A frame `elapsed` after the previous one, with its own tiles.
+fn after(elapsed: Option<std::time::Duration>) -> FrameTiming {
+    FrameTiming { elapsed, ..FrameTiming::default() }
 }
 
 proptest! {
@@ -51,7 +51,7 @@ proptest! {
             Area::covering(&grid, wanted).into_iter().map(|a| chunk::encode(&grid, a, &whole.tiles, version).unwrap()).collect()
         };
         let first = |t: u32| bits >> (t % 64) & 1 == 1;
-        let mut model = Model::new(&Model::hello(&whole)).unwrap();
+        let mut model = TileState::new(&TileState::hello(&whole)).unwrap();
         let taken = model.take(&schema::Geometry { frame: 1, chunks: chunks(&first, 1) }).unwrap();
         prop_assert!(taken.iter().all(|t| first(*t)));
         let rest = schema::Geometry { frame: 2, chunks: chunks(&|t| !first(t), 2) };
@@ -89,9 +89,9 @@ proptest! {
             let before: Vec<_> = (0..grid.tiles()).map(|t| kept.tile(t).cloned()).collect();
             let mut changes = kept.update(&now, changed, photo.clone(), after(Some(TURN)));
             // hidden colours follow, one group at a time, or all at once after the same total time
-            let (frames, gone) = if seed % 2 == 0 { (TURNS, TURN) } else { (1, TURN * TURNS) };
+            let (frames, elapsed) = if seed % 2 == 0 { (TURNS, TURN) } else { (1, TURN * TURNS) };
             for _ in 0..frames {
-                changes.texels.extend(kept.update(&now, |_| false, photo.clone(), after(Some(gone))).texels);
+                changes.texels.extend(kept.update(&now, |_| false, photo.clone(), after(Some(elapsed))).texels);
             }
             let mut fresh = Layers::default();
             fresh.update(&now, |_| true, photo.clone(), after(Some(TURN)));
@@ -114,14 +114,14 @@ proptest! {
     ) {
         let mut now = geometry(w, h, 64, 0);
         now.view_box = ViewBox { x: 0.05, y: 0.03, z: 0.04 };
-        let (grid, gone) = (now.grid, Some(TURN * rate));
+        let (grid, elapsed) = (now.grid, Some(TURN * rate));
         let mut photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i / w) as u8, (i * 7 / 3) as u8]).collect() };
-        let mut kept = Layers::remembering();
-        kept.update(&now, |_| false, photo.clone(), after(gone));
+        let mut kept = Layers::with_memory();
+        kept.update(&now, |_| false, photo.clone(), after(elapsed));
         for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
             // long enough to remember everything that stays
             for _ in 0..=STEADY + 1 {
-                kept.update(&now, |_| false, photo.clone(), after(gone));
+                kept.update(&now, |_| false, photo.clone(), after(elapsed));
             }
             let other = geometry(w, h, 64, seed);
             let changed = |t: u32| bits >> (t % 64) & 3 == 3;
@@ -132,10 +132,10 @@ proptest! {
             for at in (y..h.min(y + side)).flat_map(|y| (x..w.min(x + side)).map(move |x| y * w + x)) {
                 photo.rgb[at as usize] = [colour as u8, (colour >> 8) as u8, at as u8];
             }
-            kept.update(&now, changed, photo.clone(), after(gone));
+            kept.update(&now, changed, photo.clone(), after(elapsed));
             // until everything is remembered, and every hidden colour has had its turn since
             for _ in 0..=u32::from(STEADY) + 1 + TURNS {
-                kept.update(&now, |_| false, photo.clone(), after(gone));
+                kept.update(&now, |_| false, photo.clone(), after(elapsed));
             }
             let masks = now.masks();
             let shown: Vec<Vec<_>> = (0..grid.tiles()).map(|t| {
@@ -199,7 +199,7 @@ fn seeds_of_the_fuzzer_are_messages() {
     let chunk = |area| chunk::encode(&whole.grid, area, &whole.tiles, 7).unwrap();
     let runs = Area::covering(&whole.grid, |t| t % 3 != 1).into_iter().map(chunk).collect();
     let seeds = [
-        ("hello", Kind::Hello(Model::hello(&whole))),
+        ("hello", Kind::Hello(TileState::hello(&whole))),
         ("snapshot", Kind::Snapshot(schema::Geometry { frame: 7, chunks: vec![chunk(Area::all(&whole.grid))] })),
         ("geometry", Kind::Geometry(schema::Geometry { frame: 7, chunks: runs })),
         ("video", Kind::Video(Video { frame: 3, time: 5, key: true, layer: 1, data: vec![1; 20].into() })),
@@ -220,13 +220,13 @@ fn seeds_of_the_fuzzer_are_messages() {
 
 #[test]
 fn a_room_beyond_the_bounds_is_refused() {
-    let hello = Model::hello(&geometry(130, 100, 64, 0));
-    assert!(Model::new(&hello).is_ok());
-    assert!(matches!(Model::new(&schema::Hello { version: VERSION + 1, ..hello.clone() }), Err(LiveError::Newer { .. })));
-    assert!(Model::new(&schema::Hello { width: 1920, height: 1088, ..hello.clone() }).is_ok());
-    assert!(Model::new(&schema::Hello { width: 1920, height: 1089, ..hello.clone() }).is_err());
-    assert!(Model::new(&schema::Hello { tile_size: 16, tile_stride: 14, ..hello.clone() }).is_ok());
-    assert!(Model::new(&schema::Hello { tile_size: 15, tile_stride: 14, ..hello.clone() }).is_err());
-    assert!(Model::new(&schema::Hello { width: 0, ..hello.clone() }).is_err());
-    assert!(Model::new(&schema::Hello { fx: f64::NAN, ..hello }).is_err());
+    let hello = TileState::hello(&geometry(130, 100, 64, 0));
+    assert!(TileState::new(&hello).is_ok());
+    assert!(matches!(TileState::new(&schema::Hello { version: VERSION + 1, ..hello.clone() }), Err(LiveError::Newer { .. })));
+    assert!(TileState::new(&schema::Hello { width: 1920, height: 1088, ..hello.clone() }).is_ok());
+    assert!(TileState::new(&schema::Hello { width: 1920, height: 1089, ..hello.clone() }).is_err());
+    assert!(TileState::new(&schema::Hello { tile_size: 16, tile_stride: 14, ..hello.clone() }).is_ok());
+    assert!(TileState::new(&schema::Hello { tile_size: 15, tile_stride: 14, ..hello.clone() }).is_err());
+    assert!(TileState::new(&schema::Hello { width: 0, ..hello.clone() }).is_err());
+    assert!(TileState::new(&schema::Hello { fx: f64::NAN, ..hello }).is_err());
 }

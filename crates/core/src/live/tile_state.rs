@@ -7,13 +7,13 @@ use crate::{Geometry, Grid, Intrinsics, Tile, ViewBox};
 
 /// Planes and labels of all tiles, each from the newest chunk received.
 #[derive(Clone, Debug)]
-pub struct Model {
+pub struct TileState {
     geometry: Geometry,
     /// Number of the frame that each tile comes from; `None` before the first chunk with it.
     versions: Vec<Option<u64>>,
 }
 
-impl Model {
+impl TileState {
     /// A model of a room without any tiles yet.
     ///
     /// # Errors

@@ -34,7 +34,7 @@ pub enum Matrix {
 impl Matrix {
     /// The matrix of a code point in ITU-T H.273, table 4; `None` if it is unspecified or unsupported.
     #[must_use]
-    pub const fn numbered(code: u8) -> Option<Self> {
+    pub const fn from_code(code: u8) -> Option<Self> {
         match code {
             1 => Some(Self::Bt709),
             // FCC's weights differ from these by less than a level
@@ -47,7 +47,7 @@ impl Matrix {
 
     /// Its code point in ITU-T H.273, table 4.
     #[must_use]
-    pub const fn number(self) -> u8 {
+    pub const fn code(self) -> u8 {
         match self {
             Self::Bt709 => 1,
             Self::Bt601 => 6,
@@ -79,7 +79,7 @@ pub struct Colour {
 impl Colour {
     /// The colours that a stream signals. Without a matrix, full-range video uses JPEG's matrix, and other video BT.709, as in browsers.
     #[must_use]
-    pub fn said(matrix: Option<Matrix>, full_range: bool) -> Self {
+    pub fn signalled(matrix: Option<Matrix>, full_range: bool) -> Self {
         let silent = if full_range { Matrix::Bt601 } else { Matrix::Bt709 };
         Self { matrix: matrix.unwrap_or(silent), full_range }
     }
@@ -134,7 +134,7 @@ mod tests {
     fn the_conversion_matches_the_standard_to_one_level() {
         let samples = || (0..=255).step_by(3).flat_map(|y| [(y, 128, 128), (y, 100, 150), (y, 160, 90), (y, 16, 240)]);
         for matrix in [Matrix::Bt601, Matrix::Bt709, Matrix::Smpte240, Matrix::Bt2020] {
-            assert_eq!(Matrix::numbered(matrix.number()), Some(matrix));
+            assert_eq!(Matrix::from_code(matrix.code()), Some(matrix));
             for ((y, u, v), full_range) in samples().flat_map(|s| [(s, false), (s, true)]) {
                 let planes = I420 { width: 1, height: 1, y: &[y], u: &[u], v: &[v] };
                 let rgb = to_rgb(&planes, Colour { matrix, full_range }).unwrap().rgb[0];

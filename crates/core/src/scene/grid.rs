@@ -38,20 +38,20 @@ impl Rect {
 /// The text is not four whole numbers.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("must be four whole numbers X,Y,W,H, not {0:?}")]
-pub struct NoRect(String);
+pub struct InvalidRect(String);
 
 impl FromStr for Rect {
-    type Err = NoRect;
+    type Err = InvalidRect;
 
     /// Parses `x,y,w,h`.
     ///
     /// # Errors
-    /// [`NoRect`] unless the text is four whole numbers separated by commas.
-    fn from_str(text: &str) -> Result<Self, NoRect> {
-        let wrong = |_| NoRect(text.to_owned());
+    /// [`InvalidRect`] unless the text is four whole numbers separated by commas.
+    fn from_str(text: &str) -> Result<Self, InvalidRect> {
+        let wrong = |_| InvalidRect(text.to_owned());
         let all: Vec<u32> =
             text.split(',').map(|part| part.trim().parse()).collect::<Result<_, std::num::ParseIntError>>().map_err(wrong)?;
-        let &[x, y, w, h] = all.as_slice() else { return Err(NoRect(text.to_owned())) };
+        let &[x, y, w, h] = all.as_slice() else { return Err(InvalidRect(text.to_owned())) };
         Ok(Self { x, y, w, h })
     }
 }

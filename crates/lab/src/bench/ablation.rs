@@ -14,8 +14,8 @@ use tmpi_pipeline::layers;
 use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::networks::Network;
 use tmpi_pipeline::photo::{self, Limits};
-use tmpi_pipeline::planes::{Method, NEIGHBOUR, Placement, overlap_disagreement, place};
-use tmpi_pipeline::{MakeError, Movement, Options};
+use tmpi_pipeline::planes::{Method, NEIGHBOUR_COST, Placement, overlap_disagreement, place};
+use tmpi_pipeline::{MakeError, Options, Parallax};
 use tmpi_render::{Cpu, Reference, Renderer};
 
 /// The step that is disabled or replaced.
@@ -103,7 +103,7 @@ impl<'a> Prepared<'a> {
         let options = Options::default();
         let (w, h) = (self.photo.width, self.photo.height);
         let grid = Grid::new(w, h, 64);
-        let most = Movement::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
+        let most = Parallax::new(self.intrinsics, options.view_box).most(Rect { x: 0, y: 0, w, h });
         let placement = options.placement(options.max_error, most);
         let placement = match without {
             Without::Slant => Placement { method: Method::Optimal, most: 64, ..placement },
@@ -166,7 +166,7 @@ impl<'a> Prepared<'a> {
 
     /// Difference between neighbouring tiles in their overlap, in δ.
     pub(super) fn neighbour_difference(&self) -> f64 {
-        let b = self.geometry(Without::Nothing, NEIGHBOUR);
+        let b = self.geometry(Without::Nothing, NEIGHBOUR_COST);
         overlap_disagreement(&b.grid, &b.tiles)
     }
 
@@ -253,7 +253,7 @@ pub(super) fn steps(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
     let texels = Axis { label: "texels per pixel", log: false, up: Some(false) };
     let mut points = Vec::new();
     for (name, without) in ALL.into_iter().filter(|(_, w)| *w != Without::Refined || bench.psi().is_some()) {
-        points.push(point(&all, name.into(), without, NEIGHBOUR, (texels.label, VIEW.label))?);
+        points.push(point(&all, name.into(), without, NEIGHBOUR_COST, (texels.label, VIEW.label))?);
     }
     let whole = points[0].y;
     for p in &mut points {
@@ -279,7 +279,7 @@ pub(super) fn labels(subjects: &[Subject], quick: bool, progress: &dyn Fn(&str))
     let mut points = Vec::new();
     for &w in weights {
         let mut p = point(&all, format!("neighbour weight {w}"), Without::Nothing, w, (changes.label, VIEW.label))?;
-        p.default = (w - NEIGHBOUR).abs() < 1e-6;
+        p.default = (w - NEIGHBOUR_COST).abs() < 1e-6;
         points.push(p);
     }
     Ok(Experiment {

@@ -6,7 +6,7 @@ use super::{Axis, BenchError, Curve, Experiment, Point};
 use tmpi_core::container;
 use tmpi_pipeline::planes::discretisation_error;
 use tmpi_pipeline::usage::Clock;
-use tmpi_pipeline::{Denoise, Movement, Options, Switch};
+use tmpi_pipeline::{Denoise, Options, Parallax, Switch};
 
 /// Larger pictures than those of the other experiments: where there are few tiles, samples are most of them.
 const LARGE: [(u32, u32); 2] = [(1280, 720), (1920, 1080)];
@@ -50,7 +50,7 @@ fn of(bench: &Bench, s: &Subject) -> Result<Vec<(&'static str, f64)>, BenchError
     let verify = median(runs.iter().map(|m| m.report.stages.iter().filter(|s| s.name == "verify").map(|s| s.ms).sum()).collect());
     let total = median(runs.iter().map(|m| m.report.total_ms).collect());
     let geometry = container::read_geometry(&made.container)?;
-    let movement = Movement::new(geometry.intrinsics, geometry.view_box);
+    let movement = Parallax::new(geometry.intrinsics, geometry.view_box);
     let timed = |work: &dyn Fn()| {
         let one = |_| {
             let clock = Clock::start();

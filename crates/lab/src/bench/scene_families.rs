@@ -28,7 +28,7 @@ pub(super) fn run(bench: &Bench, quick: bool, progress: &dyn Fn(&str)) -> Result
         let apart = prepared.iter().map(Prepared::neighbour_difference).sum::<f64>() * 1e3 / prepared.len().max(1) as f64;
         for ((_, without), curve) in methods.iter().zip(&mut curves) {
             let mut p =
-                super::ablation::point(&prepared, (*family).into(), *without, tmpi_pipeline::planes::NEIGHBOUR, (x.label, y.label))?;
+                super::ablation::point(&prepared, (*family).into(), *without, tmpi_pipeline::planes::NEIGHBOUR_COST, (x.label, y.label))?;
             (p.x, p.default) = (apart, *without == Without::Nothing);
             curve.points.push(p);
         }

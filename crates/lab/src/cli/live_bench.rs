@@ -8,7 +8,7 @@ use clap::CommandFactory;
 use clap::error::ErrorKind;
 
 use super::{Cli, note, result, size, write};
-use tmpi_core::live::{FOLLOWS, MAX_PIXELS};
+use tmpi_core::live::{MAX_MOTION_FRAMES, MAX_PIXELS};
 use tmpi_lab::live;
 use tmpi_lab::live::sweep::OperatingPoint;
 use tmpi_pipeline::networks::cli_flags::ModelFlags;
@@ -64,7 +64,7 @@ pub(super) struct LiveBenchArgs {
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
     late: u32,
     /// Maximum number of frames for which labels follow motion; 0: they stay in place
-    #[arg(long, default_value_t = FOLLOWS, value_parser = clap::value_parser!(u32).range(0..=i64::from(FOLLOWS)), value_name = "N")]
+    #[arg(long, default_value_t = MAX_MOTION_FRAMES, value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_MOTION_FRAMES)), value_name = "N")]
     follow: u32,
     /// Align the network's disparity with the true scale first, to exclude errors of scale
     #[arg(long)]

@@ -41,7 +41,7 @@ pub fn main() -> ExitCode {
     // SAFETY: the program has no other thread yet
     #[allow(unsafe_code, reason = "sets environment variables before any thread starts")]
     unsafe {
-        tmpi_pipeline::networks::keep_to_yourself();
+        tmpi_pipeline::networks::disable_telemetry();
         tmpi_render::without_a_display();
     };
     let cli = Cli::parse();

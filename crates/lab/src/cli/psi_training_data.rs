@@ -8,7 +8,7 @@ use tmpi_pipeline::edges;
 use tmpi_pipeline::layers;
 use tmpi_pipeline::layers::refine;
 use tmpi_pipeline::planes::place;
-use tmpi_pipeline::{Movement, Options};
+use tmpi_pipeline::{Options, Parallax};
 
 /// Half the side of the view box, as in the bench.
 const BOX: f64 = 0.06;
@@ -24,7 +24,7 @@ pub(super) fn layers(scene: &Scene, picture: &Picture, degraded: bool) -> Vec<u8
     let (w, h) = (photo.width, photo.height);
     let map = if degraded { edges::snap(photo, &depth::halved(&picture.disparity)) } else { edges::clean(photo, &picture.disparity) };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
-    let most = Movement::new(camera.intrinsics, Options::VIEW_BOX).most(Rect { x: 0, y: 0, w, h });
+    let most = Parallax::new(camera.intrinsics, Options::VIEW_BOX).most(Rect { x: 0, y: 0, w, h });
     let tiles = place(&map, None, &grid, &Options::default().placement(Options::MAX_ERROR, most));
     let mut geometry = Geometry { grid, intrinsics: camera.intrinsics, view_box, tiles, matted: false };
     layers::add_backgrounds(&mut geometry, &map);

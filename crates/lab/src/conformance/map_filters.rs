@@ -6,7 +6,7 @@ use tmpi_core::{DisparityMap, Grid, Photo, Plane};
 use tmpi_pipeline::denoise::{local_planes, median_guided};
 use tmpi_pipeline::depth::upsample;
 use tmpi_pipeline::edges;
-use tmpi_pipeline::planes::{NEIGHBOUR, Samples, smooth_labels};
+use tmpi_pipeline::planes::{NEIGHBOUR_COST, Samples, smooth_labels};
 use tmpi_testing::pictures::noise;
 
 pub(super) fn run(checked: &mut Checked) {
@@ -209,7 +209,7 @@ pub(super) fn labels(checked: &mut Checked, kernel: impl Fn(&Samples, &[Plane], 
         ("one column", map(1, 64, |_, y| (y % 5) as f32 / 16.0)),
     ];
     for (name, delta) in cases {
-        for (target, neighbour) in [(0.5, NEIGHBOUR), (0.0625, NEIGHBOUR), (0.03125, 1.0), (1.0, 0.0625)] {
+        for (target, neighbour) in [(0.5, NEIGHBOUR_COST), (0.0625, NEIGHBOUR_COST), (0.03125, 1.0), (1.0, 0.0625)] {
             let name = format!("{name}, target {target}, neighbours {neighbour}");
             checked.case("label smoothing", &name, "conditional modes", "pixels", 0.0, || {
                 let mut samples = Samples::default();

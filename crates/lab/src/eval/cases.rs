@@ -1,57 +1,60 @@
-//! Photos with true depth and true second views, from folders.
+//! Reads photos with true depth and true second views from folders.
 
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{EvalError, public};
+use super::{EvalError, public_datasets};
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Pose, ViewBox};
 use tmpi_pipeline::depth::Estimator;
 
-/// Focal length of a stereo pair's cameras in widths of the picture, which their files do not tell.
+/// Focal length of a stereo pair's cameras, in picture widths; their files do not state it.
 pub(super) const FOCAL: f64 = 0.58;
 
-/// A photo, its true disparity, and what it looks like from elsewhere.
+/// A photo, its true disparity, and true views from other positions.
 pub(super) struct Case {
     pub name: String,
     /// The photo's file.
     pub photo: Vec<u8>,
     pub intrinsics: Intrinsics,
-    /// The largest is 1.
+    /// True disparity; its maximum is 1.
     pub truth: DisparityMap,
     pub views: Vec<Truth>,
 }
 
-/// A true view.
+/// A true second view.
 pub(super) struct Truth {
     pub camera: Camera,
     pub rgb: Vec<[u8; 3]>,
 }
 
 impl Case {
-    /// The smallest box about the photo's place that all views lie in.
+    /// The smallest view box around the photo's position that contains all views.
     pub fn view_box(&self) -> ViewBox {
         let most = |f: fn(&Pose) -> f64| self.views.iter().map(|v| f(&v.camera.pose).abs()).fold(0.0, f64::max);
         ViewBox { x: most(|p| p.tx), y: most(|p| p.ty), z: most(|p| p.tz) }
     }
 }
 
-/// All scenes below a folder, by name: those that `tmpi-lab synth --views N` wrote, and rectified stereo pairs (`left.png`, `right.png`,
-/// `disp_left.png` and `meta.json` with `scale`: the file's values over it are pixels, 0 is unknown); and what [`public::of`] takes, in the
-/// folder itself, too.
+/// Reads all scenes below a folder, sorted by name:
+///
+/// - Scenes that `tmpi-lab synth --views N` wrote.
+/// - Rectified stereo pairs: `left.png`, `right.png`, `disp_left.png` and `meta.json` with `scale`. A value of `disp_left.png` divided by
+///   `scale` is in pixels; 0 is unknown.
+/// - Whatever [`public_datasets::of`] reads, also in the folder itself.
 pub(super) fn read(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, EvalError> {
     let entries = std::fs::read_dir(folder).map_err(|e| EvalError::file(folder, &e))?;
     let mut folders: Vec<PathBuf> =
         entries.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>().map_err(|e| EvalError::file(folder, &e))?;
     folders.sort();
-    let mut cases = public::of(folder, depth)?;
+    let mut cases = public_datasets::of(folder, depth)?;
     for f in folders.iter().filter(|f| f.is_dir()) {
         if f.join("scene.json").exists() {
             cases.push(rendered(f)?);
         } else if f.join("disp_left.png").exists() {
             cases.push(pair(f)?);
         } else {
-            cases.extend(public::of(f, depth)?);
+            cases.extend(public_datasets::of(f, depth)?);
         }
     }
     if cases.is_empty() {
@@ -118,7 +121,7 @@ fn pair(folder: &Path) -> Result<Case, EvalError> {
     Ok(Case { name: name(folder), photo, intrinsics, truth: DisparityMap { width, height, delta }, views: vec![Truth { camera, rgb }] })
 }
 
-/// What is unknown (0) in a row gets the farther of the two known neighbours in it: what is seen by one camera alone lies behind.
+/// Fills unknown values (0) of a row with the farther of the two known neighbours: what only one camera sees lies behind.
 pub(super) fn complete(row: &mut [f64]) {
     let known: Vec<(usize, f64)> = row.iter().copied().enumerate().filter(|(_, d)| *d > 0.0).collect();
     let mut next = 0usize;
@@ -144,7 +147,7 @@ pub(super) fn json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Eva
     serde_json::from_slice(&bytes(path)?).map_err(|e| EvalError::file(path, &e))
 }
 
-/// Values of a grey picture as the file has them.
+/// Values of a grey picture, as in the file.
 pub(super) fn map(path: &Path) -> Result<(u32, u32, Vec<f64>), EvalError> {
     let decoded = image::open(path).map_err(|e| EvalError::file(path, &e))?;
     let (width, height) = (decoded.width(), decoded.height());

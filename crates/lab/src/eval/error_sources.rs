@@ -1,4 +1,4 @@
-//! Where the error of a view comes from: each part of it is replaced by the truth, one at a time.
+//! Finds where the error of a view comes from: replaces each part with the truth, one at a time.
 
 use std::fmt::Write;
 
@@ -8,38 +8,38 @@ use super::mesh::Warp;
 use super::{Depth, Row};
 use tmpi_core::Camera;
 
-/// Pixels from a depth edge within which an error counts as the edge's.
+/// Maximum distance from a depth border, in pixels, at which an error counts as the border's.
 const NEAR_EDGE: usize = 3;
-/// Pixels by which two neighbours move apart between photo and view from which there is an edge between them.
+/// There is a depth border between two neighbours that move apart by more than this many pixels between photo and view.
 const STEP: f64 = 1.0;
 
-/// What a pixel of a view shows, by the true depth.
+/// What a pixel of a view shows, according to the true depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
-    /// What no pixel of the photo shows.
+    /// A surface that no pixel of the photo shows.
     Hidden,
-    /// A depth edge, or what lies beside one.
+    /// A depth border, or a surface beside one.
     Edge,
     /// A surface that the photo shows.
     Surface,
 }
 
-/// Mean squared error of views, of colours in 0 to 1, by what it comes from. All together are the views' whole error.
+/// Mean squared error of views by source, for colours in 0 to 1. The sum over all sources is the views' whole error.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Sources {
-    /// Pixels that no pixel of the photo shows: colours that were made up.
+    /// Pixels that no pixel of the photo shows: invented colours.
     pub hidden: f64,
-    /// Pixels within 3 of a depth edge.
+    /// Pixels within 3 of a depth border.
     pub edges: f64,
-    /// All other pixels, beyond what the photo as a mesh with the true depth has there: planes, and depth where that is estimated. Below 0 where
-    /// planes are nearer to the truth than that mesh.
+    /// All other pixels: the error beyond that of the photo as a mesh with the true depth. Its cause is the planes, and the depth if that
+    /// is estimated. Below 0 if the planes are closer to the truth than that mesh.
     pub geometry: f64,
-    /// What that mesh has there: resampling, noise, and what moves or shines otherwise from elsewhere.
+    /// The error of that mesh at those pixels: resampling, noise, and surfaces that move or shine differently from elsewhere.
     pub resampling: f64,
 }
 
 impl Sources {
-    /// All of it.
+    /// Sum of all sources.
     #[must_use]
     pub fn total(&self) -> f64 {
         self.hidden + self.edges + self.geometry + self.resampling
@@ -52,18 +52,18 @@ impl Sources {
     }
 }
 
-/// The parts of a view, and what the photo as a mesh with the true depth shows there.
+/// The parts of a view, and the photo drawn as a mesh with the true depth.
 pub(super) struct Parts<'a> {
     parts: Vec<Part>,
     mesh: &'a [[u8; 3]],
 }
 
 impl<'a> Parts<'a> {
-    /// Of a view as the mesh shows it.
+    /// Classifies the pixels of a view that the mesh was drawn for.
     pub fn new(warp: &'a Warp, camera: &Camera) -> Self {
         let (w, h) = (camera.width as usize, camera.height as usize);
         let (k, p) = (camera.intrinsics, camera.pose);
-        // of a camera that moves along the axis what is farthest from the middle moves most
+        // if the camera moves along its axis, the points farthest from the centre move most
         let aside = |f: f64, t: f64, half: f64| f * t.abs() + half * p.tz.abs();
         let most = aside(k.fx, p.tx, w as f64 / 2.0).max(aside(k.fy, p.ty, h as f64 / 2.0));
         let apart = |a: usize, b: usize| match (warp.covered[a], warp.covered[b]) {
@@ -85,7 +85,7 @@ impl<'a> Parts<'a> {
         Self { parts, mesh: &warp.rgb }
     }
 
-    /// The error of a view against the truth where it is scored.
+    /// Splits the error of a view against the truth by source, over the scored pixels.
     pub fn sources(&self, view: &[[u8; 3]], truth: &[[u8; 3]], inside: &[bool]) -> Sources {
         let mut all = Sources::default();
         let mut pixels = 0usize;
@@ -107,7 +107,7 @@ impl<'a> Parts<'a> {
     }
 }
 
-/// Where the error comes from: mean squared error in 1e-4, and the PSNR of all of it without each part.
+/// Formats the sources as a table: mean squared error in 1e-4, and the PSNR of the whole view without each source.
 pub(super) fn table(depth: Depth, rows: &[Row]) -> String {
     let geometry = if depth == Depth::Own { "depth" } else { "planes" };
     let mut out = format!(
@@ -120,7 +120,7 @@ pub(super) fn table(depth: Depth, rows: &[Row]) -> String {
             let rest = s.total() - part;
             format!("{:.2} ({:.2})", 1e4 * part, -10.0 * rest.max(f64::MIN_POSITIVE).log10())
         };
-        // a String takes everything
+        // writing to a String cannot fail
         let _ = writeln!(
             out,
             "{:<14}{:>8.2}{:>16}{:>16}{:>16}{:>16}",
@@ -135,7 +135,7 @@ pub(super) fn table(depth: Depth, rows: &[Row]) -> String {
     out
 }
 
-/// Mean over the channels.
+/// Mean squared difference over the channels, of values in 0 to 1.
 fn squared(a: [u8; 3], b: [u8; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(b)) / 255.0).powi(2)).sum::<f64>() / 3.0
 }

@@ -1,24 +1,24 @@
-//! The photo as a mesh with a vertex a pixel, torn where it would be stretched: what viewers of photo and depth map draw. An honest
-//! neighbour to compare with, and what a scene should look like wherever nothing hidden is uncovered.
+//! Draws the photo as a mesh with one vertex per pixel, torn where it would stretch, as viewers of photo and depth map do. This is a fair
+//! baseline for comparison, and shows what a scene should look like wherever no hidden surface is uncovered.
 
 use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, mat3_vec};
 
-/// A mesh is torn where an edge would be longer than this, in pixels of the view.
+/// The mesh is torn where an edge would be longer than this, in pixels of the view.
 pub const LONGEST: f64 = 2.5;
-/// Slack of edges, in pixels.
+/// Tolerance at edges, in pixels.
 const EDGE: f64 = 1e-9;
 
 /// A drawn mesh.
 pub struct Warp {
     /// Colours; black where the mesh is torn.
     pub rgb: Vec<[u8; 3]>,
-    /// True where the mesh covers a pixel's centre.
+    /// Whether the mesh covers each pixel's centre.
     pub covered: Vec<bool>,
-    /// Disparity of what covers it, minus infinity where nothing does.
+    /// Disparity of the surface that covers each pixel, negative infinity where there is none.
     pub depth: Vec<f64>,
 }
 
-/// A vertex in the view: place in pixels, disparity there.
+/// A vertex in the view: position in pixels, and disparity.
 #[derive(Clone, Copy)]
 struct Vertex {
     x: f64,
@@ -26,9 +26,10 @@ struct Vertex {
     d: f64,
 }
 
-/// Draws `photo` with `map` from `camera`. In `f64`, with a depth buffer, colours bilinear between vertices. The mesh is torn where an
-/// edge would be longer than `longest` pixels of the view; there each of its pixels still covers its own square: a surface ends at the
-/// border of its last pixel, not at the centre.
+/// Draws `photo` with `map` from `camera`, in `f64`, with a depth buffer and with colours bilinear between vertices.
+///
+/// The mesh is torn where an edge would be longer than `longest` pixels of the view. There, each of its pixels still covers its own square:
+/// a surface ends at the border of its last pixel, not at its centre.
 #[must_use]
 pub fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &Camera, longest: f64) -> Warp {
     let (w, h) = (photo.width as usize, photo.height as usize);
@@ -53,7 +54,7 @@ pub fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &
                 continue;
             }
             for i in at {
-                // the quarter of the pixel that lies within the torn quad
+                // the quarter of the pixel inside the torn quad
                 let ((px, py), delta) = (centre(i), f64::from(map.delta[i]));
                 let (mx, my) = (x as f64 + 1.0, y as f64 + 1.0);
                 let corners = [(px, py), (mx, py), (px, my), (mx, my)].map(|(x, y)| vertex(x, y, delta));
@@ -78,14 +79,14 @@ impl Target {
         Self { width, height, rgb: vec![[0; 3]; width * height], depth: vec![f64::NEG_INFINITY; width * height] }
     }
 
-    /// Two triangles: corners and colours by rows.
+    /// Draws two triangles; corners and colours are given by rows.
     fn quad(&mut self, [a, b, c, d]: [Vertex; 4], colours: [[u8; 3]; 4]) {
         let [p, q, r, s] = colours.map(|c| c.map(f64::from));
         self.triangle([a, b, c], [p, q, r]);
         self.triangle([d, c, b], [s, r, q]);
     }
 
-    /// Both faces of a triangle; a folded one is the edge of something near and is drawn like the rest.
+    /// Draws both faces of a triangle: a folded triangle is the edge of something near, and is drawn like the rest.
     fn triangle(&mut self, v: [Vertex; 3], colours: [[f64; 3]; 3]) {
         let area = (v[1].x - v[0].x) * (v[2].y - v[0].y) - (v[2].x - v[0].x) * (v[1].y - v[0].y);
         if area.abs() < 1e-12 {
@@ -93,7 +94,7 @@ impl Target {
         }
         let least = |f: fn(&Vertex) -> f64| v.iter().map(f).fold(f64::INFINITY, f64::min);
         let most = |f: fn(&Vertex) -> f64| v.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
-        // pixels whose centres can lie within, or on the edge but for rounding; `as` saturates
+        // pixels whose centres may be inside, or on the edge up to rounding; `as` saturates
         let range = |lo: f64, hi: f64, n: usize| {
             (lo - 0.5 - EDGE).ceil().max(0.0) as usize..((hi - 0.5 + EDGE).floor() + 1.0).clamp(0.0, n as f64) as usize
         };

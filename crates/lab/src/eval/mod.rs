@@ -1,9 +1,9 @@
-//! Second views against the truth: what each way of making a scene out of a photo and its depth is worth (paper, section 5, table 1).
+//! Compares second views with the truth, for each way to make a scene from a photo and its depth (paper, section 5, table 1).
 
 mod cases;
 mod error_sources;
 pub mod mesh;
-mod public;
+mod public_datasets;
 mod score;
 
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Denoise, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 use tmpi_render::{Cpu, Renderer};
 
-/// Share of a view's scored pixels that may be blank; where it is more in any way's view, the view does not count (paper, section 5).
+/// Maximum share of blank pixels among a view's scored pixels. If any way exceeds it, the view does not count (paper, section 5).
 const BLANK: f64 = 0.15;
 /// Where depth comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -38,23 +38,23 @@ pub enum Depth {
     True,
 }
 
-/// Why nothing could be measured.
+/// Why a measurement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum EvalError {
-    /// A file cannot be had or read.
+    /// A file cannot be accessed or read.
     #[error("{path}: {reason}")]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// A scene cannot be made.
     #[error("{scene} cannot be made")]
     Make {
-        /// Its name.
+        /// Name of the scene.
         scene: String,
-        /// Why.
+        /// The reason.
         source: tmpi_pipeline::MakeError,
     },
     /// A view cannot be drawn.
@@ -69,10 +69,10 @@ pub enum EvalError {
     /// The depth map cannot be written.
     #[error(transparent)]
     Depth(#[from] depth::DepthError),
-    /// There is no such way.
+    /// There is no way of this name.
     #[error("there is no way {way:?}; there are {all}", all = names().join(", "))]
     Way {
-        /// Its name.
+        /// The unknown name.
         way: String,
     },
 }
@@ -86,7 +86,7 @@ impl EvalError {
 /// The way that leaves all mixed colours on the far side of depth borders.
 const UNMATTED: &str = "ours-unmatted";
 
-/// Ways by name; none: the photo as a mesh.
+/// Ways by name; `None` draws the photo as a mesh.
 fn ways() -> Vec<(&'static str, Option<Options>)> {
     let with = |change: fn(&mut Options)| {
         let mut options = Options::default();
@@ -112,45 +112,45 @@ pub fn names() -> Vec<&'static str> {
     ways().into_iter().map(|w| w.0).collect()
 }
 
-/// What one way came to.
+/// Results of one way.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
-    /// The way.
+    /// Name of the way.
     pub way: &'static str,
     /// Mean over all views that count.
     pub score: Score,
-    /// Where their error comes from.
+    /// Sources of the error.
     pub sources: Sources,
-    /// Wall time to make a scene, with depth where it is estimated, ms.
+    /// Wall time to make a scene, in ms; includes depth if it is estimated.
     pub make_ms: f64,
-    /// Wall time to draw a view on the processor, ms.
+    /// Wall time to draw a view on the processor, in ms.
     pub draw_ms: f64,
-    /// Size of what is sent, bytes.
+    /// Size of the sent data, in bytes.
     pub bytes: f64,
-    /// Texels of all layers, or vertices, millions.
+    /// Texels of all layers, or vertices, in millions.
     pub texels_m: f64,
-    /// Mean planes a tile.
+    /// Mean number of planes per tile.
     pub planes: f64,
-    /// Scores by scene.
+    /// Score of each scene, by name.
     pub scenes: Vec<(String, Score)>,
 }
 
-/// All that was measured.
+/// Results of all ways.
 #[derive(Clone, Debug, Serialize)]
 pub struct Results {
     /// Where depth came from.
     pub depth: Depth,
-    /// Views that count.
+    /// Number of views that count.
     pub views: usize,
-    /// Views left out because some way leaves too much of them blank.
+    /// Number of views that do not count, because some way leaves too much of them blank.
     pub blank: usize,
-    /// A row a way.
+    /// One row per way.
     pub rows: Vec<Row>,
-    /// The estimated disparity against the truth; none where the truth was given.
+    /// Score of the estimated disparity; `None` if the true disparity was used.
     pub depth_score: Option<DepthScore>,
 }
 
-/// A view as a way draws it: colours, and where there is nothing.
+/// A view drawn in one way: colours, and which pixels are blank.
 struct Drawn {
     rgb: Vec<[u8; 3]>,
     blank: Vec<bool>,
@@ -168,20 +168,20 @@ struct Made {
     disparity: DisparityMap,
 }
 
-/// How to measure.
+/// Settings of a measurement.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
     /// Where depth comes from.
     pub depth: Depth,
-    /// Names of the ways; none for all.
+    /// Names of the ways; empty for all.
     pub only: Vec<String>,
-    /// A network for LPIPS as an ONNX file.
+    /// ONNX file of a network for LPIPS.
     pub lpips: Option<PathBuf>,
-    /// A folder for the views of every way and the true ones, as PNG files.
+    /// Folder for the views of every way and the true views, as PNG files.
     pub files: Option<PathBuf>,
 }
 
-/// Measures the ways named, or all, on all scenes below the folders.
+/// Measures the named ways, or all of them, on all scenes below the folders.
 ///
 /// # Errors
 /// [`EvalError`].
@@ -192,7 +192,7 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
     if let Some(unknown) = only.iter().find(|o| !names().contains(&o.as_str())) {
         return Err(EvalError::Way { way: unknown.clone() });
     }
-    // of all ways those that every network is there for; what is asked for by name fails without it
+    // without names, measures every way whose networks are available; a named way fails without its networks
     let possible = |options: &Option<Options>| options.as_ref().is_none_or(|o| models.check(o).is_ok());
     let wanted = |name: &str, options: &Option<Options>| if only.is_empty() { possible(options) } else { only.iter().any(|o| o == name) };
     let chosen: Vec<_> = ways().into_iter().filter(|(name, options)| wanted(name, options)).collect();
@@ -252,7 +252,7 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
     Ok(Results { depth, views, blank, rows, depth_score: DepthScore::mean(&depth_scores) })
 }
 
-/// The network of an ONNX file, which has to take two pictures.
+/// Loads the network of an ONNX file, which must take two pictures.
 fn lpips_network(path: &Path) -> Result<Session, EvalError> {
     let bytes = std::fs::read(path).map_err(|e| EvalError::file(path, &e))?;
     let session = Session::load("lpips", &bytes, &Config::default())?;
@@ -298,7 +298,7 @@ fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Option
     row.make_ms = done.report.total_ms;
     row.bytes = done.container.len() as f64;
     row.texels_m = scene.texels.class.len() as f64 / 1e6;
-    // what a viewer prepares once a scene is no part of a view's time
+    // a viewer prepares a scene only once, so preparation does not count as part of a view's time
     let cpu = Cpu::default();
     cpu.render(&scene, &Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 1, height: 1 })?;
     Ok(Made { model: Model::Layers(scene, cpu), row, disparity: done.disparity })
@@ -307,7 +307,7 @@ fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Option
 fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, EvalError> {
     Ok(match &made.model {
         Model::Mesh(parts) => {
-            // as viewers of depth maps do: a sheet that is stretched, not torn
+            // like viewers of depth maps: a sheet that is stretched, not torn
             let warp = mesh::warp(&parts.0, &parts.1, reference, camera, f64::INFINITY);
             Drawn { rgb: warp.rgb, blank: warp.covered.iter().map(|c| !c).collect() }
         }
@@ -318,13 +318,13 @@ fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, E
     })
 }
 
-/// What became of a view.
+/// Result of one view.
 struct Scored {
     score: Score,
     sources: Sources,
-    /// Share of the scored pixels where nothing is drawn.
+    /// Share of the scored pixels that are blank.
     blank: f64,
-    /// Time to draw it, ms.
+    /// Time to draw the view, in ms.
     ms: f64,
 }
 
@@ -357,8 +357,9 @@ fn written(folder: &Path, name: &str, camera: &Camera, rgb: &[[u8; 3]]) -> Resul
         .map_err(|e| EvalError::file(&path, &e))
 }
 
-/// The camera that sees a scene of estimated disparity δ, which has neither scale nor zero, where `camera` sees the true one,
-/// `scale · δ + shift`: of `x̂ + t (scale · δ + shift)` the shift is a matter of intrinsics. Exact for cameras that do not turn.
+/// The camera that sees a scene of estimated disparity δ as `camera` sees the true scene. The estimate has neither scale nor zero; the true
+/// disparity is `scale · δ + shift`. The shift in `x̂ + t (scale · δ + shift)` becomes a change of intrinsics. Exact for cameras that do
+/// not turn.
 fn seen(camera: &Camera, fit: Fit) -> Camera {
     let (p, k) = (camera.pose, camera.intrinsics);
     let nearer = 1.0 / (1.0 - p.tz * fit.shift);
@@ -369,7 +370,7 @@ fn seen(camera: &Camera, fit: Fit) -> Camera {
 }
 
 impl Results {
-    /// A table for people.
+    /// Formats the results as a table for people.
     #[must_use]
     pub fn table(&self) -> String {
         use std::fmt::Write;

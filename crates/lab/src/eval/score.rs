@@ -1,4 +1,4 @@
-//! Views and disparity maps against the truth.
+//! Scores views and disparity maps against the truth.
 
 use serde::Serialize;
 
@@ -6,33 +6,33 @@ use crate::metrics;
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::networks::{Network, OnnxError, Tensor};
 
-/// Share of a view that is cut off on each side before it is scored, as in the paper.
+/// Share of a view that is cropped on each side before scoring, as in the paper.
 const CROP: f64 = 0.15;
-/// Disparities below this are as good as infinitely far and say nothing of ratios.
+/// Maximum disparity that counts as infinitely far; ratios of such disparities mean nothing.
 const FAR: f64 = 0.02;
 
-/// How near a view comes to the truth; means over pixels, or over views.
+/// How close a view is to the truth; means over pixels, or over views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Score {
-    /// dB.
+    /// PSNR in dB.
     pub psnr: f64,
-    /// 11×11 Gaussian window, σ 1.5, mean of the channels.
+    /// SSIM with an 11×11 Gaussian window, σ 1.5; mean over the channels.
     pub ssim: f64,
     /// Mean absolute difference of values in 0 to 1.
     pub l1: f64,
     /// FLIP.
     pub flip: f64,
-    /// LPIPS of the cropped view; none without a network for it.
+    /// LPIPS of the cropped view; `None` without a network for it.
     pub lpips: Option<f64>,
-    /// dB within [`BESIDE`] pixels of depth borders; where there is none, of all.
+    /// PSNR in dB within [`BESIDE`] pixels of depth borders; without a depth border, of all pixels.
     pub borders: f64,
-    /// dB where the photo shows nothing; where there is no such pixel, of all.
+    /// PSNR in dB where the photo shows nothing; without such pixels, of all pixels.
     pub uncovered: f64,
 }
 
-/// Pixels from a depth border up to which a pixel lies beside it.
+/// Maximum distance from a depth border, in pixels, at which a pixel is beside it.
 const BESIDE: usize = 3;
-/// Neighbouring pixels that differ by so much in δ have a depth border between them.
+/// Neighbouring pixels that differ by more than this in δ have a depth border between them.
 const BORDER: f64 = 0.03;
 
 impl Score {
@@ -50,14 +50,14 @@ impl Score {
 pub(super) struct Mask {
     pub width: usize,
     inside: Vec<bool>,
-    /// What of it lies beside a depth border, and what the photo does not show.
+    /// Scored pixels beside a depth border, and scored pixels that the photo does not show.
     beside: Vec<bool>,
     uncovered: Vec<bool>,
 }
 
 impl Mask {
-    /// The middle of a view, without what the photo does not show: gaps in `covered` (by the photo at its true depth) that reach the
-    /// view's border. `depth`: δ of what covers each pixel, minus infinity where nothing does.
+    /// Masks the centre of a view, without gaps that reach the view's border: there, the photo at its true depth covers nothing. `depth` is
+    /// the δ of the surface that covers each pixel, negative infinity where there is none.
     pub fn new(width: usize, depth: &[f64]) -> Self {
         let covered: Vec<bool> = depth.iter().map(|d| *d > f64::NEG_INFINITY).collect();
         let height = covered.len() / width.max(1);
@@ -94,7 +94,7 @@ impl Mask {
         &self.inside
     }
 
-    /// Share of the scored pixels that `blank` names.
+    /// Share of the scored pixels for which `blank` is true.
     pub fn share(&self, blank: impl Fn(usize) -> bool) -> f64 {
         let all = self.inside.iter().filter(|b| **b).count();
         (0..self.inside.len()).filter(|&i| self.inside[i] && blank(i)).count() as f64 / all.max(1) as f64
@@ -112,7 +112,7 @@ impl Mask {
                 |(a, b): (&[u8; 3], &[u8; 3])| a.iter().zip(b).map(|(a, b)| (f64::from(a.abs_diff(*b)) / 255.0).powi(power)).sum::<f64>();
             mean(pixels.map(|both| off(both) / 3.0), of)
         };
-        let decibels = |mse: f64| if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::EQUAL) } else { metrics::EQUAL };
+        let decibels = |mse: f64| if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::MAX_PSNR) } else { metrics::MAX_PSNR };
         let psnr = decibels(difference(2, &self.inside).unwrap_or(0.0));
         let of = |mask: &[bool]| difference(2, mask).map_or(psnr, decibels);
         let (borders, uncovered, l1) = (of(&self.beside), of(&self.uncovered), difference(1, &self.inside).unwrap_or(0.0));
@@ -121,7 +121,7 @@ impl Mask {
         Score { psnr, ssim, l1, flip, lpips: None, borders, uncovered }
     }
 
-    /// The middle of a view and of the truth; what is not scored is taken from the truth in both.
+    /// The centre of a view and of the truth; pixels that are not scored come from the truth in both.
     fn middle(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> [Vec<[u8; 3]>; 2] {
         let mixed: Vec<[u8; 3]> = view.iter().zip(truth).zip(&self.inside).map(|((v, t), inside)| if *inside { *v } else { *t }).collect();
         let cx = self.cut();
@@ -133,15 +133,16 @@ impl Mask {
         })
     }
 
-    /// Columns that are cut off on each side.
+    /// Number of columns that are cropped on each side.
     fn cut(&self) -> usize {
         (self.width as f64 * CROP) as usize
     }
 
-    /// What `network` says of a view and the truth: of two inputs `[1, 3, height, width]` in −1 to 1, the mean of all that it gives.
+    /// Runs an LPIPS `network` on a view and the truth. Its two inputs are `[1, 3, height, width]` in −1 to 1; the result is the mean of
+    /// its output.
     ///
     /// # Errors
-    /// [`OnnxError`]: it is no such network.
+    /// [`OnnxError`] if the network does not have this form.
     pub fn lpips(&self, network: &dyn Network, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Result<f64, OnnxError> {
         let width = self.width - 2 * self.cut();
         let both = self.middle(view, truth).map(|rgb| {
@@ -155,7 +156,7 @@ impl Mask {
     }
 }
 
-/// Mean over the pixels of a mask; none where that is empty.
+/// Mean over the pixels of a mask; `None` if the mask is empty.
 fn mean(map: impl Iterator<Item = f64>, mask: &[bool]) -> Option<f64> {
     let (mut sum, mut n) = (0.0, 0usize);
     for (v, _) in map.zip(mask).filter(|(_, wanted)| **wanted) {
@@ -165,9 +166,9 @@ fn mean(map: impl Iterator<Item = f64>, mask: &[bool]) -> Option<f64> {
     (n > 0).then(|| sum / n as f64)
 }
 
-/// Pixels beside depth borders.
+/// Which pixels are beside depth borders.
 fn beside(width: usize, depth: &[f64]) -> Vec<bool> {
-    // what nothing covers has a border, too
+    // the edge of the covered area counts as a depth border, too
     let apart = |a: f64, b: f64| (a.max(-1.0) - b.max(-1.0)).abs() > BORDER;
     let mut out = vec![false; depth.len()];
     for (i, &d) in depth.iter().enumerate() {
@@ -182,21 +183,21 @@ fn beside(width: usize, depth: &[f64]) -> Vec<bool> {
     out
 }
 
-/// How near a disparity map comes to the truth once it is scaled and shifted to fit it best.
+/// How close a disparity map is to the truth, once scale and shift fit it best.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct DepthScore {
     /// Mean of |distance − truth| / truth.
     pub abs_rel: f64,
-    /// Root mean square of the disparity's error over the truth's standard deviation.
+    /// Root mean square error of the disparity, divided by the truth's standard deviation.
     pub rmse: f64,
     /// Share of pixels whose ratio to the truth is below 1.25, either way.
     pub within_125: f64,
-    /// Spearman's rank correlation of disparities, of the map before it is fitted.
+    /// Spearman's rank correlation of disparities, before the fit.
     pub spearman: f64,
 }
 
 impl DepthScore {
-    /// Scores `map` against `truth`, of one size, where the truth is not as good as infinitely far.
+    /// Scores `map` against `truth` of the same size, where the truth is above [`FAR`].
     pub(super) fn new(map: &DisparityMap, truth: &DisparityMap) -> Self {
         let both = known(map, truth);
         let (n, fit) = (both.len().max(1) as f64, Fit::of(&both));
@@ -226,13 +227,13 @@ impl DepthScore {
     }
 }
 
-/// Disparities of a map and of the truth, where the truth is not as good as infinitely far.
+/// Disparities of a map and of the truth, where the truth is above [`FAR`].
 fn known(map: &DisparityMap, truth: &DisparityMap) -> Vec<(f64, f64)> {
     let both = map.delta.iter().zip(&truth.delta).map(|(m, t)| (f64::from(*m), f64::from(*t)));
     both.filter(|(_, t)| *t > FAR).collect()
 }
 
-/// What makes the truth of an estimate best, in least squares: `scale · δ + shift`.
+/// Least-squares fit of an estimate to the truth: `scale · δ + shift`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fit {
     pub scale: f64,
@@ -240,7 +241,7 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    /// The fit of `map` to `truth`, of one size.
+    /// Fits `map` to `truth` of the same size.
     pub fn new(map: &DisparityMap, truth: &DisparityMap) -> Self {
         Self::of(&known(map, truth))
     }
@@ -258,7 +259,7 @@ impl Fit {
     }
 }
 
-/// Rank of each value; equal values share the mean of theirs.
+/// Rank of each value; equal values share the mean of their ranks.
 fn ranks(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let values: Vec<f64> = values.collect();
     let mut order: Vec<usize> = (0..values.len()).collect();
@@ -326,7 +327,7 @@ mod tests {
         view[15 * w + 15] = [0; 3];
         view[0] = [0; 3];
         let same = mask.score(&view, &truth);
-        assert!((same.psnr - metrics::EQUAL).abs() < 1e-12 && same.l1 == 0.0);
+        assert!((same.psnr - metrics::MAX_PSNR).abs() < 1e-12 && same.l1 == 0.0);
         view[5 * w + 5] = [151; 3];
         let n = mask.inside.iter().filter(|b| **b).count() as f64;
         let other = mask.score(&view, &truth);

@@ -32,7 +32,7 @@ pub fn experiment(models: &Models, quick: bool, skipped: &mut Vec<String>, progr
         parallax: tmpi_live::PARALLAX,
         cooldown: tmpi_live::COOLDOWN,
         late: 0,
-        follow: tmpi_core::live::FOLLOWS,
+        follow: tmpi_core::live::MAX_MOTION_FRAMES,
         recheck: tmpi_live::RECHECK,
         only: quick.then(|| NAMES[0].into()),
         files: None,

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use tmpi_core::live::{Model, When, schema};
+use tmpi_core::live::{FrameTiming, TileState, schema};
 use tmpi_core::{Photo, Pose};
 use tmpi_live::{Frame, Geometry as Driver, video as codecs};
 use tmpi_pipeline::usage::Clock;
@@ -34,12 +34,12 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let models = if settings.true_scale { truth.scaled(&settings.models) } else { settings.models.clone() };
     let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
     let mut separate = Driver::new(models, room(settings, sequence, 0.0, true));
-    let (mut reader, mut other) = (Reader::remembering(settings.follow), Reader::default());
+    let (mut reader, mut other) = (Reader::with_memory(settings.follow), Reader::default());
     // the true previous frame, and everything that the camera has seen
     let (mut last, mut seen) = (None::<Photo>, SeenSurfaces::default());
     let (mut stream, mut messages) = (Vec::new(), Vec::new());
     let empty = room(settings, sequence, settings.frame_ms, false).empty(settings.size.0, settings.size.1);
-    record(&mut messages, schema::message::Kind::Hello(schema::Hello { codec: encoder.codec().into(), ..Model::hello(&empty) }));
+    record(&mut messages, schema::message::Kind::Hello(schema::Hello { codec: encoder.codec().into(), ..TileState::hello(&empty) }));
     let mut sums = Totals::default();
     // an odd interval: if every second frame is in the cooldown, views alternate between both kinds
     let views = settings.views | 1;
@@ -76,15 +76,15 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
             f.left_out_off = f.left_out_off.max(carried.reference().map_or(0, |of| most_off(of, &frame.photo)));
             f.kept_off = f.kept_off.max(update.kept_error);
-            reader.model.get_or_insert(Model::new(&Model::hello(g))?);
+            reader.model.get_or_insert(TileState::new(&TileState::hello(g))?);
         }
         let before = Instant::now();
         let (came, tiles) = reader.receive(message, settings.late)?;
         f.read_ms += ms(before);
-        let known = reader.model.as_ref().and_then(Model::geometry).cloned();
+        let known = reader.model.as_ref().and_then(TileState::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.update(g, &came, &frame.photo, When { frame: n.into(), tiles, gone: Some(at(settings.every)) });
+            reader.update(g, &came, &frame.photo, FrameTiming { frame: n.into(), tiles, elapsed: Some(at(settings.every)) });
             sums.layers.push(ms(before));
             if let Some(plate) = sequence.plate(taken) {
                 sums.edges(reader.shown(g), (&shot.delta, &plate.disparity));

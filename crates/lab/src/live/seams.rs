@@ -10,7 +10,7 @@ pub fn seams(g: &Geometry) -> (f64, f64) {
     let all = Rect { x: 0, y: 0, w: grid.width, h: grid.height };
     let (x, y) = g.view_box.parallax(&g.intrinsics, all);
     let parallax = x.max(y);
-    let shown: Vec<Vec<f32>> = (0..).zip(&g.tiles).map(|(t, tile)| tile.shown(grid, t)).collect();
+    let shown: Vec<Vec<f32>> = (0..).zip(&g.tiles).map(|(t, tile)| tile.disparities(grid, t)).collect();
     let (mut sum, mut wide, mut count) = (0.0, 0usize, 0usize);
     for t in 0..grid.tiles() {
         let right = (t % columns + 1 < columns).then_some(t + 1);

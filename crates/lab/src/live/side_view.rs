@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use tmpi_core::live::{Layers, LiveError, Model, When, schema};
+use tmpi_core::live::{FrameTiming, Layers, LiveError, TileState, schema};
 use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Photo, Pose, Scene, TexturedLayer, TileFrame, compose};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, RenderError, Renderer};
@@ -26,7 +26,7 @@ type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 /// A reader, with the errors of what it shows.
 #[derive(Default)]
 pub(super) struct Reader {
-    pub model: Option<Model>,
+    pub model: Option<TileState>,
     /// Layers with memory, as on a page; `None`: inpaints every frame separately.
     pub layers: Option<Layers>,
     /// Sent tiles that have not arrived yet.
@@ -101,8 +101,8 @@ pub(super) struct Moment<'a> {
 
 impl Reader {
     /// A reader that remembers colours, like a page, and whose labels follow motion for up to `follow` frames.
-    pub fn remembering(follow: u32) -> Self {
-        Self { layers: Some(Layers::remembering().following(follow)), ..Self::default() }
+    pub fn with_memory(follow: u32) -> Self {
+        Self { layers: Some(Layers::with_memory().with_motion_frames(follow)), ..Self::default() }
     }
 
     /// Queues sent tiles, and decodes those sent `late` frames ago. Returns the indices of new tiles and their frame.
@@ -117,7 +117,7 @@ impl Reader {
     }
 
     /// Updates the layers for a frame and its new tiles.
-    pub fn update(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, when: When) {
+    pub fn update(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, when: FrameTiming) {
         if let Some(layers) = &mut self.layers {
             self.changed = layers.update(geometry, |t| changed.contains(&t), photo.clone(), when).layers;
         }
@@ -125,7 +125,7 @@ impl Reader {
 
     /// The tiles as shown, with labels that have followed motion.
     pub fn shown<'a>(&'a self, geometry: &'a Geometry) -> &'a Geometry {
-        self.layers.as_ref().and_then(Layers::with_moved).unwrap_or(geometry)
+        self.layers.as_ref().and_then(Layers::moved_geometry).unwrap_or(geometry)
     }
 
     /// Renders the side view, and compares it with the truth and with the previous frame if that was shown. Returns the view.
@@ -133,7 +133,7 @@ impl Reader {
     /// # Errors
     /// [`RenderError`] from the renderer.
     pub fn show(&mut self, m: Moment) -> Result<Photo, RenderError> {
-        let shown = self.layers.as_ref().and_then(Layers::with_moved).cloned();
+        let shown = self.layers.as_ref().and_then(Layers::moved_geometry).cloned();
         let m = Moment { geometry: shown.as_ref().unwrap_or(m.geometry), ..m };
         let g = m.geometry;
         let (mean, wide) = seams(g);
@@ -199,7 +199,7 @@ impl Reader {
         colours: &Colours,
     ) -> Result<(Photo, Vec<bool>), RenderError> {
         let grid = m.geometry.grid;
-        let shown: Vec<Vec<f32>> = (0..).zip(&m.geometry.tiles).map(|(t, tile)| tile.shown(&grid, t)).collect();
+        let shown: Vec<Vec<f32>> = (0..).zip(&m.geometry.tiles).map(|(t, tile)| tile.disparities(&grid, t)).collect();
         let painted = |paint: &dyn Fn(usize) -> [u8; 3]| {
             let mut colours = colours.clone();
             let layers =

@@ -230,7 +230,7 @@ mod tests {
             parallax: 0.25,
             cooldown: tmpi_live::COOLDOWN,
             late: 0,
-            follow: tmpi_core::live::FOLLOWS,
+            follow: tmpi_core::live::MAX_MOTION_FRAMES,
             recheck: tmpi_live::RECHECK,
             only: None,
             files: None,

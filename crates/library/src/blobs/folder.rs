@@ -41,7 +41,7 @@ impl Reserve {
 
 /// Free space of a file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Room {
+pub struct DiskSpace {
     /// Free bytes.
     pub bytes: u64,
     /// All bytes.
@@ -52,7 +52,7 @@ pub struct Room {
     pub all_files: u64,
 }
 
-impl Room {
+impl DiskSpace {
     fn has(&self, bytes: u64, reserve: Reserve) -> bool {
         let files = reserve.files.unwrap_or_else(|| Reserve::FILES.min(self.all_files / 100));
         let least = reserve.bytes.unwrap_or_else(|| Reserve::BYTES.min(self.all_bytes / 20));
@@ -74,7 +74,7 @@ pub(crate) trait Files: Debug + Send + Sync + 'static {
     /// The files of a folder, by name.
     fn list(&self, path: &Path) -> io::Result<Vec<Listed>>;
     /// Free space; `None` if the system does not tell.
-    fn room(&self, path: &Path) -> Option<Room>;
+    fn disk_space(&self, path: &Path) -> Option<DiskSpace>;
 }
 
 /// The file system.
@@ -145,14 +145,14 @@ impl Files for Disk {
     }
 
     #[cfg(unix)]
-    fn room(&self, path: &Path) -> Option<Room> {
+    fn disk_space(&self, path: &Path) -> Option<DiskSpace> {
         let of = rustix::fs::statvfs(path).ok()?;
         let bytes = |blocks: u64| blocks.saturating_mul(of.f_frsize);
-        Some(Room { bytes: bytes(of.f_bavail), all_bytes: bytes(of.f_blocks), files: of.f_favail, all_files: of.f_files })
+        Some(DiskSpace { bytes: bytes(of.f_bavail), all_bytes: bytes(of.f_blocks), files: of.f_favail, all_files: of.f_files })
     }
 
     #[cfg(not(unix))]
-    fn room(&self, _: &Path) -> Option<Room> {
+    fn disk_space(&self, _: &Path) -> Option<DiskSpace> {
         None
     }
 }
@@ -194,13 +194,13 @@ impl Folder {
         self.root.join(name)
     }
 
-    pub fn room(&self) -> Option<Room> {
-        self.files.room(&self.root)
+    pub fn disk_space(&self) -> Option<DiskSpace> {
+        self.files.disk_space(&self.root)
     }
 
-    pub fn room_for(&self, bytes: u64) -> Result<()> {
-        match self.files.room(&self.root) {
-            Some(room) if !room.has(bytes, self.reserve) => Err(LibraryError::StorageFull),
+    pub fn check_space(&self, bytes: u64) -> Result<()> {
+        match self.files.disk_space(&self.root) {
+            Some(space) if !space.has(bytes, self.reserve) => Err(LibraryError::StorageFull),
             _ => Ok(()),
         }
     }
@@ -276,14 +276,14 @@ mod tests {
     fn a_disk_keeps_its_reserve_of_bytes_and_files() {
         const MUCH: u64 = 1 << 40;
         let reserve = Reserve::default();
-        let has = |bytes, all_bytes, files, all_files| Room { bytes, all_bytes, files, all_files }.has(10, reserve);
+        let has = |bytes, all_bytes, files, all_files| DiskSpace { bytes, all_bytes, files, all_files }.has(10, reserve);
         assert!(has(Reserve::BYTES + 10, MUCH, Reserve::FILES, MUCH));
         assert!(!has(Reserve::BYTES + 9, MUCH, MUCH, MUCH), "bytes");
         assert!(!has(MUCH, MUCH, Reserve::FILES - 1, MUCH), "files");
         assert!(has((5 << 20) + 10, 100 << 20, 100, 10_000) && !has(5 << 20, 100 << 20, 100, 10_000), "a small disk");
         assert!(has(MUCH, MUCH, 0, 0), "a system that does not limit files");
         let said = Reserve { bytes: Some(50), files: Some(500) };
-        let room = Room { bytes: 60, all_bytes: 100, files: 500, all_files: 600 };
-        assert!(room.has(10, said) && !room.has(11, said) && !Room { files: 499, ..room }.has(10, said), "explicit values hold");
+        let space = DiskSpace { bytes: 60, all_bytes: 100, files: 500, all_files: 600 };
+        assert!(space.has(10, said) && !space.has(11, said) && !DiskSpace { files: 499, ..space }.has(10, said), "explicit values hold");
     }
 }

@@ -16,7 +16,7 @@ use bytes::Bytes;
 pub(crate) use folder::create_private;
 #[cfg(test)]
 pub(crate) use folder::{Disk, Files};
-pub use folder::{Reserve, Room};
+pub use folder::{DiskSpace, Reserve};
 
 use crate::error::{LibraryError, Result};
 use crate::ids::{Digest, Millis, PhotoId, hex, random};
@@ -151,25 +151,25 @@ impl BlobStore {
     ///
     /// # Errors
     /// [`LibraryError::StorageFull`].
-    pub fn room_for(&self, bytes: u64) -> Result<()> {
+    pub fn check_space(&self, bytes: u64) -> Result<()> {
         match &self.0 {
-            Place::Folder(folder) => folder.room_for(bytes),
+            Place::Folder(folder) => folder.check_space(bytes),
             Place::Objects(_) => Ok(()),
         }
     }
 
     /// Free space of the disk; `None` for an object store.
     #[must_use]
-    pub fn disk(&self) -> Option<Room> {
+    pub fn disk_space(&self) -> Option<DiskSpace> {
         match &self.0 {
-            Place::Folder(folder) => folder.room(),
+            Place::Folder(folder) => folder.disk_space(),
             Place::Objects(_) => None,
         }
     }
 
     /// Stores contents of a photo. All are durable when this returns; after an error it may leave orphans.
     pub(crate) async fn store(&self, photo: PhotoId, contents: Contents) -> Result<Blobs> {
-        self.room_for(contents.values().map(Content::len).sum())?;
+        self.check_space(contents.values().map(Content::len).sum())?;
         let (mut blobs, mut writes) = (Blobs::new(), Vec::new());
         for (part, content) in contents {
             let name = name(photo, part, &content.digest)?;

@@ -1,18 +1,17 @@
 use super::*;
 
 on_both! {
-    an_upload_is_accepted_once_and_known_after,
-    of_twins_at_a_time_one_is_new,
-    a_failed_photo_is_tried_again_and_a_damaged_one_healed,
-    a_photo_made_again_keeps_its_results_until_then,
-    no_more_photos_get_in_than_the_quota_allows,
-    no_more_bytes_get_in_than_the_quota_allows,
-    a_reservation_counts_until_it_is_a_photo,
+    a_repeated_upload_is_known,
+    one_of_two_simultaneous_uploads_is_new,
+    a_repeated_upload_retries_failed_photos_and_heals_damaged_ones,
+    a_remade_photo_keeps_its_results_until_it_is_done,
+    the_quota_of_photos_is_never_exceeded,
+    the_quota_of_bytes_is_never_exceeded,
     a_full_queue_and_a_greedy_owner_are_refused,
     a_settings_change_needs_the_version_it_saw,
 }
 
-async fn an_upload_is_accepted_once_and_known_after(bed: Bed) {
+async fn a_repeated_upload_is_known(bed: Bed) {
     let library = bed.node().await;
     let first = library.accept(upload(1, owner("ann"))).await.unwrap();
     assert_eq!((first.outcome, first.photo.state, first.photo.bytes), (Outcome::New, PhotoState::Queued, 7));
@@ -31,7 +30,7 @@ async fn an_upload_is_accepted_once_and_known_after(bed: Bed) {
     assert_eq!(bed.blobs(&library).await.len(), 3);
 }
 
-async fn of_twins_at_a_time_one_is_new(bed: Bed) {
+async fn one_of_two_simultaneous_uploads_is_new(bed: Bed) {
     let nodes = [bed.node().await, bed.node().await];
     let twins = (0..16).map(|n| {
         let node = nodes[n % 2].clone();
@@ -44,13 +43,13 @@ async fn of_twins_at_a_time_one_is_new(bed: Bed) {
     assert_eq!(new, 1);
     assert_eq!(bed.blobs(&nodes[0]).await.len(), 1, "blobs of concurrent uploads are deleted");
     make_next(&nodes[1]).await;
-    assert!(nodes[0].take(&Kind::ALL, LEASE).await.unwrap().is_none());
+    assert!(nodes[0].take(&JobKind::ALL, LEASE).await.unwrap().is_none());
 }
 
-async fn a_failed_photo_is_tried_again_and_a_damaged_one_healed(bed: Bed) {
+async fn a_repeated_upload_retries_failed_photos_and_heals_damaged_ones(bed: Bed) {
     let library = bed.node().await;
     library.accept(photo(1)).await.unwrap();
-    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     let problem = Problem::new("lost", "the upload is damaged");
     library.fail(&lease, &problem).await.unwrap();
     assert_eq!(library.get(lease.photo.id).await.unwrap().problem, Some(problem));
@@ -70,7 +69,7 @@ async fn a_failed_photo_is_tried_again_and_a_damaged_one_healed(bed: Bed) {
     assert_eq!(library.accept(photo(1)).await.unwrap().outcome, Outcome::Healed);
 }
 
-async fn a_photo_made_again_keeps_its_results_until_then(bed: Bed) {
+async fn a_remade_photo_keeps_its_results_until_it_is_done(bed: Bed) {
     let library = bed.node().await;
     let before = done(&library, 1, owner("ann")).await;
     let strokes = || Content::of_bytes(b"[]".as_slice());
@@ -80,9 +79,9 @@ async fn a_photo_made_again_keeps_its_results_until_then(bed: Bed) {
     assert!(matches!(library.touch_up(&before, strokes(), &owner("ann")).await, Err(LibraryError::NotReady)));
     let after = make_next(&library).await;
     assert_ne!(after.blobs[&Part::Container].name, before.blobs[&Part::Container].name);
-    assert!(matches!(library.make_again(&before, Class::Batch, &owner("ann")).await, Err(LibraryError::Changed)), "an older version");
+    assert!(matches!(library.remake(&before, Class::Batch, &owner("ann")).await, Err(LibraryError::Changed)), "an older version");
     assert_eq!(bed.blobs(&library).await.len(), 4);
-    library.make_again(&after, Class::Batch, &owner("ann")).await.unwrap();
+    library.remake(&after, Class::Batch, &owner("ann")).await.unwrap();
     assert_eq!(make_next(&library).await.version, 3);
 }
 
@@ -105,41 +104,19 @@ async fn taken(bed: &Bed, limits: &Limits) -> usize {
     }
     assert_eq!(bed.blobs(&nodes[0]).await.len(), taken, "what is refused is deleted");
     nodes[0].accept(upload(99, owner("bob"))).await.unwrap();
-    let mut local = upload(98, Asker { owner: Some(Owner::local_user()), ..Asker::default() });
+    let mut local = upload(98, Requester { owner: Some(Owner::local_user()), ..Requester::default() });
     local.id = PhotoId::from_bytes([9; 16]);
     nodes[0].accept(local).await.unwrap();
     taken
 }
 
-async fn no_more_photos_get_in_than_the_quota_allows(bed: Bed) {
+async fn the_quota_of_photos_is_never_exceeded(bed: Bed) {
     assert_eq!(taken(&bed, &Limits { quota_photos: Some(5), ..Limits::default() }).await, 5);
 }
 
-async fn no_more_bytes_get_in_than_the_quota_allows(bed: Bed) {
+async fn the_quota_of_bytes_is_never_exceeded(bed: Bed) {
     // each has 8 bytes
     assert_eq!(taken(&bed, &Limits { quota_bytes: Some(47), ..Limits::default() }).await, 5);
-}
-
-async fn a_reservation_counts_until_it_is_a_photo(bed: Bed) {
-    let library = bed.node_with(Limits { quota_bytes: Some(20), ..Limits::default() }).await;
-    let ann = owner("ann").owner.unwrap();
-    let hour = Duration::from_hours(1);
-    library.reserve("one", &ann, 15, hour).await.unwrap();
-    assert!(matches!(
-        library.reserve("two", &ann, 6, hour).await,
-        Err(LibraryError::QuotaExceeded { quota: Quota::Bytes, used: 15, asked: 6, limit: 20 })
-    ));
-    library.reserve("one", &ann, 20, hour).await.unwrap();
-    assert!(library.check_quota(&ann, 1, None).await.is_err() && library.check_quota(&ann, 20, Some("one")).await.is_ok());
-    assert!(library.accept(upload(1, owner("ann"))).await.is_err());
-    library.accept(Upload { reservation: Some("one".into()), ..upload(1, owner("ann")) }).await.unwrap();
-    assert!(library.check_quota(&ann, 13, None).await.is_ok() && library.check_quota(&ann, 14, None).await.is_err(), "a photo of 7");
-    library.reserve("two", &ann, 13, hour).await.unwrap();
-    library.release_reservation("two").await.unwrap();
-    library.reserve("three", &ann, 13, Duration::from_secs(1)).await.unwrap();
-    bed.jump(1_000);
-    library.0.clock.lock().unwrap().take();
-    assert!(library.check_quota(&ann, 13, None).await.is_ok(), "the reservation has expired");
 }
 
 async fn a_full_queue_and_a_greedy_owner_are_refused(bed: Bed) {
@@ -152,14 +129,14 @@ async fn a_full_queue_and_a_greedy_owner_are_refused(bed: Bed) {
         answer => answer.map(|_| None).unwrap(),
     };
     let mut answers = Vec::new();
-    for (n, asker) in
+    for (n, requester) in
         [owner("ann"), owner("ann"), owner("ann"), address("192.0.2.1"), address("192.0.2.1"), address("192.0.2.1")].into_iter().enumerate()
     {
-        answers.push(share(library.accept(upload(n as u32, asker)).await));
+        answers.push(share(library.accept(upload(n as u32, requester)).await));
     }
-    assert_eq!(answers, [None, None, Some(Share::Owner), None, None, Some(Share::All)]);
+    assert_eq!(answers, [None, None, Some(QueueLimit::Owner), None, None, Some(QueueLimit::All)]);
     make_next(&library).await;
-    assert_eq!(share(library.accept(upload(7, address("192.0.2.1"))).await), Some(Share::Address));
+    assert_eq!(share(library.accept(upload(7, address("192.0.2.1"))).await), Some(QueueLimit::Address));
     assert_eq!(share(library.accept(upload(7, owner("bob"))).await), None);
     assert_eq!(bed.blobs(&library).await.len(), 5 + 2, "what is refused is deleted");
 }

@@ -2,18 +2,19 @@ use super::*;
 
 on_both! {
     gc_deletes_blobs_without_references_after_a_day,
-    fsck_finds_what_is_missing_short_and_changed,
+    fsck_finds_missing_truncated_and_changed_blobs,
     a_store_of_another_library_is_refused,
-    blobs_are_collected_once_a_day_by_one_of_all_nodes,
+    garbage_collection_runs_once_a_day_on_one_node,
 }
 
 async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
     let library = bed.node().await;
     let photo = done(&library, 1, owner("ann")).await;
-    let asker = owner("ann");
-    let order = Order { photo: &photo, key: "a", kind: Kind::Film, payload: json!({}), class: Class::Interactive, asker: &asker };
-    library.order(&order).await.unwrap();
-    let lease = library.take(&[Kind::Film], LEASE).await.unwrap().unwrap();
+    let requester = owner("ann");
+    let order =
+        NewExport { photo: &photo, key: "a", kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
+    library.order_export(&order).await.unwrap();
+    let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
     library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
     let orphan = |n: u8| Contents::from([(Part::Upload, Content::of_bytes(vec![n; 9]))]);
     let old = library.blobs().store(photo.id, orphan(1)).await.unwrap().remove(&Part::Upload).unwrap();
@@ -28,7 +29,7 @@ async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
     assert_eq!(library.fsck().await.unwrap(), []);
 }
 
-async fn fsck_finds_what_is_missing_short_and_changed(bed: Bed) {
+async fn fsck_finds_missing_truncated_and_changed_blobs(bed: Bed) {
     let library = bed.node().await;
     let mut photos = Vec::new();
     for n in 0..4 {
@@ -59,7 +60,7 @@ async fn fsck_finds_what_is_missing_short_and_changed(bed: Bed) {
 }
 
 #[tokio::test]
-async fn an_upload_that_was_written_as_it_came_is_moved() {
+async fn an_uploaded_file_is_moved_not_copied() {
     let bed = Bed::sqlite();
     let library = bed.node().await;
     let path = library.incoming().join("upload");
@@ -106,7 +107,7 @@ async fn a_store_of_another_library_is_refused(bed: Bed) {
     assert!(refusal(&bed, &empty).await.contains("the same --blobs"), "its photos would be missing");
 }
 
-async fn blobs_are_collected_once_a_day_by_one_of_all_nodes(bed: Bed) {
+async fn garbage_collection_runs_once_a_day_on_one_node(bed: Bed) {
     let (one, other) = (bed.node().await, bed.node().await);
     assert_eq!(one.gc_if_due().await.unwrap(), Some(Collected::default()));
     assert_eq!((one.gc_if_due().await.unwrap(), other.gc_if_due().await.unwrap()), (None, None));

@@ -4,20 +4,20 @@ use super::forgetful_disk::Forgetful;
 use super::*;
 
 on_both! {
-    an_acceptance_cut_off_anywhere_is_whole_or_nothing,
-    a_making_cut_off_anywhere_is_made_once,
-    a_deletion_cut_off_anywhere_is_whole_or_nothing,
-    workers_and_uploads_that_die_at_random_lose_and_double_nothing,
+    an_interrupted_acceptance_is_atomic,
+    an_interrupted_making_is_done_once,
+    an_interrupted_deletion_is_atomic,
+    workers_and_uploads_that_die_at_random_lose_and_duplicate_nothing,
 }
 
 /// More polls than any operation here takes.
-const MOST_POLLS: u32 = 400;
+const MAX_POLLS: u32 = 400;
 
 /// Waits until the database has committed or rolled back an interrupted transaction.
 async fn settle(library: &Library) {
     let mut tx = library.database().write().await.unwrap();
     if tx.has_row_locks() {
-        sqlx::query("LOCK TABLE jobs, photos").execute(tx.on()).await.unwrap();
+        sqlx::query("LOCK TABLE jobs, photos").execute(tx.connection()).await.unwrap();
     }
 }
 
@@ -37,16 +37,16 @@ async fn is_consistent(bed: &Bed, library: &Library, photos: usize) {
     assert_eq!(there, referred);
 }
 
-async fn an_acceptance_cut_off_anywhere_is_whole_or_nothing(bed: Bed) {
+async fn an_interrupted_acceptance_is_atomic(bed: Bed) {
     let library = bed.node_with(Limits { queue: 1000, ..Limits::default() }).await;
     let mut completed = 0;
-    for polls in 0..MOST_POLLS {
+    for polls in 0..MAX_POLLS {
         let answer = cut(library.accept(upload(polls, owner("ann"))), polls).await;
         settle(&library).await;
         let id = upload(polls, owner("ann")).id;
         let there = library.find(id).await.unwrap().is_some();
         assert!(answer.is_none() || there, "after {polls} polls what was answered is not there");
-        assert_eq!(library.job(Kind::Make, id, None).await.is_ok(), there, "after {polls} polls a photo has no job, or a job no photo");
+        assert_eq!(library.job(JobKind::Make, id, None).await.is_ok(), there, "after {polls} polls a photo has no job, or a job no photo");
         let again = library.accept(upload(polls, owner("ann"))).await.unwrap().outcome;
         assert_eq!(again, if there { Outcome::Known } else { Outcome::New });
         completed += u32::from(answer.is_some());
@@ -59,12 +59,12 @@ async fn an_acceptance_cut_off_anywhere_is_whole_or_nothing(bed: Bed) {
     panic!("it never completes");
 }
 
-async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
+async fn an_interrupted_making_is_done_once(bed: Bed) {
     let library = bed.node_with(Limits { attempts: 1000, ..Limits::default() }).await;
     let id = library.accept(photo(1)).await.unwrap().photo.id;
-    for polls in 0..MOST_POLLS {
+    for polls in 0..MAX_POLLS {
         let work = async {
-            let Some(lease) = library.take(&[Kind::Make], LEASE).await.unwrap() else { return };
+            let Some(lease) = library.take(&[JobKind::Make], LEASE).await.unwrap() else { return };
             library.renew(&lease, None).await.unwrap();
             library.finish(&lease, made(&library, &lease).await).await.unwrap();
         };
@@ -72,16 +72,16 @@ async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
         settle(&library).await;
         let photo = library.get(id).await.unwrap();
         let is_done = photo.state == PhotoState::Done;
-        assert_eq!(library.job(Kind::Make, id, None).await.is_ok(), !is_done, "after {polls} polls");
+        assert_eq!(library.job(JobKind::Make, id, None).await.is_ok(), !is_done, "after {polls} polls");
         if is_done {
             assert!(polls > 3, "{polls}");
             is_consistent(&bed, &library, 1).await;
-            assert_eq!(library.statistics().await.unwrap().outcomes[&Kind::Make].finished, 1);
+            assert_eq!(library.statistics().await.unwrap().outcomes[&JobKind::Make].finished, 1);
             if answer.is_some() {
                 return;
             }
             // interrupted after the commit: once more
-            library.make_again(&photo, Class::Batch, &Asker::default()).await.unwrap();
+            library.remake(&photo, Class::Batch, &Requester::default()).await.unwrap();
             make_next(&library).await;
             return;
         }
@@ -93,9 +93,9 @@ async fn a_making_cut_off_anywhere_is_made_once(bed: Bed) {
     panic!("it never completes");
 }
 
-async fn a_deletion_cut_off_anywhere_is_whole_or_nothing(bed: Bed) {
+async fn an_interrupted_deletion_is_atomic(bed: Bed) {
     let library = bed.node().await;
-    for polls in 0..MOST_POLLS {
+    for polls in 0..MAX_POLLS {
         let photo = match library.find(upload(1, owner("ann")).id).await.unwrap() {
             Some(photo) => photo,
             None => done(&library, 1, owner("ann")).await,
@@ -125,8 +125,8 @@ fn random(seed: &mut u64) -> u32 {
 /// Accepts photos, and retries each until it succeeds, while calls are often interrupted.
 async fn uploads(library: Library, photos: std::ops::Range<u32>, mut seed: u64) {
     for n in photos {
-        let asker = owner(&(n % 7).to_string());
-        while !matches!(cut(library.accept(upload(n, asker.clone())), random(&mut seed) % 60).await, Some(Ok(_))) {}
+        let requester = owner(&(n % 7).to_string());
+        while !matches!(cut(library.accept(upload(n, requester.clone())), random(&mut seed) % 60).await, Some(Ok(_))) {}
     }
 }
 
@@ -135,7 +135,7 @@ async fn works(library: Library, bed: Arc<Bed>, all: u64, mut seed: u64) {
     while library.statistics().await.unwrap().photos.get(&PhotoState::Done) != Some(&all) {
         let polls = random(&mut seed) % 120;
         let work = async {
-            let Some(lease) = library.take(&[Kind::Make], LEASE).await.unwrap() else { return false };
+            let Some(lease) = library.take(&[JobKind::Make], LEASE).await.unwrap() else { return false };
             if random(&mut seed).is_multiple_of(8) {
                 let why = if polls.is_multiple_of(2) { Retry::Stopping } else { Retry::Fault("no memory".into()) };
                 let _ = library.retry(&lease, &why).await;
@@ -153,7 +153,7 @@ async fn works(library: Library, bed: Arc<Bed>, all: u64, mut seed: u64) {
     }
 }
 
-async fn workers_and_uploads_that_die_at_random_lose_and_double_nothing(bed: Bed) {
+async fn workers_and_uploads_that_die_at_random_lose_and_duplicate_nothing(bed: Bed) {
     const PHOTOS: u32 = 200;
     let bed = Arc::new(bed);
     let limits = Limits { queue: 10_000, attempts: 10_000, ..Limits::default() };
@@ -170,7 +170,7 @@ async fn workers_and_uploads_that_die_at_random_lose_and_double_nothing(bed: Bed
     }
     let library = &nodes[0];
     let statistics = library.statistics().await.unwrap();
-    let finished = statistics.outcomes[&Kind::Make].finished;
+    let finished = statistics.outcomes[&JobKind::Make].finished;
     assert_eq!((finished, statistics.waiting.len(), statistics.working.len()), (PHOTOS.into(), 0, 0), "each was made once");
     is_consistent(&bed, library, PHOTOS as usize).await;
     for n in 0..PHOTOS {
@@ -188,7 +188,7 @@ async fn forgetful(bed: &Bed) -> (Library, Arc<Forgetful>) {
 }
 
 #[tokio::test]
-async fn what_was_answered_survives_a_machine_that_stops() {
+async fn accepted_uploads_survive_a_power_failure() {
     for steps in 0.. {
         let bed = Bed::sqlite();
         let (library, files) = forgetful(&bed).await;
@@ -197,7 +197,7 @@ async fn what_was_answered_survives_a_machine_that_stops() {
         files.crash();
         if let Ok(accepted) = accepted {
             assert!(library.verify(&accepted.photo).await.unwrap().is_empty(), "after {steps} steps");
-            let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+            let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
             let result = made(&library, &lease).await;
             let finished = library.finish(&lease, result).await.unwrap();
             files.crash();
@@ -210,11 +210,11 @@ async fn what_was_answered_survives_a_machine_that_stops() {
 }
 
 #[tokio::test]
-async fn a_full_disk_refuses_uploads_and_keeps_makings_waiting() {
+async fn a_full_disk_refuses_uploads_and_delays_makings() {
     let bed = Bed::sqlite();
     let (library, files) = forgetful(&bed).await;
     library.accept(photo(1)).await.unwrap();
-    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     files.fill(true);
     assert!(matches!(library.accept(photo(2)).await, Err(LibraryError::StorageFull)));
     assert!(matches!(library.finish(&lease, made(&library, &lease).await).await, Err(LibraryError::StorageFull)));

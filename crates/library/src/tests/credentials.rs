@@ -1,8 +1,8 @@
 use super::*;
 
 on_both! {
-    keys_come_end_and_are_removed,
-    sessions_end_with_their_time_and_their_key,
+    keys_can_be_added_expire_and_be_removed,
+    sessions_end_when_they_or_their_key_expire,
 }
 
 fn later(bed: &Bed, library: &Library, by: Duration) {
@@ -10,7 +10,7 @@ fn later(bed: &Bed, library: &Library, by: Duration) {
     library.0.clock.lock().unwrap().take();
 }
 
-async fn keys_come_end_and_are_removed(bed: Bed) {
+async fn keys_can_be_added_expire_and_be_removed(bed: Bed) {
     let (library, other) = (bed.node().await, bed.node().await);
     let day = Duration::from_hours(24);
     let one = library.add_key("site", &[Scope::Upload, Scope::Read, Scope::Read], None).await.unwrap();
@@ -22,7 +22,7 @@ async fn keys_come_end_and_are_removed(bed: Bed) {
     assert!(library.find_key(&one.secret[..one.secret.len() - 1]).await.unwrap().is_none());
     assert_eq!(library.keys().await.unwrap().len(), 2);
     later(&bed, &library, day);
-    assert!(!library.is_still_good(&two.key).await.unwrap() && library.is_still_good(&one.key).await.unwrap());
+    assert!(!library.is_valid(&two.key).await.unwrap() && library.is_valid(&one.key).await.unwrap());
     let mut events = library.subscribe();
     assert_eq!(library.remove_keys("site", Some(&one.key.id)).await.unwrap(), 1);
     assert_eq!(events.next().await, Some(Event::Revoked));
@@ -34,7 +34,7 @@ async fn keys_come_end_and_are_removed(bed: Bed) {
     }
 }
 
-async fn sessions_end_with_their_time_and_their_key(bed: Bed) {
+async fn sessions_end_when_they_or_their_key_expire(bed: Bed) {
     let library = bed.node().await;
     let (ann, hour) = (Owner::of_secret("ann"), Duration::from_hours(1));
     let mine = library.open_session(&ann, None, hour).await.unwrap();

@@ -136,15 +136,15 @@ impl Files for Forgetful {
         Ok(here.map(|(path, at)| Listed { name: name(path), bytes: inner.files[*at].now.len() as u64, written_at: 0 }).collect())
     }
 
-    fn room(&self, _: &Path) -> Option<crate::blobs::Room> {
+    fn disk_space(&self, _: &Path) -> Option<crate::blobs::DiskSpace> {
         None
     }
 }
 
 #[cfg(unix)]
 #[test]
-fn a_disk_tells_its_room() {
+fn the_disk_reports_its_free_space() {
     use crate::blobs::Disk;
     let dir = tempfile::tempdir().unwrap();
-    assert!(Disk.room(dir.path()).is_some() && Disk.room(&dir.path().join("none")).is_none());
+    assert!(Disk.disk_space(dir.path()).is_some() && Disk.disk_space(&dir.path().join("none")).is_none());
 }

@@ -119,12 +119,12 @@ impl Bed {
 }
 
 /// A caller with an address of its own.
-pub fn owner(name: &str) -> Asker {
-    Asker { owner: Some(Owner::of_secret(name)), ..Asker::default() }
+pub fn owner(name: &str) -> Requester {
+    Requester { owner: Some(Owner::of_secret(name)), ..Requester::default() }
 }
 
-pub fn address(text: &str) -> Asker {
-    Asker { address: Some(text.parse::<IpAddr>().unwrap()), ..Asker::default() }
+pub fn address(text: &str) -> Requester {
+    Requester { address: Some(text.parse::<IpAddr>().unwrap()), ..Requester::default() }
 }
 
 /// The bytes of the `n`th photo.
@@ -133,40 +133,39 @@ pub fn bytes(n: u32) -> Vec<u8> {
 }
 
 /// An upload of the `n`th photo.
-pub fn upload(n: u32, asker: Asker) -> Upload {
+pub fn upload(n: u32, requester: Requester) -> Upload {
     let photo = Content::of_bytes(bytes(n));
-    let content = PhotoId::of_content(photo.digest(), None, "", asker.owner.as_ref().map_or("", Owner::as_str));
+    let content = PhotoId::of_content(photo.digest(), None, "", requester.owner.as_ref().map_or("", Owner::as_str));
     Upload {
         id: content,
-        asker,
+        requester,
         class: Class::Interactive,
         options: BTreeMap::from([("quality".to_owned(), "80".to_owned())]),
         settings: json!({"title": format!("Photo {n}")}),
         photo,
         depth: None,
-        reservation: None,
     }
 }
 
 /// An upload of the `n`th photo without an owner.
 pub fn photo(n: u32) -> Upload {
-    upload(n, Asker::default())
+    upload(n, Requester::default())
 }
 
 /// A worker's results for a photo, which it reads.
-pub async fn made(library: &Library, lease: &Lease) -> Made {
+pub async fn made(library: &Library, lease: &Lease) -> PhotoResults {
     let read = library.blobs().read(Part::Upload, lease.photo.blob(Part::Upload).unwrap()).await.unwrap();
     let container = [b"made of ".as_slice(), &read].concat();
     let report = Content::of_bytes(b"{}".as_slice());
     let contents = Contents::from([(Part::Container, Content::of_bytes(container)), (Part::Report, report)]);
-    Made { contents, details: json!({"width": 640, "height": 480}) }
+    PhotoResults { contents, details: json!({"width": 640, "height": 480}) }
 }
 
 /// Makes the next photo, once no transaction that ends holds its row any more.
 pub async fn make_next(library: &Library) -> Photo {
     let taken = async {
         loop {
-            if let Some(lease) = library.take(&[Kind::Make], LEASE).await.unwrap() {
+            if let Some(lease) = library.take(&[JobKind::Make], LEASE).await.unwrap() {
                 return lease;
             }
             tokio::task::yield_now().await;
@@ -177,8 +176,8 @@ pub async fn make_next(library: &Library) -> Photo {
 }
 
 /// Accepts and makes the `n`th photo.
-pub async fn done(library: &Library, n: u32, asker: Asker) -> Photo {
-    library.accept(upload(n, asker)).await.unwrap();
+pub async fn done(library: &Library, n: u32, requester: Requester) -> Photo {
+    library.accept(upload(n, requester)).await.unwrap();
     make_next(library).await
 }
 

@@ -1,11 +1,11 @@
 use super::*;
 
 on_both! {
-    nodes_that_open_at_a_time_make_one_schema,
-    a_schema_of_a_later_program_is_refused,
+    nodes_that_open_simultaneously_create_one_schema,
+    a_newer_schema_is_refused,
 }
 
-async fn nodes_that_open_at_a_time_make_one_schema(bed: Bed) {
+async fn nodes_that_open_simultaneously_create_one_schema(bed: Bed) {
     let bed = Arc::new(bed);
     let opened: Vec<_> = (0..6)
         .map(|_| {
@@ -16,7 +16,7 @@ async fn nodes_that_open_at_a_time_make_one_schema(bed: Bed) {
     let mut secrets = Vec::new();
     for node in opened {
         let node = node.await.unwrap();
-        secrets.push(node.secret().sign(Grant::Watch, Subject::Room("attic"), 1).to_string());
+        secrets.push(node.secret().sign(Grant::Relay, Subject::Room("attic"), 1).to_string());
         node.close().await;
     }
     secrets.dedup();
@@ -27,10 +27,10 @@ async fn nodes_that_open_at_a_time_make_one_schema(bed: Bed) {
     assert_eq!(bed.node().await.list(&Filter::default(), None, 9).await.unwrap().photos.len(), 1, "opened again nothing is lost");
 }
 
-async fn a_schema_of_a_later_program_is_refused(bed: Bed) {
+async fn a_newer_schema_is_refused(bed: Bed) {
     let library = bed.node().await;
     let mut tx = library.database().write().await.unwrap();
-    sqlx::query("INSERT INTO migrations (version) VALUES (1000)").execute(tx.on()).await.unwrap();
+    sqlx::query("INSERT INTO migrations (version) VALUES (1000)").execute(tx.connection()).await.unwrap();
     tx.commit().await.unwrap();
     library.close().await;
     let again = match &bed.url {
@@ -58,7 +58,7 @@ async fn a_folder_opens_with_its_own_database_and_blobs() {
 }
 
 #[tokio::test]
-async fn what_cannot_be_opened_says_why() {
+async fn errors_of_opening_say_why() {
     let dir = tempfile::tempdir().unwrap();
     let config = || Config::of_folder(dir.path());
     let file = dir.path().join("file");

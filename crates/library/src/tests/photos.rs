@@ -6,7 +6,7 @@ on_both! {
     pages_are_newest_first_by_owner_state_and_title,
     pages_stay_in_place_while_photos_come_and_go,
     deleting_leaves_neither_rows_nor_blobs,
-    taking_links_back_ends_those_of_before,
+    revoking_links_ends_earlier_ones,
     statistics_count_all,
 }
 
@@ -77,25 +77,26 @@ async fn pages_stay_in_place_while_photos_come_and_go(bed: Bed) {
 async fn deleting_leaves_neither_rows_nor_blobs(bed: Bed) {
     let library = bed.node().await;
     let photo = done(&library, 1, owner("ann")).await;
-    let (payload, asker) = (json!({"format": "zip"}), owner("ann"));
+    let (payload, requester) = (json!({"format": "zip"}), owner("ann"));
     for key in ["a", "b"] {
-        let order = Order { photo: &photo, key, kind: Kind::Export, payload: payload.clone(), class: Class::Batch, asker: &asker };
-        library.order(&order).await.unwrap();
+        let order =
+            NewExport { photo: &photo, key, kind: JobKind::Export, payload: payload.clone(), class: Class::Batch, requester: &requester };
+        library.order_export(&order).await.unwrap();
     }
-    let lease = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
+    let lease = library.take(&[JobKind::Export], LEASE).await.unwrap().unwrap();
     library.finish_export(&lease, Content::of_bytes(b"file".as_slice())).await.unwrap();
-    let late = library.take(&[Kind::Export], LEASE).await.unwrap().unwrap();
+    let late = library.take(&[JobKind::Export], LEASE).await.unwrap().unwrap();
     assert_eq!(bed.blobs(&library).await.len(), 4);
     assert!(library.delete(photo.id, None).await.unwrap());
     assert!(bed.blobs(&library).await.is_empty());
     assert!(matches!(library.get(photo.id).await, Err(LibraryError::NotFound("photo"))));
-    assert!(matches!(library.job(Kind::Export, photo.id, Some("a")).await, Err(LibraryError::NotFound("job"))));
+    assert!(matches!(library.job(JobKind::Export, photo.id, Some("a")).await, Err(LibraryError::NotFound("job"))));
     assert!(matches!(library.finish_export(&late, Content::of_bytes(b"file".as_slice())).await, Err(LibraryError::LeaseLost)));
     assert!(bed.blobs(&library).await.is_empty());
     assert_eq!(library.accept(upload(1, owner("ann"))).await.unwrap().outcome, Outcome::New);
 }
 
-async fn taking_links_back_ends_those_of_before(bed: Bed) {
+async fn revoking_links_ends_earlier_ones(bed: Bed) {
     let library = bed.node().await;
     let before = library.accept(upload(1, owner("ann"))).await.unwrap().photo;
     let secret = bed.node().await.secret().clone();
@@ -117,15 +118,15 @@ async fn statistics_count_all(bed: Bed) {
     let bytes: u64 = [done(&library, 1, owner("a")).await.bytes, done(&library, 2, owner("b")).await.bytes].iter().sum();
     library.accept(photo(3)).await.unwrap();
     library.accept(Upload { class: Class::Batch, ..photo(4) }).await.unwrap();
-    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     bed.jump(5_000);
     library.0.clock.lock().unwrap().take();
     let statistics = library.statistics().await.unwrap();
     let photos = [(PhotoState::Queued, 1), (PhotoState::Working, 1), (PhotoState::Done, 2)];
     assert_eq!(statistics.photos.into_iter().collect::<Vec<_>>(), photos);
     assert_eq!(statistics.bytes, bytes + 14);
-    assert_eq!(statistics.waiting.into_iter().collect::<Vec<_>>(), [((Kind::Make, Class::Batch), 1)]);
-    assert_eq!((statistics.working[&Kind::Make], statistics.outcomes[&Kind::Make].finished), (1, 2));
+    assert_eq!(statistics.waiting.into_iter().collect::<Vec<_>>(), [((JobKind::Make, Class::Batch), 1)]);
+    assert_eq!((statistics.working[&JobKind::Make], statistics.outcomes[&JobKind::Make].finished), (1, 2));
     assert!(statistics.longest_wait >= Duration::from_secs(5), "{:?}", statistics.longest_wait);
     drop(lease);
 }

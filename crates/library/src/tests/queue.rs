@@ -8,15 +8,15 @@ const DAY: i64 = 86_400_000;
 on_both! {
     many_workers_make_a_photo_once,
     two_owners_take_turns,
-    what_somebody_waits_for_comes_first_but_not_always,
+    interactive_jobs_come_first_but_not_always,
     a_dead_workers_job_is_taken_again_and_its_result_discarded,
-    a_worker_keeps_its_lease_however_the_clock_jumps,
-    a_photo_that_takes_down_its_workers_fails,
+    a_worker_keeps_its_lease_when_the_clock_jumps,
+    a_photo_that_crashes_its_workers_fails,
     a_fault_of_the_server_only_costs_time,
-    a_position_counts_what_comes_before,
+    a_position_counts_the_jobs_ahead,
     a_deleted_photos_worker_loses_its_lease,
     a_check_takes_a_damaged_photo_out_of_service,
-    waiting_workers_hear_of_a_job,
+    waiting_workers_are_notified_of_a_job,
 }
 
 async fn many_workers_make_a_photo_once(bed: Bed) {
@@ -26,7 +26,7 @@ async fn many_workers_make_a_photo_once(bed: Bed) {
         .map(|n| {
             let node = nodes[n % 2].clone();
             tokio::spawn(async move {
-                let lease = node.take(&[Kind::Make], LEASE).await.unwrap()?;
+                let lease = node.take(&[JobKind::Make], LEASE).await.unwrap()?;
                 Some(node.finish(&lease, made(&node, &lease).await).await.unwrap())
             })
         })
@@ -36,7 +36,7 @@ async fn many_workers_make_a_photo_once(bed: Bed) {
         photos.extend(worker.await.unwrap());
     }
     assert_eq!(photos.len(), 1);
-    let made = nodes[1].statistics().await.unwrap().outcomes[&Kind::Make];
+    let made = nodes[1].statistics().await.unwrap().outcomes[&JobKind::Make];
     assert_eq!((made.finished, made.failed, made.died), (1, 0, 0));
 }
 
@@ -47,9 +47,9 @@ async fn two_owners_take_turns(bed: Bed) {
     }
     let mut order = String::new();
     for n in 10..13 {
-        for asker in [owner("bob"), address("192.0.2.1")] {
+        for requester in [owner("bob"), address("192.0.2.1")] {
             bed.jump(1);
-            library.accept(upload(n, asker)).await.unwrap();
+            library.accept(upload(n, requester)).await.unwrap();
         }
     }
     for _ in 0..9 {
@@ -67,7 +67,7 @@ async fn two_owners_take_turns(bed: Bed) {
     assert_eq!(make_next(&library).await.owner, owner("bob").owner, "behind one of the other's seven");
 }
 
-async fn what_somebody_waits_for_comes_first_but_not_always(bed: Bed) {
+async fn interactive_jobs_come_first_but_not_always(bed: Bed) {
     let library = bed.node().await;
     for n in 0..6 {
         let class = if n % 2 == 0 { Class::Batch } else { Class::Interactive };
@@ -92,12 +92,12 @@ async fn what_somebody_waits_for_comes_first_but_not_always(bed: Bed) {
 async fn a_dead_workers_job_is_taken_again_and_its_result_discarded(bed: Bed) {
     let (slow, other) = (bed.node().await, bed.node().await);
     slow.accept(photo(1)).await.unwrap();
-    let late = slow.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
-    assert!(other.take(&[Kind::Make], LEASE).await.unwrap().is_none());
+    let late = slow.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
+    assert!(other.take(&[JobKind::Make], LEASE).await.unwrap().is_none());
     bed.jump(61_000);
-    assert!(other.take(&[Kind::Make], LEASE).await.unwrap().is_none(), "it is put back for a moment");
+    assert!(other.take(&[JobKind::Make], LEASE).await.unwrap().is_none(), "it is put back for a moment");
     bed.jump(1_000);
-    let lease = other.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = other.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     assert_eq!(lease.job.attempts, 1);
     assert!(matches!(slow.renew(&late, None).await, Err(LibraryError::LeaseLost)));
     assert!(matches!(slow.finish(&late, made(&slow, &late).await).await, Err(LibraryError::LeaseLost)), "before the other has finished");
@@ -109,23 +109,23 @@ async fn a_dead_workers_job_is_taken_again_and_its_result_discarded(bed: Bed) {
     assert_eq!(bed.blobs(&slow).await.len(), 3, "the late results are deleted");
 }
 
-async fn a_worker_keeps_its_lease_however_the_clock_jumps(bed: Bed) {
+async fn a_worker_keeps_its_lease_when_the_clock_jumps(bed: Bed) {
     for jump in [DAY, -DAY] {
         let library = bed.node().await;
         let n = if jump > 0 { 1 } else { 2 };
         library.accept(photo(n)).await.unwrap();
-        let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+        let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
         bed.jump(jump);
-        assert!(library.take(&[Kind::Make], LEASE).await.unwrap().is_none(), "{jump}");
+        assert!(library.take(&[JobKind::Make], LEASE).await.unwrap().is_none(), "{jump}");
         library.renew(&lease, Some(&json!({"stage": "depth"}))).await.unwrap();
         library.finish(&lease, made(&library, &lease).await).await.unwrap();
         // once its process is gone, another takes the job, however late the lease seems to end
         library.accept(photo(10 + n)).await.unwrap();
-        drop(library.take(&[Kind::Make], LEASE).await.unwrap().unwrap());
+        drop(library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap());
         bed.jump(jump);
-        library.take(&[Kind::Make], LEASE).await.unwrap();
+        library.take(&[JobKind::Make], LEASE).await.unwrap();
         bed.jump(1_000);
-        let again = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+        let again = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
         assert_eq!(again.job.attempts, 1, "{jump}");
         // and a delayed job is not forgotten
         library.retry(&again, &Retry::Fault("the disk is full".into())).await.unwrap();
@@ -134,17 +134,17 @@ async fn a_worker_keeps_its_lease_however_the_clock_jumps(bed: Bed) {
     }
 }
 
-async fn a_photo_that_takes_down_its_workers_fails(bed: Bed) {
+async fn a_photo_that_crashes_its_workers_fails(bed: Bed) {
     let library = bed.node_with(Limits { attempts: 3, ..Limits::default() }).await;
     let id = library.accept(photo(1)).await.unwrap().photo.id;
     for died in 1..=3 {
-        let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+        let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
         assert_eq!(lease.job.attempts, died - 1);
         if died == 2 {
             // the whole process, this time
             drop(lease);
             bed.jump(61_000);
-            library.take(&[Kind::Make], LEASE).await.unwrap();
+            library.take(&[JobKind::Make], LEASE).await.unwrap();
         } else {
             library.retry(&lease, &Retry::Died("signal 9".into())).await.unwrap();
         }
@@ -152,24 +152,24 @@ async fn a_photo_that_takes_down_its_workers_fails(bed: Bed) {
     }
     let photo = library.get(id).await.unwrap();
     assert_eq!((photo.state, photo.problem.unwrap().kind.as_str()), (PhotoState::Failed, "gave-up"));
-    assert!(library.take(&[Kind::Make], LEASE).await.unwrap().is_none());
-    let made = library.statistics().await.unwrap().outcomes[&Kind::Make];
+    assert!(library.take(&[JobKind::Make], LEASE).await.unwrap().is_none());
+    let made = library.statistics().await.unwrap().outcomes[&JobKind::Make];
     assert_eq!((made.finished, made.failed, made.died), (0, 1, 3));
 }
 
 async fn a_fault_of_the_server_only_costs_time(bed: Bed) {
     let library = bed.node().await;
     let id = library.accept(photo(1)).await.unwrap().photo.id;
-    let mut lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let mut lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     let mut pauses = Vec::new();
     for _ in 0..9 {
         library.retry(&lease, &Retry::Fault("no memory".into())).await.unwrap();
-        assert_eq!(library.job(Kind::Make, id, None).await.unwrap().problem, Some(Problem::new("fault", "no memory")));
+        assert_eq!(library.job(JobKind::Make, id, None).await.unwrap().problem, Some(Problem::new("fault", "no memory")));
         let mut pause = 0;
         lease = loop {
             bed.jump(250);
             pause += 250;
-            if let Some(lease) = library.take(&[Kind::Make], LEASE).await.unwrap() {
+            if let Some(lease) = library.take(&[JobKind::Make], LEASE).await.unwrap() {
                 break lease;
             }
         };
@@ -183,28 +183,28 @@ async fn a_fault_of_the_server_only_costs_time(bed: Bed) {
     make_next(&library).await;
 }
 
-async fn a_position_counts_what_comes_before(bed: Bed) {
+async fn a_position_counts_the_jobs_ahead(bed: Bed) {
     let library = bed.node().await;
     let mut ids = Vec::new();
-    for (n, asker) in [owner("ann"), owner("ann"), owner("bob")].into_iter().enumerate() {
-        ids.push(library.accept(upload(n as u32, asker)).await.unwrap().photo.id);
+    for (n, requester) in [owner("ann"), owner("ann"), owner("bob")].into_iter().enumerate() {
+        ids.push(library.accept(upload(n as u32, requester)).await.unwrap().photo.id);
     }
     let mut ahead = Vec::new();
     for id in &ids {
-        let position = library.position(Kind::Make, *id, None).await.unwrap().unwrap();
+        let position = library.position(JobKind::Make, *id, None).await.unwrap().unwrap();
         assert!(position.wait > Duration::ZERO);
         ahead.push(position.ahead);
     }
     assert_eq!(ahead, [0, 2, 1], "the other's first comes before one's second");
     make_next(&library).await;
-    assert!(library.position(Kind::Make, ids[0], None).await.unwrap().is_none());
-    assert_eq!(library.position(Kind::Make, ids[1], None).await.unwrap().unwrap().ahead, 1);
+    assert!(library.position(JobKind::Make, ids[0], None).await.unwrap().is_none());
+    assert_eq!(library.position(JobKind::Make, ids[1], None).await.unwrap().unwrap().ahead, 1);
 }
 
 async fn a_deleted_photos_worker_loses_its_lease(bed: Bed) {
     let library = bed.node().await;
     library.accept(photo(1)).await.unwrap();
-    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     let result = made(&library, &lease).await;
     assert!(!library.delete(lease.photo.id, Some(lease.photo.accepted_at + 1)).await.unwrap(), "another upload");
     assert!(library.delete(lease.photo.id, Some(lease.photo.accepted_at)).await.unwrap());
@@ -216,10 +216,10 @@ async fn a_check_takes_a_damaged_photo_out_of_service(bed: Bed) {
     let library = bed.node().await;
     let (good, bad) = (done(&library, 1, owner("a")).await, done(&library, 2, owner("b")).await);
     std::fs::remove_file(library.blobs().path(bad.blob(Part::Container).unwrap()).unwrap()).unwrap();
-    assert_eq!(library.check_next(Duration::from_hours(1)).await.unwrap(), None, "they have just been written");
+    assert_eq!(library.verify_next(Duration::from_hours(1)).await.unwrap(), None, "they have just been written");
     bed.jump(1000 * 3600 * 2);
     let mut checked = BTreeSet::new();
-    while let Some(photo) = library.check_next(Duration::from_hours(1)).await.unwrap() {
+    while let Some(photo) = library.verify_next(Duration::from_hours(1)).await.unwrap() {
         assert!(checked.insert(photo.id), "each is checked once");
     }
     assert_eq!(checked, BTreeSet::from([good.id, bad.id]));
@@ -229,13 +229,13 @@ async fn a_check_takes_a_damaged_photo_out_of_service(bed: Bed) {
     assert!(bad.problem.unwrap().detail.starts_with("container is damaged: it is missing"));
 }
 
-async fn waiting_workers_hear_of_a_job(bed: Bed) {
+async fn waiting_workers_are_notified_of_a_job(bed: Bed) {
     let (node, worker) = (bed.node().await, bed.node().await);
     let workers: Vec<_> = (0..3)
         .map(|_| {
             let worker = worker.clone();
             tokio::spawn(async move {
-                let lease = worker.next(&[Kind::Make], LEASE, std::future::pending()).await.unwrap().unwrap();
+                let lease = worker.next(&[JobKind::Make], LEASE, std::future::pending()).await.unwrap().unwrap();
                 worker.finish(&lease, made(&worker, &lease).await).await.unwrap().id
             })
         })

@@ -4,12 +4,12 @@ use super::*;
 const DAY: i64 = 86_400_000;
 
 on_both! {
-    photos_go_by_their_age_but_not_by_a_clock_that_jumps,
-    the_least_recently_viewed_photos_make_room,
-    exports_sessions_and_reservations_go_with_their_time,
+    photos_expire_by_age_but_not_by_a_clock_that_jumps,
+    the_least_recently_viewed_photos_are_deleted_for_space,
+    exports_and_sessions_expire,
 }
 
-async fn photos_go_by_their_age_but_not_by_a_clock_that_jumps(bed: Bed) {
+async fn photos_expire_by_age_but_not_by_a_clock_that_jumps(bed: Bed) {
     let limits = Limits { retain: Some(Duration::from_hours(47)), ..Limits::default() };
     let library = bed.node_with(limits.clone()).await;
     let old = done(&library, 1, owner("a")).await;
@@ -31,7 +31,7 @@ async fn photos_go_by_their_age_but_not_by_a_clock_that_jumps(bed: Bed) {
     }
 }
 
-async fn the_least_recently_viewed_photos_make_room(bed: Bed) {
+async fn the_least_recently_viewed_photos_are_deleted_for_space(bed: Bed) {
     let library = bed.node().await;
     let mut photos = Vec::new();
     for n in 0..5 {
@@ -43,33 +43,35 @@ async fn the_least_recently_viewed_photos_make_room(bed: Bed) {
     // space for all but one, less a byte
     let limits = Limits { retain_bytes: Some(all - photos[0].bytes - 1), ..Limits::default() };
     let sweeper = bed.node_with(limits).await;
-    sweeper.viewed(photos[0].id);
+    sweeper.note_view(photos[0].id);
     let swept = sweeper.sweep().await.unwrap();
-    assert_eq!((swept.by_room, swept.bytes), (2, photos[1].bytes + photos[2].bytes));
+    assert_eq!((swept.by_space, swept.bytes), (2, photos[1].bytes + photos[2].bytes));
     let left: Vec<_> = library.list(&Filter::default(), None, 9).await.unwrap().photos.iter().map(|photo| photo.id).collect();
     assert!(left.contains(&photos[0].id) && !left.contains(&photos[1].id) && left.len() == 4);
     assert_eq!(sweeper.sweep().await.unwrap(), Swept::default());
 }
 
-async fn exports_sessions_and_reservations_go_with_their_time(bed: Bed) {
+async fn exports_and_sessions_expire(bed: Bed) {
     let library = bed.node_with(Limits { exports_for: Duration::from_hours(1), ..Limits::default() }).await;
     let photo = done(&library, 1, owner("ann")).await;
-    let (asker, ann) = (owner("ann"), owner("ann").owner.unwrap());
+    let (requester, ann) = (owner("ann"), owner("ann").owner.unwrap());
     for key in ["a", "b"] {
-        let order = Order { photo: &photo, key, kind: Kind::Film, payload: json!({}), class: Class::Interactive, asker: &asker };
-        library.order(&order).await.unwrap();
-        let lease = library.take(&[Kind::Film], LEASE).await.unwrap().unwrap();
+        let order =
+            NewExport { photo: &photo, key, kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
+        library.order_export(&order).await.unwrap();
+        let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
         library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
     }
     library.open_session(&ann, None, Duration::from_mins(1)).await.unwrap();
-    library.reserve("one", &ann, 1, Duration::from_mins(1)).await.unwrap();
     assert_eq!(library.sweep().await.unwrap(), Swept::default());
     bed.jump(DAY / 48);
-    library.fetched(&library.job(Kind::Film, photo.id, Some("a")).await.unwrap()).await.unwrap();
+    library.note_export_fetch(&library.job(JobKind::Film, photo.id, Some("a")).await.unwrap()).await.unwrap();
     bed.jump(DAY / 48);
     assert_eq!(library.sweep().await.unwrap(), Swept { exports: 1, ..Swept::default() });
-    assert!(library.job(Kind::Film, photo.id, Some("a")).await.is_ok() && library.job(Kind::Film, photo.id, Some("b")).await.is_err());
+    assert!(
+        library.job(JobKind::Film, photo.id, Some("a")).await.is_ok() && library.job(JobKind::Film, photo.id, Some("b")).await.is_err()
+    );
     assert_eq!(bed.blobs(&library).await.len(), 4);
-    let left = sqlx::query("SELECT hash FROM sessions UNION SELECT id FROM reservations").fetch_all(library.database().reader()).await;
+    let left = sqlx::query("SELECT hash FROM sessions").fetch_all(library.database().reader()).await;
     assert_eq!(left.unwrap().len(), 0);
 }

@@ -2,7 +2,7 @@ use super::*;
 
 on_both! {
     a_room_has_one_origin_and_a_higher_epoch_each_time,
-    of_nodes_that_claim_a_room_at_a_time_one_has_it,
+    one_of_several_nodes_that_claim_a_room_gets_it,
 }
 
 const SECONDS: Duration = Duration::from_secs(5);
@@ -37,7 +37,7 @@ async fn a_room_has_one_origin_and_a_higher_epoch_each_time(bed: Bed) {
     assert!(one.claim_room("attic", "one:8080", Claim::IfFree, SECONDS).await.unwrap().epoch > fourth.epoch);
 }
 
-async fn of_nodes_that_claim_a_room_at_a_time_one_has_it(bed: Bed) {
+async fn one_of_several_nodes_that_claim_a_room_gets_it(bed: Bed) {
     let nodes = [bed.node().await, bed.node().await];
     let claims: Vec<_> = (0..12)
         .map(|n| {

@@ -2,13 +2,13 @@ use super::*;
 
 on_both! {
     an_event_goes_to_its_owners_webhooks_and_those_for_all,
-    a_delivery_is_tried_again_and_fails_in_the_end,
+    a_delivery_is_retried_and_finally_fails,
     a_webhook_has_two_deliveries_under_way_in_order,
-    the_attempt_of_a_dead_process_is_made_again,
+    the_attempt_of_a_dead_process_is_repeated,
     a_webhook_that_is_gone_or_fails_for_days_is_disabled,
-    webhooks_of_the_configuration_follow_it,
+    configured_webhooks_follow_the_configuration,
     the_log_of_deliveries_is_bounded,
-    each_end_of_a_job_and_a_room_is_told,
+    the_end_of_each_job_and_room_is_announced,
 }
 
 fn to(url: &str) -> NewWebhook {
@@ -20,7 +20,7 @@ fn attempt(verdict: Verdict) -> Attempt {
 }
 
 /// Takes all that is due and delivers it; returns what it was, in order.
-async fn told(library: &Library) -> Vec<(String, EventType, Facts)> {
+async fn told(library: &Library) -> Vec<(String, EventType, EventData)> {
     let mut all = Vec::new();
     loop {
         let due = library.take_deliveries(9).await.unwrap();
@@ -28,8 +28,8 @@ async fn told(library: &Library) -> Vec<(String, EventType, Facts)> {
             return all;
         }
         for due in due {
-            library.attempted(&due, &attempt(Verdict::Delivered)).await.unwrap();
-            all.push((due.webhook.url, due.delivery.event, due.delivery.facts));
+            library.record_attempt(&due, &attempt(Verdict::Delivered)).await.unwrap();
+            all.push((due.webhook.url, due.delivery.event, due.delivery.data));
         }
     }
 }
@@ -52,38 +52,38 @@ async fn an_event_goes_to_its_owners_webhooks_and_those_for_all(bed: Bed) {
     let mut seen: Vec<_> = told(&library).await.into_iter().map(|(url, event, _)| (url, event)).collect();
     seen.sort();
     assert_eq!(seen, [("ann".into(), EventType::PhotoDeleted), ("deleted".into(), EventType::PhotoDeleted)]);
-    for n in 1..MOST_WEBHOOKS {
+    for n in 1..MAX_WEBHOOKS {
         library.add_webhook(Some(&ann), &to(&n.to_string())).await.unwrap();
     }
-    assert!(matches!(library.add_webhook(Some(&ann), &to("one more")).await, Err(LibraryError::TooManyWebhooks { limit: MOST_WEBHOOKS })));
+    assert!(matches!(library.add_webhook(Some(&ann), &to("one more")).await, Err(LibraryError::TooManyWebhooks { limit: MAX_WEBHOOKS })));
     // others have room
     library.add_webhook(Some(&bob), &to("bob")).await.unwrap();
 }
 
-async fn a_delivery_is_tried_again_and_fails_in_the_end(bed: Bed) {
+async fn a_delivery_is_retried_and_finally_fails(bed: Bed) {
     let pauses = [Duration::from_secs(10), Duration::from_secs(100)];
     let library = bed.node_with(Limits { retries: pauses.to_vec(), ..Limits::default() }).await;
     let webhook = library.add_webhook(None, &to("x")).await.unwrap();
-    assert_eq!(library.next_delivery().await.unwrap(), None);
+    assert_eq!(library.next_delivery_in().await.unwrap(), None);
     let id = library.ping(&webhook.id).await.unwrap();
     for (n, pause) in pauses.into_iter().enumerate() {
-        assert_eq!(library.next_delivery().await.unwrap(), Some(Duration::ZERO));
+        assert_eq!(library.next_delivery_in().await.unwrap(), Some(Duration::ZERO));
         let due = library.take_deliveries(9).await.unwrap().pop().unwrap();
         assert_eq!((due.delivery.id.as_str(), due.delivery.attempts), (id.as_str(), n as i64 + 1));
         assert!(library.take_deliveries(9).await.unwrap().is_empty(), "it is under way");
         // the longer of the two pauses counts, within a bound
         let asked = (n == 0).then_some(Duration::from_secs(50));
-        assert_eq!(library.attempted(&due, &attempt(Verdict::Refused(asked))).await.unwrap(), DeliveryState::Pending);
-        let wait = library.next_delivery().await.unwrap().unwrap();
+        assert_eq!(library.record_attempt(&due, &attempt(Verdict::Refused(asked))).await.unwrap(), DeliveryState::Pending);
+        let wait = library.next_delivery_in().await.unwrap().unwrap();
         let pause = asked.unwrap_or(pause);
         assert!(wait + Duration::from_secs(5) > pause && wait < pause * 6 / 5, "{wait:?}");
         assert!(library.take_deliveries(9).await.unwrap().is_empty(), "it waits");
         bed.jump(millis(pause) * 6 / 5);
     }
     let due = library.take_deliveries(9).await.unwrap().pop().unwrap();
-    assert_eq!(library.attempted(&due, &attempt(Verdict::Refused(None))).await.unwrap(), DeliveryState::Failed);
-    assert!(matches!(library.attempted(&due, &attempt(Verdict::Delivered)).await, Err(LibraryError::LeaseLost)));
-    assert_eq!(library.next_delivery().await.unwrap(), None);
+    assert_eq!(library.record_attempt(&due, &attempt(Verdict::Refused(None))).await.unwrap(), DeliveryState::Failed);
+    assert!(matches!(library.record_attempt(&due, &attempt(Verdict::Delivered)).await, Err(LibraryError::LeaseLost)));
+    assert_eq!(library.next_delivery_in().await.unwrap(), None);
     let log = library.deliveries(&webhook.id, None, 9).await.unwrap();
     let one = &log.deliveries[0];
     assert_eq!((one.state, one.status, one.attempts, one.took_ms), (DeliveryState::Failed, Some(500), 3, Some(7)));
@@ -107,7 +107,7 @@ async fn a_webhook_has_two_deliveries_under_way_in_order(bed: Bed) {
     let ids: Vec<&str> = due.iter().filter(|due| due.webhook.url == "one").map(|due| due.delivery.id.as_str()).collect();
     assert_eq!(ids, &pings[..2], "a webhook does not wait for another");
     assert_eq!(due.len(), 3);
-    nodes[1].attempted(&due[0], &attempt(Verdict::Refused(None))).await.unwrap();
+    nodes[1].record_attempt(&due[0], &attempt(Verdict::Refused(None))).await.unwrap();
     let next = nodes[1].take_deliveries(9).await.unwrap();
     assert_eq!((next.len(), next[0].delivery.id.as_str()), (1, pings[2].as_str()), "one that fails does not hold up the next");
     // a page of two, from the newest on
@@ -117,7 +117,7 @@ async fn a_webhook_has_two_deliveries_under_way_in_order(bed: Bed) {
     assert_eq!((page.deliveries.len(), page.next), (3, None));
 }
 
-async fn the_attempt_of_a_dead_process_is_made_again(bed: Bed) {
+async fn the_attempt_of_a_dead_process_is_repeated(bed: Bed) {
     let library = bed.node().await;
     let webhook = library.add_webhook(None, &to("x")).await.unwrap();
     library.ping(&webhook.id).await.unwrap();
@@ -125,11 +125,11 @@ async fn the_attempt_of_a_dead_process_is_made_again(bed: Bed) {
     bed.jump(60_001);
     let again = library.take_deliveries(1).await.unwrap().pop().unwrap();
     assert_eq!(again.delivery.id, dead.delivery.id);
-    assert!(matches!(library.attempted(&dead, &attempt(Verdict::Delivered)).await, Err(LibraryError::LeaseLost)));
+    assert!(matches!(library.record_attempt(&dead, &attempt(Verdict::Delivered)).await, Err(LibraryError::LeaseLost)));
     // a process that is alone need not wait
     library.reclaim().await.unwrap();
     let third = library.take_deliveries(1).await.unwrap().pop().unwrap();
-    library.attempted(&third, &attempt(Verdict::Delivered)).await.unwrap();
+    library.record_attempt(&third, &attempt(Verdict::Delivered)).await.unwrap();
     assert_eq!(library.deliveries(&webhook.id, None, 9).await.unwrap().deliveries[0].state, DeliveryState::Delivered);
 }
 
@@ -139,7 +139,7 @@ async fn a_webhook_that_is_gone_or_fails_for_days_is_disabled(bed: Bed) {
     let ping = async |verdict| {
         library.ping(&webhook.id).await.unwrap();
         let due = library.take_deliveries(1).await.unwrap().pop().unwrap();
-        library.attempted(&due, &attempt(verdict)).await.unwrap();
+        library.record_attempt(&due, &attempt(verdict)).await.unwrap();
         library.webhook(&webhook.id).await.unwrap()
     };
     assert_eq!(ping(Verdict::Refused(None)).await.disabled, None);
@@ -149,7 +149,7 @@ async fn a_webhook_that_is_gone_or_fails_for_days_is_disabled(bed: Bed) {
     assert_eq!(ping(Verdict::Refused(None)).await.disabled.unwrap().reason, "its deliveries have failed for five days");
     assert!(matches!(library.ping(&webhook.id).await, Err(LibraryError::Invalid(_))));
     done(&library, 1, owner("ann")).await;
-    assert_eq!(library.next_delivery().await.unwrap(), None, "it gets no events");
+    assert_eq!(library.next_delivery_in().await.unwrap(), None, "it gets no events");
     let enable = WebhookChange { enabled: Some(true), ..WebhookChange::default() };
     let enabled = library.change_webhook(&webhook.id, &enable).await.unwrap();
     assert_eq!((enabled.disabled, enabled.failing_since), (None, None));
@@ -157,7 +157,7 @@ async fn a_webhook_that_is_gone_or_fails_for_days_is_disabled(bed: Bed) {
     assert_eq!(ping(Verdict::Delivered).await.failing_since, None);
     library.ping(&webhook.id).await.unwrap();
     assert_eq!(ping(Verdict::Gone).await.disabled.unwrap().reason, "it answers 410 Gone");
-    assert_eq!(library.next_delivery().await.unwrap(), None, "what was pending has failed");
+    assert_eq!(library.next_delivery_in().await.unwrap(), None, "what was pending has failed");
     let change = WebhookChange { url: Some("y".into()), events: Some(vec![EventType::PhotoDone]), enabled: Some(true) };
     let changed = library.change_webhook(&webhook.id, &change).await.unwrap();
     assert_eq!((changed.url.as_str(), changed.events, changed.disabled), ("y", vec![EventType::PhotoDone], None));
@@ -166,7 +166,7 @@ async fn a_webhook_that_is_gone_or_fails_for_days_is_disabled(bed: Bed) {
     assert!(matches!(library.change_webhook(&webhook.id, &change).await, Err(LibraryError::NotFound("webhook"))));
 }
 
-async fn webhooks_of_the_configuration_follow_it(bed: Bed) {
+async fn configured_webhooks_follow_the_configuration(bed: Bed) {
     let library = bed.node().await;
     let own = library.add_webhook(None, &to("by a caller")).await.unwrap();
     library.configure_webhooks(&[to("a"), to("b")]).await.unwrap();
@@ -194,7 +194,7 @@ async fn the_log_of_deliveries_is_bounded(bed: Bed) {
         library.ping(&webhook.id).await.unwrap();
     }
     let due = library.take_deliveries(1).await.unwrap().pop().unwrap();
-    library.attempted(&due, &attempt(Verdict::Delivered)).await.unwrap();
+    library.record_attempt(&due, &attempt(Verdict::Delivered)).await.unwrap();
     bed.jump(7 * 86_400_000 + 1);
     library.sweep().await.unwrap();
     assert_eq!(count().await, 1, "one that is pending stays");
@@ -206,7 +206,7 @@ async fn the_log_of_deliveries_is_bounded(bed: Bed) {
             "INSERT INTO deliveries (id, webhook, event, data, created_at, run_after, attempts, state, ended_at)
              SELECT id || '{n}', webhook, event, data, created_at, run_after, attempts, state, ended_at FROM deliveries"
         );
-        sqlx::query(sqlx::AssertSqlSafe(double)).execute(tx.on()).await.unwrap();
+        sqlx::query(sqlx::AssertSqlSafe(double)).execute(tx.connection()).await.unwrap();
     }
     tx.commit().await.unwrap();
     assert_eq!(count().await, 1024);
@@ -214,18 +214,25 @@ async fn the_log_of_deliveries_is_bounded(bed: Bed) {
     assert_eq!(count().await, 1000);
 }
 
-async fn each_end_of_a_job_and_a_room_is_told(bed: Bed) {
+async fn the_end_of_each_job_and_room_is_announced(bed: Bed) {
     let library = bed.node_with(Limits { attempts: 1, exports_bytes: 100, ..Limits::default() }).await;
     library.add_webhook(None, &to("x")).await.unwrap();
     let photo = done(&library, 1, owner("ann")).await;
     library.accept(upload(2, owner("ann"))).await.unwrap();
-    let lease = library.take(&[Kind::Make], LEASE).await.unwrap().unwrap();
+    let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     library.fail(&lease, &Problem::new("broken-photo", "why")).await.unwrap();
-    let asker = owner("bob");
+    let requester = owner("bob");
     for key in ["a", "b"] {
-        let order = Order { photo: &photo, key, kind: Kind::Film, payload: json!("format=mp4"), class: Class::Interactive, asker: &asker };
-        library.order(&order).await.unwrap();
-        let lease = library.take(&[Kind::Film], LEASE).await.unwrap().unwrap();
+        let order = NewExport {
+            photo: &photo,
+            key,
+            kind: JobKind::Film,
+            payload: json!("format=mp4"),
+            class: Class::Interactive,
+            requester: &requester,
+        };
+        library.order_export(&order).await.unwrap();
+        let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
         if key == "a" {
             library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
         } else {
@@ -256,7 +263,7 @@ async fn each_end_of_a_job_and_a_room_is_told(bed: Bed) {
     assert_eq!(names, [&["photo.done", "photo.failed", "export.done", "export.failed"][..], &rooms].concat());
     assert_eq!(seen[1].2.problem.as_ref().unwrap().detail, "why");
     let export = seen[3].2.export.clone().unwrap();
-    assert_eq!((export.key.as_str(), export.kind, export.payload), ("b", Kind::Film, json!("format=mp4")));
+    assert_eq!((export.key.as_str(), export.kind, export.payload), ("b", JobKind::Film, json!("format=mp4")));
     assert_eq!((seen[3].2.problem.as_ref().unwrap().kind.as_str(), seen[3].2.photo), ("gave-up", Some(photo.id)));
     assert_eq!(seen[10].2.room.as_deref(), Some("roof"));
 }

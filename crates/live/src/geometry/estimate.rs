@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Photo, Rect};
 use tmpi_pipeline::MakeError;
 use tmpi_pipeline::run::Context;
-use tmpi_pipeline::run::stages::{Denoise, Depth, Estimated, Snap, Source};
+use tmpi_pipeline::run::stages::{Denoise, Depth, Snap, Source, WeightedDisparity};
 
 use super::Frame;
 
@@ -17,9 +17,9 @@ pub(super) fn estimate(
     frame: &Frame,
     size: Option<(u32, u32)>,
     part: Option<Rect>,
-) -> Result<(Estimated, f64), MakeError> {
+) -> Result<(WeightedDisparity, f64), MakeError> {
     if let Some(given) = &frame.depth {
-        let map = Estimated { delta: given.clone(), confidence: None, given: true };
+        let map = WeightedDisparity { delta: given.clone(), confidence: None, given: true };
         let map = job.run(&mut Denoise, (&frame.photo, map))?;
         return Ok((job.run(&mut Snap, (&frame.photo, map))?, 0.0));
     }
@@ -33,7 +33,7 @@ pub(super) fn estimate(
 }
 
 /// Snaps the ramps in a part of a map, with the same result there as snapping all of it.
-pub(super) fn snap_part(job: &mut Context, photo: &Photo, mut map: Estimated, part: Rect) -> Result<Estimated, MakeError> {
+pub(super) fn snap_part(job: &mut Context, photo: &Photo, mut map: WeightedDisparity, part: Rect) -> Result<WeightedDisparity, MakeError> {
     let width = photo.width as usize;
     let (x0, y0) = (part.x.saturating_sub(SNAP_REACH), part.y.saturating_sub(SNAP_REACH));
     let (x1, y1) = ((part.x + part.w + SNAP_REACH).min(photo.width), (part.y + part.h + SNAP_REACH).min(photo.height));
@@ -41,7 +41,7 @@ pub(super) fn snap_part(job: &mut Context, photo: &Photo, mut map: Estimated, pa
     let rows = || (y0..y1).map(|y| y as usize * width + x0 as usize);
     let rgb = rows().flat_map(|at| &photo.rgb[at..at + w as usize]).copied().collect();
     let delta = rows().flat_map(|at| &map.delta.delta[at..at + w as usize]).copied().collect();
-    let cut = Estimated { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
+    let cut = WeightedDisparity { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
     let snapped = job.run(&mut Snap, (&Photo { width: w, height: h, rgb }, cut))?;
     for y in part.y..part.y + part.h {
         let (to, from) = ((y as usize * width) + part.x as usize, ((y - y0) * w + part.x - x0) as usize);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use tmpi_core::live::{Model, schema};
+use tmpi_core::live::{TileState, schema};
 use tmpi_pipeline::depth::{DepthError, Estimate, Estimator};
 use tmpi_pipeline::run::stages::Snap;
 
@@ -65,7 +65,7 @@ fn a_still_scene_costs_nothing() {
 fn a_reader_of_all_chunks_matches_the_room() {
     let (_, mut room) = room(without_cooldown());
     room.next(&frame(0, 20)).unwrap();
-    let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
+    let mut reader = TileState::new(&TileState::hello(room.geometry().unwrap())).unwrap();
     reader.take(&schema::Geometry { frame: 0, chunks: room.snapshot(0).unwrap().into_iter().collect() }).unwrap();
     for n in 1..12 {
         let before = room.geometry().unwrap().tiles.clone();
@@ -86,7 +86,7 @@ fn a_change_of_the_networks_scale_does_not_move_depth() {
     let shown = |room: &Geometry, x: u32| {
         let g = room.geometry().unwrap();
         // tile 6 has its upper left corner at (56, 56)
-        g.tiles[6].shown(&g.grid, 6)[(70 - 56) * 64 + (x - 56) as usize]
+        g.tiles[6].disparities(&g.grid, 6)[(70 - 56) * 64 + (x - 56) as usize]
     };
     room.next(&frame(0, 70)).unwrap();
     let first = shown(&room, 75);
@@ -126,7 +126,7 @@ fn readers_get_every_tile_after_a_cut_over_budget() {
     };
     let first = room.next(&scene(0, 0)).unwrap();
     assert!(first.cut && first.sent.len() == 15);
-    let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
+    let mut reader = TileState::new(&TileState::hello(room.geometry().unwrap())).unwrap();
     reader.take(&schema::Geometry { frame: 0, chunks: first.chunks }).unwrap();
     let mut sent = std::collections::BTreeSet::new();
     for n in 1..100 {
@@ -261,7 +261,7 @@ fn snapping_a_part_equals_snapping_the_whole() {
     // ramps of seven pixels at the photo's edges
     let near = |x: u32| (f64::from(x.clamp(56, 63) - 56) / 7.0) as f32;
     let delta: Vec<f32> = (0..width * height).map(|i| 0.2 + 0.6 * near(i % width)).collect();
-    let map = || Estimated { delta: DisparityMap { width, height, delta: delta.clone() }, confidence: None, given: false };
+    let map = || WeightedDisparity { delta: DisparityMap { width, height, delta: delta.clone() }, confidence: None, given: false };
     let (models, limits, options) =
         (Models { depth: Arc::new(Bright::default()), theta: None, psi: None }, Limits::default(), Options::default());
     let mut job = Context::new(&models, &limits, &options, &Silent);
@@ -286,7 +286,7 @@ proptest::proptest! {
     #[test]
     fn unsent_changes_stay_within_the_tolerance(steps in proptest::collection::vec((-0.02f32..0.02, -0.02f32..0.02, 0u32..4), 2..14)) {
         let (_, mut room) = room(without_cooldown());
-        let (mut wall, mut slope, mut reader) = (0.3f32, 0.1f32, None::<Model>);
+        let (mut wall, mut slope, mut reader) = (0.3f32, 0.1f32, None::<TileState>);
         let mut before = None::<core::Geometry>;
         for (n, (dw, ds, edge)) in (0u64..).zip(steps) {
             (wall, slope) = (wall + dw, slope + ds);
@@ -297,7 +297,7 @@ proptest::proptest! {
             frame.depth = Some(DisparityMap { width: 240, height: 136, delta: (0..240 * 136).map(|i| delta(i % 240)).collect() });
             let update = room.next(&frame).unwrap();
             let now = room.geometry().unwrap();
-            let model = reader.get_or_insert_with(|| Model::new(&Model::hello(now)).unwrap());
+            let model = reader.get_or_insert_with(|| TileState::new(&TileState::hello(now)).unwrap());
             model.take(&schema::Geometry { frame: n, chunks: update.chunks.clone() }).unwrap();
             proptest::prop_assert_eq!(model.geometry(), Some(now));
             proptest::prop_assert!(update.kept_error <= PARALLAX, "{} px", update.kept_error);
@@ -312,7 +312,7 @@ proptest::proptest! {
                 let (x, y) = now.view_box.parallax(&now.intrinsics, all);
                 let off = (0..now.grid.tiles()).flat_map(|t| {
                     let r = now.grid.rect(t);
-                    let shown = now.tiles[t as usize].shown(&now.grid, t);
+                    let shown = now.tiles[t as usize].disparities(&now.grid, t);
                     (0..r.area()).map(move |i| (r.x + i as u32 % r.w, shown[i])).collect::<Vec<_>>()
                 });
                 // skip the edge, where labels are smoothed

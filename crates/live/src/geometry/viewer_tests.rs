@@ -5,7 +5,7 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
-use tmpi_core::live::{Model, schema};
+use tmpi_core::live::{TileState, schema};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 
 use super::*;
@@ -97,7 +97,7 @@ impl CameraView {
 struct ViewedRoom {
     depth: Arc<NoisyTruth>,
     room: Geometry,
-    viewer: Option<Model>,
+    viewer: Option<TileState>,
     number: u64,
     shown: Vec<f32>,
 }
@@ -124,7 +124,7 @@ impl ViewedRoom {
         let at = Duration::from_millis(33 * self.number);
         let update = self.room.next(&Frame { number: self.number, at, photo: view.photo(self.number), depth: None }).unwrap();
         let room = self.room.geometry().unwrap();
-        let viewer = self.viewer.get_or_insert_with(|| Model::new(&Model::hello(room)).unwrap());
+        let viewer = self.viewer.get_or_insert_with(|| TileState::new(&TileState::hello(room)).unwrap());
         viewer.take(&schema::Geometry { frame: self.number, chunks: update.chunks.clone() }).unwrap();
         self.number += 1;
         let sent = viewer.geometry().unwrap();

@@ -238,7 +238,7 @@ impl Adapter {
                 (self.rounded(width * scale, None), self.rounded(height * scale, None))
             }
             SizeRule::Longest(_) => {
-                let (width, height) = self.on_the_way(width, height).unwrap_or((width, height));
+                let (width, height) = self.intermediate_size(width, height).unwrap_or((width, height));
                 // of two equally near multiples, the larger
                 let near = |v: u32| ((v + self.multiple / 2) / self.multiple).max(1) * self.multiple;
                 (near(width), near(height))
@@ -280,7 +280,7 @@ impl Adapter {
 
     /// Intermediate size in whole pixels to which a photo of `width × height` is resampled first, if the rule has one.
     #[must_use]
-    pub fn on_the_way(&self, width: u32, height: u32) -> Option<(u32, u32)> {
+    pub fn intermediate_size(&self, width: u32, height: u32) -> Option<(u32, u32)> {
         let SizeRule::Longest(side) = self.size else { return None };
         let (width, height) = self.squeezed(width, height);
         let scale = f64::from(side) / width.max(height);

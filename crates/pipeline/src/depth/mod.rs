@@ -15,9 +15,9 @@ mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Outputs, Sampling, SizeRule, Sky, adapter, margin};
 pub use detect::detect;
-pub(crate) use embedded::multi::second_eye;
+pub(crate) use embedded::multi::second_picture;
 pub(crate) use embedded::xmp;
-pub use embedded::{Carried, carried};
+pub use embedded::{EmbeddedDepth, embedded_depth};
 pub(crate) use given_map::fits;
 pub use given_map::{check, from_map, from_map_beside, head, resized};
 pub use monocular::Monocular;
@@ -47,10 +47,10 @@ pub enum DepthError {
     Map(String),
     /// The depth that the photo carries cannot be read.
     #[error("the depth map within the photo cannot be read: {0}")]
-    Carried(String),
+    Embedded(String),
     /// The photo carries no depth, and the options allow no other.
     #[error("the photo carries no depth map, but photo-depth is on")]
-    NotCarried,
+    NotEmbedded,
     /// The picture of the second eye cannot be read.
     #[error("the picture of the second eye cannot be read: {0}")]
     Second(String),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::onnx_io::{Ports, Values};
 use super::smooth::smooth;
 use super::{Adapter, DepthError, Estimate, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
-use crate::networks::{Beside, Config, Network, OnnxError, Session};
+use crate::networks::{Config, ExternalData, Network, OnnxError, Session};
 use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes, resize_opencv};
 use crate::usage::Clock;
 use tmpi_core::{DisparityMap, Photo};
@@ -38,8 +38,8 @@ impl Monocular {
     ///
     /// # Errors
     /// [`OnnxError`] if there is no library, or if the file does not fit the adapter.
-    pub fn load(adapter: &Adapter, model: &[u8], beside: &[Beside], config: &Config) -> Result<Self, OnnxError> {
-        let session = Session::load_with(adapter.name, model, beside, config)?;
+    pub fn load(adapter: &Adapter, model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<Self, OnnxError> {
+        let session = Session::load_with(adapter.name, model, external_data, config)?;
         let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
         let (ports, rows, columns) = Ports::of(adapter, session.inputs(), session.outputs()).map_err(bad)?;
         let (rule, mut adapter) = (adapter.size, *adapter);
@@ -125,7 +125,7 @@ impl Monocular {
             Sampling::OpenCv(kind) => {
                 // by way of the size in whole pixels if the rule leads to this size, rounded to bytes in between, as the publishers do
                 let ruled = Adapter { size: self.rule, ..self.adapter };
-                let first = ruled.on_the_way(from.0, from.1).filter(|_| ruled.network_size(from.0, from.1) == size);
+                let first = ruled.intermediate_size(from.0, from.1).filter(|_| ruled.network_size(from.0, from.1) == size);
                 let between = first.map(|between| resize_opencv(&photo.rgb, from, between, kind));
                 let (source, from) = (between.as_ref().unwrap_or(&photo.rgb), first.unwrap_or(from));
                 resize_opencv(source, from, size, kind).into_iter().map(|p| normal(load(p))).collect()

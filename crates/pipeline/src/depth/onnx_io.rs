@@ -2,7 +2,7 @@
 
 use super::points::shift;
 use super::{Adapter, Kind, Layout, Outputs};
-use crate::networks::{Port, Tensor};
+use crate::networks::{Tensor, TensorInfo};
 
 /// Indices of a graph's inputs and outputs.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +35,7 @@ impl Ports {
     ///
     /// # Errors
     /// A text that says what does not fit.
-    pub(super) fn of(adapter: &Adapter, inputs: &[Port], outputs: &[Port]) -> Result<(Self, i64, i64), String> {
+    pub(super) fn of(adapter: &Adapter, inputs: &[TensorInfo], outputs: &[TensorInfo]) -> Result<(Self, i64, i64), String> {
         let index = |names: &[&str]| names.iter().find_map(|name| outputs.iter().position(|o| o.name == *name));
         let Some(picture) = inputs.iter().position(|p| p.shape.len() >= 4) else {
             let shapes: Vec<_> = inputs.iter().map(|p| format!("{} {:?}", p.name, p.shape)).collect();
@@ -146,11 +146,11 @@ mod tests {
     use super::super::adapter;
     use super::*;
 
-    fn port(name: &str, shape: &[i64]) -> Port {
-        Port { name: name.into(), shape: shape.to_vec() }
+    fn port(name: &str, shape: &[i64]) -> TensorInfo {
+        TensorInfo { name: name.into(), shape: shape.to_vec() }
     }
 
-    fn of(name: &str, inputs: &[Port], outputs: &[&str]) -> Result<(Ports, i64, i64), String> {
+    fn of(name: &str, inputs: &[TensorInfo], outputs: &[&str]) -> Result<(Ports, i64, i64), String> {
         let outputs: Vec<_> = outputs.iter().map(|o| port(o, &[1, -1, -1])).collect();
         Ports::of(adapter(name).unwrap(), inputs, &outputs)
     }
@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn errors_name_what_does_not_fit() {
         let image = || port("image", &[1, 3, -1, -1]);
-        let says = |name, inputs: &[Port], outputs: &[&str], text: &str| {
+        let says = |name, inputs: &[TensorInfo], outputs: &[&str], text: &str| {
             let error = of(name, inputs, outputs).unwrap_err();
             assert!(error.contains(text), "{error}");
         };

@@ -27,7 +27,7 @@ pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted:
     // as far as the farthest camera uncovers, but no farther than readers search
     let wide = x.max(y).clamp(f64::from(BACKGROUND_REACH), f64::from(WIDEST_REACH)).ceil() as u32;
     // in a room's first frames some tiles may have no planes yet, and show nothing to uncover
-    let of = |(i, t): (usize, &Tile)| if t.planes.is_empty() { f32::INFINITY } else { t.farthest(&grid, i as u32) };
+    let of = |(i, t): (usize, &Tile)| if t.planes.is_empty() { f32::INFINITY } else { t.min_disparity(&grid, i as u32) };
     let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(of).collect();
     geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
@@ -154,7 +154,7 @@ mod tests {
             let mut got = scene.clone();
             add_backgrounds(&mut got, &map);
             for (t, tile) in (0..).zip(&got.tiles) {
-                let farthest = f64::from(scene.tiles[t as usize].farthest(&scene.grid, t));
+                let farthest = f64::from(scene.tiles[t as usize].min_disparity(&scene.grid, t));
                 let within = |reach: u32, farthest: f64| by_definition(&map, &scene.grid, t, reach, farthest);
                 // farther background is searched only near tiles that are known to be farther, which the map need not agree with
                 let reach = if within(BACKGROUND_REACH, farthest).is_some() { BACKGROUND_REACH } else { wide(&scene) };

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::models::Settings;
-use super::models::registry::{PUBLISHED, Published, published, usual};
+use super::models::registry::{PUBLISHED, PublishedModel, default_model, published};
 use super::{Config, Provider};
 use crate::depth::{ADAPTERS, Adapter, adapter, detect};
 
@@ -100,7 +100,7 @@ pub struct DepthModel {
 /// A text for the user if there is no such network, or if its file is unknown.
 pub fn depth_model(text: &str) -> Result<DepthModel, String> {
     if text == "auto" {
-        let (adapter, file) = usual().map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
+        let (adapter, file) = default_model().map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
         return Ok(DepthModel { auto: true, adapter, file });
     }
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
@@ -119,7 +119,7 @@ pub fn depth_model(text: &str) -> Result<DepthModel, String> {
             detect(path).ok_or_else(|| format!("{text} does not identify its network: write NAME={text} with one of {}", known()))?;
         return Ok(DepthModel { auto: false, adapter, file: Some(path.to_owned()) });
     };
-    let file = file.or_else(|| fetched.map(Published::file).filter(|f| f.is_file()));
+    let file = file.or_else(|| fetched.map(PublishedModel::file).filter(|f| f.is_file()));
     if file.is_none() && adapter.name != ADAPTERS[0].name {
         let how = fetched.map_or_else(String::new, |p| format!(", or run tmpi models get {}", p.name));
         return Err(format!("{name} is not embedded: write {name}=FILE with its ONNX file{how}"));

@@ -26,7 +26,7 @@ const FILE: &str = "libonnxruntime.so";
 /// # Safety
 /// As for [`std::env::set_var`], no other thread may be running.
 #[allow(unsafe_code, clippy::disallowed_methods, reason = "the library reads it from the environment only; called before any thread")]
-pub unsafe fn keep_to_yourself() {
+pub unsafe fn disable_telemetry() {
     // SAFETY: by the condition above
     unsafe { std::env::set_var("ORT_DISABLE_TELEMETRY", "1") };
 }

@@ -9,9 +9,9 @@ mod session;
 #[cfg(test)]
 mod tests;
 
-pub use library::{available, keep_to_yourself};
+pub use library::{available, disable_telemetry};
 pub use onnx_graph::{OnnxGraph, onnx_graph};
-pub use session::{Beside, Config, Optimisation, Port, Provider, Session};
+pub use session::{Config, ExternalData, Optimisation, Provider, Session, TensorInfo};
 
 /// A dense `f32` tensor, row-major.
 #[derive(Clone, Debug, PartialEq)]

@@ -19,7 +19,7 @@ pub struct OnnxGraph {
     /// Names of the first convolution and of its inputs, separated by spaces.
     pub convolution: String,
     /// Files of weights outside this one, as it names them.
-    pub beside: Vec<String>,
+    pub external_data: Vec<String>,
 }
 
 /// Reads the graph of an ONNX file; `None` if it is not one, or has no input of four or five dimensions.
@@ -67,7 +67,7 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<OnnxGraph> {
             }
             // weights inside this file are longer, or have no such entry
             5 if length <= LONGEST => {
-                found.beside.extend(location(&bytes(file, length)?).ok().flatten());
+                found.external_data.extend(location(&bytes(file, length)?).ok().flatten());
             }
             11 if found.shape.is_empty() && length <= LONGEST => {
                 if let Some((name, shape)) = input(&bytes(file, length)?)? {
@@ -80,8 +80,8 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<OnnxGraph> {
             _ => skip(file, length)?,
         }
     }
-    found.beside.sort();
-    found.beside.dedup();
+    found.external_data.sort();
+    found.external_data.dedup();
     Ok(found)
 }
 
@@ -212,7 +212,7 @@ mod tests {
     fn the_outline_of_a_small_graph_is_read() {
         let got = onnx_graph(&mut Cursor::new(MEAN)).unwrap();
         assert_eq!((got.shape, got.normalises, got.outputs), (vec![1, 3, -1, -1], false, vec!["disparity".to_owned()]));
-        assert!(got.beside.is_empty());
+        assert!(got.external_data.is_empty());
         assert!(!got.input.is_empty());
     }
 
@@ -249,7 +249,7 @@ mod tests {
         let views = onnx_graph(&mut Cursor::new(include_bytes!("../../../../tests/onnx/views.onnx"))).unwrap();
         assert_eq!(views.shape, [-1, -1, 3, -1, -1]);
         assert_eq!(
-            (views.outputs.as_slice(), views.beside.as_slice()),
+            (views.outputs.as_slice(), views.external_data.as_slice()),
             (["predicted_depth", "confidence"].map(str::to_owned).as_slice(), ["views.onnx_data".to_owned()].as_slice())
         );
     }

@@ -72,7 +72,7 @@ impl Default for Config {
 
 /// An input or output of a network. An input that is a single 64-bit integer is given as a float and truncated.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Port {
+pub struct TensorInfo {
     /// Its name in the graph.
     pub name: String,
     /// Its dimensions; −1 if any size will do.
@@ -91,13 +91,13 @@ enum Number {
 
 /// A port with the number type that the session expects.
 #[derive(Clone)]
-struct TypedPort {
-    port: Port,
+struct TypedTensor {
+    port: TensorInfo,
     number: Number,
 }
 
 /// A file of weights: its name in the ONNX file, and its bytes.
-pub type Beside = (String, Arc<[u8]>);
+pub type ExternalData = (String, Arc<[u8]>);
 
 struct Job {
     inputs: Vec<Tensor>,
@@ -107,8 +107,8 @@ struct Job {
 /// A loaded network. A worker thread named after it owns the ONNX Runtime session, because that session's `run` is not thread-safe.
 pub struct Session {
     name: String,
-    inputs: Vec<Port>,
-    outputs: Vec<Port>,
+    inputs: Vec<TensorInfo>,
+    outputs: Vec<TensorInfo>,
     queue: SyncSender<Job>,
 }
 
@@ -125,16 +125,16 @@ impl Session {
     ///
     /// # Errors
     /// See [`Self::load`].
-    pub fn load_with(name: &str, model: &[u8], beside: &[Beside], config: &Config) -> Result<Self, OnnxError> {
+    pub fn load_with(name: &str, model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<Self, OnnxError> {
         let reason = |reason: String| OnnxError::Model { name: name.to_owned(), reason };
-        let session = build(model, beside, config).map_err(|e| match e {
+        let session = build(model, external_data, config).map_err(|e| match e {
             Fault::Library(e) => e,
             Fault::Model(e) => reason(e),
         })?;
         let (inputs, outputs) = (ports(session.inputs(), true).map_err(reason)?, ports(session.outputs(), false).map_err(reason)?);
         let (queue, jobs) = sync_channel(config.queue.max(1));
         let worker = Worker { name: name.to_owned(), session, inputs: inputs.clone() };
-        let plain = |ports: Vec<TypedPort>| ports.into_iter().map(|w| w.port).collect();
+        let plain = |ports: Vec<TypedTensor>| ports.into_iter().map(|w| w.port).collect();
         thread::Builder::new()
             .name(format!("onnx-{name}"))
             .spawn(move || worker.serve(&jobs))
@@ -144,13 +144,13 @@ impl Session {
 
     /// Inputs in the graph's order.
     #[must_use]
-    pub fn inputs(&self) -> &[Port] {
+    pub fn inputs(&self) -> &[TensorInfo] {
         &self.inputs
     }
 
     /// Outputs in the graph's order.
     #[must_use]
-    pub fn outputs(&self) -> &[Port] {
+    pub fn outputs(&self) -> &[TensorInfo] {
         &self.outputs
     }
 }
@@ -175,7 +175,7 @@ impl<R> From<ort::Error<R>> for Fault {
     }
 }
 
-fn build(model: &[u8], beside: &[Beside], config: &Config) -> Result<ort::session::Session, Fault> {
+fn build(model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<ort::session::Session, Fault> {
     let environment = library::environment().map_err(Fault::Library)?;
     let level = match config.optimisation {
         Optimisation::Off => GraphOptimizationLevel::Disable,
@@ -191,7 +191,7 @@ fn build(model: &[u8], beside: &[Beside], config: &Config) -> Result<ort::sessio
         .map(|p| if fall_back { p.dispatch() } else { p.dispatch().error_on_failure() })
         .collect();
     let mut builder = ort::session::Session::builder(environment)?;
-    for (name, bytes) in beside {
+    for (name, bytes) in external_data {
         builder = builder.with_external_initializer_file_in_memory(name, Arc::clone(bytes))?;
     }
     Ok(builder
@@ -203,7 +203,7 @@ fn build(model: &[u8], beside: &[Beside], config: &Config) -> Result<ort::sessio
         .commit_from_memory(model)?)
 }
 
-fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<TypedPort>, String> {
+fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<TypedTensor>, String> {
     let typed = |o: &ort::value::Outlet| {
         let ValueType::Tensor { ty, shape, .. } = o.dtype() else { return None };
         let number = match ty {
@@ -212,7 +212,7 @@ fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<TypedPort>,
             TensorElementType::Int64 if inputs && shape.iter().all(|&n| n.abs() == 1) => Number::Whole,
             _ => return None,
         };
-        Some(TypedPort { port: Port { name: o.name().to_owned(), shape: shape.to_vec() }, number })
+        Some(TypedTensor { port: TensorInfo { name: o.name().to_owned(), shape: shape.to_vec() }, number })
     };
     let all =
         outlets.iter().map(|o| typed(o).ok_or_else(|| format!("{} is {:?}, not a tensor of 32-bit or 16-bit floats", o.name(), o.dtype())));
@@ -222,7 +222,7 @@ fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<TypedPort>,
 struct Worker {
     name: String,
     session: ort::session::Session,
-    inputs: Vec<TypedPort>,
+    inputs: Vec<TypedTensor>,
 }
 
 impl Worker {
@@ -238,7 +238,7 @@ impl Worker {
             return Err(format!("{} inputs given, {} expected", inputs.len(), self.inputs.len()));
         }
         let mut values = Vec::with_capacity(inputs.len());
-        for (tensor, TypedPort { port, number }) in inputs.iter().zip(&self.inputs) {
+        for (tensor, TypedTensor { port, number }) in inputs.iter().zip(&self.inputs) {
             check(tensor, port)?;
             let shape = tensor.shape.as_slice();
             values.push(match number {
@@ -274,7 +274,7 @@ impl Worker {
     }
 }
 
-fn check(tensor: &Tensor, port: &Port) -> Result<(), String> {
+fn check(tensor: &Tensor, port: &TensorInfo) -> Result<(), String> {
     let fits = tensor.shape.len() == port.shape.len()
         && tensor.shape.iter().zip(&port.shape).all(|(&n, &want)| n > 0 && (want < 0 || usize::try_from(want) == Ok(n)));
     if !fits {

@@ -26,7 +26,7 @@ fn runs_with_inputs_and_outputs_in_the_graphs_order() {
     }
     let session = load();
     assert_eq!(session.inputs().iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["a", "b"]);
-    assert_eq!(session.outputs()[1], Port { name: "difference".into(), shape: vec![-1, 3] });
+    assert_eq!(session.outputs()[1], TensorInfo { name: "difference".into(), shape: vec![-1, 3] });
     let out = session.run(vec![rows(2, |i| i as f32), rows(2, |_| 10.0)]).unwrap();
     assert_eq!(out[0], rows(2, |i| i as f32 + 10.0));
     assert_eq!(out[1], rows(2, |i| i as f32 - 10.0));
@@ -47,7 +47,7 @@ fn half_precision_networks_take_and_return_32_bits() {
         return;
     }
     let session = Session::load("half", HALF, &Config::default()).unwrap();
-    assert_eq!(session.inputs(), [Port { name: "a".into(), shape: vec![-1, 3] }]);
+    assert_eq!(session.inputs(), [TensorInfo { name: "a".into(), shape: vec![-1, 3] }]);
     // a tenth is rounded to 11 bits, 1e6 is beyond 16-bit floats
     let out = session.run(vec![rows(1, |i| [0.1, 1e6, -2.0][i])]).unwrap();
     assert!((out[0].data[0] - 0.2).abs() < 1e-4 && (out[0].data[0] - 0.2).abs() > 1e-6, "{:?}", out[0]);

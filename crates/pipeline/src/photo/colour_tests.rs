@@ -73,7 +73,7 @@ fn grey_and_rgb_profiles_convert_grey_pictures() {
         near(&ok(&png(wide.clone(), &[iccp(&profile)])).photo, 1.0, want, "16 bits");
         // the curve is steep in the first columns and amplifies the encoder's own error
         let jpeg = ok(&jpeg_with(grey.clone(), &profile));
-        assert!(jpeg.carried.is_none());
+        assert!(jpeg.stripped.is_none());
         let off = |x: u32| (f64::from(jpeg.photo.at(x, 1)[0]) - want(x, 1)[0]).abs();
         assert!((8..64).all(|x| off(x) < 4.0), "{:?}", (8..64).map(off).collect::<Vec<_>>());
         let half = decode(&jpeg_with(grey.clone(), &profile), &Limits::default(), Some(32)).unwrap().photo;
@@ -87,7 +87,7 @@ fn a_grey_profile_leaves_coloured_pictures_unchanged() {
     assert_eq!(ok(&png(coloured.clone(), &[iccp(&linear_grey())])).photo, ok(&png(coloured.clone(), &[])).photo);
     let plain = ok(&jpeg_with(coloured.clone(), b"no profile"));
     let got = ok(&jpeg_with(coloured, &linear_grey()));
-    assert!(got.photo == plain.photo && got.carried.is_some());
+    assert!(got.photo == plain.photo && got.stripped.is_some());
 }
 
 #[test]
@@ -178,7 +178,7 @@ fn a_canvas_is_white_outside_a_smaller_frame() {
             if inside { frame.get_pixel(x - left, y - top).0 } else { [255; 3] }.map(f64::from)
         };
         near(&got.photo, 0.0, want, "animation");
-        assert!(got.carried.is_none());
+        assert!(got.stripped.is_none());
     }
 }
 

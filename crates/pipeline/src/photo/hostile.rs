@@ -85,14 +85,14 @@ fn a_file_cut_in_the_middle_is_refused_and_one_cut_near_its_end_is_marked_damage
         [&whole[..end], &[0xFF, 0xD9]].concat()
     };
     let full = decode(&whole, &Limits::default(), None).unwrap();
-    assert!(!full.damaged && full.carried.is_some());
+    assert!(!full.damaged && full.stripped.is_some());
     for share in [0.02, 0.3, 0.5, 0.7] {
         let got = decode(&cut(share), &Limits::default(), None);
         assert!(matches!(got, Err(PhotoError::Broken(_))), "cut at {share}");
     }
     for share in [0.8, 0.9, 0.97] {
         let got = decode(&cut(share), &Limits::default(), None).unwrap();
-        assert!(got.damaged && got.carried.is_none(), "cut at {share}");
+        assert!(got.damaged && got.stripped.is_none(), "cut at {share}");
         assert_eq!((got.photo.width, got.photo.height), (320, 240));
         let intact = 320 * 176;
         assert_eq!(got.photo.rgb[..intact], full.photo.rgb[..intact], "cut at {share}");

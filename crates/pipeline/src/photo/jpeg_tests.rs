@@ -56,7 +56,7 @@ fn files_without_an_end_marker_are_whole() {
                 let of = format!("{sampling:?} {scans:?} every {restart}, end {end:?}, {} bytes after it", trailer.len());
                 assert!(got.photo == full.photo && !got.damaged, "{of}");
                 // without an end marker, what follows may hold more than the picture, so the file is not carried
-                assert_eq!(got.carried, full.carried.as_ref().filter(|_| end == END).cloned(), "{of}");
+                assert_eq!(got.stripped, full.stripped.as_ref().filter(|_| end == END).cloned(), "{of}");
             }
         }
     }
@@ -80,7 +80,7 @@ fn files_cut_near_their_end_are_damaged_and_files_cut_earlier_are_refused() {
             for share in [0.85, 0.95] {
                 let got =
                     decode(&cut(share), &Limits::default(), None).unwrap_or_else(|error| panic!("{sampling:?} cut at {share}: {error}"));
-                assert!(got.damaged && got.carried.is_none(), "{sampling:?} cut at {share}");
+                assert!(got.damaged && got.stripped.is_none(), "{sampling:?} cut at {share}");
                 let intact = usize::from(W) * 112;
                 assert!(got.photo.rgb[..intact] == full.rgb[..intact] && got.photo.rgb != full.rgb, "{sampling:?} cut at {share}");
             }
@@ -143,8 +143,8 @@ fn every_sampling_decodes_in_every_order_of_scans() {
                 let of = format!("{sampling:?} {scans:?} every {restart} at {width}×{height}");
                 let got = decode(&file, &Limits::default(), None).unwrap_or_else(|error| panic!("{of}: {error}"));
                 assert!(quality(&got.photo, 1.0) > 40.0 && !got.damaged, "{of}: {}", quality(&got.photo, 1.0));
-                if let Some(carried) = got.carried {
-                    let again = tmpi_core::container::Carried { format: PhotoFormat::Jpeg, bytes: carried }.decode();
+                if let Some(stripped) = got.stripped {
+                    let again = tmpi_core::container::EncodedPhoto { format: PhotoFormat::Jpeg, bytes: stripped }.decode();
                     assert_eq!(again.unwrap(), got.photo, "{of}: readers of the container see another photo");
                 }
                 let half = decode(&file, &Limits::default(), Some(u32::from(width) / 2)).unwrap().photo;
@@ -213,7 +213,7 @@ fn missing_code_tables_default_to_those_of_the_standard() {
             let frame = without_tables(&whole, kept);
             assert!(frame.len() < whole.len() || kept.len() == 2, "{kept:?}");
             let got = ok(&frame);
-            assert!(got.photo == full.photo && !got.damaged && (got.carried.is_none() || frame.len() == whole.len()), "{kept:?} kept");
+            assert!(got.photo == full.photo && !got.damaged && (got.stripped.is_none() || frame.len() == whole.len()), "{kept:?} kept");
             let cut = ok(&frame[..frame.len() - 2]);
             assert!(cut.photo == full.photo && !cut.damaged, "{kept:?} kept, no end marker");
         }
@@ -245,6 +245,6 @@ fn files_of_rare_layout_are_never_carried() {
         ([(3, 1), (1, 1), (1, 1)], Scans::Interleaved, false),
         ([(1, 1), (2, 1), (2, 1)], Scans::Interleaved, false),
     ] {
-        assert_eq!(ok(&writer(&sampling, scans).write(smooth)).carried.is_some(), common, "{sampling:?} {scans:?}");
+        assert_eq!(ok(&writer(&sampling, scans).write(smooth)).stripped.is_some(), common, "{sampling:?} {scans:?}");
     }
 }

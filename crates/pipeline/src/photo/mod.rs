@@ -30,13 +30,13 @@ mod webp_metadata;
 #[cfg(test)]
 mod colour_tests;
 #[cfg(test)]
+mod corpus_tests;
+#[cfg(test)]
 mod hostile;
 #[cfg(test)]
 mod jpeg_tests;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod wild;
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -76,7 +76,7 @@ pub struct Decoded {
     /// Whether the focal length comes from EXIF.
     pub focal_from_exif: bool,
     /// The uploaded file without metadata, if its pixels are exactly `photo` (no rotation, no reduction, no alpha; JPEG or WebP).
-    pub carried: Option<Vec<u8>>,
+    pub stripped: Option<Vec<u8>>,
     /// Whether the file is damaged or cut short. Most of the picture is intact then; the rest is grey or coarse. Detected for JPEG files
     /// decoded at full size, and for PNG files with a wrong checksum. Other damaged files are refused, or decoded to a reduced size as
     /// far as they go.
@@ -161,7 +161,7 @@ struct Raw {
     size: (u32, u32),
     facts: Facts,
     /// File without metadata, if its pixels are exactly `photo`.
-    carried: Option<Vec<u8>>,
+    stripped: Option<Vec<u8>>,
     damaged: bool,
 }
 
@@ -175,7 +175,7 @@ fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32
 
 /// Reduces a picture and turns it upright, in the order that touches the fewest pixels.
 fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
-    let Raw { mut photo, size, facts, mut carried, damaged } = raw;
+    let Raw { mut photo, size, facts, mut stripped, damaged } = raw;
     let (width, height) = reduced_size(size, max_size);
     let mut reduction = ((width, height) != size).then(|| Reduction { scale: share(width.max(height), size.0.max(size.1)), psnr: None });
     if (photo.width, photo.height) != (width, height) {
@@ -186,14 +186,14 @@ fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
         photo = small;
     }
     if (width, height) != size || facts.orientation != 1 {
-        carried = None;
+        stripped = None;
     }
     let photo = upright_srgb::upright(photo, facts.orientation);
     let original = if facts.orientation >= 5 { (size.1, size.0) } else { size };
     let long = f64::from(photo.width.max(photo.height));
     let focal = facts.focal_35.map_or(Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(photo.width), |f| f / 36.0 * long);
     let intrinsics = Intrinsics::centred(photo.width, photo.height, focal);
-    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), carried, damaged, reduction }
+    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), stripped, damaged, reduction }
 }
 
 fn share(part: u32, whole: u32) -> f64 {
@@ -223,7 +223,7 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>, samples: Samp
     }
     // decoders disagree on how CMYK becomes RGB, and on rare, damaged and incomplete files
     let alike = !cmyk && jpeg.layout == Layout::Common && jpeg.standalone && !damaged && conversion.is_none();
-    Ok(Raw { photo, size, facts, carried: alike.then_some(jpeg.stripped), damaged })
+    Ok(Raw { photo, size, facts, stripped: alike.then_some(jpeg.stripped), damaged })
 }
 
 fn read_png(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {
@@ -233,7 +233,7 @@ fn read_png(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, Phot
     let icc = decoder.icc_profile().map_err(broken)?;
     let profile = png.cicp.clone().or(icc.map(Profile::Icc));
     let photo = image_pixels(decoder, profile.as_ref(), samples)?.photo;
-    Ok(Raw { photo, size: (png.width, png.height), facts: png.facts(), carried: None, damaged: png.damaged })
+    Ok(Raw { photo, size: (png.width, png.height), facts: png.facts(), stripped: None, damaged: png.damaged })
 }
 
 fn read_webp(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {
@@ -245,8 +245,8 @@ fn read_webp(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, Pho
         return Err(broken("its size differs from that in its header"));
     }
     let pixels = image_pixels(decoder, webp.icc.map(Profile::Icc).as_ref(), samples)?;
-    let carried = (pixels.as_stored && !webp.animated).then_some(webp.stripped);
-    Ok(Raw { photo: pixels.photo, size, facts, carried, damaged: false })
+    let stripped = (pixels.as_stored && !webp.animated).then_some(webp.stripped);
+    Ok(Raw { photo: pixels.photo, size, facts, stripped, damaged: false })
 }
 
 /// Decoded pixels of a PNG or WebP.

@@ -93,14 +93,14 @@ fn a_rotated_jpeg_is_not_carried_and_a_plain_one_is_without_its_metadata() {
     bytes = with_exif(&bytes, &[tiff(1, None), secret.to_vec()].concat());
     bytes.extend_from_slice(secret);
     let got = ok(&bytes);
-    let carried = got.carried.unwrap();
-    assert!(!contains(&carried, b"GPS") && !contains(&carried, b"Exif"));
-    let again = ok(&carried);
+    let stripped = got.stripped.unwrap();
+    assert!(!contains(&stripped, b"GPS") && !contains(&stripped, b"Exif"));
+    let again = ok(&stripped);
     assert_eq!(again.photo, got.photo);
     assert_eq!(ok(&plain).photo, got.photo);
-    assert_eq!(again.carried.as_deref(), Some(carried.as_slice()), "stripping twice changes nothing");
+    assert_eq!(again.stripped.as_deref(), Some(stripped.as_slice()), "stripping twice changes nothing");
     let turned = ok(&with_exif(&plain, &tiff(6, None)));
-    assert!(turned.carried.is_none());
+    assert!(turned.stripped.is_none());
     assert_eq!((turned.photo.width, turned.photo.height), (24, 40));
 }
 
@@ -119,16 +119,16 @@ fn webp_is_carried_without_its_metadata_unless_it_is_transparent() {
     extended[4..8].copy_from_slice(&length.to_le_bytes());
     let (a, b) = (ok(&plain), ok(&extended));
     assert_eq!(a.photo, b.photo);
-    let carried = b.carried.unwrap();
+    let stripped = b.stripped.unwrap();
     for name in [b"EXIF", b"XMP ", b"ICCP"] {
-        assert!(!contains(&carried, name));
+        assert!(!contains(&stripped, name));
     }
-    assert_eq!(carried[20], 0, "no feature flag is left");
-    assert_eq!(ok(&carried).photo, a.photo);
+    assert_eq!(stripped[20], 0, "no feature flag is left");
+    assert_eq!(ok(&stripped).photo, a.photo);
 
     let clear = ImageBuffer::from_fn(8, 8, |x, _| Rgba([200u8, 100, 50, if x < 4 { 255 } else { 0 }]));
     let got = ok(&file(clear, ImageFormat::WebP));
-    assert!(got.carried.is_none());
+    assert!(got.stripped.is_none());
     assert_eq!((got.photo.at(0, 0), got.photo.at(7, 7)), ([200, 100, 50], [255, 255, 255]));
 }
 
@@ -165,7 +165,7 @@ fn every_kind_of_png_decodes() {
     assert_eq!(ok(&wide_grey).photo.at(0, 0), [0x12; 3]);
     for got in [grey, grey_alpha, wide, wide_alpha, wide_grey].map(|f| ok(&f)) {
         assert_eq!((got.photo.rgb.len(), got.format), (15, PhotoFormat::Png));
-        assert!(got.carried.is_none());
+        assert!(got.stripped.is_none());
     }
 }
 
@@ -173,7 +173,7 @@ fn every_kind_of_png_decodes() {
 fn cmyk_decodes_and_is_not_carried() {
     let got = ok(&Jpeg::new(16, 8, components(&[(1, 1); 4])).write(|_, x, _| if x < 8.0 { 255.0 } else { 0.0 }));
     assert_eq!(got.photo.rgb.len(), 128);
-    assert!(got.carried.is_none());
+    assert!(got.stripped.is_none());
     // without an Adobe marker, full ink is black and no ink is white, or the reverse: the halves differ by the whole range
     let (a, b) = (got.photo.at(0, 0), got.photo.at(15, 0));
     assert!(a[0].abs_diff(b[0]) > 250, "{a:?} {b:?}");
@@ -264,7 +264,7 @@ fn reduction_keeps_the_picture_whichever_way_it_is_decoded() {
         let got = decode(&jpeg, &Limits::default(), Some(max)).unwrap();
         assert_eq!(got.photo.width, max);
         assert_eq!(got.original, (800, 600));
-        assert!(got.carried.is_none());
+        assert!(got.stripped.is_none());
         let want = resize(&full, got.photo.width, got.photo.height);
         let off = |a: &[u8; 3], b: &[u8; 3]| (0..3).map(|c| f64::from(a[c].abs_diff(b[c]))).sum::<f64>() / 3.0;
         let mean = got.photo.rgb.iter().zip(&want.rgb).map(|(a, b)| off(a, b)).sum::<f64>() / want.rgb.len() as f64;
@@ -336,9 +336,9 @@ fn a_wide_gamut_profile_is_converted_and_an_srgb_profile_is_not() {
     };
     let plain = ok(&jpeg(40, 24));
     let same = ok(&icc(moxcms::ColorProfile::new_srgb()));
-    assert!(same.photo == plain.photo && same.carried.is_some());
+    assert!(same.photo == plain.photo && same.stripped.is_some());
     let wide = ok(&icc(moxcms::ColorProfile::new_display_p3()));
-    assert!(wide.photo != plain.photo && wide.carried.is_none());
+    assert!(wide.photo != plain.photo && wide.stripped.is_none());
     let junk = ok(&with_segment(&jpeg(40, 24), 0xE2, b"ICC_PROFILE\0\x01\x01not a profile"));
     assert_eq!(junk.photo, plain.photo);
 }

@@ -1,23 +1,23 @@
 //! Per-tile planes: weighted clustering of disparity into the fewest planes that meet an error target (paper, section 3.2).
 
+mod evenly_spaced;
+mod exact_k_means;
+mod k_means;
+mod k_planes;
 mod kernel;
-mod linear;
-mod lloyd;
-mod optimal;
-mod potts;
+mod label_smoothing;
 mod reader_bounds;
 mod sample;
-mod slanted;
 mod warm_start;
 
 use rayon::prelude::*;
 
-use lloyd::Histogram;
-use optimal::Table;
-pub use potts::{NEIGHBOUR, smooth_labels};
+use exact_k_means::Table;
+use k_means::Histogram;
+pub(crate) use k_planes::fit_points;
+pub use label_smoothing::{NEIGHBOUR_COST, smooth_labels};
 pub use sample::Samples;
 pub(crate) use sample::percentile_99;
-pub(crate) use slanted::fit_points;
 use tmpi_core::{DisparityMap, Grid, Plane, Rect, Tile};
 pub use warm_start::{place_again, place_tile_from};
 
@@ -38,7 +38,7 @@ pub struct Placement {
     /// `most`.
     pub target: Option<f64>,
     /// Cost in label smoothing of each neighbour on another plane, against the squared error in units of the target; unused without a
-    /// target. The default is [`NEIGHBOUR`]; 0 leaves every pixel on its nearest plane.
+    /// target. The default is [`NEIGHBOUR_COST`]; 0 leaves every pixel on its nearest plane.
     pub neighbour: f32,
 }
 
@@ -46,13 +46,13 @@ impl Placement {
     /// `n` planes in every tile.
     #[must_use]
     pub fn fixed(method: Method, n: u32) -> Self {
-        Self { method, most: n, target: None, neighbour: NEIGHBOUR }
+        Self { method, most: n, target: None, neighbour: NEIGHBOUR_COST }
     }
 
     /// The fewest planes, at most `most`, that meet the error `target` in δ.
     #[must_use]
     pub fn fewest(method: Method, most: u32, target: f64) -> Self {
-        Self { method, most, target: Some(target), neighbour: NEIGHBOUR }
+        Self { method, most, target: Some(target), neighbour: NEIGHBOUR_COST }
     }
 }
 
@@ -103,7 +103,7 @@ pub struct Rounded {
 pub fn busy_share(delta: &DisparityMap, grid: &Grid, target: f64) -> f64 {
     let busy = (0..grid.tiles()).into_par_iter().map_init(Samples::default, |samples, tile| {
         samples.gather(delta, None, grid, tile);
-        let one = slanted::fit(samples, 1, None);
+        let one = k_planes::fit(samples, 1, None);
         usize::from(samples.error_p99(&one) > target)
     });
     busy.sum::<usize>() as f64 / f64::from(grid.tiles().max(1))
@@ -118,15 +118,15 @@ pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
 fn place_tile_rounded(samples: &Samples, placement: &Placement) -> Rounded {
     let most = placement.most.clamp(1, MAX_PLANES) as usize;
     if placement.method == Method::Slanted {
-        return finish(samples, slanted::fit(samples, most, placement.target), placement);
+        return finish(samples, k_planes::fit(samples, most, placement.target), placement);
     }
-    let histogram = Histogram::new(samples.deltas(), samples.weights(), lloyd::BINS);
+    let histogram = Histogram::new(samples.deltas(), samples.weights(), k_means::BINS);
     let mut table = None;
     let mut run = |n: usize| -> Vec<Plane> {
         let centres = match placement.method {
-            Method::Linear => linear::centres(samples, n),
+            Method::Linear => evenly_spaced::centres(samples, n),
             Method::Optimal => table.get_or_insert_with(|| Table::new(samples, most)).centres(n),
-            Method::Lloyd | Method::Slanted => lloyd::centres(histogram.as_ref(), n),
+            Method::Lloyd | Method::Slanted => k_means::centres(histogram.as_ref(), n),
         };
         centres.into_iter().map(Plane::fronto_parallel).collect()
     };
@@ -159,7 +159,7 @@ fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Round
 /// Smooths the labels of sorted and rounded planes, and drops planes without pixels.
 fn finish_labelled(samples: &Samples, mut planes: Vec<Plane>, mut labels: Vec<u8>, placement: &Placement) -> Tile {
     if let Some(target) = placement.target {
-        potts::smooth_labels(samples, &planes, &mut labels, target, placement.neighbour);
+        label_smoothing::smooth_labels(samples, &planes, &mut labels, target, placement.neighbour);
     }
     let mut used = vec![false; planes.len()];
     for &l in &labels {
@@ -238,7 +238,7 @@ pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32
         rows.all(|y| delta.delta[y * w + columns.start..y * w + columns.end].iter().all(|v| (v - d).abs() > apart))
     };
     let counts = tiles.par_iter().enumerate().map(|(i, t)| {
-        let (r, shown) = (grid.rect(i as u32), t.shown(grid, i as u32));
+        let (r, shown) = (grid.rect(i as u32), t.disparities(grid, i as u32));
         let place = |k: usize| (r.x as usize + k % r.w as usize, r.y as usize + k / r.w as usize);
         (shown.iter().enumerate().filter(|&(k, &d)| lone(place(k).0, place(k).1, d)).count(), shown.len())
     });
@@ -250,7 +250,7 @@ pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32
 /// if none overlap.
 #[must_use]
 pub fn overlap_disagreement(grid: &Grid, tiles: &[Tile]) -> f64 {
-    let shown: Vec<Vec<f32>> = tiles.par_iter().enumerate().map(|(i, t)| t.shown(grid, i as u32)).collect();
+    let shown: Vec<Vec<f32>> = tiles.par_iter().enumerate().map(|(i, t)| t.disparities(grid, i as u32)).collect();
     let columns = grid.columns() as usize;
     let pair = |(i, j): (usize, usize)| {
         let (a, b) = (grid.rect(i as u32), grid.rect(j as u32));

@@ -5,7 +5,7 @@ use tmpi_core::{DisparityMap, Grid, Plane, Tile};
 
 use rayon::prelude::*;
 
-use super::{Method, Placement, Samples, finish_labelled, place_tile, slanted};
+use super::{Method, Placement, Samples, finish_labelled, k_planes, place_tile};
 
 /// A tile keeps its planes while their error is at most this multiple of the target.
 const KEPT: f64 = 1.5;
@@ -45,7 +45,7 @@ pub fn place_tile_from(samples: &Samples, placement: &Placement, last: &Tile) ->
     if placement.method == Method::Slanted && last.planes.len() <= placement.most as usize {
         let mut planes = last.planes.clone();
         for _ in 0..ROUNDS {
-            slanted::refit(samples, &labels, &mut planes);
+            k_planes::refit(samples, &labels, &mut planes);
             samples.assign(&planes, &mut labels, &mut errors);
         }
         if super::sample::percentile_99(&mut errors) <= target {

@@ -11,24 +11,24 @@ pub struct Sizes {
     /// The picture in the photo's file, upright; with both halves, if it holds two pictures.
     pub file: (u32, u32),
     /// Another picture that is decoded.
-    pub other: Option<Other>,
+    pub extra: Option<ExtraPicture>,
 }
 
 /// A picture that is decoded in addition to the photo, with its width and height.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Other {
+pub enum ExtraPicture {
     /// A depth map.
-    Map((u32, u32)),
+    DepthMap((u32, u32)),
     /// A second picture, in a file of its own or embedded in the photo's.
-    Eye((u32, u32)),
+    SecondPicture((u32, u32)),
 }
 
-impl Other {
+impl ExtraPicture {
     /// Width and height in pixels.
     #[must_use]
     pub const fn size(self) -> (u32, u32) {
         match self {
-            Self::Map(size) | Self::Eye(size) => size,
+            Self::DepthMap(size) | Self::SecondPicture(size) => size,
         }
     }
 }
@@ -37,7 +37,7 @@ impl Sizes {
     /// Sizes of a photo alone.
     #[must_use]
     pub const fn of_photo(file: (u32, u32)) -> Self {
-        Self { file, other: None }
+        Self { file, extra: None }
     }
 
     /// Reads the sizes without decoding. `given` is the file of a depth map or second picture. A second picture embedded in the photo's
@@ -50,12 +50,16 @@ impl Sizes {
         let (width, height) = size(photo)?;
         let file = if photo::orientation(photo) > 4 { (height, width) } else { (width, height) };
         let within = options.stereo == Stereo::Auto && options.photo_depth != Switch::Off;
-        let other = match given {
-            Some(eye) if options.stereo == Stereo::Beside => Some(Other::Eye(size(eye).map_err(|e| DepthError::Second(e.to_string()))?)),
-            Some(map) => Some(Other::Map(depth::check(map, limits)?)),
-            None if within => depth::second_eye(photo).and_then(Result::ok).and_then(|eye| size(eye).ok()).map(Other::Eye),
+        let extra = match given {
+            Some(eye) if options.stereo == Stereo::Beside => {
+                Some(ExtraPicture::SecondPicture(size(eye).map_err(|e| DepthError::Second(e.to_string()))?))
+            }
+            Some(map) => Some(ExtraPicture::DepthMap(depth::check(map, limits)?)),
+            None if within => {
+                depth::second_picture(photo).and_then(Result::ok).and_then(|eye| size(eye).ok()).map(ExtraPicture::SecondPicture)
+            }
             None => None,
         };
-        Ok(Self { file, other })
+        Ok(Self { file, extra })
     }
 }

@@ -24,7 +24,7 @@ pub fn make(
     let source = Source::choose(photo, depth, &mut job)?;
     job.sizes = Some(Sizes::of(photo, depth, options, limits)?);
     let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
-    let source = source.or_half(prepared.other_eye.take());
+    let source = source.or_half(prepared.second_half.take());
     let map = job.run(&mut Depth::default(), (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));

@@ -3,7 +3,7 @@
 //! [`bytes`] exceeds every peak of the process that `tests/load/making_memory.py` measured: on photographs, and on pictures and depth maps of one
 //! ramp, of noise and of blocks, with 0.5 to 50 megapixels, tiles from 8 pixels to the whole photo, and 1 to 64 planes per tile.
 
-use super::{MakeError, Options, Other, PlaneCount, Sizes};
+use super::{ExtraPicture, MakeError, Options, PlaneCount, Sizes};
 use crate::depth::DepthError;
 use crate::photo::{Limits, PhotoError, reduced_size};
 
@@ -65,18 +65,18 @@ impl Options {
     /// [`Options::memory`] with a longest side of at most `side` pixels and a mean of `planes` planes per tile, without background planes.
     #[must_use]
     pub fn memory_with(&self, sizes: &Sizes, side: Option<u32>, planes: u32) -> u64 {
-        let (w, h) = reduced_size(self.shown(sizes.file), side);
+        let (w, h) = reduced_size(self.photo_size(sizes.file), side);
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
-        let measures = self.stereo.halves().is_some() || matches!(sizes.other, Some(Other::Eye(_)));
+        let measures = self.stereo.halves().is_some() || matches!(sizes.extra, Some(ExtraPicture::SecondPicture(_)));
         // decoded pictures are freed before planes are placed
         let made = made + if measures { STEREO } else { 0 };
         let decoded = |size: (u32, u32)| if size == (w, h) { 0 } else { decoding_bytes(size) + area((w, h)) * PHOTO };
-        made.max(decoded(sizes.file)).max(sizes.other.map_or(0, |other| decoded(other.size())))
+        made.max(decoded(sizes.file)).max(sizes.extra.map_or(0, |extra| decoded(extra.size())))
     }
 
     /// Width and height in pixels of the photo in a file of size `file`: those of one half, if the file holds two pictures in halves.
     #[must_use]
-    pub fn shown(&self, file: (u32, u32)) -> (u32, u32) {
+    pub fn photo_size(&self, file: (u32, u32)) -> (u32, u32) {
         self.stereo.halves().map_or(file, |halves| halves.of(file))
     }
 
@@ -86,8 +86,8 @@ impl Options {
     /// # Errors
     /// [`PhotoError::TooMuchWork`] names the limit and the need; [`DepthError`] if the depth map or second picture alone exceeds the limit.
     pub fn side_by_memory(&self, sizes: &Sizes, limits: &Limits) -> Result<Option<u32>, MakeError> {
-        if let Some(other) = sizes.other {
-            check_other(other, limits)?;
+        if let Some(extra) = sizes.extra {
+            check_extra(extra, limits)?;
         }
         let bytes = self.memory(sizes);
         if bytes <= limits.memory {
@@ -98,7 +98,7 @@ impl Options {
         if (self.planes, self.tile) != (usual.planes, usual.tile) {
             return Err(refused.into());
         }
-        let shown = self.shown(sizes.file);
+        let shown = self.photo_size(sizes.file);
         let fits = |side: u32| self.memory_at(sizes, Some(side)) <= limits.memory;
         let (mut most, mut too_large) = (0, shown.0.max(shown.1).min(self.max_size.unwrap_or(u32::MAX)));
         while too_large - most > 1 {
@@ -130,13 +130,13 @@ impl Options {
 }
 
 /// Rejects a depth map or second picture if decoding it alone exceeds the memory limit.
-fn check_other(other: Other, limits: &Limits) -> Result<(), DepthError> {
-    let bytes = decoding_bytes(other.size());
+fn check_extra(extra: ExtraPicture, limits: &Limits) -> Result<(), DepthError> {
+    let bytes = decoding_bytes(extra.size());
     if bytes <= limits.memory {
         return Ok(());
     }
     let text = PhotoError::TooMuchWork { bytes, limit: limits.memory }.to_string();
-    Err(if matches!(other, Other::Map(_)) { DepthError::Map(text) } else { DepthError::Second(text) })
+    Err(if matches!(extra, ExtraPicture::DepthMap(_)) { DepthError::Map(text) } else { DepthError::Second(text) })
 }
 
 /// Upper bound in bytes of the memory for decoding a picture, including [`BASE`].
@@ -155,11 +155,11 @@ mod tests {
     use crate::stereo::Stereo;
 
     fn with_map(file: (u32, u32), map: (u32, u32)) -> Sizes {
-        Sizes { file, other: Some(Other::Map(map)) }
+        Sizes { file, extra: Some(ExtraPicture::DepthMap(map)) }
     }
 
     fn with_eye(file: (u32, u32), eye: (u32, u32)) -> Sizes {
-        Sizes { file, other: Some(Other::Eye(eye)) }
+        Sizes { file, extra: Some(ExtraPicture::SecondPicture(eye)) }
     }
 
     #[test]
@@ -203,7 +203,7 @@ mod tests {
                 for max_size in [None, Some(1), Some(2000)] {
                     let options = Options { planes, tile, max_size, ..Options::default() };
                     for map in [None, Some((80, 60)), Some(file)] {
-                        let sizes = Sizes { other: map.map(Other::Map), ..Sizes::of_photo(file) };
+                        let sizes = Sizes { extra: map.map(ExtraPicture::DepthMap), ..Sizes::of_photo(file) };
                         assert!(options.side_by_memory(&sizes, &limits(873)).is_err(), "{options:?} {map:?}");
                     }
                 }

@@ -27,12 +27,12 @@ use crate::networks::models::{PSI, THETA};
 use crate::photo::PhotoError;
 pub use crate::photo::Reduction;
 
-pub use input_sizes::{Other, Sizes};
+pub use input_sizes::{ExtraPicture, Sizes};
 pub use make::make;
 pub use options::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
-pub use parallax_error::{Movement, TileError};
+pub use parallax_error::{Parallax, TileError};
 pub use progress::{Progress, Silent, Sink};
-pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, Moved, PlaneError, PruneError, Report, StageTime};
+pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, ParallaxShift, PlaneError, PruneError, Report, StageTime};
 pub use stage::{Context, Stage};
 pub use stages::STAGES;
 

@@ -151,7 +151,7 @@ impl Options {
     pub const MAX_ERROR: f64 = 1.0;
 
     /// Placement for a parallax error of `max_error` pixels; `most` is the largest shift in pixels per unit of δ
-    /// ([`super::Movement::most`]).
+    /// ([`super::Parallax::most`]).
     #[must_use]
     pub fn placement(&self, max_error: f64, most: f64) -> Placement {
         let method = match self.plane_method {

@@ -4,13 +4,13 @@ use rayon::prelude::*;
 
 use tmpi_core::{DisparityMap, Geometry, Intrinsics, Rect, Tile, ViewBox};
 
-use super::report::Moved;
+use super::report::ParallaxShift;
 
-/// Most pixels that [`Movement::resampled`] compares.
+/// Most pixels that [`Parallax::resampled`] compares.
 const SAMPLES: usize = 1 << 16;
 /// Least distance of a surface from a camera of the view box, as a share of its distance from the reference camera. In a box that reaches
 /// into a surface, a disparity error would shift the surface's points without bound.
-const LEAST_DISTANCE: f64 = 0.05;
+const MIN_DISTANCE: f64 = 0.05;
 
 /// Largest shift in pixels that a disparity error causes in views from a view box.
 ///
@@ -18,12 +18,12 @@ const LEAST_DISTANCE: f64 = 0.05;
 /// Seen from the corners of the box, disparities a and b are therefore at most `|a − b| · (f·X + |x|·Z) / ((1 − Z·a)(1 − Z·b))` pixels
 /// apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Movement {
+pub struct Parallax {
     intrinsics: Intrinsics,
     view_box: ViewBox,
 }
 
-impl Movement {
+impl Parallax {
     /// Shifts in views of a photo with these `intrinsics` from `view_box`.
     #[must_use]
     pub const fn new(intrinsics: Intrinsics, view_box: ViewBox) -> Self {
@@ -48,12 +48,12 @@ impl Movement {
 
     /// Distance of a surface from the nearest camera of the view box, as a share of its distance from the reference camera.
     fn distance(&self, delta: f64) -> f64 {
-        (1.0 - self.view_box.z * delta).max(LEAST_DISTANCE)
+        (1.0 - self.view_box.z * delta).max(MIN_DISTANCE)
     }
 
     /// Shift between two maps of the same size, over all pixels.
     #[must_use]
-    pub fn between(&self, before: &DisparityMap, after: &DisparityMap) -> Moved {
+    pub fn between(&self, before: &DisparityMap, after: &DisparityMap) -> ParallaxShift {
         let width = (before.width as usize).max(1);
         let row = |(y, (a, b)): (usize, (&[f32], &[f32]))| {
             let each = a.iter().zip(b).enumerate();
@@ -70,7 +70,7 @@ impl Movement {
     /// Shift between a map and `after`, the same map resampled to the photo's size, at the pixel centres of `before`. Compares at most
     /// 65536 pixels; pixels with a non-finite shift count as 0.
     #[must_use]
-    pub fn resampled(&self, before: &DisparityMap, after: &DisparityMap) -> Moved {
+    pub fn resampled(&self, before: &DisparityMap, after: &DisparityMap) -> ParallaxShift {
         let (w, h) = (before.width as usize, before.height as usize);
         let step = before.delta.len().div_ceil(SAMPLES).max(1);
         let scale = [f64::from(after.width) / w.max(1) as f64, f64::from(after.height) / h.max(1) as f64];
@@ -128,9 +128,9 @@ pub struct TileError {
     pub pixels: usize,
 }
 
-fn moved(each: impl Iterator<Item = [f64; 2]>, count: usize, sampled: bool) -> Moved {
+fn moved(each: impl Iterator<Item = [f64; 2]>, count: usize, sampled: bool) -> ParallaxShift {
     let [sum, most] = each.fold([0.0, 0.0], |all: [f64; 2], one| [all[0] + one[0], all[1].max(one[1])]);
-    Moved { mean_px: sum / count.max(1) as f64, most_px: most, sampled }
+    ParallaxShift { mean_px: sum / count.max(1) as f64, most_px: most, sampled }
 }
 
 /// δ at a position in pixels, by bilinear interpolation.
@@ -157,8 +157,8 @@ mod tests {
 
     const BOX: ViewBox = ViewBox { x: 0.12, y: 0.08, z: 0.06 };
 
-    fn movement() -> Movement {
-        Movement::new(Intrinsics { fx: 60.0, fy: 62.0, cx: 51.0, cy: 29.0 }, BOX)
+    fn movement() -> Parallax {
+        Parallax::new(Intrinsics { fx: 60.0, fy: 62.0, cx: 51.0, cy: 29.0 }, BOX)
     }
 
     #[test]
@@ -202,6 +202,6 @@ mod tests {
         let moved = m.resampled(&step, &flat);
         assert!(moved.mean_px > 0.25 * 60.0 * 0.08 && !moved.sampled, "{moved:?}");
         let large = map(1000, 600, |_, _| 0.5);
-        assert_eq!(m.resampled(&large, &flat), Moved { mean_px: 0.0, most_px: 0.0, sampled: true });
+        assert_eq!(m.resampled(&large, &flat), ParallaxShift { mean_px: 0.0, most_px: 0.0, sampled: true });
     }
 }

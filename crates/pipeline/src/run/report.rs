@@ -94,7 +94,7 @@ impl From<SectionBytes> for Bytes {
 /// How far a step shifted the disparity map: distance in pixels between a point before and after the step, in the camera of the view box
 /// where it is largest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct Moved {
+pub struct ParallaxShift {
     /// Mean over all compared pixels.
     pub mean_px: f64,
     /// Largest over all compared pixels.
@@ -150,11 +150,11 @@ pub struct ErrorFigures {
     /// Result of measuring depth against a second picture.
     pub stereo: Option<StereoFigures>,
     /// Shift by resampling the disparity map to the photo's size.
-    pub resampling: Option<Moved>,
+    pub resampling: Option<ParallaxShift>,
     /// Shift by denoising the disparity map.
-    pub denoise: Option<Moved>,
+    pub denoise: Option<ParallaxShift>,
     /// Shift by snapping the ramps of the disparity map to the photo's edges.
-    pub snap: Option<Moved>,
+    pub snap: Option<ParallaxShift>,
     /// Mean absolute disparity error of the planes against the map that they were fitted to.
     pub depth_mae: f64,
     /// Mean squared disparity error of the planes against that map.
@@ -204,7 +204,7 @@ pub struct Report {
     pub width: u32,
     /// Height of the scene in pixels.
     pub height: u32,
-    /// Name of the depth network, or `given` (a map in a file of its own), `carried` (a map embedded in the photo's file) or `stereo`
+    /// Name of the depth network, or `given` (a map in a file of its own), `embedded` (a map embedded in the photo's file) or `stereo`
     /// (measured against a second picture).
     pub depth_model: String,
     /// Times of all stages, in order.

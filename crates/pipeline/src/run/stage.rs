@@ -1,6 +1,6 @@
 //! The trait of all stages, and the context that runs them.
 
-use super::{MakeError, Models, Movement, Options, Progress, Report, Sink, Sizes, StageTime};
+use super::{MakeError, Models, Options, Parallax, Progress, Report, Sink, Sizes, StageTime};
 use crate::photo::Limits;
 use crate::usage::{self, Clock};
 
@@ -34,7 +34,7 @@ pub struct Context<'a> {
     /// The report so far.
     pub report: Report,
     /// Converts disparity errors to pixels; `None` before the camera is known, and in a room, which does not measure errors.
-    pub movement: Option<Movement>,
+    pub movement: Option<Parallax>,
     sink: &'a dyn Sink,
     clock: Clock,
 }

@@ -92,7 +92,7 @@ fn the_first_eye_after_a_photo_is_used_however_many_pictures_follow() {
     for behind in [&[][..], &[(THUMBNAIL, &small[..])], &[(0, &b), (THUMBNAIL, &b)]] {
         let file = multi_picture(&a, behind);
         is_estimated(&made(&file, None, &options).unwrap(), None);
-        assert!(matches!(made(&file, None, &only_depth()), Err(MakeError::Depth(DepthError::NotCarried))));
+        assert!(matches!(made(&file, None, &only_depth()), Err(MakeError::Depth(DepthError::NotEmbedded))));
     }
     let many = [vec![(THUMBNAIL, &small[..]); 14], vec![(EYE, &b)]].concat();
     for behind in [&[(EYE, &b[..])][..], &[(THUMBNAIL, &small), (EYE, &b)], &[(FIRST_EYE, &b), (EYE, &even), (EYE, &a)], &many] {
@@ -180,12 +180,12 @@ fn a_picture_after_a_photo_takes_no_more_memory_than_the_photo() {
     is_estimated(&made(&larger, None, &Options::default()).unwrap(), Some("larger than that of the first"));
     let sizes = |file: &[u8], options: &Options| crate::Sizes::of(file, None, options, &Limits::default()).unwrap();
     let auto = Options::default();
-    assert_eq!(sizes(&larger, &auto).other, None);
+    assert_eq!(sizes(&larger, &auto).extra, None);
     // a second picture counts only if it is measured
     let both = multi_picture(&a, &[(EYE, &jpeg(&second()))]);
-    assert_eq!(sizes(&both, &auto).other, Some(crate::run::Other::Eye((W, H))));
+    assert_eq!(sizes(&both, &auto).extra, Some(crate::run::ExtraPicture::SecondPicture((W, H))));
     for off in [Options { stereo: Stereo::None, ..auto.clone() }, Options { photo_depth: Switch::Off, ..auto.clone() }] {
-        assert_eq!(sizes(&both, &off).other, None);
+        assert_eq!(sizes(&both, &off).extra, None);
         assert_eq!(made(&both, None, &off).unwrap().depth_model, "constant");
     }
     let report = made(&both, None, &auto).unwrap();
@@ -219,7 +219,7 @@ fn a_non_finite_estimate_keeps_measured_pixels() {
     let measured = || measure(&photo, &second()).unwrap();
     let joined = |estimate: &dyn Fn(usize) -> f32| {
         let estimate = DisparityMap { width: W, height: H, delta: (0..size).map(estimate).collect() };
-        measured().joined(&photo, &estimate)
+        measured().fuse(&photo, &estimate)
     };
     let known: Vec<bool> = measured().disparity.iter().map(|d| d.is_finite()).collect();
     let ramp = |i: usize| (i / W as usize) as f32 / H as f32;
@@ -260,7 +260,7 @@ proptest! {
         file[at] = value;
         file.truncate(cut.max(2));
         if let Ok(report) = made(&file, None, &Options::default()) {
-            prop_assert!(["stereo", "constant", "carried"].contains(&report.depth_model.as_str()));
+            prop_assert!(["stereo", "constant", "embedded"].contains(&report.depth_model.as_str()));
         }
     }
 }

@@ -40,7 +40,7 @@ const SPECK: f64 = 1e-3;
 /// The same at the small size, where the range must not follow such pieces.
 const SMALL_SPECK: f64 = 4e-3;
 /// Fewest pixels of a connected piece, however small the picture.
-const LEAST_SPECK: usize = 32;
+const MIN_SPECK: usize = 32;
 /// Least share of the pixels that must be measured.
 const ENOUGH: f64 = 0.25;
 /// Least range of disparity, in pixels of the matched size.
@@ -52,7 +52,7 @@ const LEAST: u32 = 64;
 
 /// Why a second view gives no depth.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Unmeasured {
+pub enum StereoError {
     /// The second picture has another aspect.
     #[error("the second picture has another shape ({second}) than the first ({first})")]
     Shape {
@@ -122,7 +122,7 @@ pub struct Measured {
 
 /// Measured disparity, filled from the network's estimate.
 #[derive(Clone, Debug)]
-pub struct Joined {
+pub struct FusedDisparity {
     /// Disparity δ at the photo's size: 1 at the nearest point, 0 at infinity.
     pub map: DisparityMap,
     /// The same at the size of matching, if it differs.
@@ -134,14 +134,14 @@ pub struct Joined {
 /// Measures the disparity of the first picture of a pair against the second.
 ///
 /// # Errors
-/// [`Unmeasured`] if the pictures do not suffice.
-pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
+/// [`StereoError`] if the pictures do not suffice.
+pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, StereoError> {
     let text = |p: &Photo| format!("{}×{}", p.width, p.height);
     if !depth::fits((second.width, second.height), (first.width, first.height)) {
-        return Err(Unmeasured::Shape { first: text(first), second: text(second) });
+        return Err(StereoError::Shape { first: text(first), second: text(second) });
     }
     if first.width.min(first.height) < LEAST {
-        return Err(Unmeasured::Small { size: text(first) });
+        return Err(StereoError::Small { size: text(first) });
     }
     let clock = Clock::start();
     let mut size = working_size((first.width, first.height), WORK);
@@ -151,7 +151,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
     let Rectified { model, before_px, after_px, .. } = rectified.unwrap_or_default();
     pair[1] = model.rectified(&pair[1]);
     let rectify_ms = clock.ms();
-    let mut range = range(&pair).ok_or(Unmeasured::Few { share: 0.0 })?;
+    let mut range = range(&pair).ok_or(StereoError::Few { share: 0.0 })?;
     let count = (range.1 - range.0) * f64::from(size.0);
     if count > MOST as f64 {
         size = working_size(size, f64::from(size.0) * f64::from(size.1) * (MOST as f64 / count).powi(2));
@@ -163,10 +163,10 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
     let disparity = matched(&pair, range, SPECK);
     let share = share(&disparity);
     if share < ENOUGH {
-        return Err(Unmeasured::Few { share });
+        return Err(StereoError::Few { share });
     }
     if percentile(&disparity, 0.99) - percentile(&disparity, 0.01) < PARALLAX {
-        return Err(Unmeasured::NoParallax);
+        return Err(StereoError::NoParallax);
     }
     let scale = f64::from(first.width) / f64::from(size.0);
     let figures = StereoFigures {
@@ -185,7 +185,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, Unmeasured> {
 impl Measured {
     /// Disparity at the size of `photo`. `estimate`, at the photo's size, fills what was not measured.
     #[must_use]
-    pub fn joined(self, photo: &Photo, estimate: &DisparityMap) -> Joined {
+    pub fn fuse(self, photo: &Photo, estimate: &DisparityMap) -> FusedDisparity {
         let Self { width, height, mut disparity, parallel, mut figures } = self;
         let clock = Clock::start();
         let from = (estimate.width, estimate.height);
@@ -211,7 +211,7 @@ impl Measured {
         let own = (width, height) == (photo.width, photo.height);
         let map = if own { small.clone() } else { depth::resized(&small, photo.width, photo.height) };
         figures.fuse_ms = clock.ms();
-        Joined { map, own: (!own).then_some(small), figures }
+        FusedDisparity { map, own: (!own).then_some(small), figures }
     }
 }
 
@@ -235,7 +235,7 @@ fn matched(pair: &[Grey; 2], range: Range, speck: f64) -> Vec<f32> {
     let [own, other] = [census(&pair[0]), census(&pair[1])];
     let mut disparity = sgm::disparity(&Views { width, height, grey: &pair[0].values, own: &own, other: &other }, range);
     let least = ((width * height) as f64 * speck).ceil() as usize;
-    fuse::drop_specks(&mut disparity, width, least.max(LEAST_SPECK));
+    fuse::drop_specks(&mut disparity, width, least.max(MIN_SPECK));
     disparity
 }
 

@@ -114,7 +114,7 @@ fn two_surfaces_are_measured_in_either_direction() {
         };
         assert!(off(10..115, far) < 0.02 && off(145..250, near) < 0.02, "{far} {near}: {} {}", off(10..115, far), off(145..250, near));
         let estimate = DisparityMap { width: 300, height: 260, delta: (0..78_000).map(|i| f32::from(u8::from(i >= 39_000))).collect() };
-        let Joined { map, figures, .. } = measured.joined(&photo, &estimate);
+        let FusedDisparity { map, figures, .. } = measured.fuse(&photo, &estimate);
         assert!((figures.nearest_px - f64::from(near)).abs() < 2.0 && !figures.crossed, "{figures:?}");
         assert!(map.delta.iter().all(|d| (0.0..=1.0).contains(d)) && map.delta[200 * 300 + 150] > map.delta[50 * 300 + 150] + 0.3);
     }
@@ -125,7 +125,7 @@ fn swapped_eyes_are_detected_by_the_estimate() {
     let photo = spots(300, 260, 3);
     let measured = measure(&photo, &beside(&photo, -4, -17)).unwrap();
     let estimate = DisparityMap { width: 300, height: 260, delta: (0..78_000).map(|i| f32::from(u8::from(i >= 39_000))).collect() };
-    let Joined { map, figures, .. } = measured.joined(&photo, &estimate);
+    let FusedDisparity { map, figures, .. } = measured.fuse(&photo, &estimate);
     assert!(figures.crossed && map.delta[200 * 300 + 150] > map.delta[50 * 300 + 150] + 0.3, "{figures:?}");
 }
 
@@ -147,13 +147,13 @@ fn a_turned_picture_is_rectified() {
 fn pairs_without_depth_are_refused() {
     let photo = spots(200, 160, 5);
     let even = |v: u8| Photo { rgb: vec![[v; 3]; photo.rgb.len()], ..photo };
-    assert_eq!(measure(&photo, &photo).unwrap_err(), Unmeasured::NoParallax);
+    assert_eq!(measure(&photo, &photo).unwrap_err(), StereoError::NoParallax);
     for other in [even(0), even(255), spots(200, 160, 6)] {
         let error = measure(&photo, &other).unwrap_err();
-        assert!(matches!(error, Unmeasured::Few { .. }), "{error}");
+        assert!(matches!(error, StereoError::Few { .. }), "{error}");
     }
     assert!(measure(&even(9), &even(9)).is_err());
-    assert!(matches!(measure(&photo, &spots(160, 200, 5)).unwrap_err(), Unmeasured::Shape { .. }));
+    assert!(matches!(measure(&photo, &spots(160, 200, 5)).unwrap_err(), StereoError::Shape { .. }));
     for (w, h) in [(1, 1), (1, 40), (40, 1), (5, 5)] {
         assert!(measure(&spots(w, h, 7), &spots(w, h, 8)).is_err(), "{w}×{h}");
     }

@@ -26,7 +26,7 @@ pub const POINTS: usize = 8192;
 pub const BYTES: usize = 1 << 19;
 /// Radii of brushes, as shares of the photo's longer side.
 pub const RADII: std::ops::RangeInclusive<f64> = 0.002..=0.25;
-/// Radius around the place of [`Ask::Like`] whose median disparity is used, as a share of the longer side: a single pixel may be an
+/// Radius around the place of [`Effect::Like`] whose median disparity is used, as a share of the longer side: a single pixel may be an
 /// outlier.
 const PROBE: f64 = 0.005;
 
@@ -42,13 +42,13 @@ pub struct Stroke {
     pub radius: f64,
     /// How its region changes.
     #[serde(flatten)]
-    pub ask: Ask,
+    pub effect: Effect,
 }
 
 /// How a stroke changes its region; exactly one of these.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Ask {
+pub enum Effect {
     /// Nearer by this much disparity, −1 to 1; negative values are farther. Relief within the region stays.
     By(f64),
     /// As near as this place of the photo, x and y of 0 to 1; the region becomes flat.
@@ -72,10 +72,10 @@ impl Stroke {
         if !RADII.contains(&self.radius) {
             return Err(StrokeError::at("radius", format!("must be {} to {}, not {}", RADII.start(), RADII.end(), self.radius)));
         }
-        match self.ask {
-            Ask::By(v) if !(-1.0..=1.0).contains(&v) => Err(StrokeError::at("by", format!("must be -1 to 1, not {v}"))),
-            Ask::To(v) if !(0.0..=1.0).contains(&v) => Err(StrokeError::at("to", format!("must be 0 to 1, not {v}"))),
-            Ask::Like(p) => place(&p).map_err(|e| e.within("like")),
+        match self.effect {
+            Effect::By(v) if !(-1.0..=1.0).contains(&v) => Err(StrokeError::at("by", format!("must be -1 to 1, not {v}"))),
+            Effect::To(v) if !(0.0..=1.0).contains(&v) => Err(StrokeError::at("to", format!("must be 0 to 1, not {v}"))),
+            Effect::Like(p) => place(&p).map_err(|e| e.within("like")),
             _ => Ok(()),
         }
     }
@@ -102,21 +102,21 @@ pub fn check(strokes: &[Stroke]) -> Result<(), StrokeError> {
 }
 
 /// Applies strokes to a map one after another. Their regions follow from the photo and from `map` as given, so that an earlier stroke
-/// does not move the outline of a later one, but [`Ask::Like`] reads the map that the earlier strokes left. `photo` and `map` (finite, 0
+/// does not move the outline of a later one, but [`Effect::Like`] reads the map that the earlier strokes left. `photo` and `map` (finite, 0
 /// to 1) have the same size, which the map keeps. Touched pixels get confidence 1 if there is a `confidence`.
 pub fn apply(photo: &Photo, map: &mut DisparityMap, mut confidence: Option<&mut Vec<f32>>, strokes: &[Stroke]) {
     let outlines = Outlines::new(photo, map);
     for stroke in strokes {
         let region = outlines.region(stroke);
-        let flat = match stroke.ask {
-            Ask::By(_) => None,
-            Ask::Like(at) => Some(around(map, at)),
-            Ask::To(value) => Some(value as f32),
+        let flat = match stroke.effect {
+            Effect::By(_) => None,
+            Effect::Like(at) => Some(around(map, at)),
+            Effect::To(value) => Some(value as f32),
         };
         region.each(map.width, map.height, |i| {
-            map.delta[i] = match (flat, stroke.ask) {
+            map.delta[i] = match (flat, stroke.effect) {
                 (Some(value), _) => value,
-                (None, Ask::By(v)) => (map.delta[i] + v as f32).clamp(0.0, 1.0),
+                (None, Effect::By(v)) => (map.delta[i] + v as f32).clamp(0.0, 1.0),
                 (None, _) => map.delta[i],
             };
             if let Some(c) = confidence.as_mut().and_then(|c| c.get_mut(i)) {

@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use super::{Ask, BYTES, Stroke, VERSION, check};
+use super::{BYTES, Effect, Stroke, VERSION, check};
 
 /// What is wrong with strokes, and where.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -86,7 +86,7 @@ pub fn write(strokes: &[Stroke]) -> Vec<u8> {
 fn stroke(value: &Value) -> Result<Stroke, StrokeError> {
     const ASKS: &str = "exactly one of by, like, to";
     let fields: &Map<String, Value> = value.as_object().ok_or_else(|| StrokeError::at("", "must be an object"))?;
-    let (mut points, mut radius, mut ask) = (None, None, None);
+    let (mut points, mut radius, mut effect) = (None, None, None);
     for (name, value) in fields {
         let asked = match name.as_str() {
             "points" => {
@@ -99,19 +99,19 @@ fn stroke(value: &Value) -> Result<Stroke, StrokeError> {
                 radius = Some(number(name, value)?);
                 continue;
             }
-            "by" => Ask::By(number(name, value)?),
-            "to" => Ask::To(number(name, value)?),
-            "like" => Ask::Like(point(value).map_err(|e| e.within(name))?),
+            "by" => Effect::By(number(name, value)?),
+            "to" => Effect::To(number(name, value)?),
+            "like" => Effect::Like(point(value).map_err(|e| e.within(name))?),
             _ => return Err(StrokeError::at(name, "unknown field; the fields are points, radius, by, like, to")),
         };
-        if ask.replace(asked).is_some() {
+        if effect.replace(asked).is_some() {
             return Err(StrokeError::at(name, format!("a stroke has {ASKS}")));
         }
     }
     let points = points.ok_or_else(|| StrokeError::at("points", "is missing"))?;
     let radius = radius.ok_or_else(|| StrokeError::at("radius", "is missing"))?;
-    let ask = ask.ok_or_else(|| StrokeError::at("by", format!("is missing: a stroke has {ASKS}")))?;
-    Ok(Stroke { points, radius, ask })
+    let effect = effect.ok_or_else(|| StrokeError::at("by", format!("is missing: a stroke has {ASKS}")))?;
+    Ok(Stroke { points, radius, effect })
 }
 
 fn point(value: &Value) -> Result<[f64; 2], StrokeError> {

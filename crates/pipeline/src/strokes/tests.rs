@@ -13,14 +13,14 @@ fn even(photo: &Photo, value: f32) -> DisparityMap {
     DisparityMap { width: photo.width, height: photo.height, delta: vec![value; photo.rgb.len()] }
 }
 
-fn dab(at: [f64; 2], radius: f64, ask: Ask) -> Stroke {
-    Stroke { points: vec![at], radius, ask }
+fn dab(at: [f64; 2], radius: f64, effect: Effect) -> Stroke {
+    Stroke { points: vec![at], radius, effect }
 }
 
 /// The pixels that a stroke changes on an even map.
 fn covered(photo: &Photo, stroke: &Stroke) -> Vec<bool> {
     let mut map = even(photo, 0.25);
-    apply(photo, &mut map, None, &[Stroke { ask: Ask::To(1.0), ..stroke.clone() }]);
+    apply(photo, &mut map, None, &[Stroke { effect: Effect::To(1.0), ..stroke.clone() }]);
     map.delta.iter().map(|v| *v == 1.0).collect()
 }
 
@@ -33,10 +33,10 @@ fn noise(i: usize, spread: usize) -> u8 {
 fn without_edges_a_stroke_covers_its_brush() {
     let photo = one_colour(240, 180, 90);
     let radius = 0.1 * 240.0;
-    let count = covered(&photo, &dab([0.5, 0.5], 0.1, Ask::To(1.0))).iter().filter(|c| **c).count() as f64;
+    let count = covered(&photo, &dab([0.5, 0.5], 0.1, Effect::To(1.0))).iter().filter(|c| **c).count() as f64;
     let disc = std::f64::consts::PI * radius * radius;
     assert!((count / disc - 1.0).abs() < 0.1, "{count} pixels for a disc of {disc}");
-    let line = Stroke { points: vec![[0.25, 0.5], [0.75, 0.5]], radius: 0.05, ask: Ask::To(1.0) };
+    let line = Stroke { points: vec![[0.25, 0.5], [0.75, 0.5]], radius: 0.05, effect: Effect::To(1.0) };
     let mask = covered(&photo, &line);
     // across the brush, in the middle of the line
     let high = (0..180).filter(|y| mask[y * 240 + 120]).count() as f64;
@@ -51,7 +51,7 @@ fn an_outline_stops_at_an_edge_of_the_photo() {
     let rgb = (0..w * h).map(|i| [noise(i, 10).saturating_add(if inside(i % w, i / w) { 60 } else { 0 }); 3]).collect();
     let photo = Photo { width: w as u32, height: h as u32, rgb };
     // drawn along the middle of the box, a little askew
-    let stroke = Stroke { points: vec![[0.37, 0.44], [0.58, 0.5]], radius: 0.13, ask: Ask::To(1.0) };
+    let stroke = Stroke { points: vec![[0.37, 0.44], [0.58, 0.5]], radius: 0.13, effect: Effect::To(1.0) };
     let mask = covered(&photo, &stroke);
     let (both, either) = (0..w * h).fold((0, 0), |(b, e), i| {
         let truth = inside(i % w, i / w);
@@ -71,7 +71,7 @@ fn an_outline_stops_at_a_step_of_the_disparity_alone() {
         }
     }
     let before = map.clone();
-    apply(&photo, &mut map, None, &[dab([0.42, 0.5], 0.1, Ask::By(0.1))]);
+    apply(&photo, &mut map, None, &[dab([0.42, 0.5], 0.1, Effect::By(0.1))]);
     let beyond = (0..map.delta.len()).filter(|i| i % 160 >= 82 && map.delta[*i] != before.delta[*i]).count();
     let within = (0..map.delta.len()).filter(|i| i % 160 < 80 && map.delta[*i] != before.delta[*i]).count();
     assert!(beyond == 0 && within > 500, "{within} before the step, {beyond} behind it");
@@ -85,11 +85,11 @@ fn strokes_are_applied_in_order() {
     map.delta[50 * 100 + 50] = 0.53;
     let mut confidence = vec![0.25; 10_000];
     let strokes = [
-        dab([0.5, 0.5], 0.08, Ask::By(0.2)),
-        dab([0.5, 0.5], 0.03, Ask::By(0.9)),
-        dab([0.2, 0.2], 0.05, Ask::To(0.0)),
+        dab([0.5, 0.5], 0.08, Effect::By(0.2)),
+        dab([0.5, 0.5], 0.03, Effect::By(0.9)),
+        dab([0.2, 0.2], 0.05, Effect::To(0.0)),
         // like the result of the first two
-        dab([0.8, 0.8], 0.05, Ask::Like([0.5, 0.44])),
+        dab([0.8, 0.8], 0.05, Effect::Like([0.5, 0.44])),
     ];
     apply(&photo, &mut map, Some(&mut confidence), &strokes[..1]);
     assert!((map.delta[50 * 100 + 50] - 0.73).abs() < 1e-6 && (map.delta[44 * 100 + 50] - 0.7).abs() < 1e-6);
@@ -108,7 +108,7 @@ fn a_larger_photo_of_the_scene_has_the_same_region() {
         let rgb = (0..n * n).map(|i| if inside(i % n) && inside(i / n) { [180; 3] } else { [90; 3] }).collect();
         Photo { width: n, height: n, rgb }
     };
-    let stroke = dab([0.36, 0.39], 0.12, Ask::To(1.0));
+    let stroke = dab([0.36, 0.39], 0.12, Effect::To(1.0));
     let share = |n: u32| covered(&scene(n), &stroke).iter().filter(|c| **c).count() as f64 / f64::from(n * n);
     let (small, large) = (share(320), share(1280));
     assert!((large / small - 1.0).abs() < 0.02, "{small} and {large}");
@@ -150,8 +150,8 @@ fn any_photo() -> impl Strategy<Value = Photo> {
 
 fn any_stroke() -> impl Strategy<Value = Stroke> {
     let place = || [0.0_f64..=1.0, 0.0_f64..=1.0];
-    let ask = prop_oneof![(-1.0_f64..=1.0).prop_map(Ask::By), (0.0_f64..=1.0).prop_map(Ask::To), place().prop_map(Ask::Like)];
-    (proptest::collection::vec(place(), 1..6), RADII, ask).prop_map(|(points, radius, ask)| Stroke { points, radius, ask })
+    let effect = prop_oneof![(-1.0_f64..=1.0).prop_map(Effect::By), (0.0_f64..=1.0).prop_map(Effect::To), place().prop_map(Effect::Like)];
+    (proptest::collection::vec(place(), 1..6), RADII, effect).prop_map(|(points, radius, effect)| Stroke { points, radius, effect })
 }
 
 proptest! {
@@ -199,11 +199,11 @@ proptest! {
 #[test]
 fn single_pixels_can_be_touched() {
     let photo = one_colour(300, 1, 7);
-    let mask = covered(&photo, &dab([0.5, 0.5], *RADII.start(), Ask::To(1.0)));
+    let mask = covered(&photo, &dab([0.5, 0.5], *RADII.start(), Effect::To(1.0)));
     let count = mask.iter().filter(|c| **c).count();
     assert!((1..=3).contains(&count) && mask[150], "{count} pixels");
     let point = one_colour(1, 1, 7);
-    assert_eq!(covered(&point, &dab([1.0, 1.0], *RADII.end(), Ask::To(1.0))), [true]);
+    assert_eq!(covered(&point, &dab([1.0, 1.0], *RADII.end(), Effect::To(1.0))), [true]);
 }
 
 #[test]
@@ -238,13 +238,13 @@ fn errors_name_the_invalid_field() {
         assert!(!error.detail.is_empty());
     }
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        let fine = dab([0.5, 0.5], 0.1, Ask::By(0.0));
+        let fine = dab([0.5, 0.5], 0.1, Effect::By(0.0));
         for (stroke, field) in [
             (Stroke { points: vec![[0.5, 0.5], [0.5, bad]], ..fine.clone() }, "points[1]"),
             (Stroke { radius: bad, ..fine.clone() }, "radius"),
-            (Stroke { ask: Ask::By(bad), ..fine.clone() }, "by"),
-            (Stroke { ask: Ask::To(bad), ..fine.clone() }, "to"),
-            (Stroke { ask: Ask::Like([bad, 0.0]), ..fine.clone() }, "like"),
+            (Stroke { effect: Effect::By(bad), ..fine.clone() }, "by"),
+            (Stroke { effect: Effect::To(bad), ..fine.clone() }, "to"),
+            (Stroke { effect: Effect::Like([bad, 0.0]), ..fine.clone() }, "like"),
         ] {
             assert_eq!(stroke.check().unwrap_err().field.as_deref(), Some(field), "{bad}");
         }
@@ -253,7 +253,7 @@ fn errors_name_the_invalid_field() {
 
 #[test]
 fn counts_are_bounded() {
-    let one = dab([0.5, 0.5], 0.1, Ask::By(0.1));
+    let one = dab([0.5, 0.5], 0.1, Effect::By(0.1));
     assert_eq!(check(&vec![one.clone(); STROKES]), Ok(()));
     assert_eq!(check(&vec![one.clone(); STROKES + 1]).unwrap_err().field.as_deref(), Some("strokes"));
     let long = |n: usize| Stroke { points: vec![[0.123_456_789_012_345_68, 0.5]; n], ..one.clone() };

@@ -1,4 +1,4 @@
-//! A band of rows: depth, opaque colour, and per pixel the soft samples before it.
+//! A band of rows: depth, opaque colour, and a list of soft samples per pixel.
 
 use fearless_simd::{Level, Simd};
 
@@ -11,7 +11,7 @@ use crate::OPAQUE;
 #[derive(Clone, Copy, Debug)]
 struct Soft {
     delta: f32,
-    /// The next farther one of the same pixel, or [`NONE`].
+    /// The next farther sample of the same pixel, or [`NONE`].
     next: u32,
     /// Premultiplied, 0 to 255.
     rgba: [f32; 4],
@@ -20,25 +20,25 @@ struct Soft {
 /// End of a pixel's list.
 const NONE: u32 = u32::MAX;
 
-/// Buffers of a band, kept from one band to the next of a thread.
+/// Buffers of a band. A thread reuses them for its next band.
 #[derive(Debug, Default)]
 pub(super) struct Band {
-    /// Target disparity of the opaque texel; below 0 where there is none.
+    /// Target disparity of the opaque texel; below 0 if there is none.
     depth: Vec<f32>,
-    /// Per pixel its nearest soft sample, or [`NONE`].
+    /// Nearest soft sample of each pixel, or [`NONE`].
     head: Vec<u32>,
-    /// Samples of all pixels; each pixel's are linked from near to far.
+    /// Samples of all pixels, linked from near to far for each pixel.
     soft: Vec<Soft>,
 }
 
-/// Soft samples that room is kept for from one band to the next.
-const MOST_KEPT: usize = 1 << 16;
+/// Maximum capacity for soft samples that stays allocated from one band to the next.
+const MAX_KEPT: usize = 1 << 16;
 
-/// Less than this share of what lies behind cannot be seen in 8 bits, and further products would leave the normal range of `f32`.
+/// A transmittance below this is invisible in 8 bits, and further products would leave the normal range of `f32`.
 const DARK: f32 = 1e-6;
 
 impl Band {
-    /// Draws rows from `first_row` on into `out`, which starts transparent; `draws` come nearest first.
+    /// Draws rows from `first_row` on into `out`, which must be transparent; `draws` are sorted, nearest first.
     pub fn draw(&mut self, draws: &[Draw], texels: &[[u8; 4]], first_row: u32, width: usize, out: &mut [[u8; 4]]) {
         self.depth.clear();
         self.depth.resize(out.len(), -1.0);
@@ -46,12 +46,12 @@ impl Band {
         self.head.resize(out.len(), NONE);
         self.walk_all(draws, texels, first_row, width, out);
         self.blend(out);
-        // a scene of many soft layers is not kept room for
+        // frees the room that a scene of many soft layers took
         self.soft.clear();
-        self.soft.shrink_to(MOST_KEPT);
+        self.soft.shrink_to(MAX_KEPT);
     }
 
-    /// Every draw, with the vectors that this processor has.
+    /// Walks every draw, with this processor's vector instructions.
     fn walk_all(&mut self, draws: &[Draw], texels: &[[u8; 4]], first_row: u32, width: usize, out: &mut [[u8; 4]]) {
         fearless_simd::dispatch!(Level::new(), simd => self.walk(simd, draws, texels, first_row, width, out));
     }
@@ -80,7 +80,7 @@ impl Band {
                     run.at += LANES;
                 }
                 if !depth_rest.is_empty() {
-                    // lanes past the end are as if covered by what nothing is nearer than
+                    // treats lanes past the end as covered by something that nothing is nearer than
                     let (mut depth, mut out) = ([f32::INFINITY; LANES], [[0; 4]; LANES]);
                     depth[..depth_rest.len()].copy_from_slice(depth_rest);
                     out[..out_rest.len()].copy_from_slice(out_rest);
@@ -105,7 +105,7 @@ impl Band {
         for ((out, &head), &depth) in runs.flat_map(|((out, head), depth)| out.iter_mut().zip(head).zip(depth)) {
             let (mut at, mut sum, mut through) = (head, [0.0; 3], 1.0);
             while let Some(s) = self.soft.get(at as usize) {
-                // the opaque texel was not there yet when this sample was taken
+                // this sample was taken before the opaque texel was drawn
                 if s.delta < depth || through < DARK {
                     break;
                 }
@@ -124,7 +124,7 @@ impl Band {
     }
 }
 
-/// Samples the texels that are neither all opaque nor all transparent; `head` starts at the first of the eight pixels.
+/// Samples the pixels whose texels are neither all opaque nor all transparent; `head` starts at the first of the eight pixels.
 #[inline(never)]
 fn soften(
     lanes: &Soften,
@@ -150,7 +150,7 @@ fn soften(
     }
 }
 
-/// Adds a sample to a pixel's list, after those at least as near: layers come in the order of the tie-break.
+/// Inserts a sample into a pixel's list, after those that are at least as near: layers arrive in the order of the tie-break.
 fn link(soft: &mut Vec<Soft>, head: &mut u32, delta: f32, rgba: [f32; 4]) {
     let new = soft.len() as u32;
     let (mut before, mut at) = (NONE, *head);
@@ -167,7 +167,7 @@ fn link(soft: &mut Vec<Soft>, head: &mut u32, delta: f32, rgba: [f32; 4]) {
     }
 }
 
-/// Interpolates four texels premultiplied, 0 to 255.
+/// Interpolates four texels; the result is premultiplied, 0 to 255.
 fn mix_premultiplied(four: [[u8; 4]; 4], fx: u32, fy: u32) -> [f32; 4] {
     let mut sum = [0.0; 4];
     for (t, weight) in four.iter().zip(weights(fx, fy)) {

@@ -2,28 +2,28 @@
 
 use super::span::{Draw, Span};
 
-/// Pixels computed side by side.
+/// Number of pixels computed side by side.
 pub(super) const LANES: usize = 8;
 
-/// A row of a layer on its way.
+/// Progress along one row of a layer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Run<'a> {
     pub span: Span,
-    /// Texels from the layer's first on: `(w + 1) · (h + 1)` of the layer, and at least [`LANES`] more.
+    /// Texels from the layer's first one on: the layer's `(w + 1) · (h + 1)`, and at least [`LANES`] more.
     pub texels: &'a [[u8; 4]],
-    /// Texels of a row: the layer's and one more.
+    /// Texels per row: the layer's width plus one.
     pub stride: usize,
     /// Column and row of the last texel.
     pub last: [f32; 2],
-    /// Pixels of the span that are done.
+    /// Number of finished pixels of the span.
     pub at: usize,
 }
 
 impl<'a> Run<'a> {
-    /// The start of `span`; `texels` from the first of `draw` on.
+    /// Starts at the beginning of `span`; `texels` starts at the first texel of `draw`.
     ///
     /// # Panics
-    /// Less than [`LANES`] texels follow those of the layer.
+    /// Panics if fewer than [`LANES`] texels follow those of the layer.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "part of a loop that is compiled with the caller's target features")]
     pub fn new(span: &Span, draw: &Draw, texels: &'a [[u8; 4]]) -> Self {
@@ -34,32 +34,32 @@ impl<'a> Run<'a> {
 
 /// The pixels to draw.
 pub(super) struct Pixels<'a> {
-    /// Target disparity of the opaque texel; below 0 where there is none.
+    /// Target disparity of the opaque texel; below 0 if there is none.
     pub depth: &'a mut [f32; LANES],
     pub out: &'a mut [[u8; 4]; LANES],
 }
 
-/// Pixels in front of what is there whose texels are neither all opaque nor all transparent.
+/// Pixels in front of the opaque texel whose own texels are neither all opaque nor all transparent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Soften {
-    /// A bit for each.
+    /// One bit per pixel.
     pub lanes: u32,
     /// Target disparity of all pixels.
     pub delta: [f32; LANES],
-    /// Columns from the first texel's centre in 256ths.
+    /// Columns from the first texel's centre, in 256ths.
     pub x: [u32; LANES],
-    /// Rows from the first texel's centre in 256ths.
+    /// Rows from the first texel's centre, in 256ths.
     pub y: [u32; LANES],
 }
 
-/// The texels around a place in 256ths.
+/// The four texels around a position, which is in 256ths.
 pub(super) fn neighbours(texels: &[[u8; 4]], stride: usize, x: u32, y: u32) -> [[u8; 4]; 4] {
     let (column, row) = ((x >> 8) as usize, (y >> 8) as usize);
     let [upper, lower] = [row, row + 1].map(|row| &texels[row * stride + column..][..2]);
     [upper[0], upper[1], lower[0], lower[1]]
 }
 
-/// Bilinear weights in 256ths; they add up to 256.
+/// Bilinear weights in 256ths; their sum is 256.
 pub(super) fn weights(fx: u32, fy: u32) -> [u32; 4] {
     let both = (fx * fy + 128) >> 8;
     [256 + both - fx - fy, fx - both, fy - both, both]

@@ -1,4 +1,4 @@
-//! The backend without a graphics adapter: row bands in parallel, nearest layer first, nothing sampled behind an opaque texel.
+//! The processor's backend: parallel row bands, nearest layer first; it samples nothing behind an opaque texel.
 
 mod band;
 mod lanes;
@@ -18,14 +18,14 @@ use super::scene_cache::{Prepared, SceneCache};
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene, SceneError};
 
-/// Pixels of a band, at most unless a row has more: 16 rows of 1280 stay in the second-level cache.
+/// Maximum number of pixels of a band, unless a single row has more: 16 rows of 1280 pixels stay in the second-level cache.
 const BAND_PIXELS: usize = 16 * 1280;
 
-/// Most rows of a band, so that small views still give every core work.
+/// Maximum number of rows of a band, so that small views still give every core work.
 const BAND_ROWS: usize = 16;
 
 thread_local! {
-    /// Buffers of the thread, kept from one view to the next.
+    /// The thread's buffers, reused from one view to the next.
     static BAND: RefCell<Band> = RefCell::default();
 }
 
@@ -33,8 +33,8 @@ type Slot = Arc<OnceLock<Result<Arc<Prepared>, SceneError>>>;
 
 /// Draws on the processor in `f32`.
 ///
-/// Layers come nearest first. A sample of alpha ≥ [`super::OPAQUE`] goes to the depth buffer, a softer one to its pixel's list, sorted by
-/// disparity and composited when the band's depth is final. Expanded texels are cached per scene.
+/// Draws the nearest layer first. A sample of alpha ≥ [`super::OPAQUE`] goes to the depth buffer. A softer one goes to its pixel's list,
+/// which is sorted by disparity and composited once the band's depth is final. Caches expanded texels per scene.
 #[derive(Debug)]
 pub struct Cpu {
     scenes: Mutex<SceneCache<Slot>>,
@@ -42,16 +42,17 @@ pub struct Cpu {
 }
 
 impl Cpu {
-    /// Bytes of expanded texels that are kept (4 a texel).
+    /// Default budget for expanded texels, in bytes (4 per texel).
     pub const CACHE_BYTES: usize = 256 << 20;
 
-    /// A backend that keeps at most `cache_bytes` of expanded texels, and always those of the last scene.
+    /// Creates a backend that keeps at most `cache_bytes` of expanded texels, but always those of the last scene.
     #[must_use]
     pub fn new(cache_bytes: usize) -> Self {
         Self { scenes: Mutex::new(SceneCache::new(cache_bytes)), blurred: true }
     }
 
-    /// The same with a sharp mirror image beyond the photo's borders. It is quicker, for views that are only compared with each other.
+    /// The same backend without blur of the mirror image beyond the photo's borders. It is faster; use it for views that you only compare
+    /// with each other.
     #[must_use]
     pub fn sharp_beyond_borders(self) -> Self {
         Self { blurred: false, ..self }
@@ -63,12 +64,12 @@ impl Cpu {
             let slot = scenes.get(scene).map(|slot| Arc::clone(slot));
             slot.unwrap_or_else(|| Arc::clone(scenes.insert(scene, Prepared::bytes(scene), Slot::default)))
         };
-        // outside the lock: other scenes go on, and several views of a new scene expand it once
+        // outside the lock: other scenes can proceed, and several views of a new scene expand it once
         slot.get_or_init(|| Prepared::new(scene, self.blurred).map(Arc::new)).clone()
     }
 }
 
-/// Draws the view that is to be the photo, from its own place, whatever it turns out to be. Nothing is kept of the scene.
+/// Draws the view from the photo's own position, even if it differs from the photo. Caches nothing of the scene.
 ///
 /// # Errors
 /// [`RenderError::Scene`].

@@ -1,17 +1,17 @@
-//! Views from so near the place of the photo that they are the photo.
+//! Returns the photo itself for cameras close enough to the photo's position.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use super::super::View;
 use tmpi_core::{Camera, Pose, Scene, homography};
 
-/// How far a pixel may be seen from its place in the photo, in pixels; interpolation over so little changes a colour by 4 levels at
-/// most.
+/// Maximum distance of a pixel from its position in the photo, in pixels; interpolation over this distance changes a colour by at most 4
+/// levels.
 const NEAR: f64 = 1.0 / 64.0;
-/// Disparities between which all of a scene lies, with room to spare for what slants nearer than the nearest distance.
+/// Disparity range that contains all of a scene, with room for planes that slant closer than the nearest distance.
 const DISPARITIES: [f64; 2] = [0.0, 2.0];
 
-/// Whether a scene drawn from the photo's own place is the photo; not known before the first such view was drawn.
+/// Whether the view from the photo's own position equals the photo; unknown until the first such view is drawn.
 #[derive(Debug, Default)]
 pub(in super::super) struct ReferenceView(AtomicU8);
 
@@ -20,7 +20,7 @@ const PHOTO: u8 = 1;
 const OTHER: u8 = 2;
 
 impl ReferenceView {
-    /// The photo, where the view is no other. `draw` draws for a camera; it is asked once a scene.
+    /// Returns the photo if the view equals it. `draw` draws for a camera; it is called once per scene.
     pub(super) fn view(&self, scene: &Scene, camera: &Camera, draw: impl FnOnce(&Camera) -> View) -> Option<View> {
         if !is_near(scene, camera) {
             return None;
@@ -30,7 +30,7 @@ impl ReferenceView {
             let drawn = draw(&reference_camera(scene));
             let equal = drawn.rgba.iter().zip(&scene.photo.rgb).all(|(&[r, g, b, a], own)| [r, g, b] == *own && a == u8::MAX);
             known = if equal { PHOTO } else { OTHER };
-            // two threads that get here at once find the same
+            // concurrent threads store the same result
             self.0.store(known, Ordering::Relaxed);
         }
         (known == PHOTO).then(|| View {
@@ -46,14 +46,14 @@ pub(super) fn reference_camera(scene: &Scene) -> Camera {
     Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height }
 }
 
-/// Whether `camera` sees every point of the scene within [`NEAR`] of its place in the photo.
+/// Whether `camera` sees every point of the scene within [`NEAR`] of its position in the photo.
 fn is_near(scene: &Scene, camera: &Camera) -> bool {
     let (w, h) = (scene.photo.width, scene.photo.height);
     if (camera.width, camera.height) != (w, h) {
         return false;
     }
     DISPARITIES.iter().all(|&delta| {
-        // a shift of a plane is a projective map, which is at its largest in a corner
+        // a plane's shift is a projective map, whose maximum is in a corner
         let m = homography([0.0, 0.0, delta], &scene.intrinsics, camera);
         [(0.0, 0.0), (f64::from(w), 0.0), (0.0, f64::from(h)), (f64::from(w), f64::from(h))].into_iter().all(|(x, y)| {
             let [px, py, pw] = m.map(|row| row[0] * x + row[1] * y + row[2]);

@@ -1,22 +1,22 @@
-//! Which pixels of a row a layer covers.
+//! Finds the pixels of a row that a layer covers.
 
 use crate::border::Piece;
 use crate::layer_footprint::{Footprint, Form};
 use tmpi_core::{Camera, Scene};
 
-/// One condition `a·x + b·y + c ≥ 0` with the reciprocal of `a`.
+/// A condition `a·x + b·y + c ≥ 0`, with the reciprocal of `a`.
 #[derive(Clone, Copy, Debug)]
 struct Edge {
     form: Form,
     reciprocal: f64,
 }
 
-/// A piece of a layer ready to be walked row by row.
+/// A piece of a layer, ready to be walked row by row.
 #[derive(Clone, Debug)]
 pub(super) struct Draw {
     pub footprint: Footprint,
     edges: [Edge; 6],
-    /// Place of the first texel in the prepared texels.
+    /// Index of its first texel in the prepared texels.
     pub first_texel: usize,
     /// Width in texels.
     pub w: usize,
@@ -24,12 +24,12 @@ pub(super) struct Draw {
     pub h: usize,
 }
 
-/// Covered columns `start..end` of a row, with the linear functions of the footprint along them.
+/// Covered columns `start..end` of a row, and the footprint's linear functions along them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span {
     pub start: usize,
     pub end: usize,
-    /// Value at the centre of pixel `start`, and change a pixel.
+    /// Value at the centre of pixel `start`, and change per pixel.
     pub lambda: [f32; 2],
     pub x: [f32; 2],
     pub y: [f32; 2],
@@ -37,14 +37,14 @@ pub(super) struct Span {
 }
 
 impl Draw {
-    /// `piece`, whose prepared texels start at `first_texel`.
+    /// Prepares `piece`, whose prepared texels start at `first_texel`.
     pub fn new(scene: &Scene, piece: &Piece, first_texel: usize, camera: &Camera) -> Option<Self> {
         let footprint = Footprint::new(scene, piece, camera)?;
         let edges = footprint.conditions().map(|form| Edge { form, reciprocal: 1.0 / form[0] });
         Some(Self { footprint, edges, first_texel, w: piece.size[0] as usize, h: piece.size[1] as usize })
     }
 
-    /// The span of row `y`, none where it is empty.
+    /// The span of row `y`; `None` if it is empty.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "rounding is one instruction with the caller's target features, else a call")]
     pub fn span(&self, y: u32) -> Option<Span> {
@@ -54,7 +54,7 @@ impl Draw {
         for Edge { form, reciprocal } in &self.edges {
             let rest = form[1] * centre + form[2];
             let root = -rest * reciprocal - 0.5;
-            // `max` and `min` pass over a NaN, which a zero slope gives
+            // `max` and `min` ignore NaN, which a slope of 0 gives
             if form[0] > 0.0 {
                 least = least.max(root);
             } else if form[0] < 0.0 {

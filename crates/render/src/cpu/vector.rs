@@ -1,13 +1,13 @@
-//! The kernel of the opaque pixels: one source for all kinds of vectors, the same bits from each.
+//! The kernel for opaque pixels: one source for all vector instruction sets, with identical bits from each.
 
 use fearless_simd::{Simd, f32x8, prelude::*, u8x32, u16x16, u32x8};
 
 use super::lanes::{LANES, Pixels, Run, Soften};
 
-/// Added to a number in 0 to 2²³, it leaves the number's whole part in the mantissa.
+/// Added to a number in 0 to 2²³, this leaves the number's integer part in the mantissa.
 const WHOLE: f32 = 8_388_608.0;
 
-/// Draws the opaque ones of eight pixels, and tells which of the others are soft.
+/// Draws the opaque ones among eight pixels, and returns which of the others are soft.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 pub(super) fn opaque<S: Simd>(simd: S, run: &Run, pixels: Pixels) -> Soften {
@@ -28,7 +28,7 @@ pub(super) fn opaque<S: Simd>(simd: S, run: &Run, pixels: Pixels) -> Soften {
     let empty = ((a | b | c | d) & alpha).simd_eq(0);
     let drawn = full & nearer;
     if drawn.any_true() {
-        // as in the photo's own view: every pixel's centre is a texel's
+        // in the photo's own view, every pixel centre is a texel centre
         let exact = ((x | y) & 255).simd_eq(0).all_true();
         let mixed = if exact { a } else { mix(simd, four, x, y) };
         let old = u32x8::load_array(simd, bytemuck::cast::<_, [u32; LANES]>(*out).map(u32::from_le));
@@ -42,14 +42,14 @@ pub(super) fn opaque<S: Simd>(simd: S, run: &Run, pixels: Pixels) -> Soften {
     Soften { lanes, delta: delta.to_array(), x: x.to_array(), y: y.to_array() }
 }
 
-/// A linear function at places `step` of the span.
+/// A linear function at positions `step` of the span.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn along<S: Simd>(step: f32x8<S>, f: [f32; 2]) -> f32x8<S> {
     step * f[1] + f[0]
 }
 
-/// 0 where a value is less, or NaN.
+/// `v`, or 0 where it is less than 0 or NaN.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn at_least_0<S: Simd>(v: f32x8<S>) -> f32x8<S> {
@@ -57,7 +57,7 @@ fn at_least_0<S: Simd>(v: f32x8<S>) -> f32x8<S> {
     v.simd_gt(zero).select(v, zero)
 }
 
-/// Distance from the first texel's centre in 256ths, of a place in texels; within 0 to `last`.
+/// Distance of a position in texels from the first texel's centre, in 256ths, clamped to 0..=`last`.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn place<S: Simd>(v: f32x8<S>, last: f32) -> u32x8<S> {
@@ -65,7 +65,7 @@ fn place<S: Simd>(v: f32x8<S>, last: f32) -> u32x8<S> {
     (v.simd_lt(last).select(v, last) * 256.0 + WHOLE).to_bits() & 0x007f_ffff
 }
 
-/// The four texels around each lane's place, as little-endian words.
+/// The four texels around each lane's position, as little-endian words.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn neighbours<S: Simd>(simd: S, run: &Run, x: u32x8<S>, y: u32x8<S>) -> [u32x8<S>; 4] {
@@ -73,7 +73,7 @@ fn neighbours<S: Simd>(simd: S, run: &Run, x: u32x8<S>, y: u32x8<S>) -> [u32x8<S
     let (column, row) = (x >> 8, y >> 8);
     let right = column - column[0];
     let first = row[0] as usize * run.stride + column[0] as usize;
-    // all in one row and within eight columns: two loads a row cost less than one for each
+    // all in one row and within eight columns: two loads per row cost less than one per lane
     if ((right & !7) | (row - row[0])).simd_eq(0).all_true() {
         let bytes = (right * 0x0404_0404 + 0x0302_0100).bitcast();
         let upper = [picked(simd, texels, first, bytes), picked(simd, texels, first + 1, bytes)];
@@ -97,7 +97,7 @@ fn words<S: Simd>(simd: S, texels: [u32; LANES]) -> u32x8<S> {
     u32x8::load_array(simd, texels.map(u32::from_le))
 }
 
-/// Of the eight texels from `at` on the one of each lane, by the places of its bytes among theirs.
+/// Picks one of the eight texels from `at` on for each lane; `bytes` are the positions of its bytes among theirs.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn picked<S: Simd>(simd: S, texels: &[u32], at: usize, bytes: u8x32<S>) -> u32x8<S> {
@@ -106,12 +106,12 @@ fn picked<S: Simd>(simd: S, texels: &[u32], at: usize, bytes: u8x32<S>) -> u32x8
     words(simd, eight).bitcast::<u8x32<S>>().swizzle_dyn(bytes).bitcast()
 }
 
-/// Interpolates four opaque texels a lane: even and odd bytes in 16 bits each, of which the sums take all.
+/// Interpolates four opaque texels per lane: even and odd bytes in 16 bits each, which hold the sums.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 fn mix<S: Simd>(simd: S, four: [u32x8<S>; 4], x: u32x8<S>, y: u32x8<S>) -> u32x8<S> {
     let (fx, fy) = (x & 255, y & 255);
-    // both are less than 256, so that 16 bits hold their product
+    // both factors are below 256, so 16 bits hold their product
     let product: u32x8<S> = (halves(fx) * halves(fy)).bitcast();
     let both = (product + 128) >> 8;
     let (right, down) = (fx - both, fy - both);

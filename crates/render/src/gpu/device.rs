@@ -1,37 +1,37 @@
-//! Adapter, device, pipelines, and the errors that they report.
+//! Adapter, device and pipelines, and the errors that they report.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::RenderError;
 
-/// Colour of views and atlas: the photo's own encoding, no conversion on the way.
+/// Format of views and atlases: the photo's own encoding, without conversion.
 pub(super) const COLOUR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-/// Views and texels of stacks of soft layers: 8 bits would round after every layer.
+/// Format of views and texels for stacks of soft layers: with 8 bits, each layer would round.
 pub(super) const WIDE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
-/// Reversed depth needs floating point to keep its precision at infinity.
+/// Reversed depth needs floating point to stay precise at infinity.
 pub(super) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
-/// Size of the uniform at the head of `tmpi.wgsl`.
+/// Size of the uniform at the start of `tmpi.wgsl`.
 pub(super) const UNIFORM_BYTES: usize = 112;
 
-/// An open device with everything that does not depend on the scene.
+/// An open device and everything that does not depend on the scene.
 #[derive(Debug)]
 pub(super) struct Device {
     pub handle: wgpu::Device,
     pub queue: wgpu::Queue,
     pub limits: wgpu::Limits,
     pub uniform: wgpu::Buffer,
-    /// Pass 1 and pass 2 for a target of [`COLOUR`].
+    /// Pass 1 and pass 2 for a [`COLOUR`] target.
     pub plain: [wgpu::RenderPipeline; 2],
-    /// The same for [`WIDE`].
+    /// Pass 1 and pass 2 for a [`WIDE`] target.
     pub wide: [wgpu::RenderPipeline; 2],
-    /// Rounds a picture of [`WIDE`] to one of [`COLOUR`].
+    /// Rounds a [`WIDE`] picture to [`COLOUR`].
     pub round: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
     failure: Failure,
 }
 
-/// The first error since it was last asked for.
+/// The first error since the last query.
 #[derive(Clone, Debug, Default)]
 struct Failure(Arc<Mutex<Option<String>>>);
 
@@ -49,7 +49,7 @@ fn adapter_error(what: &str, e: impl std::fmt::Display) -> RenderError {
     RenderError::Adapter(format!("{what}: {e}"))
 }
 
-/// The best adapter; a software one only where `software` allows it and there is no other.
+/// The best adapter; a software adapter only if `software` is true and there is no other.
 fn adapter(software: bool) -> Result<wgpu::Adapter, RenderError> {
     let descriptor =
         wgpu::InstanceDescriptor { backends: wgpu::Backends::PRIMARY, ..wgpu::InstanceDescriptor::new_without_display_handle() };
@@ -107,12 +107,12 @@ impl Device {
         Ok(opened)
     }
 
-    /// An error that was reported since the last call, if there is one.
+    /// Returns an error if the device reported one since the last call.
     pub fn check(&self) -> Result<(), RenderError> {
         self.failure.take().map_or(Ok(()), |text| Err(RenderError::Adapter(text)))
     }
 
-    /// An empty atlas of [`COLOUR`] or [`WIDE`].
+    /// Creates an empty atlas of format [`COLOUR`] or [`WIDE`].
     pub fn atlas(&self, width: u32, height: u32, pages: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
         self.handle.create_texture(&wgpu::TextureDescriptor {
             label: Some("atlas"),
@@ -140,7 +140,7 @@ impl Device {
         self.queue.write_texture(to, texels, layout, wgpu::Extent3d { width, height, depth_or_array_layers: 1 });
     }
 
-    /// Bindings for a scene's atlas.
+    /// Creates the bindings of a scene's atlas.
     pub fn bind_group(&self, atlas: &wgpu::Texture) -> wgpu::BindGroup {
         let view = atlas.create_view(&wgpu::TextureViewDescriptor {
             dimension: Some(wgpu::TextureViewDimension::D2Array),
@@ -178,7 +178,7 @@ fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-/// The pipelines of pass 1 and pass 2 for a target of that format.
+/// Creates the pipelines of pass 1 and pass 2 for a target format.
 fn pipelines(
     device: &wgpu::Device,
     module: &wgpu::ShaderModule,
@@ -224,7 +224,7 @@ fn pipelines(
     [pipeline("fs_opaque", None, true), pipeline("fs_soft", Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), false)]
 }
 
-/// The pipeline that copies a picture of 16-bit floats to one of 8 bits, which rounds it once.
+/// Creates the pipeline that copies a picture of 16-bit floats to 8 bits, which rounds it once.
 fn rounding(device: &wgpu::Device) -> wgpu::RenderPipeline {
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("copy.wgsl"),

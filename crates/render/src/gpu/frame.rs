@@ -1,4 +1,4 @@
-//! One view: uniform, two passes, read-back.
+//! Draws one view: uniform, two passes, read-back.
 
 use std::sync::mpsc;
 use std::time::Duration;
@@ -8,10 +8,10 @@ use super::scene::Loaded;
 use crate::{NEAR, RenderError, View};
 use tmpi_core::{Camera, Scene};
 
-/// Vertices of an instance, as in `tmpi.wgsl`.
+/// Vertices per instance, as in `tmpi.wgsl`.
 const VERTICES: u32 = 18;
 
-/// A view that takes longer is given up: the driver hangs.
+/// Time limit of a view: a driver that takes longer hangs.
 const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Picture, depth and read-back buffer of one size.
@@ -20,7 +20,7 @@ pub(super) struct Target {
     width: u32,
     height: u32,
     colour: wgpu::Texture,
-    /// Where stacks of soft layers are drawn before they are rounded.
+    /// Receives stacks of soft layers before they are rounded.
     wide: Option<Wide>,
     depth: wgpu::Texture,
     buffer: wgpu::Buffer,
@@ -45,7 +45,7 @@ impl Wide {
         Self { texture, bind_group }
     }
 
-    /// Rounds it to `colour`.
+    /// Rounds the picture to `colour`.
     fn round(&self, encoder: &mut wgpu::CommandEncoder, device: &Device, colour: &wgpu::Texture) {
         let view = colour.create_view(&wgpu::TextureViewDescriptor::default());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -65,10 +65,11 @@ impl Wide {
 }
 
 impl Target {
-    /// A target of the camera's size, for stacks of soft layers where `wide` says so; an error where the adapter cannot hold one.
+    /// Creates a target of the camera's size; `wide` adds the picture for stacks of soft layers. Returns an error if the adapter cannot
+    /// hold the target.
     pub fn new(device: &Device, camera: &Camera, wide: bool) -> Result<Self, RenderError> {
         let (width, height) = (camera.width, camera.height);
-        // copies need rows at multiples of 256 bytes
+        // copies need a row pitch that is a multiple of 256 bytes
         let bytes_per_row = (width * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let size = u64::from(bytes_per_row) * u64::from(height);
         let side = device.limits.max_texture_dimension_2d;
@@ -105,7 +106,7 @@ impl Target {
         })
     }
 
-    /// True where it has the camera's size and, where that is wanted, is wide.
+    /// Whether the target has the camera's size, and is wide exactly if `wide` is true.
     pub fn fits(&self, camera: &Camera, wide: bool) -> bool {
         (self.width, self.height, self.wide.is_some()) == (camera.width, camera.height, wide)
     }
@@ -148,7 +149,7 @@ impl Target {
             ..wgpu::RenderPassDescriptor::default()
         });
         pass.set_bind_group(0, &loaded.bind_group, &[]);
-        // along a ray that points against the reference camera's view, the layers come in the opposite order
+        // for a camera that looks against the reference camera's direction, the order of layers along a ray is reversed
         let soft = if camera.pose.extrinsics().0[2][2] < 0.0 { &loaded.soft_backward } else { &loaded.soft };
         for (pipeline, instances) in pipelines.iter().zip([&loaded.opaque, soft]) {
             if instances.count > 0 {
@@ -166,7 +167,7 @@ impl Target {
     fn read(&self, device: &Device) -> Result<View, RenderError> {
         let (sender, receiver) = mpsc::sync_channel(1);
         self.buffer.map_async(wgpu::MapMode::Read, .., move |result| {
-            // the receiver is gone only where the wait below has failed already
+            // the receiver is gone only if the wait below has failed
             let _ = sender.send(result);
         });
         let failed = |what: &str, e: &dyn std::fmt::Display| RenderError::Adapter(format!("{what}: {e}"));
@@ -187,7 +188,7 @@ impl Target {
     }
 }
 
-/// The uniform at the head of `tmpi.wgsl`.
+/// The uniform at the start of `tmpi.wgsl`.
 fn uniform(scene: &Scene, camera: &Camera) -> [u8; UNIFORM_BYTES] {
     let (r, t) = camera.pose.extrinsics();
     let column = |j: usize| [r[0][j], r[1][j], r[2][j], 0.0];

@@ -1,4 +1,4 @@
-//! The graphics adapter's backend: the WGSL that the browser uses, through wgpu, on a thread of its own.
+//! The graphics adapter's backend: runs the browser's WGSL through wgpu on its own thread.
 
 mod device;
 mod frame;
@@ -17,25 +17,25 @@ use tmpi_core::{Camera, Scene};
 
 /// Draws with a graphics adapter.
 ///
-/// One named thread owns the device; calls queue for it and block until their view is there. After an error the device is dropped and
-/// the next call opens a new one. Atlases of the scenes last drawn stay in graphics memory.
+/// One named thread owns the device. Calls queue for it and block until their view is ready. After an error, the thread drops the device,
+/// and the next call opens a new one. Atlases of recently drawn scenes stay in graphics memory.
 #[derive(Debug)]
 pub struct Gpu {
-    /// Gone only while it is dropped.
+    /// `None` only during drop.
     jobs: Option<mpsc::SyncSender<Job>>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
-/// Has Mesa's layer that chooses among adapters not look for a Wayland display where there is none: it complains on standard error, and
-/// this program chooses for itself. A choice that the user has made by `MESA_VK_DEVICE_SELECT` stays.
+/// Stops Mesa's adapter selection layer from looking for a Wayland display if there is none: the layer complains on standard error, and
+/// this program selects the adapter itself. If you set `MESA_VK_DEVICE_SELECT`, your selection stays.
 ///
 /// # Safety
-/// As [`std::env::set_var`]: no other thread may be running.
+/// Same as [`std::env::set_var`]: no other thread may be running.
 #[allow(unsafe_code, clippy::disallowed_methods, reason = "the layer reads it from the environment alone; called before any thread")]
 pub unsafe fn without_a_display() {
     let named = |name: &str| std::env::var_os(name).is_some();
     if !named("XDG_RUNTIME_DIR") && !named("MESA_VK_DEVICE_SELECT") {
-        // SAFETY: by the condition above
+        // SAFETY: guaranteed by this function's own condition
         unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }
 }
@@ -51,16 +51,16 @@ enum Job {
 }
 
 impl Gpu {
-    /// Views that wait for the device at most; further callers wait to queue.
+    /// Maximum number of views that wait for the device; further callers wait for a place in the queue.
     pub const QUEUE: usize = 8;
 
-    /// Bytes of atlases that are kept in graphics memory; a scene that needs more alone is refused.
+    /// Budget for atlases in graphics memory, in bytes; a scene that alone needs more is refused.
     pub const POOL_BYTES: usize = 512 << 20;
 
-    /// Opens the best adapter; one in software counts only where `software` says so.
+    /// Opens the best adapter; a software adapter counts only if `software` is true.
     ///
     /// # Errors
-    /// [`RenderError::Adapter`] where there is none.
+    /// [`RenderError::Adapter`] if there is no adapter.
     pub fn new(software: bool) -> Result<Self, RenderError> {
         let (jobs, queue) = mpsc::sync_channel(Self::QUEUE);
         let worker = Worker { software, state: None };
@@ -82,10 +82,10 @@ impl Gpu {
 }
 
 impl Drop for Gpu {
-    /// Waits until the device is closed: a driver that is unloaded while the process ends brings the process down.
+    /// Waits until the device is closed: if the driver is unloaded while the process ends, the process crashes.
     fn drop(&mut self) {
         self.jobs = None;
-        // a panic of its thread was reported to whoever asked
+        // a panic of the thread was already reported to its caller
         self.thread.take().map(std::thread::JoinHandle::join);
     }
 }
@@ -101,7 +101,7 @@ impl Renderer for Gpu {
     }
 
     fn settle(&self) {
-        // where its thread has ended nothing is kept
+        // if the thread has ended, nothing is kept
         let _ = self.ask(Job::Settle);
     }
 }
@@ -120,13 +120,13 @@ struct Worker {
 impl Worker {
     fn run(mut self, queue: &mpsc::Receiver<Job>) {
         while let Ok(job) = queue.recv() {
-            // a caller that has gone away does not want its answer
+            // sending fails only if the caller has gone away
             match job {
                 Job::Open(reply) => drop(reply.send(self.guarded(|_| Ok(())))),
                 Job::Settle(reply) => {
                     if let Some(State { scenes, device, .. }) = &mut self.state {
                         scenes.settle();
-                        // what was dropped is freed when the device is looked at
+                        // wgpu frees dropped resources when the device is polled
                         let _ = device.handle.poll(wgpu::PollType::Poll);
                     }
                     drop(reply.send(Ok(())));
@@ -141,7 +141,7 @@ impl Worker {
         }
     }
 
-    /// Runs `work` on an open device; drops the device after an error of its own, so that the next call opens another.
+    /// Runs `work` on an open device. After a device error, drops the device, so that the next call opens a new one.
     fn guarded<T>(&mut self, work: impl FnOnce(&mut State) -> Result<T, RenderError>) -> Result<T, RenderError> {
         let software = self.software;
         let state = &mut self.state;
@@ -154,7 +154,7 @@ impl Worker {
         }));
         let result = caught.unwrap_or_else(|_| Err(RenderError::Adapter("the graphics library panicked".into())));
         if let Err(error @ RenderError::Adapter(_)) = &result {
-            // one that could not be opened is none that is dropped
+            // if opening failed, there is no device to drop
             if self.state.take().is_some() {
                 tracing::warn!(%error, "the graphics device is dropped");
             }
@@ -181,7 +181,7 @@ impl State {
             scenes.insert(scene, bytes, || plan.load(scene, device))
         };
         if target.as_ref().is_none_or(|t| !t.fits(camera, loaded.wide)) {
-            // the old one first, so that both never take memory at once
+            // drops the old target first, so that both never take memory at once
             *target = None;
             *target = Some(Target::new(device, camera, loaded.wide)?);
         }

@@ -1,4 +1,4 @@
-//! A scene in graphics memory: atlas pages and instances.
+//! Loads a scene into graphics memory: atlas pages and instances.
 
 use bytemuck::{Pod, Zeroable};
 use half::f16;
@@ -11,7 +11,7 @@ use crate::scene_cache::{Content, back_to_front};
 use crate::{OPAQUE, RenderError};
 use tmpi_core::Scene;
 
-/// Instance as at the head of `tmpi.wgsl`.
+/// An instance, as at the start of `tmpi.wgsl`.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 struct Instance {
@@ -35,18 +35,18 @@ pub(super) struct Loaded {
     pub bind_group: wgpu::BindGroup,
     /// Pieces with opaque texels, in layer order.
     pub opaque: Instances,
-    /// Pieces with soft texels, back to front as seen by a camera that looks forward.
+    /// Pieces with soft texels, back to front for a camera that looks forward.
     pub soft: Instances,
-    /// The same as seen by a camera that looks backward.
+    /// Pieces with soft texels, back to front for a camera that looks backward.
     pub soft_backward: Instances,
-    /// Soft texels lie in stacks that 8 bits a layer would spoil.
+    /// Whether the scene has stacks of soft texels that 8 bits per layer would spoil.
     pub wide: bool,
 }
 
-/// So many soft texels over each other are blended in 8 bits: each may round by half a level.
+/// Maximum number of stacked soft texels that are blended in 8 bits, where each may round by half a level.
 const STACK: u8 = 4;
 
-/// The most soft texels that lie over one pixel of the photo in one tile; more than [`STACK`] are not counted.
+/// Maximum number of soft texels over one pixel of the photo in one tile; stops counting above [`STACK`].
 fn stacked(scene: &Scene) -> u8 {
     let (mut most, mut over, mut tile) = (0, Vec::new(), None);
     for layer in &scene.layers {
@@ -71,19 +71,19 @@ fn stacked(scene: &Scene) -> u8 {
     most
 }
 
-/// Pieces to draw and where their texels go.
+/// The pieces to draw, and where their texels go.
 #[derive(Debug)]
 pub(super) struct Plan {
-    /// The layers and what is mirrored beyond the borders, in layer order; only those with anything to draw, with what they hold.
+    /// The layers and their mirror images beyond the borders, in layer order; only pieces with visible content. `contents` describes each.
     pieces: Vec<Piece>,
     contents: Vec<Content>,
     packing: Packing,
-    /// Texels of 16-bit floats: thin layers in stacks need more than 8 bits once they are premultiplied.
+    /// Whether texels are 16-bit floats: thin layers in stacks need more than 8 bits once they are premultiplied.
     wide: bool,
 }
 
 impl Plan {
-    /// Decides what of `scene` is loaded, within the adapter's limits.
+    /// Plans what to load of `scene`, within the adapter's limits.
     pub fn new(scene: &Scene, limits: &wgpu::Limits) -> Result<Self, RenderError> {
         scene.validate()?;
         let all = pieces(scene).into_iter().map(|p| (p, Content::of(p.alphas(scene))));
@@ -93,7 +93,7 @@ impl Plan {
         Ok(Self { pieces, contents, packing, wide: stacked(scene) > STACK })
     }
 
-    /// Bytes of graphics memory that it takes.
+    /// Bytes of graphics memory that the plan takes.
     pub fn bytes(&self) -> usize {
         let p = &self.packing;
         let texel = if self.wide { 8 } else { 4 };
@@ -142,7 +142,7 @@ impl Plan {
         }
     }
 
-    /// Pages of a format whose texels `texel` gives.
+    /// Creates pages of a format from texels that `texel` converts.
     fn pages<T: Pod>(&self, scene: &Scene, device: &Device, format: wgpu::TextureFormat, texel: impl Fn([u8; 4]) -> T) -> wgpu::Texture {
         let p = &self.packing;
         let texture = device.atlas(p.width, p.height, p.pages, format);
@@ -169,7 +169,7 @@ impl Plan {
 
 impl Instances {
     fn new(device: &Device, all: &[Instance]) -> Self {
-        // a buffer of no bytes cannot be bound
+        // an empty buffer cannot be bound
         let spare = [Instance::zeroed()];
         let contents = bytemuck::cast_slice(if all.is_empty() { &spare } else { all });
         let descriptor = wgpu::util::BufferInitDescriptor { label: Some("instances"), contents, usage: wgpu::BufferUsages::VERTEX };

@@ -1,11 +1,11 @@
-//! Places of layer rectangles on the pages of a texture array.
+//! Packs layer rectangles on the pages of a texture array.
 
 use crate::RenderError;
 
-/// Side that a page has at most while the rectangles themselves are smaller.
+/// Maximum side of a page, unless a rectangle is larger.
 const PAGE_SIDE: u32 = 4096;
 
-/// Place of a rectangle's upper left texel.
+/// Position of a rectangle's upper left texel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Place {
     pub page: u32,
@@ -13,17 +13,17 @@ pub(super) struct Place {
     pub y: u32,
 }
 
-/// Places of all rectangles and the size that holds them.
+/// Positions of all rectangles, and the size of the pages that hold them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Packing {
     pub width: u32,
     pub height: u32,
     pub pages: u32,
-    /// In the order of the sizes given.
+    /// In the order of the given sizes.
     pub places: Vec<Place>,
 }
 
-/// Packs rectangles of `sizes` (width, height) in shelves, tallest first, on at most `pages` pages of at most `side` a side.
+/// Packs rectangles of `sizes` (width, height) on shelves, tallest first. Uses at most `pages` pages with sides of at most `side` texels.
 pub(super) fn pack(sizes: &[(u32, u32)], side: u32, pages: u32) -> Result<Packing, RenderError> {
     let area: u64 = sizes.iter().map(|&(w, h)| u64::from(w) * u64::from(h)).sum();
     let square = ((area as f64).sqrt().ceil() as u32).next_power_of_two().min(PAGE_SIDE.min(side));
@@ -35,7 +35,7 @@ pub(super) fn pack(sizes: &[(u32, u32)], side: u32, pages: u32) -> Result<Packin
     let mut order: Vec<usize> = (0..sizes.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i].1), i));
     let mut places = vec![Place::default(); sizes.len()];
-    // the next free place on the shelf, and the shelf's lower border
+    // the next free position on the shelf, and the shelf's lower border
     let (mut at, mut lower) = (Place::default(), 0);
     for i in order {
         let (w, h) = sizes[i];

@@ -17,7 +17,7 @@ use crate::photo::{self, Limits};
 
 /// Depth in a photo's file.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Carried {
+pub struct EmbeddedDepth {
     /// Its format: `gdepth`, `dynamic-depth` or `multi-picture`.
     pub format: &'static str,
     /// File of the grey picture.
@@ -76,15 +76,15 @@ impl Scale {
 /// Finds the depth that a photo carries; `None` if it carries none.
 ///
 /// # Errors
-/// [`DepthError::Carried`] if it carries depth that cannot be read.
-pub fn carried(photo: &[u8]) -> Result<Option<Carried>, DepthError> {
+/// [`DepthError::Embedded`] if it carries depth that cannot be read.
+pub fn embedded_depth(photo: &[u8]) -> Result<Option<EmbeddedDepth>, DepthError> {
     let packets = xmp::packets(photo);
     let found = gdepth::find(&packets).or_else(|| dynamic::find(photo, &packets)).or_else(|| multi::find(photo));
     let Some(found) = found else { return Ok(None) };
-    let (format, picture, scale) = found.map_err(DepthError::Carried)?;
+    let (format, picture, scale) = found.map_err(DepthError::Embedded)?;
     // a file that cannot be a photo has no map either
     let pixels = photo::check(photo, &Limits::NONE).map_or(0, |(_, (w, h))| (u64::from(w) * u64::from(h)).max(SMALL));
-    Ok(Some(Carried { format, picture, scale, orientation: photo::orientation(photo), pixels }))
+    Ok(Some(EmbeddedDepth { format, picture, scale, orientation: photo::orientation(photo), pixels }))
 }
 
 /// Format name, picture and scale of one of the formats, or what is wrong with it.
@@ -106,14 +106,14 @@ fn google(format: Option<&str>, near: Option<&str>, far: Option<&str>) -> Result
     scale.checked().ok_or_else(|| format!("distances from {near} to {far} do not form a range"))
 }
 
-impl Carried {
+impl EmbeddedDepth {
     /// Reads the map at the photo's size `width × height`, upright like the photo.
     ///
     /// # Errors
-    /// [`DepthError::Carried`] names the fault of the picture.
+    /// [`DepthError::Embedded`] names the fault of the picture.
     pub fn read(&self, limits: &Limits, width: u32, height: u32) -> Result<Read, DepthError> {
         let limits = Limits { pixels: limits.pixels.min(self.pixels), ..*limits };
-        let Grey { width: w, height: h, mut values } = grey(&self.picture, &limits).map_err(|e| DepthError::Carried(e.to_string()))?;
+        let Grey { width: w, height: h, mut values } = grey(&self.picture, &limits).map_err(|e| DepthError::Embedded(e.to_string()))?;
         for v in &mut values {
             *v = self.scale.delta(*v);
         }

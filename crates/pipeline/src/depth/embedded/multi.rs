@@ -54,7 +54,7 @@ fn pictures(photo: &[u8]) -> impl Iterator<Item = &[u8]> {
 ///
 /// # Errors
 /// The picture extends beyond the end of the file, or is so large that reading it takes more memory than the photo itself.
-pub(crate) fn second_eye(photo: &[u8]) -> Option<Result<&[u8], &'static str>> {
+pub(crate) fn second_picture(photo: &[u8]) -> Option<Result<&[u8], &'static str>> {
     let eye = entries(photo).into_iter().find(|entry| entry.attributes & KIND == EYE)?;
     let Some(picture) = eye.picture else { return Some(Err("the file ends within the picture of the second eye")) };
     // an unreadable picture has no pixels; this copies nothing

@@ -122,7 +122,7 @@ fn multi(fields: &[(&str, &str)]) -> Vec<u8> {
 
 /// Disparity δ at the left and right of a photo's map; coding as JPEG leaves a small error.
 fn ends(file: &[u8]) -> (f32, f32) {
-    let found = carried(file).unwrap().unwrap();
+    let found = embedded_depth(file).unwrap().unwrap();
     let Read { map, size, .. } = found.read(&Limits::default(), W, H).unwrap();
     assert_eq!((map.width, map.height, size), (W, H, (W / 2, H / 2)));
     assert!(map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
@@ -143,24 +143,24 @@ fn values_are_read_as_each_format_defines_them() {
     near(ends(&multi(&PORTRAIT)), (0.8 / 2.0, 1.7 / 2.0));
     let depth = [("AuxiliaryImageType", "depth"), ("FloatMinValue", "1"), ("FloatMaxValue", "5"), ("NativeFormat", "1751410032")];
     near(ends(&multi(&depth)), (1.0 / 1.8, 1.0 / 4.2));
-    assert_eq!(carried(&gdepth("RangeLinear", "1", "5")).unwrap().unwrap().format, "gdepth");
-    assert_eq!(carried(&dynamic("android/depthmap")).unwrap().unwrap().format, "dynamic-depth");
-    assert_eq!(carried(&multi(&PORTRAIT)).unwrap().unwrap().format, "multi-picture");
+    assert_eq!(embedded_depth(&gdepth("RangeLinear", "1", "5")).unwrap().unwrap().format, "gdepth");
+    assert_eq!(embedded_depth(&dynamic("android/depthmap")).unwrap().unwrap().format, "dynamic-depth");
+    assert_eq!(embedded_depth(&multi(&PORTRAIT)).unwrap().unwrap().format, "multi-picture");
 }
 
 #[test]
 fn unreadable_depth_is_an_error_and_other_pictures_are_not() {
-    assert_eq!(carried(&photo()).unwrap(), None);
-    assert_eq!(carried(&encoded(map(), ImageFormat::Png)).unwrap(), None);
-    assert_eq!(carried(b"").unwrap(), None);
+    assert_eq!(embedded_depth(&photo()).unwrap(), None);
+    assert_eq!(embedded_depth(&encoded(map(), ImageFormat::Png)).unwrap(), None);
+    assert_eq!(embedded_depth(b"").unwrap(), None);
     let matte = [
         ("AuxiliaryImageType", "depth"),
         ("AuxiliaryImageSubType", "portraiteffectsmatte"),
         ("FloatMinValue", "0"),
         ("FloatMaxValue", "1"),
     ];
-    assert_eq!(carried(&multi(&matte)).unwrap(), None);
-    let fault = |file: &[u8]| carried(file).unwrap_err().to_string();
+    assert_eq!(embedded_depth(&multi(&matte)).unwrap(), None);
+    let fault = |file: &[u8]| embedded_depth(file).unwrap_err().to_string();
     assert!(fault(&gdepth("Sideways", "1", "5")).contains("Sideways"));
     for (near, far) in [("0", "5"), ("5", "1"), ("nan", "5"), ("1", "x"), ("-1", "5")] {
         let fault = fault(&gdepth("RangeLinear", near, far));
@@ -188,7 +188,7 @@ fn the_extended_packet_named_by_the_main_one_is_read() {
     for order in [vec![(b'A', map())], vec![(b'B', stale()), (b'A', map())], vec![(b'A', map()), (b'B', stale())]] {
         near(ends(&extended_twice(&name("A"), &order)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
         near(ends(&extended_twice(&format!(" {} ", name("a")), &order)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
-        let fault = carried(&extended_twice(&name("C"), &order)).unwrap_err().to_string();
+        let fault = embedded_depth(&extended_twice(&name("C"), &order)).unwrap_err().to_string();
         assert!(fault.contains("incomplete"), "{fault}");
     }
 }
@@ -210,7 +210,7 @@ fn depth_is_found_whatever_follows_the_last_picture() {
 #[test]
 fn a_map_is_turned_upright_with_its_photo() {
     let file = on_its_side(&gdepth("RangeInverse", "1", "5"));
-    let found = carried(&file).unwrap().unwrap();
+    let found = embedded_depth(&file).unwrap().unwrap();
     let Read { map, size, .. } = found.read(&Limits::default(), H, W).unwrap();
     assert_eq!(size, (H / 2, W / 2));
     let at = |x: u32, y: u32| map.delta[(y * H + x) as usize];
@@ -240,7 +240,7 @@ fn a_map_turns_with_its_photo_unless_its_shape_shows_that_it_is_upright() {
         ((64, 48), (24, 32), false),
     ] {
         let file = on_its_side(&gdepth_with(&colours(photo.0, photo.1), columns(map.0, map.1), "RangeInverse", "1", "5"));
-        let found = carried(&file).unwrap().unwrap();
+        let found = embedded_depth(&file).unwrap().unwrap();
         let upright = found.read(&Limits::default(), photo.1, photo.0).unwrap().map;
         let (left, right) = (upright.delta[0], upright.delta[photo.1 as usize - 1]);
         assert_eq!((left - right).abs() < 0.1, turns, "a photo of {photo:?} with a map of {map:?}: {left} and {right}");
@@ -251,7 +251,7 @@ fn a_map_turns_with_its_photo_unless_its_shape_shows_that_it_is_upright() {
 fn a_map_may_be_larger_than_its_photo_but_not_than_memory_allows() {
     let with =
         |w, h| gdepth_with(&photo(), GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 51 } else { 204 }])), "RangeInverse", "1", "5");
-    let read = |file: &[u8], limits: &Limits, w, h| carried(file).unwrap().unwrap().read(limits, w, h);
+    let read = |file: &[u8], limits: &Limits, w, h| embedded_depth(file).unwrap().unwrap().read(limits, w, h);
     for (w, h) in [(W, H), (W, H + 1), (3 * W, 3 * H), (1000, 750)] {
         let Read { map, size, .. } = read(&with(w, h), &Limits::default(), W, H).unwrap();
         assert_eq!((size, map.width, map.height), ((w, h), W, H));
@@ -286,7 +286,7 @@ fn carried_depth_is_used_unless_a_map_is_given_or_it_is_switched_off() {
     let file = gdepth("RangeInverse", "1", "5");
     let report = make(&file, None, Switch::Auto).unwrap();
     let depth = report.input.depth.unwrap();
-    assert_eq!((report.depth_model.as_str(), depth.source.as_str(), depth.width, depth.stretched), ("carried", "gdepth", W / 2, false));
+    assert_eq!((report.depth_model.as_str(), depth.source.as_str(), depth.width, depth.stretched), ("embedded", "gdepth", W / 2, false));
     assert_eq!(make(&file, None, Switch::Off).unwrap().depth_model, "flat");
     let square = encoded(GrayImage::from_pixel(8, 8, Luma([9])), ImageFormat::Png);
     let report = make(&file, Some(&square), Switch::Auto).unwrap();
@@ -309,7 +309,7 @@ proptest! {
         let at = at % file.len();
         file[at] = value;
         file.truncate(cut.max(2));
-        if let Ok(Some(found)) = carried(&file)
+        if let Ok(Some(found)) = embedded_depth(&file)
             && let Ok(Read { map, .. }) = found.read(&Limits::default(), W, H)
         {
             prop_assert!(map.delta.len() == (W * H) as usize && map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
@@ -317,10 +317,10 @@ proptest! {
     }
 }
 
-/// These photos as files, for fuzzing and for trying them out; `TMPI_BLESS=carried` writes them anew.
+/// These photos as files, for fuzzing and for trying them out; `TMPI_BLESS=embedded_depth` writes them anew.
 #[test]
 fn the_stored_files_equal_those_written_here() {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/carried");
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/embedded_depth");
     let files = [
         ("gdepth.jpg", gdepth("RangeInverse", "1", "5")),
         ("dynamic-depth.jpg", dynamic("android/depthmap")),
@@ -328,7 +328,7 @@ fn the_stored_files_equal_those_written_here() {
     ];
     for (name, file) in files {
         let path = folder.join(name);
-        if std::env::var("TMPI_BLESS").is_ok_and(|b| b == "carried") {
+        if std::env::var("TMPI_BLESS").is_ok_and(|b| b == "embedded_depth") {
             std::fs::create_dir_all(&folder).unwrap();
             std::fs::write(&path, &file).unwrap();
         }

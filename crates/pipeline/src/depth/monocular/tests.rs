@@ -141,7 +141,7 @@ impl Network for Several {
 
 fn several(name: &str, outputs: &[&str], f: fn(usize, usize) -> Vec<Tensor>) -> Monocular {
     let adapter = super::super::adapter(name).unwrap();
-    let port = |name: &str, shape: &[i64]| crate::networks::Port { name: name.into(), shape: shape.to_vec() };
+    let port = |name: &str, shape: &[i64]| crate::networks::TensorInfo { name: name.into(), shape: shape.to_vec() };
     let outputs: Vec<_> = outputs.iter().map(|o| port(o, &[])).collect();
     let (ports, ..) = Ports::of(adapter, &[port("image", &[1, 3, -1, -1])], &outputs).unwrap();
     Monocular { ports, ..Monocular::new(adapter, Arc::new(Several(f))) }
@@ -234,8 +234,9 @@ fn networks_of_several_inputs_outputs_and_files_load_and_run() {
     if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
         return;
     }
-    let load =
-        |name: &str, model, beside: &[Beside]| Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default());
+    let load = |name: &str, model, beside: &[ExternalData]| {
+        Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default())
+    };
     // the left half is black and outside of the mask; in the right half blue is the distance, up to the shift and with 1813 tokens as the
     // scale
     let half = Photo { width: 40, height: 30, rgb: (0..1200).map(|i| if i % 40 < 20 { [0; 3] } else { [200, 200, 255] }).collect() };

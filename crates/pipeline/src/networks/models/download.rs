@@ -44,7 +44,7 @@ impl std::fmt::Display for Digest {
 
 /// A file to fetch.
 #[derive(Clone, Copy, Debug)]
-pub struct Wanted<'a> {
+pub struct RemoteFile<'a> {
     /// HTTP or HTTPS address.
     pub url: &'a str,
     /// Size in bytes, if known.
@@ -111,7 +111,7 @@ pub enum DownloadError {
 ///
 /// # Errors
 /// [`DownloadError`]; the file `to` stays as it was.
-pub fn fetch(wanted: &Wanted<'_>, to: &Path, progress: impl FnMut(u64, Option<u64>)) -> Result<bool, DownloadError> {
+pub fn fetch(wanted: &RemoteFile<'_>, to: &Path, progress: impl FnMut(u64, Option<u64>)) -> Result<bool, DownloadError> {
     fetch_within(PATIENCE, sync, wanted, to, progress)
 }
 
@@ -124,7 +124,7 @@ fn sync(folder: &Path) -> io::Result<()> {
 fn fetch_within(
     patience: Duration,
     sync: impl Fn(&Path) -> io::Result<()>,
-    wanted: &Wanted<'_>,
+    wanted: &RemoteFile<'_>,
     to: &Path,
     mut progress: impl FnMut(u64, Option<u64>),
 ) -> Result<bool, DownloadError> {
@@ -163,7 +163,7 @@ fn fetch_within(
 /// Appends the missing bytes to `part`, which has `have` bytes.
 fn transfer(
     patience: Duration,
-    wanted: &Wanted<'_>,
+    wanted: &RemoteFile<'_>,
     part: &Path,
     have: u64,
     progress: &mut impl FnMut(u64, Option<u64>),
@@ -355,7 +355,7 @@ mod tests {
     impl Case {
         fn fetch(&self, mood: Mood, bytes: Option<u64>) -> Result<bool, DownloadError> {
             *self.server.mood.lock().unwrap() = mood;
-            let wanted = Wanted { url: &self.server.url, bytes, sha256: self.sha256 };
+            let wanted = RemoteFile { url: &self.server.url, bytes, sha256: self.sha256 };
             fetch(&wanted, &self.file(), |_, _| {})
         }
 
@@ -372,7 +372,7 @@ mod tests {
     fn a_file_is_fetched_completely_and_only_once() {
         let c = case();
         let mut last = (0, None);
-        let wanted = Wanted { url: &c.server.url, bytes: None, sha256: c.sha256 };
+        let wanted = RemoteFile { url: &c.server.url, bytes: None, sha256: c.sha256 };
         assert!(fetch(&wanted, &c.file(), |have, all| last = (have, all)).unwrap());
         assert_eq!(last, (300_000, Some(300_000)));
         assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
@@ -396,7 +396,7 @@ mod tests {
     fn a_download_from_a_silent_server_ends_and_can_resume() {
         let c = case();
         *c.server.mood.lock().unwrap() = Mood::Stalls;
-        let wanted = Wanted { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
+        let wanted = RemoteFile { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
         let silent = fetch_within(Duration::from_millis(300), sync, &wanted, &c.file(), |_, _| {}).unwrap_err();
         assert!(matches!(silent, DownloadError::Truncated { have: 150_000, want: 300_000 }), "{silent}");
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
@@ -406,7 +406,7 @@ mod tests {
     #[test]
     fn the_folder_is_synced_after_the_rename_and_its_error_is_returned() {
         let c = case();
-        let wanted = Wanted { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
+        let wanted = RemoteFile { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
         let synced = std::cell::RefCell::new(Vec::new());
         let seen = |folder: &Path| {
             synced.borrow_mut().push((folder.to_owned(), c.file().exists(), c.part().exists()));
@@ -449,7 +449,7 @@ mod tests {
         assert!(matches!(c.fetch(Mood::Longer, Some(300_000)), Err(DownloadError::Size { want: 300_000, got: 300_001 })));
         assert!(matches!(c.fetch(Mood::Longer, None), Err(DownloadError::Corrupt { .. })));
         assert!(matches!(c.fetch(Mood::Refuses, None), Err(DownloadError::Status { status: 404, .. })));
-        let nobody = Wanted { url: "http://127.0.0.1:1/x", bytes: None, sha256: c.sha256 };
+        let nobody = RemoteFile { url: "http://127.0.0.1:1/x", bytes: None, sha256: c.sha256 };
         assert!(matches!(fetch(&nobody, &c.file(), |_, _| {}), Err(DownloadError::Http { .. })));
         assert!(!c.file().exists());
     }

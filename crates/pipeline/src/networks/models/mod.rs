@@ -13,7 +13,7 @@ use std::sync::Arc;
 use crate::Models;
 use crate::depth::{ADAPTERS, Adapter, DepthError, Estimate, Estimator, Monocular, SizeRule};
 use crate::networks::library::Once;
-use crate::networks::{Beside, Config, Network, OnnxError, Session, Tensor, onnx_graph};
+use crate::networks::{Config, ExternalData, Network, OnnxError, Session, Tensor, onnx_graph};
 use tmpi_core::{DisparityMap, Photo};
 
 #[cfg(embedded = "depth")]
@@ -102,9 +102,9 @@ pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
 ///
 /// # Errors
 /// [`ModelFileError`] if one is missing, or if its name points to another folder.
-pub fn beside(file: &Path) -> Result<Vec<(String, PathBuf)>, ModelFileError> {
+pub fn external_data_files(file: &Path) -> Result<Vec<(String, PathBuf)>, ModelFileError> {
     let failed = |source| ModelFileError { file: file.to_owned(), source };
-    let names = onnx_graph(&mut BufReader::new(File::open(file).map_err(failed)?)).map_or_else(Vec::new, |o| o.beside);
+    let names = onnx_graph(&mut BufReader::new(File::open(file).map_err(failed)?)).map_or_else(Vec::new, |o| o.external_data);
     let find = |name: String| {
         let own = file.with_extension("onnx_data");
         let plain = Path::new(&name).file_name().is_some_and(|n| n == name.as_str());
@@ -121,8 +121,8 @@ pub fn beside(file: &Path) -> Result<Vec<(String, PathBuf)>, ModelFileError> {
     names.into_iter().map(find).collect()
 }
 
-fn weights(file: &Path) -> Result<Vec<Beside>, ModelFileError> {
-    beside(file)?.into_iter().map(|(name, file)| Ok((name, read(&file)?.into()))).collect()
+fn weights(file: &Path) -> Result<Vec<ExternalData>, ModelFileError> {
+    external_data_files(file)?.into_iter().map(|(name, file)| Ok((name, read(&file)?.into()))).collect()
 }
 
 fn read(file: &Path) -> Result<Vec<u8>, ModelFileError> {
@@ -150,7 +150,7 @@ impl Network for Lazy {
 /// A depth network that is loaded at its first run.
 struct Depth {
     settings: Settings,
-    model: Option<(Vec<u8>, Vec<Beside>)>,
+    model: Option<(Vec<u8>, Vec<ExternalData>)>,
     loaded: Once<Monocular>,
 }
 
@@ -159,15 +159,15 @@ impl Depth {
         let Settings { depth, depth_pixels, depth_smoothing, depth_ramp, flip, onnx, .. } = &self.settings;
         let loaded = self.loaded.get(|| {
             let embedded = DEPTH.filter(|_| *depth == &ADAPTERS[0]);
-            let file = self.model.as_ref().map(|(model, beside)| (model.as_slice(), beside.as_slice()));
-            let (model, beside) = file.or(embedded.map(|model| (model, [].as_slice()))).ok_or_else(|| OnnxError::Model {
+            let file = self.model.as_ref().map(|(model, external_data)| (model.as_slice(), external_data.as_slice()));
+            let (model, external_data) = file.or(embedded.map(|model| (model, [].as_slice()))).ok_or_else(|| OnnxError::Model {
                 name: depth.name.to_owned(),
                 reason: "it is not embedded in this program: name its ONNX file, or give a depth map".into(),
             })?;
             let size = depth_pixels.map_or(depth.size, SizeRule::Area);
             let (smoothing, ramp) = (depth_smoothing.unwrap_or(depth.smoothing), depth_ramp.unwrap_or(depth.ramp));
             let adapter = Adapter { size, smoothing, ramp, flip: flip.unwrap_or(depth.flip), ..**depth };
-            Monocular::load(&adapter, model, beside, onnx)
+            Monocular::load(&adapter, model, external_data, onnx)
         });
         loaded.map_err(|e: OnnxError| e.into())
     }
@@ -220,16 +220,16 @@ mod tests {
         assert!(error.contains("depth-anything-3-small.onnx") && error.contains("a file of their own, views.onnx_data"), "{error}");
         let found = |name: &str| {
             std::fs::copy(tests.join("views.onnx_data"), folder.path().join(name)).unwrap();
-            beside(&file).unwrap()
+            external_data_files(&file).unwrap()
         };
         assert_eq!(found("views.onnx_data"), [("views.onnx_data".to_owned(), folder.path().join("views.onnx_data"))]);
         assert_eq!(found("depth-anything-3-small.onnx_data")[0].1, folder.path().join("depth-anything-3-small.onnx_data"));
-        assert_eq!(beside(&tests.join("mean.onnx")).unwrap(), []);
+        assert_eq!(external_data_files(&tests.join("mean.onnx")).unwrap(), []);
         let astray = std::fs::read(&file).unwrap().iter().map(|b| if *b == b'v' { b'/' } else { *b }).collect::<Vec<_>>();
         let elsewhere = folder.path().join("elsewhere.onnx");
         std::fs::write(&elsewhere, astray).unwrap();
         std::fs::write(folder.path().join("elsewhere.onnx_data"), b"").unwrap();
-        assert!(beside(&elsewhere).is_err(), "a path, not a name");
+        assert!(external_data_files(&elsewhere).is_err(), "a path, not a name");
     }
 
     #[test]

@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use super::beside;
+use super::external_data_files;
 use crate::depth::{Adapter, adapter, detect};
 
 /// A published depth network. Size and digest are those that several public projects state and check; `tmpi models get` keeps no other
 /// file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Published {
+pub struct PublishedModel {
     /// Name by which users choose it.
     pub name: &'static str,
     /// Name of its adapter in [`crate::depth::ADAPTERS`].
@@ -72,8 +72,8 @@ pub const BY_FILE: [(&str, &str); 8] = [
 ];
 
 /// All networks that `tmpi models get` can fetch.
-pub const PUBLISHED: [Published; 5] = [
-    Published {
+pub const PUBLISHED: [PublishedModel; 5] = [
+    PublishedModel {
         name: BETTER,
         adapter: "depth-anything-v2",
         url: "https://huggingface.co/onnx-community/depth-anything-v2-small/resolve/4472b7362082ad9968fee890ca0f1e5aca36b93d/onnx/model_fp16.onnx",
@@ -82,7 +82,7 @@ pub const PUBLISHED: [Published; 5] = [
         weights: None,
         licence: "Apache-2.0, the Depth Anything V2 authors",
     },
-    Published {
+    PublishedModel {
         name: "midas-v2.1-small",
         adapter: "midas-v2.1-small",
         url: "https://github.com/isl-org/MiDaS/releases/download/v2_1/model-small.onnx",
@@ -91,7 +91,7 @@ pub const PUBLISHED: [Published; 5] = [
         weights: None,
         licence: "MIT, Intel ISL",
     },
-    Published {
+    PublishedModel {
         name: "depth-anything-v2-small",
         adapter: "depth-anything-v2",
         url: "https://huggingface.co/onnx-community/depth-anything-v2-small/resolve/4472b7362082ad9968fee890ca0f1e5aca36b93d/onnx/model.onnx",
@@ -100,7 +100,7 @@ pub const PUBLISHED: [Published; 5] = [
         weights: None,
         licence: "Apache-2.0, the Depth Anything V2 authors",
     },
-    Published {
+    PublishedModel {
         name: "depth-anything-3-small",
         adapter: "depth-anything-3",
         url: "https://huggingface.co/onnx-community/depth-anything-v3-small/resolve/0b6a7f3bf5595f9950b91389e0da3a0de130324c/onnx/model.onnx",
@@ -113,7 +113,7 @@ pub const PUBLISHED: [Published; 5] = [
         }),
         licence: "Apache-2.0, ByteDance",
     },
-    Published {
+    PublishedModel {
         name: "moge-2-small",
         adapter: "moge-2",
         url: "https://huggingface.co/Ruicheng/moge-2-vits-normal-onnx/resolve/e50ffda41565591092adea54c6ac83d6212e1e23/model.onnx",
@@ -124,7 +124,7 @@ pub const PUBLISHED: [Published; 5] = [
     },
 ];
 
-impl Published {
+impl PublishedModel {
     /// Its adapter.
     #[must_use]
     pub fn adapter(&self) -> Option<&'static Adapter> {
@@ -160,14 +160,14 @@ pub fn better_than(network: &str) -> &'static [&'static str] {
 
 /// The published network worth fetching for users of `network`, a name in reports; `None` if that is as good or unknown.
 #[must_use]
-pub fn worth_fetching(network: &str) -> Option<&'static Published> {
+pub fn recommended_download(network: &str) -> Option<&'static PublishedModel> {
     let better = published(BETTER)?;
     (rank(network)? > rank(better.adapter)?).then_some(better)
 }
 
 /// Finds a published network by name.
 #[must_use]
-pub fn published(name: &str) -> Option<&'static Published> {
+pub fn published(name: &str) -> Option<&'static PublishedModel> {
     PUBLISHED.iter().find(|p| p.name == name)
 }
 
@@ -188,18 +188,18 @@ fn shipped() -> Option<PathBuf> {
 
 /// The best network in [`folder`], else among those that ship with the program.
 #[must_use]
-pub fn usual() -> Option<(&'static Adapter, PathBuf)> {
-    best(&folder()).or_else(|| best(&shipped()?))
+pub fn default_model() -> Option<(&'static Adapter, PathBuf)> {
+    best_in(&folder()).or_else(|| best_in(&shipped()?))
 }
 
 /// The best network among the ONNX files of `folder`: by kind, then the larger file, then by name. Skips files that do not identify their
 /// network, or whose file of weights is missing. `None` if no file is left.
 #[must_use]
-pub fn best(folder: &Path) -> Option<(&'static Adapter, PathBuf)> {
+pub fn best_in(folder: &Path) -> Option<(&'static Adapter, PathBuf)> {
     let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| {
         let (file, bytes) = entry.ok().and_then(|e| Some((e.path(), e.metadata().ok()?.len())))?;
         let onnx = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx")) && file.is_file();
-        let network = detect(&file).filter(|_| onnx && beside(&file).is_ok())?;
+        let network = detect(&file).filter(|_| onnx && external_data_files(&file).is_ok())?;
         let rank = RANKS.iter().position(|r| *r == network.name)?;
         Some((rank, std::cmp::Reverse(bytes), file, network))
     });
@@ -258,10 +258,10 @@ mod tests {
     #[test]
     fn the_better_network_is_worth_fetching_unless_there_is_one_as_good() {
         for worse in ["tmpi", "midas-v2.1-small", "dpt-large", "zoedepth", "depth-anything-v2-metric-small"] {
-            assert_eq!(worth_fetching(worse).map(|p| p.name), Some(BETTER), "{worse}");
+            assert_eq!(recommended_download(worse).map(|p| p.name), Some(BETTER), "{worse}");
         }
         for as_good in [BETTER, "depth-anything-v2-large", "depth-anything-3-small", "moge-2-small", "of-my-own"] {
-            assert_eq!(worth_fetching(as_good), None, "{as_good}");
+            assert_eq!(recommended_download(as_good), None, "{as_good}");
         }
     }
 
@@ -269,8 +269,8 @@ mod tests {
     fn the_best_network_of_a_folder_is_found() {
         let folder = tempfile::tempdir().unwrap();
         let put = |name: &str, bytes: usize| std::fs::write(folder.path().join(name), vec![0; bytes]).unwrap();
-        let found = || best(folder.path()).map(|(a, file)| (a.name, file.file_name().unwrap().to_str().unwrap().to_owned()));
-        assert_eq!(best(Path::new("no/such/folder")), None);
+        let found = || best_in(folder.path()).map(|(a, file)| (a.name, file.file_name().unwrap().to_str().unwrap().to_owned()));
+        assert_eq!(best_in(Path::new("no/such/folder")), None);
         assert_eq!(found(), None);
         put("notes.txt", 9);
         put("model.onnx", 9);

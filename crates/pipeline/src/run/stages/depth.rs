@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Photo};
 
 use crate::run::{self, Context, MakeError, Switch};
-use crate::stereo::{self, Joined, Measured, Stereo};
+use crate::stereo::{self, FusedDisparity, Measured, Stereo};
 use crate::{denoise, depth, edges, photo};
 
 /// Stage from a photo and the source of its disparity to a disparity map.
@@ -37,18 +37,18 @@ pub enum Source<'a> {
     /// Your own map: the file of a grey picture, and the EXIF orientation of the photo.
     Given(&'a [u8], u8),
     /// The map embedded in the photo's file.
-    Carried(depth::Carried),
+    Embedded(depth::EmbeddedDepth),
     /// Measurement against a second picture.
-    Second(Eye<'a>),
+    Second(SecondPicture<'a>),
 }
 
 /// The second picture, by where it is stored.
 #[derive(Clone, Debug)]
-pub enum Eye<'a> {
+pub enum SecondPicture<'a> {
     /// A file of its own.
-    Beside(&'a [u8]),
+    OwnFile(&'a [u8]),
     /// A file embedded in the photo's.
-    Within(&'a [u8]),
+    Embedded(&'a [u8]),
     /// The other half of the photo's picture.
     Half(Photo),
 }
@@ -64,7 +64,7 @@ impl<'a> Source<'a> {
         let (wanted, stereo) = (context.options.photo_depth, context.options.stereo);
         stereo.check(photo, given.is_some())?;
         match given {
-            Some(second) if stereo == Stereo::Beside => return Ok(Self::Second(Eye::Beside(second))),
+            Some(second) if stereo == Stereo::Beside => return Ok(Self::Second(SecondPicture::OwnFile(second))),
             Some(given) => return Ok(Self::Given(given, photo::orientation(photo))),
             // the second half is cut off after decoding
             None if stereo.halves().is_some() => return Ok(Self::Network),
@@ -73,16 +73,16 @@ impl<'a> Source<'a> {
         if wanted == Switch::Off {
             return Ok(Self::Network);
         }
-        match depth::carried(photo) {
-            Ok(Some(carried)) => Ok(Self::Carried(carried)),
-            Ok(None) => match depth::second_eye(photo).filter(|_| stereo == Stereo::Auto) {
-                Some(Ok(second)) => Ok(Self::Second(Eye::Within(second))),
+        match depth::embedded_depth(photo) {
+            Ok(Some(embedded)) => Ok(Self::Embedded(embedded)),
+            Ok(None) => match depth::second_picture(photo).filter(|_| stereo == Stereo::Auto) {
+                Some(Ok(second)) => Ok(Self::Second(SecondPicture::Embedded(second))),
                 Some(Err(problem)) if wanted == Switch::On => Err(depth::DepthError::Second(problem.into()).into()),
                 Some(Err(problem)) => {
                     context.report.input.depth_problem = Some(problem.into());
                     Ok(Self::Network)
                 }
-                None if wanted == Switch::On => Err(depth::DepthError::NotCarried.into()),
+                None if wanted == Switch::On => Err(depth::DepthError::NotEmbedded.into()),
                 None => Ok(Self::Network),
             },
             Err(error) if wanted == Switch::On => Err(error.into()),
@@ -97,23 +97,23 @@ impl<'a> Source<'a> {
     #[must_use]
     pub fn or_half(self, half: Option<Photo>) -> Self {
         match (self, half) {
-            (Self::Network, Some(half)) => Self::Second(Eye::Half(half)),
+            (Self::Network, Some(half)) => Self::Second(SecondPicture::Half(half)),
             (source, _) => source,
         }
     }
 }
 
-impl Eye<'_> {
+impl SecondPicture<'_> {
     /// Measures `photo` against the second picture; `None` if that fails and the network's estimate takes its place.
     ///
     /// # Errors
     /// [`MakeError`] if a file of its own cannot be read, or if measuring fails and the option `photo_depth` is on.
     fn measure(self, photo: &Photo, context: &mut Context) -> Result<Option<Measured>, MakeError> {
         let decoded = |file: &[u8]| photo::decode(file, context.limits, Some(photo.width.max(photo.height))).map(|d| d.photo);
-        let given = matches!(self, Self::Beside(_));
+        let given = matches!(self, Self::OwnFile(_));
         let second = match self {
             Self::Half(half) => Ok(half),
-            Self::Beside(file) | Self::Within(file) => decoded(file).map_err(|e| depth::DepthError::Second(e.to_string())),
+            Self::OwnFile(file) | Self::Embedded(file) => decoded(file).map_err(|e| depth::DepthError::Second(e.to_string())),
         };
         let problem = match second.map(|second| stereo::measure(photo, &second)) {
             Ok(Ok(measured)) => return Ok(Some(measured)),
@@ -131,7 +131,7 @@ impl Eye<'_> {
 
 /// Disparity of a photo, before planes are placed.
 #[derive(Clone, Debug)]
-pub struct Estimated {
+pub struct WeightedDisparity {
     /// δ at the photo's size, finite, 0 to 1.
     pub delta: DisparityMap,
     /// Confidence per pixel, 0 to 1; `None`: the same everywhere.
@@ -143,13 +143,13 @@ pub struct Estimated {
 impl run::Stage for Depth {
     const NAME: &'static str = "depth";
     type Input<'a> = (&'a Photo, Source<'a>);
-    type Output = Estimated;
+    type Output = WeightedDisparity;
 
-    fn run(&mut self, (photo, source): (&Photo, Source), context: &mut Context) -> Result<Estimated, MakeError> {
+    fn run(&mut self, (photo, source): (&Photo, Source), context: &mut Context) -> Result<WeightedDisparity, MakeError> {
         let (width, height) = (photo.width, photo.height);
         let (source, measured) = match source {
             Source::Second(eye) => (Source::Network, eye.measure(photo, context)?),
-            other => (other, None),
+            source => (source, None),
         };
         let read = match &source {
             Source::Network | Source::Second(_) => None,
@@ -157,8 +157,8 @@ impl run::Stage for Depth {
                 let kind = context.options.depth_kind;
                 Some(("given", "given", depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?))
             }
-            Source::Carried(carried) => match carried.read(context.limits, width, height) {
-                Ok(read) => Some(("carried", carried.format, read)),
+            Source::Embedded(embedded) => match embedded.read(context.limits, width, height) {
+                Ok(read) => Some(("embedded", embedded.format, read)),
                 Err(error) if context.options.photo_depth == Switch::On => return Err(error.into()),
                 Err(error) => {
                     context.report.input.depth_problem = Some(error.to_string());
@@ -182,7 +182,7 @@ impl run::Stage for Depth {
                 size.map_or_else(|| network.estimate(photo).map(depth::Estimate::from), |size| network.estimate_at(photo, size))?;
             self.network_ms = if self.size.is_some() { estimate.network_ms } else { 0.0 };
             if let Some(measured) = measured {
-                let Joined { map, own, figures } = measured.joined(photo, &estimate.map);
+                let FusedDisparity { map, own, figures } = measured.fuse(photo, &estimate.map);
                 context.report.depth_model = "stereo".into();
                 let (width, height) = own.as_ref().map_or((width, height), |own| (own.width, own.height));
                 context.report.input.depth = Some(run::InputDepth { source: "stereo".into(), width, height, stretched: false });
@@ -197,7 +197,7 @@ impl run::Stage for Depth {
             *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
         }
         context.report.error.resampling = context.movement.zip(own).map(|(movement, own)| movement.resampled(&own, &delta));
-        Ok(Estimated { delta, confidence: None, given })
+        Ok(WeightedDisparity { delta, confidence: None, given })
     }
 }
 
@@ -207,10 +207,10 @@ pub struct Denoise;
 
 impl run::Stage for Denoise {
     const NAME: &'static str = "denoise";
-    type Input<'a> = (&'a Photo, Estimated);
-    type Output = Estimated;
+    type Input<'a> = (&'a Photo, WeightedDisparity);
+    type Output = WeightedDisparity;
 
-    fn run(&mut self, (photo, mut map): (&Photo, Estimated), context: &mut Context) -> Result<Estimated, MakeError> {
+    fn run(&mut self, (photo, mut map): (&Photo, WeightedDisparity), context: &mut Context) -> Result<WeightedDisparity, MakeError> {
         let movement = context.movement;
         // an unchanged map has no error to report
         let moved = |before: &DisparityMap, after: &DisparityMap| movement.filter(|_| before != after).map(|m| m.between(before, after));
@@ -244,10 +244,10 @@ pub struct Snap;
 
 impl run::Stage for Snap {
     const NAME: &'static str = "snap";
-    type Input<'a> = (&'a Photo, Estimated);
-    type Output = Estimated;
+    type Input<'a> = (&'a Photo, WeightedDisparity);
+    type Output = WeightedDisparity;
 
-    fn run(&mut self, (photo, mut map): (&Photo, Estimated), context: &mut Context) -> Result<Estimated, MakeError> {
+    fn run(&mut self, (photo, mut map): (&Photo, WeightedDisparity), context: &mut Context) -> Result<WeightedDisparity, MakeError> {
         let switch = context.options.snap;
         if switch != Switch::Off {
             // snapping sharp depth costs quality, and a given map may be sharp or blurred

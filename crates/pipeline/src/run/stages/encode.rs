@@ -1,6 +1,6 @@
 //! Encoding of the container.
 
-use tmpi_core::container::{self, Carried, Carries};
+use tmpi_core::container::{self, EncodedPhoto, OptionalSections};
 use tmpi_core::{Geometry, Photo, Scene, compose};
 
 use super::Layered;
@@ -20,9 +20,9 @@ pub struct Encoded {
     /// Tiles, planes and labels of the scene.
     pub geometry: Geometry,
     /// The photo's file in the container.
-    pub carried: Carried,
+    pub photo_file: EncodedPhoto,
     /// What the container stores because it does not follow from photo, planes and labels.
-    pub carries: Carries,
+    pub optional: OptionalSections,
 }
 
 impl Stage for Encode {
@@ -31,10 +31,10 @@ impl Stage for Encode {
     type Output = Encoded;
 
     fn run(&mut self, (photo, layered): (Photo, Layered), context: &mut Context) -> Result<Encoded, MakeError> {
-        let Layered { geometry, tiles, carried, carries } = layered;
+        let Layered { geometry, tiles, photo_file, optional } = layered;
         let scene = compose(photo, &geometry, tiles);
-        let (container, bytes) = container::encode(&geometry, &scene, &carried, carries)?;
+        let (container, bytes) = container::encode(&geometry, &scene, &photo_file, optional)?;
         context.report.bytes = bytes.into();
-        Ok(Encoded { container, scene, geometry, carried, carries })
+        Ok(Encoded { container, scene, geometry, photo_file, optional })
     }
 }

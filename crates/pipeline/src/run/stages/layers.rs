@@ -1,6 +1,6 @@
 //! Layers of all tiles: masks and colours, and their refinement by a network.
 
-use tmpi_core::container::{Carried, Carries, HiddenAs, PhotoFormat};
+use tmpi_core::container::{EncodedPhoto, HiddenCodec, OptionalSections, PhotoFormat};
 use tmpi_core::{DisparityMap, Geometry, LayerMasks, Photo, TexturedLayer, texture};
 
 use super::{Placed, Prepared};
@@ -24,9 +24,9 @@ pub struct Layered {
     /// Layers of each tile.
     pub tiles: Vec<Vec<TexturedLayer>>,
     /// The photo's file for the container.
-    pub carried: Carried,
+    pub photo_file: EncodedPhoto,
     /// What the container must store because it does not follow from photo, planes and labels.
-    pub carries: Carries,
+    pub optional: OptionalSections,
 }
 
 impl Stage for Layers {
@@ -43,9 +43,9 @@ impl Stage for Layers {
         count(&mut context.report, &geometry, &masks, &placement);
         // encoding the photo uses one core; beside the layers, which use all cores, it adds no wall time
         let uploaded = prepared.uploaded.take();
-        let file = || carry(uploaded, prepared.format, &prepared.photo, context.options.quality);
-        let (tiles, carried) = rayon::join(|| texture(&prepared.photo, &geometry, masks), file);
-        Ok(Layered { geometry, tiles, carried: carried?, carries: Carries::default() })
+        let file = || choose_file(uploaded, prepared.format, &prepared.photo, context.options.quality);
+        let (tiles, photo_file) = rayon::join(|| texture(&prepared.photo, &geometry, masks), file);
+        Ok(Layered { geometry, tiles, photo_file: photo_file?, optional: OptionalSections::default() })
     }
 }
 
@@ -66,7 +66,7 @@ impl Stage for Refine {
         {
             let refined = refine::run(psi.as_ref(), photo, &layered.geometry, &mut layered.tiles)?;
             context.report.left_out.tiles_not_refined = refined.skipped;
-            layered.carries = Carries { alpha: true, hidden: refined.colours.then_some(HiddenAs::Jpeg(options.quality)) };
+            layered.optional = OptionalSections { alpha: true, hidden: refined.colours.then_some(HiddenCodec::Jpeg(options.quality)) };
         }
         Ok(layered)
     }
@@ -96,10 +96,10 @@ fn count(report: &mut Report, geometry: &Geometry, masks: &[LayerMasks], placeme
 }
 
 /// The photo's file for the container: the uploaded file, if it is no larger than a new one at `quality`.
-fn carry(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<Carried, MakeError> {
-    let anew = Carried::from_photo(photo, quality)?;
+fn choose_file(uploaded: Option<Vec<u8>>, format: PhotoFormat, photo: &Photo, quality: u8) -> Result<EncodedPhoto, MakeError> {
+    let anew = EncodedPhoto::from_photo(photo, quality)?;
     Ok(match uploaded {
-        Some(bytes) if bytes.len() <= anew.bytes.len() => Carried { bytes, format },
+        Some(bytes) if bytes.len() <= anew.bytes.len() => EncodedPhoto { bytes, format },
         _ => anew,
     })
 }

@@ -8,7 +8,7 @@ mod planes;
 mod strokes;
 mod verify;
 
-pub use depth::{Denoise, Depth, Estimated, Eye, Snap, Source};
+pub use depth::{Denoise, Depth, SecondPicture, Snap, Source, WeightedDisparity};
 pub use encode::{Encode, Encoded};
 pub use layers::{Layered, Layers, Refine};
 pub use photo::{Prepare, Prepared};

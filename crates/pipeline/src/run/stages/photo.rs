@@ -5,7 +5,7 @@ use tmpi_core::{Intrinsics, Photo};
 
 use crate::photo::{self, Decoded};
 use crate::run::time_budget::Costs;
-use crate::run::{Context, Input, MakeError, Movement, Stage};
+use crate::run::{Context, Input, MakeError, Parallax, Stage};
 
 /// Stage from the bytes of a file to photo and camera.
 #[derive(Debug, Default)]
@@ -25,7 +25,7 @@ pub struct Prepared {
     /// Longest side in pixels that a time budget chose, if it reduced the photo.
     pub reduced: Option<u32>,
     /// The second picture, if the file holds two in halves.
-    pub other_eye: Option<Photo>,
+    pub second_half: Option<Photo>,
 }
 
 impl Stage for Prepare {
@@ -50,12 +50,12 @@ impl Stage for Prepare {
             most
         };
         let decoded = photo::decode(file, context.limits, most)?;
-        let Decoded { mut photo, original, format, mut intrinsics, carried: mut uploaded, damaged, reduction, .. } = decoded;
-        let mut other_eye = None;
+        let Decoded { mut photo, original, format, mut intrinsics, stripped: mut uploaded, damaged, reduction, .. } = decoded;
+        let mut second_half = None;
         if let Some((first, second)) = options.stereo.halves().and_then(|halves| halves.split(&photo)) {
             let focal = intrinsics.fx * f64::from(first.width) / f64::from(photo.width);
             intrinsics = Intrinsics::centred(first.width, first.height, focal);
-            (photo, other_eye, uploaded) = (first, Some(second), None);
+            (photo, second_half, uploaded) = (first, Some(second), None);
         }
         options.check_readable(photo.width, photo.height)?;
         if let Some(fov) = options.fov_x {
@@ -64,7 +64,7 @@ impl Stage for Prepare {
         context.report.input = Input { width: original.0, height: original.1, bytes: file.len(), damaged, ..context.report.input.clone() };
         (context.report.width, context.report.height) = (photo.width, photo.height);
         context.report.error.reduction = reduction;
-        context.movement = Some(Movement::new(intrinsics, options.view_box));
-        Ok(Prepared { photo, intrinsics, format, uploaded, reduced, other_eye })
+        context.movement = Some(Parallax::new(intrinsics, options.view_box));
+        Ok(Prepared { photo, intrinsics, format, uploaded, reduced, second_half })
     }
 }

@@ -2,23 +2,23 @@
 
 use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 
-use super::{Estimated, Prepared};
+use super::{Prepared, WeightedDisparity};
 use crate::planes::{Placement, Rounded, busy_share, discretisation_error, place_again, place_rounded};
 use crate::run::time_budget::Costs;
-use crate::run::{Budget, Context, MakeError, Movement, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
+use crate::run::{Budget, Context, MakeError, Parallax, PlaneCount, PlaneError, Sizes, Stage, TileError, memory};
 use tmpi_core::container::{most_planes, readable};
 
 /// Stage from disparity to planes and labels of every tile.
 ///
-/// In a room, a frame [starts from the planes of the last one](Planes::carrying), and only changed tiles are placed again.
+/// In a room, a frame [starts from the planes of the last one](Planes::with_warm_start), and only changed tiles are placed again.
 #[derive(Debug, Default)]
 pub struct Planes {
-    carried: Option<CarriedTiles>,
+    last: Option<LastFrame>,
 }
 
 /// Tiles of the last frame.
 #[derive(Debug, Default)]
-struct CarriedTiles {
+struct LastFrame {
     tiles: Vec<Tile>,
     /// Which tiles to place again, by number.
     changed: Vec<bool>,
@@ -30,41 +30,41 @@ impl Planes {
     /// Carries planes from one frame to the next; all frames must have the same size. Does not choose a time budget, check memory or
     /// measure errors, as it does for a photo: the room does that itself.
     #[must_use]
-    pub fn carrying() -> Self {
-        Self { carried: Some(CarriedTiles::default()) }
+    pub fn with_warm_start() -> Self {
+        Self { last: Some(LastFrame::default()) }
     }
 
     /// Sets which tiles change in the next frame, by number; all do if the length differs from the number of tiles.
-    pub fn change(&mut self, changed: Vec<bool>) {
-        if let Some(carried) = &mut self.carried {
-            carried.changed = changed;
+    pub fn set_changed(&mut self, changed: Vec<bool>) {
+        if let Some(last) = &mut self.last {
+            last.changed = changed;
         }
     }
 
     /// Limits tiles that the next frame places anew to `most` planes; `None`: to the limit of the options. Tiles may keep more planes.
-    pub fn at_most(&mut self, most: Option<u32>) {
-        if let Some(carried) = &mut self.carried {
-            carried.most = most;
+    pub fn set_plane_limit(&mut self, most: Option<u32>) {
+        if let Some(last) = &mut self.last {
+            last.most = most;
         }
     }
 
     /// Makes the next frame start from `tile` at tile `index` of the grid.
-    pub fn hold(&mut self, index: u32, tile: &Tile) {
-        if let Some(held) = self.carried.as_mut().and_then(|c| c.tiles.get_mut(index as usize)) {
+    pub fn set_last_tile(&mut self, index: u32, tile: &Tile) {
+        if let Some(held) = self.last.as_mut().and_then(|c| c.tiles.get_mut(index as usize)) {
             *held = Tile { background: None, ..tile.clone() };
         }
     }
 
     /// Drops the tiles of the last frame, for a cut.
-    pub fn forget(&mut self) {
-        if let Some(carried) = &mut self.carried {
-            *carried = CarriedTiles::default();
+    pub fn reset(&mut self) {
+        if let Some(last) = &mut self.last {
+            *last = LastFrame::default();
         }
     }
 }
 
-impl CarriedTiles {
-    fn place(&mut self, map: &Estimated, grid: &Grid, placement: &Placement) -> Vec<Tile> {
+impl LastFrame {
+    fn place(&mut self, map: &WeightedDisparity, grid: &Grid, placement: &Placement) -> Vec<Tile> {
         let count = grid.tiles() as usize;
         self.tiles.resize(count, Tile::default());
         let changed = Some(&self.changed).filter(|c| c.len() == count);
@@ -86,14 +86,14 @@ pub struct Placed {
 
 impl Stage for Planes {
     const NAME: &'static str = "planes";
-    type Input<'a> = (&'a Prepared, &'a Estimated);
+    type Input<'a> = (&'a Prepared, &'a WeightedDisparity);
     type Output = Placed;
 
-    fn run(&mut self, (prepared, map): (&Prepared, &Estimated), context: &mut Context) -> Result<Placed, MakeError> {
+    fn run(&mut self, (prepared, map): (&Prepared, &WeightedDisparity), context: &mut Context) -> Result<Placed, MakeError> {
         let (options, delta) = (context.options, &map.delta);
         let (w, h) = (delta.width, delta.height);
         let grid = options.grid(w, h);
-        let movement = Movement::new(prepared.intrinsics, options.view_box);
+        let movement = Parallax::new(prepared.intrinsics, options.view_box);
         let most_px = movement.most(Rect { x: 0, y: 0, w, h });
         let mut max_error = options.max_error;
         if let Some(asked) = options.budget_ms {
@@ -102,9 +102,9 @@ impl Stage for Planes {
         }
         let mut placement = options.placement(max_error, most_px);
         let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles, matted: false };
-        if let Some(carried) = &mut self.carried {
-            placement.most = placement.most.min(most_planes(&grid)).min(carried.most.unwrap_or(u32::MAX));
-            return Ok(Placed { geometry: scene(carried.place(map, &grid, &placement)), placement });
+        if let Some(last) = &mut self.last {
+            placement.most = placement.most.min(most_planes(&grid)).min(last.most.unwrap_or(u32::MAX));
+            return Ok(Placed { geometry: scene(last.place(map, &grid, &placement)), placement });
         }
         let confidence = map.confidence.as_deref();
         let (mut tiles, mut rounding) = split_rounding(place_rounded(delta, confidence, &grid, &placement));

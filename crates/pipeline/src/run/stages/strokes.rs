@@ -2,7 +2,7 @@
 
 use tmpi_core::Photo;
 
-use super::Estimated;
+use super::WeightedDisparity;
 use crate::run::{self, Context, MakeError};
 use crate::strokes;
 
@@ -13,10 +13,10 @@ pub struct Strokes;
 
 impl run::Stage for Strokes {
     const NAME: &'static str = "strokes";
-    type Input<'a> = (&'a Photo, Estimated);
-    type Output = Estimated;
+    type Input<'a> = (&'a Photo, WeightedDisparity);
+    type Output = WeightedDisparity;
 
-    fn run(&mut self, (photo, mut map): (&Photo, Estimated), context: &mut Context) -> Result<Estimated, MakeError> {
+    fn run(&mut self, (photo, mut map): (&Photo, WeightedDisparity), context: &mut Context) -> Result<WeightedDisparity, MakeError> {
         strokes::apply(photo, &mut map.delta, map.confidence.as_mut(), &context.options.strokes);
         context.report.input.strokes = context.options.strokes.len();
         Ok(map)

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use tmpi_core::container::{self, Carries, Part, PhotoRows};
+use tmpi_core::container::{self, OptionalSections, PhotoRows, TileLayers};
 use tmpi_core::{Intrinsics, Layer, Photo, Rect, Scene};
 use tmpi_render::difference::{psnr, psnr_of};
 use tmpi_render::draw_reference_view;
@@ -52,7 +52,7 @@ struct Seen {
 
 fn seen(made: &Encoded) -> Result<Seen, MakeError> {
     let photo = &made.scene.photo;
-    if made.carries != Carries::default() {
+    if made.optional != OptionalSections::default() {
         // refined layers are stored for all tiles together, so no single row can be decoded
         let read = container::decode(&made.container)?;
         let hidden = || psnr(read.texels.hidden.as_flattened(), made.scene.texels.hidden.as_flattened());
@@ -62,10 +62,10 @@ fn seen(made: &Encoded) -> Result<Seen, MakeError> {
             codec_psnr: psnr(read.photo.rgb.as_flattened(), photo.rgb.as_flattened()),
             identity_psnr: difference.psnr(),
             tiles: made.geometry.tiles.len(),
-            hidden_psnr: made.carries.hidden.map(|_| hidden()),
+            hidden_psnr: made.optional.hidden.map(|_| hidden()),
         });
     }
-    let Photo { width, height, rgb } = made.carried.decode()?;
+    let Photo { width, height, rgb } = made.photo_file.decode()?;
     let codec_psnr = psnr(rgb.as_flattened(), photo.rgb.as_flattened());
     let rows = PhotoRows { width, height, top: 0, rgb };
     let (grid, mut difference, mut tiles) = (made.geometry.grid, Difference::default(), 0);
@@ -85,7 +85,7 @@ fn seen(made: &Encoded) -> Result<Seen, MakeError> {
 }
 
 /// A row of tiles as a scene of its own, and its rectangle in the photo.
-fn alone(made: &Encoded, row: u32, part: Part, photo: &PhotoRows) -> (Rect, Scene) {
+fn alone(made: &Encoded, row: u32, part: TileLayers, photo: &PhotoRows) -> (Rect, Scene) {
     let grid = &made.geometry.grid;
     let (rect, own) = grid.part(0..grid.columns(), row..row + 1);
     let (k, width) = (made.geometry.intrinsics, rect.w as usize);

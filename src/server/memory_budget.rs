@@ -10,7 +10,7 @@ use std::time::Duration;
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The total and what is given out.
-pub struct Memory {
+pub struct MemoryBudget {
     all: u64,
     allocated: Mutex<Allocated>,
     freed: Condvar,
@@ -46,7 +46,7 @@ pub enum Priority {
 
 /// Memory of a job, until it is dropped.
 pub struct MemoryPermit<'a> {
-    of: &'a Memory,
+    of: &'a MemoryBudget,
     bytes: u64,
 }
 
@@ -57,7 +57,7 @@ impl Drop for MemoryPermit<'_> {
     }
 }
 
-impl Memory {
+impl MemoryBudget {
     /// A pool of so many bytes.
     #[must_use]
     pub fn new(all: u64) -> Self {
@@ -106,8 +106,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fits_is_had_at_once_and_the_rest_waits_or_gives_up() {
-        let memory = Memory::new(10);
+    fn memory_that_fits_is_granted_at_once_and_others_wait_or_give_up() {
+        let memory = MemoryBudget::new(10);
         let (first, second) = (memory.wait_for(6, Priority::Normal, || true).unwrap(), memory.wait_for(4, Priority::Low, || true).unwrap());
         assert!(memory.wait_for(1, Priority::Normal, || true).is_none() && memory.taken() == 10);
         std::thread::scope(|scope| {
@@ -122,8 +122,8 @@ mod tests {
     }
 
     #[test]
-    fn who_came_first_has_it_first_and_what_gives_way_last() {
-        let memory = Memory::new(10);
+    fn memory_is_first_come_first_served_with_low_priority_last() {
+        let memory = MemoryBudget::new(10);
         let held = memory.wait_for(10, Priority::Normal, || true).unwrap();
         let order = Mutex::new(Vec::new());
         std::thread::scope(|scope| {

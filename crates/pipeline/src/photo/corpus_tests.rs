@@ -18,7 +18,7 @@ fn odd_and_broken_real_files_decode_or_are_refused() {
     let Some(root) = tmpi_testing::data("torture") else { return };
     let mut all = Vec::new();
     files(&root, &mut all);
-    let (mut read, mut refused, mut carried) = (0, 0, 0);
+    let (mut read, mut refused, mut stripped) = (0, 0, 0);
     for path in all {
         let bytes = std::fs::read(&path).unwrap();
         let name = path.strip_prefix(&root).unwrap().display();
@@ -27,8 +27,8 @@ fn odd_and_broken_real_files_decode_or_are_refused() {
                 read += 1;
                 assert_eq!(got.photo.rgb.len(), got.photo.width as usize * got.photo.height as usize);
                 assert!(got.intrinsics.is_valid());
-                if let Some(file) = got.carried {
-                    carried += 1;
+                if let Some(file) = got.stripped {
+                    stripped += 1;
                     assert_eq!(ok(&file).photo, got.photo, "{name} changes when stripped");
                     assert!(file.len() <= bytes.len() + 18, "{name} grew");
                 }
@@ -42,7 +42,7 @@ fn odd_and_broken_real_files_decode_or_are_refused() {
             }
         }
     }
-    eprintln!("{read} read, {refused} refused, {carried} carried");
+    eprintln!("{read} read, {refused} refused, {stripped} stripped");
     assert!(read > 100);
 }
 

@@ -1,6 +1,4 @@
-//! The state of a room, for its pages, and tokens for viewers.
-
-use std::time::Duration;
+//! The state of a room, for its pages.
 
 use axum::Json;
 use axum::extract::{Path, State};
@@ -9,14 +7,12 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::live::schema::bye::Cause;
 use utoipa::ToSchema;
 
-use super::access::{Role, end_of, token, token_of};
-use super::request_access::{RoomAccess, RoomsContext, seconds};
-use crate::server::{NoBody, Pairs, Problem};
+use super::request_access::{RoomAccess, RoomsContext};
+use super::room_token::Role;
+use crate::server::Problem;
 
-/// Lifetime of a token to watch that this machine's own user requests.
-const LINK: Duration = Duration::from_hours(24);
 /// Longest state of a room from its origin, in bytes.
-const MOST_STATE: usize = 4096;
+const MAX_STATE: usize = 4096;
 
 /// State of a room.
 #[derive(Default, Deserialize, Serialize, ToSchema)]
@@ -56,13 +52,13 @@ pub(super) async fn state(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Json<RoomState>, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers).await?;
+    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let may_publish = here.check(&name, Role::Publish, &uri, &headers).await.is_ok();
     let room = here.rooms.get(&name);
     let full = room.as_ref().is_some_and(|room| room.is_full());
     let state = match room.filter(|room| !room.is_edge()) {
-        Some(room) => RoomState { publishing: room.is_publishing(), viewers: room.everyone(), ..RoomState::default() },
-        None if leave == RoomAccess::Node => RoomState::default(),
+        Some(room) => RoomState { publishing: room.is_publishing(), viewers: room.all_viewers(), ..RoomState::default() },
+        None if access == RoomAccess::Node => RoomState::default(),
         None => at_origin(&here, &name).await?.unwrap_or_default(),
     };
     let ended = here
@@ -77,48 +73,8 @@ pub(super) async fn state(
 
 /// State of a room from its origin; `None` if no other node has the room, or the origin does not answer.
 async fn at_origin(here: &RoomsContext, name: &str) -> Result<Option<RoomState>, Problem> {
-    let Some((nodes, origin)) = here.rooms.elsewhere(name).await? else { return Ok(None) };
+    let Some((nodes, origin)) = here.rooms.remote_origin(name).await? else { return Ok(None) };
     let Ok(answer) = nodes.fetch(&origin, name, "", HeaderMap::new()).await else { return Ok(None) };
-    let body = axum::body::to_bytes(answer.into_body(), MOST_STATE).await.unwrap_or_default();
+    let body = axum::body::to_bytes(answer.into_body(), MAX_STATE).await.unwrap_or_default();
     Ok(serde_json::from_slice(&body).ok())
-}
-
-/// A token to watch.
-#[derive(Serialize, ToSchema)]
-pub(super) struct Link {
-    /// Null if the server has no key for tokens: only this machine's own user may watch then.
-    token: Option<String>,
-}
-
-/// Create a token to watch.
-///
-/// For callers that may publish. The token expires with the caller's own, or after a day if the caller needs none.
-#[utoipa::path(
-    post, path = "/v1/live/{room}/token", tag = "live",
-    params(
-        ("room" = String, Path, description = "Name of the room"),
-        ("token" = Option<String>, Query, description = "Token to publish here, unless sent as a bearer token; this machine's own user needs none"),
-    ),
-    responses(
-        (status = 200, description = "The token", body = Link),
-        (status = 400, description = "A parameter is unknown, or the request has a body"),
-        (status = 403, description = "The request comes from a page of another site, or has no valid token"),
-        (status = 404, description = "The name is invalid, or rooms are disabled"),
-    )
-)]
-pub(super) async fn link(
-    State(here): State<RoomsContext>,
-    Path(name): Path<String>,
-    uri: Uri,
-    headers: HeaderMap,
-    _: NoBody,
-) -> Result<Json<Link>, Problem> {
-    here.check(&name, Role::Publish, &uri, &headers).await?;
-    let asked = Pairs::read(&uri, &["token"])?;
-    let token = here.rooms.config.key.as_ref().and_then(|key| {
-        let (given, now) = (asked.get("token").or_else(|| token_of(&headers)), seconds());
-        let end = given.and_then(|given| end_of(key, Role::Publish, &name, given, now)).unwrap_or(now + LINK.as_secs());
-        token(key, Role::Watch, &name, end)
-    });
-    Ok(Json(Link { token }))
 }

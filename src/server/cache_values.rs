@@ -11,7 +11,7 @@ use super::body_source::Source;
 use super::cache::{Key, Value};
 use super::problem::Problem;
 use tmpi_core::Scene;
-use tmpi_core::container::Tiles;
+use tmpi_core::container::TileRect;
 use tmpi_library::{Blob, BlobStore, LibraryError, Part, PhotoId, hex};
 
 /// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
@@ -26,7 +26,7 @@ const OPEN_FILE: usize = 1 << 20;
 
 /// A result file of a photo, or a derived one.
 #[derive(Clone, Debug)]
-pub struct Stored {
+pub struct StoredFile {
     /// Its bytes.
     pub source: Source,
     /// Strong entity tag with its quotes.
@@ -35,14 +35,14 @@ pub struct Stored {
 
 /// What to do with large derived bytes if the disk is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WhenFull {
+pub enum DiskFullPolicy {
     /// Keep them in memory: views and levels, whose bytes the cache counts.
     Memory,
     /// Refuse them: exports, whose cache is sized for disk.
     Refuse,
 }
 
-impl Stored {
+impl StoredFile {
     /// Bytes with their tag.
     #[must_use]
     pub fn of(source: Source, etag: Arc<str>) -> Self {
@@ -84,12 +84,12 @@ impl Stored {
         }
     }
 
-    /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_as`] recognizes them before
+    /// Derived bytes, tagged by their digest and, if `made` is given, by it: then [`super::conditional::known_etag`] recognizes them before
     /// they are made again. Large ones go into an unnamed file, so that slow readers hold no memory; the last reader frees it. Blocks.
     ///
     /// # Errors
     /// 507 if the disk has no space beyond the reserve and they may not stay in memory, 500.
-    pub fn derived(made: Option<&str>, bytes: Vec<u8>, disk: &TempFolder, full: WhenFull) -> Result<Self, Problem> {
+    pub fn derived(made: Option<&str>, bytes: Vec<u8>, disk: &TempFolder, full: DiskFullPolicy) -> Result<Self, Problem> {
         let Self { source, etag } = match made {
             Some(made) => Self::derived_in_memory(made, bytes),
             None => Self::new(bytes),
@@ -97,7 +97,7 @@ impl Stored {
         let source = match source {
             Source::Memory(bytes) if bytes.len() > LARGE => match disk.keep(&bytes) {
                 Ok(file) => Source::File(Arc::new(file), bytes.len()),
-                Err(LibraryError::StorageFull) if full == WhenFull::Memory => Source::Memory(bytes),
+                Err(LibraryError::StorageFull) if full == DiskFullPolicy::Memory => Source::Memory(bytes),
                 Err(error) => return Err(error.into()),
             },
             source => source,
@@ -132,7 +132,7 @@ pub struct TempFolder {
 
 impl TempFolder {
     fn keep(&self, bytes: &[u8]) -> Result<File, LibraryError> {
-        self.blobs.room_for(bytes.len() as u64)?;
+        self.blobs.check_space(bytes.len() as u64)?;
         let written = tempfile::tempfile_in(&self.folder).and_then(|mut file| file.write_all(bytes).map(|()| file));
         written.map_err(|error| match error.kind() {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => LibraryError::StorageFull,
@@ -141,7 +141,7 @@ impl TempFolder {
     }
 }
 
-impl Value for Stored {
+impl Value for StoredFile {
     fn weight(&self) -> usize {
         match &self.source {
             Source::Memory(bytes) => bytes.len(),
@@ -151,15 +151,15 @@ impl Value for Stored {
 }
 
 /// Least weight of an export, to bound the number of open files.
-const LEAST_EXPORT: usize = 4 << 20;
+const MIN_EXPORT: usize = 4 << 20;
 
 /// An export file; its weight is disk space.
 #[derive(Clone, Debug)]
-pub struct Export(pub Stored);
+pub struct Export(pub StoredFile);
 
 impl Value for Export {
     fn weight(&self) -> usize {
-        self.0.source.len().max(LEAST_EXPORT)
+        self.0.source.len().max(MIN_EXPORT)
     }
 }
 
@@ -203,7 +203,7 @@ pub struct Derived {
     /// `1 / 2^level` of the size.
     pub level: u8,
     /// Only these tiles.
-    pub tiles: Option<Tiles>,
+    pub tiles: Option<TileRect>,
     /// Only these sections, by their index in [`tmpi_core::container::SECTIONS`].
     pub sections: Option<Vec<u8>>,
 }

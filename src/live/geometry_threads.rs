@@ -23,7 +23,7 @@ use super::room::{FrameWithTiles, Room};
 const WAITING: usize = 4;
 
 /// An encoded frame.
-pub struct Coded {
+pub struct EncodedFrame {
     /// Its number.
     pub frame: u64,
     /// Its data.
@@ -36,7 +36,7 @@ pub struct Coded {
 
 /// The outcome of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Decoded {
+pub enum DecodeOutcome {
     /// It was decoded.
     Picture,
     /// It is damaged, or refers to a damaged frame.
@@ -48,8 +48,8 @@ pub enum Decoded {
 }
 
 /// A room's threads, which end when this is dropped.
-pub struct Worker {
-    frames: SyncSender<Coded>,
+pub struct GeometryThreads {
+    frames: SyncSender<EncodedFrame>,
 }
 
 /// Holds the frame that waits for its geometry.
@@ -65,7 +65,7 @@ struct Waiting {
     ended: bool,
 }
 
-impl Worker {
+impl GeometryThreads {
     /// Starts the threads for `epoch`. `geometry` makes a driver, and another one after a panic. `done` receives the outcome of each frame
     /// in order.
     ///
@@ -75,9 +75,9 @@ impl Worker {
         (room, epoch): (Arc<Room>, u64),
         mut decoder: Box<dyn Decoder>,
         geometry: impl Fn() -> Geometry + Send + 'static,
-        done: mpsc::Sender<Decoded>,
+        done: mpsc::Sender<DecodeOutcome>,
     ) -> std::io::Result<Self> {
-        let (frames, coded): (_, Receiver<Coded>) = sync_channel(WAITING);
+        let (frames, coded): (_, Receiver<EncodedFrame>) = sync_channel(WAITING);
         let slot = Arc::new(Slot::default());
         let (to, from, counted) = (Arc::clone(&slot), slot, Arc::clone(&room));
         let panics = done.clone();
@@ -85,7 +85,7 @@ impl Worker {
             geometries((&room, epoch), &geometry, &from);
             if !from.ended() {
                 // the receiver may have gone
-                let _ = panics.blocking_send(Decoded::Panics);
+                let _ = panics.blocking_send(DecodeOutcome::Panics);
             }
         })?;
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
@@ -93,7 +93,7 @@ impl Worker {
             let to = Filler(to);
             // use arrival times: the publisher's clock may stand still
             let began = Instant::now();
-            for Coded { frame, data, depth, at } in coded {
+            for EncodedFrame { frame, data, depth, at } in coded {
                 // treat a panic as an undecodable frame
                 let decoded = catch_unwind(AssertUnwindSafe(|| decoded(decoder.as_mut(), &data, depth.as_deref())));
                 let outcome = match decoded.unwrap_or_else(|_| Err(VideoError::Broken(FAILED.into()))) {
@@ -101,13 +101,13 @@ impl Worker {
                         if let Some((photo, depth)) = picture {
                             to.0.put(Frame { number: frame, at: at.saturating_duration_since(began), photo, depth }, at, &counted);
                         }
-                        Decoded::Picture
+                        DecodeOutcome::Picture
                     }
                     Err(error) => {
                         tracing::debug!(%error, frame, "decoding a frame");
                         match error {
-                            VideoError::Unsupported(what) => Decoded::Unsupported(what),
-                            error => Decoded::Broken(error.to_string()),
+                            VideoError::Unsupported(what) => DecodeOutcome::Unsupported(what),
+                            error => DecodeOutcome::Broken(error.to_string()),
                         }
                     }
                 };
@@ -120,7 +120,7 @@ impl Worker {
     }
 
     /// Queues a frame; false if the queue is full or the threads have ended.
-    pub fn take(&self, coded: Coded) -> bool {
+    pub fn take(&self, coded: EncodedFrame) -> bool {
         !matches!(self.frames.try_send(coded), Err(TrySendError::Full(_) | TrySendError::Disconnected(_)))
     }
 }
@@ -204,7 +204,7 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
     // store all tiles before sending the changed ones: a viewer that joins now gets all
     if let Some(geometry) = driver.geometry() {
         let tiles = geometry.tiles.len() as u64;
-        room.keep(epoch, FrameWithTiles::new(frame.number, frame.photo, geometry.clone()), |s| {
+        room.set_newest_frame(epoch, FrameWithTiles::new(frame.number, frame.photo, geometry.clone()), |s| {
             s.tiles += tiles;
             s.tiles_left_out += tiles - update.sent.len() as u64;
             s.geometry_ms = ms;
@@ -221,14 +221,14 @@ mod tests {
     use std::time::Duration;
 
     use tmpi_core::live::schema::message::Kind;
-    use tmpi_core::live::{Model, read};
+    use tmpi_core::live::{TileState, read};
     use tmpi_live::Settings;
     use tmpi_pipeline::Models;
     use tmpi_pipeline::depth::{DepthError, Estimator};
 
     use super::*;
-    use crate::live::Bounds;
-    use crate::live::room::Next;
+    use crate::live::RoomLimits;
+    use crate::live::room::NextStep;
 
     /// Depth is brightness.
     struct Bright;
@@ -249,14 +249,14 @@ mod tests {
         const SIZE: (u32, u32) = (160, 120);
         let settings = Settings { frame_ms: 1e-3, ..Settings::default() };
         let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
-        let (room, mut driver) = (Room::new(Bounds::default()), Geometry::new(models, settings.clone()));
-        let epoch = room.publish(Model::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
-        let mut viewer = room.join(crate::live::room::Watches::Itself).unwrap();
-        let mut model = Model::new(&Model::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();
-        let mut read_all = |model: &mut Model| loop {
+        let (room, mut driver) = (Room::new(RoomLimits::default()), Geometry::new(models, settings.clone()));
+        let epoch = room.publish(TileState::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
+        let mut viewer = room.join(crate::live::room::ViewerKind::Local).unwrap();
+        let mut model = TileState::new(&TileState::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();
+        let mut read_all = |model: &mut TileState| loop {
             let bytes = match room.next(&mut viewer) {
-                Next::Send(bytes) => bytes,
-                Next::Hello(_) | Next::Tiles => match room.tiles(&mut viewer) {
+                NextStep::Send(bytes) => bytes,
+                NextStep::Hello(_) | NextStep::Tiles => match room.tiles(&mut viewer) {
                     Some(bytes) => bytes.unwrap(),
                     None => continue,
                 },
@@ -271,7 +271,7 @@ mod tests {
             let level = |x: u32| if falls { 219 - x / 4 } else { 20 + x / 4 };
             let rgb = (0..SIZE.0 * SIZE.1).map(|i| [level(i % SIZE.0) as u8; 3]).collect();
             let photo = Photo { width: SIZE.0, height: SIZE.1, rgb };
-            room.push(epoch, crate::live::ring::What::Key, Bytes::from_static(&[0; 10]));
+            room.push(epoch, crate::live::ring::MessageKind::Key, Bytes::from_static(&[0; 10]));
             made((&room, epoch), &mut driver, Frame { number, at: Duration::from_millis(33 * number), photo, depth: None }, Instant::now());
         };
         next(0, false);
@@ -283,7 +283,7 @@ mod tests {
         }
         let tiles = &model.geometry().unwrap().tiles;
         assert!(tiles.iter().zip(&before.tiles).all(|(now, then)| now.planes != then.planes), "a tile of the scene before the cut is left");
-        let (_, newest) = room.still().expect("the room goes on");
+        let (_, newest) = room.newest_frame().expect("the room goes on");
         assert_eq!(tiles, &newest.tiles.geometry.tiles);
     }
 
@@ -298,25 +298,25 @@ mod tests {
     }
 
     #[test]
-    fn a_decoder_that_panics_and_geometry_that_cannot_be_begun_are_told_of() {
-        let room = Arc::new(Room::new(Bounds::default()));
-        let epoch = room.publish(Model::hello(&Settings::default().empty(160, 120)), 0, 1);
+    fn panics_of_decoder_and_geometry_are_reported() {
+        let room = Arc::new(Room::new(RoomLimits::default()));
+        let epoch = room.publish(TileState::hello(&Settings::default().empty(160, 120)), 0, 1);
         let (done, mut told) = mpsc::channel(16);
         let start = |decodes: bool| {
             let geometry = || -> Geometry { panic!("as planned") };
-            Worker::start((Arc::clone(&room), epoch), Box::new(Pixel(decodes)), geometry, done.clone()).unwrap()
+            GeometryThreads::start((Arc::clone(&room), epoch), Box::new(Pixel(decodes)), geometry, done.clone()).unwrap()
         };
-        let mut next = |worker: &Worker, frame: u64| {
-            assert!(worker.take(Coded { frame, data: Bytes::new(), depth: None, at: Instant::now() }));
+        let mut next = |threads: &GeometryThreads, frame: u64| {
+            assert!(threads.take(EncodedFrame { frame, data: Bytes::new(), depth: None, at: Instant::now() }));
             told.blocking_recv()
         };
         let broken = start(false);
         for frame in 0..3 {
-            assert!(matches!(next(&broken, frame), Some(Decoded::Broken(_))));
+            assert!(matches!(next(&broken, frame), Some(DecodeOutcome::Broken(_))));
         }
-        let (worker, began) = (start(true), Instant::now());
+        let (threads, began) = (start(true), Instant::now());
         let mut frames = 0..;
-        while next(&worker, frames.next().unwrap()) != Some(Decoded::Panics) {
+        while next(&threads, frames.next().unwrap()) != Some(DecodeOutcome::Panics) {
             assert!(began.elapsed() < Duration::from_secs(20), "no geometry came, and no error");
             thread::sleep(Duration::from_millis(5));
         }

@@ -1,4 +1,5 @@
-//! Photos with true second views as public data has them: light fields, frames of a moving depth camera, files with the pictures of two eyes.
+//! Reads photos with true second views in the formats of public data: light fields, frames of a moving depth camera, and pictures of two
+//! eyes.
 
 use std::path::{Path, PathBuf};
 
@@ -14,27 +15,28 @@ use tmpi_pipeline::photo::{Limits, decode};
 use tmpi_pipeline::stereo::census::Grey;
 use tmpi_pipeline::stereo::{Halves, measure, rectify};
 
-/// Longest side of an eye's picture, in pixels.
+/// Maximum side of an eye's picture, in pixels.
 const EYE: u32 = 960;
-/// Frames of a sequence that views are made of.
+/// Number of frames of a sequence that serve as the photo.
 const REFERENCES: usize = 6;
-/// Shares of the width that the nearest thing of a frame moves by up to the frames that its views are compared with, and by how much a frame
-/// may miss them.
+/// Parallax of the frames to compare with: how far the nearest surface moves, as shares of the width. [`MISSED`] is the tolerance, relative
+/// to the parallax.
 const PARALLAX: [f64; 4] = [0.01, 0.03, 0.05, 0.08];
 const MISSED: f64 = 0.3;
-/// Degrees that such a frame may be turned by.
+/// Maximum rotation of such a frame, in degrees.
 const TURNED: f64 = 6.0;
-/// Share of the depths of a frame that may be nearer than what counts as the nearest.
+/// Quantile of a frame's depths that counts as the nearest depth.
 const NEAREST: f64 = 0.005;
 
-/// What the folder itself holds; nothing where it is none of these.
+/// Reads the cases in the folder itself; none if it holds none of these:
 ///
-/// - `cameras.json`, of a light field: parallel cameras, `file`, `a_mm` down and `b_mm` right of the middle one, and their focal length in widths.
-///   Views are those up, to the left, and both.
-/// - `camera-intrinsics.txt`, with `frame-N.color.jpg`, `frame-N.depth.png` (mm, 0 and 65535 unknown) and `frame-N.pose.txt` (camera to world).
+/// - `cameras.json`, for a light field: parallel cameras with `file`, their distances `a_mm` down and `b_mm` right of the centre camera,
+///   and their focal length in picture widths. Views are those above, to the left, and both.
+/// - `camera-intrinsics.txt`, with `frame-N.color.jpg`, `frame-N.depth.png` (mm, 0 and 65535 unknown) and `frame-N.pose.txt` (camera to
+///   world).
 /// - `NAME-left.jpg` with `NAME-right.jpg`, and `NAME.left-right.jpg`: the pictures of two eyes.
 ///
-/// Without true depth, two of the pictures are matched, and `depth` fills what either of them hides.
+/// Without true depth, this measures depth from two of the pictures, and `depth` fills what either of them hides.
 pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, EvalError> {
     if folder.join("cameras.json").exists() {
         return Ok(vec![light_field(folder, depth)?]);
@@ -58,7 +60,7 @@ pub(super) fn of(folder: &Path, depth: &dyn Estimator) -> Result<Vec<Case>, Eval
     Ok(cases)
 }
 
-/// Files of a folder by name.
+/// Files of a folder, sorted by name.
 fn listed(folder: &Path) -> Result<Vec<PathBuf>, EvalError> {
     let entries = std::fs::read_dir(folder).map_err(|e| EvalError::file(folder, &e))?;
     let mut files = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(|e| EvalError::file(folder, &e))?;
@@ -70,26 +72,26 @@ fn eye(file: &[u8], path: &Path) -> Result<Photo, EvalError> {
     decode(file, &Limits::default(), Some(EYE)).map(|d| d.photo).map_err(|e| EvalError::file(path, &e))
 }
 
-/// Depth of a photo, measured against a second one on its rows.
+/// Depth of a photo, measured against a second picture on the same rows.
 struct Measured {
     map: DisparityMap,
-    /// Pixels by which δ of 1 is farther to the left in the second than δ of 0; negative where that is the left eye's.
+    /// How much farther left δ = 1 is than δ = 0 in the second picture, in pixels; negative if that picture is the left eye's.
     span: f64,
-    /// Pixels by which δ of 0 is.
+    /// How much farther left δ = 0 is in the second picture, in pixels.
     infinity: f64,
 }
 
-/// None where measuring tells nothing.
+/// Measures depth; `None` if the pictures do not allow it.
 fn measured(photo: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Measured>, EvalError> {
     let Ok(measured) = measure(photo, second) else { return Ok(None) };
-    let joined = measured.joined(photo, &depth.estimate(photo)?);
+    let joined = measured.fuse(photo, &depth.estimate(photo)?);
     let f = joined.figures;
     let side = if f.crossed { -1.0 } else { 1.0 };
     Ok(Some(Measured { map: joined.map, span: side * (f.nearest_px - f.infinity_px), infinity: side * f.infinity_px }))
 }
 
 impl Measured {
-    /// The camera that is moved by so many times the way to the second picture, right and down.
+    /// The camera at these multiples of the distance to the second picture, right and down.
     fn camera(&self, intrinsics: Intrinsics, (right, down): (f64, f64)) -> Camera {
         let k = intrinsics;
         let pose = Pose::at(right * self.span / k.fx, down * self.span / k.fy, 0.0);
@@ -121,7 +123,7 @@ fn light_field(folder: &Path, depth: &dyn Estimator) -> Result<Case, EvalError> 
     let reference = decoded(&photo, &folder.join(&middle.file))?;
     let (width, height) = (reference.width, reference.height);
     let views: Vec<&Place> = cameras.iter().filter(|c| c.a_mm <= 0.0 && c.b_mm <= 0.0 && c.a_mm + c.b_mm < 0.0).collect();
-    // far enough to the side that depth is exact, near enough that most is seen from there
+    // far enough to the side for exact depth, near enough to see most of the photo
     let mut aside: Vec<&Place> = views.iter().copied().filter(|c| c.a_mm >= 0.0).collect();
     aside.sort_by(|a, b| b.b_mm.total_cmp(&a.b_mm));
     let second = aside.get(aside.len() / 2).ok_or_else(|| bad("has no camera beside the middle one"))?;
@@ -138,7 +140,7 @@ fn light_field(folder: &Path, depth: &dyn Estimator) -> Result<Case, EvalError> 
     Ok(Case { name: name(folder), photo, intrinsics, truth: measured.map.clone(), views })
 }
 
-/// None where measuring the two against each other tells nothing.
+/// Builds a case from the pictures of two eyes; `None` if they do not allow a measurement of depth.
 fn eyes(name: &str, first: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Case>, EvalError> {
     let second = on_rows(first, second);
     let Some(measured) = measured(first, &second, depth)? else { return Ok(None) };
@@ -151,21 +153,21 @@ fn eyes(name: &str, first: &Photo, second: &Photo, depth: &dyn Estimator) -> Res
     Ok(Some(Case { name: name.into(), photo, intrinsics, truth: measured.map, views }))
 }
 
-/// The second picture on the rows of the first.
+/// Rectifies the second picture to the rows of the first.
 fn on_rows(first: &Photo, second: &Photo) -> Photo {
     let channel =
         |p: &Photo, c: usize| Grey { width: p.width as usize, height: p.height as usize, values: p.rgb.iter().map(|v| v[c]).collect() };
-    // green is nearly as bright as all
+    // green is nearly as bright as all channels together
     let model = rectify::rectify(&channel(first, 1), &channel(second, 1)).unwrap_or_default().model;
     let [r, g, b] = [0, 1, 2].map(|c| model.rectified(&channel(second, c)).values);
     let rgb = r.into_iter().zip(g).zip(b).map(|((r, g), b)| [r, g, b]).collect();
     Photo { width: second.width, height: second.height, rgb }
 }
 
-/// A frame of a sequence: where its camera stands and looks.
+/// A frame of a sequence: position and orientation of its camera.
 struct Frame {
     name: String,
-    /// Camera to world.
+    /// Rotation from camera to world.
     orientation: Mat3,
     place: [f64; 3],
 }
@@ -179,7 +181,7 @@ impl Frame {
         Ok(Self { name, orientation: [row(0), row(1), row(2)], place: [m[3], m[7], m[11]] })
     }
 
-    /// Pose of another frame as this one's camera sees it, lengths in units of `nearest` metres.
+    /// Pose of another frame in the coordinates of this frame's camera; lengths are in units of `nearest` metres.
     fn pose_of(&self, other: &Self, nearest: f64) -> Pose {
         let transposed: Mat3 = std::array::from_fn(|i| std::array::from_fn(|j| self.orientation[j][i]));
         let way: [f64; 3] = std::array::from_fn(|i| other.place[i] - self.place[i]);
@@ -189,7 +191,7 @@ impl Frame {
     }
 }
 
-/// A pose with the angles of an orientation, given by its columns.
+/// `place` with the angles of an orientation, given by its columns.
 fn angles(place: Pose, columns: &Mat3) -> Pose {
     let at = |row: usize, column: usize| columns[column][row];
     let pitch = (-at(1, 2)).clamp(-1.0, 1.0).asin().to_degrees();
@@ -209,7 +211,7 @@ fn sequence(folder: &Path) -> Result<Vec<Case>, EvalError> {
     Ok(cases)
 }
 
-/// None where no other frame is seen from near.
+/// Builds a case from a reference frame; `None` if no other frame is close enough.
 fn case_of(folder: &Path, intrinsics: Intrinsics, reference: &Frame, frames: &[Frame]) -> Result<Option<Case>, EvalError> {
     let colours = |frame: &Frame| folder.join(format!("{}.color.jpg", frame.name));
     let photo = bytes(&colours(reference))?;
@@ -234,7 +236,7 @@ fn case_of(folder: &Path, intrinsics: Intrinsics, reference: &Frame, frames: &[F
     Ok(Some(case).filter(|c| !c.views.is_empty()))
 }
 
-/// For each of [`PARALLAX`] the frame that comes nearest to it, where one does; `focal` in widths.
+/// For each of [`PARALLAX`], the frame that comes closest to it, if one is within the tolerance; `focal` is in picture widths.
 fn chosen<'a>(reference: &Frame, frames: &'a [Frame], nearest: f64, focal: f64) -> Vec<(Pose, &'a Frame)> {
     let straight = |p: &Pose| p.yaw.abs().max(p.pitch.abs()).max(p.roll.abs()) < TURNED;
     let poses: Vec<(Pose, &Frame)> = frames.iter().map(|f| (reference.pose_of(f, nearest), f)).filter(|(p, _)| straight(p)).collect();
@@ -245,7 +247,7 @@ fn chosen<'a>(reference: &Frame, frames: &'a [Frame], nearest: f64, focal: f64) 
     PARALLAX.iter().filter_map(|wanted| one(*wanted).copied()).collect()
 }
 
-/// So many numbers of a text, separated by white space.
+/// Reads exactly `count` numbers from a text file, separated by white space.
 fn numbers(path: &Path, count: usize) -> Result<Vec<f64>, EvalError> {
     let text = bytes(path)?;
     let all: Vec<f64> = String::from_utf8_lossy(&text).split_whitespace().filter_map(|v| v.parse().ok()).collect();

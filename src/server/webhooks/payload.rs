@@ -1,7 +1,7 @@
 //! The body of a webhook's request. It is small: receivers fetch the rest.
 
 use serde_json::{Value, json};
-use tmpi_library::{Delivery, EventType, ExportFacts, Facts, PhotoId};
+use tmpi_library::{Delivery, EventData, EventType, ExportData, PhotoId};
 
 use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
@@ -17,7 +17,7 @@ pub fn body(delivery: &Delivery, origin: Option<&str>) -> String {
 /// The data of a delivery.
 #[must_use]
 pub fn data(delivery: &Delivery, origin: Option<&str>) -> Value {
-    let Facts { photo, title, export, problem, room } = &delivery.facts;
+    let EventData { photo, title, export, problem, room } = &delivery.data;
     let mut data = match (photo, export, room) {
         (Some(photo), Some(export), _) => of_export(*photo, export, delivery.event),
         (Some(photo), None, _) => of_photo(*photo, delivery.event),
@@ -49,8 +49,8 @@ fn of_photo(photo: PhotoId, event: EventType) -> Value {
     }
 }
 
-fn of_export(photo: PhotoId, export: &ExportFacts, event: EventType) -> Value {
-    let ExportFacts { key, payload, .. } = export;
+fn of_export(photo: PhotoId, export: &ExportData, event: EventType) -> Value {
+    let ExportData { key, payload, .. } = export;
     let (_, ending) = payload.as_str().and_then(Recipe::kind).unwrap_or_default();
     let path = format!("/v1/photos/{photo}/exports/{key}");
     let mut data = json!({ "photo": photo, "key": key, "format": ending, "state": "failed", "path": path });
@@ -63,17 +63,17 @@ fn of_export(photo: PhotoId, export: &ExportFacts, event: EventType) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use tmpi_library::{DeliveryState, Kind};
+    use tmpi_library::{DeliveryState, JobKind};
 
     use super::*;
 
-    fn told(event: EventType, facts: Facts) -> Value {
+    fn told(event: EventType, data: EventData) -> Value {
         let (created_at, state) = (1_767_225_600_001, DeliveryState::Pending);
         let (run_after, attempts) = (created_at, 1);
         let delivery = Delivery {
             id: "msg_1".into(),
             event,
-            facts,
+            data,
             created_at,
             run_after,
             attempts,
@@ -89,9 +89,9 @@ mod tests {
     #[test]
     fn a_body_has_what_a_receiver_needs_to_fetch_the_rest() {
         let photo = PhotoId::from_bytes([7; 16]);
-        let facts = Facts { photo: Some(photo), title: Some("A \"title\"".into()), ..Facts::default() };
+        let data = EventData { photo: Some(photo), title: Some("A \"title\"".into()), ..EventData::default() };
         let path = format!("/v1/photos/{photo}");
-        let done = told(EventType::PhotoDone, facts.clone());
+        let done = told(EventType::PhotoDone, data.clone());
         assert_eq!(
             done,
             json!({ "type": "photo.done", "timestamp": "2026-01-01T00:00:00.001Z", "data": {
@@ -99,20 +99,17 @@ mod tests {
                 "url": format!("https://photos.example{path}") } })
         );
         let problem = Some(tmpi_library::Problem { field: Some("photo".into()), ..tmpi_library::Problem::new("broken-photo", "why") });
-        let failed = told(EventType::PhotoFailed, Facts { problem: problem.clone(), ..facts.clone() });
+        let failed = told(EventType::PhotoFailed, EventData { problem: problem.clone(), ..data.clone() });
         assert_eq!(failed["data"]["problem"], json!({ "type": "urn:tmpi:problem:broken-photo", "detail": "why", "field": "photo" }));
-        assert_eq!(
-            told(EventType::PhotoDeleted, facts.clone())["data"],
-            json!({ "id": photo, "state": "deleted", "title": "A \"title\"" })
-        );
-        let export = ExportFacts { key: "k".into(), kind: Kind::Film, payload: "path=orbit&format=mp4".into() };
-        let written = told(EventType::ExportDone, Facts { export: Some(export.clone()), ..facts.clone() });
+        assert_eq!(told(EventType::PhotoDeleted, data.clone())["data"], json!({ "id": photo, "state": "deleted", "title": "A \"title\"" }));
+        let export = ExportData { key: "k".into(), kind: JobKind::Film, payload: "path=orbit&format=mp4".into() };
+        let written = told(EventType::ExportDone, EventData { export: Some(export.clone()), ..data.clone() });
         assert_eq!(written["data"]["file"], format!("{path}/exports/k/file"));
         assert_eq!((&written["data"]["format"], &written["data"]["state"]), (&"mp4".into(), &"done".into()));
-        let unwritten = told(EventType::ExportFailed, Facts { export: Some(export), problem, ..facts });
+        let unwritten = told(EventType::ExportFailed, EventData { export: Some(export), problem, ..data });
         assert!(unwritten["data"]["file"].is_null() && unwritten["data"]["problem"].is_object());
-        let room = told(EventType::RoomStarted, Facts { room: Some("attic".into()), ..Facts::default() });
+        let room = told(EventType::RoomStarted, EventData { room: Some("attic".into()), ..EventData::default() });
         assert_eq!((&room["data"]["room"], &room["data"]["path"]), (&"attic".into(), &"/live/attic".into()));
-        assert_eq!(told(EventType::Ping, Facts::default())["data"], json!({}));
+        assert_eq!(told(EventType::Ping, EventData::default())["data"], json!({}));
     }
 }

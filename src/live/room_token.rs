@@ -1,14 +1,13 @@
-//! Access to rooms: this machine's own user and holders of a token may publish or watch. Checking a token needs no database.
+//! Tokens of rooms. Checking one needs no database.
 //!
 //! A token is `EXPIRES.SIGNATURE`: seconds since 1970, and the first 16 bytes of HMAC-SHA-256 by the server's key over
 //! `ROLE ROOM EXPIRES`, as hexadecimal digits.
 
-use axum::http::uri::Authority;
-use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::http::{HeaderMap, header};
 use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 
-use crate::server::{Problem, hex, same};
+use crate::server::{constant_time_eq, hex};
 
 /// What a token allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,16 +38,16 @@ fn signature(key: &[u8], role: Role, room: &str, expires: u64) -> Option<[u8; SI
 
 /// A token for a room until `expires`, in seconds since 1970; `None` if the key is invalid.
 #[must_use]
-pub fn token(key: &[u8], role: Role, room: &str, expires: u64) -> Option<String> {
+pub fn room_token(key: &[u8], role: Role, room: &str, expires: u64) -> Option<String> {
     signature(key, role, room, expires).map(|s| format!("{expires}.{}", hex(&s)))
 }
 
 /// Expiry of a token in seconds since 1970; `None` if the token is not valid now for this room and role. A publisher may watch, too.
 #[must_use]
-pub fn end_of(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Option<u64> {
+pub fn token_expiry(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Option<u64> {
     let (expires, signed) = token.split_once('.')?;
     let expires = expires.parse::<u64>().ok()?;
-    let same = |role| signature(key, role, room, expires).is_some_and(|good| same(hex(&good).as_bytes(), signed.as_bytes()));
+    let same = |role| signature(key, role, room, expires).is_some_and(|good| constant_time_eq(hex(&good).as_bytes(), signed.as_bytes()));
     let roles: &[Role] = if role == Role::Watch { &[Role::Watch, Role::Publish] } else { &[Role::Publish] };
     let good = roles.iter().fold(false, |any, role| any | same(*role));
     (good && now < expires).then_some(expires)
@@ -61,30 +60,11 @@ pub const PROTOCOL: &str = "tmpi.live.v1";
 
 /// The token in a request's headers: a bearer token (RFC 6750), or one among the WebSocket protocols.
 #[must_use]
-pub fn token_of(headers: &HeaderMap) -> Option<&str> {
+pub fn token_in_headers(headers: &HeaderMap) -> Option<&str> {
     let text = |name| headers.get(name).and_then(|v: &axum::http::HeaderValue| v.to_str().ok());
     let bearer = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
     let among = || text(header::SEC_WEBSOCKET_PROTOCOL)?.split(',').find_map(|name| name.trim().strip_prefix(AMONG_PROTOCOLS));
     bearer.or_else(among)
-}
-
-/// Refuses requests from pages of other sites: browsers let a page open web sockets to any server, but send the page's origin.
-///
-/// # Errors
-/// 403.
-pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
-    let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not come into a room");
-    if let Some(site) = headers.get("sec-fetch-site") {
-        return if site == "same-origin" || site == "none" { Ok(()) } else { Err(foreign()) };
-    }
-    // not a browser, or one that sends no origin
-    let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
-    let origin = origin.to_str().ok().and_then(|o| o.parse::<Uri>().ok()).and_then(|o| o.authority().cloned());
-    let host = headers.get(header::HOST).and_then(|h| h.to_str().ok()).and_then(|h| h.parse::<Authority>().ok());
-    if origin.is_some() && origin == host {
-        return Ok(());
-    }
-    Err(foreign())
 }
 
 #[cfg(test)]
@@ -92,16 +72,16 @@ mod tests {
     use super::*;
 
     fn is_good(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> bool {
-        end_of(key, role, room, token, now).is_some()
+        token_expiry(key, role, room, token, now).is_some()
     }
 
     #[test]
-    fn a_token_is_good_for_its_room_role_and_time_alone() {
+    fn a_token_is_valid_for_its_room_role_and_time_only() {
         let key = b"a key";
-        let watch = token(key, Role::Watch, "attic", 1000).unwrap();
-        let publish = token(key, Role::Publish, "attic", 1000).unwrap();
+        let watch = room_token(key, Role::Watch, "attic", 1000).unwrap();
+        let publish = room_token(key, Role::Publish, "attic", 1000).unwrap();
         assert!(is_good(key, Role::Watch, "attic", &watch, 999) && is_good(key, Role::Publish, "attic", &publish, 999));
-        assert_eq!(end_of(key, Role::Watch, "attic", &publish, 999), Some(1000), "a publisher may watch");
+        assert_eq!(token_expiry(key, Role::Watch, "attic", &publish, 999), Some(1000), "a publisher may watch");
         assert!(!is_good(key, Role::Publish, "attic", &watch, 999), "a viewer may not publish");
         assert!(!is_good(key, Role::Watch, "attic", &watch, 1000), "too late");
         assert!(!is_good(key, Role::Watch, "cellar", &watch, 999) && !is_good(b"another", Role::Watch, "attic", &watch, 999));
@@ -112,28 +92,12 @@ mod tests {
     }
 
     #[test]
-    fn tokens_come_as_bearers_or_among_protocols() {
-        let of = |name, value| token_of(&[(name, axum::http::HeaderValue::from_static(value))].into_iter().collect()).map(str::to_owned);
+    fn tokens_come_as_bearers_or_as_websocket_protocols() {
+        let of =
+            |name, value| token_in_headers(&[(name, axum::http::HeaderValue::from_static(value))].into_iter().collect()).map(str::to_owned);
         assert_eq!(of(header::AUTHORIZATION, "Bearer 1000.ab").as_deref(), Some("1000.ab"));
         assert_eq!(of(header::AUTHORIZATION, "Basic 1000.ab"), None);
         assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1, token.1000.ab").as_deref(), Some("1000.ab"));
         assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1"), None);
-    }
-
-    #[test]
-    fn pages_of_other_sites_stay_out() {
-        let headers = |pairs: &[(&'static str, &'static str)]| {
-            let pairs = [&[("host", "localhost:8080")], pairs].concat();
-            let header = |(name, value)| (header::HeaderName::from_static(name), header::HeaderValue::from_static(value));
-            check_origin(&pairs.into_iter().map(header).collect()).is_ok()
-        };
-        assert!(headers(&[]) && headers(&[("origin", "http://localhost:8080")]));
-        for origin in ["http://localhost:8081", "https://example.org", "null"] {
-            assert!(!headers(&[("origin", origin)]), "{origin}");
-        }
-        for (site, good) in [("same-origin", true), ("none", true), ("same-site", false), ("cross-site", false), ("", false)] {
-            assert_eq!(headers(&[("sec-fetch-site", site)]), good, "{site}");
-        }
-        assert!(!headers(&[("sec-fetch-site", "cross-site"), ("origin", "http://localhost:8080")]));
     }
 }

@@ -11,7 +11,7 @@ use tmpi_core::Plane;
 const PASSES: usize = 4;
 /// Cost of each neighbour on another plane, against the squared error in units of the target. `tmpi-lab bench` compares values: label
 /// changes decrease with it, without a loss in views.
-pub const NEIGHBOUR: f32 = 0.3;
+pub const NEIGHBOUR_COST: f32 = 0.3;
 /// Largest error of a label that is not the nearest plane's, in units of the target.
 const MOST: f32 = 1.0;
 
@@ -109,7 +109,7 @@ mod tests {
         let mut labels: Vec<u8> = (0..4096).map(|i| u8::from(s.deltas()[i] > 0.502)).collect();
         let changes = |l: &[u8]| (1..4096).filter(|&i| i % 64 != 0 && l[i] != l[i - 1]).count();
         let before = changes(&labels);
-        smooth_labels(&s, &planes, &mut labels, 0.005, NEIGHBOUR);
+        smooth_labels(&s, &planes, &mut labels, 0.005, NEIGHBOUR_COST);
         assert!(changes(&labels) * 4 < before, "{} of {before}", changes(&labels));
     }
 
@@ -124,7 +124,7 @@ mod tests {
             let planes = [Plane::fronto_parallel(0.2), Plane { a: 0.5, b: 0.1, c: -0.2 }, Plane::fronto_parallel(0.8)];
             let s = samples(24, |i| values[i], values.len());
             let mut labels = start.clone();
-            smooth_labels(&s, &planes, &mut labels, target, NEIGHBOUR);
+            smooth_labels(&s, &planes, &mut labels, target, NEIGHBOUR_COST);
             let (was, is) = (s.errors(&planes, &start), s.errors(&planes, &labels));
             for i in 0..labels.len() {
                 prop_assert!(labels[i] == start[i] || f64::from(is[i]) <= target * 1.001, "{} after {}, target {target}", is[i], was[i]);

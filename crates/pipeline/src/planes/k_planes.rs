@@ -1,7 +1,7 @@
 //! Weighted k-planes: clusters pixels on planes whose disparity is affine in the image.
 
+use super::k_means::{self, Histogram};
 use super::kernel::{self, Sums};
-use super::lloyd::{self, Histogram};
 use super::{Samples, sample::percentile_99};
 use tmpi_core::Plane;
 
@@ -150,7 +150,7 @@ impl<'a> Search<'a> {
     fn new(s: &'a Samples, one: &Plane) -> Self {
         let [a, b, c] = [one.a as f32, one.b as f32, one.c as f32];
         let residual: Vec<f32> = s.deltas().iter().zip(s.us()).zip(s.vs()).map(|((d, u), v)| d - (a + b * u + c * v)).collect();
-        let histograms = [s.deltas(), &residual].map(|values| Histogram::new(values, s.weights(), lloyd::BINS));
+        let histograms = [s.deltas(), &residual].map(|values| Histogram::new(values, s.weights(), k_means::BINS));
         Self {
             s,
             one: *one,
@@ -171,8 +171,8 @@ impl<'a> Search<'a> {
         let mut best = (f64::INFINITY, last.to_vec());
         for start in 0..5 {
             match start {
-                0 => label_nearest(s.deltas(), &lloyd::centres(self.histograms[0].as_ref(), k), &mut self.labels),
-                1 => label_nearest(&self.residual, &lloyd::centres(self.histograms[1].as_ref(), k), &mut self.labels),
+                0 => label_nearest(s.deltas(), &k_means::centres(self.histograms[0].as_ref(), k), &mut self.labels),
+                1 => label_nearest(&self.residual, &k_means::centres(self.histograms[1].as_ref(), k), &mut self.labels),
                 2 => self.split_worst(last),
                 _ => self.voronoi(k),
             }

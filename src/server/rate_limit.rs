@@ -72,15 +72,15 @@ impl Buckets {
         (most > 0).then(|| Self { name, most, full: Mutex::default() })
     }
 
-    /// Takes a token of `asker`'s bucket, if it has one.
-    fn take(&self, asker: &RateKey, now: Instant) -> BucketState {
+    /// Takes a token of `client`'s bucket, if it has one.
+    fn take(&self, client: &RateKey, now: Instant) -> BucketState {
         let each = WINDOW / self.most;
         let mut all = self.full.lock().unwrap_or_else(PoisonError::into_inner);
-        let missing = all.get(asker).map_or(Duration::ZERO, |full| full.saturating_duration_since(now));
+        let missing = all.get(client).map_or(Duration::ZERO, |full| full.saturating_duration_since(now));
         let fits = missing + each <= WINDOW;
         let after = if fits { missing + each } else { missing };
         if fits {
-            if all.len() >= MOST && !all.contains_key(asker) {
+            if all.len() >= MOST && !all.contains_key(client) {
                 all.retain(|_, full| *full > now);
                 if all.len() >= MOST {
                     // keep those with the most requests, so that a flood of addresses does not reset their buckets
@@ -90,7 +90,7 @@ impl Buckets {
                     all.retain(|_, full| *full > middle);
                 }
             }
-            all.insert(asker.clone(), now + after);
+            all.insert(client.clone(), now + after);
         }
         let left = (WINDOW.saturating_sub(after).as_nanos() / each.as_nanos().max(1)) as u32;
         let wait = (!fits).then(|| seconds_up((missing + each).saturating_sub(WINDOW)));
@@ -100,7 +100,7 @@ impl Buckets {
 
 /// All rate limits of a server.
 #[derive(Debug)]
-pub struct Rates {
+pub struct RateLimiter {
     requests: Option<Buckets>,
     uploads: Option<Buckets>,
     views: Option<Buckets>,
@@ -110,7 +110,7 @@ pub struct Rates {
 #[derive(Debug, Default)]
 pub struct RateHeaders(Vec<BucketState>);
 
-impl Rates {
+impl RateLimiter {
     /// The rates of `limits`.
     #[must_use]
     pub fn new(limits: &limits::Rates) -> Self {
@@ -124,7 +124,7 @@ impl Rates {
     /// The additional limit of a request, by its method and route.
     fn class(&self, method: &Method, path: &str) -> Option<&Buckets> {
         match (method, path) {
-            (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
+            (&Method::POST, "/v1/photos" | "/v1/photos/{id}/remake") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
             // HEAD renders, too, to know the length
             (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export")
             | (&Method::POST, "/v1/photos/{id}/exports") => self.views.as_ref(),
@@ -136,20 +136,20 @@ impl Rates {
     ///
     /// # Errors
     /// 429 that names the exceeded limit and says when to retry.
-    pub fn count(&self, asker: Option<RateKey>, request: &Request) -> (RateHeaders, Result<(), Problem>) {
+    pub fn count(&self, client: Option<RateKey>, request: &Request) -> (RateHeaders, Result<(), Problem>) {
         let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-        self.take(asker, request.method(), path)
+        self.take(client, request.method(), path)
     }
 
-    fn take(&self, asker: Option<RateKey>, method: &Method, path: &str) -> (RateHeaders, Result<(), Problem>) {
+    fn take(&self, client: Option<RateKey>, method: &Method, path: &str) -> (RateHeaders, Result<(), Problem>) {
         let mut told = RateHeaders::default();
-        let Some(asker) = asker else { return (told, Ok(())) };
+        let Some(client) = client else { return (told, Ok(())) };
         let now = Instant::now();
         for buckets in self.requests.iter().chain(self.class(method, path)) {
-            let standing = buckets.take(&asker, now);
+            let standing = buckets.take(&client, now);
             told.0.push(standing);
             if let Some(seconds) = standing.wait {
-                let of = if matches!(asker, RateKey::Key(_)) { "key" } else { "address" };
+                let of = if matches!(client, RateKey::Key(_)) { "key" } else { "address" };
                 let detail = format!("{} are {} a minute at most for a {of}", standing.name, standing.most);
                 let problem = Problem::registered(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", detail).retry_after(seconds.max(1));
                 return (told, Err(problem));
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bucket_empties_and_fills_for_each_by_itself() {
+    fn each_client_has_its_own_bucket() {
         let (buckets, start) = (Buckets::new("uploads", 3).unwrap(), Instant::now());
         let (ann, bob) = (address("192.0.2.1"), RateKey::of(Some("site".into()), Some("192.0.2.1".parse().unwrap())).unwrap());
         let left: Vec<_> = (0..3).map(|_| buckets.take(&ann, start).left).collect();
@@ -203,11 +203,11 @@ mod tests {
     }
 
     #[test]
-    fn a_network_of_64_bits_is_one_and_who_cannot_be_told_apart_is_not_counted() {
+    fn an_ipv6_network_is_one_client_and_unknown_clients_are_not_counted() {
         assert_eq!(address("2001:db8::1"), address("2001:db8::2"));
         assert_ne!(address("2001:db8::1"), address("2001:db8:0:1::1"));
-        let rates = Rates::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
-        let take = |asker| rates.take(asker, &Method::GET, "/").1;
+        let rates = RateLimiter::new(&limits::Rates { requests: 1, ..limits::Rates::default() });
+        let take = |client| rates.take(client, &Method::GET, "/").1;
         assert!((0..9).all(|_| take(RateKey::of(None, None)).is_ok()));
         let one = || Some(address("192.0.2.1"));
         assert!(take(one()).is_ok());
@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn a_head_request_for_a_view_counts_as_a_view() {
-        let rates = Rates::new(&limits::Rates { views: 1, ..limits::Rates::default() });
+        let rates = RateLimiter::new(&limits::Rates { views: 1, ..limits::Rates::default() });
         for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
             let take = |method| rates.take(Some(RateKey::Key(n.to_string())), &method, path).1;
             assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn buckets_that_are_full_are_forgotten_where_there_are_too_many() {
+    fn full_buckets_are_dropped_first() {
         let (buckets, start) = (Buckets::new("requests", 1).unwrap(), Instant::now());
         for n in 0..MOST {
             buckets.take(&RateKey::Key(n.to_string()), start);
@@ -255,7 +255,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn never_more_than_a_bucket_and_what_came_since(most in 1..200_u32, pauses in prop::collection::vec(0..5000_u64, 1..300)) {
+        fn no_client_gets_more_than_a_full_bucket_and_its_refill(most in 1..200_u32, pauses in prop::collection::vec(0..5000_u64, 1..300)) {
             let (buckets, start) = (Buckets::new("requests", most).unwrap(), Instant::now());
             let (mut now, mut let_in) = (start, Vec::new());
             for pause in pauses {

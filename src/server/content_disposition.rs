@@ -1,4 +1,4 @@
-//! Names of downloads.
+//! `Content-Disposition`: the file names of downloads.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use tmpi_library::Photo;
 
 /// `Content-Disposition` (RFC 6266) of a download: named by the photo's title, else by its id.
 #[must_use]
-pub fn attachment(photo: &Photo, ending: &str) -> String {
+pub fn content_disposition(photo: &Photo, ending: &str) -> String {
     let id = photo.id.to_string();
     let stem = photo.title().map(stem).filter(|stem| !stem.is_empty());
     match stem {

@@ -1,7 +1,7 @@
 //! One-dimensional k-means, exact up to the width of a bin, by dynamic programming with divide and conquer over the split point.
 
 use super::Samples;
-use super::lloyd::Histogram;
+use super::k_means::Histogram;
 
 /// Least number of bins, and number of bins per cluster; the larger count is used. Values within a bin count as one, and means stay exact.
 ///

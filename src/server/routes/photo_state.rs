@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::server::app_state::Shared;
+use crate::server::app_state::AppState;
 use crate::server::finished_photo::FinishedPhoto;
 use crate::server::photo_options;
 use crate::server::photo_settings::{Settings, Visibility};
 use crate::server::problem::Problem;
 use crate::server::timestamps::rfc3339;
-use tmpi_library::{Kind, LibraryError, Part, Photo, PhotoState as Phase};
+use tmpi_library::{JobKind, LibraryError, Part, Photo, PhotoState as Phase};
 
 /// State of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
@@ -133,7 +133,7 @@ pub struct PhotoState {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
     /// Name of this node's network, if it is better than the one that estimated the photo's depth; only in answers to `GET` of this state,
-    /// and only if the caller may have the photo made again (`POST …/again`). With several nodes on one store, another node may make it.
+    /// and only if the caller may have the photo made again (`POST …/remake`). With several nodes on one store, another node may make it.
     #[schema(example = "depth-anything-v2-small-fp16")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub better_depth: Option<String>,
@@ -175,12 +175,12 @@ impl PhotoState {
     ///
     /// # Errors
     /// 503 if the library is unreachable.
-    pub async fn of(app: &Shared, photo: &Photo) -> Result<Self, Problem> {
+    pub async fn of(app: &AppState, photo: &Photo) -> Result<Self, Problem> {
         let mut state = Self::of_row(app, photo);
         match photo.state {
             Phase::Queued => {
-                state.position = app.library.position(Kind::Make, photo.id, None).await?.map(|position| position.ahead);
-                state.waits_for = match app.library.job(Kind::Make, photo.id, None).await {
+                state.position = app.library.position(JobKind::Make, photo.id, None).await?.map(|position| position.ahead);
+                state.waits_for = match app.library.job(JobKind::Make, photo.id, None).await {
                     Ok(job) => job.problem.filter(|problem| problem.kind == "fault").map(|problem| problem.detail),
                     Err(LibraryError::NotFound(_)) => None,
                     Err(error) => return Err(error.into()),
@@ -196,7 +196,7 @@ impl PhotoState {
     }
 
     /// The part of the state that the photo's row holds.
-    fn of_row(app: &Shared, photo: &Photo) -> Self {
+    fn of_row(app: &AppState, photo: &Photo) -> Self {
         let (settings, done) = (Settings::of(photo), FinishedPhoto::of(photo));
         let poster = settings.poster_query(&photo_options::view_box_of(&photo.options)).map(|query| format!("/view?{query}"));
         let at = |part: &str| format!("/v1/photos/{}{part}", photo.id);

@@ -1,0 +1,199 @@
+//! How jobs end: with results, with a failure, or back in the queue.
+
+use std::time::Duration;
+
+use serde_json::Value;
+use sqlx::{AssertSqlSafe, Row as _};
+
+use crate::blobs::Contents;
+use crate::database::Tx;
+use crate::deliveries::{EventData, announce};
+use crate::error::{LibraryError, Result, is_refusal};
+use crate::events::Event;
+use crate::ids::Millis;
+use crate::leases::Lease;
+use crate::photo::{self, Blobs, Photo, PhotoState, Problem, blob_names, bytes_of, to_json};
+use crate::photos::locked_photo;
+use crate::queue::{Job, JobKind};
+use crate::statistics::{count_death, count_outcome};
+use crate::webhooks::EventType;
+use crate::{Library, exports, millis};
+
+/// Pause after the server's first fault, doubled after each further one, and the longest pause.
+const BACK_OFF: Duration = Duration::from_millis(500);
+pub(crate) const MAX_BACK_OFF: Duration = Duration::from_mins(1);
+
+/// A worker's results for a photo.
+#[derive(Debug)]
+pub struct PhotoResults {
+    /// Container, disparity, thumbnail and report.
+    pub contents: Contents,
+    /// Details, a JSON object: width, height.
+    pub details: Value,
+}
+
+/// Why a worker gives a job back.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Retry {
+    /// The worker's process died. The job fails if that happens too often.
+    Died(String),
+    /// The server is at fault: disk, store or memory. The job waits, longer each time.
+    Fault(String),
+    /// The worker is shutting down.
+    Stopping,
+}
+
+impl Library {
+    /// Stores a photo's results and marks it done.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], after which the results are discarded; [`LibraryError::StorageFull`] and [`LibraryError::Unavailable`],
+    /// after which the lease still holds.
+    pub async fn finish(&self, lease: &Lease, made: PhotoResults) -> Result<Photo> {
+        let blobs = self.blobs().store(lease.job.photo, made.contents).await?;
+        let written = blob_names(&blobs);
+        match self.keep(lease, &made.details, blobs).await {
+            Ok((photo, replaced)) => {
+                self.blobs().discard_later(replaced).await;
+                Ok(photo)
+            }
+            Err(error) => {
+                if is_refusal(&error) {
+                    self.blobs().discard(written).await;
+                }
+                Err(error)
+            }
+        }
+    }
+
+    async fn keep(&self, lease: &Lease, details: &Value, blobs: Blobs) -> Result<(Photo, Vec<String>)> {
+        let mut tx = self.database().write().await?;
+        tx.lock_jobs(lease.job.photo).await?;
+        end(&mut tx, lease).await?;
+        let before = locked_photo(&mut tx, lease.job.photo).await?;
+        let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
+        all.extend(blobs);
+        let update = format!(
+            "UPDATE photos SET state = $1, blobs = $2, bytes = $3, details = $4, problem = NULL, finished_at = $5, checked_at = $5 WHERE id = $6 RETURNING {}",
+            photo::COLUMNS
+        );
+        let update = sqlx::query(AssertSqlSafe(update)).bind(PhotoState::Done.name()).bind(to_json(&all)?).bind(bytes_of(&all));
+        let update = update.bind(to_json(details)?).bind(tx.now).bind(lease.job.photo.to_string());
+        let photo = Photo::from_row(&update.fetch_one(tx.connection()).await?)?;
+        // exports of the previous version
+        let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
+        replaced.extend(blob_names(&old));
+        count_outcome(&mut tx, &lease.job, Some(lease.age())).await?;
+        announce(&mut tx, EventType::PhotoDone, photo.owner.as_ref(), &EventData::of_photo(&photo, None)).await?;
+        tx.notify(Event::Photo(lease.job.photo));
+        tx.commit().await?;
+        Ok((photo, replaced))
+    }
+
+    /// Fails a job for good because of its photo or its parameters.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
+    pub async fn fail(&self, lease: &Lease, problem: &Problem) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        self.fail_in(&mut tx, &lease.job, &lease.token(), problem).await?;
+        tx.commit().await
+    }
+
+    async fn fail_in(&self, tx: &mut Tx, job: &Job, token: &str, problem: &Problem) -> Result<()> {
+        let text = to_json(problem)?;
+        let end = match job.kind {
+            JobKind::Make => "DELETE FROM jobs WHERE id = $1 AND lease_token = $2",
+            JobKind::Export | JobKind::Film => {
+                "UPDATE jobs SET state = 'failed', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = $3, used_at = $4
+                 WHERE id = $1 AND lease_token = $2"
+            }
+        };
+        let mut query = sqlx::query(end).bind(job.id.clone()).bind(token.to_owned());
+        if matches!(job.kind, JobKind::Export | JobKind::Film) {
+            query = query.bind(text.clone()).bind(tx.now);
+        }
+        if query.execute(tx.connection()).await?.rows_affected() == 0 {
+            return Err(LibraryError::LeaseLost);
+        }
+        if job.kind == JobKind::Make {
+            let update = "UPDATE photos SET state = $1, problem = $2, finished_at = $3 WHERE id = $4";
+            let update = sqlx::query(update).bind(PhotoState::Failed.name()).bind(text).bind(tx.now);
+            update.bind(job.photo.to_string()).execute(tx.connection()).await?;
+        }
+        self.announce_failure(tx, job, problem).await?;
+        count_outcome(tx, job, None).await?;
+        tx.notify(Event::Photo(job.photo));
+        Ok(())
+    }
+
+    async fn announce_failure(&self, tx: &mut Tx, job: &Job, problem: &Problem) -> Result<()> {
+        let photo = self.read_photo(tx.connection(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
+        let (event, data) = match job.kind {
+            JobKind::Make => (EventType::PhotoFailed, EventData::of_photo(&photo, Some(problem))),
+            JobKind::Export | JobKind::Film => (EventType::ExportFailed, EventData::of_export(job, &photo, Some(problem))),
+        };
+        announce(tx, event, photo.owner.as_ref(), &data).await
+    }
+
+    /// Requeues a job.
+    ///
+    /// # Errors
+    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
+    pub async fn retry(&self, lease: &Lease, why: &Retry) -> Result<()> {
+        let mut tx = self.database().write().await?;
+        self.put_back(&mut tx, &lease.job, &lease.token(), why).await?;
+        tx.commit().await
+    }
+
+    /// Queues a job again, or fails it if too many workers died on it.
+    pub(crate) async fn put_back(&self, tx: &mut Tx, job: &Job, token: &str, why: &Retry) -> Result<()> {
+        let (died, fault, problem) = match why {
+            Retry::Died(reason) => (1_i64, 0_i64, Some(Problem::new("died", reason))),
+            Retry::Fault(reason) => (0, 1, Some(Problem::new("fault", reason))),
+            Retry::Stopping => (0, 0, None),
+        };
+        if died == 1 && job.attempts + 1 >= self.limits().attempts {
+            let times = job.attempts + 1;
+            let problem = Problem::new("gave-up", format!("it crashed its worker process {times} times"));
+            self.fail_in(tx, job, token, &problem).await?;
+            return count_death(tx, job.kind).await;
+        }
+        let update =
+            "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until = NULL, attempts = attempts + $1, faults = faults + $2,
+            problem = $3 WHERE id = $4 AND lease_token = $5 RETURNING faults, attempts";
+        let update = sqlx::query(update).bind(died).bind(fault).bind(problem.as_ref().map(to_json).transpose()?);
+        let row =
+            update.bind(job.id.clone()).bind(token.to_owned()).fetch_optional(tx.connection()).await?.ok_or(LibraryError::LeaseLost)?;
+        let faults = if fault == 1 { row.try_get("faults")? } else { died * row.try_get::<i64, _>("attempts")? };
+        let after = tx.now + back_off(faults);
+        sqlx::query("UPDATE jobs SET run_after = $1 WHERE id = $2").bind(after).bind(job.id.clone()).execute(tx.connection()).await?;
+        if job.kind == JobKind::Make {
+            set_state(tx, job, PhotoState::Queued).await?;
+        }
+        if died == 1 {
+            count_death(tx, job.kind).await?;
+        }
+        tx.notify(Event::Photo(job.photo));
+        Ok(())
+    }
+}
+
+fn back_off(faults: i64) -> Millis {
+    if faults == 0 {
+        return 0;
+    }
+    millis(BACK_OFF.saturating_mul(1 << (faults - 1).clamp(0, 16)).min(MAX_BACK_OFF))
+}
+
+/// Deletes the row of a job.
+async fn end(tx: &mut Tx, lease: &Lease) -> Result<()> {
+    let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(lease.job.id.clone()).bind(lease.token());
+    if delete.execute(tx.connection()).await?.rows_affected() == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
+}
+
+pub(crate) async fn set_state(tx: &mut Tx, job: &Job, state: PhotoState) -> Result<()> {
+    let update = sqlx::query("UPDATE photos SET state = $1 WHERE id = $2").bind(state.name()).bind(job.photo.to_string());
+    update.execute(tx.connection()).await?;
+    Ok(())
+}

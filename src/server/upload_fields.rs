@@ -1,0 +1,93 @@
+//! The text fields of an upload: options, class, title and visibility.
+
+use std::collections::BTreeSet;
+
+use super::photo_options;
+use super::photo_settings::Settings;
+use super::problem::Problem;
+use tmpi_library::Class;
+use tmpi_pipeline::Options;
+
+const TITLE: &str = "title";
+const VISIBILITY: &str = "visibility";
+const CLASS: &str = "class";
+
+/// The text fields of an upload, each given at most once.
+#[derive(Default)]
+pub struct UploadFields {
+    /// Options of the photo.
+    pub options: Options,
+    given: BTreeSet<String>,
+    /// How urgent the making is.
+    pub class: Class,
+    /// Title and visibility.
+    pub settings: Settings,
+    /// Name of the photo's file: the title by default; it may also name the stereo layout.
+    pub file_name: Option<String>,
+}
+
+impl UploadFields {
+    /// Sets a field or parameter.
+    ///
+    /// # Errors
+    /// 400 that names it if it is invalid, or given twice, in either spelling.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
+        if name == VISIBILITY {
+            self.settings = std::mem::take(&mut self.settings).with_visibility(value)?;
+        } else if name == CLASS {
+            self.class = class_of(value).ok_or_else(|| Problem::parameter(CLASS, "must be interactive or batch"))?;
+        } else if name == TITLE {
+            self.settings = std::mem::take(&mut self.settings).with_title(value)?;
+        } else {
+            photo_options::set(&mut self.options, name, value)?;
+        }
+        if self.given.insert(name.replace('_', "-")) { Ok(()) } else { Err(Problem::parameter(name, "is given twice")) }
+    }
+}
+
+/// Parses a class: `interactive` or `batch`.
+#[must_use]
+pub fn class_of(name: &str) -> Option<Class> {
+    [Class::Interactive, Class::Batch].into_iter().find(|class| class.name() == name)
+}
+
+/// Refuses an unknown field before its value is read.
+///
+/// # Errors
+/// 400 with `kinds` and the options.
+pub fn check_name(name: &str, kinds: &str) -> Result<(), Problem> {
+    if matches!(name, TITLE | VISIBILITY | CLASS) || photo_options::NAMES.contains(&name.replace('_', "-").as_str()) {
+        return Ok(());
+    }
+    Err(Problem::parameter(name, format!("there is no such {kinds}, {}", photo_options::NAMES.join(", "))))
+}
+
+/// Reads the fields in a query.
+///
+/// # Errors
+/// 400 that names the invalid one.
+pub fn of_query(query: &[(String, String)]) -> Result<UploadFields, Problem> {
+    let mut fields = UploadFields::default();
+    for (name, value) in query {
+        check_name(name, "option; there are title, visibility, class")?;
+        fields.set(name, value)?;
+    }
+    Ok(fields)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_option_is_given_once_in_either_spelling() {
+        let mut fields = UploadFields::default();
+        fields.set("max-size", "90").unwrap();
+        fields.set("title", "A title").unwrap();
+        for name in ["max-size", "max_size"] {
+            let p = fields.set(name, "90").unwrap_err();
+            assert_eq!((p.status, p.field.as_deref()), (400, Some(name)));
+        }
+        assert_eq!(fields.set("title", "A title").unwrap_err().field.as_deref(), Some("title"));
+    }
+}
