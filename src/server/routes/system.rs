@@ -143,7 +143,7 @@ fn of_process() -> Vec<Metric> {
     let open = std::fs::read_dir("/proc/self/fd").ok().map(|files| files.count().saturating_sub(1) as f64);
     let limits = std::fs::read_to_string("/proc/self/limits").unwrap_or_default();
     let most = limits.lines().find_map(|line| line.strip_prefix("Max open files")?.split_whitespace().next()?.parse().ok());
-    let resident = tmpi_pipeline::usage::resident_bytes(None).map(|bytes| bytes as f64);
+    let resident = tmpi_pipeline::usage::resident_bytes().map(|bytes| bytes as f64);
     let all = [
         ("process_resident_memory_bytes", "Resident memory", resident),
         ("process_open_fds", "Open files, connections among them", open),

@@ -68,23 +68,6 @@ fn low_confidence_suppresses_an_outlier() {
 }
 
 #[test]
-fn overlap_disagreement_is_the_mean_difference_of_shared_pixels() {
-    let grid = Grid::new(150, 64, 64);
-    let tile =
-        |i: u32, delta: f64| Tile { planes: vec![Plane::fronto_parallel(delta)], labels: vec![0; grid.rect(i).area()], background: None };
-    let (columns, pairs) = (grid.columns(), f64::from(grid.columns() - 1));
-    assert!(columns > 2 && grid.rows() == 1);
-    let flat: Vec<Tile> = (0..columns).map(|i| tile(i, 0.25)).collect();
-    assert!(overlap_disagreement(&grid, &flat) < 1e-9);
-    // only the first pair differs; all pairs share the same number of pixels
-    let mut one = flat;
-    one[0] = tile(0, 0.5);
-    let shared = |i: u32| grid.rect(i).x + grid.rect(i).w - grid.rect(i + 1).x;
-    assert!((0..columns - 1).all(|i| shared(i) == shared(0) && shared(0) > 0));
-    assert!((overlap_disagreement(&grid, &one) - 0.25 / pairs).abs() < 1e-6);
-}
-
-#[test]
 fn ghosts_are_pixels_on_a_plane_between_two_surfaces() {
     // one tile: near to the left of column 32, far from there on
     let (w, h) = (64u32, 48u32);
