@@ -10,7 +10,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The crates in order: each may depend only on those before it.
-const ORDER: [&str; 11] = [
+const ORDER: [&str; 12] = [
     "tmpi-core",
     "tmpi-client",
     "tmpi-decoder",
@@ -20,6 +20,7 @@ const ORDER: [&str; 11] = [
     "tmpi-render",
     "tmpi-pipeline",
     "tmpi-live",
+    "tmpi-testing",
     "tmpi-lab",
     "tmpi",
 ];
