@@ -10,7 +10,7 @@ use std::time::Duration;
 use axum::body::Body;
 use axum::http::uri::{Scheme, Uri};
 use axum::http::{HeaderMap, Response, StatusCode, header};
-use tmpi_library::{Claim, Grant, Library, LibraryError, Link, Origin, Subject};
+use tmpi_library::{Grant, Library, LibraryError, Link, Origin, Subject};
 use tokio::time::{sleep, timeout};
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
@@ -98,7 +98,7 @@ impl Nodes {
     /// # Errors
     /// The database cannot be reached.
     pub async fn claim(&self, room: &str) -> Result<Lease, LibraryError> {
-        let origin = self.library.claim_room(room, &self.address.url, Claim::TakeOver, LEASE).await?;
+        let origin = self.library.claim_room(room, &self.address.url, LEASE).await?;
         let (library, room, lost) = (self.library.clone(), room.to_owned(), CancellationToken::new());
         let renewal = tokio::spawn(renew(library.clone(), room.clone(), origin.clone(), lost.clone()));
         Ok(Lease { library, room, origin, lost, renewal: AbortOnDropHandle::new(renewal) })

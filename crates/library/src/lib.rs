@@ -4,7 +4,9 @@
 //! blob store. A blob is written before the row that refers to it and deleted after it, so a crash leaves at most orphans, which
 //! [`Library::gc`] removes after a day. Long-running work is a [`Job`] with a [`Lease`] by the database's clock.
 //!
-//! This crate knows nothing of HTTP or pixels.
+//! While the database or the blob store cannot be reached, each call fails with [`LibraryError::Unavailable`]; only its other errors are named
+//! with it. This crate knows nothing of HTTP or pixels.
+#![allow(clippy::missing_errors_doc, reason = "what each call can fail with is said once, above")]
 
 mod accept;
 mod blobs;
@@ -19,6 +21,7 @@ mod garbage_collection;
 mod ids;
 mod integrity;
 mod leases;
+mod named;
 mod photo;
 mod photos;
 mod queue;
@@ -45,28 +48,27 @@ use serde_json::Value;
 pub use accept::{Accepted, Outcome, Upload};
 pub use blobs::{BlobStore, Content, Contents, DiskSpace, Reserve};
 pub use completion::{PhotoResults, Retry};
-pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
+pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope};
 pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, DueDelivery, EventData, ExportData, RETRIES, Verdict};
 pub use error::{LibraryError, QueueLimit, Quota, Result, Service};
 pub use events::{Event, Subscription};
 pub use exports::{NewExport, OrderedExport};
 pub use garbage_collection::Collected;
-pub use ids::{Digest, IdError, Millis, Owner, PhotoId, hex};
+pub use ids::{Digest, Millis, Owner, PhotoId, hex};
 pub use integrity::Damage;
 pub use leases::Lease;
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
-pub use photos::{Cursor, Filter, Page};
-pub use queue::{Job, JobKind, JobState, Position, Requester};
+pub use photos::{Cursor, Page};
+pub use queue::{Job, JobKind, JobState, Requester};
 pub use retention::Swept;
-pub use rooms::{Claim, Origin};
+pub use rooms::Origin;
 pub use signed_links::{Grant, Link, Secret, Subject};
 pub use sources::Source;
-pub use statistics::{OutcomeCounts, Statistics};
+pub use statistics::Statistics;
 pub use webhooks::{Disabled, EventType, MAX_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
 
 use database::Database;
-use leases::{Connectivity, OwnLeases};
-use retention::TrustedClock;
+use leases::OwnLeases;
 
 /// How often to read the database's clock. In between, this process's monotonic clock continues it.
 const CLOCK: Duration = Duration::from_secs(5);
@@ -155,20 +157,15 @@ struct Inner {
     secret: Secret,
     incoming: PathBuf,
     held: OwnLeases,
-    reached: Connectivity,
     /// Number of jobs that this process has taken.
     taken: AtomicU64,
     /// Photos viewed since the last [`Library::save_views`].
     viewed: Mutex<HashSet<PhotoId>>,
     clock: Mutex<Option<(Instant, Millis)>>,
-    trusted: Mutex<Option<TrustedClock>>,
 }
 
 impl Library {
     /// Opens a library, creates it if missing, and migrates its schema.
-    ///
-    /// # Errors
-    /// The database or the blob store cannot be reached or written.
     pub async fn open(config: Config) -> Result<Self> {
         blobs::create_private(&config.data)?;
         let blobs = match &config.blobs {
@@ -196,11 +193,9 @@ impl Library {
             secret,
             incoming,
             held: OwnLeases::default(),
-            reached: Connectivity::default(),
             taken: AtomicU64::new(0),
             viewed: Mutex::default(),
             clock: Mutex::default(),
-            trusted: Mutex::default(),
         })))
     }
 
@@ -245,9 +240,6 @@ impl Library {
     }
 
     /// The database's time, from a reading a few seconds old.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn now(&self) -> Result<Millis> {
         let known = *self.0.clock.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((at, now)) = known.filter(|(at, _)| at.elapsed() < CLOCK) {
@@ -259,9 +251,6 @@ impl Library {
     }
 
     /// Checks that the database and the blob store are writable, and the disk has space beyond its reserve.
-    ///
-    /// # Errors
-    /// The first failed check.
     pub async fn check(&self) -> Result<()> {
         self.database().write().await?.commit().await?;
         self.blobs().check_space(0)?;

@@ -5,7 +5,7 @@ use sqlx::AssertSqlSafe;
 
 use crate::Library;
 use crate::blobs::{Content, Contents};
-use crate::error::{LibraryError, Result, is_refusal};
+use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, to_json};
 use crate::photos::locked_photo;
@@ -51,12 +51,7 @@ impl Library {
                 self.blobs().discard(replaced).await;
                 Ok(photo)
             }
-            Err(error) => {
-                if is_refusal(&error) {
-                    self.blobs().discard(written).await;
-                }
-                Err(error)
-            }
+            Err(error) => Err(self.blobs().discard_refused(written, error).await),
         }
     }
 

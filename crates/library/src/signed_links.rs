@@ -10,29 +10,21 @@ use sqlx::Row as _;
 use crate::database::{Database, Lock};
 use crate::error::{LibraryError, Result};
 use crate::ids::{Millis, Owner, PhotoId, hex, random, unhex};
+use crate::named::named;
 use crate::photo::Photo;
 
 /// Bytes of the secret and of a signature.
 const BYTES: usize = 32;
 
-/// What a link allows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Grant {
-    /// See a photo.
-    View,
-    /// See and change a photo.
-    Edit,
-    /// Relay a room to the viewers of another node.
-    Relay,
-}
-
-impl Grant {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::View => "view",
-            Self::Edit => "edit",
-            Self::Relay => "relay",
-        }
+named! {
+    /// What a link allows.
+    pub enum Grant {
+        /// See a photo.
+        View = "view",
+        /// See and change a photo.
+        Edit = "edit",
+        /// Relay a room to the viewers of another node.
+        Relay = "relay",
     }
 }
 

@@ -179,7 +179,7 @@ impl PhotoState {
         let mut state = Self::of_row(app, photo);
         match photo.state {
             Phase::Queued => {
-                state.position = app.library.position(JobKind::Make, photo.id, None).await?.map(|position| position.ahead);
+                state.position = app.library.position(photo.id).await?;
                 state.waits_for = match app.library.job(JobKind::Make, photo.id, None).await {
                     Ok(job) => job.problem.filter(|problem| problem.kind == "fault").map(|problem| problem.detail),
                     Err(LibraryError::NotFound(_)) => None,

@@ -22,7 +22,7 @@ use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_by_address::SourceOrder;
 use crate::server::{upload, upload_by_address};
-use tmpi_library::{Cursor, Event, Filter, LibraryError, Owner, Page, Photo, PhotoState as Phase};
+use tmpi_library::{Cursor, Event, LibraryError, Owner, Page, Photo, PhotoState as Phase};
 
 /// Part of the time limit of a request that is left to answer it.
 pub(super) const ANSWER: Duration = Duration::from_millis(500);
@@ -258,8 +258,8 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
     let page = match app.guard.as_ref().filter(|_| !Guard::is_admin()).map(|_| Guard::owner()) {
         // a stranger has none
         Some(None) => Page { photos: Vec::new(), next: None },
-        Some(owner) => app.library.list(&Filter { owner, ..Filter::default() }, after, limit).await?,
-        None => app.library.list(&Filter::default(), after, limit).await?,
+        Some(owner) => app.library.list(owner.as_ref(), after, limit).await?,
+        None => app.library.list(None, after, limit).await?,
     };
     let next = page.next.map(|next| format!("/v1/photos?limit={limit}&after={next}"));
     let mut photos = Vec::with_capacity(page.photos.len());
