@@ -15,7 +15,6 @@ use std::time::{Duration, Instant};
 
 use tmpi::server::{Config, Fault, Limits, Maker, PipelineMaker, Product, Role, Server};
 use tmpi_core::{DisparityMap, Photo};
-use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{MakeError, Models, Options, Silent, Sink};
 use tmpi_render::{Backend, PictureFormat, View, encode};
 
@@ -28,20 +27,6 @@ const MORE: usize = 2;
 const DOUBLED: f64 = 1.8;
 /// What 64 workers make at least of what they could.
 const LINEAR: f64 = 0.9;
-
-struct Ramp;
-
-impl Estimator for Ramp {
-    fn name(&self) -> &'static str {
-        "ramp"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        let (width, height) = (photo.width, photo.height);
-        let delta = (0..height).flat_map(|y| (0..width).map(move |_| (y + 1) as f32 / height as f32)).collect();
-        Ok(DisparityMap { width, height, delta })
-    }
-}
 
 /// Gives the same product after a while, once it may begin.
 struct Slow {
@@ -152,7 +137,8 @@ fn main() -> ExitCode {
         println!("PostgreSQL is not installed");
         return ExitCode::FAILURE;
     }
-    let models = Models { depth: Arc::new(Ramp), theta: None, psi: None };
+    let ramp = |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |_, y| (y + 1) as f32 / photo.height as f32));
+    let models = Models { depth: Arc::new(("ramp", ramp)), theta: None, psi: None };
     let product =
         PipelineMaker::new(models, tmpi_pipeline::photo::Limits::default()).make(&picture(0), None, &Options::default(), &Silent).unwrap();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();

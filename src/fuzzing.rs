@@ -24,7 +24,7 @@ mod room;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 28] = [
+pub const TARGETS: [(&str, Run); 27] = [
     ("container", container),
     ("built", built),
     ("levels", levels),
@@ -47,7 +47,6 @@ pub const TARGETS: [(&str, Run); 28] = [
     ("multipart", multipart),
     ("patch", patch),
     ("strokes", touch_up),
-    ("proxy", proxy),
     ("forwarded", forwarded),
     ("link", link),
     ("names", names),
@@ -378,17 +377,11 @@ fn touch_up(data: &[u8]) -> usize {
     most
 }
 
-/// The start of a connection by the PROXY protocol. Promise: an error, or an address and a length that do not depend on the bytes after it.
-fn proxy(data: &[u8]) -> usize {
-    server::fuzzing::announcement(&data[..data.len().min(4096)]);
-    LEAST
-}
-
 /// Headers of proxies, one per line. Promise: headers of untrusted proxies do not count; an address, and an origin.
 fn forwarded(data: &[u8]) -> usize {
     let text = String::from_utf8_lossy(data);
     let mut lines = text.lines();
-    server::fuzzing::forwarded([(); 5].map(|()| lines.next().unwrap_or_default()));
+    server::fuzzing::forwarded([(); 4].map(|()| lines.next().unwrap_or_default()));
     LEAST + 64 * data.len()
 }
 

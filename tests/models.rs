@@ -1,8 +1,8 @@
 //! Downloads depth networks from a server that interrupts transfers or sends wrong bytes, and checks which network is used.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
-use std::io::{BufRead, BufReader, Write};
-use std::net::{SocketAddr, TcpListener};
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tmpi_render::{PictureFormat, View, encode};
+use tmpi_testing::{Answer, Need, Request, StandIn};
 
 #[path = "http/client.rs"]
 #[allow(dead_code, reason = "the tests of the HTTP interface use more of it")]
@@ -30,43 +31,48 @@ enum Behaviour {
     Corrupts,
 }
 
+/// Serves one file on loopback.
 struct FileServer {
     url: String,
     behaviour: Arc<Mutex<Behaviour>>,
-    /// Start offsets of the requests.
-    offsets: Arc<Mutex<Vec<usize>>>,
+    server: StandIn,
 }
 
-/// Serves one file on loopback.
-fn file_server() -> FileServer {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let url = format!("http://{}/model.onnx", listener.local_addr().unwrap());
-    let (behaviour, offsets) = (Arc::new(Mutex::new(Behaviour::Correct)), Arc::new(Mutex::new(Vec::new())));
-    let server = FileServer { url, behaviour: Arc::clone(&behaviour), offsets: Arc::clone(&offsets) };
-    std::thread::spawn(move || {
-        for mut stream in listener.incoming().map_while(Result::ok) {
-            let lines = BufReader::new(&stream).lines().map_while(Result::ok).take_while(|l| !l.is_empty());
-            let from = lines.fold(0, |from, l| {
-                let range = l.to_ascii_lowercase();
-                range.strip_prefix("range: bytes=").and_then(|r| r.trim_end_matches('-').parse().ok()).unwrap_or(from)
-            });
-            offsets.lock().unwrap().push(from);
-            let behaviour = *behaviour.lock().unwrap();
-            let mut body = NETWORK[from..].to_vec();
-            if behaviour == Behaviour::Corrupts {
-                body[10] ^= 1;
+impl FileServer {
+    fn start() -> Self {
+        let behaviour = Arc::new(Mutex::new(Behaviour::Correct));
+        let now = Arc::clone(&behaviour);
+        let server = StandIn::start(move |request| {
+            let (from, mut body) = (offset(request), NETWORK[offset(request)..].to_vec());
+            let (status, range) =
+                if from > 0 { (206, format!("Content-Range: bytes {from}-{0}/{0}\r\n", NETWORK.len())) } else { (200, String::new()) };
+            match *now.lock().unwrap() {
+                Behaviour::Correct => {}
+                Behaviour::Corrupts => body[10] ^= 1,
+                Behaviour::Truncates => {
+                    let head = format!("HTTP/1.1 {status} OK\r\n{range}Content-Length: {}\r\n\r\n", body.len());
+                    return Answer::bytes([head.as_bytes(), &body[..body.len() / 2]].concat());
+                }
             }
-            let status = if from > 0 {
-                format!("206 Partial Content\r\nContent-Range: bytes {from}-{0}/{0}", NETWORK.len())
-            } else {
-                "200 OK".into()
-            };
-            let head = format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
-            let sent = if behaviour == Behaviour::Truncates { body.len() / 2 } else { body.len() };
-            let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body[..sent]));
-        }
-    });
-    server
+            Answer::Whole(status, range, body)
+        });
+        Self { url: server.url("/model.onnx"), behaviour, server }
+    }
+
+    /// Start offsets of the requests.
+    fn offsets(&self) -> Vec<usize> {
+        self.server.answered().iter().map(offset).collect()
+    }
+}
+
+/// The first byte that a request is for.
+fn offset(request: &Request) -> usize {
+    request.header("range").trim_start_matches("bytes=").trim_end_matches('-').parse().unwrap_or(0)
+}
+
+/// The digest of the file.
+fn digest() -> String {
+    Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"))
 }
 
 /// A temporary folder with a photo, in which tests run the program.
@@ -175,10 +181,10 @@ impl Drop for TmpiServer {
 
 #[test]
 fn a_running_server_downloads_a_better_network() {
-    let (folder, files) = (Folder::new(), file_server());
-    let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
+    let (folder, files) = (Folder::new(), FileServer::start());
+    let digest = digest();
     let photo = std::fs::read(folder.0.path().join("photo.png")).unwrap();
-    let has_onnx = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
+    let has_onnx = Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
     let server = TmpiServer::start(&folder, &files.url, &digest);
     let before = server.network();
     assert_eq!((&before["name"], &before["better"]["name"], before.get("problem")), (&json!("tmpi"), &json!(NAME), None));
@@ -189,7 +195,7 @@ fn a_running_server_downloads_a_better_network() {
     assert_eq!(request(server.addr, "GET", "/v1/network", &[proxied], &[]).status, 403);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[proxied], &[]).status, 403);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[("sec-fetch-site", "cross-site")], &[]).status, 403);
-    assert!(files.offsets.lock().unwrap().is_empty(), "rejected requests download nothing");
+    assert!(files.offsets().is_empty(), "rejected requests download nothing");
 
     // the server reports an interrupted download and resumes it
     *files.behaviour.lock().unwrap() = Behaviour::Truncates;
@@ -198,7 +204,7 @@ fn a_running_server_downloads_a_better_network() {
     *files.behaviour.lock().unwrap() = Behaviour::Correct;
     let after = server.fetch();
     assert_eq!((&after["name"], after.get("better"), after.get("problem")), (&json!(NAME), None, None));
-    assert_eq!(*files.offsets.lock().unwrap(), [0, NETWORK.len() / 2]);
+    assert_eq!(files.offsets(), [0, NETWORK.len() / 2]);
     assert_eq!(request(server.addr, "POST", "/v1/network", &[], &[]).status, 200, "there is nothing more to download");
 
     if let Some([id, version, network]) = old {
@@ -218,9 +224,9 @@ fn a_running_server_downloads_a_better_network() {
 
 #[test]
 fn auto_uses_the_best_installed_network_or_the_embedded_one() {
-    let (folder, files) = (Folder::new(), file_server());
-    let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
-    let has_onnx = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
+    let (folder, files) = (Folder::new(), FileServer::start());
+    let digest = digest();
+    let has_onnx = Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
 
     // without a response the program prints one line and uses the embedded network
     let unreachable = "http://127.0.0.1:1/model.onnx";
@@ -245,18 +251,17 @@ fn auto_uses_the_best_installed_network_or_the_embedded_one() {
     assert!(!file.exists());
     let (out, err) = folder.get(&files, Behaviour::Correct, &digest);
     assert_eq!((Path::new(out.trim()), err.as_str()), (file.as_path(), ""));
-    assert_eq!(*files.offsets.lock().unwrap(), [0, 0, NETWORK.len() / 2]);
+    assert_eq!(files.offsets(), [0, 0, NETWORK.len() / 2]);
     assert_eq!(std::fs::read(&file).unwrap(), NETWORK);
 
     // without `-q` the program prints the URL
     std::fs::remove_file(&file).unwrap();
     let (_, err) = auto(&["--url", &files.url]);
     assert_eq!(err.trim(), files.url);
-    files.offsets.lock().unwrap().pop();
 
     // an installed network is not downloaded again
     let (out, _) = folder.get(&files, Behaviour::Correct, &digest);
-    assert_eq!((Path::new(out.trim()), files.offsets.lock().unwrap().len()), (file.as_path(), 3));
+    assert_eq!((Path::new(out.trim()), files.offsets().len()), (file.as_path(), 4));
     if has_onnx {
         assert_eq!(folder.used(&[]), NAME);
         assert_eq!(folder.used(&["--depth-model", "tmpi"]), "tmpi");
@@ -265,8 +270,8 @@ fn auto_uses_the_best_installed_network_or_the_embedded_one() {
 
 #[test]
 fn a_worse_installed_network_does_not_block_a_better_one() {
-    let (folder, files) = (Folder::new(), file_server());
-    let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
+    let (folder, files) = (Folder::new(), FileServer::start());
+    let digest = digest();
     let worse = folder.models().join("dpt-large.onnx");
     std::fs::create_dir_all(folder.models()).unwrap();
     std::fs::write(&worse, NETWORK).unwrap();
@@ -290,6 +295,6 @@ fn a_worse_installed_network_does_not_block_a_better_one() {
     // an equally good network is enough
     std::fs::rename(out.trim(), folder.models().join("moge-2-small.onnx")).unwrap();
     let (out, _) = folder.get(&files, Behaviour::Correct, &digest);
-    assert_eq!((Path::new(out.trim()), files.offsets.lock().unwrap().len()), (folder.models().join("moge-2-small.onnx").as_path(), 1));
+    assert_eq!((Path::new(out.trim()), files.offsets().len()), (folder.models().join("moge-2-small.onnx").as_path(), 1));
     assert_eq!(TmpiServer::start(&folder, &files.url, &digest).network().get("better"), None);
 }

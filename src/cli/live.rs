@@ -1,7 +1,6 @@
 //! `tmpi live`.
 
 use std::path::PathBuf;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 
@@ -9,6 +8,7 @@ use super::live_publish::{self, PublishArgs};
 use super::live_watch::{self, WatchArgs};
 use super::{files, result};
 use crate::live::{self as rooms, Role};
+use crate::server::since_1970;
 
 /// Publish and watch moving 3D photos
 #[derive(Clone, Debug, clap::Args)]
@@ -49,8 +49,7 @@ pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
 }
 
 fn token(args: &TokenArgs) -> anyhow::Result<()> {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs();
     let role = if args.publish { Role::Publish } else { Role::Watch };
-    let token = rooms::room_token(&files::read(&args.key)?, role, &args.room, now + u64::from(args.hours) * 3600);
+    let token = rooms::room_token(&files::read(&args.key)?, role, &args.room, since_1970().as_secs() + u64::from(args.hours) * 3600);
     result(&token.context("the key is invalid")?)
 }

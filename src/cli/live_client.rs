@@ -1,23 +1,32 @@
 //! The client of a room, which `tmpi live publish` and `tmpi live watch` share.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use bytes::Bytes;
 use tokio::net::TcpStream;
-use tokio::time::timeout;
-use tokio_tungstenite::tungstenite;
+use tokio::time::{sleep, timeout};
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::http::StatusCode;
 use tokio_tungstenite::tungstenite::http::header::AUTHORIZATION;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
+use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 
 use tmpi_core::live::MAX_MESSAGE;
+
+use super::note;
+use crate::server::since_1970;
 
 pub(super) type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 
 /// Timeout for connecting to one address.
 const ANSWER: Duration = Duration::from_secs(3);
+/// Pause before connecting again after the connection broke.
+pub(super) const AGAIN: Duration = Duration::from_millis(200);
+/// How long to try without a frame, and how long while every node says that the room has no publisher.
+const PATIENCE: Duration = Duration::from_secs(30);
+const COME_BACK: Duration = Duration::from_secs(10);
 /// Precedes the token in the URL of a page.
 const FRAGMENT: &str = "#token=";
 
@@ -34,12 +43,48 @@ impl<'a> Addresses<'a> {
         Self { all, token, at: 0 }
     }
 
-    pub(super) const fn are_several(&self) -> bool {
-        self.all.len() > 1
+    /// Runs `session` on a connection for `what`; when it ends, on one to the next URL, until it returns `None`, it must not come back, or
+    /// no frame has come for [`PATIENCE`].
+    ///
+    /// # Errors
+    /// [`Unreached`] if the first connection fails or the time is over; the error of a session.
+    pub(super) async fn sessions(
+        &mut self,
+        what: &str,
+        mut session: impl AsyncFnMut(Socket) -> anyhow::Result<Option<End>>,
+    ) -> Result<(), Unreached> {
+        // since when no frame has come, and the last reason, so that each is printed once
+        let (mut since, mut told) = (None::<Instant>, String::new());
+        loop {
+            let (lost, again) = match self.connect(what).await {
+                Ok(socket) => {
+                    let Some(End { error, again, progress }) = session(socket).await? else { return Ok(()) };
+                    if progress {
+                        since = None;
+                        told.clear();
+                    }
+                    self.go_on();
+                    (Unreached::from(error), again)
+                }
+                Err(unreached) if since.is_none() => return Err(unreached),
+                Err(unreached) => (unreached, Some(AGAIN)),
+            };
+            let reason = format!("{:#}", lost.error);
+            if reason != told {
+                note(&format!("tmpi live: {reason}"));
+                told = reason;
+            }
+            let Some(pause) = again else { return Ok(()) };
+            let patience = if lost.nobody { COME_BACK } else { PATIENCE };
+            if since.get_or_insert_with(Instant::now).elapsed() > patience {
+                return Err(lost);
+            }
+            sleep(pause).await;
+        }
     }
 
     /// Moves on to the next URL; the current one comes last.
-    pub(super) fn go_on(&mut self) {
+    fn go_on(&mut self) {
         self.at = (self.at + 1) % self.all.len().max(1);
     }
 
@@ -47,7 +92,7 @@ impl<'a> Addresses<'a> {
     ///
     /// # Errors
     /// [`Unreached`] if none does.
-    pub(super) async fn connect(&mut self, what: &str) -> Result<Socket, Unreached> {
+    async fn connect(&mut self, what: &str) -> Result<Socket, Unreached> {
         let mut unreached = Unreached { nobody: true, error: anyhow::anyhow!("no address") };
         for _ in 0..self.all.len() {
             match timeout(ANSWER, connect(&self.all[self.at], what, self.token)).await {
@@ -58,6 +103,29 @@ impl<'a> Addresses<'a> {
             self.go_on();
         }
         Err(unreached)
+    }
+}
+
+/// How a session ended.
+pub(super) struct End {
+    /// Why.
+    pub(super) error: anyhow::Error,
+    /// Pause before the next session; `None` if there must be none.
+    pub(super) again: Option<Duration>,
+    /// Frames were sent or came.
+    pub(super) progress: bool,
+}
+
+/// The bytes of a message; `None` if it is a ping.
+///
+/// # Errors
+/// The connection has ended.
+pub(super) fn received(came: Option<Result<Message, tungstenite::Error>>) -> anyhow::Result<Option<Bytes>> {
+    match came {
+        Some(Ok(Message::Binary(bytes))) => Ok(Some(bytes)),
+        Some(Ok(Message::Ping(_) | Message::Pong(_))) => Ok(None),
+        Some(Err(error)) => Err(anyhow::Error::from(error).context("the connection broke")),
+        _ => Err(anyhow::anyhow!("the server has closed the connection")),
     }
 }
 
@@ -105,5 +173,5 @@ async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, 
 
 /// Unix time in microseconds.
 pub(super) fn micros() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64)
+    since_1970().as_micros() as u64
 }

@@ -1,12 +1,12 @@
 //! The ffmpeg command of `tmpi live publish`: which source it reads, and whether it copies or encodes the video.
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, bail};
-use serde::Deserialize;
+use serde_json::{Value, json};
 
 use super::Usage;
-use super::live_program::is_paced;
 
 /// H.264 encoders that need no special hardware, best first, with the arguments for low latency and frames in display order.
 const ENCODERS: [(&str, &[&str]); 4] = [
@@ -22,6 +22,8 @@ const FILTERS: &str = "yadif=deint=interlaced,scale='iw*if(gt(sar,0),sar,1)':ih,
     setparams=colorspace=bt709:range=tv";
 /// Frames from one key frame to the next: the longest wait of a viewer who joins or has lost a frame.
 const GROUP: &str = "60";
+/// Prefixes of sources that run on even if unread.
+const LIVE: [&str; 10] = ["rtsp://", "rtsps://", "rtmp://", "rtmps://", "srt://", "rtp://", "udp://", "/dev/", "http://", "https://"];
 
 /// Sample rate and channels of the sound, as on the publishing page (`static/live/microphone.js`).
 pub(super) const SOUND: (u32, u32) = (48_000, 1);
@@ -35,6 +37,57 @@ pub(super) enum Origin<'a> {
     Stream(&'a str, f64),
     /// A camera of this machine; without a name, the system's first.
     Camera(Option<&'a str>),
+}
+
+impl<'a> Origin<'a> {
+    /// A file or a URL; `rate` is the frame rate of files that do not have one.
+    pub(super) fn of(source: &'a str, rate: f64) -> Self {
+        let path = Path::new(source);
+        let is_raw = path.extension().is_some_and(|e| e == "h264" || e == "264") && !path.is_dir() && !Self::Address(source).is_live();
+        if is_raw { Self::Stream(source, rate) } else { Self::Address(source) }
+    }
+
+    /// Whether the source runs on even if unread.
+    pub(super) fn is_live(self) -> bool {
+        match self {
+            Self::Address(source) => LIVE.iter().any(|start| source.starts_with(start)),
+            Self::Stream(..) => false,
+            Self::Camera(_) => true,
+        }
+    }
+
+    /// Arguments that name the source.
+    fn input(self, system: &str) -> anyhow::Result<Vec<String>> {
+        let args = |args: &[&str]| args.iter().map(|a| (*a).to_owned()).collect();
+        Ok(match self {
+            // what comes by HTTP may be a file
+            Self::Address(source) if self.is_live() && !source.starts_with("http") => args(&["-i", source]),
+            Self::Address(source) => args(&["-re", "-i", source]),
+            Self::Stream(file, rate) => args(&["-re", "-r", &rate.to_string(), "-f", "h264", "-i", file]),
+            Self::Camera(name) => match (system, name) {
+                ("linux", name) => args(&["-f", "v4l2", "-i", name.unwrap_or("/dev/video0")]),
+                ("macos", name) => args(&["-f", "avfoundation", "-framerate", "30", "-i", &format!("{}:none", name.unwrap_or("0"))]),
+                ("windows", Some(name)) => args(&["-f", "dshow", "-i", &format!("video={name}")]),
+                ("windows", None) => {
+                    bail!(Usage("--camera needs a name on Windows: `ffmpeg -list_devices true -f dshow -i dummy` lists them".into()))
+                }
+                _ => bail!(Usage(format!("--camera does not work on {system}; give the URL by which ffmpeg reads the camera"))),
+            },
+        })
+    }
+
+    /// What ffprobe says of the source.
+    fn probe(self) -> anyhow::Result<Value> {
+        let source = match self {
+            Self::Address(source) | Self::Stream(source, _) => source,
+            // it cannot be opened twice, and few have H.264 and sound
+            Self::Camera(_) => return Ok(json!({ "streams": [{ "codec_type": "video" }] })),
+        };
+        let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames,sample_aspect_ratio:\
+            stream_side_data=displaymatrix:frame_side_data=displaymatrix";
+        let args = ["-loglevel", "error", "-of", "json", "-show_entries", entries, "-read_intervals", "%+#20", "-i", source];
+        serde_json::from_slice(&printed("ffprobe", &args)?).context("the output of ffprobe")
+    }
 }
 
 /// What the user asked for.
@@ -59,103 +112,54 @@ pub(super) struct Plan {
     pub(super) notices: Vec<String>,
 }
 
-/// The output of `ffprobe`.
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct Probed {
-    streams: Vec<Stream>,
-    /// The first frames.
-    frames: Vec<Picture>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct Picture {
-    side_data_list: Vec<SideData>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct Stream {
-    codec_type: String,
-    codec_name: String,
-    pix_fmt: String,
-    field_order: String,
-    /// Reorder depth between decoding and display: above 0 for B-frames or reordered P-frames.
-    has_b_frames: u32,
-    /// Width to height of a pixel, `4:3`.
-    sample_aspect_ratio: String,
-    side_data_list: Vec<SideData>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct SideData {
-    /// The rotation and mirroring for display: lines of an offset and three numbers.
-    displaymatrix: String,
-}
-
-impl SideData {
-    /// Whether the matrix rotates or mirrors the picture.
-    fn turns(&self) -> bool {
-        let rows: Vec<Vec<i64>> =
-            self.displaymatrix.lines().map(|line| line.split_whitespace().filter_map(|n| n.parse().ok()).collect()).collect();
-        let numbers: Vec<i64> = rows.into_iter().filter(|row| row.len() == 3).flatten().collect();
-        matches!(numbers[..], [a, b, _, c, d, ..] if a <= 0 || b != 0 || c != 0 || d <= 0)
-    }
-}
-
-impl Probed {
-    /// Why the video cannot be copied; `None` if it can.
-    fn obstacle(&self) -> Option<String> {
-        let video = self.streams.iter().find(|s| s.codec_type == "video")?;
-        if video.codec_name != "h264" {
-            return Some(format!("its video is {}", video.codec_name));
-        }
-        if video.has_b_frames > 0 {
-            return Some("its frames are not in display order (B-frames)".into());
-        }
-        if !matches!(video.pix_fmt.as_str(), "" | "yuv420p" | "yuvj420p") {
-            return Some(format!("its pixels are {}", video.pix_fmt));
-        }
-        if video.side_data_list.iter().any(SideData::turns) {
-            return Some("its frames are rotated".into());
-        }
-        if !matches!(video.sample_aspect_ratio.as_str(), "" | "N/A" | "0:1" | "1:1") {
-            return Some("its pixels are not square".into());
-        }
-        let whole = matches!(video.field_order.as_str(), "" | "progressive" | "unknown");
-        (!whole).then(|| "it is interlaced".into())
-    }
-
-    /// Whether the video stream, and not its container, carries the rotation. ffmpeg 5.1 then rotates only the frames that carry it, often
-    /// the key frames alone, and squeezes the others into the rotated size.
-    fn turns_within(&self) -> bool {
-        let by_container = self.streams.iter().flat_map(|s| &s.side_data_list).any(SideData::turns);
-        !by_container && self.frames.iter().flat_map(|f| &f.side_data_list).any(SideData::turns)
-    }
-
-    fn has_sound(&self) -> bool {
-        self.streams.iter().any(|s| s.codec_type == "audio")
-    }
-}
-
 impl Plan {
     /// Probes the source and the encoders of this machine's ffmpeg.
     ///
     /// # Errors
     /// The source has no video, its video needs an encoder that ffmpeg lacks, or the system has no such camera.
     pub(super) fn new(origin: Origin<'_>, wanted: Wanted) -> anyhow::Result<Self> {
-        let input = input(origin, std::env::consts::OS)?;
-        // a camera is not probed: it cannot be opened twice, and few have H.264 and sound
-        let probed = match origin {
-            Origin::Address(source) | Origin::Stream(source, _) => probe(source)?,
-            Origin::Camera(_) => {
-                let camera = Stream { codec_type: "video".into(), codec_name: "a camera's".into(), ..Stream::default() };
-                Some(Probed { streams: vec![camera], ..Probed::default() })
-            }
-        };
-        decided(input, probed.as_ref(), wanted, encoders)
+        let input = origin.input(std::env::consts::OS)?;
+        // ` V....D libx264              libx264 H.264 …`
+        let encoders = String::from_utf8(printed("ffmpeg", &["-hide_banner", "-loglevel", "error", "-encoders"])?)?;
+        let encoders: Vec<&str> = encoders.lines().filter_map(|line| line.split_whitespace().nth(1)).collect();
+        Self::decide(input, &origin.probe()?, wanted, &encoders)
+    }
+
+    fn decide(input: Vec<String>, probed: &Value, wanted: Wanted, encoders: &[&str]) -> anyhow::Result<Self> {
+        let of_kind = |kind: &str| probed["streams"].as_array()?.iter().find(|s| s["codec_type"] == kind);
+        let video = of_kind("video").context("the source has no video")?;
+        let list = |of: &Value, key: &str| of[key].as_array().cloned().unwrap_or_default();
+        let is_turned = |of: &Value| list(of, "side_data_list").iter().any(|data| data["displaymatrix"].is_string());
+        // ffmpeg 5.1 rotates only the frames that carry the rotation, often the key frames alone, and squeezes the others
+        if !is_turned(video) && list(probed, "frames").iter().any(is_turned) {
+            bail!(
+                "the video stream carries a rotation (display orientation), which versions of ffmpeg handle differently; \
+                 rotate the video first: ffmpeg -noautorotate -i IN -vf transpose=cclock -c:v libx264 OUT"
+            );
+        }
+        let is = |key: &str, good: &[&str]| good.contains(&video[key].as_str().unwrap_or_default());
+        let obstacles = [
+            (wanted.transcode, "--transcode"),
+            (!is("codec_name", &["h264"]), "it is not H.264"),
+            (video["has_b_frames"] != 0, "its frames are not in display order (B-frames)"),
+            (!is("pix_fmt", &["yuv420p", "yuvj420p"]), "its pixels are not 4:2:0 with 8 bits"),
+            (!is("field_order", &["", "unknown", "progressive"]), "it is interlaced"),
+            (!is("sample_aspect_ratio", &["", "N/A", "0:1", "1:1"]), "its pixels are not square"),
+            (is_turned(video), "its frames are rotated"),
+        ];
+        let mut plan = Self { input, encoder: None, sound: wanted.sound && of_kind("audio").is_some(), notices: Vec::new() };
+        if let Some((_, why)) = obstacles.into_iter().find(|(is, _)| *is) {
+            let encoder = ENCODERS.iter().map(|(name, _)| *name).find(|name| encoders.contains(name));
+            let encoder =
+                encoder.with_context(|| format!("the video has to be encoded ({why}), and this ffmpeg has no encoder of H.264"))?;
+            plan.notices.push(format!("{encoder} encodes the video: {why}"));
+            plan.encoder = Some(encoder);
+        }
+        if plan.sound && !encoders.contains(&OPUS) {
+            plan.notices.push(format!("the sound is left out: this ffmpeg has no {OPUS}"));
+            plan.sound = false;
+        }
+        Ok(plan)
     }
 
     /// The ffmpeg command. It writes H.264 to its standard output and sends sound by RTP to `port` on this machine.
@@ -173,186 +177,68 @@ impl Plan {
         if let Some(port) = port.filter(|_| self.sound) {
             let (rate, channels) = (SOUND.0.to_string(), SOUND.1.to_string());
             command.args(["-map", "0:a:0", "-vn", "-c:a", OPUS, "-b:a", "32k", "-ar", &rate, "-ac", &channels]);
-            command.args(["-application", "lowdelay", "-frame_duration", "20", "-f", "rtp"]);
+            // the same stream for the receiver when the source is played again
+            command.args(["-application", "lowdelay", "-frame_duration", "20", "-f", "rtp", "-ssrc", "1"]);
             command.arg(format!("rtp://127.0.0.1:{port}?rtcpport={port}"));
         }
         command
     }
 }
 
-/// Arguments that name a source.
-fn input(origin: Origin<'_>, system: &str) -> anyhow::Result<Vec<String>> {
-    let args = |args: &[&str]| args.iter().map(|a| (*a).to_owned()).collect();
-    Ok(match origin {
-        Origin::Address(source) if is_paced(source) => args(&["-i", source]),
-        Origin::Stream(file, rate) => args(&["-re", "-framerate", &rate.to_string(), "-f", "h264", "-i", file]),
-        Origin::Address(source) => args(&["-re", "-i", source]),
-        Origin::Camera(name) => match (system, name) {
-            ("linux", name) => args(&["-f", "v4l2", "-i", name.unwrap_or("/dev/video0")]),
-            ("macos", name) => args(&["-f", "avfoundation", "-framerate", "30", "-i", &format!("{}:none", name.unwrap_or("0"))]),
-            ("windows", Some(name)) => args(&["-f", "dshow", "-i", &format!("video={name}")]),
-            ("windows", None) => {
-                bail!(Usage("--camera needs a name on Windows: `ffmpeg -list_devices true -f dshow -i dummy` lists them".into()))
-            }
-            _ => bail!(Usage(format!("--camera does not work on {system}; give the URL by which ffmpeg reads the camera"))),
-        },
-    })
-}
-
-/// Decides how to read a source by its probe; `encoders` lists those of this machine's ffmpeg.
-fn decided(
-    input: Vec<String>,
-    probed: Option<&Probed>,
-    wanted: Wanted,
-    encoders: impl FnOnce() -> anyhow::Result<Vec<String>>,
-) -> anyhow::Result<Plan> {
-    let mut plan = Plan { input, encoder: None, sound: false, notices: Vec::new() };
-    if probed.is_none() {
-        plan.notices.push("ffprobe is not installed: the video is passed on unchanged, the sound is left out".into());
+/// The standard output of a program of ffmpeg.
+fn printed(program: &str, args: &[&str]) -> anyhow::Result<Vec<u8>> {
+    let output = Command::new(program).args(args).stdin(Stdio::null()).output();
+    let output = output.with_context(|| format!("starting {program}: is ffmpeg installed?"))?;
+    if !output.status.success() {
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        bail!("{program} has failed ({}): {}", output.status, complaint.lines().last().unwrap_or_default());
     }
-    if probed.is_some_and(|p| p.streams.iter().all(|s| s.codec_type != "video")) {
-        bail!("the source has no video");
-    }
-    if probed.is_some_and(Probed::turns_within) {
-        bail!(
-            "the video stream carries a rotation (display orientation), which versions of ffmpeg handle differently; \
-             rotate the video first: ffmpeg -noautorotate -i IN -vf transpose=cclock -c:v libx264 OUT"
-        );
-    }
-    let obstacle = if wanted.transcode { Some("--transcode".into()) } else { probed.and_then(Probed::obstacle) };
-    let sound = wanted.sound && probed.is_some_and(Probed::has_sound);
-    if obstacle.is_none() && !sound {
-        return Ok(plan);
-    }
-    let known = encoders()?;
-    let has = |name: &str| known.iter().any(|k| k == name);
-    if let Some(why) = obstacle {
-        let encoder = ENCODERS.iter().map(|(name, _)| *name).find(|name| has(name));
-        let encoder = encoder.with_context(|| format!("the video has to be encoded ({why}), and this ffmpeg has no encoder of H.264"))?;
-        plan.notices.push(format!("{encoder} encodes the video: {why}"));
-        plan.encoder = Some(encoder);
-    }
-    plan.sound = sound && has(OPUS);
-    if sound && !plan.sound {
-        plan.notices.push(format!("the sound is left out: this ffmpeg has no {OPUS}"));
-    }
-    Ok(plan)
-}
-
-/// The standard output of a command; `None` if the program is not installed.
-fn printed(command: &mut Command) -> anyhow::Result<Option<Vec<u8>>> {
-    let name = command.get_program().to_string_lossy().into_owned();
-    match command.stdin(Stdio::null()).output() {
-        Ok(output) if output.status.success() => Ok(Some(output.stdout)),
-        Ok(output) => {
-            let complaint = String::from_utf8_lossy(&output.stderr);
-            bail!("{name} has failed ({}): {}", output.status, complaint.lines().last().unwrap_or_default())
-        }
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error).with_context(|| format!("starting {name}")),
-    }
-}
-
-fn probe(source: &str) -> anyhow::Result<Option<Probed>> {
-    let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames,sample_aspect_ratio:stream_side_data=displaymatrix:frame_side_data=displaymatrix";
-    let asked = ["-loglevel", "error", "-of", "json", "-show_entries", entries, "-read_intervals", "%+#20", "-i", source];
-    let text = printed(Command::new("ffprobe").args(asked))?;
-    text.map(|text| serde_json::from_slice(&text).context("the output of ffprobe")).transpose()
-}
-
-fn encoders() -> anyhow::Result<Vec<String>> {
-    let text = printed(Command::new("ffmpeg").args(["-hide_banner", "-loglevel", "error", "-encoders"]))?;
-    let text = text.context("ffmpeg is not installed")?;
-    // ` V....D libx264              libx264 H.264 …`
-    Ok(String::from_utf8_lossy(&text).lines().filter_map(|line| line.split_whitespace().nth(1)).map(str::to_owned).collect())
+    Ok(output.stdout)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const SOUND_TOO: Wanted = Wanted { transcode: false, sound: true };
-
-    fn probed(streams: &str) -> Probed {
-        serde_json::from_str(&format!("{{\"streams\":[{streams}]}}")).unwrap_or_default()
-    }
-
-    fn h264(more: &str) -> String {
-        format!(r#"{{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv420p","field_order":"progressive"{more}}}"#)
-    }
-
-    const AUDIO: &str = r#"{"codec_type":"audio","codec_name":"aac"}"#;
-
-    fn plan(streams: &str, wanted: Wanted, encoders: &[&str]) -> anyhow::Result<Plan> {
-        let known = encoders.iter().map(|e| (*e).to_owned()).collect();
-        decided(vec!["-i".into(), "x".into()], Some(&probed(streams)), wanted, || Ok(known))
-    }
-
-    fn args(plan: &Plan, port: Option<u16>) -> String {
-        plan.command(port).get_args().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
-    }
-
     #[test]
-    fn playable_video_is_copied_and_other_video_encoded_with_a_notice() {
-        let upright = r#","has_b_frames":0,"sample_aspect_ratio":"1:1","side_data_list":[{"displaymatrix":"\n0: 65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"},{}]"#;
-        let copied = plan(&h264(upright), SOUND_TOO, &[]).expect("a plan");
-        assert!(args(&copied, None).contains("-c:v copy") && copied.notices.is_empty() && !copied.sound);
-        let streams = [
-            (h264(r#","has_b_frames":2"#), "B-frames"),
-            (h264(r#","side_data_list":[{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}]"#), "rotated"),
-            (h264(r#","side_data_list":[{"displaymatrix":"\n0: -65536 0 0\n1: 0 65536 0\n2: 0 0 1073741824\n"}]"#), "rotated"),
-            (h264(r#","sample_aspect_ratio":"4:3""#), "square"),
-            (r#"{"codec_type":"video","codec_name":"hevc","pix_fmt":"yuv420p"}"#.into(), "hevc"),
-            (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv422p10le"}"#.into(), "yuv422p10le"),
-            (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv420p","field_order":"tt"}"#.into(), "interlaced"),
-        ];
-        let within = format!(
-            r#"{}],"frames":[{{"side_data_list":[{{"displaymatrix":"\n0: 0 65536 0\n1: -65536 0 0\n2: 0 0 1073741824\n"}}]}}"#,
-            h264("")
-        );
-        assert!(plan(&within, SOUND_TOO, &["libx264"]).is_err_and(|e| e.to_string().contains("transpose")), "by the video itself");
-        for (streams, why) in streams {
-            let plan = plan(&streams, SOUND_TOO, &["aac", "libopenh264", "libx264"]).expect("a plan");
-            let args = args(&plan, None);
-            assert!(args.contains("-c:v libx264 -profile:v baseline") && args.contains("-bf 0"), "{args}");
-            assert!(plan.notices.len() == 1 && plan.notices[0].contains(why), "{:?}", plan.notices);
+    fn the_best_encoder_is_used_and_sound_is_read_if_wanted_and_encodable() {
+        let h264 = json!({ "codec_type": "video", "codec_name": "h264", "pix_fmt": "yuv420p", "has_b_frames": 0 });
+        let both = json!({ "streams": [{ "codec_type": "audio" }, h264] });
+        let plan = |probed: &Value, (transcode, sound), encoders: &[&str]| {
+            Plan::decide(vec!["-i".into(), "x".into()], probed, Wanted { transcode, sound }, encoders)
+        };
+        let args = |plan: &Plan| plan.command(Some(4000)).get_args().map(|a| a.to_string_lossy()).collect::<Vec<_>>().join(" ");
+        let copied = plan(&both, (false, true), &[OPUS]).unwrap();
+        assert!(copied.notices.is_empty() && args(&copied).contains("-c:v copy"));
+        assert!(args(&copied).ends_with("rtp://127.0.0.1:4000?rtcpport=4000"));
+        assert!(!args(&plan(&both, (false, false), &[OPUS]).unwrap()).contains("rtp"));
+        let silent = plan(&both, (false, true), &["libx264"]).unwrap();
+        assert!(!silent.sound && silent.notices[0].contains(OPUS));
+        for (encoders, best) in [(&["libopenh264", "aac", "libx264"][..], "libx264"), (&["h264_mf", "libopenh264"][..], "libopenh264")] {
+            let encoded = plan(&both, (true, false), encoders).unwrap();
+            assert!(args(&encoded).contains(&format!("-c:v {best} ")) && encoded.notices[0].contains("--transcode"));
         }
-        let forced = plan(&h264(""), Wanted { transcode: true, sound: false }, &["libopenh264"]).expect("a plan");
-        assert!(args(&forced, None).contains("-c:v libopenh264"));
-        let none = plan(&h264(r#","has_b_frames":1"#), SOUND_TOO, &["aac"]).expect_err("no encoder");
-        assert!(none.to_string().contains("no encoder of H.264"), "{none}");
-        assert!(plan(AUDIO, SOUND_TOO, &["libx264", OPUS]).is_err_and(|e| e.to_string().contains("no video")));
-    }
-
-    #[test]
-    fn sound_is_read_if_present_wanted_and_encodable() {
-        let both = format!("{},{AUDIO}", h264(""));
-        let with = plan(&both, SOUND_TOO, &[OPUS]).expect("a plan");
-        assert!(
-            with.sound && args(&with, Some(4000)).ends_with("-f rtp rtp://127.0.0.1:4000?rtcpport=4000"),
-            "{}",
-            args(&with, Some(4000))
-        );
-        assert!(!args(&with, None).contains("rtp"));
-        assert!(!plan(&both, Wanted::default(), &[OPUS]).expect("a plan").sound);
-        let without = plan(&both, SOUND_TOO, &["libx264"]).expect("a plan");
-        assert!(!without.sound && without.notices[0].contains(OPUS));
-        // without ffprobe
-        let blind = decided(vec![], None, SOUND_TOO, || Ok(vec![])).expect("a plan");
-        assert!(!blind.sound && blind.encoder.is_none() && blind.notices.len() == 1);
+        assert!(plan(&both, (true, false), &["aac"]).is_err_and(|e| e.to_string().contains("no encoder of H.264")));
+        let sound = json!({ "streams": [{ "codec_type": "audio" }] });
+        assert!(plan(&sound, (false, true), &[OPUS]).is_err_and(|e| e.to_string().contains("no video")));
     }
 
     #[test]
     fn cameras_have_the_system_s_names_and_files_play_in_real_time() {
-        let line = |origin, system| input(origin, system).map(|args| args.join(" ")).map_err(|e| e.to_string());
+        let line = |origin: Origin<'_>, system| origin.input(system).map(|args| args.join(" ")).map_err(|e| e.to_string());
         assert_eq!(line(Origin::Camera(None), "linux").as_deref(), Ok("-f v4l2 -i /dev/video0"));
         assert_eq!(line(Origin::Camera(Some("/dev/video2")), "linux").as_deref(), Ok("-f v4l2 -i /dev/video2"));
         assert_eq!(line(Origin::Camera(None), "macos").as_deref(), Ok("-f avfoundation -framerate 30 -i 0:none"));
         assert_eq!(line(Origin::Camera(Some("USB")), "windows").as_deref(), Ok("-f dshow -i video=USB"));
         assert!(line(Origin::Camera(None), "windows").is_err() && line(Origin::Camera(None), "plan9").is_err());
-        assert_eq!(line(Origin::Address("film.mp4"), "linux").as_deref(), Ok("-re -i film.mp4"));
-        assert_eq!(line(Origin::Address("rtsp://camera/1"), "linux").as_deref(), Ok("-i rtsp://camera/1"));
-        // it may be a file
-        assert_eq!(line(Origin::Address("http://camera/1"), "linux").as_deref(), Ok("-re -i http://camera/1"));
+        for (source, live, input) in [
+            ("film.mp4", false, "-re -i film.mp4"),
+            ("film.h264", false, "-re -r 25 -f h264 -i film.h264"),
+            ("rtsp://camera/1.h264", true, "-i rtsp://camera/1.h264"),
+            ("http://camera/1", true, "-re -i http://camera/1"),
+        ] {
+            let origin = Origin::of(source, 25.0);
+            assert_eq!((origin.is_live(), line(origin, "linux").as_deref()), (live, Ok(input)));
+        }
     }
 }

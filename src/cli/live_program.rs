@@ -1,130 +1,29 @@
 //! Runs the program whose H.264 `tmpi live publish` passes on.
 
-use std::collections::VecDeque;
-use std::io::{BufRead as _, BufReader, Read as _};
-use std::process::{Child, ChildStdout, Command, Stdio};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
+use std::process::Stdio;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context as _, bail};
-use tokio::sync::Notify;
+use tokio::io::{AsyncRead, AsyncReadExt as _};
+use tokio::process::{Child, Command};
+use tokio::sync::mpsc;
 
 use tmpi_live::access_units::{Splitter, Unit};
 
-/// Most units that wait to be sent; a live source then drops the older ones.
+/// Most units that wait to be sent.
 const WAITING: usize = 4;
-/// Prefixes of live sources, which run on even if unread, and whether ffmpeg reads them at their own pace.
-const LIVE: [(&str, bool); 10] = [
-    ("rtsp://", true),
-    ("rtsps://", true),
-    ("rtmp://", true),
-    ("rtmps://", true),
-    ("srt://", true),
-    ("rtp://", true),
-    ("udp://", true),
-    ("/dev/", true),
-    // may be a file
-    ("http://", false),
-    ("https://", false),
-];
 
-/// Whether a source runs on even if unread.
-pub(super) fn is_live(source: &str) -> bool {
-    LIVE.iter().any(|(start, _)| source.starts_with(start))
-}
+type Units = mpsc::Receiver<anyhow::Result<Unit>>;
 
-/// Whether a source sets its own pace.
-pub(super) fn is_paced(source: &str) -> bool {
-    LIVE.iter().any(|&(start, paced)| paced && source.starts_with(start))
-}
-
-/// A running program.
+/// A running program, which ends when this is dropped.
 pub(super) struct Program {
+    command: Command,
+    /// The source runs on even if unread: units for which there is no room are dropped.
+    live: bool,
     child: Child,
-    name: String,
-    units: Arc<Units>,
-    /// Returns the last line of standard error.
-    complaints: Option<JoinHandle<String>>,
-}
-
-/// The queue between the thread that reads units and the task that sends them.
-#[derive(Default)]
-struct Units {
-    queue: Mutex<Queue>,
-    /// Wakes the sender.
-    filled: Notify,
-    /// Wakes the reader if the source is not live.
-    emptied: Condvar,
-}
-
-#[derive(Default)]
-struct Queue {
-    units: VecDeque<Unit>,
-    /// A unit was dropped to which the next units may refer.
-    waits_for_key: bool,
-    left_out: u64,
-    /// The program's output has ended, or the receiver has gone.
-    end: Option<anyhow::Result<()>>,
-}
-
-impl Queue {
-    /// Queues a unit of a live source. When the queue is full, it drops all units, and new ones up to the next key frame.
-    fn push_newest(&mut self, unit: Unit) {
-        if self.units.len() >= WAITING {
-            self.left_out += self.units.len() as u64;
-            self.units.clear();
-            self.waits_for_key = true;
-        }
-        self.waits_for_key &= !unit.key;
-        if self.waits_for_key {
-            self.left_out += 1;
-        } else {
-            self.units.push_back(unit);
-        }
-    }
-}
-
-impl Units {
-    fn lock(&self) -> MutexGuard<'_, Queue> {
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Queues a unit; false if the receiver has gone.
-    fn push(&self, unit: Unit, live: bool) -> bool {
-        let mut queue = self.lock();
-        if live {
-            queue.push_newest(unit);
-        } else {
-            let full = |q: &mut Queue| q.units.len() >= WAITING && q.end.is_none();
-            queue = self.emptied.wait_while(queue, full).unwrap_or_else(PoisonError::into_inner);
-            queue.units.push_back(unit);
-        }
-        self.filled.notify_one();
-        queue.end.is_none()
-    }
-
-    fn end(&self, end: anyhow::Result<()>) {
-        self.lock().end.get_or_insert(end);
-        self.filled.notify_one();
-        self.emptied.notify_one();
-    }
-
-    /// The next unit; `None` at the end.
-    async fn next(&self) -> anyhow::Result<Option<Unit>> {
-        loop {
-            {
-                let mut queue = self.lock();
-                if let Some(unit) = queue.units.pop_front() {
-                    self.emptied.notify_one();
-                    return Ok(Some(unit));
-                }
-                if let Some(end) = &mut queue.end {
-                    return std::mem::replace(end, Ok(())).map(|()| None);
-                }
-            }
-            self.filled.notified().await;
-        }
-    }
+    units: Units,
+    left_out: Arc<AtomicU64>,
 }
 
 impl Program {
@@ -132,122 +31,134 @@ impl Program {
     ///
     /// # Errors
     /// The program cannot be started.
-    pub(super) fn start(command: &mut Command, live: bool) -> anyhow::Result<Self> {
-        let name = command.get_program().to_string_lossy().into_owned();
-        let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = piped.spawn().with_context(|| format!("starting {name}"))?;
-        let out = child.stdout.take().context("a program without output")?;
-        let complaints = child.stderr.take().map(|lines| {
-            std::thread::spawn(move || {
-                let mut last = String::new();
-                // read on past invalid UTF-8: a full pipe would block the program
-                for line in BufReader::new(lines).split(b'\n').map_while(Result::ok) {
-                    let line = String::from_utf8_lossy(&line).trim().to_owned();
-                    eprintln!("{line}");
-                    last = if line.is_empty() { last } else { line };
-                }
-                last
-            })
-        });
-        let units = Arc::new(Units::default());
-        let to = Arc::clone(&units);
-        std::thread::spawn(move || to.end(read(out, &to, live)));
-        Ok(Self { child, name, units, complaints })
+    pub(super) fn start(mut command: Command, live: bool) -> anyhow::Result<Self> {
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).kill_on_drop(true);
+        let left_out = Arc::default();
+        let (child, units) = spawn(&mut command, live, &left_out)?;
+        Ok(Self { command, live, child, units, left_out })
     }
 
-    /// The next unit; `None` at the end.
+    /// Starts the program again.
+    ///
+    /// # Errors
+    /// The program cannot be started.
+    pub(super) fn begin_again(&mut self) -> anyhow::Result<()> {
+        (self.child, self.units) = spawn(&mut self.command, self.live, &self.left_out)?;
+        Ok(())
+    }
+
+    /// The next unit; `None` at the end. Cancel safe.
     ///
     /// # Errors
     /// The program failed, or its output is not H.264.
     pub(super) async fn next(&mut self) -> anyhow::Result<Option<Unit>> {
-        let unit = self.units.next().await?;
-        if unit.is_none() {
-            // its output has ended, so the program ends
-            let status = self.child.wait()?;
-            let last = self.complaints.take().and_then(|lines| lines.join().ok()).unwrap_or_default();
-            if !status.success() {
-                bail!("{} has failed ({status}): {last}", self.name);
-            }
+        if let Some(unit) = self.units.recv().await {
+            return unit.map(Some);
         }
-        Ok(unit)
+        // its output has ended, so the program ends
+        let status = self.child.wait().await?;
+        if !status.success() {
+            bail!("{} has failed ({status})", self.command.as_std().get_program().display());
+        }
+        Ok(None)
     }
 
-    /// Units that were dropped in favour of newer ones.
+    /// Units for which there was no room, and those that may refer to them.
     pub(super) fn left_out(&self) -> u64 {
-        self.units.lock().left_out
+        self.left_out.load(Ordering::Relaxed)
     }
 }
 
-/// Reads units until the output ends or the receiver has gone.
-fn read(mut out: ChildStdout, to: &Units, live: bool) -> anyhow::Result<()> {
-    let (mut splitter, mut buffer) = (Splitter::default(), vec![0; 1 << 16]);
-    loop {
-        let n = out.read(&mut buffer)?;
-        if n == 0 {
-            break;
+fn spawn(command: &mut Command, live: bool, left_out: &Arc<AtomicU64>) -> anyhow::Result<(Child, Units)> {
+    let mut child = command.spawn().with_context(|| format!("starting {}", command.as_std().get_program().display()))?;
+    let out = child.stdout.take().context("a program without output")?;
+    let ((to, units), left_out) = (mpsc::channel(WAITING), Arc::clone(left_out));
+    tokio::spawn(async move {
+        if let Err(error) = read(out, &to, live.then_some(&*left_out)).await {
+            // the receiver may have gone
+            let _ = to.send(Err(error)).await;
         }
-        for unit in splitter.push(&buffer[..n])? {
-            if !to.push(unit, live) {
+    });
+    Ok((child, units))
+}
+
+/// Reads units until the output ends or the receiver has gone. With `left_out` it does not wait for room but drops units, and then those up to
+/// the next key frame, which may refer to them; it counts them there.
+async fn read(
+    mut out: impl AsyncRead + Unpin,
+    to: &mpsc::Sender<anyhow::Result<Unit>>,
+    left_out: Option<&AtomicU64>,
+) -> anyhow::Result<()> {
+    let (mut splitter, mut buffer, mut waits_for_key) = (Splitter::default(), vec![0; 1 << 16], false);
+    loop {
+        let n = out.read(&mut buffer).await?;
+        let units = if n > 0 { splitter.push(&buffer[..n])? } else { std::mem::take(&mut splitter).finish().into_iter().collect() };
+        for unit in units {
+            if let Some(left_out) = left_out {
+                waits_for_key = (waits_for_key && !unit.key) || to.try_send(Ok(unit)).is_err();
+                left_out.fetch_add(u64::from(waits_for_key), Ordering::Relaxed);
+            } else if to.send(Ok(unit)).await.is_err() {
                 return Ok(());
             }
         }
-    }
-    if let Some(unit) = splitter.finish() {
-        to.push(unit, live);
-    }
-    Ok(())
-}
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        self.units.end(Ok(()));
-        // it may have ended already
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        if n == 0 {
+            return Ok(());
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use tokio::io::AsyncWriteExt as _;
+    use tokio::time::sleep;
+
     use super::*;
 
-    fn unit(n: u8, key: bool) -> Unit {
-        Unit { data: vec![n], key }
-    }
-
-    #[test]
-    fn a_live_source_drops_frames_up_to_the_next_key_frame() {
-        let mut queue = Queue::default();
-        let waiting = |queue: &Queue| queue.units.iter().map(|u| u.data[0]).collect::<Vec<_>>();
-        (0..4).for_each(|n| queue.push_newest(unit(n, n == 0)));
-        assert_eq!((waiting(&queue), queue.left_out), (vec![0, 1, 2, 3], 0), "so many may wait");
-        queue.push_newest(unit(4, false));
-        queue.push_newest(unit(5, false));
-        assert_eq!((waiting(&queue), queue.left_out), (vec![], 6));
-        (6..10).for_each(|n| queue.push_newest(unit(n, n == 6)));
-        assert_eq!((waiting(&queue), queue.left_out), (vec![6, 7, 8, 9], 6));
-        queue.push_newest(unit(10, true));
-        assert_eq!((waiting(&queue), queue.left_out), (vec![10], 10));
-    }
-
-    #[test]
-    fn live_sources_and_their_pace_are_recognised() {
-        assert!(is_live("rtsp://camera/1") && is_paced("rtsp://camera/1"));
-        assert!(is_live("http://camera/1") && !is_paced("http://camera/1"));
-        assert!(!is_live("film.mp4") && !is_paced("film.mp4"));
+    #[tokio::test]
+    async fn a_live_source_drops_frames_up_to_the_next_key_frame() {
+        let (mut program, out) = tokio::io::duplex(1 << 16);
+        let ((to, mut units), left_out) = (mpsc::channel(WAITING), Arc::new(AtomicU64::new(0)));
+        let counted = Arc::clone(&left_out);
+        let reader = tokio::spawn(async move { read(out, &to, Some(&*counted)).await });
+        let mut write = async |numbers: std::ops::Range<u8>, keys: &[u8]| {
+            let unit = |n: u8| [0, 0, 1, if keys.contains(&n) { 0x65 } else { 0x41 }, 0x88, n];
+            program.write_all(&numbers.flat_map(unit).collect::<Vec<u8>>()).await.unwrap();
+            sleep(Duration::from_millis(50)).await;
+        };
+        write(1..8, &[1]).await;
+        let mut got = Vec::new();
+        while let Ok(unit) = units.try_recv() {
+            got.extend(unit.unwrap().data.last().copied());
+        }
+        assert_eq!(got, [1, 2, 3, 4], "so many may wait");
+        write(8..11, &[9]).await;
+        drop(program);
+        reader.await.unwrap().unwrap();
+        while let Some(unit) = units.recv().await {
+            got.extend(unit.unwrap().data.last().copied());
+        }
+        assert_eq!((&got[4..], left_out.load(Ordering::Relaxed)), (&[9, 10][..], 4));
     }
 
     #[cfg(unix)]
     #[tokio::test]
-    async fn a_failed_program_is_an_error_with_its_last_output_after_its_last_frame() {
-        let run = |script: &str| Program::start(Command::new("sh").args(["-c", script]), false).unwrap();
+    async fn a_failed_program_is_an_error_after_its_last_frame_and_one_that_ended_can_begin_again() {
+        let run = |script: &str| {
+            let mut command = Command::new("sh");
+            command.args(["-c", script]);
+            Program::start(command, false).unwrap()
+        };
         let key = r"printf '\000\000\001\145\210\007\007'";
-        let mut failing = run(&format!("{key}; echo first >&2; echo no route to the camera >&2; exit 3"));
+        let mut failing = run(&format!("{key}; exit 3"));
         assert!(failing.next().await.unwrap().is_some_and(|u| u.key));
         let error = failing.next().await.unwrap_err().to_string();
-        assert!(error.contains("no route to the camera") && error.contains('3'), "{error}");
+        assert!(error.contains("sh has failed") && error.contains('3'), "{error}");
         let mut good = run(key);
-        assert!(good.next().await.unwrap().is_some());
-        assert!(good.next().await.unwrap().is_none());
+        for _ in 0..2 {
+            assert!(good.next().await.unwrap().is_some() && good.next().await.unwrap().is_none());
+            good.begin_again().unwrap();
+        }
     }
 }

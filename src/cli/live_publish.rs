@@ -1,12 +1,11 @@
 //! `tmpi live publish`.
 
-use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context as _;
 use bytes::Bytes;
 use futures_util::{SinkExt as _, StreamExt as _};
-use tokio::time::{Instant, sleep, timeout, timeout_at};
+use tokio::time::{Instant, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::Message;
 
 use tmpi_core::live::schema::bye::Cause;
@@ -17,9 +16,8 @@ use tmpi_live::access_units::codec;
 use tmpi_live::video::{self, JPEG, VideoError};
 use tmpi_pipeline::depth::DepthKind;
 
-use super::live_client::{Addresses, Socket, Unreached, micros};
+use super::live_client::{AGAIN, Addresses, End, Socket, micros, received};
 use super::live_input::{Origin, SOUND, Wanted};
-use super::live_program::is_live;
 use super::live_rtp::Sound;
 use super::live_source::{Frame, Source};
 use super::{note, result};
@@ -28,22 +26,16 @@ use super::{note, result};
 const PATIENCE: Duration = Duration::from_millis(250);
 /// How far frames of files may be late and still be sent faster than their rate, to catch up.
 const CATCH_UP: Duration = Duration::from_millis(100);
-/// Pause before reconnecting, and the number of attempts.
-const AGAIN: Duration = Duration::from_millis(500);
-const TRIES: u32 = 60;
-/// How long to retry a taken room after publishing in it: the server may not have noticed yet that the old connection broke.
-const OWN_SEAT: Duration = Duration::from_secs(15);
 /// Silence after which the connection counts as lost: the server sends something every second.
 const SILENCE: Duration = Duration::from_secs(4);
 /// Timeout for sending a message.
 const STUCK: Duration = Duration::from_secs(10);
 
-/// Publish frames in a room: a folder of JPEG files, an H.264 file, a camera, or anything that ffmpeg reads
+/// Publish frames in a room: a folder of JPEG files, a camera, or anything that ffmpeg reads
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct PublishArgs {
-    /// Folder of JPEG files, sent in the order of their names, each with the depth of a PNG of the same name if there is one; a raw H.264
-    /// file (.h264); or any input of `ffmpeg -i`: H.264 without B-frames is passed on unchanged, other video is re-encoded, sound is sent
-    /// as Opus
+    /// Folder of JPEG files, sent in the order of their names, each with the depth of a PNG of the same name if there is one; or any input
+    /// of `ffmpeg -i`: H.264 without B-frames is passed on unchanged, other video is re-encoded, sound is sent as Opus
     #[arg(value_name = "FOLDER|FILE|URL", required_unless_present = "camera")]
     source: Option<String>,
     /// A camera of this machine, without sound: a v4l2 device on Linux (default /dev/video0), a number or name of avfoundation on macOS
@@ -62,7 +54,7 @@ pub(super) struct PublishArgs {
     /// Token for the room
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
-    /// Frame rate of files
+    /// Frame rate of folders and raw H.264 files (.h264)
     #[arg(long, default_value_t = 30.0, value_name = "N")]
     rate: f64,
     /// Play the source this many times
@@ -80,7 +72,7 @@ pub(super) struct PublishArgs {
 fn hello(source: &Source, first: &Frame, fov_x: Option<f64>, sound: bool) -> anyhow::Result<Hello> {
     let codec = match source {
         Source::Folder(..) => JPEG.to_owned(),
-        _ => codec(&first.data).context("the stream does not begin with a key frame")?,
+        Source::Program(_) => codec(&first.data).context("the stream does not begin with a key frame")?,
     };
     let (width, height) = video::size(&codec, &first.data)?.context("the stream does not state the size of its pictures")?;
     let hello = Hello { version: VERSION, codec, width, height, fov_x: fov_x.unwrap_or(0.0), ..Hello::default() };
@@ -95,44 +87,25 @@ pub(super) fn publish(args: &PublishArgs) -> anyhow::Result<()> {
     tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(publishing(args))
 }
 
-/// Whether a source is a raw H.264 file, which needs no ffmpeg.
-fn is_stream(source: &str) -> bool {
-    let path = Path::new(source);
-    path.extension().is_some_and(|e| e == "h264" || e == "264") && !path.is_dir() && !is_live(source)
-}
-
-/// A source, its first frame and its HELLO message.
-struct Opened {
-    source: Source,
-    sound: Option<Sound>,
-    first: Frame,
-    hello: Hello,
-}
-
-async fn open(origin: Origin<'_>, args: &PublishArgs, wanted: Wanted) -> anyhow::Result<Opened> {
-    let (mut source, sound) = Source::open(origin, args.depth_kind, wanted).await?;
-    let first = source.next().await?.context("the source has no frame")?;
-    let hello = hello(&source, &first, args.fov_x, sound.is_some())?;
-    Ok(Opened { source, sound, first, hello })
-}
-
 async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
     let origin = match (&args.camera, &args.source) {
         (Some(name), _) => Origin::Camera(Some(name.as_str()).filter(|name| !name.is_empty())),
-        (None, Some(source)) if is_stream(source) => Origin::Stream(source, args.rate),
-        (None, Some(source)) => Origin::Address(source),
+        (None, Some(source)) => Origin::of(source, args.rate),
         (None, None) => return Err(super::Usage("a folder, a file, an address or --camera".into()).into()),
     };
-    let wanted = Wanted { transcode: args.transcode, sound: !args.no_sound };
-    let opened = match open(origin, args, wanted).await {
-        // the probe may miss that rooms cannot take the video: encode it
-        Err(error) if !wanted.transcode && matches!(error.downcast_ref(), Some(VideoError::Unsupported(_))) => {
-            note(&format!("tmpi live publish: re-encoding the video: {error}"));
-            open(origin, args, Wanted { transcode: true, ..wanted }).await?
+    let mut wanted = Wanted { transcode: args.transcode, sound: !args.no_sound };
+    let (source, sound, first, hello) = loop {
+        let (mut source, sound) = Source::open(origin, args.depth_kind, wanted).await?;
+        let first = source.next().await?.context("the source has no frame")?;
+        match hello(&source, &first, args.fov_x, sound.is_some()) {
+            // the probe may miss that rooms cannot take the video
+            Err(error) if !wanted.transcode && matches!(error.downcast_ref(), Some(VideoError::Unsupported(_))) => {
+                note(&format!("tmpi live publish: re-encoding the video: {error}"));
+                wanted.transcode = true;
+            }
+            hello => break (source, sound, first, hello?),
         }
-        opened => opened?,
     };
-    let Opened { source, sound, first, hello } = opened;
     let start = Instant::now();
     let mut sender = Sender {
         source,
@@ -152,40 +125,11 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
 }
 
 /// Why publishing on a connection ended.
-enum End {
+enum Failure {
     /// The server does not allow coming back, or the source failed.
     Refused(anyhow::Error),
-    /// The connection broke, or the server is stopping.
+    /// The connection broke, the server is stopping, or it has not noticed yet that the connection before broke.
     Lost(anyhow::Error),
-    /// The room has a publisher, possibly this program's broken connection.
-    Taken(anyhow::Error),
-}
-
-/// Counts reconnection attempts.
-#[derive(Default)]
-struct Again {
-    tries: u32,
-    /// Since when the room is taken.
-    taken: Option<Instant>,
-}
-
-impl Again {
-    /// Decides whether to reconnect after a connection on which the frame count went from `before` to `frames`; returns the error to
-    /// report.
-    ///
-    /// # Errors
-    /// The error, if publishing is over.
-    fn after(&mut self, end: End, before: u64, frames: u64, now: Instant) -> anyhow::Result<anyhow::Error> {
-        if frames > before {
-            *self = Self::default();
-        }
-        self.tries += 1;
-        match end {
-            End::Lost(error) if self.tries <= TRIES => Ok(error),
-            End::Taken(error) if frames > 0 && now - *self.taken.get_or_insert(now) < OWN_SEAT => Ok(error),
-            End::Refused(error) | End::Lost(error) | End::Taken(error) => Err(error),
-        }
-    }
 }
 
 #[derive(Clone, Copy, Default)]
@@ -215,36 +159,23 @@ impl Sender {
     /// # Errors
     /// The first connection fails, or reconnecting is useless.
     async fn publish(&mut self, addresses: &mut Addresses<'_>, hello: &Hello) -> anyhow::Result<()> {
-        let mut again = Again::default();
-        loop {
+        let published = addresses.sessions("publish", async |socket| {
             let before = self.sent.frames;
-            let ended = match addresses.connect("publish").await {
-                Ok(socket) => self.send(socket, hello).await,
-                // an error on the first attempt is final
-                Err(Unreached { error, .. }) if before == 0 => return Err(error),
-                Err(Unreached { error, .. }) => Err(End::Lost(error)),
-            };
-            match ended {
-                Ok(()) => return Ok(()),
-                Err(end) => {
-                    let error = again.after(end, before, self.sent.frames, Instant::now())?;
-                    eprintln!("tmpi live publish: {error:#}; reconnecting");
-                    addresses.go_on();
-                    // try another node at once, but do not cycle through all of them without a pause
-                    if !addresses.are_several() || again.tries > 1 {
-                        sleep(AGAIN).await;
-                    }
-                }
+            match self.send(socket, hello).await {
+                Ok(()) => Ok(None),
+                Err(Failure::Lost(error)) => Ok(Some(End { error, again: Some(AGAIN), progress: self.sent.frames > before })),
+                Err(Failure::Refused(error)) => Err(error),
             }
-        }
+        });
+        published.await.map_err(|unreached| unreached.error)
     }
 
     /// Sends frames to the end of the source over one connection.
-    async fn send(&mut self, mut socket: Socket, hello: &Hello) -> Result<(), End> {
+    async fn send(&mut self, mut socket: Socket, hello: &Hello) -> Result<(), Failure> {
         send(&mut socket, Kind::Hello(hello.clone())).await?;
         let live = self.source.is_paced();
         let (mut number, mut waits_for_key) = (0u64, true);
-        let mut heard = Heard { credit: 0, at: Instant::now(), silence: self.silence };
+        let mut heard = Heard { credit: 0, at: Instant::now(), silence: self.silence, may_wait: self.sent.frames > 0 };
         if let Some(sound) = &mut self.sound {
             sound.skip();
         }
@@ -283,13 +214,13 @@ impl Sender {
     }
 
     /// Waits for the next frame. Meanwhile it handles the server's messages and passes on sound.
-    async fn wait(&mut self, socket: &mut Socket, heard: &mut Heard) -> Result<(), End> {
+    async fn wait(&mut self, socket: &mut Socket, heard: &mut Heard) -> Result<(), Failure> {
         loop {
             let Self { source, sound, next, times, .. } = self;
             let (time, data) = tokio::select! {
                 biased;
                 packet = packet(sound.as_mut()) => packet,
-                advanced = advance(source, next, times) => return advanced.map_err(End::Refused),
+                advanced = advance(source, next, times) => return advanced.map_err(Failure::Refused),
                 Err(end) = heard.until_lost(socket) => return Err(end),
             };
             send(socket, Kind::Sound(message::Sound { time, data })).await?;
@@ -311,16 +242,16 @@ async fn advance(source: &mut Source, next: &mut Option<Frame>, times: &mut u32)
     *next = source.next().await?;
     if next.is_none() && *times > 1 {
         *times -= 1;
-        source.begin_again();
+        source.begin_again()?;
         *next = source.next().await?;
     }
     Ok(())
 }
 
-async fn send(socket: &mut Socket, kind: Kind) -> Result<(), End> {
+async fn send(socket: &mut Socket, kind: Kind) -> Result<(), Failure> {
     match timeout(STUCK, socket.send(Message::Binary(write(kind)))).await {
-        Ok(sent) => sent.map_err(|e| End::Lost(anyhow::Error::from(e).context("the connection broke"))),
-        Err(_) => Err(End::Lost(anyhow::anyhow!("nothing could be sent for {} s", STUCK.as_secs()))),
+        Ok(sent) => sent.map_err(|e| Failure::Lost(anyhow::Error::from(e).context("the connection broke"))),
+        Err(_) => Err(Failure::Lost(anyhow::anyhow!("nothing could be sent for {} s", STUCK.as_secs()))),
     }
 }
 
@@ -332,34 +263,28 @@ struct Heard {
     at: Instant,
     /// See [`SILENCE`].
     silence: Duration,
+    /// A taken room may be so by this program's last connection.
+    may_wait: bool,
 }
 
 impl Heard {
     /// Handles messages until `until`, or, with `or_credit`, until there is credit.
-    async fn listen(&mut self, socket: &mut Socket, until: Instant, or_credit: bool) -> Result<(), End> {
+    async fn listen(&mut self, socket: &mut Socket, until: Instant, or_credit: bool) -> Result<(), Failure> {
         loop {
             let Ok(came) = timeout_at(until.min(self.at + self.silence), socket.next()).await else {
                 if self.at.elapsed() < self.silence {
                     return Ok(());
                 }
-                return Err(End::Lost(anyhow::anyhow!("the server sent nothing for {:.1} s", self.silence.as_secs_f64())));
+                return Err(Failure::Lost(anyhow::anyhow!("the server sent nothing for {:.1} s", self.silence.as_secs_f64())));
             };
             self.at = Instant::now();
-            let message = match came {
-                Some(Ok(Message::Binary(message))) => message,
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
-                Some(Err(error)) => return Err(End::Lost(anyhow::Error::from(error).context("the connection broke"))),
-                _ => return Err(End::Lost(anyhow::anyhow!("the server has closed the connection"))),
-            };
-            match read(message).map_err(|e| End::Refused(e.into()))? {
+            let Some(message) = received(came).map_err(Failure::Lost)? else { continue };
+            match read(message).map_err(|e| Failure::Refused(e.into()))? {
                 Kind::Credit(c) => self.credit = self.credit.saturating_add(c.frames),
                 Kind::Bye(bye) => {
                     let error = anyhow::anyhow!("the server says: {}", bye.reason);
-                    return Err(match bye.again {
-                        true => End::Lost(error),
-                        false if bye.cause() == Cause::Taken => End::Taken(error),
-                        false => End::Refused(error),
-                    });
+                    let is_lost = bye.again || (self.may_wait && bye.cause() == Cause::Taken);
+                    return Err(if is_lost { Failure::Lost(error) } else { Failure::Refused(error) });
                 }
                 _ => {}
             }
@@ -370,31 +295,40 @@ impl Heard {
     }
 
     /// Handles messages until the connection breaks.
-    async fn until_lost(&mut self, socket: &mut Socket) -> Result<(), End> {
+    async fn until_lost(&mut self, socket: &mut Socket) -> Result<(), Failure> {
         loop {
             self.listen(socket, Instant::now() + self.silence, false).await?;
         }
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use std::net::Ipv4Addr;
     use std::sync::atomic::{AtomicU32, Ordering};
 
     use tmpi_core::live::schema::Credit;
-    use tmpi_live::access_units::Unit;
     use tokio::net::TcpListener;
+    use tokio::process::Command;
     use tokio_tungstenite::accept_async;
 
     use super::*;
+    use crate::cli::live_program::Program;
 
-    /// A server that gives credit and then stays silent on the first connection, but not on later ones. `heard` counts the connections, and
-    /// the key frames of later ones.
+    /// A server that gives credit and then stays silent on the first connection, says on the next that the room is taken, and on later ones
+    /// behaves. `heard` counts the connections, and the key frames of later ones.
     async fn forgetful(listener: TcpListener, heard: &[AtomicU32; 2]) -> anyhow::Result<()> {
         loop {
             let mut socket = accept_async(listener.accept().await?.0).await?;
-            let silent = heard[0].fetch_add(1, Ordering::Relaxed) == 0;
+            let count = heard[0].fetch_add(1, Ordering::Relaxed);
+            let silent = count == 0;
+            if count == 1 {
+                // HELLO
+                drop(socket.next().await);
+                let bye = message::Bye { reason: "taken".into(), again: false, cause: Cause::Taken.into() };
+                socket.send(Message::Binary(write(Kind::Bye(bye)))).await?;
+                continue;
+            }
             let credit = |frames| Message::Binary(write(Kind::Credit(Credit { frames, ..Credit::default() })));
             socket.send(credit(100_000)).await?;
             loop {
@@ -421,13 +355,16 @@ mod tests {
     async fn a_silent_server_is_reconnected_with_a_key_frame() {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let rooms = [format!("http://{}/live/attic", listener.local_addr().unwrap())];
-        let units: Vec<Unit> =
-            (0..5).map(|n| Unit { data: vec![0, 0, 1, if n == 0 { 0x65 } else { 0x41 }, 0x88, n], key: n == 0 }).collect();
-        let mut source = Source::Units(units, 0);
+        // five frames, of which the first is a key frame, about every 25 ms
+        let frame = |kind: &str| format!(r"\000\000\001\{kind}\210\007");
+        let group = ["145", "101", "101", "101", "101"].map(frame).concat();
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("for i in 1 2 3 4 5 6 7 8; do printf '{group}'; sleep 0.025; done")]);
+        let mut source = Source::Program(Program::start(command, false).unwrap().into());
         let next = source.next().await.unwrap();
-        let pause = Duration::from_millis(5);
+        let silence = Duration::from_millis(300);
         let mut sender =
-            Sender { source, sound: None, next, times: 80, due: Instant::now(), pause, silence: 60 * pause, sent: Sent::default() };
+            Sender { source, sound: None, next, times: 10, due: Instant::now(), pause: silence, silence, sent: Sent::default() };
         let heard = [AtomicU32::new(0), AtomicU32::new(0)];
         let (mut addresses, hello) = (Addresses::new(&rooms, None), Hello::default());
         let sent = timeout(Duration::from_mins(1), sender.publish(&mut addresses, &hello));
@@ -436,25 +373,17 @@ mod tests {
             failed = forgetful(listener, &heard) => panic!("{failed:?}"),
         }
         let [connections, keys] = heard.map(AtomicU32::into_inner);
-        assert!(connections >= 2 && keys > 0, "{connections} connections, {keys} key frames after the first");
+        assert!(connections >= 3 && keys > 0, "{connections} connections, {keys} key frames after the first");
         assert!(sender.sent.frames > 0 && sender.times == 1);
-    }
-
-    #[test]
-    fn a_taken_room_is_final_at_first_but_retried_after_publishing() {
-        let (start, error) = (Instant::now(), || anyhow::anyhow!("why"));
-        let taken = |again: &mut Again, seconds: u64, frames| {
-            again.after(End::Taken(error()), frames, frames, start + Duration::from_secs(seconds)).is_ok()
-        };
-        assert!(!taken(&mut Again::default(), 0, 0));
-        let mut again = Again::default();
-        assert!(again.after(End::Lost(error()), 0, 7, start).is_ok());
-        assert!(taken(&mut again, 1, 7) && taken(&mut again, 15, 7) && !taken(&mut again, 16, 7));
-        // it published since
-        assert!(again.after(End::Lost(error()), 7, 9, start).is_ok() && taken(&mut again, 20, 9));
-        assert!(again.after(End::Refused(error()), 9, 9, start).is_err());
-        let mut again = Again::default();
-        assert!((0..TRIES).all(|_| again.after(End::Lost(error()), 9, 9, start).is_ok()));
-        assert!(again.after(End::Lost(error()), 9, 9, start).is_err());
+        // where it has not published yet, a taken room is final
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+        let rooms = [format!("http://{}/live/attic", listener.local_addr().unwrap())];
+        sender.sent.frames = 0;
+        sender.next = Some(Frame { data: Bytes::from_static(&[0, 0, 1, 0x65]), key: true, depth: None });
+        let (mut addresses, heard) = (Addresses::new(&rooms, None), [AtomicU32::new(1), AtomicU32::new(0)]);
+        tokio::select! {
+            sent = sender.publish(&mut addresses, &hello) => assert!(sent.is_err_and(|e| e.to_string().contains("taken"))),
+            failed = forgetful(listener, &heard) => panic!("{failed:?}"),
+        }
     }
 }

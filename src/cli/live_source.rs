@@ -5,13 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use bytes::Bytes;
 
-use tmpi_live::access_units::{Splitter, Unit, is_bidirectional, is_turned};
 use tmpi_live::measured_depth;
-use tmpi_live::video::{self, JPEG, VideoError};
+use tmpi_live::video::{self, JPEG};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
 use super::live_input::{Origin, Plan, Wanted};
-use super::live_program::{Program, is_live};
+use super::live_program::Program;
 use super::live_rtp::Sound;
 use super::note;
 
@@ -23,14 +22,12 @@ pub(super) struct Frame {
     pub(super) depth: Option<Bytes>,
 }
 
-/// Frames of a file, a folder or a program.
+/// Frames of a folder or a program.
 pub(super) enum Source {
     /// Files of a folder, the index of the next, and the kind of the depth maps beside them.
     Folder(Vec<PathBuf>, usize, DepthKind),
-    /// Units in memory, and the index of the next.
-    Units(Vec<Unit>, usize),
     /// A running program that sets the pace.
-    Program(Program),
+    Program(Box<Program>),
 }
 
 impl Source {
@@ -39,20 +36,16 @@ impl Source {
     /// # Errors
     /// The file does not exist or has no frame, or ffmpeg cannot read it.
     pub(super) async fn open(origin: Origin<'_>, depth: DepthKind, wanted: Wanted) -> anyhow::Result<(Self, Option<Sound>)> {
-        let files = match origin {
-            Origin::Address(source) if Path::new(source).is_dir() => Some(Self::folder(Path::new(source), depth)?),
-            Origin::Stream(file, _) if !wanted.transcode => Some(Self::stream(Path::new(file))?),
-            _ => None,
-        };
-        if let Some(files) = files {
-            return Ok((files, None));
+        if let Origin::Address(source) = origin
+            && Path::new(source).is_dir()
+        {
+            return Ok((Self::folder(Path::new(source), depth)?, None));
         }
         let plan = Plan::new(origin, wanted)?;
         plan.notices.iter().for_each(|notice| note(&format!("tmpi live publish: {notice}")));
         let sound = if plan.sound { Some(Sound::open().await.context("a port for the sound")?) } else { None };
-        let live = matches!(origin, Origin::Camera(_)) || matches!(origin, Origin::Address(source) if is_live(source));
-        let program = Program::start(&mut plan.command(sound.as_ref().map(Sound::port)), live)?;
-        Ok((Self::Program(program), sound))
+        let program = Program::start(plan.command(sound.as_ref().map(Sound::port)).into(), origin.is_live())?;
+        Ok((Self::Program(program.into()), sound))
     }
 
     /// JPEG files of a folder.
@@ -66,28 +59,6 @@ impl Source {
         Ok(Self::Folder(files, 0, depth))
     }
 
-    /// Reads a raw H.264 file that rooms accept unchanged.
-    ///
-    /// # Errors
-    /// [`VideoError::Unsupported`] if they do not.
-    fn stream(file: &Path) -> anyhow::Result<Self> {
-        let mut splitter = Splitter::default();
-        let mut units = Vec::new();
-        for piece in std::fs::read(file).with_context(|| file.display().to_string())?.chunks(1 << 16) {
-            units.extend(splitter.push(piece)?);
-        }
-        units.extend(splitter.finish());
-        let obstacle = if units.iter().any(|unit| is_bidirectional(&unit.data)) {
-            Some("its frames are not in display order (B-frames)")
-        } else {
-            units.iter().any(|unit| is_turned(&unit.data)).then_some("its frames are rotated")
-        };
-        if let Some(why) = obstacle {
-            return Err(VideoError::Unsupported(why.into()).into());
-        }
-        Ok(Self::Units(units, 0))
-    }
-
     /// Whether the source sets the pace of its frames.
     pub(super) const fn is_paced(&self) -> bool {
         matches!(self, Self::Program(_))
@@ -98,30 +69,30 @@ impl Source {
         if let Self::Program(program) = self { program.left_out() } else { 0 }
     }
 
-    /// The next frame; `None` at the end.
+    /// The next frame; `None` at the end. Cancel safe for programs.
     pub(super) async fn next(&mut self) -> anyhow::Result<Option<Frame>> {
-        let unit = match self {
+        match self {
             Self::Folder(files, at, kind) => {
                 let Some(file) = files.get(*at) else { return Ok(None) };
                 *at += 1;
                 let data = tokio::fs::read(file).await.with_context(|| file.display().to_string())?;
                 let map = file.with_extension("png");
                 let depth = map.is_file().then(|| measured(&map, *kind, &data)).transpose()?;
-                return Ok(Some(Frame { data: data.into(), key: true, depth }));
+                Ok(Some(Frame { data: data.into(), key: true, depth }))
             }
-            Self::Units(units, at) => {
-                *at += 1;
-                units.get(*at - 1).cloned()
+            Self::Program(program) => {
+                let unit = program.next().await?;
+                Ok(unit.map(|unit| Frame { data: unit.data.into(), key: unit.key, depth: None }))
             }
-            Self::Program(program) => program.next().await?,
-        };
-        Ok(unit.map(|unit| Frame { data: unit.data.into(), key: unit.key, depth: None }))
+        }
     }
 
-    pub(super) fn begin_again(&mut self) {
-        if let Self::Folder(_, at, _) | Self::Units(_, at) = self {
-            *at = 0;
+    pub(super) fn begin_again(&mut self) -> anyhow::Result<()> {
+        match self {
+            Self::Folder(_, at, _) => *at = 0,
+            Self::Program(program) => program.begin_again()?,
         }
+        Ok(())
     }
 }
 
@@ -139,26 +110,15 @@ mod tests {
     use std::process::Command;
     use std::time::Duration;
 
-    use tmpi_live::access_units::codec;
+    use tmpi_live::access_units::{codec, is_bidirectional};
     use tmpi_testing::Need;
     use tokio::time::timeout;
 
     use super::*;
 
-    /// One second of test pictures and a tone, encoded by ffmpeg; `None` without ffmpeg.
-    fn film(folder: &Path, name: &str, codec: &[&str]) -> Option<String> {
-        let file = folder.join(name);
-        let mut command = Command::new("ffmpeg");
-        command.args(["-loglevel", "error", "-f", "lavfi", "-i", "testsrc=size=160x120:rate=15:duration=1"]);
-        command.args(["-f", "lavfi", "-i", "sine=duration=1", "-pix_fmt", "yuv420p"]).args(codec).arg(&file);
-        let status = Need::Ffmpeg.or_skip(command.status())?;
-        assert!(status.success(), "{name}: {status}");
-        Some(file.to_string_lossy().into_owned())
-    }
-
     /// All frames, and the times of the sound packets among them.
-    async fn read(origin: &str, wanted: Wanted) -> (Vec<Frame>, Vec<u64>) {
-        let (mut source, mut sound) = Source::open(Origin::Address(origin), DepthKind::default(), wanted).await.unwrap();
+    async fn read(origin: &str, wanted: Wanted) -> anyhow::Result<(Vec<Frame>, Vec<u64>)> {
+        let (mut source, mut sound) = Source::open(Origin::of(origin, 30.0), DepthKind::default(), wanted).await?;
         let (mut frames, mut times) = (Vec::new(), Vec::new());
         let all = async {
             loop {
@@ -171,65 +131,67 @@ mod tests {
                 tokio::select! {
                     biased;
                     time = heard => times.push(time),
-                    frame = source.next() => match frame.unwrap() {
+                    frame = source.next() => match frame? {
                         Some(frame) => frames.push(frame),
-                        None => break,
+                        None => return Ok((frames, times)),
                     },
                 }
             }
         };
-        timeout(Duration::from_mins(1), all).await.expect("the film ends");
-        (frames, times)
-    }
-
-    fn is_for_rooms(frames: &[Frame]) -> bool {
-        frames.first().is_some_and(|f| f.key && codec(&f.data).is_some()) && !frames.iter().any(|f| is_bidirectional(&f.data))
+        timeout(Duration::from_mins(1), all).await.expect("the film ends")
     }
 
     #[tokio::test]
-    async fn unplayable_video_is_encoded_with_its_sound() {
+    async fn playable_video_is_copied_bit_for_bit_and_other_video_encoded() {
+        let plain = ["-c:v", "libx264", "-profile:v", "baseline"];
+        let x264 = |more: &[&'static str]| [&["-c:v", "libx264", "-bf", "0"][..], more].concat();
         let folder = tempfile::tempdir().unwrap();
-        let codecs: [&[&str]; 2] = [&["-c:v", "mpeg4", "-c:a", "aac"], &["-c:v", "libx264", "-bf", "2", "-c:a", "aac"]];
-        for (n, codec) in codecs.into_iter().enumerate() {
-            let Some(film) = film(folder.path(), &format!("{n}.mp4"), codec) else { return };
-            let (frames, times) = read(&film, Wanted { transcode: false, sound: true }).await;
-            assert!(is_for_rooms(&frames) && (14..=16).contains(&frames.len()), "{} frames of {film}", frames.len());
+        for (n, (name, arguments, is_copied)) in [
+            ("film.mp4", plain.to_vec(), true),
+            ("film.h264", plain.to_vec(), true),
+            ("film.mp4", vec!["-c:v", "mpeg4"], false),
+            ("film.mp4", x264(&["-bf", "2"]), false),
+            ("film.mp4", x264(&["-vf", "setsar=4/3"]), false),
+            ("film.h264", x264(&["-pix_fmt", "yuv422p"]), false),
+            ("film.h264", x264(&["-x264-params", "interlaced=1"]), false),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            let at = |name: String| folder.path().join(name).to_string_lossy().into_owned();
+            let (film, copy) = (at(format!("{n}{name}")), at(format!("{n}copy.h264")));
+            let mut command = Command::new("ffmpeg");
+            command.args(["-loglevel", "error", "-f", "lavfi", "-i", "testsrc=size=160x120:rate=15:duration=1"]);
+            let has_sound = name == "film.mp4";
+            if has_sound {
+                command.args(["-f", "lavfi", "-i", "sine=duration=1", "-c:a", "aac"]);
+            }
+            command.args(["-pix_fmt", "yuv420p"]).args(&arguments).arg(&film);
+            let Some(status) = Need::Ffmpeg.or_skip(command.status()) else { return };
+            assert!(status.success(), "{arguments:?}");
+            let (frames, times) = read(&film, Wanted { transcode: false, sound: true }).await.unwrap();
+            // fails for other video
+            Command::new("ffmpeg").args(["-loglevel", "quiet", "-i", &film, "-an", "-c:v", "copy", &copy]).status().unwrap();
+            let sent: Vec<u8> = frames.iter().flat_map(|f| f.data.to_vec()).collect();
+            assert_eq!(std::fs::read(&copy).is_ok_and(|copy| copy == sent), is_copied, "{arguments:?}");
+            assert!(frames[0].key && codec(&frames[0].data).is_some() && !frames.iter().any(|f| is_bidirectional(&f.data)));
+            assert!((14..=16).contains(&frames.len()), "{} frames with {arguments:?}", frames.len());
             // 50 packets a second; the first ones may come before anyone listens, the last after the last frame
-            assert!(times.len() > 10 && times.is_sorted(), "{times:?}");
+            assert!(times.len() > 10 || !has_sound, "{times:?}");
             assert!(times.windows(2).all(|t| t[1] > t[0]), "{times:?}");
         }
+        assert!(read("no/such/film.mp4", Wanted::default()).await.is_err_and(|e| e.to_string().contains("No such file")));
     }
 
     #[tokio::test]
     async fn a_rotated_film_is_refused_with_a_remedy() {
         let folder = tempfile::tempdir().unwrap();
-        let turned = ["-c:v", "libx264", "-bf", "0", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90"];
-        for name in ["film.mp4", "film.h264"] {
-            let Some(film) = film(folder.path(), name, &[&turned[..], &["-an"]].concat()) else { return };
-            if name.ends_with("h264") {
-                let raw = Source::open(Origin::Stream(&film, 15.0), DepthKind::default(), Wanted::default()).await;
-                assert!(raw.is_err_and(|e| matches!(e.downcast_ref(), Some(VideoError::Unsupported(_)))));
-            }
-            let wanted = Wanted { transcode: true, sound: false };
-            let refused = Source::open(Origin::Address(&film), DepthKind::default(), wanted).await;
-            assert!(refused.is_err_and(|e| e.to_string().contains("transpose")), "{name}");
-        }
-    }
-
-    #[tokio::test]
-    async fn playable_video_is_copied_bit_for_bit_without_unwanted_sound() {
-        let folder = tempfile::tempdir().unwrap();
-        let codec = ["-c:v", "libx264", "-profile:v", "baseline", "-bf", "0", "-c:a", "aac"];
-        let Some(film) = film(folder.path(), "film.mp4", &codec) else { return };
-        let stream = folder.path().join("film.h264");
-        let copied = Command::new("ffmpeg").args(["-loglevel", "error", "-i", &film, "-an", "-c:v", "copy"]).arg(&stream).status();
-        assert!(copied.unwrap().success());
-        let (frames, times) = read(&film, Wanted::default()).await;
-        let sent: Vec<u8> = frames.iter().flat_map(|f| f.data.to_vec()).collect();
-        assert!(is_for_rooms(&frames) && times.is_empty() && sent == std::fs::read(&stream).unwrap());
-        let (encoded, _) = read(&film, Wanted { transcode: true, sound: false }).await;
-        assert!(is_for_rooms(&encoded) && encoded.iter().flat_map(|f| f.data.to_vec()).collect::<Vec<_>>() != sent);
-        let missing = Source::open(Origin::Address("no/such/film.mp4"), DepthKind::default(), Wanted::default()).await;
-        assert!(missing.is_err_and(|e| e.to_string().contains("No such file")));
+        let film = folder.path().join("film.h264").to_string_lossy().into_owned();
+        let mut command = Command::new("ffmpeg");
+        command.args(["-loglevel", "error", "-f", "lavfi", "-i", "testsrc=size=160x120:rate=15:duration=1", "-pix_fmt", "yuv420p"]);
+        command.args(["-c:v", "libx264", "-bf", "0", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90", &film]);
+        let Some(status) = Need::Ffmpeg.or_skip(command.status()) else { return };
+        assert!(status.success());
+        assert!(read(&film, Wanted::default()).await.is_err_and(|e| e.to_string().contains("transpose")));
     }
 }

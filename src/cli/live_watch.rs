@@ -8,23 +8,25 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use bytes::Bytes;
 use futures_util::StreamExt as _;
-use tokio::time::{sleep_until, timeout};
-use tokio_tungstenite::tungstenite::Message;
+use tokio::time::timeout;
 
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::schema::{self, Hello, Video};
+use tmpi_core::live::schema::{self, Bye, Hello, Video};
 use tmpi_core::live::{FrameTiming, Layers, TileState, read};
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_live::video::{self, Decoder};
 use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
 
-use super::live_client::{Addresses, Socket, micros};
+use super::live_client::{AGAIN, Addresses, End, Socket, Unreached, micros, received};
 use super::render::pose;
 use super::{files, result};
 
 /// Silence after which the server counts as lost: it sends something every second.
 const SILENCE: Duration = Duration::from_secs(3);
+/// Pause before connecting again after the publisher has gone, and after the room was full.
+const AFTER_PUBLISHER: Duration = Duration::from_secs(1);
+const AFTER_FULL: Duration = Duration::from_secs(5);
 
 /// Watch a room: print statistics, and optionally record or render it
 #[derive(Clone, Debug, clap::Args)]
@@ -80,137 +82,63 @@ pub(super) fn watch(args: &WatchArgs) -> anyhow::Result<()> {
 
 async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
     let record = args.record.as_ref().map(|file| std::fs::File::create(file).with_context(|| file.display().to_string())).transpose()?;
-    let end = args.seconds.map(|s| Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
-    let (begun, second) = (Instant::now(), Second::default());
-    let mut watcher = Watcher { args, end: end.map(Into::into), record, begun, second, frames: 0, told: String::new() };
+    let mut watcher = Watcher { args, record, second: Second::default(), frames: 0 };
     let mut addresses = Addresses::new(&args.room, args.token.as_deref());
-    // set once a connection has succeeded: since when no frame has come, and why
-    let mut lost: Option<(Instant, End)> = None;
-    loop {
-        watcher.begun = Instant::now();
-        let (before, ended) = match (addresses.connect("subscribe").await, &lost) {
-            (Ok(socket), _) => (watcher.frames, watcher.watch(socket).await?),
-            // an error on the first attempt is final
-            (Err(unreached), None) => return Err(unreached.error),
-            (Err(unreached), Some((since, end))) => {
-                // the publisher may come back at another node
-                let over = matches!(end, End::Gone(_)) && !addresses.are_several() || since.elapsed() > COME_BACK;
-                if unreached.nobody && over {
-                    return Ok(());
-                }
-                if since.elapsed() > PATIENCE {
-                    return Err(unreached.error);
-                }
-                if watcher.waits(AGAIN).await {
-                    continue;
-                }
-                return Ok(());
-            }
-        };
-        if ended == End::Over {
-            return Ok(());
-        }
-        lost = Some((lost.filter(|_| watcher.frames == before).map_or_else(Instant::now, |(since, _)| since), ended));
-        addresses.go_on();
-        if !watcher.waits(ended.pause()).await {
-            return Ok(());
-        }
-    }
-}
-
-/// Pause before it connects again: after the connection broke, after the publisher has gone, and after the room was full.
-const AGAIN: Duration = Duration::from_millis(100);
-const AFTER_PUBLISHER: Duration = Duration::from_secs(1);
-const AFTER_FULL: Duration = Duration::from_secs(5);
-/// How long it waits for a publisher, and for a server that does not answer.
-const COME_BACK: Duration = Duration::from_secs(10);
-const PATIENCE: Duration = Duration::from_secs(30);
-
-/// How watching at one URL ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum End {
-    /// For good.
-    Over,
-    /// The server gave a cause and allows coming back.
-    Gone(Cause),
-    /// The connection broke.
-    Lost,
-}
-
-impl End {
-    /// Pause before the next connection.
-    const fn pause(self) -> Duration {
-        match self {
-            Self::Gone(Cause::Left | Cause::Rejected) => AFTER_PUBLISHER,
-            Self::Gone(Cause::Full) => AFTER_FULL,
-            _ => AGAIN,
-        }
+    let sessions = addresses.sessions("subscribe", async |socket| watcher.watch(socket).await);
+    let ended = match args.seconds {
+        Some(seconds) => timeout(Duration::from_secs_f64(seconds.clamp(0.0, 1e9)), sessions).await.unwrap_or(Ok(())),
+        None => sessions.await,
+    };
+    match ended {
+        // the publisher has gone
+        Err(Unreached { nobody: true, .. }) if watcher.frames > 0 => Ok(()),
+        ended => ended.map_err(|unreached| unreached.error),
     }
 }
 
 struct Watcher<'a> {
     args: &'a WatchArgs,
-    end: Option<tokio::time::Instant>,
     record: Option<std::fs::File>,
-    begun: Instant,
     second: Second,
     /// Frames in total.
     frames: u64,
-    /// The last reason that the server gave for ending, so that it is printed once.
-    told: String,
 }
 
 impl Watcher<'_> {
-    /// Completes when `--seconds` are over.
-    async fn over(&self) {
-        match self.end {
-            Some(end) => sleep_until(end).await,
-            None => std::future::pending().await,
-        }
-    }
-
-    /// Waits for `pause`; false if `--seconds` are over first.
-    async fn waits(&self, pause: Duration) -> bool {
-        timeout(pause, self.over()).await.is_err()
-    }
-
-    async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<End> {
-        let (mut shown, mut waits): (Option<Shown>, bool) = (None, true);
-        loop {
-            let came = tokio::select! {
-                came = timeout(SILENCE, socket.next()) => came,
-                () = self.over() => return Ok(End::Over),
+    /// Watches on one connection.
+    async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<Option<End>> {
+        let (mut shown, mut begun, before) = (None, Some(Instant::now()), self.frames);
+        let (error, again) = loop {
+            let Ok(came) = timeout(SILENCE, socket.next()).await else {
+                break (anyhow::anyhow!("nothing came for {} s", SILENCE.as_secs()), Some(AGAIN));
             };
-            let bytes = match came {
-                Ok(Some(Ok(Message::Binary(bytes)))) => bytes,
-                Ok(Some(Ok(Message::Ping(_) | Message::Pong(_)))) => continue,
-                Ok(Some(Err(error))) => {
-                    eprintln!("tmpi live watch: the connection broke: {error}");
-                    return Ok(End::Lost);
-                }
-                Ok(_) => return Ok(End::Lost),
-                Err(_) => {
-                    eprintln!("tmpi live watch: nothing came for {} s", SILENCE.as_secs());
-                    return Ok(End::Lost);
-                }
+            let bytes = match received(came) {
+                Ok(Some(bytes)) => bytes,
+                Ok(None) => continue,
+                Err(error) => break (error, Some(AGAIN)),
             };
             if let Some(file) = &mut self.record {
                 file.write_all(&(bytes.len() as u32).to_le_bytes()).and_then(|()| file.write_all(&bytes))?;
             }
-            if let Some(end) = self.take(bytes, &mut shown, &mut waits)? {
-                return Ok(end);
+            if let Some(bye) = self.take(bytes, &mut shown, &mut begun)? {
+                let pause = match bye.cause() {
+                    Cause::Left | Cause::Rejected => AFTER_PUBLISHER,
+                    Cause::Full => AFTER_FULL,
+                    _ => AGAIN,
+                };
+                break (anyhow::anyhow!("the server says: {}", bye.reason), bye.again.then_some(pause));
             }
-        }
+        };
+        Ok(Some(End { error, again, progress: self.frames > before }))
     }
 
-    /// Handles a message; returns how watching ends if it does.
-    fn take(&mut self, bytes: Bytes, shown: &mut Option<Shown>, waits: &mut bool) -> anyhow::Result<Option<End>> {
+    /// Handles a message; returns the server's farewell. `begun` is the start of the session until the first tiles come.
+    fn take(&mut self, bytes: Bytes, shown: &mut Option<Shown>, begun: &mut Option<Instant>) -> anyhow::Result<Option<Bye>> {
         let (length, second, args) = (bytes.len() as u64, &mut self.second, self.args);
         match read(bytes)? {
             Kind::Hello(hello) => {
                 eprintln!("tmpi live watch: {}×{}, {}, epoch {}", hello.width, hello.height, hello.codec, hello.epoch);
                 *shown = Some(Shown::new(&hello, args.render.is_some())?);
-                self.told.clear();
             }
             Kind::Video(video) => {
                 self.frames += 1;
@@ -227,9 +155,8 @@ impl Watcher<'_> {
                 let (count, drawn) = shown.tiles(&g, args)?;
                 second.tiles += count as u64;
                 second.drawn += u64::from(drawn);
-                if *waits && shown.model.geometry().is_some() {
-                    *waits = false;
-                    eprintln!("tmpi live watch: the first tiles after {:.0} ms", self.begun.elapsed().as_secs_f64() * 1e3);
+                if let Some(begun) = begun.take_if(|_| shown.model.geometry().is_some()) {
+                    eprintln!("tmpi live watch: the first tiles after {:.0} ms", begun.elapsed().as_secs_f64() * 1e3);
                 }
             }
             Kind::Statistics(s) => {
@@ -238,14 +165,7 @@ impl Watcher<'_> {
                 result(&if args.json { serde_json::to_string(&second)? } else { second.line() })?;
                 *second = Second::default();
             }
-            Kind::Bye(bye) => {
-                if self.told != bye.reason {
-                    eprintln!("tmpi live watch: the server says: {}", bye.reason);
-                }
-                let end = if bye.again { End::Gone(bye.cause()) } else { End::Over };
-                self.told = bye.reason;
-                return Ok(Some(end));
-            }
+            Kind::Bye(bye) => return Ok(Some(bye)),
             _ => {}
         }
         Ok(None)

@@ -7,8 +7,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::{Usage, note, reasons, result};
-use tmpi_pipeline::networks::models::external_data_files;
 use tmpi_pipeline::networks::models::download::{Digest, RemoteFile, fetch};
+use tmpi_pipeline::networks::models::external_data_files;
 use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, default_model, folder, published, recommended_download};
 
 /// List and fetch published depth networks

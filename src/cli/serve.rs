@@ -17,8 +17,8 @@ use tmpi_pipeline::networks::cli_flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NodeAddress, Rooms};
 use crate::server::{
-    AddressPolicy, ClientAddress, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, ProcessMaker,
-    Proxies, Rates, Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal, use_one_malloc_arena,
+    AddressPolicy, Collector, Config, ConfiguredWebhook, Limits, Network, NetworkUpgrade, PipelineMaker, ProcessMaker, Proxies, Rates,
+    Role, Server, SourceHost, Tls, VARIABLE, disable_process_inspection, hex, run_child, stop_signal, use_one_malloc_arena,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -83,13 +83,10 @@ pub(super) struct ServeArgs {
         long,
         value_delimiter = ',',
         value_name = "NETWORK[,NETWORK…]",
-        help = "Proxies in front of the server, whose client address header it trusts: addresses, networks such as 10.0.0.0/8, or `private` for \
+        help = "Proxies in front of the server, whose X-Forwarded-For it trusts: addresses, networks such as 10.0.0.0/8, or `private` for \
                 all private networks and this machine"
     )]
     trusted_proxies: Vec<Network>,
-    /// Header in which those proxies name the client; ignored from others
-    #[arg(long, value_enum, requires = "trusted_proxies", default_value_t, value_name = "HOW")]
-    client_address: ClientAddress,
     /// Renderer of views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -257,7 +254,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         args.check()?;
     }
     let (limits, private, public_list) = (args.limits()?, args.is_private(), args.access == Some(Access::Public));
-    let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies, args.client_address));
+    let (settings, traces, proxies) = (args.models.settings(), args.traces()?, Proxies::new(&args.trusted_proxies));
     let models = models::load(&settings)?;
     let maker = PipelineMaker::new(models.clone(), limits.photo()).with_identity(&identity(&settings)?);
     if makes_for_another {

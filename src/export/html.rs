@@ -6,7 +6,8 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use sha2::{Digest, Sha256};
 
-use super::{ExportError, photo_file, script};
+use super::script::{self, Linked};
+use super::{ExportError, photo_file};
 use crate::assets;
 
 /// Template of the page; `{{…}}` are placeholders.
@@ -28,7 +29,7 @@ const ENTRY_NAME: &str = "page.js";
 /// [`ExportError::Atlas`] if the container is invalid.
 pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
-    let script = script()?;
+    let script = script();
     let hash = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text)));
     // forbids everything outside this page; allows only the page's own script and its worker
     let policy = format!(
@@ -62,9 +63,13 @@ pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
     Ok(out.into_bytes())
 }
 
+fn linked() -> Linked {
+    script::link(ENTRY_NAME, &|name| if name == ENTRY_NAME { Some(ENTRY.as_bytes()) } else { assets::file(name) })
+}
+
 /// The viewer, linked into one script.
-fn script() -> Result<String, ExportError> {
-    let linked = script::link(ENTRY_NAME, &|name| if name == ENTRY_NAME { Some(ENTRY.as_bytes()) } else { assets::file(name) })?;
+fn script() -> String {
+    let linked = linked();
     let mut text = format!("{}\nstart({{\n", LOADER.trim_end());
     for (name, module) in &linked.modules {
         // writing to a string cannot fail
@@ -77,11 +82,11 @@ fn script() -> Result<String, ExportError> {
     }
     let _ = writeln!(text, "}}, {ENTRY_NAME:?});");
     // these sequences would end the script element anywhere; in strings, templates and patterns the backslash has no effect
-    Ok(text.replace("</script", "<\\/script").replace("<!--", "<\\!--"))
+    text.replace("</script", "<\\/script").replace("<!--", "<\\!--")
 }
 
 /// Escapes text for elements and attributes.
-fn escaped(text: &str) -> String {
+pub fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -125,13 +130,28 @@ mod tests {
                 assert!(rest.starts_with("data:"), "{word}{}", &rest[..40]);
             }
         }
-        assert!(!page.contains("import.meta"));
         for (at, _) in PAGE.match_indices("{{") {
             let end = PAGE[at..].find("}}").unwrap();
             assert!(!page.contains(&PAGE[at..at + end + 2]));
         }
         assert!(page.contains("default-src 'none'"));
         assert_eq!(page.matches("<script").count(), page.matches("</script").count());
+    }
+
+    #[test]
+    fn the_viewer_follows_the_conventions_of_the_linker() {
+        let linked = linked();
+        assert!(linked.modules.len() > 20 && linked.assets.len() > 2);
+        for (name, text) in &linked.modules {
+            assert!(name == ENTRY_NAME || assets::file(name).is_some(), "{name} is missing");
+            let unconverted = ["import", "export"].iter().any(|word| text.lines().any(|line| line.starts_with(word)));
+            assert!(!unconverted && !text.contains("import.meta"), "{name} has another form of import or export");
+            let mut imports = text.lines().filter(|line| line.contains(" = $use("));
+            assert!(imports.all(|line| line.starts_with("const {")), "{name} has an import without names");
+        }
+        for (name, bytes) in &linked.assets {
+            assert!(!bytes.is_empty(), "{name} is missing");
+        }
     }
 
     #[test]

@@ -15,9 +15,9 @@ mod visible_surface;
 mod zip;
 
 pub use glb::{ModelOptions, ModelShape, ModelTextures, glb};
+pub(crate) use html::escaped;
 pub use html::html;
 pub use ora::{ORA_BYTES, ora};
-pub use script::ScriptError;
 pub use zip::zip;
 
 use tmpi_core::Scene;
@@ -78,9 +78,6 @@ pub enum ExportError {
     /// The container cannot be read.
     #[error(transparent)]
     Atlas(#[from] ContainerError),
-    /// The viewer's scripts cannot be linked into one page.
-    #[error("cannot link the viewer's scripts: {0}")]
-    Script(#[from] ScriptError),
     /// A picture cannot be written.
     #[error("cannot write a picture: {0}")]
     Picture(#[from] image::ImageError),

@@ -9,7 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 
 use super::visible_surface::{inpainted, visible_disparity};
 use super::{ExportError, bands, texture_atlas};
-use tmpi_core::{DisparityMap, Photo, Scene};
+use tmpi_core::{Photo, Scene};
 use tmpi_pipeline::depth::to_png;
 use tmpi_pipeline::photo::{reduced_size, resize};
 
@@ -62,16 +62,17 @@ pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, Expor
         };
         layers.push(element(&format!("Layer {}{word}", index + 1), &file, true));
     }
-    add("data/depth.png", &grey(&map)?)?;
+    let grey: Vec<u8> = map.delta.iter().map(|d| (d * 255.0).round() as u8).collect();
+    add("data/depth.png", &png(&grey, width, height, ExtendedColorType::L8)?)?;
     layers.push(element("Depth map, near is white", "data/depth.png", false));
     // the top layer comes first
     let stack: String = layers.iter().rev().map(String::as_str).collect();
     let head = format!("<image version=\"0.0.3\" w=\"{width}\" h=\"{height}\" xres=\"72\" yres=\"72\">");
     add("stack.xml", format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{head}\n<stack>\n{stack}</stack>\n</image>\n").as_bytes())?;
     add("depth.png", &to_png(&map)?)?;
-    add("mergedimage.png", &rgb(photo)?)?;
+    add("mergedimage.png", &png(photo.rgb.as_flattened(), width, height, ExtendedColorType::Rgb8)?)?;
     let (w, h) = reduced_size((width, height), Some(THUMBNAIL));
-    add("Thumbnails/thumbnail.png", &rgb(&resize(photo, w, h))?)?;
+    add("Thumbnails/thumbnail.png", &png(resize(photo, w, h).rgb.as_flattened(), w, h, ExtendedColorType::Rgb8)?)?;
     Ok(archive.finish()?.into_inner())
 }
 
@@ -123,17 +124,9 @@ fn distances(width: usize, band: &[u8], own: u8, most: u16) -> Vec<u16> {
     away
 }
 
-/// δ from 0 to 1 as 8-bit grey, for image editors.
-fn grey(map: &DisparityMap) -> Result<Vec<u8>, ExportError> {
-    let values: Vec<u8> = map.delta.iter().map(|d| (d * 255.0).round() as u8).collect();
+fn png(samples: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>, ExportError> {
     let mut out = Vec::new();
-    PngEncoder::new(&mut out).write_image(&values, map.width, map.height, ExtendedColorType::L8)?;
-    Ok(out)
-}
-
-fn rgb(photo: &Photo) -> Result<Vec<u8>, ExportError> {
-    let mut out = Vec::new();
-    PngEncoder::new(&mut out).write_image(photo.rgb.as_flattened(), photo.width, photo.height, ExtendedColorType::Rgb8)?;
+    PngEncoder::new(&mut out).write_image(samples, width, height, colour)?;
     Ok(out)
 }
 

@@ -1,5 +1,4 @@
-//! The tiles of a room as encoded chunks. A chunk is kept while it has the newest version of any tile. An edge has only these; the origin
-//! uses them to send viewers the tiles that they lack.
+//! The tiles of a room as encoded chunks. A chunk is kept while it has the newest version of any tile.
 
 use std::collections::BTreeMap;
 
@@ -83,11 +82,6 @@ impl Chunks {
         let tiles: usize = newer().map(|((.., rows, columns), _)| *rows as usize * *columns as usize).sum();
         let bytes: usize = newer().map(|(_, (chunk, _))| chunk.plane_data.len() + chunk.label_data.len()).sum();
         (tiles <= self.tiles.len() && bytes <= NEWER_BYTES).then(|| newer().map(|(_, (chunk, _))| chunk.clone()).collect())
-    }
-
-    /// Whether a snapshot is about as short as all tiles in one chunk: the chunks hold each tile no more than twice on average.
-    pub fn are_few(&self) -> bool {
-        self.kept.keys().map(|(.., rows, columns)| *rows as usize * *columns as usize).sum::<usize>() <= 2 * self.tiles.len()
     }
 
     /// SNAPSHOT of all chunks, oldest first; `None` without chunks, or if it would exceed [`MAX_MESSAGE`].

@@ -15,7 +15,6 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
-use super::chunk_store::Chunks;
 use super::origin_node::{Nodes, Socket};
 use super::room::Room;
 use super::{COME_BACK, RoomHandle};
@@ -166,9 +165,8 @@ impl Edge<'_> {
         match kind {
             Kind::Bye(bye) => return Ok(Some(End::Bye(bye))),
             Kind::Hello(hello) => {
-                let chunks = Chunks::new(&hello).ok_or(EdgeError::Stale)?;
                 self.epoch = hello.epoch;
-                if !self.room.relay_hello(hello, chunks) {
+                if !self.room.relay_hello(hello) {
                     return Err(EdgeError::Stale);
                 }
             }

@@ -224,31 +224,18 @@ mod tests {
     use tmpi_core::live::{TileState, read};
     use tmpi_live::Settings;
     use tmpi_pipeline::Models;
-    use tmpi_pipeline::depth::{DepthError, Estimator};
 
     use super::*;
     use crate::live::RoomLimits;
     use crate::live::room::NextStep;
 
-    /// Depth is brightness.
-    struct Bright;
-
-    impl Estimator for Bright {
-        fn name(&self) -> &'static str {
-            "bright"
-        }
-
-        fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-            let delta = photo.rgb.iter().map(|p| f32::from(p[0]) / 255.0).collect();
-            Ok(DisparityMap { width: photo.width, height: photo.height, delta })
-        }
-    }
-
     #[test]
     fn after_a_cut_under_a_budget_viewers_have_the_tiles_that_were_left_for_later() {
         const SIZE: (u32, u32) = (160, 120);
         let settings = Settings { frame_ms: 1e-3, ..Settings::default() };
-        let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
+        // depth is brightness
+        let bright = |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |x, y| f32::from(photo.at(x, y)[0]) / 255.0));
+        let models = Models { depth: Arc::new(("bright", bright)), theta: None, psi: None };
         let (room, mut driver) = (Room::new(RoomLimits::default()), Geometry::new(models, settings.clone()));
         let epoch = room.publish(TileState::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
         let mut viewer = room.join(crate::live::room::ViewerKind::Local).unwrap();
@@ -257,7 +244,7 @@ mod tests {
             let bytes = match room.next(&mut viewer) {
                 NextStep::Send(bytes) => bytes,
                 NextStep::Hello(_) | NextStep::Tiles => match room.tiles(&mut viewer) {
-                    Some(bytes) => bytes.unwrap(),
+                    Some(bytes) => bytes,
                     None => continue,
                 },
                 _ => return,
@@ -269,8 +256,7 @@ mod tests {
         // a wall that rises to the right, then a brighter one that falls
         let mut next = |number: u64, falls: bool| {
             let level = |x: u32| if falls { 219 - x / 4 } else { 20 + x / 4 };
-            let rgb = (0..SIZE.0 * SIZE.1).map(|i| [level(i % SIZE.0) as u8; 3]).collect();
-            let photo = Photo { width: SIZE.0, height: SIZE.1, rgb };
+            let photo = Photo::from_fn(SIZE.0, SIZE.1, |x, _| [level(x) as u8; 3]);
             room.push(epoch, crate::live::ring::MessageKind::Key, Bytes::from_static(&[0; 10]));
             made((&room, epoch), &mut driver, Frame { number, at: Duration::from_millis(33 * number), photo, depth: None }, Instant::now());
         };
@@ -287,38 +273,24 @@ mod tests {
         assert_eq!(tiles, &newest.tiles.geometry.tiles);
     }
 
-    /// Pictures of one pixel, or panics.
-    struct Pixel(bool);
+    /// A decoder that panics.
+    struct Panics;
 
-    impl Decoder for Pixel {
+    impl Decoder for Panics {
         fn decode(&mut self, _: &[u8]) -> Result<Option<Photo>, VideoError> {
-            assert!(self.0, "as planned");
-            Ok(Some(Photo { width: 1, height: 1, rgb: vec![[0; 3]] }))
+            panic!("as planned")
         }
     }
 
     #[test]
-    fn panics_of_decoder_and_geometry_are_reported() {
+    fn panics_of_the_decoder_are_reported() {
         let room = Arc::new(Room::new(RoomLimits::default()));
         let epoch = room.publish(TileState::hello(&Settings::default().empty(160, 120)), 0, 1);
         let (done, mut told) = mpsc::channel(16);
-        let start = |decodes: bool| {
-            let geometry = || -> Geometry { panic!("as planned") };
-            GeometryThreads::start((Arc::clone(&room), epoch), Box::new(Pixel(decodes)), geometry, done.clone()).unwrap()
-        };
-        let mut next = |threads: &GeometryThreads, frame: u64| {
-            assert!(threads.take(EncodedFrame { frame, data: Bytes::new(), depth: None, at: Instant::now() }));
-            told.blocking_recv()
-        };
-        let broken = start(false);
+        let threads = GeometryThreads::start((room, epoch), Box::new(Panics), || -> Geometry { panic!("as planned") }, done).unwrap();
         for frame in 0..3 {
-            assert!(matches!(next(&broken, frame), Some(DecodeOutcome::Broken(_))));
-        }
-        let (threads, began) = (start(true), Instant::now());
-        let mut frames = 0..;
-        while next(&threads, frames.next().unwrap()) != Some(DecodeOutcome::Panics) {
-            assert!(began.elapsed() < Duration::from_secs(20), "no geometry came, and no error");
-            thread::sleep(Duration::from_millis(5));
+            assert!(threads.take(EncodedFrame { frame, data: Bytes::new(), depth: None, at: Instant::now() }));
+            assert!(matches!(told.blocking_recv(), Some(DecodeOutcome::Broken(_))));
         }
     }
 }

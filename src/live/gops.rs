@@ -204,13 +204,4 @@ mod tests {
         assert!(groups.kept.iter().map(|k| k.bytes).sum::<usize>() <= KEPT_BYTES);
         assert_eq!(rest(&groups, groups.next - 1).1, GroupPart::End);
     }
-
-    #[test]
-    fn each_group_has_one_address() {
-        let group = Group { epoch: 3, number: 12 };
-        assert_eq!((group.to_string().as_str(), "3-12".parse()), ("3-12", Ok(group)));
-        for wrong in ["", "3", "-", "3-", "+3-12", "03-12", "3-12-1", "3--12", "a-b", "99999999999999999999-1"] {
-            assert_eq!(wrong.parse::<Group>(), Err(()), "{wrong}");
-        }
-    }
 }

@@ -12,7 +12,7 @@
 //! | `watch_token` | tokens for viewers |
 //! | `routes` | the routes, and the upgrade to WebSockets |
 //! | `publisher`, `viewer` | one socket each |
-//! | `sound_limit` | the rate limit of sound |
+//! | `token_bucket` | the rate limit of a client's messages |
 //! | `room` | the state that sockets and threads of a room share |
 //! | `snapshot` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
@@ -37,7 +37,7 @@ mod room_state;
 mod room_token;
 pub(crate) mod routes;
 mod snapshot;
-mod sound_limit;
+mod token_bucket;
 mod viewer;
 mod watch_token;
 
@@ -64,7 +64,7 @@ use room::Room;
 use tmpi_library::{Library, LibraryError, Origin};
 use tokio_util::sync::CancellationToken;
 
-use crate::server::{Metric, Problem, gauge};
+use crate::server::{Metric, Problem};
 
 /// Longest silence of a publisher, also before its first message.
 const SILENCE: Duration = Duration::from_secs(10);
@@ -207,14 +207,14 @@ impl Rooms {
     }
 
     /// Metrics.
-    pub(crate) fn counts(&self) -> Vec<Metric> {
+    pub(crate) fn counts(&self) -> [Metric; 2] {
         let (all, edges) = {
             let rooms = self.lock();
             (rooms.len(), rooms.values().filter(|named| named.room.is_edge()).count())
         };
-        vec![
-            gauge("tmpi_live_rooms", "Open rooms at this node", all as f64),
-            gauge("tmpi_live_edges", "Open rooms at this node whose publisher is at another node", edges as f64),
+        [
+            ("tmpi_live_rooms", "Open rooms at this node", all as f64),
+            ("tmpi_live_edges", "Open rooms at this node whose publisher is at another node", edges as f64),
         ]
     }
 

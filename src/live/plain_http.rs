@@ -9,15 +9,14 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
-use futures_util::stream;
-use tmpi_library::Origin;
+use futures_util::{Stream, StreamExt as _, stream};
 use tokio::sync::watch;
 use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
 
 use super::gops::{Group, GroupPart};
-use super::origin_node::Nodes;
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
-use super::room::{NewestFrame, Room};
+use super::room::Room;
 use super::room_token::Role;
 use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
@@ -30,27 +29,25 @@ const EPOCH: &str = "x-tmpi-epoch";
 /// Media type of a room's messages, each preceded by its length in four bytes, little endian.
 const MESSAGES: &str = "application/vnd.tmpi.live";
 
-/// The node with the frames of a room.
-enum Source {
-    /// This node.
-    RoomsContext(Arc<Room>),
-    /// The room's origin.
-    Origin(Arc<Nodes>, Origin),
-}
-
-impl Source {
-    /// Finds the node with the frames of a room. Requests of other nodes are not forwarded.
-    async fn of(here: &RoomsContext, name: &str, access: RoomAccess) -> Result<Self, Problem> {
-        if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
-            return Ok(Self::RoomsContext(room));
-        }
-        let elsewhere = if access == RoomAccess::Node { None } else { here.rooms.remote_origin(name).await? };
-        elsewhere.map(|(nodes, origin)| Self::Origin(nodes, origin)).ok_or_else(none_publishes)
+/// The room if this node has its frames, or the answer of its origin to the same request. Requests of other nodes are not forwarded.
+async fn find(
+    here: &RoomsContext,
+    name: &str,
+    path: &str,
+    access: RoomAccess,
+    headers: &HeaderMap,
+) -> Result<Result<Arc<Room>, Response>, Problem> {
+    if let Some(room) = here.rooms.get(name).filter(|room| !room.is_edge()) {
+        return Ok(Ok(room));
     }
+    let elsewhere = if access == RoomAccess::Node { None } else { here.rooms.remote_origin(name).await? };
+    let (nodes, origin) = elsewhere.ok_or_else(none_publishes)?;
+    let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
+    nodes.fetch(&origin, name, path, known.into_iter().collect()).await.map(handed_on).map(Err)
 }
 
 /// Headers of an origin's answer that are passed on.
-const HANDED_ON: [HeaderName; 3] = [header::CONTENT_TYPE, header::ETAG, header::CACHE_CONTROL];
+const HANDED_ON: [HeaderName; 4] = [header::CONTENT_TYPE, header::ETAG, header::CACHE_CONTROL, header::LOCATION];
 
 /// Turns an origin's answer into this node's.
 fn handed_on(answer: Response) -> Response {
@@ -88,14 +85,12 @@ fn handed_on(answer: Response) -> Response {
 )]
 pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let access = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let newest = match Source::of(&here, &name, access).await? {
-        Source::RoomsContext(room) => room.newest().await?,
-        Source::Origin(nodes, origin) => {
-            let known = headers.get(header::IF_NONE_MATCH).map(|value| (header::IF_NONE_MATCH, value.clone()));
-            return nodes.fetch(&origin, &name, "/frames/latest/atlas", known.into_iter().collect()).await.map(handed_on);
-        }
+    let room = match find(&here, &name, "/frames/latest/atlas", access, &headers).await? {
+        Ok(room) => room,
+        Err(answer) => return Ok(answer),
     };
-    let NewestFrame { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
+    let (epoch, frame) = room.newest_frame().ok_or_else(|| Problem::not_found("no frame is ready yet"))?;
+    let (number, container) = (frame.tiles.frame, frame.container().await?);
     let etag = format!("\"{epoch}-{number}\"");
     let entity =
         Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: ContentCoding::Plain };
@@ -105,56 +100,22 @@ pub async fn newest(State(here): State<RoomsContext>, Path(name): Path<String>, 
     Ok(response)
 }
 
-/// Redirect to the newest group of pictures.
-#[utoipa::path(
-    get, path = "/v1/live/{room}/gops/latest", tag = "live",
-    params(
-        ("room" = String, Path, description = "Name of the room"),
-        ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
-    ),
-    responses(
-        (status = 307, description = "The current group",
-            headers(("Location" = String, description = "Its address, relative to this one"))),
-        (status = 400, description = "A parameter is unknown"),
-        (status = 403, description = "No valid token: a page of another site always needs one"),
-        (status = 404, description = "The room has no publisher, or no group yet"),
-        (status = 503, description = "The node that has the room's publisher does not answer"),
-    )
-)]
-pub async fn latest_group(
-    State(here): State<RoomsContext>,
-    Path(name): Path<String>,
-    uri: Uri,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let access = here.check(&name, Role::Watch, &uri, &headers).await?;
-    let newest = match Source::of(&here, &name, access).await? {
-        Source::RoomsContext(room) => room.last_group().map(|group| group.to_string()),
-        Source::Origin(nodes, origin) => {
-            let answer = nodes.fetch(&origin, &name, "/gops/latest", HeaderMap::new()).await?;
-            answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned)
-        }
-    };
-    let place = newest.ok_or_else(|| Problem::not_found("the room has no group of pictures yet"))?;
-    let query = uri.query().map_or(String::new(), |q| format!("?{q}"));
-    let location = HeaderValue::try_from(format!("{place}{query}")).map_err(|e| Problem::internal("an address", &e))?;
-    Ok((StatusCode::TEMPORARY_REDIRECT, [(header::LOCATION, location)]).into_response())
-}
-
 /// A group of pictures.
 ///
 /// HELLO, a SNAPSHOT of the tiles at that time, and the messages of `proto/live.proto` from a key frame to the next, each preceded by its
 /// length in four bytes, little endian. The response streams while the group grows; a complete group never changes. The server keeps the
-/// last few groups, and waits for the next one.
+/// last few groups, and waits for the next one. `latest` redirects to the newest group.
 #[utoipa::path(
     get, path = "/v1/live/{room}/gops/{group}", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("group" = String, Path, description = "`EPOCH-N`: the epoch of HELLO and the number of the group, from 0 on"),
+        ("group" = String, Path, description = "`EPOCH-N`: the epoch of HELLO and the number of the group, from 0 on; or `latest`"),
         ("token" = Option<String>, Query, description = "Token to watch or publish here; this machine's own user needs none"),
     ),
     responses(
         (status = 200, description = "Messages, as they come", body = String, content_type = "application/vnd.tmpi.live"),
+        (status = 307, description = "The newest group",
+            headers(("Location" = String, description = "Its address, relative to this one"))),
         (status = 400, description = "A parameter is unknown"),
         (status = 403, description = "No valid token: a page of another site always needs one"),
         (status = 404, description = "The group does not exist, or not any more"),
@@ -170,41 +131,45 @@ pub async fn group(
 ) -> Result<Response, Problem> {
     let access = here.check(&name, Role::Watch, &uri, &headers).await?;
     let none = || Problem::not_found("the server does not have this group of pictures");
+    if group == "latest" {
+        let place = match find(&here, &name, "/gops/latest", access, &headers).await? {
+            Ok(room) => room.last_group().map(|group| group.to_string()),
+            Err(answer) => answer.headers().get(header::LOCATION).and_then(|place| place.to_str().ok()).map(str::to_owned),
+        };
+        let place = place.ok_or_else(|| Problem::not_found("the room has no group of pictures yet"))?;
+        let location = format!("{place}{}", uri.query().map_or(String::new(), |query| format!("?{query}")));
+        return Ok((StatusCode::TEMPORARY_REDIRECT, [(header::LOCATION, location)]).into_response());
+    }
     let group: Group = group.parse().map_err(|()| none())?;
     // shared caches may only store responses whose URL has the token
     let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = [(header::CACHE_CONTROL, format!("{shared}, max-age=31536000, immutable"))];
-    let room = match Source::of(&here, &name, access).await? {
-        Source::RoomsContext(room) => room,
-        Source::Origin(nodes, origin) => {
-            let answer = nodes.fetch(&origin, &name, &format!("/gops/{group}"), HeaderMap::new()).await?;
-            return Ok((cache_control, handed_on(answer)).into_response());
-        }
+    let room = match find(&here, &name, &format!("/gops/{group}"), access, &headers).await? {
+        Ok(room) => room,
+        Err(answer) => return Ok((cache_control, answer).into_response()),
     };
     let mut pieces = Pieces::new(room, group);
     // a client that has read the last group may request the next one before it begins
     let first = timeout(NEXT_GROUP, pieces.next()).await.map_err(|_| none().retry_after(1))?;
     let Some(first) = first else { return Err(none().retry_after(1)) };
-    let stop = here.stop;
-    let messages = stream::try_unfold((Some(first), pieces, held), move |(first, mut pieces, held)| {
-        let stop = stop.clone();
-        async move {
-            if let Some(first) = first {
-                return Ok(Some((first, (None, pieces, held))));
-            }
-            let next = tokio::select! {
-                next = pieces.next() => next,
-                () = stop.cancelled() => return Err(std::io::Error::other("the server stops")),
-            };
-            match next {
-                Some(piece) => Ok(Some((piece, (None, pieces, held)))),
-                None if pieces.whole => Ok(None),
-                // an error, so that caches see that the response is incomplete
-                None => Err(std::io::Error::other("the group was dropped")),
-            }
-        }
-    });
+    let messages = stream::once(async { Ok(first) }).chain(rest(pieces, held, here.stop));
     Ok((cache_control, [(header::CONTENT_TYPE, MESSAGES)], Body::from_stream(messages)).into_response())
+}
+
+/// The further messages of a group, as they come; holds the connection until the end.
+fn rest(pieces: Pieces, held: ConnectionGuard, stop: CancellationToken) -> impl Stream<Item = std::io::Result<Bytes>> {
+    stream::try_unfold((pieces, held, stop), async move |(mut pieces, held, stop)| {
+        let next = tokio::select! {
+            next = pieces.next() => next,
+            () = stop.cancelled() => return Err(std::io::Error::other("the server stops")),
+        };
+        match next {
+            Some(piece) => Ok(Some((piece, (pieces, held, stop)))),
+            None if pieces.whole => Ok(None),
+            // an error, so that caches see that the response is incomplete
+            None => Err(std::io::Error::other("the group was dropped")),
+        }
+    })
 }
 
 /// Reads the messages of a group.

@@ -2,7 +2,7 @@
 
 use std::error::Error as _;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket};
 use bytes::Bytes;
@@ -22,17 +22,23 @@ use super::origin_node::{Lease, lost};
 use super::request_access::{ENDED, RoomsContext, ended};
 use super::ring::MessageKind;
 use super::room::Room;
-use super::sound_limit::Allowance;
+use super::token_bucket::Bucket;
 use super::viewer::gone;
 use super::{BROKEN, BROKEN_FIRST, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, RoomHandle, SILENCE, disconnect};
+use crate::server::since_1970;
 
 /// Allowed sides of a frame, in pixels.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
 /// Longest codec string, in bytes.
 const CODEC: usize = 64;
-/// Shortest mean time between two changes of the pictures' size, and the burst size.
-const RESIZE: Duration = Duration::from_secs(1);
-const RESIZES: u32 = 8;
+/// Changes of the pictures' size a second, and at once: each starts a decoder and two threads.
+const RESIZES: (f64, f64) = (1.0, 8.0);
+/// Packets of sound a second: four times those of Opus with its usual 20 ms packets.
+const PACKETS: f64 = 200.0;
+/// Bytes of sound a second, which go to every viewer: the highest bit rate of Opus.
+const SOUND: f64 = 65_536.0;
+/// Seconds of sound at once: a connection that stalled delivers its packets together.
+const BURST: f64 = 3.0;
 
 /// Serves a publisher until it leaves, the server disconnects it, or its token ends at `ends`; then waits for it to come back.
 pub async fn serve(mut socket: WebSocket, entry: RoomHandle, here: &RoomsContext, ends: Option<Instant>) {
@@ -138,11 +144,6 @@ struct Until<'a> {
     ends: Option<Instant>,
 }
 
-/// Microseconds since 1970.
-fn micros() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64)
-}
-
 /// How a publisher has left.
 enum Gone {
     /// It sent BYE.
@@ -165,8 +166,7 @@ impl Show {
     fn begin(room: &Arc<Room>, hello: Hello, least: u64, config: &Config, done: mpsc::Sender<DecodeOutcome>) -> Result<Self, Refused> {
         let (settings, hello) = checked(hello, config)?;
         let decoder = decoder(&hello)?;
-        let clock = micros();
-        let epoch = room.publish(hello.clone(), clock, least);
+        let epoch = room.publish(hello.clone(), since_1970().as_micros() as u64, least);
         let models = config.models.clone();
         let geometry = move || Geometry::new(models.clone(), settings.clone());
         let threads =
@@ -214,11 +214,11 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
     let RoomsContext { rooms, stop, .. } = here;
     let (done, mut decoded) = mpsc::channel(16);
     // without a lease the clock, so that URLs of groups are not reused after a restart
-    let least = until.lease.map_or(micros() / 1000, Lease::epoch);
+    let least = until.lease.map_or_else(|| since_1970().as_millis() as u64, Lease::epoch);
     let mut show = Show::begin(room, hello, least, &rooms.config, done.clone())?;
-    let now = Instant::now();
-    let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: now, resized: now, broken: 0, seen: false };
-    let (mut depth, mut sounds) = (None, Allowance::new(Instant::now()));
+    let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: Instant::now(), broken: 0, seen: false };
+    let (mut depth, mut resizes) = (None, Bucket::new(RESIZES.0, RESIZES.1));
+    let mut sounds = [PACKETS, SOUND].map(|rate| Bucket::new(rate, BURST * rate));
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     frames.credit(socket, CREDIT, false).await?;
@@ -253,7 +253,9 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                 if video.key
                     && let Some(hello) = show.resized(&video.data)?
                 {
-                    frames.resize(came)?;
+                    if !resizes.take(1.0, came) {
+                        return Err("pictures change their size more than once a second".into());
+                    }
                     // the old threads finish their frames and report them
                     show = Show::begin(room, hello, 0, &rooms.config, done.clone())?;
                 }
@@ -273,7 +275,10 @@ async fn published(socket: &mut WebSocket, room: &Arc<Room>, hello: Hello, here:
                 depth = Some(measured.data);
             }
             Some(Kind::Sound(sound)) if sound.data.len() <= rooms.bounds.sound => {
-                sounds.take(sound.data.len(), came)?;
+                let [packets, bytes] = &mut sounds;
+                if !packets.take(1.0, came) || !bytes.take(sound.data.len() as f64, came) {
+                    return Err(format!("more than {PACKETS} packets or {SOUND} bytes of sound a second").into());
+                }
                 room.push(show.epoch, MessageKind::Sound, write(Kind::Sound(sound)));
             }
             Some(_) => return Err("a message that publishers do not send".into()),
@@ -359,8 +364,6 @@ struct Frames {
     allowed: u32,
     /// When the next credit is due, which limits the frame rate.
     due: Instant,
-    /// Until when the changes of the pictures' size so far use up the rate limit.
-    resized: Instant,
     /// Frames in a row that could not be decoded.
     broken: u32,
     /// Whether any frame was decoded.
@@ -392,15 +395,6 @@ impl Frames {
         }
         if again || self.next.is_some_and(|next| next != depth.frame) {
             return Err(format!("depth of frame {} where that of another one was due", depth.frame));
-        }
-        Ok(())
-    }
-
-    /// Limits the rate of size changes: each starts a decoder and two threads.
-    fn resize(&mut self, now: Instant) -> Result<(), String> {
-        self.resized = self.resized.max(now) + RESIZE;
-        if self.resized > now + RESIZES * RESIZE {
-            return Err("pictures change their size more than once a second".into());
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Access checks of the rooms' handlers: this machine's own user and holders of a token may publish or watch.
 
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use axum::http::{HeaderMap, StatusCode, Uri};
 use tokio::time::Instant;
@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::room_token::{Role, token_expiry, token_in_headers};
 use super::{Rooms, is_name};
-use crate::server::{Pairs, Problem, check_origin};
+use crate::server::{Pairs, Problem, check_origin, since_1970};
 
 /// State of the handlers.
 #[derive(Clone)]
@@ -34,7 +34,9 @@ impl RoomsContext {
         let token = query.get("token").or_else(|| token_in_headers(headers));
         let access = match (&self.rooms.config.key, token, self.rooms.nodes.get()) {
             (_, Some(token), Some(nodes)) if role == Role::Watch && nodes.admits(room, token).await => Some(RoomAccess::Node),
-            (Some(key), Some(token), _) => token_expiry(key, role, room, token, seconds()).map(|ends| RoomAccess::Until(deadline(ends))),
+            (Some(key), Some(token), _) => {
+                token_expiry(key, role, room, token, since_1970().as_secs()).map(|ends| RoomAccess::Until(deadline(ends)))
+            }
             _ => (same_site.is_ok() && (self.own)(headers)).then_some(RoomAccess::Until(None)),
         };
         let access = access.ok_or_else(|| Problem::new(StatusCode::FORBIDDEN, "token", "this room requires a token").field("token"))?;
@@ -54,14 +56,9 @@ pub(super) enum RoomAccess {
     Node,
 }
 
-/// Seconds since 1970.
-pub(super) fn seconds() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
-}
-
 /// The instant at which a token ends; `None` if it is too far in the future.
 fn deadline(ends: u64) -> Option<Instant> {
-    Instant::now().checked_add(Duration::from_secs(ends.saturating_sub(seconds())))
+    Instant::now().checked_add(Duration::from_secs(ends.saturating_sub(since_1970().as_secs())))
 }
 
 /// Reason for closing a socket whose token has ended.

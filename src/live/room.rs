@@ -9,14 +9,13 @@ use tokio_util::sync::CancellationToken;
 
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Bye, Hello, Statistics};
-use tmpi_core::live::{LiveError, write};
+use tmpi_core::live::write;
 
 use super::chunk_store::Chunks;
 use super::gops::{Group, GroupPart, Groups};
 use super::ring::{Cursor, MessageKind, Ring, Step};
-pub use super::snapshot::{FrameWithTiles, NewestFrame, Tiles};
+pub use super::snapshot::{FrameWithTiles, Tiles};
 use super::{KEYS, RoomLimits};
-use crate::server::Problem;
 
 mod relayed;
 
@@ -50,13 +49,13 @@ struct State {
     edge_viewers: u32,
     /// Set while this node is an edge of the room; cancelled when it stops being one.
     edge: Option<CancellationToken>,
-    /// At an edge: viewers at all other nodes, the tiles, and the last frame.
+    /// At an edge: viewers at all other nodes, and the last frame.
     remote_viewers: u32,
-    chunks: Option<Chunks>,
     relayed: Option<u64>,
-    /// At the origin: the tiles as they were sent.
-    made: Option<Chunks>,
-    groups: Groups,
+    /// The tiles as they were sent; `None` without a valid `hello`.
+    chunks: Option<Chunks>,
+    /// At the origin: the groups of pictures, and the newest frame with all tiles.
+    groups: Option<Groups>,
     newest_frame: Option<Arc<FrameWithTiles>>,
     asked: Option<Instant>,
     statistics: Statistics,
@@ -124,7 +123,7 @@ impl Room {
     /// Whether this node serves viewers: a publisher has the seat or was here last, or this node is an edge of the room.
     pub fn is_served(&self) -> bool {
         let state = self.lock();
-        state.taken || state.edge.is_some() || (state.hello.is_some() && state.chunks.is_none())
+        state.taken || state.edge.is_some() || state.groups.is_some()
     }
 
     /// Whether this is the room's epoch.
@@ -161,7 +160,8 @@ impl Room {
             state.publisher_epoch = state.epoch;
         }
         (hello.epoch, hello.clock) = (state.epoch, clock);
-        state.begin(hello, None);
+        let chunks = Chunks::new(&hello);
+        state.begin(hello, chunks, Some(Groups::default()));
         let epoch = state.epoch;
         drop(state);
         self.changed();
@@ -183,7 +183,9 @@ impl Room {
     pub fn unpublish(&self) {
         let mut state = self.lock();
         (state.taken, state.publishing) = (false, false);
-        state.groups.end();
+        if let Some(groups) = &mut state.groups {
+            groups.end();
+        }
         drop(state);
         self.changed();
     }
@@ -204,9 +206,8 @@ impl Room {
             MessageKind::Sound => {}
         }
         let now = Instant::now();
-        // only the origin has groups
-        if let Some(hello) = state.hello.as_ref().filter(|_| state.chunks.is_none()) {
-            state.groups.push(what, &bytes, now, hello, state.newest_frame.as_ref().map(|s| &s.tiles));
+        if let (Some(hello), Some(groups)) = (&state.hello, &mut state.groups) {
+            groups.push(what, &bytes, now, hello, state.newest_frame.as_ref().map(|s| &s.tiles));
         }
         state.ring.push(what, bytes, now);
         drop(guard);
@@ -218,9 +219,9 @@ impl Room {
         let mut state = self.lock();
         // store before pushing: a viewer that skips in between gets them twice rather than never
         if state.epoch == epoch
-            && let Some(made) = &mut state.made
+            && let Some(chunks) = &mut state.chunks
         {
-            made.take(&tiles);
+            chunks.take(&tiles);
         }
         drop(state);
         self.push(epoch, MessageKind::Geometry { frame: tiles.frame }, write(Kind::Geometry(tiles)));
@@ -242,15 +243,6 @@ impl Room {
         count(&mut self.lock().statistics);
     }
 
-    /// The newest frame with its geometry, as a container; `None` before the first.
-    ///
-    /// # Errors
-    /// 500 if it cannot be written.
-    pub async fn newest(&self) -> Result<Option<NewestFrame>, Problem> {
-        let Some((epoch, frame)) = self.newest_frame() else { return Ok(None) };
-        Ok(Some(NewestFrame { epoch, number: frame.tiles.frame, container: frame.container().await? }))
-    }
-
     /// The newest frame with its geometry, and its epoch.
     pub fn newest_frame(&self) -> Option<(u64, Arc<FrameWithTiles>)> {
         let state = self.lock();
@@ -258,32 +250,23 @@ impl Room {
     }
 
     /// SNAPSHOT of all current tiles, with its frame; `None` if the room has no tiles yet, or another epoch.
-    fn everything(&self, epoch: u64) -> Option<(u64, Result<Bytes, LiveError>)> {
-        let frame = {
-            let mut guard = self.lock();
-            let state = &mut *guard;
-            if state.epoch != epoch {
-                // the viewer gets all tiles after the next HELLO
-                return None;
-            }
-            let (frame, made) = (state.newest_frame.clone(), state.made.as_mut());
-            // tiles that were sent before their frame was complete are not in `frame`
-            let newer = made.filter(|made| made.newest() > frame.as_ref().map(|s| s.tiles.frame));
-            let told = |chunks: &mut Chunks| chunks.newest().zip(chunks.snapshot().map(Ok));
-            match &mut state.chunks {
-                Some(chunks) => return told(chunks),
-                None => match newer.and_then(told) {
-                    Some(told) => return Some(told),
-                    None => frame,
-                },
-            }
-        };
-        frame.map(|frame| (frame.tiles.frame, frame.tiles.snapshot()))
+    fn everything(&self, epoch: u64) -> Option<(u64, Bytes)> {
+        let mut state = self.lock();
+        if state.epoch != epoch {
+            // the viewer gets all tiles after the next HELLO
+            return None;
+        }
+        let (frame, chunks) = (state.newest_frame.clone(), state.chunks.as_mut()?);
+        let newest = chunks.newest();
+        // all tiles in one chunk are shorter, but those that were sent before their frame was complete are not in `frame`
+        let Some(frame) = frame.filter(|frame| newest <= Some(frame.tiles.frame)) else { return newest.zip(chunks.snapshot()) };
+        drop(state);
+        Some((frame.tiles.frame, frame.tiles.snapshot()?))
     }
 
     /// A message with the tiles that a viewer lacks, which counts as sent: SNAPSHOT if it has none, else GEOMETRY with the newer ones.
     /// `None` if it lacks none or is hidden.
-    pub fn tiles(&self, viewer: &mut Viewer) -> Option<Result<Bytes, LiveError>> {
+    pub fn tiles(&self, viewer: &mut Viewer) -> Option<Bytes> {
         if viewer.cursor.is_paused() {
             return None;
         }
@@ -292,11 +275,10 @@ impl Room {
             if state.epoch != viewer.epoch {
                 return None;
             }
-            let kept = state.chunks.as_ref().or(state.made.as_ref());
-            if let Some((frame, chunks)) = kept.and_then(|kept| kept.newest().zip(kept.newer(known))) {
+            if let Some((frame, chunks)) = state.chunks.as_ref().and_then(|kept| kept.newest().zip(kept.newer(known))) {
                 drop(state);
                 viewer.cursor.set_known(frame);
-                let tiles = || Ok(write(Kind::Geometry(schema::Geometry { frame, chunks })));
+                let tiles = || write(Kind::Geometry(schema::Geometry { frame, chunks }));
                 return (frame > known).then(tiles);
             }
         }
@@ -318,24 +300,19 @@ impl Room {
             if state.closed || group.epoch != state.epoch {
                 return GroupPart::Gone;
             }
-            match state.groups.part(group.number, at) {
+            let Some(groups) = &state.groups else { return GroupPart::Gone };
+            match groups.part(group.number, at) {
                 Ok(GroupPart::NotYet) if !state.publishing => return GroupPart::Gone,
                 part => part,
             }
         };
-        part.unwrap_or_else(|tiles| match tiles.snapshot() {
-            Ok(bytes) => GroupPart::Message(bytes),
-            Err(error) => {
-                tracing::error!(%error, "coding the tiles of a room");
-                GroupPart::Gone
-            }
-        })
+        part.unwrap_or_else(|tiles| tiles.snapshot().map_or(GroupPart::Gone, GroupPart::Message))
     }
 
     /// The newest group of pictures.
     pub fn last_group(&self) -> Option<Group> {
         let state = self.lock();
-        state.groups.last().map(|number| Group { epoch: state.epoch, number })
+        state.groups.as_ref()?.last().map(|number| Group { epoch: state.epoch, number })
     }
 
     /// Admits a viewer; `None` if the room is full or closed. Edges do not count towards the limit; only the origin admits them.
@@ -422,12 +399,11 @@ impl Room {
 
 impl State {
     /// Resets the state for a new `hello`.
-    fn begin(&mut self, hello: Hello, chunks: Option<Chunks>) {
-        self.made = if chunks.is_none() { Chunks::new(&hello) } else { None };
-        self.hello = Some(Arc::new(hello));
+    fn begin(&mut self, hello: Hello, chunks: Option<Chunks>, groups: Option<Groups>) {
+        (self.hello, self.chunks, self.groups) = (Some(Arc::new(hello)), chunks, groups);
         self.ring.clear();
-        (self.groups, self.newest_frame, self.statistics) = (Groups::default(), None, Statistics::default());
-        (self.chunks, self.remote_viewers, self.relayed) = (chunks, 0, None);
+        (self.newest_frame, self.statistics) = (None, Statistics::default());
+        (self.remote_viewers, self.relayed) = (0, None);
     }
 
     fn all_viewers(&self) -> u32 {

@@ -26,7 +26,6 @@ pub fn watching_api() -> OpenApiRouter<RoomsContext> {
         .routes(routes!(room_state::state))
         .routes(routes!(subscribe))
         .routes(routes!(plain_http::newest))
-        .routes(routes!(plain_http::latest_group))
         .routes(routes!(plain_http::group))
 }
 

@@ -9,7 +9,7 @@ use tokio::sync::OnceCell;
 use tmpi_core::container::{self, ContainerError, EncodedPhoto, OptionalSections};
 use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::{LiveError, schema, write};
+use tmpi_core::live::{schema, write};
 use tmpi_core::{Geometry, Photo, Scene, Texels};
 
 use crate::server::Problem;
@@ -34,7 +34,7 @@ pub struct Tiles {
     /// The tiles.
     pub geometry: Geometry,
     /// The encoded message, made on first use.
-    coded: OnceLock<Bytes>,
+    coded: OnceLock<Option<Bytes>>,
 }
 
 impl FrameWithTiles {
@@ -66,29 +66,15 @@ fn contained(photo: Photo, geometry: &Geometry) -> Result<Vec<u8>, ContainerErro
     container::encode(geometry, &scene, &photo_file, OptionalSections::default()).map(|(bytes, _)| bytes)
 }
 
-/// The newest frame of a room with its geometry.
-pub struct NewestFrame {
-    /// Its epoch.
-    pub epoch: u64,
-    /// Its number.
-    pub number: u64,
-    /// Its container.
-    pub container: Bytes,
-}
-
 impl Tiles {
-    /// The tiles as a SNAPSHOT message, which all callers share.
-    ///
-    /// # Errors
-    /// [`LiveError`].
-    pub fn snapshot(&self) -> Result<Bytes, LiveError> {
-        if let Some(known) = self.coded.get() {
-            return Ok(known.clone());
-        }
-        let g = &self.geometry;
-        let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame)?;
-        let bytes = write(Kind::Snapshot(schema::Geometry { frame: self.frame, chunks: vec![chunk] }));
-        // concurrent callers encode the same bytes
-        Ok(self.coded.get_or_init(|| bytes).clone())
+    /// The tiles as a SNAPSHOT message, which all callers share; `None` if they cannot be encoded.
+    pub fn snapshot(&self) -> Option<Bytes> {
+        let encode = || {
+            let g = &self.geometry;
+            let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame);
+            let chunk = chunk.inspect_err(|error| tracing::error!(%error, "encoding the tiles of a room")).ok()?;
+            Some(write(Kind::Snapshot(schema::Geometry { frame: self.frame, chunks: vec![chunk] })))
+        };
+        self.coded.get_or_init(encode).clone()
     }
 }

@@ -8,9 +8,9 @@ use axum::http::{HeaderMap, Uri};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request_access::{RoomsContext, seconds};
+use super::request_access::RoomsContext;
 use super::room_token::{Role, room_token, token_expiry, token_in_headers};
-use crate::server::{NoBody, Pairs, Problem};
+use crate::server::{NoBody, Pairs, Problem, since_1970};
 
 /// Lifetime of a token to watch that this machine's own user requests.
 const LIFETIME: Duration = Duration::from_hours(24);
@@ -48,7 +48,7 @@ pub(super) async fn watch_token(
     here.check(&name, Role::Publish, &uri, &headers).await?;
     let query = Pairs::read(&uri, &["token"])?;
     let token = here.rooms.config.key.as_ref().and_then(|key| {
-        let (given, now) = (query.get("token").or_else(|| token_in_headers(&headers)), seconds());
+        let (given, now) = (query.get("token").or_else(|| token_in_headers(&headers)), since_1970().as_secs());
         let end = given.and_then(|given| token_expiry(key, Role::Publish, &name, given, now)).unwrap_or(now + LIFETIME.as_secs());
         room_token(key, Role::Watch, &name, end)
     });

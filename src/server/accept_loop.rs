@@ -27,7 +27,7 @@ use super::client_slots::{ClientLimits, ClientPermit};
 use super::limits::Limits;
 use super::metrics::{GaugeGuard, Telemetry};
 use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
-use super::proxies::{self, Proxies};
+use super::proxies::Proxies;
 use super::stream_health::{PIECE, StreamHealth, Streams, TrackedBody};
 use super::tls::{self, Tls};
 
@@ -97,27 +97,20 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
             tracing::debug!(%peer, "an address has too many connections");
             continue;
         };
-        let says = proxies.uses_proxy_protocol(peer).then(|| shares.clone());
-        let taken = Accepted { stream, from: Peer(peer), announced: false, permit, share };
         let present = (telemetry.connection(), open.token());
         let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
-            let taken = match says {
-                Some(shares) => taken.read_proxy_protocol(&shares, limits.header_read).await,
-                None => Some(taken),
-            };
-            let Some(Accepted { stream, from, announced, permit, share }) = taken else { return };
             let little = Arc::new(AtomicBool::new(false));
             let held = ConnectionGuard { little: Arc::clone(&little), all: Arc::new((permit, share, present)) };
             let stream = MinimumRate::new(stream, limits.write, limits.write_rate, SmallBuffer { wanted: little, keep: limit_send_buffer });
-            let connection = Connection { http, router, limits, from, announced, held, stop };
+            let connection = Connection { http, router, limits, from: Peer(peer), held, stop };
             let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
                 Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
                 Ok(Ok(stream)) => connection.one(stream, Some(Secure)).await,
-                Ok(Err(error)) => tracing::debug!(%error, peer = %from.0, "handshake"),
-                Err(_) => tracing::debug!(peer = %from.0, "a TLS handshake takes too long"),
+                Ok(Err(error)) => tracing::debug!(%error, %peer, "handshake"),
+                Err(_) => tracing::debug!(%peer, "a TLS handshake takes too long"),
             }
         });
     }
@@ -128,39 +121,12 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
     }
 }
 
-/// An accepted connection.
-struct Accepted {
-    stream: TcpStream,
-    from: Peer,
-    /// Whether a proxy announced it by the PROXY protocol.
-    announced: bool,
-    permit: OwnedSemaphorePermit,
-    share: ClientPermit,
-}
-
-impl Accepted {
-    /// Reads the client's address from the PROXY protocol; `None` without one within `limit`, or if the client has too many connections.
-    async fn read_proxy_protocol(mut self, shares: &ClientLimits, limit: Duration) -> Option<Self> {
-        let said = tokio::time::timeout(limit, proxies::read_proxy_protocol(&mut self.stream)).await;
-        let said = said.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
-        let client = said.inspect_err(|error| tracing::debug!(%error, proxy = %self.from.0, "no PROXY protocol")).ok()?;
-        // also if the proxy names no client: it may be anyone's
-        self.announced = true;
-        if let Some(client) = client {
-            self.share = shares.take(Some(client))?;
-            self.from = Peer(client);
-        }
-        Some(self)
-    }
-}
-
 /// A connection being served.
 struct Connection {
     http: Http,
     router: Router,
     limits: Arc<Limits>,
     from: Peer,
-    announced: bool,
     held: ConnectionGuard,
     stop: CancellationToken,
 }
@@ -169,9 +135,9 @@ impl Connection {
     /// Serves HTTP/1.1.
     async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
         let inner = TowerToHyperService::new(self.router);
-        let (from, announced, given) = (self.from, self.announced, self.held.clone());
+        let (from, given) = (self.from, self.held.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
-            from.put(announced, &mut request);
+            request.extensions_mut().insert(from);
             request.extensions_mut().insert(given.clone());
             if let Some(secure) = secure {
                 request.extensions_mut().insert(secure);
@@ -196,10 +162,10 @@ impl Connection {
     async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
         let streams = Streams::new();
         let inner = TowerToHyperService::new(self.router);
-        let (from, announced, given, opened) = (self.from, self.announced, self.held.clone(), Arc::clone(&streams));
+        let (from, given, opened) = (self.from, self.held.clone(), Arc::clone(&streams));
         let service = service_fn(move |mut request: Request<Incoming>| {
             let open = opened.open();
-            from.put(announced, &mut request);
+            request.extensions_mut().insert(from);
             request.extensions_mut().insert(given.clone());
             request.extensions_mut().insert(Secure);
             name_host(&mut request);
@@ -254,19 +220,9 @@ fn name_host(request: &mut Request<Incoming>) {
 #[derive(Clone, Copy, Debug)]
 pub struct Secure;
 
-/// Addresses of a connection; the peer is a proxy if a proxy does not use the PROXY protocol.
+/// The other end of a connection: a client, or a proxy.
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub IpAddr);
-
-impl Peer {
-    /// Attaches the addresses to a request, with a header if a proxy `announced` them.
-    fn put(self, announced: bool, request: &mut Request<Incoming>) {
-        request.extensions_mut().insert(self);
-        if announced {
-            proxies::set_forwarded(request.headers_mut(), self.0);
-        }
-    }
-}
 
 /// Resources of a connection that are limited in number; a WebSocket keeps them after the upgrade.
 #[derive(Clone)]

@@ -30,7 +30,6 @@ use super::proxies::Proxies;
 use super::rate_limit::RateLimiter;
 use super::sources::Sources;
 use super::traces;
-use super::upload_slots::UploadSlots;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, TileRect};
 use tmpi_core::{Rect, Scene};
@@ -77,7 +76,7 @@ pub struct AppState {
     /// Where views are drawn.
     pub pool: BlockingPool,
     /// Uploads in progress.
-    pub uploads: UploadSlots,
+    pub uploads: ClientSlots,
     /// Rate limits.
     pub rates: RateLimiter,
     /// Permits to read an upload whole.
@@ -142,7 +141,7 @@ impl AppState {
             views: Cache::with_idle_timeout(limits.cache.views, limits.idle),
             exports: Cache::new(limits.cache.exports),
             pool: BlockingPool::new(&limits),
-            uploads: UploadSlots::new(&limits),
+            uploads: ClientSlots::new(limits.queue.saturating_add(limits.uploads_beyond)),
             rates: RateLimiter::new(&limits.rates),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: ClientSlots::new(limits.streams),
@@ -219,7 +218,7 @@ impl AppState {
     /// The queue's view of this request's caller.
     #[must_use]
     pub fn requester(owner: Option<Owner>) -> Requester {
-        Requester { owner, address: client_address(), trace: traces::parent().map(traces::Parent::into_text) }
+        Requester { owner, address: client_address(), trace: traces::parent() }
     }
 
     /// The photo of a path, if the caller may access it.

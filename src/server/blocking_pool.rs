@@ -1,15 +1,16 @@
 //! Blocking work for requests: each class has its own slots, so that a film does not delay views, and memory is given out in bytes.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::http::StatusCode;
+use opentelemetry::Context;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use super::client_slots::{ClientLimits, ClientPermit, client_address};
+use super::client_slots::{ClientSlots, client_address};
 use super::limits::Limits;
 use super::problem::Problem;
-use super::traces::{self, WorkSpan};
+use super::traces;
 
 /// Unit of memory in bytes.
 const UNIT: u64 = 1 << 20;
@@ -52,42 +53,18 @@ pub struct BlockingPool {
 
 struct Lane {
     slots: Arc<Semaphore>,
-    waiting: AtomicUsize,
+    /// Places to wait.
+    waiting: ClientSlots,
     most_waiting: usize,
-    /// Shares of the waiting requests.
-    shares: ClientLimits,
     count: usize,
     /// Estimated seconds per request, for `Retry-After`.
     seconds: u64,
 }
 
-/// A place in the queue.
-struct Waits<'a> {
-    lane: &'a Lane,
-    _share: ClientPermit,
-}
-
-impl Drop for Waits<'_> {
-    fn drop(&mut self) {
-        self.lane.waiting.fetch_sub(1, Ordering::AcqRel);
-    }
-}
-
-impl Lane {
-    /// A place in the queue; `None` if all are taken, or this client has half of them.
-    fn wait(&self) -> Option<Waits<'_>> {
-        let share = self.shares.take(client_address())?;
-        let before = self.waiting.fetch_add(1, Ordering::AcqRel);
-        // dropped if it is refused
-        let waits = Waits { lane: self, _share: share };
-        (before < self.most_waiting).then_some(waits)
-    }
-}
-
 /// A slot with its memory; released when the last clone is dropped.
 #[derive(Clone)]
 pub struct Slot {
-    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Option<WorkSpan>)>,
+    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Context)>,
 }
 
 impl BlockingPool {
@@ -96,9 +73,8 @@ impl BlockingPool {
     pub fn new(limits: &Limits) -> Self {
         let lane = |slots: usize, most_waiting, seconds| Lane {
             slots: Arc::new(Semaphore::new(slots.max(1))),
-            waiting: AtomicUsize::new(0),
+            waiting: ClientSlots::new(most_waiting),
             most_waiting,
-            shares: ClientLimits::half_of(most_waiting),
             count: slots.max(1),
             seconds,
         };
@@ -144,7 +120,7 @@ impl BlockingPool {
             }
             drop(slot);
         }
-        let Some(waits) = lane.wait() else {
+        let Some(waits) = lane.waiting.take(client_address()) else {
             let rounds = (lane.most_waiting / lane.count) as u64;
             let detail = format!("too many requests for {} work are waiting already", class.name());
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after((rounds * lane.seconds / 8).clamp(1, 60)));
@@ -157,14 +133,13 @@ impl BlockingPool {
 
     fn slot(&self, class: WorkClass, slot: OwnedSemaphorePermit, memory: OwnedSemaphorePermit) -> Slot {
         self.entered.fetch_add(1, Ordering::Relaxed);
-        let span = traces::current().map(|request| request.work(class.name()));
-        Slot { _held: Arc::new((slot, memory, span)) }
+        Slot { _held: Arc::new((slot, memory, traces::work(class.name()))) }
     }
 
     /// Number of waiting requests of a class.
     #[must_use]
     pub fn waiting(&self, class: WorkClass) -> usize {
-        self.lane(class).waiting.load(Ordering::Acquire)
+        self.lane(class).waiting.taken()
     }
 
     /// Bytes of memory given out.
@@ -194,7 +169,6 @@ impl Slot {
 mod tests {
     use std::time::Duration;
 
-    use super::super::client_slots::CLIENT;
     use super::super::limits::Exports;
     use super::*;
 
@@ -256,44 +230,10 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn one_address_may_use_half_of_the_waiting_line() {
-        let pool = pool(1, 4, 9);
-        let _busy = pool.enter(WorkClass::Interactive, 1).await.unwrap();
-        let ask = |client: Option<&str>| {
-            let pool = Arc::clone(&pool);
-            let client = client.map(|a| a.parse().unwrap());
-            tokio::spawn(CLIENT.scope(client, async move { pool.enter(WorkClass::Interactive, 1).await.is_ok() }))
-        };
-        let greedy: Vec<_> = (0..2).map(|_| ask(Some("192.0.2.1"))).collect();
-        while pool.waiting(WorkClass::Interactive) < 2 {
-            tokio::task::yield_now().await;
-        }
-        assert!(!ask(Some("192.0.2.1")).await.unwrap(), "a third");
-        assert_eq!(pool.waiting(WorkClass::Interactive), 2);
-        let others = [ask(Some("192.0.2.2")), ask(None)];
-        while pool.waiting(WorkClass::Interactive) < 4 {
-            tokio::task::yield_now().await;
-        }
-        for task in greedy.iter().chain(&others) {
-            task.abort();
-        }
-        while pool.waiting(WorkClass::Interactive) > 0 {
-            tokio::task::yield_now().await;
-        }
-        assert!(pool.lane(WorkClass::Interactive).shares.is_empty());
-    }
-
-    #[tokio::test]
-    async fn memory_is_given_out_by_bytes() {
+    async fn work_that_needs_more_than_all_memory_runs_alone() {
         let pool = pool(9, 99, 10);
-        let large = pool.enter(WorkClass::Interactive, 7 * UNIT).await.unwrap();
-        assert!(waits(pool.enter(WorkClass::Interactive, 4 * UNIT)).await);
-        let small = pool.enter(WorkClass::Interactive, 3 * UNIT).await.unwrap();
-        assert_eq!(pool.bytes(), 10 * UNIT);
-        drop((large, small));
-        assert_eq!(pool.bytes(), 0);
         let _huge = pool.enter(WorkClass::Interactive, 99 * UNIT).await.unwrap();
-        assert!(waits(pool.enter(WorkClass::Derived, 1)).await, "alone");
+        assert!(waits(pool.enter(WorkClass::Derived, 1)).await);
     }
 
     #[tokio::test]

@@ -120,8 +120,6 @@ impl<K: Key, V: Value> Cache<K, V> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicUsize, Ordering};
-
     use super::*;
 
     impl Key for u32 {
@@ -169,48 +167,6 @@ mod tests {
         }
         assert!(cache.entries() <= (100 * KIB / OVERHEAD) as u64, "{} entries", cache.entries());
         assert!(cache.entries() > 50);
-    }
-
-    #[tokio::test]
-    async fn one_computation_per_key() {
-        let cache = Cache::new(100 * KIB);
-        let runs = AtomicUsize::new(0);
-        let one = || {
-            cache.get(7_u32, async {
-                runs.fetch_add(1, Ordering::SeqCst);
-                tokio::time::sleep(Duration::from_millis(20)).await;
-                Ok::<_, ()>(1_usize)
-            })
-        };
-        let all = futures_util::future::join_all((0..16).map(|_| one())).await;
-        assert!(all.iter().all(|v| *v == Ok(1)));
-        assert_eq!(runs.load(Ordering::SeqCst), 1);
-    }
-
-    #[tokio::test]
-    async fn a_failed_computation_is_not_cached() {
-        let cache: Cache<u32, usize> = Cache::new(100 * KIB);
-        assert_eq!(cache.get(1, async { Err("no") }).await, Err("no"));
-        assert!(put(&cache, 1, 1).await);
-    }
-
-    #[tokio::test]
-    async fn a_cancelled_caller_does_not_cancel_the_computation_for_others() {
-        let cache: Cache<u32, usize> = Cache::new(100 * KIB);
-        for key in 0..1000 {
-            let never = cache.get(key, std::future::pending::<Result<usize, ()>>());
-            assert!(tokio::time::timeout(Duration::from_micros(1), never).await.is_err());
-        }
-        assert_eq!((cache.entries(), cache.bytes()), (0, 0));
-        // the second of two waits for the first, which leaves
-        let first = tokio::time::timeout(Duration::from_millis(20), cache.get(1, std::future::pending::<Result<usize, ()>>()));
-        let second = async {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-            cache.get(1, async { Ok::<_, ()>(3) }).await
-        };
-        let (first, second) = tokio::join!(first, second);
-        assert!(first.is_err());
-        assert_eq!(second, Ok(3));
     }
 
     #[tokio::test]

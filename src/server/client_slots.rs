@@ -89,7 +89,8 @@ pub fn client_network(address: IpAddr) -> IpAddr {
 /// A number of places, of which one address can have half.
 #[derive(Debug)]
 pub struct ClientSlots {
-    all: Arc<Semaphore>,
+    all: usize,
+    free: Arc<Semaphore>,
     shares: ClientLimits,
 }
 
@@ -104,15 +105,21 @@ impl ClientSlots {
     /// So many places.
     #[must_use]
     pub fn new(all: usize) -> Self {
-        Self { all: Arc::new(Semaphore::new(all)), shares: ClientLimits::half_of(all) }
+        Self { all, free: Arc::new(Semaphore::new(all)), shares: ClientLimits::half_of(all) }
     }
 
     /// Takes a place for `address`; `None` if all are taken, or it has half of them.
     #[must_use]
     pub fn take(&self, address: Option<IpAddr>) -> Option<ClientSlot> {
         let share = self.shares.take(address)?;
-        let permit = Arc::clone(&self.all).try_acquire_owned().ok()?;
+        let permit = Arc::clone(&self.free).try_acquire_owned().ok()?;
         Some(ClientSlot { _permit: permit, _share: share })
+    }
+
+    /// Number of places taken.
+    #[must_use]
+    pub fn taken(&self) -> usize {
+        self.all - self.free.available_permits()
     }
 }
 
@@ -144,7 +151,9 @@ mod tests {
         assert!(greedy.0.is_some() && greedy.1.is_some() && ask("192.0.2.1").is_none());
         let others = (ask("192.0.2.2"), places.take(None));
         assert!(others.0.is_some() && others.1.is_some() && places.take(None).is_none(), "all are taken");
+        assert_eq!(places.taken(), 4);
         drop(greedy);
+        assert_eq!(places.taken(), 2);
         assert!(ask("192.0.2.1").is_some());
     }
 }

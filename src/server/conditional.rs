@@ -38,6 +38,13 @@ pub struct Entity<'a> {
     pub coding: ContentCoding,
 }
 
+impl<'a> Entity<'a> {
+    /// JSON that clients revalidate.
+    pub const fn json(source: Source, etag: &'a str) -> Self {
+        Self { source, etag, content_type: "application/json", cache_control: REVALIDATE, coding: ContentCoding::Gzip }
+    }
+}
+
 /// Whether an answer may be compressed.
 #[derive(Clone, Debug)]
 pub enum ContentCoding {
@@ -75,21 +82,26 @@ pub enum RequestedRange {
     Unsatisfiable,
 }
 
+/// The tags of a condition.
+fn tags(headers: &HeaderMap, name: header::HeaderName) -> impl Iterator<Item = &str> {
+    headers.get_all(name).into_iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).map(str::trim)
+}
+
+fn without_weakness(tag: &str) -> &str {
+    tag.strip_prefix("W/").unwrap_or(tag)
+}
+
 /// Whether the client has this version (`If-None-Match`, weak comparison).
 #[must_use]
 pub fn matches_etag(headers: &HeaderMap, etag: &str) -> bool {
-    headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|candidate| {
-        let candidate = candidate.trim();
-        candidate == "*" || candidate.strip_prefix("W/").unwrap_or(candidate) == etag
-    })
+    tags(headers, header::IF_NONE_MATCH).map(without_weakness).any(|tag| tag == "*" || tag == etag)
 }
 
 /// The client's tag that begins with `made`, the name of the inputs; such tags end with a digest of the bytes. So the server can answer 304
 /// without making the bytes again.
 #[must_use]
 pub fn known_etag<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
-    let tags = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
-    tags.map(str::trim).map(|tag| tag.strip_prefix("W/").unwrap_or(tag)).find(|tag| {
+    tags(headers, header::IF_NONE_MATCH).map(without_weakness).find(|tag| {
         let digest = tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')?.strip_prefix(made)?.strip_prefix('-'));
         digest.is_some_and(|d| d.len() == 16 && d.bytes().all(|b| b.is_ascii_hexdigit()))
     })
@@ -136,8 +148,7 @@ pub fn requested_range(headers: &HeaderMap, etag: &str, length: usize) -> Reques
 /// Whether `If-Match` allows this version (strong comparison). Nothing here has a date, so `If-Unmodified-Since` does not apply (RFC 9110,
 /// section 13.1.4).
 fn is_wanted(headers: &HeaderMap, etag: &str) -> bool {
-    let mut tags = headers.get_all(header::IF_MATCH).iter().peekable();
-    tags.peek().is_none() || tags.filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|v| v.trim() == "*" || v.trim() == etag)
+    !headers.contains_key(header::IF_MATCH) || tags(headers, header::IF_MATCH).any(|tag| tag == "*" || tag == etag)
 }
 
 /// Checks that the client saw the current version (`If-Match`, RFC 9110, section 13.1.1).
@@ -146,18 +157,11 @@ fn is_wanted(headers: &HeaderMap, etag: &str) -> bool {
 /// 412 if `If-Match` names other versions than `etag`. In a tag of two parts with a dash between them only the first counts: it covers
 /// what clients can change.
 pub fn check_if_match(headers: &HeaderMap, etag: &str) -> Result<(), Problem> {
-    let mut seen = headers.get_all(header::IF_MATCH).iter().peekable();
-    if seen.peek().is_none() {
-        return Ok(());
-    }
     let part =
         |tag: &str| tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')).map(|t| t.split('-').next().unwrap_or_default().to_owned());
     // strong comparison: a weak tag matches nothing
-    let matches = seen
-        .filter_map(|v| v.to_str().ok())
-        .flat_map(|v| v.split(','))
-        .any(|v| v.trim() == "*" || part(v.trim()).is_some_and(|p| Some(p) == part(etag)));
-    if matches {
+    let matches = |tag: &str| tag == "*" || part(tag).is_some_and(|p| Some(p) == part(etag));
+    if !headers.contains_key(header::IF_MATCH) || tags(headers, header::IF_MATCH).any(matches) {
         return Ok(());
     }
     let detail = format!("the photo was changed meanwhile; it is {etag} now");
@@ -244,7 +248,6 @@ pub fn insert(response: &mut Response, name: header::HeaderName, value: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
 
     fn headers(pairs: &[(header::HeaderName, &str)]) -> HeaderMap {
         pairs.iter().map(|(k, v)| (k.clone(), HeaderValue::from_str(v).unwrap())).collect()
@@ -350,21 +353,6 @@ mod tests {
     fn only_the_requested_version_is_cached_forever() {
         let kept = |asked| cache_control_for(asked, || "a".to_owned()).contains("immutable");
         assert_eq!((kept(Some("a")), kept(Some("b")), kept(None)), (true, false, false));
-    }
-
-    proptest! {
-        #[test]
-        fn a_range_lies_within_the_content_and_is_never_empty(text in "bytes=[0-9]{0,4}-[0-9]{0,4}", length in 0usize..3000) {
-            if let RequestedRange::Part(r) = range(&text, length) { prop_assert!(r.start < r.end && r.end <= length); }
-        }
-
-        #[test]
-        fn no_header_panics(text in "\\PC{0,30}", length in 0usize..100) {
-            if let Ok(value) = HeaderValue::from_str(&text) {
-                let map: HeaderMap = [(header::RANGE, value)].into_iter().collect();
-                let _ = respond(&map, Entity { source: Bytes::from(vec![0; length]).into(), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE, coding: ContentCoding::Plain });
-            }
-        }
     }
 
     #[test]

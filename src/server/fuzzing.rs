@@ -9,10 +9,9 @@ use super::access::{link_of_url, query_of, take_link};
 use super::conditional::{RequestedRange, requested_range};
 use super::header_limit::LimitedHeaders;
 use super::hosts::origin;
-use super::part_filename::file_name;
 use super::photo_options;
 use super::photo_settings::Settings;
-use super::proxies::{ClientAddress, Network, Proxies, ProxyHeader, X_FORWARDED_FOR};
+use super::proxies::{Network, Proxies, X_FORWARDED_FOR};
 use super::routes::ViewQuery;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
@@ -64,7 +63,6 @@ pub fn multipart(body: &[u8]) {
         let mut read = tmpi_pipeline::Options::default();
         while let Ok(Some(field)) = form.next_field().await {
             let name = field.name().unwrap_or_default().to_owned();
-            let _ = file_name(field.headers());
             let Ok(value) = field.text().await else { return };
             if let Err(problem) = photo_options::set(&mut read, &name, &value) {
                 assert!(problem.status == 400 && problem.field.is_some());
@@ -90,33 +88,16 @@ pub fn patch(patch: &[u8]) {
     }
 }
 
-/// Reads a PROXY protocol header, and every prefix of it.
-pub fn announcement(bytes: &[u8]) {
-    let whole = ProxyHeader::read(bytes);
-    if let Ok(announcement) = &whole {
-        assert!((1..=bytes.len()).contains(&announcement.length), "{announcement:?} of {} bytes", bytes.len());
-        // no prefix is enough
-        for end in 0..announcement.length {
-            assert!(ProxyHeader::read(&bytes[..end]).is_err(), "{end} bytes are enough for {announcement:?}");
-        }
-        assert_eq!(ProxyHeader::read(&bytes[..announcement.length]).ok().as_ref(), Some(announcement), "what follows changes it");
-    }
-}
-
-/// Reads a request's client, scheme and host from the headers of proxies: `Forwarded`, `X-Forwarded-For` twice, `X-Forwarded-Proto`,
-/// `Host`.
-pub fn forwarded(values: [&str; 5]) {
-    let names = [header::FORWARDED, X_FORWARDED_FOR, X_FORWARDED_FOR, HeaderName::from_static("x-forwarded-proto"), header::HOST];
+/// Reads a request's client, scheme and host from the headers of proxies: `X-Forwarded-For` twice, `X-Forwarded-Proto`, `Host`.
+pub fn forwarded(values: [&str; 4]) {
+    let names = [X_FORWARDED_FOR, X_FORWARDED_FOR, HeaderName::from_static("x-forwarded-proto"), header::HOST];
     let headers: HeaderMap =
         names.into_iter().zip(values).filter_map(|(name, value)| Some((name, HeaderValue::from_str(value).ok()?))).collect();
     let (near, far) = ([10, 0, 0, 1].into(), [192, 0, 2, 1].into());
-    for told in [ClientAddress::XForwardedFor, ClientAddress::Forwarded, ClientAddress::ProxyProtocol] {
-        let proxies = Proxies::new(&[Network::Private], told);
-        assert_eq!(proxies.client(far, &headers), far, "a stranger is believed");
-        let client = proxies.client(near, &headers);
-        assert!(client == near || told != ClientAddress::ProxyProtocol);
-        assert_eq!(client, client.to_canonical());
-    }
+    let proxies = Proxies::new(&[Network::Private]);
+    assert_eq!(proxies.client(far, &headers), far, "a stranger is believed");
+    let client = proxies.client(near, &headers);
+    assert_eq!(client, client.to_canonical());
     if let Some(origin) = origin(&headers) {
         let uri = origin.parse::<Uri>();
         assert!(uri.is_ok_and(|u| u.authority().is_some()), "{origin} is no origin");

@@ -79,16 +79,13 @@ tokio::task_local! {
 }
 
 /// `scheme://host` of this server as the client sees it: from `Host`, which [`Hosts::check`] has checked, from the connection, and from the
-/// scheme that a proxy names (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). `None` without a valid `Host`.
+/// scheme that a proxy names (`X-Forwarded-Proto`). `None` without a valid `Host`.
 #[must_use]
 pub fn origin(headers: &HeaderMap) -> Option<String> {
     let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok().filter(|host: &Authority| !host.host().is_empty())?;
-    let text = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
-    // the first is the proxy next to the browser
-    let first = |value: &'static str| text(value).and_then(|v| v.split(',').next());
-    let forwarded = first("forwarded").into_iter().flat_map(|hop| hop.split(';')).filter_map(|pair| pair.split_once('='));
-    let proto = forwarded.filter(|(name, _)| name.trim().eq_ignore_ascii_case("proto")).map(|(_, value)| value).next();
-    let proto = proto.or_else(|| first("x-forwarded-proto")).map(|v| v.trim().trim_matches('"'));
+    let named = headers.get("x-forwarded-proto").and_then(|v| v.to_str().ok());
+    // the first is of the proxy next to the browser
+    let proto = named.and_then(|protos| protos.split(',').next()).map(str::trim);
     let secure = proto.map_or_else(|| SECURE.try_with(|secure| *secure).unwrap_or(false), |p| p.eq_ignore_ascii_case("https"));
     let scheme = if secure { "https" } else { "http" };
     let port = host.port_u16().map(|port| format!(":{port}")).unwrap_or_default();
@@ -169,8 +166,6 @@ mod tests {
             ("x-forwarded-proto", "https", "https"),
             ("x-forwarded-proto", "HTTPS, http", "https"),
             ("x-forwarded-proto", "javascript", "http"),
-            ("forwarded", "for=192.0.2.1;Proto=\"https\";host=evil.example, proto=http", "https"),
-            ("forwarded", "for=192.0.2.1", "http"),
             ("x-forwarded-host", "evil.example", "http"),
         ] {
             assert_eq!(behind(name, value), format!("{scheme}://photos.example"), "{name}: {value}");

@@ -7,6 +7,7 @@ use super::app_state::AppState;
 use super::finished_photo::FinishedPhoto;
 use super::photo_options;
 use super::photo_settings::Settings;
+use crate::export::escaped;
 use tmpi_library::Photo;
 
 /// Title of a photo without one.
@@ -136,21 +137,6 @@ fn within((width, height): (u32, u32), most: (u32, u32)) -> (u32, u32) {
     let scale = (f64::from(most.0) / f64::from(width)).min(f64::from(most.1) / f64::from(height)).min(1.0);
     let side = |v: u32, most: u32| ((f64::from(v) * scale).round() as u32).clamp(1, most.max(1));
     (side(width, most.0), side(height, most.1))
-}
-
-/// Text escaped for HTML, between tags and in quotes of either kind.
-fn escaped(text: &str) -> String {
-    text.chars().fold(String::with_capacity(text.len()), |mut out, c| {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c => out.push(c),
-        }
-        out
-    })
 }
 
 #[cfg(test)]

@@ -11,7 +11,9 @@ use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use futures_util::FutureExt;
+use futures_util::FutureExt as _;
+use opentelemetry::Context;
+use opentelemetry::context::FutureExt as _;
 use tracing::{Instrument, Span};
 
 use super::accept_loop::{Peer, Secure};
@@ -27,7 +29,7 @@ use super::proxies::Proxies;
 use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
 use super::request_body::LimitedBody;
 use super::time_limit::TimeLimit;
-use super::traces::TRACE;
+use super::traces;
 
 /// Header of the id of a request.
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -71,14 +73,14 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
     let peer = peer.map(|peer| checks.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
     let client = peer.filter(|ip| !ip.to_canonical().is_loopback());
-    let trace = app.telemetry.traces().and_then(|to| to.request(known_method(&method), route, request.headers(), peer));
+    let trace = app.telemetry.traces().map_or_else(Context::new, |to| to.request(known_method(&method), route, request.headers(), peer));
     let span = span(&id, peer, &method, request.uri().path());
-    if let Some(trace) = &trace {
-        span.record("trace", trace.trace());
+    if let Some(id) = traces::trace_id(&trace) {
+        span.record("trace", id);
     }
     let secure = request.extensions().get::<Secure>().is_some();
-    let answered = answer(app, checks, request, next).instrument(span.clone());
-    let mut response = TRACE.scope(trace.clone(), CLIENT.scope(client, SECURE.scope(secure, answered))).await;
+    let answered = answer(app, checks, request, next).instrument(span.clone()).with_context(trace.clone());
+    let mut response = CLIENT.scope(client, SECURE.scope(secure, answered)).await;
     response = finish(response, &id).await;
     if secure {
         put_secure(&mut response, &app.limits);
@@ -87,9 +89,7 @@ async fn wrap(app: &App, checks: Checks<'_>, request: Request, next: Next) -> Re
     put_own(&mut response, &id, took);
     let status = response.status().as_u16();
     app.telemetry.request(known_method(&method), route, status, took);
-    if let Some(trace) = trace {
-        trace.answered(status);
-    }
+    traces::answered(&trace, status);
     log(&span, response.status(), took);
     response
 }
@@ -254,7 +254,7 @@ fn request_id(headers: &HeaderMap) -> String {
         .get(REQUEST_ID)
         .and_then(|v| v.to_str().ok())
         .filter(harmless)
-        .map_or_else(|| format!("{:x}-{:x}", super::timestamps::now_ms(), NEXT.fetch_add(1, Ordering::Relaxed)), str::to_owned)
+        .map_or_else(|| format!("{:x}-{:x}", super::since_1970().as_millis(), NEXT.fetch_add(1, Ordering::Relaxed)), str::to_owned)
 }
 
 /// Method label from a closed set, so that clients cannot create new counters.

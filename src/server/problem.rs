@@ -370,16 +370,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_error_of_a_photo_has_its_status() {
-        let status = |e: PhotoError| Problem::from(&MakeError::from(e)).status;
-        assert_eq!(status(PhotoError::Unsupported), 415);
-        assert_eq!(status(PhotoError::TooManyBytes { bytes: 2, limit: 1 }), 413);
-        assert_eq!(status(PhotoError::TooManyPixels { width: 2, height: 1, limit: 1 }), 413);
-        assert_eq!(status(PhotoError::SideTooLong { width: 2, height: 1, limit: 1 }), 413);
-        assert_eq!(status(PhotoError::Broken("x".into())), 422);
-    }
-
-    #[test]
     fn a_photo_that_failed_keeps_its_status_and_field() {
         let depth = |e: DepthError| MakeError::Depth(e);
         let option = StageError::Option { field: "quality", range: "1 to 100", value: "0".into() };
@@ -413,12 +403,6 @@ mod tests {
         let p = Problem::parameter("ä".repeat(1 << 20), "ö".repeat(1 << 20));
         assert!(p.field.as_ref().unwrap().len() <= MAX_NAME + 3 && p.detail.len() <= MAX_DETAIL + 3);
         assert!(p.field.unwrap().starts_with('ä'));
-    }
-
-    #[test]
-    fn an_error_names_its_option() {
-        let p = Problem::from(&MakeError::Generate(StageError::Option { field: "quality", range: "1 to 100", value: "0".into() }));
-        assert_eq!((p.status, p.field.as_deref()), (400, Some("quality")));
     }
 
     #[test]

@@ -229,49 +229,11 @@ impl Drop for LimitedBody {
 mod tests {
     use super::*;
 
-    async fn read(body: Body, limit: usize, pause: Duration) -> Result<Bytes, Problem> {
-        let limits = Limits { body: limit, body_read: pause, body_rate: 200, ..Limits::default() };
-        let (guarded, _) = LimitedBody::new(body, &limits, TimeLimit::new(pause));
-        match Body::new(guarded).collect().await {
-            Ok(all) => Ok(all.to_bytes()),
-            Err(e) => Err(problem(&e)),
-        }
-    }
-
-    fn pieces(sizes: &'static [usize]) -> Body {
-        Body::from_stream(futures_util::stream::iter(sizes.iter().map(|&n| Ok::<_, std::io::Error>(Bytes::from(vec![0; n])))))
-    }
-
     #[tokio::test]
-    async fn bodies_at_the_limit_pass_and_one_byte_more_fails() {
-        let second = Duration::from_secs(1);
-        assert_eq!(read(Body::from(vec![0; 100]), 100, second).await.unwrap().len(), 100);
-        assert_eq!(read(Body::from(vec![0; 101]), 100, second).await.unwrap_err().status, 413);
-        assert_eq!(read(pieces(&[40, 60]), 100, second).await.unwrap().len(), 100);
-        assert_eq!(read(pieces(&[40, 60, 1]), 100, second).await.unwrap_err().status, 413);
-        assert_eq!(read(Body::empty(), 0, second).await.unwrap().len(), 0);
-    }
-
-    #[tokio::test]
-    async fn pauses_and_low_rates_cut_a_body_off() {
-        let drip = |pause, bytes: &'static [u8]| {
-            Body::from_stream(futures_util::stream::unfold(0, move |n| async move {
-                tokio::time::sleep(Duration::from_millis(pause)).await;
-                (n < 50).then(|| (Ok::<_, std::io::Error>(Bytes::from_static(bytes)), n + 1))
-            }))
-        };
-        let pause = Duration::from_millis(300);
-        assert_eq!(read(drip(10, &[0; 100]), 5000, pause).await.unwrap().len(), 5000);
-        assert_eq!(read(drip(2000, b"x"), 100, pause).await.unwrap_err().status, 408);
-        // no pauses, but below the rate
-        let slow = read(drip(20, b"x"), 5000, pause).await.unwrap_err();
-        assert!(slow.status == 408 && slow.detail.contains("200 bytes a second"), "{}", slow.detail);
-    }
-
-    #[tokio::test]
-    async fn the_unread_rest_can_be_drained() {
+    async fn the_rest_can_be_drained() {
+        let body = Body::from_stream(futures_util::stream::iter([40, 60, 50].map(|n| Ok::<_, std::io::Error>(Bytes::from(vec![0; n])))));
         let clock = TimeLimit::new(Duration::from_secs(1));
-        let (guarded, rest) = LimitedBody::new(pieces(&[40, 60, 50]), &Limits { body: 30, ..Limits::default() }, clock.clone());
+        let (guarded, rest) = LimitedBody::new(body, &Limits { body: 30, ..Limits::default() }, clock.clone());
         assert!(clock.deadline().is_none());
         assert!(Body::new(guarded).collect().await.is_err());
         assert!(!rest.ended() && clock.deadline().is_some());

@@ -1,8 +1,8 @@
-//! TLS without a proxy: certificates from files, reloaded when they change, and ALPN.
+//! TLS without a proxy: certificates from files, read again while the server runs, and ALPN.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use rustls::ServerConfig;
 use rustls::pki_types::pem::{self, PemObject as _};
@@ -10,26 +10,17 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::TlsAcceptor;
 use tokio_util::sync::CancellationToken;
 
-/// Interval of the checks for changed files.
+/// Interval at which files are read again.
 const LOOK: Duration = Duration::from_secs(30);
-/// Protocols for ALPN, best first.
+/// HTTP/2 in ALPN.
 pub(super) const HTTP_2: &[u8] = b"h2";
-const PROTOCOLS: [&[u8]; 2] = [HTTP_2, b"http/1.1"];
 
 /// Why TLS is not available.
 #[derive(Debug, thiserror::Error)]
 pub enum TlsError {
-    /// A file cannot be read.
-    #[error("{file}")]
+    /// A file cannot be read, or has the wrong content.
+    #[error("{file}: cannot read {what}")]
     File {
-        /// The file.
-        file: PathBuf,
-        /// Error of the system.
-        source: std::io::Error,
-    },
-    /// A file has the wrong content.
-    #[error("{file}: not PEM with {what}")]
-    Pem {
         /// The file.
         file: PathBuf,
         /// What it should have.
@@ -49,59 +40,12 @@ pub enum TlsError {
     },
 }
 
-/// Files of a certificate chain and its key, in PEM.
-#[derive(Clone, Debug)]
-struct Files {
-    cert: PathBuf,
-    key: PathBuf,
-}
-
-/// When both were last written.
-type Written = [SystemTime; 2];
-
-impl Files {
-    fn written(&self) -> Result<Written, TlsError> {
-        let of = |file: &Path| {
-            let written = std::fs::metadata(file).and_then(|m| m.modified());
-            written.map_err(|source| TlsError::File { file: file.to_owned(), source })
-        };
-        Ok([of(&self.cert)?, of(&self.key)?])
-    }
-
-    fn read(&self) -> Result<TlsAcceptor, TlsError> {
-        let (cert, key) = (self.cert.clone(), self.key.clone());
-        let wrong = |file: &Path, what| {
-            let file = file.to_owned();
-            move |error| match error {
-                pem::Error::Io(source) => TlsError::File { file: file.clone(), source },
-                source => TlsError::Pem { file: file.clone(), what, source },
-            }
-        };
-        let of_cert = wrong(&cert, "certificates");
-        let chain: Vec<CertificateDer<'static>> =
-            CertificateDer::pem_file_iter(&cert).map_err(&of_cert)?.collect::<Result<_, _>>().map_err(&of_cert)?;
-        if chain.is_empty() {
-            return Err(of_cert(pem::Error::NoItemsFound));
-        }
-        let private = PrivateKeyDer::from_pem_file(&key).map_err(wrong(&key, "a private key"))?;
-        let pair = |source| TlsError::Pair { cert: cert.clone(), key: key.clone(), source };
-        let provider = Arc::new(rustls::crypto::ring::default_provider());
-        let mut config = ServerConfig::builder_with_provider(provider)
-            .with_safe_default_protocol_versions()
-            .map_err(pair)?
-            .with_no_client_auth()
-            .with_single_cert(chain, private)
-            .map_err(pair)?;
-        config.alpn_protocols = PROTOCOLS.map(<[u8]>::to_vec).to_vec();
-        Ok(TlsAcceptor::from(Arc::new(config)))
-    }
-}
-
-/// The current certificate.
+/// A certificate chain and its key, from files in PEM.
 #[derive(Clone)]
 pub struct Tls {
-    files: Files,
-    written: Written,
+    cert: PathBuf,
+    key: PathBuf,
+    chain: Vec<CertificateDer<'static>>,
     now: Arc<RwLock<TlsAcceptor>>,
 }
 
@@ -111,10 +55,9 @@ impl Tls {
     /// # Errors
     /// [`TlsError`].
     pub fn open(cert: PathBuf, key: PathBuf) -> Result<Self, TlsError> {
-        let files = Files { cert, key };
-        // before reading, so that changes during it trigger a reload
-        let written = files.written()?;
-        Ok(Self { now: Arc::new(RwLock::new(files.read()?)), files, written })
+        let chain = read_chain(&cert)?;
+        let now = Arc::new(RwLock::new(acceptor(&chain, &cert, &key)?));
+        Ok(Self { cert, key, chain, now })
     }
 
     /// The acceptor for the next connection.
@@ -122,31 +65,48 @@ impl Tls {
         self.now.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Reloads the files when they change, until `stop`. Keeps the old ones if they are unreadable or only half of a new pair.
+    /// Uses a new certificate from its file, until `stop`. Keeps the old one if the files are unreadable or only half of a new pair.
     pub(super) async fn follow(mut self, stop: CancellationToken) {
         while stop.run_until_cancelled(tokio::time::sleep(LOOK)).await.is_some() {
-            self.renew();
+            match self.renew() {
+                Ok(false) => {}
+                Ok(true) => tracing::info!("using the new certificate"),
+                Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "keeping the old certificate"),
+            }
         }
     }
 
-    /// Checks the files once.
-    fn renew(&mut self) {
-        let read = self.files.written().and_then(|written| {
-            if written == self.written {
-                return Ok(None);
-            }
-            self.files.read().map(|acceptor| Some((written, acceptor)))
-        });
-        match read {
-            Ok(None) => {}
-            Ok(Some((written, acceptor))) => {
-                self.written = written;
-                *self.now.write().unwrap_or_else(PoisonError::into_inner) = acceptor;
-                tracing::info!("using the new certificate");
-            }
-            Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "keeping the old certificate"),
+    /// Reads the files once; true if there is a new certificate.
+    fn renew(&mut self) -> Result<bool, TlsError> {
+        let chain = read_chain(&self.cert)?;
+        if chain == self.chain {
+            return Ok(false);
         }
+        let acceptor = acceptor(&chain, &self.cert, &self.key)?;
+        self.chain = chain;
+        *self.now.write().unwrap_or_else(PoisonError::into_inner) = acceptor;
+        Ok(true)
     }
+}
+
+fn read_chain(file: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    let wrong = |source| TlsError::File { file: file.to_owned(), what: "certificates", source };
+    let chain: Vec<_> = CertificateDer::pem_file_iter(file).and_then(Iterator::collect).map_err(wrong)?;
+    if chain.is_empty() { Err(wrong(pem::Error::NoItemsFound)) } else { Ok(chain) }
+}
+
+fn acceptor(chain: &[CertificateDer<'static>], cert: &Path, key: &Path) -> Result<TlsAcceptor, TlsError> {
+    let private = PrivateKeyDer::from_pem_file(key);
+    let private = private.map_err(|source| TlsError::File { file: key.to_owned(), what: "a private key", source })?;
+    let pair = |source| TlsError::Pair { cert: cert.to_owned(), key: key.to_owned(), source };
+    let mut config = ServerConfig::builder_with_provider(Arc::new(rustls::crypto::ring::default_provider()))
+        .with_safe_default_protocol_versions()
+        .map_err(pair)?
+        .with_no_client_auth()
+        .with_single_cert(chain.to_vec(), private)
+        .map_err(pair)?;
+    config.alpn_protocols = vec![HTTP_2.to_vec(), b"http/1.1".to_vec()];
+    Ok(TlsAcceptor::from(Arc::new(config)))
 }
 
 #[cfg(test)]
@@ -161,28 +121,20 @@ mod tests {
     fn a_new_certificate_is_used_once_its_key_matches() {
         let dir = tempfile::tempdir().unwrap();
         let (cert, key) = (dir.path().join("cert.pem"), dir.path().join("key.pem"));
-        let put = |from: &str, to: &Path, age: u64| {
-            std::fs::copy(example(from), to).unwrap();
-            let file = std::fs::File::options().write(true).open(to).unwrap();
-            file.set_modified(SystemTime::now() - Duration::from_secs(age)).unwrap();
-        };
-        put("one.pem", &cert, 60);
-        put("one.key", &key, 60);
+        let put = |from: &str, to: &Path| std::fs::copy(example(from), to).unwrap();
+        put("one.pem", &cert);
+        put("one.key", &key);
         let mut tls = Tls::open(cert.clone(), key.clone()).unwrap();
-        let same = |tls: &Tls, before: &TlsAcceptor| Arc::ptr_eq(tls.acceptor().config(), before.config());
         let before = tls.acceptor();
-        tls.renew();
-        assert!(same(&tls, &before), "nothing has changed");
-        put("two.pem", &cert, 40);
-        tls.renew();
-        assert!(same(&tls, &before), "the key is the old one");
-        put("two.key", &key, 20);
-        tls.renew();
-        assert!(!same(&tls, &before));
-        let before = tls.acceptor();
-        std::fs::remove_file(&key).unwrap();
-        tls.renew();
-        assert!(same(&tls, &before));
+        assert!(!tls.renew().unwrap(), "nothing has changed");
+        put("two.pem", &cert);
+        assert!(tls.renew().unwrap_err().to_string().contains("key.pem"), "the key is the old one");
+        assert!(Arc::ptr_eq(tls.acceptor().config(), before.config()));
+        put("two.key", &key);
+        assert!(tls.renew().unwrap());
+        assert!(!Arc::ptr_eq(tls.acceptor().config(), before.config()));
+        std::fs::remove_file(&cert).unwrap();
+        assert!(tls.renew().is_err());
     }
 
     #[test]
@@ -190,8 +142,8 @@ mod tests {
         let missing = PathBuf::from("/nowhere/cert.pem");
         let said = |cert: PathBuf, key: PathBuf| Tls::open(cert, key).map(drop).unwrap_err().to_string();
         assert!(said(missing.clone(), example("one.key")).contains("/nowhere/cert.pem"));
-        assert!(said(example("one.key"), example("one.key")).contains("one.key: not PEM with certificates"));
-        assert!(said(example("one.pem"), example("one.pem")).contains("one.pem: not PEM with a private key"));
+        assert!(said(example("one.key"), example("one.key")).contains("one.key: cannot read certificates"));
+        assert!(said(example("one.pem"), example("one.pem")).contains("one.pem: cannot read a private key"));
         assert!(said(example("one.pem"), example("two.key")).contains("two.key"));
     }
 }

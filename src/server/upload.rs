@@ -9,9 +9,9 @@ use bytes::Bytes;
 use futures_util::StreamExt;
 
 use super::app_state::{App, AppState};
+use super::client_slots::{ClientSlot, client_address};
 use super::header_limit::LimitedHeaders;
 use super::maker::HeadOf;
-use super::part_filename::file_name;
 use super::photo_options;
 use super::photo_settings::{Settings, title_of_file};
 use super::problem::Problem;
@@ -19,7 +19,6 @@ use super::request_body;
 use super::upload_fields::{UploadFields, check_name, of_query};
 use super::upload_file::{ReceivedFile, receive};
 use super::upload_head::UploadHead;
-use super::upload_slots::UploadSlot;
 use tmpi_library::{LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::{Options, Stereo};
 
@@ -41,13 +40,15 @@ pub(super) struct UploadParts {
 /// Takes a slot before the body is read.
 ///
 /// # Errors
-/// 429 if too many uploads are in progress, 503 while the server stops.
-pub(super) async fn take_slot(app: &App) -> Result<UploadSlot<'_>, Problem> {
+/// 429 if too many uploads are in progress, or half of them from this address: an upload may take an hour. 503 while the server stops.
+pub(super) async fn take_slot(app: &App) -> Result<ClientSlot, Problem> {
     if app.stop.is_cancelled() {
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
     }
     let free = app.library.free_places().await? as usize;
-    app.uploads.take(free).ok_or_else(|| {
+    // a few may come in even if the queue is full, since their photos may be known
+    let most = free.saturating_add(app.limits.uploads_beyond);
+    app.uploads.take(client_address()).filter(|_| app.uploads.taken() <= most).ok_or_else(|| {
         let detail = "the queue is full, and too many uploads are in progress";
         Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", detail).retry_after(5)
     })
@@ -151,7 +152,7 @@ pub fn is_form(content_type: &str) -> bool {
     content_type.split(';').next().is_some_and(|v| v.trim().eq_ignore_ascii_case("multipart/form-data"))
 }
 
-/// Reads a form. Ignores empty fields, as browsers send those that nobody filled in.
+/// Reads a form. Ignores empty fields, because browsers send fields that the user left empty.
 async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) -> Result<(), Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
@@ -174,7 +175,8 @@ async fn read_multipart(app: &App, parts: &mut UploadParts, request: Request) ->
                 continue;
             }
         };
-        let file_name = file_name(field.headers());
+        // browsers write a quote as `%22` (HTML, multipart/form-data encoding algorithm)
+        let file_name = field.file_name().map(|name| name.replace("%22", "\""));
         let Some(first) = first_bytes(&mut field).await? else { continue };
         if slot.is_some() {
             let detail = if name == "photo" { "is given twice" } else { "is given twice: a depth map, or the picture of a second eye" };

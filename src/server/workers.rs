@@ -22,7 +22,7 @@ use super::memory_budget::Priority;
 use super::photo_options;
 use super::problem::Problem;
 use super::routes::Stage;
-use super::traces::{JobSpan, Parent};
+use super::traces::JobSpan;
 use tmpi_pipeline::{Options, Progress, Sink};
 
 /// Kinds of jobs of workers that make photos, and of those that write files.
@@ -114,13 +114,8 @@ async fn one(app: &App, lease: &Lease, abort: &Arc<AtomicBool>) {
         app.set_trouble(None);
     }
     let took = start.elapsed();
-    match kind {
-        JobKind::Make => {
-            app.telemetry.job(outcome, took);
-            app.telemetry.class_job(lease.job.class.name(), outcome, took);
-        }
-        JobKind::Export | JobKind::Film => app.telemetry.class_job("export", outcome, took),
-    }
+    let class = if matches!(kind, JobKind::Make) { lease.job.class.name() } else { "export" };
+    app.telemetry.job(class, outcome, took);
     tracing::info!(%photo, kind = kind.name(), outcome, ms = took.as_millis() as u64, "job");
 }
 
@@ -295,8 +290,7 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
 }
 
 async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> &'static str {
-    let parent = lease.job.payload.as_str().map(Parent::read);
-    let job = doing.app.telemetry.begin_job(parent.as_ref(), lease.job.photo, lease.job.attempts as u32 + 1);
+    let job = doing.app.telemetry.begin_job(lease.job.payload.as_str(), lease.job.photo, lease.job.attempts as u32 + 1);
     let Inputs { photo, depth, options } = match inputs(lease, doing).await {
         Ok(inputs) => inputs,
         Err(why) => return end(lease, doing, why).await,

@@ -34,8 +34,7 @@ export function startWorker(url) {
   const isModule = self.origin !== 'null';
   const early = 'const early = []; self.onmessage = (event) => early.push(event);';
   const begin = '() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; })';
-  // "import (" with a space, so that src/export/script.rs, which links modules into one script, leaves it alone
-  const text = isModule ? `import ${module};` : `${early} import (${module}).then(${begin});`;
+  const text = isModule ? `import ${module};` : `${early} import(${module}).then(${begin});`;
   const address = URL.createObjectURL(new Blob([text], { type: 'text/javascript' }));
   const worker = new Worker(trusted(address), isModule ? { type: 'module' } : {});
   // its first message or error proves that the script is loaded

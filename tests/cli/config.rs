@@ -4,10 +4,14 @@ use std::process::Command;
 
 use super::fixture::{Folder, Run};
 
-fn config(folder: &Folder, variables: &[(&str, &str)], args: &[&str]) -> Run {
+fn with(folder: &Folder, variables: &[(&str, &str)], program: &str, args: &[&str]) -> Run {
     let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-    command.current_dir(folder.path("")).env_remove("TMPI_CONFIG").envs(variables.iter().copied()).arg("config").args(args);
+    command.current_dir(folder.path("")).env_remove("TMPI_CONFIG").envs(variables.iter().copied()).arg(program).args(args);
     Run::from(command.output().unwrap())
+}
+
+fn config(folder: &Folder, variables: &[(&str, &str)], args: &[&str]) -> Run {
+    with(folder, variables, "config", args)
 }
 
 fn has_line(run: &Run, line: &str) {
@@ -165,9 +169,7 @@ fn secrets_in_urls_are_hidden() {
 }
 
 fn key(folder: &Folder, variables: &[(&str, &str)], args: &[&str]) -> Run {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
-    command.current_dir(folder.path("")).env_remove("TMPI_CONFIG").envs(variables.iter().copied()).arg("key").args(args);
-    Run::from(command.output().unwrap())
+    with(folder, variables, "key", args)
 }
 
 #[test]

@@ -1,36 +1,21 @@
 //! Permissions on a server with `--access private`.
 
-use std::path::Path;
-use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde_json::Value;
-use tmpi::server::{Config, Limits, Maker, Server};
-use tmpi_render::Backend;
-
-use crate::client::{Response, get, request};
-use crate::fixture::{Running, jpeg, pipeline, rooms, wait_until};
-use crate::key_fixture::{self, Scope};
+use crate::key_fixture;
+use crate::prelude::*;
 
 /// A host name under which requests from loopback count as strangers, not as this machine's own user.
 pub const HOST: (&str, &str) = ("host", "photos.example");
 
 /// A server with `--access private`.
-pub fn private(data: &Path) -> Running {
-    private_with(data, Arc::new(pipeline()))
+pub fn private() -> Running {
+    private_with(Limits::default(), Arc::new(pipeline()))
 }
 
-/// The same with another maker.
-pub fn private_with(data: &Path, maker: Arc<dyn Maker>) -> Running {
-    private_within(data, maker, Limits::default())
-}
-
-/// The same with other limits.
-pub fn private_within(data: &Path, maker: Arc<dyn Maker>, limits: Limits) -> Running {
-    let config =
-        Config { hosts: vec!["photos.example".into()], private: true, limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    Running::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
+/// The same with other limits and another maker.
+pub fn private_with(limits: Limits, maker: Arc<dyn Maker>) -> Running {
+    Running::configured(maker, |config| Config { private: true, limits, ..config })
 }
 
 pub fn secret(letter: &str) -> String {
@@ -51,28 +36,21 @@ pub fn upload(server: &Running, who: Option<&str>, photo: u8) -> Value {
     answer.json()
 }
 
-fn ids(answer: &Response) -> Vec<String> {
-    assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
-    answer.json()["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect()
-}
-
-pub fn id(state: &Value) -> String {
-    state["id"].as_str().unwrap().to_owned()
-}
-
 /// A response without the parts that differ from request to request.
-fn plain(answer: &Response, id: &str) -> String {
-    let mut body = answer.json();
-    body["request_id"] = Value::Null;
+pub fn plain(answer: &Response, id: &str) -> String {
     let headers = ["content-type", "cache-control", "vary", "etag", "access-control-allow-origin", "content-security-policy", "set-cookie"];
     let headers: Vec<_> = headers.iter().map(|name| answer.all(name)).collect();
+    let mut body = String::from_utf8_lossy(&answer.body).into_owned();
+    if let Ok(mut problem) = serde_json::from_str::<Value>(&body) {
+        problem["request_id"] = Value::Null;
+        body = problem.to_string();
+    }
     format!("{} {headers:?} {body}", answer.status).replace(id, "ID")
 }
 
 #[test]
 fn photos_are_private_to_their_owner() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     let (ann, bob) = (secret("a"), secret("b"));
     let (of_ann, of_bob) = (upload(&server, Some(&ann), 1), upload(&server, Some(&bob), 1));
     let (a, b) = (id(&of_ann), id(&of_bob));
@@ -84,44 +62,11 @@ fn photos_are_private_to_their_owner() {
     assert_eq!(ids(&ask(&server, "GET", "/v1/photos", &[], &[])).len(), 0, "a stranger has none");
     let refused = ask(&server, "GET", &format!("/v1/photos?after={a}"), &[("authorization", &bob)], &[]);
     assert_eq!(refused.status, 400, "not even as a place in the list");
-    // another owner's photo and an unknown id get the same bytes
+    // a parameter is not judged before the caller may see the photo; access_matrix.rs has every route
     let none = "0".repeat(32);
-    for path in [
-        "",
-        "/settings",
-        "/atlas",
-        "/atlas?level=9",
-        "/report",
-        "/thumbnail",
-        "/depth",
-        "/view?w=8",
-        "/export?format=glb",
-        "/strokes",
-        "/events",
-    ] {
-        let of = |id: &str| plain(&ask(&server, "GET", &format!("/v1/photos/{id}{path}"), &[("authorization", &bob)], &[]), id);
-        assert!(of(&a).starts_with("404"), "{path}: {}", of(&a));
-        assert_eq!(of(&a), of(&none), "{path}");
-    }
-    let embed = |id: &str| plain(&ask(&server, "GET", &format!("/oembed?url=http://photos.example/view/{id}"), &[], &[]), id);
-    assert_eq!(embed(&a), embed(&none));
-    let page = |id: &str| String::from_utf8(ask(&server, "GET", &format!("/view/{id}"), &[], &[]).body).unwrap();
-    assert_eq!(page(&a), page(&none), "the page tells no title");
+    let of = |id: &str| plain(&ask(&server, "GET", &format!("/v1/photos/{id}/atlas?level=9"), &[("authorization", &bob)], &[]), id);
+    assert!(of(&a).starts_with("404") && of(&a) == of(&none), "{}", of(&a));
     let json = ("content-type", "application/json");
-    for (method, path) in [
-        ("PATCH", ""),
-        ("DELETE", ""),
-        ("PATCH", "/strokes"),
-        ("POST", "/remake"),
-        ("POST", "/links"),
-        ("POST", "/manage"),
-        ("DELETE", "/manage"),
-    ] {
-        let body: &[u8] = if method == "PATCH" { b"{}" } else { b"" };
-        let of = |id: &str| plain(&ask(&server, method, &format!("/v1/photos/{id}{path}"), &[("authorization", &bob), json], body), id);
-        assert!(of(&a).starts_with("404"), "{method} {path}: {}", of(&a));
-        assert_eq!(of(&a), of(&none), "{method} {path}");
-    }
     // only the owner's own browser may cache a private photo
     let atlas = of_ann["links"]["atlas"].as_str().unwrap();
     let own = ask(&server, "GET", atlas, &[("authorization", &ann)], &[]);
@@ -135,8 +80,7 @@ fn photos_are_private_to_their_owner() {
     assert_eq!(list(&bob), vec![b], "but no other owner's list shows it");
     assert_eq!((change(br#"{"visibility": null}"#), ask(&server, "GET", atlas, &[], &[]).status), (200, 404));
     // the same holds after a restart; this machine's own user sees everything
-    server.stop();
-    let server = private(dir.path());
+    let server = server.restarted();
     assert_eq!(ids(&get(server.addr, "/v1/photos")).len(), 2);
     assert_eq!(ask(&server, "GET", atlas, &[("authorization", &bob)], &[]).status, 404);
     assert_eq!(ask(&server, "GET", atlas, &[("authorization", &ann)], &[]).status, 200);
@@ -144,8 +88,7 @@ fn photos_are_private_to_their_owner() {
 
 #[test]
 fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     let state = upload(&server, None, 1);
     let manage = state["links"]["manage"].as_str().unwrap();
     let token = manage.strip_prefix(&format!("/view/{}#manage=", id(&state))).unwrap();
@@ -175,13 +118,6 @@ fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
         assert_eq!(by_cookie(&[("sec-fetch-site", site)]), 404, "{site}");
     }
     assert_eq!((by_cookie(&[("origin", "https://evil.example")]), by_cookie(&[("origin", "http://photos.example")])), (404, 200));
-    // pages of another site change nothing, not even with the secret
-    let foreign = [("authorization", format!("Bearer {secret}")), ("origin", "https://evil.example".into())];
-    let foreign: Vec<_> = foreign.iter().map(|(n, v)| (*n, v.as_str())).collect();
-    ask(&server, "DELETE", &address, &foreign, &[]).problem(403);
-    // a rebound name is refused, with or without a secret
-    let rebound = [("host", "evil.example"), ("cookie", pair)];
-    request(server.addr, "GET", &address, &rebound, &[]).problem(421);
     // the page gives a browser without a secret a new one
     let page = ask(&server, "GET", "/", &[("x-forwarded-proto", "https")], &[]);
     let set = page.header("set-cookie").unwrap().to_owned();
@@ -198,8 +134,7 @@ fn an_upload_without_a_secret_is_answered_with_the_photos_token() {
 
 #[test]
 fn links_last_no_longer_than_the_configured_limit() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private_within(dir.path(), Arc::new(pipeline()), Limits { link: Duration::from_hours(1), ..Limits::default() });
+    let server = private_with(Limits { link: Duration::from_hours(1), ..Limits::default() }, Arc::new(pipeline()));
     let ann = secret("a");
     let one = id(&upload(&server, Some(&ann), 1));
     let links = |query: &str| ask(&server, "POST", &format!("/v1/photos/{one}/links{query}"), &[("authorization", &ann)], &[]);
@@ -219,8 +154,7 @@ fn links_last_no_longer_than_the_configured_limit() {
 
 #[test]
 fn links_are_valid_for_one_photo_until_they_expire() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     let ann = secret("a");
     let (one, two) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&ann), 2)));
     let links = |query: &str| ask(&server, "POST", &format!("/v1/photos/{one}/links{query}"), &[("authorization", &ann)], &[]);
@@ -254,11 +188,6 @@ fn links_are_valid_for_one_photo_until_they_expire() {
     ] {
         assert_eq!(plain(&of(&one, "?", &wrong), &one), none, "{wrong}");
     }
-    assert_eq!(of(&two, "?", query).status, 404, "another photo's");
-    // a link allows reading only
-    let stranger =
-        |method: &str| ask(&server, method, &format!("/v1/photos/{one}?{query}"), &[("content-type", "application/json")], b"{}");
-    assert_eq!((stranger("PATCH").status, stranger("DELETE").status), (404, 404));
     // it expires
     let short = links("?seconds=1").json();
     let short = short["query"].as_str().unwrap();
@@ -275,42 +204,20 @@ fn links_are_valid_for_one_photo_until_they_expire() {
 }
 
 #[test]
-fn keys_have_scopes_and_are_replaced_while_the_server_runs() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), name, scopes, None).unwrap());
-    let (up, read) = (key("site", &[Scope::Upload]), key("site", &[Scope::Read]));
-    let (other, admin) = (key("other", &[Scope::Upload, Scope::Read]), key("boss", &[Scope::Admin]));
+fn keys_list_the_photos_of_their_name_and_are_replaced_while_the_server_runs() {
+    let server = private();
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(server.data(), name, scopes, None).unwrap());
+    let (up, read, admin) = (key("site", &[Scope::Upload]), key("site", &[Scope::Read]), key("boss", &[Scope::Admin]));
     let photo = id(&upload(&server, Some(&up), 1));
-    let by = |who: &str, method: &str, path: &str| {
-        ask(
-            &server,
-            method,
-            path,
-            &[("authorization", who), ("content-type", "application/json")],
-            if method == "PATCH" { b"{}" } else { b"" },
-        )
-    };
-    let at = format!("/v1/photos/{photo}");
-    assert_eq!((by(&read, "GET", &at).status, by(&up, "GET", &at).status), (200, 404));
-    assert_eq!((by(&read, "PATCH", &at).status, by(&up, "PATCH", &at).status), (404, 200));
-    assert_eq!((by(&other, "GET", &at).status, by(&admin, "GET", &at).status), (404, 200));
-    assert_eq!(by(&up, "GET", "/v1/photos").problem(403)["type"], "urn:tmpi:problem:scope");
-    assert_eq!(ask(&server, "POST", "/v1/photos", &[("authorization", &read)], &jpeg(2)).problem(403)["type"], "urn:tmpi:problem:scope");
-    assert_eq!((ids(&by(&read, "GET", "/v1/photos")), ids(&by(&admin, "GET", "/v1/photos"))), (vec![photo.clone()], vec![photo]));
-    assert_eq!((by(&read, "GET", "/metrics").status, by(&admin, "GET", "/metrics").status), (403, 200));
-    let meter = key("meter", &[Scope::Metrics]);
-    assert_eq!(
-        (by(&meter, "GET", "/metrics").status, by(&meter, "GET", &at).status, by(&meter, "GET", "/v1/network").status),
-        (200, 404, 403)
-    );
+    let by = |who: &str, path: &str| ask(&server, "GET", path, &[("authorization", who)], &[]);
+    assert_eq!((ids(&by(&read, "/v1/photos")), ids(&by(&admin, "/v1/photos"))), (vec![photo.clone()], vec![photo.clone()]));
     // replace the key: the photos stay
-    let new = key("site", &[Scope::Upload, Scope::Read]);
-    assert_eq!((by(&new, "GET", &at).status, by(&read, "GET", &at).status), (200, 200));
-    for old in key_fixture::read(dir.path()).unwrap().iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {
-        assert_eq!(key_fixture::remove(dir.path(), "site", Some(&old.id)).unwrap(), 1);
+    let (new, at) = (key("site", &[Scope::Upload, Scope::Read]), format!("/v1/photos/{photo}"));
+    assert_eq!((by(&new, &at).status, by(&read, &at).status), (200, 200));
+    for old in key_fixture::read(server.data()).unwrap().iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {
+        assert_eq!(key_fixture::remove(server.data(), "site", Some(&old.id)).unwrap(), 1);
     }
-    assert_eq!((by(&new, "GET", &at).status, by(&read, "GET", &at).status), (200, 401));
+    assert_eq!((by(&new, &at).status, by(&read, &at).status), (200, 401));
 }
 
 /// What the server logs while the tests of this program run.
@@ -332,11 +239,10 @@ impl std::io::Write for Log {
 #[test]
 fn no_secret_is_logged() {
     tracing_subscriber::fmt().with_max_level(tracing_subscriber::filter::LevelFilter::DEBUG).with_writer(|| Log).try_init().unwrap();
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     let ann = secret("z");
     let photo = id(&upload(&server, Some(&ann), 1));
-    let key = format!("Bearer {}", key_fixture::add(dir.path(), "site", &[Scope::Read], None).unwrap());
+    let key = format!("Bearer {}", key_fixture::add(server.data(), "site", &[Scope::Read], None).unwrap());
     let manage = upload(&server, None, 2)["links"]["manage"].as_str().unwrap().to_owned();
     let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", &ann)], &[]).json();
     let query = link["query"].as_str().unwrap().to_owned();
@@ -352,9 +258,9 @@ fn no_secret_is_logged() {
         ask(&server, method, &format!("/v1/photos/{managed}"), &[("authorization", &token)], &[]);
         ask(&server, method, &format!("/v1/photos/{managed}"), &[("cookie", &token.replace("Bearer ", "tmpi_manage="))], &[]);
     }
-    server.stop();
+    let server = server.restarted();
     let mut kept: Vec<(String, String)> = ["library.db", "library.db-wal"]
-        .map(|file| (file.to_owned(), String::from_utf8_lossy(&std::fs::read(dir.path().join(file)).unwrap_or_default()).into_owned()))
+        .map(|file| (file.to_owned(), String::from_utf8_lossy(&std::fs::read(server.data().join(file)).unwrap_or_default()).into_owned()))
         .into();
     let log = String::from_utf8_lossy(&LOG.lock().unwrap()).into_owned();
     assert!(log.contains(&photo) && log.contains("request"), "the log has something: {log}");

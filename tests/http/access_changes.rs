@@ -1,12 +1,8 @@
 //! Open event streams and known tags after keys, links and settings have changed.
 
-use std::time::{Duration, Instant};
-
-use crate::access::{HOST, ask, id, private, private_with, secret, upload};
-use crate::client::get;
 use crate::events::Events;
-use crate::fixture::{Gate, jpeg};
-use crate::key_fixture::{self, Scope};
+use crate::key_fixture;
+use crate::prelude::*;
 
 /// A stream ends within this time after its credential: the pause between two checks, and some for a busy machine.
 const SOON: Duration = Duration::from_secs(20);
@@ -24,10 +20,9 @@ fn ends(mut events: Events) -> bool {
 
 #[test]
 fn event_streams_end_with_their_credential() {
-    let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
-    let server = private_with(dir.path(), gate.clone());
-    let key = |scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), "site", scopes, None).unwrap());
+    let server = private_with(Limits::default(), gate.clone());
+    let key = |scopes: &[Scope]| format!("Bearer {}", key_fixture::add(server.data(), "site", scopes, None).unwrap());
     let (owner, reader) = (key(&[Scope::Upload, Scope::Read]), key(&[Scope::Read]));
     let accepted = ask(&server, "POST", "/v1/photos", &[("authorization", &owner)], &jpeg(1));
     assert_eq!(accepted.status, 202);
@@ -47,9 +42,9 @@ fn event_streams_end_with_their_credential() {
     };
     let (of_owner, of_reader) = (open("", Some(&owner)), open("", Some(&reader)));
     // remove the reader's key; the owner's stays
-    let all = key_fixture::read(dir.path()).unwrap();
+    let all = key_fixture::read(server.data()).unwrap();
     let gone = all.iter().find(|k| !k.may(Scope::Upload)).unwrap();
-    assert_eq!(key_fixture::remove(dir.path(), "site", Some(&gone.id)).unwrap(), 1);
+    assert_eq!(key_fixture::remove(server.data(), "site", Some(&gone.id)).unwrap(), 1);
     assert!(ends(of_reader), "the key was removed");
     // a link expires
     let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links?seconds=3"), &[("authorization", &owner)], &[]).json();
@@ -71,8 +66,7 @@ fn event_streams_end_with_their_credential() {
 
 #[test]
 fn visibility_is_a_setting_like_others() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     let ann = secret("a");
     let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
@@ -104,5 +98,5 @@ fn visibility_is_a_setting_like_others() {
     // a list depends on the caller and has no tag
     let bobs = ask(&server, "GET", "/v1/photos", &[("authorization", &secret("b")), ("if-none-match", "*")], &[]);
     assert_eq!((bobs.status, bobs.header("cache-control"), bobs.header("etag")), (200, Some("private, no-cache"), None));
-    assert!(bobs.all("vary").contains("cookie") && get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len() == 1);
+    assert!(bobs.all("vary").contains("cookie") && server.listed().len() == 1);
 }

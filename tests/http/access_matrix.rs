@@ -5,11 +5,10 @@ use std::fmt::Write as _;
 
 use tmpi::server::{Access, Route, routes};
 
-use crate::access::{HOST, id, private, secret, upload};
-use crate::client::{Response, request};
-use crate::fixture::{Running, jpeg, wait_until};
-use crate::key_fixture::{self, Scope};
-use crate::open_matrix::{MORE, target};
+use crate::access::plain;
+use crate::key_fixture;
+use crate::open_matrix::{MORE, NONE, address, send, target};
+use crate::prelude::*;
 
 /// What a caller may do with the requested photo and with the server.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -86,8 +85,7 @@ impl Caller {
         Self { photo: photo.to_owned(), ..self }
     }
 
-    fn ask(&self, server: &Running, route: &Route, method: &str) -> Response {
-        let mut path = target(route, method, &self.photo);
+    fn ask(&self, server: &Running, route: &Route, method: &str, mut path: String) -> Response {
         // routes of rooms do not take a link's parameters
         if let Some(link) = self.link.as_ref().filter(|_| !route.path.starts_with("/v1/live/")) {
             path = format!("{path}{}{link}", if path.contains('?') { '&' } else { '?' });
@@ -96,19 +94,7 @@ impl Caller {
         if !self.here && !headers.iter().any(|(name, _)| *name == "host") {
             headers.push(HOST);
         }
-        let takes_json = method == "PATCH" || method == "POST" && route.path == "/v1/webhooks";
-        let body = match method {
-            "POST" if route.path == "/v1/photos" => jpeg(1),
-            _ if takes_json => b"{}".to_vec(),
-            _ => Vec::new(),
-        };
-        if takes_json {
-            headers.push(("content-type", "application/json"));
-        }
-        if method == "OPTIONS" {
-            headers.push(("access-control-request-method", "GET"));
-        }
-        request(server.addr, method, &path, &headers, &body)
+        send(server, route, method, &path, headers)
     }
 }
 
@@ -167,12 +153,23 @@ fn link(server: &Running, owner: &str, photo: &str, seconds: u64) -> (String, St
     (told["query"].as_str().unwrap().to_owned(), token)
 }
 
+/// A wrong method is answered with the allowed ones, and another owner's private photo with the same bytes as an unknown one.
+fn refuses_well(server: &Running, route: &Route, method: &str, caller: &Caller) {
+    let [answer, unknown] = [caller.photo.as_str(), NONE].map(|photo| caller.ask(server, route, method, address(route, photo)));
+    if answer.status == 405 {
+        let allowed = answer.all("allow");
+        assert!(route.methods.iter().all(|m| allowed.split(',').any(|a| a.trim() == m)), "{method} {}: {allowed}", route.path);
+    }
+    if route.path.contains("{id}") || route.path == "/oembed" {
+        assert_eq!(plain(&answer, &caller.photo), plain(&unknown, NONE), "{method} {}", route.path);
+    }
+}
+
 #[test]
 fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     let ann = secret("a");
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), name, scopes, None).unwrap());
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(server.data(), name, scopes, None).unwrap());
     let site = key("site", &[Scope::Upload, Scope::Read]);
     let (of_ann, of_site) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 1)));
     let (taken_link, taken_back) = link(&server, &ann, &of_ann, 600);
@@ -245,12 +242,15 @@ fn every_route_of_a_private_server_answers_every_caller_as_it_should() {
             for method in own.chain(MORE) {
                 let _ = write!(table, "| {method} {} |", route.path);
                 for caller in &callers {
-                    let answer = caller.ask(&server, route, method);
+                    let answer = caller.ask(&server, route, method, target(route, method, &caller.photo));
                     let (status, problem) = expected(route, method, caller, shown);
                     let what = format!("{visibility}, {}: {method} {}", caller.what, route.path);
                     assert_eq!(answer.status, status, "{what}: {}", String::from_utf8_lossy(&answer.body));
                     if let Some(kind) = problem.filter(|_| method != "HEAD") {
                         assert_eq!(answer.problem(status)["type"], format!("urn:tmpi:problem:{kind}"), "{what}");
+                    }
+                    if !shown && caller.what == "another owner" {
+                        refuses_well(&server, route, method, caller);
                     }
                     let text = String::from_utf8_lossy(&answer.body);
                     let blind = !shown && !caller.may.see() && !caller.may.change();

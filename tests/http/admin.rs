@@ -1,43 +1,30 @@
 //! The admin listener, and caches that are emptied when idle.
 
-use std::net::SocketAddr;
-use std::path::Path;
-use std::sync::Arc;
-use std::time::Duration;
-
-use tmpi::server::{Config, Limits, Server};
-use tmpi_render::Backend;
-
-use crate::client::{get, request};
-use crate::fixture::figure;
-use crate::fixture::{Running, jpeg, pipeline, wait_until};
+use crate::prelude::*;
 
 /// A server with `--access private`, and the address of its admin listener.
-fn start(data: &Path) -> (Running, SocketAddr) {
-    let any = SocketAddr::from(([127, 0, 0, 1], 0));
-    let config = Config { admin: Some(any), hosts: vec!["photos.example".into()], private: true, ..Config::new(any, data.to_owned()) };
+fn start() -> (Running, SocketAddr) {
     let (tell, told) = std::sync::mpsc::channel();
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    let server = Running::of(async move {
-        let server = Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap();
-        tell.send(server.admin_addr().unwrap()).unwrap();
-        server
+    let server = Running::owning(|data| {
+        let config = Config { admin: Some(([127, 0, 0, 1], 0).into()), private: true, ..usual(data) };
+        Running::launch(config, Arc::new(pipeline()), drawn_by_cpu(), move |server| {
+            tell.send(server.admin_addr().unwrap()).unwrap();
+            server
+        })
     });
     (server, told.recv().unwrap())
 }
 
 #[test]
 fn admin_routes_are_on_their_own_listener() {
-    let dir = tempfile::tempdir().unwrap();
-    let (server, admin) = start(dir.path());
-    let id = server.upload(&jpeg(1));
-    server.wait(&id, "done");
+    let (server, admin) = start();
+    let id = server.make(&jpeg(1));
     get(server.addr, "/metrics").problem(404);
     for path in ["/drain", &format!("/purge/{id}")] {
         assert!(matches!(request(server.addr, "POST", path, &[], &[]).status, 404 | 405), "{path} is on the admin listener only");
     }
     assert_eq!((get(admin, "/healthz").status, get(admin, "/readyz").status), (200, 200));
-    assert_eq!(figure(admin, "tmpi_photos_done"), Some(1));
+    assert_eq!(figure(admin, "tmpi_photos_done"), 1);
     let described = get(admin, "/openapi.json").json();
     let paths: Vec<_> = described["paths"].as_object().unwrap().keys().cloned().collect();
     assert_eq!(paths, ["/drain", "/healthz", "/metrics", "/purge/{id}", "/readyz"]);
@@ -68,13 +55,11 @@ fn admin_routes_are_on_their_own_listener() {
 
 #[test]
 fn idle_caches_are_emptied() {
-    let dir = tempfile::tempdir().unwrap();
     let limits = Limits { idle: Duration::from_millis(500), ..Limits::default() };
-    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
-    let id = server.upload(&jpeg(1));
-    server.wait(&id, "done");
+    let server = Running::with(limits, Arc::new(pipeline()));
+    let id = server.make(&jpeg(1));
     let path = |what: &str| format!("/v1/photos/{id}/{what}");
-    let kept = || ["scene", "file", "view", "level"].map(|of| figure(server.addr, &format!("tmpi_{of}_cache_bytes")).unwrap());
+    let kept = || ["scene", "file", "view", "level"].map(|of| server.metric(&format!("tmpi_{of}_cache_bytes")));
     let ask = || {
         ["view?w=32", "atlas", "atlas?level=1"].map(|what| {
             let answer = get(server.addr, &path(what));

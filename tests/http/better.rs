@@ -1,35 +1,14 @@
 //! `better_depth`: which callers see it, and making the photo again with the better network.
 
-use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
-use serde_json::{Value, json};
-use tmpi::server::{Fault, Limits, Maker, PipelineMaker, Product};
-use tmpi_core::{DisparityMap, Photo};
-use tmpi_pipeline::depth::{DepthError, Estimator};
-use tmpi_pipeline::{MakeError, Models, Options, Sink};
+use tmpi::server::PipelineMaker;
 
-use crate::access::{HOST, ask, id, private_with, secret, upload};
-use crate::client::{get, post_form, request};
-use crate::fixture::{Running, contents, depth_map, jpeg};
-use crate::key_fixture::{self, Scope};
+use crate::key_fixture;
+use crate::prelude::*;
 
 const WORSE: &str = "tmpi";
 const BETTER: &str = "depth-anything-v2-small-fp16";
-
-/// A network with this name that estimates a flat wall.
-struct Called(&'static str);
-
-impl Estimator for Called {
-    fn name(&self) -> &'static str {
-        self.0
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
-    }
-}
 
 /// Makes photos with a worse network until the better one is set.
 struct Renewing {
@@ -40,8 +19,7 @@ struct Renewing {
 
 impl Renewing {
     fn new() -> Arc<Self> {
-        let with = |name| PipelineMaker::new(Models { depth: Arc::new(Called(name)), theta: None, psi: None }, Limits::default().photo());
-        Arc::new(Self { worse: with(WORSE), better: with(BETTER), is_here: AtomicBool::new(false) })
+        Arc::new(Self { worse: with_network(WORSE), better: with_network(BETTER), is_here: AtomicBool::new(false) })
     }
 
     fn now(&self) -> &PipelineMaker {
@@ -69,11 +47,10 @@ impl Maker for Renewing {
 
 #[test]
 fn callers_who_may_make_a_photo_again_are_told_of_a_better_network() {
-    let dir = tempfile::tempdir().unwrap();
     let maker = Renewing::new();
-    let server = private_with(dir.path(), maker.clone());
+    let server = private_with(Limits::default(), maker.clone());
     let (ann, bob) = (secret("a"), secret("b"));
-    let key = |name: &str, scope| format!("Bearer {}", key_fixture::add(dir.path(), name, &[scope], None).unwrap());
+    let key = |name: &str, scope| format!("Bearer {}", key_fixture::add(server.data(), name, &[scope], None).unwrap());
     let (reader, boss) = (key("reader", Scope::Read), key("boss", Scope::Admin));
     let photo = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let state = |who: &str| ask(&server, "GET", &photo, &[("authorization", who)], &[]);
@@ -117,25 +94,18 @@ fn without_authentication_every_caller_is_told_of_a_better_network() {
     fn better(server: &Running, path: &str) -> Value {
         request(server.addr, "GET", path, &[HOST], &[]).json()["better_depth"].clone()
     }
-    fn start(data: &Path, maker: &Arc<Renewing>) -> Running {
-        Running::start(data, Limits::default(), maker.clone())
-    }
-    let dir = tempfile::tempdir().unwrap();
     let maker = Renewing::new();
-    let server = start(dir.path(), &maker);
-    let id = server.upload(&jpeg(1));
-    server.wait(&id, "done");
+    let server = Running::with(Limits::default(), maker.clone());
+    let id = server.make(&jpeg(1));
     let photo = format!("/v1/photos/{id}");
     assert_eq!(better(&server, &photo), Value::Null);
-    server.stop();
     maker.set(true);
-    let server = start(dir.path(), &maker);
+    let server = server.again(Limits::default(), maker.clone());
     assert_eq!(better(&server, &photo), BETTER, "after a restart");
     let list = get(server.addr, "/v1/photos").json();
     assert!(list["photos"][0]["id"] == id.as_str() && list["photos"][0].get("better_depth").is_none(), "{list}");
     // a photo without its report is damaged: nothing is offered
-    std::fs::remove_file(&contents(dir.path(), &id, "report")[0]).unwrap();
-    server.stop();
-    let server = start(dir.path(), &maker);
+    std::fs::remove_file(&contents(server.data(), &id, "report")[0]).unwrap();
+    let server = server.again(Limits::default(), maker);
     assert_eq!(better(&server, &photo), Value::Null);
 }

@@ -1,18 +1,13 @@
 //! Damage on disk: a read or the regular integrity check notices it, the state reports it, the same upload repairs it.
 
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::time::Duration;
 
-use tmpi::server::{Caches, Limits};
-use tmpi_render::PictureFormat;
+use tmpi::server::Caches;
 
-use crate::client::get;
-use crate::fixture::{Running, contents, jpeg, picture, pipeline, wait_until};
+use crate::prelude::*;
 
 /// A finished photo and the original bytes of its container.
 struct Made {
-    dir: tempfile::TempDir,
     server: Running,
     photo: Vec<u8>,
     id: String,
@@ -20,12 +15,10 @@ struct Made {
 }
 
 fn made(limits: Limits, photo: Vec<u8>) -> Made {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
-    let id = server.upload(&photo);
-    server.wait(&id, "done");
-    let whole = std::fs::read(&contents(dir.path(), &id, "container")[0]).unwrap();
-    Made { dir, server, photo, id, whole }
+    let server = Running::with(limits, Arc::new(pipeline()));
+    let id = server.make(&photo);
+    let whole = std::fs::read(&contents(server.data(), &id, "container")[0]).unwrap();
+    Made { server, photo, id, whole }
 }
 
 impl Made {
@@ -34,7 +27,7 @@ impl Made {
         let mut all = Vec::new();
         // the old file is deleted after the answer
         wait_until("there is one", || {
-            all = contents(self.dir.path(), &self.id, part);
+            all = contents(self.server.data(), &self.id, part);
             all.len() == 1
         });
         all.remove(0)
@@ -76,16 +69,7 @@ fn unnoticed_damage_is_repaired_by_the_same_upload() {
 #[test]
 fn requests_for_a_damaged_photo_report_the_damage() {
     // a container that is streamed from disk, and one that is kept in memory
-    let noise: Vec<u8> = {
-        let mut seed = 7u32;
-        let mut next = || {
-            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (seed >> 24) as u8
-        };
-        let rgb: Vec<u8> = (0..600 * 500 * 3).map(|_| next()).collect();
-        tmpi_core::container::encode_jpeg(600, 500, &rgb, 90).unwrap()
-    };
-    for (photo, large) in [(picture(1, PictureFormat::Jpeg), false), (noise, true)] {
+    for (photo, large) in [(jpeg(1), false), (noise(), true)] {
         // no caches
         let made = made(Limits { cache: Caches { scenes: 0, files: 0, views: 0, ..Caches::default() }, ..Limits::default() }, photo);
         assert_eq!(made.whole.len() > 256 << 10, large);
@@ -104,8 +88,7 @@ fn requests_for_a_damaged_photo_report_the_damage() {
                 assert!(state["problem"]["detail"].as_str().unwrap().contains("container is damaged"), "{state}");
                 // the photo's other files are not served either
                 get(made.server.addr, &format!("/v1/photos/{}/thumbnail", made.id)).problem(500);
-                let metrics = String::from_utf8(get(made.server.addr, "/metrics").body).unwrap();
-                assert!(metrics.contains("tmpi_photos_damaged 1"), "{context}");
+                assert_eq!(made.server.metric("tmpi_photos_damaged"), 1, "{context}");
                 made.heal(&context);
             }
         }

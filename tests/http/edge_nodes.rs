@@ -2,8 +2,7 @@
 //! tests say so and pass.
 
 use std::collections::BTreeMap;
-use std::net::{SocketAddr, TcpListener};
-use std::time::Instant;
+use std::net::TcpListener;
 
 use bytes::Bytes;
 use tempfile::tempdir;
@@ -13,11 +12,10 @@ use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{TileState, read};
 
-use super::client::{get, request};
-use super::fixture::{figure, wait_until};
-use super::live::{Client, KEY, Publisher, SIZE, frame, frame_of};
-use super::nodes::Shared;
-use super::process::Process;
+use crate::live::{Client, KEY, Publisher, SIZE, frame, frame_of};
+use crate::nodes::Shared;
+use crate::prelude::*;
+use crate::process::Process;
 
 /// A node with `--advertise`.
 struct Node {
@@ -35,7 +33,7 @@ fn node(shared: &Shared, name: &str, arguments: &[&str]) -> Node {
 impl Node {
     /// How many rooms it is an edge of.
     fn edges(&self) -> u64 {
-        figure(self.addr, "tmpi_live_edges").expect("it is counted")
+        figure(self.addr, "tmpi_live_edges")
     }
 
     fn room(&self, room: &str, path: &str) -> super::client::Response {

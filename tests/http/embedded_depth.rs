@@ -1,16 +1,12 @@
 //! Photos with depth: in their file, in the three formats of phones, or as a map in the form.
 
 use std::io::Cursor;
-use std::sync::Arc;
 
 use image::{DynamicImage, GrayImage, ImageFormat, Luma};
-use serde_json::Value;
-use tmpi::server::Limits;
 use tmpi_core::{Class, Scene, TileFrame};
 use tmpi_pipeline::depth::{DepthKind, from_map};
 
-use crate::client::{get, post_form, request};
-use crate::fixture::{Running, depth_map, jpeg, pipeline};
+use crate::prelude::*;
 
 /// Files as phones write them: 64 × 48 pixels, maps of half that size with one step in the middle.
 const PHONES: [(&str, &[u8], [f64; 2]); 3] = [
@@ -22,12 +18,6 @@ const PHONES: [(&str, &[u8], [f64; 2]); 3] = [
 ];
 /// The error of a value in a JPEG, and some margin.
 const CLOSE: f64 = 0.012;
-
-fn start() -> (tempfile::TempDir, Running) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    (dir, server)
-}
 
 /// A finished photo.
 struct Made {
@@ -104,7 +94,7 @@ fn correlation(a: impl Iterator<Item = f64> + Clone, b: impl Iterator<Item = f64
 
 #[test]
 fn depth_in_the_file_is_used_unless_it_is_off() {
-    let (_dir, server) = start();
+    let server = Running::open();
     for (name, file, ends) in PHONES {
         let with = made(&server, &server.upload(file));
         let input = &with.report["input"];
@@ -128,7 +118,7 @@ fn depth_in_the_file_is_used_unless_it_is_off() {
 
 #[test]
 fn a_map_in_the_form_is_used_in_every_format() {
-    let (_dir, server) = start();
+    let server = Running::open();
     let grey = |w, h| DynamicImage::from(GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 64 } else { 191 }])));
     let file = |picture: DynamicImage, format| {
         let mut out = Cursor::new(Vec::new());

@@ -1,18 +1,6 @@
 //! Versions in addresses, entity tags, ranges, and checks of queries.
 
-use std::sync::Arc;
-
-use tmpi::server::{Limits, Maker};
-use tmpi_render::PictureFormat;
-
-use crate::client::{form, get, post_form, request};
-use crate::fixture::{Running, jpeg, picture, pipeline};
-
-fn start(maker: Arc<dyn Maker>) -> (tempfile::TempDir, Running) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), maker);
-    (dir, server)
-}
+use crate::prelude::*;
 
 const PARTS: [&str; 9] = [
     "atlas",
@@ -28,7 +16,7 @@ const PARTS: [&str; 9] = [
 
 #[test]
 fn only_addresses_with_the_version_are_immutable() {
-    let (_dir, server) = start(Arc::new(pipeline()));
+    let server = Running::open();
     let id = server.upload(&picture(1, PictureFormat::Png));
     let version = server.wait(&id, "done")["version"].as_str().unwrap().to_owned();
     for part in PARTS {
@@ -52,38 +40,11 @@ fn only_addresses_with_the_version_are_immutable() {
     }
 }
 
-/// The pipeline with another identity.
-struct Named(&'static str);
-
-impl Maker for Named {
-    fn identity(&self) -> &str {
-        self.0
-    }
-
-    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &tmpi_pipeline::Options) -> Result<(), tmpi_pipeline::MakeError> {
-        pipeline().check(photo, depth, options)
-    }
-
-    fn make(
-        &self,
-        photo: &[u8],
-        depth: Option<&[u8]>,
-        options: &tmpi_pipeline::Options,
-        sink: &dyn tmpi_pipeline::Sink,
-    ) -> Result<tmpi::server::Product, tmpi::server::Fault> {
-        pipeline().make(photo, depth, options, sink)
-    }
-}
-
 #[test]
 fn a_better_network_makes_the_photo_again() {
-    let dir = tempfile::tempdir().unwrap();
-    let with = |name| Running::start(dir.path(), Limits::default(), Arc::new(Named(name)));
-    let server = with("a network");
-    let first = server.upload(&jpeg(1));
-    server.wait(&first, "done");
-    server.stop();
-    let server = with("a better network");
+    let server = Running::with(Limits::default(), Arc::new(pipeline().with_identity("a network")));
+    let first = server.make(&jpeg(1));
+    let server = server.again(Limits::default(), Arc::new(pipeline().with_identity("a better network")));
     let second = server.upload(&jpeg(1));
     assert_ne!(first, second);
     server.wait(&second, "done");
@@ -93,7 +54,7 @@ fn a_better_network_makes_the_photo_again() {
 
 #[test]
 fn a_photo_made_anew_has_another_version() {
-    let (_dir, server) = start(Arc::new(pipeline()));
+    let server = Running::open();
     let id = server.upload(&jpeg(1));
     let before = server.wait(&id, "done")["version"].clone();
     assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{id}"), &[], &[]).status, 204);
@@ -103,9 +64,8 @@ fn a_photo_made_anew_has_another_version() {
 
 #[test]
 fn ranges_apply_to_get_only() {
-    let (_dir, server) = start(Arc::new(pipeline()));
-    let id = server.upload(&jpeg(1));
-    server.wait(&id, "done");
+    let server = Running::open();
+    let id = server.make(&jpeg(1));
     let path = format!("/v1/photos/{id}/atlas");
     let whole = get(server.addr, &path);
     let head = request(server.addr, "HEAD", &path, &[("range", "bytes=0-3")], &[]);
@@ -119,9 +79,8 @@ fn ranges_apply_to_get_only() {
 
 #[test]
 fn unknown_and_repeated_query_parameters_are_refused_on_every_route() {
-    let (_dir, server) = start(Arc::new(pipeline()));
-    let id = server.upload(&picture(1, PictureFormat::Png));
-    server.wait(&id, "done");
+    let server = Running::open();
+    let id = server.make(&picture(1, PictureFormat::Png));
     let photo = format!("/v1/photos/{id}");
     for part in ["", "/atlas", "/depth", "/report", "/thumbnail", "/view", "/export", "/settings", "/events"] {
         assert_eq!(get(server.addr, &format!("{photo}{part}?zz=1")).problem(400)["field"], "zz", "{part}");

@@ -1,13 +1,6 @@
 //! Progress as server-sent events.
 
-use std::sync::Arc;
-use std::time::Duration;
-
-use serde_json::Value;
-use tmpi::server::Limits;
-
-use crate::client::{Connection, get, request};
-use crate::fixture::{Gate, Running, jpeg, pipeline, spoilt_map};
+use crate::prelude::*;
 
 /// An open event stream.
 pub struct Events {
@@ -44,9 +37,8 @@ impl Events {
 
 #[test]
 fn queued_stages_done_and_the_end() {
-    let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
-    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let server = Running::with(Limits::default(), gate.clone());
     let _busy = server.upload(&jpeg(1));
     gate.wait_started(1);
     let id = server.upload(&jpeg(2));
@@ -72,9 +64,8 @@ fn queued_stages_done_and_the_end() {
 
 #[test]
 fn waiting_clients_are_told_when_the_queue_moves() {
-    let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
-    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let server = Running::with(Limits::default(), gate.clone());
     let ids: Vec<String> = (0..3).map(|seed| server.upload(&jpeg(seed))).collect();
     gate.wait_started(1);
     let mut events = Events::open(&server, &ids[2]);
@@ -89,9 +80,8 @@ fn waiting_clients_are_told_when_the_queue_moves() {
 
 #[test]
 fn late_listeners_get_the_last_stage_first() {
-    let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
-    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let server = Running::with(Limits::default(), gate.clone());
     let id = server.upload(&jpeg(1));
     gate.wait_started(1);
     server.wait(&id, "working");
@@ -106,9 +96,8 @@ fn late_listeners_get_the_last_stage_first() {
 
 #[test]
 fn failures_and_unknown_photos() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    let failed = crate::client::post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json();
+    let server = Running::open();
+    let failed = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json();
     let mut events = Events::open(&server, failed["id"].as_str().unwrap());
     let last = std::iter::from_fn(|| events.next()).last().unwrap();
     assert_eq!((last.0.as_str(), last.1["status"].as_u64()), ("failed", Some(422)));
@@ -117,9 +106,8 @@ fn failures_and_unknown_photos() {
 
 #[test]
 fn idle_streams_get_comments_and_a_stop_ends_them() {
-    let dir = tempfile::tempdir().unwrap();
     let limits = Limits { keep_alive: Duration::from_millis(30), drain: Duration::from_millis(500), ..Limits::default() };
-    let mut server = Running::start(dir.path(), limits, Gate::new(0));
+    let mut server = Running::with(limits, Gate::new(0));
     let _busy = server.upload(&jpeg(1));
     let id = server.upload(&jpeg(2));
     let mut events = Events::open(&server, &id);

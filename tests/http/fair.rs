@@ -1,31 +1,20 @@
 //! Fairness: requests delay only requests of their own kind, and waiting requests hold no memory.
-#![allow(clippy::float_cmp, reason = "counts that must be exact")]
 
 use std::io::Read as _;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Duration;
+use std::sync::atomic::AtomicUsize;
 
-use tmpi::server::{Caches, Fault, Limits, Maker, Product};
-use tmpi_pipeline::{MakeError, Options, Sink};
-use tmpi_render::{PictureFormat, View, encode};
+use tmpi::server::Caches;
 
-use crate::client::{Connection, get, request};
-use crate::fixture::{Gate, Running, SlowDrawing, contents, incoming, jpeg, pipeline, wait_until};
+use crate::prelude::*;
 
 const HELD: u32 = SlowDrawing::HELD;
 
 /// A server with finished photos and a renderer that the test opens.
-fn start(limits: Limits, photos: u8) -> (tempfile::TempDir, Running, Vec<String>, Arc<SlowDrawing>) {
-    let dir = tempfile::tempdir().unwrap();
+fn start(limits: Limits, photos: u8) -> (Running, Vec<String>, Arc<SlowDrawing>) {
     let drawing = Arc::new(SlowDrawing::default());
-    let server = Running::drawing(dir.path(), limits, Arc::new(pipeline()), drawing.clone());
-    let photos = (0..photos).map(|seed| server.upload(&jpeg(seed))).collect::<Vec<_>>();
-    for id in &photos {
-        server.wait(id, "done");
-    }
-    let photos = photos.iter().map(|id| format!("/v1/photos/{id}")).collect();
-    (dir, server, photos, drawing)
+    let server = Running::drawing(drawing.clone(), Arc::new(pipeline()), |config| Config { limits, ..config });
+    let photos = (0..photos).map(|seed| format!("/v1/photos/{}", server.make(&jpeg(seed)))).collect();
+    (server, photos, drawing)
 }
 
 fn ask(server: &Running, path: &str) -> Connection {
@@ -34,15 +23,9 @@ fn ask(server: &Running, path: &str) -> Connection {
     client
 }
 
-/// A value of `/metrics`; 0 if it is missing.
-fn metric(server: &Running, name: &str) -> f64 {
-    let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-    text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse().ok()).unwrap_or(0.0)
-}
-
 #[test]
 fn films_do_not_delay_views_and_views_do_not_delay_levels_or_files() {
-    let (_dir, server, photos, drawing) = start(Limits { views: 1, ..Limits::default() }, 1);
+    let (server, photos, drawing) = start(Limits { views: 1, ..Limits::default() }, 1);
     let photo = &photos[0];
     let _film = ask(&server, &format!("{photo}/view?path=orbit&frames=2&w={HELD}"));
     wait_until("the film is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
@@ -52,7 +35,7 @@ fn films_do_not_delay_views_and_views_do_not_delay_levels_or_files() {
     assert_eq!(get(server.addr, &format!("{photo}/atlas?level=1")).status, 200);
     // waiting views do not delay these
     let _more: Vec<_> = (0..8).map(|n| ask(&server, &format!("{photo}/view?ty=0.0{n}&w={HELD}"))).collect();
-    wait_until("they wait", || metric(&server, "tmpi_views_waiting") >= 8.0);
+    wait_until("they wait", || server.metric("tmpi_views_waiting") >= 8);
     for path in ["/healthz", "/readyz", "/metrics"] {
         assert_eq!(get(server.addr, path).status, 200, "{path}");
     }
@@ -61,15 +44,15 @@ fn films_do_not_delay_views_and_views_do_not_delay_levels_or_files() {
 
 #[test]
 fn a_film_ends_with_its_client() {
-    let (_dir, server, photos, drawing) = start(Limits::default(), 1);
+    let (server, photos, drawing) = start(Limits::default(), 1);
     let film = ask(&server, &format!("{}/view?path=orbit&frames=240&w={HELD}", photos[0]));
     wait_until("it is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
     let before = drawing.begun.load(Ordering::SeqCst);
     drop(film);
-    wait_until("the request is gone", || metric(&server, "tmpi_requests_in_flight") <= 1.0);
+    wait_until("the request is gone", || server.metric("tmpi_requests_in_flight") <= 1);
     drawing.open();
     // the slot becomes free after the current frame
-    wait_until("the memory is free", || metric(&server, "tmpi_work_memory_bytes") == 0.0);
+    wait_until("the memory is free", || server.metric("tmpi_work_memory_bytes") == 0);
     assert_eq!(drawing.begun.load(Ordering::SeqCst), before, "no further picture was drawn");
 }
 
@@ -77,13 +60,13 @@ fn a_film_ends_with_its_client() {
 fn waiting_requests_hold_no_scene_and_memory_bounds_parallel_drawing() {
     const PHOTOS: u8 = 6;
     let limits = Limits { views: 8, work_memory: 2 << 20, cache: Caches { scenes: 0, ..Caches::default() }, ..Limits::default() };
-    let (_dir, server, photos, drawing) = start(limits, PHOTOS);
+    let (server, photos, drawing) = start(limits, PHOTOS);
     let clients: Vec<_> = photos.iter().map(|photo| ask(&server, &format!("{photo}/view?w={HELD}"))).collect();
     // each view reserves one unit of memory, of which a scene needs less
     wait_until("two are drawn", || drawing.held.load(Ordering::SeqCst) == 2);
-    wait_until("the others wait", || metric(&server, "tmpi_views_waiting") == f64::from(PHOTOS - 2));
-    assert_eq!(metric(&server, "tmpi_work_memory_bytes"), f64::from(2 << 20));
-    assert_eq!((drawing.held.load(Ordering::SeqCst), metric(&server, "tmpi_scene_cache_bytes")), (2, 0.0));
+    wait_until("the others wait", || server.metric("tmpi_views_waiting") == u64::from(PHOTOS - 2));
+    assert_eq!(server.metric("tmpi_work_memory_bytes"), 2 << 20);
+    assert_eq!((drawing.held.load(Ordering::SeqCst), server.metric("tmpi_scene_cache_bytes")), (2, 0));
     drawing.open();
     for mut client in clients {
         assert_eq!(client.receive("GET").unwrap().status, 200);
@@ -92,14 +75,14 @@ fn waiting_requests_hold_no_scene_and_memory_bounds_parallel_drawing() {
 
 #[test]
 fn a_view_is_drawn_once_for_all_clients_even_if_the_first_leaves() {
-    let (_dir, server, photos, drawing) = start(Limits::default(), 1);
+    let (server, photos, drawing) = start(Limits::default(), 1);
     let path = format!("{}/view?w={HELD}", photos[0]);
     let first = ask(&server, &path);
     wait_until("it is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
     let others: Vec<_> = (0..6).map(|_| ask(&server, &path)).collect();
-    wait_until("all ask", || metric(&server, "tmpi_requests_in_flight") >= 8.0);
+    wait_until("all ask", || server.metric("tmpi_requests_in_flight") >= 8);
     drop(first);
-    wait_until("one is gone", || metric(&server, "tmpi_requests_in_flight") <= 7.0);
+    wait_until("one is gone", || server.metric("tmpi_requests_in_flight") <= 7);
     drawing.open();
     for mut client in others {
         assert_eq!(client.receive("GET").unwrap().status, 200);
@@ -109,12 +92,12 @@ fn a_view_is_drawn_once_for_all_clients_even_if_the_first_leaves() {
 
 #[test]
 fn a_full_lane_answers_503() {
-    let (_dir, server, photos, drawing) = start(Limits { views: 1, views_waiting: 1, ..Limits::default() }, 1);
+    let (server, photos, drawing) = start(Limits { views: 1, views_waiting: 1, ..Limits::default() }, 1);
     let view = |n: u32| format!("{}/view?tx=0.0{n}&w={HELD}", photos[0]);
     let _drawn = ask(&server, &view(1));
     wait_until("one is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
     let _waits = ask(&server, &view(2));
-    wait_until("one waits", || metric(&server, "tmpi_views_waiting") == 1.0);
+    wait_until("one waits", || server.metric("tmpi_views_waiting") == 1);
     let refused = get(server.addr, &view(3));
     assert!(refused.header("retry-after").is_some());
     refused.problem(503);
@@ -123,7 +106,7 @@ fn a_full_lane_answers_503() {
 
 #[test]
 fn a_file_is_written_once_for_all_its_parts() {
-    let (dir, server, photos, _) = start(Limits::default(), 1);
+    let (server, photos, _) = start(Limits::default(), 1);
     let path = format!("{}/export?format=zip", photos[0]);
     let whole = get(server.addr, &path);
     assert!(whole.all("server-timing").contains("export;dur="));
@@ -134,27 +117,18 @@ fn a_file_is_written_once_for_all_its_parts() {
     for again in [&part, &head] {
         assert!(!again.all("server-timing").contains("export;dur="), "not written again");
     }
-    assert!(metric(&server, "tmpi_export_cache_bytes") >= whole.body.len() as f64);
-    assert_eq!(incoming(dir.path()), 0, "`incoming` stays empty");
+    assert!(server.metric("tmpi_export_cache_bytes") >= whole.body.len() as u64);
+    assert_eq!(incoming(server.data()), 0, "`incoming` stays empty");
     assert_eq!(request(server.addr, "DELETE", &photos[0], &[], &[]).status, 204);
-    assert_eq!(metric(&server, "tmpi_export_cache_bytes"), 0.0);
-}
-
-/// A photo whose container is too large to be kept in memory.
-fn noise() -> Vec<u8> {
-    let (width, height) = (640, 480);
-    let rgba =
-        (0..width * height).map(|i: u32| [(i.wrapping_mul(2_654_435_761) >> 24) as u8, (i.wrapping_mul(40_503) >> 7) as u8, i as u8, 255]);
-    encode(&View { width, height, rgba: rgba.collect() }, PictureFormat::Jpeg, 100).unwrap()
+    assert_eq!(server.metric("tmpi_export_cache_bytes"), 0);
 }
 
 #[test]
 fn a_large_file_is_streamed_and_a_damaged_one_is_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    let id = server.upload(&noise());
-    server.wait(&id, "done");
-    let file = contents(dir.path(), &id, "container").remove(0);
+    let server = Running::open();
+    // too large to be kept in memory
+    let id = server.make(&noise());
+    let file = contents(server.data(), &id, "container").remove(0);
     let bytes = std::fs::read(&file).unwrap();
     assert!(bytes.len() > 256 << 10, "{}", bytes.len());
     let path = format!("/v1/photos/{id}/atlas");
@@ -165,20 +139,17 @@ fn a_large_file_is_streamed_and_a_damaged_one_is_refused() {
     let part =
         request(server.addr, "GET", &path, &[("range", &format!("bytes={last}-")), ("if-range", whole.header("etag").unwrap())], &[]);
     assert_eq!((part.status, part.body.as_slice()), (206, &bytes[last..]));
-    server.stop();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let server = server.restarted();
     assert_eq!(get(server.addr, &path).header("etag"), whole.header("etag"));
-    server.stop();
     std::fs::write(&file, &bytes[..bytes.len() / 2]).unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let server = server.restarted();
     get(server.addr, &path).problem(500);
 }
 
 #[test]
 fn an_address_has_no_more_connections_than_its_share() {
-    let dir = tempfile::tempdir().unwrap();
     let limits = Limits { connections_per_address: 2, ..Limits::default() };
-    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
+    let server = Running::with(limits, Arc::new(pipeline()));
     let (mut a, mut b) = (Connection::open(server.addr), Connection::open(server.addr));
     assert_eq!((a.request("GET", "/healthz", &[], &[]).status, b.request("GET", "/healthz", &[], &[]).status), (200, 200));
     let mut third = Connection::open(server.addr);
@@ -193,8 +164,7 @@ fn an_address_has_no_more_connections_than_its_share() {
 
 #[test]
 fn event_streams_have_their_own_places() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits { streams: 1, ..Limits::default() }, crate::fixture::Gate::new(0));
+    let server = Running::with(Limits { streams: 1, ..Limits::default() }, Gate::new(0));
     let _busy = server.upload(&jpeg(1));
     let path = format!("/v1/photos/{}/events", server.upload(&jpeg(2)));
     let mut first = ask(&server, &path);
@@ -206,17 +176,15 @@ fn event_streams_have_their_own_places() {
 
 #[test]
 fn memory_bounds_the_number_of_parallel_jobs() {
-    let dir = tempfile::tempdir().unwrap();
     let one = pipeline().memory(&jpeg(1), None, &Options::default());
     let gate = Gate::new(0);
     let limits = Limits { workers: 4, job_memory: 2 * one + one / 2, ..Limits::default() };
-    let server = Running::start(dir.path(), limits, gate.clone());
+    let server = Running::with(limits, gate.clone());
     let ids: Vec<String> = (0..4).map(|seed| server.upload(&jpeg(seed))).collect();
     gate.wait_started(2);
     std::thread::sleep(Duration::from_millis(200));
     assert_eq!(gate.started.load(Ordering::SeqCst), 2, "there is memory for two");
-    let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-    assert!(metrics.contains(&format!("tmpi_job_memory_bytes {:?}", (2 * one) as f64)), "{metrics}");
+    assert_eq!(server.metric("tmpi_job_memory_bytes"), 2 * one);
     gate.open(1);
     gate.wait_started(3);
     gate.open(3);
@@ -247,9 +215,8 @@ impl Maker for Checks {
 
 #[test]
 fn parallel_checks_of_uploads_are_bounded() {
-    let dir = tempfile::tempdir().unwrap();
     let checks = Arc::new(Checks::default());
-    let server = Running::start(dir.path(), Limits { changes: 3, ..Limits::default() }, checks.clone());
+    let server = Running::with(Limits { changes: 3, ..Limits::default() }, checks.clone());
     std::thread::scope(|scope| {
         for seed in 0..12 {
             let server = &server;

@@ -1,160 +1,19 @@
-//! A server on a free port, small photos, and makers that a test can hold.
+//! A server on a free port, and small photos.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tmpi::live::{Config as RoomConfig, Rooms};
-use tmpi::server::{Config, Fault, HeadOf, Limits, Maker, PipelineMaker, Product, Server};
-use tmpi_core::{Camera, DisparityMap, Photo, Scene};
-use tmpi_pipeline::depth::{DepthError, Estimator};
-use tmpi_pipeline::{MakeError, Models, Options, Progress, Sink, photo};
-use tmpi_render::{Backend, PictureFormat, RenderError, Renderer, View, encode};
+use tmpi::server::{Config, Limits, Maker, Server};
+use tmpi_core::{DisparityMap, Photo};
+use tmpi_render::{Backend, PictureFormat, Renderer, View, encode};
 
 use crate::client;
-
-/// A network whose disparity grows towards the bottom, as in most photos.
-struct Ramp;
-
-impl Estimator for Ramp {
-    fn name(&self) -> &'static str {
-        "ramp"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        let (width, height) = (photo.width, photo.height);
-        let delta = (0..height).flat_map(|y| (0..width).map(move |_| (y + 1) as f32 / height as f32)).collect();
-        Ok(DisparityMap { width, height, delta })
-    }
-}
-
-/// The real pipeline with a ramp as depth network.
-pub fn pipeline() -> PipelineMaker {
-    way_within(Limits::default().photo())
-}
-
-/// The same with other limits.
-pub fn way_within(limits: photo::Limits) -> PipelineMaker {
-    PipelineMaker::new(Models { depth: Arc::new(Ramp), theta: None, psi: None }, limits)
-}
-
-/// The real pipeline behind a gate.
-pub struct Gate {
-    inner: PipelineMaker,
-    open: Mutex<usize>,
-    changed: Condvar,
-    pub started: AtomicUsize,
-    pub finished: AtomicUsize,
-}
-
-impl Gate {
-    /// A gate that lets `n` photos through.
-    pub fn new(n: usize) -> Arc<Self> {
-        Arc::new(Self {
-            inner: pipeline(),
-            open: Mutex::new(n),
-            changed: Condvar::new(),
-            started: AtomicUsize::new(0),
-            finished: AtomicUsize::new(0),
-        })
-    }
-
-    /// Lets `n` more through.
-    pub fn open(&self, n: usize) {
-        *self.open.lock().unwrap() += n;
-        self.changed.notify_all();
-    }
-
-    pub fn wait_started(&self, n: usize) {
-        wait_until("a job starts", || self.started.load(Ordering::SeqCst) >= n);
-    }
-}
-
-impl Maker for Gate {
-    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
-        self.inner.check(photo, depth, options)
-    }
-
-    fn check_head(&self, of: HeadOf<'_>, head: &[u8]) -> Result<Option<usize>, MakeError> {
-        self.inner.check_head(of, head)
-    }
-
-    fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
-        self.inner.memory(photo, depth, options)
-    }
-
-    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
-        self.started.fetch_add(1, Ordering::SeqCst);
-        sink.progress(&Progress { stage: "photo", step: 1, steps: 9, elapsed_ms: 0.0 });
-        let mut open = self.open.lock().unwrap();
-        while *open == 0 {
-            if sink.cancelled() {
-                return Err(Fault::Cancelled);
-            }
-            open = self.changed.wait_timeout(open, Duration::from_millis(5)).unwrap().0;
-        }
-        *open -= 1;
-        drop(open);
-        let product = self.inner.make(photo, depth, options, sink)?;
-        self.finished.fetch_add(1, Ordering::SeqCst);
-        Ok(product)
-    }
-}
-
-/// A maker from a closure.
-pub struct Does<F>(pub F);
-
-impl<F> Maker for Does<F>
-where
-    F: Fn(&[u8], &dyn Sink) -> Result<Product, Fault> + Send + Sync + 'static,
-{
-    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
-        Ok(())
-    }
-
-    fn make(&self, photo: &[u8], _: Option<&[u8]>, _: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
-        (self.0)(photo, sink)
-    }
-}
-
-/// Returns plain views at once; those that are [`SlowDrawing::HELD`] pixels wide wait until it is opened.
-#[derive(Default)]
-pub struct SlowDrawing {
-    open: Mutex<bool>,
-    changed: Condvar,
-    pub begun: AtomicUsize,
-    pub held: AtomicUsize,
-}
-
-impl SlowDrawing {
-    pub const HELD: u32 = 77;
-
-    pub fn open(&self) {
-        *self.open.lock().unwrap() = true;
-        self.changed.notify_all();
-    }
-}
-
-impl Renderer for SlowDrawing {
-    fn name(&self) -> &'static str {
-        "slow"
-    }
-
-    fn render(&self, _: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
-        self.begun.fetch_add(1, Ordering::SeqCst);
-        if camera.width == Self::HELD {
-            self.held.fetch_add(1, Ordering::SeqCst);
-            let guard = self.changed.wait_while(self.open.lock().unwrap(), |open| !*open).unwrap();
-            drop(guard);
-            self.held.fetch_sub(1, Ordering::SeqCst);
-        }
-        std::thread::sleep(Duration::from_millis(5));
-        Ok(View { width: camera.width, height: camera.height, rgba: vec![[9; 4]; (camera.width * camera.height) as usize] })
-    }
-}
+use crate::makers::{models, pipeline, ramp};
 
 /// Count of panics in requests. The server answers such requests, so a test that ignores the answer would miss the panic.
 static PANICS: AtomicUsize = AtomicUsize::new(0);
@@ -175,25 +34,113 @@ fn count_panics() {
 
 /// Rooms for this machine's own user.
 pub fn rooms() -> Rooms {
-    Rooms::new(RoomConfig { models: Models { depth: Arc::new(Ramp), theta: None, psi: None }, frame_ms: 0.0, key: None })
+    Rooms::new(RoomConfig { models: models(ramp()), frame_ms: 0.0, key: None })
 }
 
-/// A running server.
+pub fn with_rooms(server: Server) -> Server {
+    server.with_rooms(rooms())
+}
+
+pub fn drawn_by_cpu() -> Arc<dyn Renderer> {
+    tmpi_render::select(Backend::Cpu).unwrap()
+}
+
+/// The configuration of an open server with one name besides the loopback names.
+pub fn usual(data: &Path) -> Config {
+    Config { hosts: vec!["photos.example".into()], ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) }
+}
+
+/// A running server, often with a data folder of its own.
 pub struct Running {
     pub addr: SocketAddr,
+    config: Option<Config>,
+    dir: Option<tempfile::TempDir>,
     stop: Option<tokio::sync::oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Running {
-    pub fn start(data: &Path, limits: Limits, maker: Arc<dyn Maker>) -> Self {
-        Self::drawing(data, limits, maker, tmpi_render::select(Backend::Cpu).unwrap())
+    /// An open server with the real pipeline.
+    pub fn open() -> Self {
+        Self::with(Limits::default(), Arc::new(pipeline()))
     }
 
-    /// A server with another renderer.
-    pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
-        let config = Config { hosts: vec!["photos.example".into()], limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
-        Self::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
+    /// An open server with the real pipeline and a finished photo; returns the photo's address, too.
+    pub fn with_photo() -> (Self, String) {
+        let server = Self::open();
+        let id = server.make(&picture(1, PictureFormat::Png));
+        (server, format!("/v1/photos/{id}"))
+    }
+
+    /// An open server with other limits and another maker.
+    pub fn with(limits: Limits, maker: Arc<dyn Maker>) -> Self {
+        Self::configured(maker, |config| Config { limits, ..config })
+    }
+
+    /// A server with changed settings.
+    pub fn configured(maker: Arc<dyn Maker>, change: impl FnOnce(Config) -> Config) -> Self {
+        Self::drawing(drawn_by_cpu(), maker, change)
+    }
+
+    /// The same with another renderer.
+    pub fn drawing(renderer: Arc<dyn Renderer>, maker: Arc<dyn Maker>, change: impl FnOnce(Config) -> Config) -> Self {
+        Self::owning(|data| Self::launch(change(usual(data)), maker, renderer, with_rooms))
+    }
+
+    /// A server in an existing data folder.
+    pub fn start(data: &Path, limits: Limits, maker: Arc<dyn Maker>) -> Self {
+        Self::launch(Config { limits, ..usual(data) }, maker, drawn_by_cpu(), with_rooms)
+    }
+
+    /// Gives a server a data folder of its own.
+    pub fn owning(start: impl FnOnce(&Path) -> Self) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let mut server = start(dir.path());
+        server.dir = Some(dir);
+        server
+    }
+
+    /// A server that `finish` completes.
+    pub fn launch<F>(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>, finish: F) -> Self
+    where
+        F: FnOnce(Server) -> Server + Send + 'static,
+    {
+        let kept = config.clone();
+        let mut server = Self::of(async move { finish(Server::bind(config, maker, renderer).await.unwrap()) });
+        server.config = Some(kept);
+        server
+    }
+
+    /// Stops it and starts one in its data folder with changed settings.
+    pub fn changed(self, maker: Arc<dyn Maker>, change: impl FnOnce(Config) -> Config) -> Self {
+        self.completed(maker, change, with_rooms)
+    }
+
+    /// The same with other limits.
+    pub fn again(self, limits: Limits, maker: Arc<dyn Maker>) -> Self {
+        self.changed(maker, |config| Config { limits, ..config })
+    }
+
+    /// Like [`Self::changed`] for a server that `finish` completes.
+    pub fn completed<F>(mut self, maker: Arc<dyn Maker>, change: impl FnOnce(Config) -> Config, finish: F) -> Self
+    where
+        F: FnOnce(Server) -> Server + Send + 'static,
+    {
+        let (dir, config) = (self.dir.take(), self.config.take().unwrap());
+        self.stop();
+        let mut server = Self::launch(change(config), maker, drawn_by_cpu(), finish);
+        server.dir = dir;
+        server
+    }
+
+    /// The same with the usual limits and the real pipeline.
+    pub fn restarted(self) -> Self {
+        self.again(Limits::default(), Arc::new(pipeline()))
+    }
+
+    /// Its own data folder.
+    pub fn data(&self) -> &Path {
+        self.dir.as_ref().unwrap().path()
     }
 
     /// Runs a server on a thread of its own.
@@ -211,7 +158,8 @@ impl Running {
                 server.run(async { drop(stopped.await) }).await;
             });
         });
-        Self { addr: told.recv().expect("the server starts"), stop: Some(stop), thread: Some(thread) }
+        let addr = told.recv().expect("the server starts");
+        Self { addr, config: None, dir: None, stop: Some(stop), thread: Some(thread) }
     }
 
     /// Asks it to stop.
@@ -234,11 +182,28 @@ impl Running {
     pub fn upload(&self, photo: &[u8]) -> String {
         let response = client::request(self.addr, "POST", "/v1/photos", &[], photo);
         assert_eq!(response.status, 202, "{}", String::from_utf8_lossy(&response.body));
-        response.json()["id"].as_str().unwrap().to_owned()
+        id(&response.json())
+    }
+
+    /// Uploads a picture and waits until it is made; returns its id.
+    pub fn make(&self, photo: &[u8]) -> String {
+        let id = self.upload(photo);
+        self.wait(&id, "done");
+        id
+    }
+
+    /// Ids of the photos that this machine's own user sees, newest first.
+    pub fn listed(&self) -> Vec<String> {
+        listed(self.addr)
+    }
+
+    /// A value of its metrics; 0 if it is missing.
+    pub fn metric(&self, name: &str) -> u64 {
+        figure(self.addr, name)
     }
 
     pub fn state(&self, id: &str) -> Value {
-        client::get(self.addr, &format!("/v1/photos/{id}")).json()
+        state(self.addr, id)
     }
 
     /// Waits until a photo is in `state`.
@@ -274,11 +239,32 @@ pub fn incoming(data: &Path) -> usize {
     std::fs::read_dir(data.join("blobs").join("incoming")).unwrap().count()
 }
 
-/// A value of a server's metrics; `None` if it is missing.
-pub fn figure(addr: SocketAddr, name: &str) -> Option<u64> {
+/// State of a photo.
+pub fn state(addr: SocketAddr, id: &str) -> Value {
+    client::get(addr, &format!("/v1/photos/{id}")).json()
+}
+
+/// Ids of the photos that this machine's own user sees, newest first.
+pub fn listed(addr: SocketAddr) -> Vec<String> {
+    ids(&client::get(addr, "/v1/photos?limit=200"))
+}
+
+/// Ids of a list.
+pub fn ids(list: &client::Response) -> Vec<String> {
+    assert_eq!(list.status, 200, "{}", String::from_utf8_lossy(&list.body));
+    list.json()["photos"].as_array().unwrap().iter().map(id).collect()
+}
+
+/// The id in a photo's state.
+pub fn id(state: &Value) -> String {
+    state["id"].as_str().unwrap().to_owned()
+}
+
+/// A value of a server's metrics; 0 if it is missing.
+pub fn figure(addr: SocketAddr, name: &str) -> u64 {
     let text = String::from_utf8(client::get(addr, "/metrics").body).unwrap();
-    let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ').map(str::to_owned))?;
-    Some(line.parse::<f64>().unwrap() as u64)
+    let value = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse::<f64>().ok());
+    value.unwrap_or_default() as u64
 }
 
 /// Fails after a minute.
@@ -306,6 +292,13 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
     picture(seed, PictureFormat::Jpeg)
 }
 
+/// A photo whose container is large.
+pub fn noise() -> Vec<u8> {
+    let level = |x: u32, y: u32, c: u32| (255.0 * tmpi_testing::pictures::noise(x, y + 1000 * c)) as u8;
+    let photo = Photo::from_fn(640, 480, |x, y| [0, 1, 2].map(|c| level(x, y, c)));
+    tmpi_core::container::encode_jpeg(640, 480, photo.rgb.as_flattened(), 100).unwrap()
+}
+
 /// A depth map with damaged pixels and intact headers.
 pub fn spoilt_map() -> Vec<u8> {
     let mut map = depth_map();
@@ -317,7 +310,5 @@ pub fn spoilt_map() -> Vec<u8> {
 
 /// A depth map with two levels.
 pub fn depth_map() -> Vec<u8> {
-    let (width, height) = (80, 60);
-    let delta = (0..height).flat_map(|_| (0..width).map(|x| if x < 40 { 0.25 } else { 0.75 })).collect();
-    tmpi_pipeline::depth::to_png(&DisparityMap { width, height, delta }).unwrap()
+    tmpi_pipeline::depth::to_png(&DisparityMap::from_fn(80, 60, |x, _| if x < 40 { 0.25 } else { 0.75 })).unwrap()
 }

@@ -1,26 +1,15 @@
 //! Limits: each value at the limit and one over.
 
 use std::io::{Read, Write};
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
 
-use tmpi::server::{Fault, Limits};
 use tmpi_pipeline::photo;
 
-use crate::client::{Connection, get, post_form, request};
-use crate::fixture::{Does, Gate, Running, contents, incoming, jpeg, pipeline, wait_until};
-
-fn start(limits: Limits, maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), limits, maker);
-    (dir, server)
-}
+use crate::prelude::*;
 
 #[test]
 fn the_body_at_its_limit_and_one_byte_over() {
     let photo = jpeg(1);
-    let (_dir, server) = start(Limits { body: photo.len(), ..Limits::default() }, Arc::new(pipeline()));
+    let server = Running::with(Limits { body: photo.len(), ..Limits::default() }, Arc::new(pipeline()));
     assert_eq!(request(server.addr, "POST", "/v1/photos", &[], &photo).status, 202);
     let mut over = photo.clone();
     over.push(0);
@@ -38,7 +27,7 @@ fn the_body_at_its_limit_and_one_byte_over() {
 
 #[test]
 fn the_default_body_limit_is_answered_before_the_whole_body_is_read() {
-    let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    let server = Running::open();
     let over = vec![0; Limits::BODY + 1];
     request(server.addr, "POST", "/v1/photos", &[], &over).problem(413);
     // at the limit the body is read; it is no picture
@@ -48,41 +37,19 @@ fn the_default_body_limit_is_answered_before_the_whole_body_is_read() {
 #[test]
 fn the_photo_at_its_limits_and_one_over() {
     let (pixels, side) = (80 * 60, 80);
-    let with = |photo| start(Limits::default(), Arc::new(crate::fixture::way_within(photo)));
-    let (_a, at) = with(photo::Limits { pixels, side, ..photo::Limits::default() });
+    let with = |photo| Running::with(Limits::default(), Arc::new(way_within(photo)));
+    let at = with(photo::Limits { pixels, side, ..photo::Limits::default() });
     let id = at.upload(&jpeg(1));
     at.wait(&id, "done");
     for limits in [photo::Limits { pixels: pixels - 1, ..Default::default() }, photo::Limits { side: side - 1, ..Default::default() }] {
-        let (_b, over) = with(limits);
+        let over = with(limits);
         assert_eq!(request(over.addr, "POST", "/v1/photos", &[], &jpeg(1)).problem(413)["field"], "photo");
     }
 }
 
 #[test]
-fn a_full_queue_is_429_and_known_photos_still_get_in() {
-    let gate = Gate::new(0);
-    let (dir, server) = start(Limits { queue: 2, ..Limits::default() }, gate.clone());
-    let running = server.upload(&jpeg(1));
-    gate.wait_started(1);
-    let waiting = [server.upload(&jpeg(2)), server.upload(&jpeg(3))];
-    assert_eq!(get(server.addr, "/readyz").status, 200, "photos are still shown");
-    let refused = request(server.addr, "POST", "/v1/photos", &[], &jpeg(4));
-    let seconds: u64 = refused.header("retry-after").unwrap().parse().unwrap();
-    assert_eq!(refused.problem(429)["retry_after"], seconds);
-    assert!((1..=120).contains(&seconds));
-    wait_until("nothing is left", || incoming(dir.path()) == 0);
-    assert_eq!(server.upload(&jpeg(2)), waiting[0], "it is already waiting");
-    gate.open(9);
-    for id in waiting.iter().chain([&running]) {
-        server.wait(id, "done");
-    }
-    let id = server.upload(&jpeg(4));
-    server.wait(&id, "done");
-}
-
-#[test]
 fn a_header_that_does_not_arrive_closes_the_connection() {
-    let (_dir, server) = start(Limits { header_read: Duration::from_millis(300), ..Limits::default() }, Arc::new(pipeline()));
+    let server = Running::with(Limits { header_read: Duration::from_millis(300), ..Limits::default() }, Arc::new(pipeline()));
     let mut slow = Connection::open(server.addr);
     let start = Instant::now();
     slow.raw().write_all(b"GET /healthz HTTP/1.1\r\nhost:").unwrap();
@@ -101,7 +68,7 @@ fn a_header_that_does_not_arrive_closes_the_connection() {
 
 #[test]
 fn a_header_that_is_too_large_is_refused() {
-    let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    let server = Running::open();
     let send = |bytes: usize| request(server.addr, "GET", "/healthz", &[("x-long", &"a".repeat(bytes))], &[]).status;
     assert_eq!(send(Limits::HEADER_BYTES - 1000), 200);
     assert_eq!(send(Limits::HEADER_BYTES + 1), 431);
@@ -110,11 +77,9 @@ fn a_header_that_is_too_large_is_refused() {
 #[test]
 fn the_configured_disk_space_stays_free() {
     for (least_free, least_free_files) in [(u64::MAX, 0), (0, u64::MAX)] {
-        let (_dir, server) = start(Limits { least_free, least_free_files, ..Limits::default() }, Arc::new(pipeline()));
-        let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-        let value = |name: &str| metrics.lines().find_map(|line| line.strip_prefix(name)?.trim().parse::<f64>().ok());
-        assert!(value("tmpi_data_free_bytes ").is_some_and(|bytes| bytes > 0.0), "{metrics}");
-        if least_free_files > 0 && value("tmpi_data_free_files ").is_none() {
+        let server = Running::with(Limits { least_free, least_free_files, ..Limits::default() }, Arc::new(pipeline()));
+        assert!(server.metric("tmpi_data_free_bytes") > 0);
+        if least_free_files > 0 && server.metric("tmpi_data_free_files") == 0 {
             // a file system without a limit on files
             continue;
         }
@@ -125,7 +90,7 @@ fn the_configured_disk_space_stays_free() {
 
 #[test]
 fn a_body_that_stops_is_408_and_leaves_nothing() {
-    let (dir, server) = start(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(pipeline()));
+    let server = Running::with(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(pipeline()));
     for content_type in ["image/jpeg", "multipart/form-data; boundary=x"] {
         let mut stuck = Connection::open(server.addr);
         let head =
@@ -133,14 +98,14 @@ fn a_body_that_stops_is_408_and_leaves_nothing() {
         stuck.raw().write_all(head.as_bytes()).unwrap();
         stuck.receive("POST").unwrap().problem(408);
     }
-    wait_until("nothing is left", || incoming(dir.path()) == 0);
+    wait_until("nothing is left", || incoming(server.data()) == 0);
 }
 
 #[test]
 fn a_request_that_takes_too_long_is_ended() {
     let limits = Limits { request: Duration::from_secs(3), ..Limits::default() };
     let gate = Gate::new(0);
-    let (_dir, server) = start(limits, gate.clone());
+    let server = Running::with(limits, gate.clone());
     // `Prefer: wait` ends before the request's timeout
     let waited = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=60")], &jpeg(1));
     assert_eq!(waited.status, 202);
@@ -149,7 +114,7 @@ fn a_request_that_takes_too_long_is_ended() {
 
 #[test]
 fn connections_over_the_limit_wait_their_turn() {
-    let (_dir, server) = start(Limits { connections: 2, ..Limits::default() }, Arc::new(pipeline()));
+    let server = Running::with(Limits { connections: 2, ..Limits::default() }, Arc::new(pipeline()));
     let (mut a, mut b) = (Connection::open(server.addr), Connection::open(server.addr));
     assert_eq!((a.request("GET", "/healthz", &[], &[]).status, b.request("GET", "/healthz", &[], &[]).status), (200, 200));
     let mut third = Connection::open(server.addr);
@@ -166,7 +131,7 @@ fn connections_over_the_limit_wait_their_turn() {
 
 #[test]
 fn a_client_that_sends_a_whole_refused_upload_still_gets_the_answer() {
-    let (_dir, server) = start(Limits { body: 1 << 20, ..Limits::default() }, Arc::new(pipeline()));
+    let server = Running::with(Limits { body: 1 << 20, ..Limits::default() }, Arc::new(pipeline()));
     for _ in 0..5 {
         let refused = request(server.addr, "POST", "/v1/photos", &[], &vec![7; (1 << 20) + 500_000]);
         refused.problem(413);
@@ -175,9 +140,8 @@ fn a_client_that_sends_a_whole_refused_upload_still_gets_the_answer() {
 
 #[test]
 fn a_stopping_server_is_not_ready_and_goes_on_for_a_while() {
-    let dir = tempfile::tempdir().unwrap();
     let limits = Limits { lame_duck: Duration::from_secs(2), ..Limits::default() };
-    let mut server = Running::start(dir.path(), limits, Arc::new(pipeline()));
+    let mut server = Running::with(limits, Arc::new(pipeline()));
     assert_eq!(get(server.addr, "/readyz").status, 200);
     let told = std::time::Instant::now();
     server.signal();
@@ -188,63 +152,57 @@ fn a_stopping_server_is_not_ready_and_goes_on_for_a_while() {
     let id = server.upload(&jpeg(1));
     assert!(told.elapsed() < Duration::from_secs(2), "the machine is too slow for this test");
     let addr = server.addr;
-    server.stop();
+    let server = server.restarted();
     assert!(told.elapsed() >= Duration::from_secs(2));
     assert!(std::net::TcpStream::connect(addr).is_err());
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     server.wait(&id, "done");
 }
 
 #[test]
 fn a_running_job_ends_within_the_drain_time() {
     let gate = Gate::new(0);
-    let dir = tempfile::tempdir().unwrap();
-    let mut server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let mut server = Running::with(Limits::default(), gate.clone());
     let id = server.upload(&jpeg(1));
     let queued = server.upload(&jpeg(2));
     gate.wait_started(1);
     server.signal();
     wait_until("no new connections are accepted", || std::net::TcpStream::connect(server.addr).is_err());
     gate.open(1);
-    server.stop();
+    let server = server.again(Limits::default(), Gate::new(0));
     assert_eq!((gate.finished.load(Ordering::SeqCst), gate.started.load(Ordering::SeqCst)), (1, 1), "the queued one waits");
-    let server = Running::start(dir.path(), Limits::default(), Gate::new(0));
     assert_eq!(server.state(&id)["state"], "done");
     assert_ne!(server.state(&queued)["state"], "done");
 }
 
 #[test]
 fn a_photo_that_keeps_crashing_its_process_fails() {
-    let dir = tempfile::tempdir().unwrap();
     let limits = || Limits { attempts: 2, drain: Duration::from_millis(100), ..Limits::default() };
     let gate = Gate::new(0);
-    let server = Running::start(dir.path(), limits(), gate.clone());
+    let server = Running::with(limits(), gate.clone());
     let id = server.upload(&jpeg(1));
     gate.wait_started(1);
-    server.stop();
     // an orderly stop does not count
     let crash = || Fault::Crashed("signal 9".into());
-    let server = Running::start(dir.path(), limits(), failing(vec![crash(), crash()]));
+    let server = server.again(limits(), failing(vec![crash(), crash()]));
     assert_eq!(server.wait(&id, "failed")["problem"]["type"], "urn:tmpi:problem:gave-up");
-    // the same upload tries again
-    server.upload(&jpeg(1));
-    server.wait(&id, "done");
+    // other photos and another try are made
+    server.make(&jpeg(2));
+    server.make(&jpeg(1));
 }
 
 /// Fails with each of `faults` in turn, then makes photos.
-fn failing(faults: Vec<Fault>) -> Arc<dyn tmpi::server::Maker> {
+fn failing(faults: Vec<Fault>) -> Arc<dyn Maker> {
     let faults = std::sync::Mutex::new(faults.into_iter());
-    Arc::new(Does(move |photo: &[u8], sink: &dyn tmpi_pipeline::Sink| match faults.lock().unwrap().next() {
+    Arc::new(Does(move |photo: &[u8], sink: &dyn Sink| match faults.lock().unwrap().next() {
         Some(fault) => Err(fault),
-        None => tmpi::server::Maker::make(&crate::fixture::pipeline(), photo, None, &tmpi_pipeline::Options::default(), sink),
+        None => Maker::make(&pipeline(), photo, None, &Options::default(), sink),
     }))
 }
 
 #[test]
 fn a_server_fault_is_reported_and_the_photo_waits_until_it_is_fixed() {
-    let dir = tempfile::tempdir().unwrap();
     let faults = (0..3).map(|_| Fault::Server("no library".into())).collect();
-    let server = Running::start(dir.path(), Limits { attempts: 1, ..Limits::default() }, failing(faults));
+    let server = Running::with(Limits { attempts: 1, ..Limits::default() }, failing(faults));
     let id = server.upload(&jpeg(1));
     wait_until("the state has the reason", || server.state(&id)["waits_for"] == "no library");
     let ready = get(server.addr, "/readyz");
@@ -254,30 +212,16 @@ fn a_server_fault_is_reported_and_the_photo_waits_until_it_is_fixed() {
     assert_eq!(get(server.addr, "/readyz").status, 200);
 }
 
-#[test]
-fn a_photo_that_crashes_its_process_does_not_delay_others() {
-    let dir = tempfile::tempdir().unwrap();
-    let crash = || Fault::Crashed("signal 9".into());
-    let limits = || Limits { attempts: 2, ..Limits::default() };
-    let server = Running::start(dir.path(), limits(), failing(vec![crash(), crash()]));
-    let id = server.upload(&jpeg(1));
-    assert_eq!(server.wait(&id, "failed")["problem"]["type"], "urn:tmpi:problem:gave-up");
-    let other = server.upload(&jpeg(2));
-    server.wait(&other, "done");
-}
-
 #[cfg(unix)]
 #[test]
 fn stored_files_are_readable_by_the_servers_user_only() {
     use std::os::unix::fs::PermissionsExt;
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), failing(Vec::new()));
-    let id = server.upload(&jpeg(1));
-    server.wait(&id, "done");
+    let server = Running::with(Limits::default(), failing(Vec::new()));
+    let id = server.make(&jpeg(1));
     let mode = |path: &std::path::Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
-    let blobs = dir.path().join("blobs");
+    let blobs = server.data().join("blobs");
     assert_eq!((mode(&blobs), mode(&blobs.join(&id[..2]))), (0o700, 0o700));
-    let files = contents(dir.path(), &id, "");
+    let files = contents(server.data(), &id, "");
     assert!(files.len() >= 5, "{files:?}");
     for path in files {
         assert_eq!(mode(&path), 0o600, "{}", path.display());
@@ -286,10 +230,8 @@ fn stored_files_are_readable_by_the_servers_user_only() {
 
 #[test]
 fn a_body_on_a_route_that_reads_none_is_refused_and_the_answer_names_the_query() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    let id = server.upload(&jpeg(1));
-    server.wait(&id, "done");
+    let server = Running::open();
+    let id = server.make(&jpeg(1));
     let at = |part: &str| format!("/v1/photos/{id}/{part}");
     for path in
         [at("links"), at("manage"), at("remake"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]

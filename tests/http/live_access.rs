@@ -1,19 +1,16 @@
 //! Tokens of rooms, and pages of other sites.
 
-use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use tempfile::tempdir;
 use tmpi_core::live::schema::message::Kind;
 
-use super::client;
-use super::fixture::Running;
-use super::live::{Client, KEY, Publisher, frame, hello, server};
+use crate::client;
+use crate::live::{Client, KEY, Publisher, frame, hello, server};
+use crate::prelude::*;
 
 #[test]
 fn strangers_need_a_token_and_pages_of_other_sites_are_refused() {
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
+    let server = server();
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
     let status = |path: &str, headers: &[(&'static str, &str)]| Client::at(server.addr, path, headers).err();
@@ -36,8 +33,7 @@ fn strangers_need_a_token_and_pages_of_other_sites_are_refused() {
 
 #[test]
 fn a_socket_closes_when_its_token_expires() {
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
+    let server = server();
     let ends = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() + 3;
     let token = |role| format!("Bearer {}", tmpi::live::room_token(KEY, role, "attic", ends).unwrap());
     let come = |path: &str, role| {
@@ -57,8 +53,7 @@ fn a_socket_closes_when_its_token_expires() {
 
 #[test]
 fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
+    let server = server();
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
     let token = |role, room| tmpi::live::room_token(KEY, role, room, u64::MAX).unwrap();
@@ -99,8 +94,7 @@ fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
     assert_eq!(ask("GET", "", &[("authorization", &bearer)]).json()["may_publish"].as_bool(), Some(false));
     assert_eq!(ask("POST", "/token", &[("authorization", &bearer)]).status, 403);
     // a server without `--live-key` accepts no token
-    let dir = tempdir().unwrap();
-    let keyless = Running::start(dir.path(), tmpi::server::Limits::default(), Arc::new(super::fixture::pipeline()));
+    let keyless = Running::open();
     let headers = [&foreign[..], &[("authorization", bearer.as_str())]].concat();
     assert_eq!(client::request(keyless.addr, "GET", "/v1/live/attic", &headers, &[]).status, 403);
 }

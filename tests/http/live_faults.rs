@@ -2,46 +2,34 @@
 
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
-use std::time::{Duration, Instant};
+use std::sync::atomic::AtomicU32;
 
 use tempfile::tempdir;
 use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi_core::Photo;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Hello, Sound, Video};
 use tmpi_core::live::{TileState, VERSION, write};
-use tmpi_core::{DisparityMap, Photo};
-use tmpi_pipeline::Models;
-use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::depth::Estimator;
 use tokio_tungstenite::tungstenite::{self, Message};
 
-use super::live::{Bright, Client, Publisher, frame, server_with};
+use crate::live::{Client, Publisher, frame, server_with};
+use crate::prelude::*;
 
-/// Panics this many times, then acts as [`Bright`].
-struct Panics(AtomicU32);
-
-impl Estimator for Panics {
-    fn name(&self) -> &'static str {
-        "panics"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        assert!(self.0.fetch_update(Relaxed, Relaxed, |left| left.checked_sub(1)).is_err(), "as planned");
-        Bright.estimate(photo)
-    }
-}
-
+/// Rooms whose network panics this many times before it estimates.
 fn rooms(panics: u32) -> Rooms {
-    let depth = Arc::new(Panics(AtomicU32::new(panics)));
-    Rooms::new(RoomConfig { models: Models { depth, theta: None, psi: None }, frame_ms: 0.0, key: None })
+    let (left, bright) = (AtomicU32::new(panics), bright());
+    let depth = move |photo: &Photo| {
+        assert!(left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err(), "as planned");
+        bright.estimate(photo)
+    };
+    Rooms::new(RoomConfig { models: models(("panics", depth)), frame_ms: 0.0, key: None })
 }
 
 #[test]
 fn geometry_resumes_after_a_panic_and_repeated_panics_end_the_room_with_a_reason() {
-    let dir = tempdir().unwrap();
-    let server = server_with(dir.path(), |_| rooms(2));
+    let server = server_with(|_| rooms(2));
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
     let mut viewer = Client::watch(server.addr, "attic");
@@ -58,12 +46,11 @@ fn geometry_resumes_after_a_panic_and_repeated_panics_end_the_room_with_a_reason
             _ => std::thread::sleep(Duration::from_millis(20)),
         }
     }
-    let dir = tempdir().unwrap();
-    let server = server_with(dir.path(), |_| rooms(u32::MAX));
+    let server = server_with(|_| rooms(u32::MAX));
     let mut publisher = Publisher::new(server.addr, "attic");
     let reason = loop {
         match publisher.client.next().expect("the reason comes first") {
-            Kind::Credit(c) => (0..c.frames).for_each(|_| publisher.frame(frame(10))),
+            Kind::Credit(c) => (0..c.frames).for_each(|_| publisher.frame(true, frame(10))),
             Kind::Bye(bye) => break bye.reason,
             other => panic!("{other:?}"),
         }
@@ -73,15 +60,16 @@ fn geometry_resumes_after_a_panic_and_repeated_panics_end_the_room_with_a_reason
 
 #[test]
 fn publishers_that_only_ping_flood_sound_or_send_b_frames_are_disconnected() {
-    let dir = tempdir().unwrap();
-    let server = server_with(dir.path(), |rooms| rooms);
-    let mut flood = Publisher::new(server.addr, "cellar");
-    // far more than the limit allows
-    for time in 0..2000 {
-        flood.client.send(Kind::Sound(Sound { time, data: vec![0; 9].into() }));
+    let server = server_with(|rooms| rooms);
+    // far more than the limits allow
+    for (room, packets, bytes) in [("cellar", 2000, 9), ("kitchen", 20, 16 << 10)] {
+        let mut flood = Publisher::new(server.addr, room);
+        for time in 0..packets {
+            flood.client.send(Kind::Sound(Sound { time, data: vec![0; bytes].into() }));
+        }
+        let reason = flood.client.bye();
+        assert!(reason.contains("200 packets or 65536 bytes"), "{reason}");
     }
-    let reason = flood.client.bye();
-    assert!(reason.contains("200 packets"), "{reason}");
     let mut film = Client::at(server.addr, "/v1/live/garden/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
     film.send(Kind::Hello(Hello { version: VERSION, codec: "avc1.42e01e".into(), width: 64, height: 48, ..Hello::default() }));
     // `first_mb_in_slice` 0, `slice_type` 1: a B-frame
@@ -107,8 +95,7 @@ fn publishers_that_only_ping_flood_sound_or_send_b_frames_are_disconnected() {
 
 #[test]
 fn a_viewer_that_cannot_decode_gets_a_new_key_frame() {
-    let dir = tempdir().unwrap();
-    let server = server_with(dir.path(), |rooms| rooms);
+    let server = server_with(|rooms| rooms);
     let mut publisher = Publisher::new(server.addr, "attic");
     publisher.publish(frame(10));
     let mut viewer = Client::watch(server.addr, "attic");
@@ -141,8 +128,8 @@ fn live_watch_says_once_that_the_publisher_has_gone_and_reconnects_every_second(
 
 #[test]
 fn viewers_of_a_film_are_told_at_its_end_that_the_publisher_has_gone() {
-    let (dir, film) = (tempdir().unwrap(), tempdir().unwrap());
-    let server = server_with(dir.path(), |rooms| rooms);
+    let film = tempdir().unwrap();
+    let server = server_with(|rooms| rooms);
     for n in 0..3 {
         std::fs::write(film.path().join(format!("{n}.jpg")), frame(10 + n)).unwrap();
     }

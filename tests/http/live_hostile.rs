@@ -1,20 +1,16 @@
 //! Publishers and viewers that break the protocol or stop reading.
 
-use std::time::Duration;
-
-use tempfile::tempdir;
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::schema::{Bye, Hello, Video};
+use tmpi_core::live::schema::{Bye, Credit, Hello, Video};
 use tmpi_core::live::{VERSION, write};
 use tokio_tungstenite::tungstenite::Message;
 
-use super::fixture::wait_until;
-use super::live::{Client, Publisher, SIZE, frame, frame_of, hello, server};
+use crate::live::{Client, Publisher, SIZE, frame, frame_of, hello, server};
+use crate::prelude::*;
 
 #[test]
 fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
+    let server = server();
     let mut good = Publisher::new(server.addr, "attic");
     good.publish(frame(10));
     let mut viewer = Client::watch(server.addr, "attic");
@@ -66,6 +62,9 @@ fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
     let mut talker = Client::watch(server.addr, "attic");
     talker.send(Kind::Hello(hello()));
     says(talker.bye(), "viewers may send only");
+    let mut talker = Client::watch(server.addr, "attic");
+    (0..40).for_each(|_| talker.send(Kind::Credit(Credit { frames: 1, key: false, viewers: 0 })));
+    says(talker.bye(), "more CREDIT");
     // frames that are not pictures
     let mut broken = Publisher::new(server.addr, "garden");
     let reason = loop {
@@ -95,8 +94,7 @@ fn hostile_publishers_are_disconnected_with_a_reason_and_the_room_goes_on() {
 #[test]
 fn a_viewer_that_stops_reading_delays_no_other_and_resumes_with_whole_frames() {
     const FRAMES: u64 = 160;
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
+    let server = server();
     let mut publisher = Publisher::new(server.addr, "attic");
     let large = |n: u64| {
         // decoders ignore bytes after a JPEG's end
@@ -144,8 +142,7 @@ fn a_viewer_that_stops_reading_delays_no_other_and_resumes_with_whole_frames() {
 
 #[test]
 fn publishers_with_too_large_frames_or_endless_size_changes_are_disconnected_for_good() {
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
+    let server = server();
     let says = |bye: Bye, words: &str| assert!(bye.reason.contains(words) && !bye.again, "{bye:?} does not say {words:?}");
     // over the limit of a frame, and over the limit of a message
     for bytes in [(1 << 20) + 2048, 3 << 20] {
@@ -156,7 +153,7 @@ fn publishers_with_too_large_frames_or_endless_size_changes_are_disconnected_for
     let mut turning = Publisher::once_free(server.addr, "attic");
     let bye = loop {
         let size = if turning.number.is_multiple_of(2) { SIZE } else { (SIZE.1, SIZE.0) };
-        if let Err(bye) = turning.try_publish(frame_of(size, 10)) {
+        if let Err(bye) = turning.try_publish(true, frame_of(size, 10)) {
             break bye;
         }
     };

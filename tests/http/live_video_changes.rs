@@ -1,18 +1,17 @@
 //! Rooms whose video changes its size or cannot be shown.
 
-use std::net::SocketAddr;
 use std::process::Command;
 
-use tempfile::tempdir;
+use tmpi_core::live::TileState;
 use tmpi_core::live::schema::bye::Cause;
 use tmpi_core::live::schema::message::Kind;
-use tmpi_core::live::schema::{Bye, Hello, Video};
-use tmpi_core::live::{TileState, VERSION};
+use tmpi_core::live::schema::{Bye, Hello};
 use tmpi_live::access_units::{Splitter, Unit, codec};
 use tmpi_testing::Need;
 
-use super::client;
-use super::live::{Client, server, server_with};
+use crate::client;
+use crate::live::{Client, Publisher, hello, server, server_with};
+use crate::prelude::*;
 
 /// Access units of test pictures that ffmpeg encodes as H.264 with these arguments; `None` without ffmpeg.
 fn film(size: &str, arguments: &[&str]) -> Option<Vec<Unit>> {
@@ -45,41 +44,15 @@ fn vp9_film(size: &str) -> Option<Vec<Unit>> {
 }
 
 /// A publisher of H.264 or VP9.
-struct Camera {
-    client: Client,
-    credit: u32,
-    number: u64,
+fn camera(addr: SocketAddr, room: &str, first: &Unit, (width, height): (u32, u32)) -> Publisher {
+    let codec = codec(&first.data).unwrap_or_else(|| "vp09.00.10.08".into());
+    Publisher::of(addr, room, Hello { codec, width, height, ..hello() })
 }
 
-impl Camera {
-    fn new(addr: SocketAddr, room: &str, first: &Unit, (width, height): (u32, u32)) -> Self {
-        let mut client = Client::at(addr, &format!("/v1/live/{room}/publish"), &[]).unwrap_or_else(|status| panic!("{status}"));
-        let codec = codec(&first.data).unwrap_or_else(|| "vp09.00.10.08".into());
-        client.send(Kind::Hello(Hello { version: VERSION, codec, width, height, ..Hello::default() }));
-        Self { client, credit: 0, number: 0 }
-    }
-
-    /// Sends a frame as soon as there is credit; fails with the reason if the server disconnects.
-    fn send(&mut self, unit: &Unit) -> Result<(), String> {
-        while self.credit == 0 {
-            match self.client.next() {
-                Some(Kind::Credit(credit)) => self.credit += credit.frames,
-                Some(Kind::Bye(bye)) => return Err(bye.reason),
-                other => panic!("{other:?}"),
-            }
-        }
-        self.credit -= 1;
-        let (frame, data) = (self.number, unit.data.clone().into());
-        self.client.send(Kind::Video(Video { frame, time: 33_333 * frame, key: unit.key, layer: 0, data }));
-        self.number += 1;
-        Ok(())
-    }
-
-    /// Sends all frames of a film.
-    fn play(&mut self, film: &[Unit]) {
-        for unit in film {
-            self.send(unit).unwrap();
-        }
+/// Sends all frames of a film.
+fn play(camera: &mut Publisher, film: &[Unit]) {
+    for unit in film {
+        camera.try_publish(unit.key, unit.data.clone()).unwrap();
     }
 }
 
@@ -119,14 +92,13 @@ fn viewers_see_a_camera_that_changes_its_size_at_the_new_size() {
 
 /// Publishes films of 320×240, 240×320 and 640×360 pixels one after the other; a viewer sees each at its size.
 fn changes_its_size([wide, high, large]: [&[Unit]; 3]) {
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
-    let mut camera = Camera::new(server.addr, "attic", &wide[0], (320, 240));
-    camera.play(wide);
+    let server = server();
+    let mut camera = camera(server.addr, "attic", &wide[0], (320, 240));
+    play(&mut camera, wide);
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     for (film, size) in [(high, (240, 320)), (large, (640, 360)), (wide, (320, 240))] {
-        camera.play(film);
+        play(&mut camera, film);
         sees(&mut viewer, size);
     }
     // so does a viewer that connects later
@@ -142,10 +114,9 @@ fn vp9_video_that_changes_its_size_is_shown_at_the_new_size() {
 #[test]
 fn the_size_of_the_frames_counts_not_the_announced_one() {
     let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
-    let mut camera = Camera::new(server.addr, "attic", &film[0], (640, 480));
-    camera.play(&film);
+    let server = server();
+    let mut camera = camera(server.addr, "attic", &film[0], (640, 480));
+    play(&mut camera, &film);
     sees(&mut Client::watch(server.addr, "attic"), (320, 240));
 }
 
@@ -161,13 +132,13 @@ fn video_that_cannot_be_shown_ends_with_a_reason_for_publisher_and_viewers() {
     let Some(sound) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
     for (n, (arguments, word)) in kinds.into_iter().enumerate() {
         let film = film("320x240", arguments).unwrap();
-        let dir = tempdir().unwrap();
-        let server = server_with(dir.path(), |rooms| rooms);
+        let server = server_with(|rooms| rooms);
         let room = format!("attic{n}");
-        let mut camera = Camera::new(server.addr, &room, &film[0], (320, 240));
-        camera.send(&sound[0]).unwrap();
+        let mut camera = camera(server.addr, &room, &film[0], (320, 240));
+        play(&mut camera, &sound[..1]);
         let viewer = Client::watch(server.addr, &room);
-        let reason = film.iter().find_map(|unit| camera.send(unit).err()).unwrap_or_else(|| camera.client.bye());
+        let reason = film.iter().find_map(|unit| camera.try_publish(unit.key, unit.data.clone()).err());
+        let reason = reason.map_or_else(|| camera.client.bye(), |bye| bye.reason);
         assert!(reason.contains(word), "{reason}");
         let told = viewer.bye();
         assert!(told.contains(&reason), "watchers are told {told:?}, the publisher {reason:?}");
@@ -179,10 +150,9 @@ fn video_that_cannot_be_shown_ends_with_a_reason_for_publisher_and_viewers() {
 #[test]
 fn viewers_are_told_at_once_that_the_publisher_left() {
     let Some(film) = film("320x240", &["-pix_fmt", "yuv420p"]) else { return };
-    let dir = tempdir().unwrap();
-    let server = server(dir.path());
-    let mut camera = Camera::new(server.addr, "attic", &film[0], (320, 240));
-    camera.play(&film);
+    let server = server();
+    let mut camera = camera(server.addr, "attic", &film[0], (320, 240));
+    play(&mut camera, &film);
     let mut viewer = Client::watch(server.addr, "attic");
     sees(&mut viewer, (320, 240));
     camera.client.send(Kind::Bye(Bye { reason: "stopped".into(), ..Bye::default() }));

@@ -1,35 +1,10 @@
 //! HTTP semantics with `--access private`.
 
-use crate::access::{ask, id, private, secret, upload};
-
-#[test]
-fn a_wrong_method_is_answered_with_the_allowed_ones() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
-    let allow = |method: &str, path: &str| {
-        let answer = ask(&server, method, path, &[], &[]);
-        let allow = answer.header("allow").unwrap_or_default().split(',').map(|m| m.trim().to_owned()).collect::<Vec<_>>();
-        (answer.problem(405)["type"].as_str().unwrap().to_owned(), allow)
-    };
-    let photo = format!("/v1/photos/{}", id(&upload(&server, Some(&secret("a")), 1)));
-    for (method, path, allowed) in [
-        ("PUT", photo.as_str(), &["GET", "HEAD", "PATCH", "DELETE"][..]),
-        ("DELETE", "/v1/photos", &["GET", "HEAD", "POST"]),
-        ("POST", "/healthz", &["GET", "HEAD"]),
-        ("POST", "/v1/live/attic", &["GET", "HEAD"]),
-        ("GET", "/v1/owner", &["POST"]),
-    ] {
-        let (kind, all) = allow(method, path);
-        assert_eq!(kind, "urn:tmpi:problem:method", "{method} {path}");
-        assert_eq!(all, allowed, "{method} {path}");
-    }
-    assert_eq!(ask(&server, "GET", "/v1/nothing", &[], &[]).status, 404);
-}
+use crate::prelude::*;
 
 #[test]
 fn an_unknown_key_is_answered_with_www_authenticate() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     for path in ["/v1/photos", "/healthz"] {
         let answer = ask(&server, "GET", path, &[("authorization", "Bearer tmpi_k_none")], &[]);
         assert_eq!((answer.status, answer.header("www-authenticate")), (401, Some("Bearer error=\"invalid_token\"")), "{path}");
@@ -38,8 +13,7 @@ fn an_unknown_key_is_answered_with_www_authenticate() {
 
 #[test]
 fn if_match_protects_a_changed_photo_from_deletion_and_again_answers_a_location() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     let ann = secret("a");
     let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
     let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
@@ -58,8 +32,7 @@ fn if_match_protects_a_changed_photo_from_deletion_and_again_answers_a_location(
 
 #[test]
 fn pages_are_only_at_their_own_addresses() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = private(dir.path());
+    let server = private();
     for name in ["upload-page.html", "view-page.html", "embed-page.html", "VIEW-PAGE.HTML"] {
         assert_eq!(ask(&server, "GET", &format!("/static/app/{name}"), &[], &[]).status, 404, "{name}");
     }

@@ -1,15 +1,12 @@
 //! Several nodes with one PostgreSQL database and one object store: each makes, serves, changes and deletes photos that another accepted.
 
 use std::collections::BTreeSet;
-use std::net::SocketAddr;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::AtomicUsize;
 
-use tmpi_render::PictureFormat;
 use tmpi_testing::Engine;
 
-use crate::client::{Connection, get, request};
-use crate::fixture::{picture, wait_until};
+use crate::prelude::*;
 use crate::process::{Process, large, upload};
 
 /// The database and the store that nodes share.
@@ -38,10 +35,6 @@ impl Shared {
         environment.push(("AWS_ALLOW_HTTP", "true"));
         Process::start_at(port, &self.dir.path().join(name), &[&shared[..], arguments].concat(), &environment)
     }
-}
-
-fn state(addr: SocketAddr, id: &str) -> serde_json::Value {
-    get(addr, &format!("/v1/photos/{id}")).json()
 }
 
 /// The events of a photo until its stream ends.
@@ -87,7 +80,7 @@ fn one_node_accepts_a_photo_another_makes_it_and_a_third_serves_it() {
     assert_eq!(get(b.addr, &format!("{location}/file")).status, 200);
     // the same upload at another node is the same photo
     assert_eq!(upload(b.addr, &large(1)).unwrap(), id);
-    assert_eq!(get(b.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 1);
+    assert_eq!(listed(b.addr).len(), 1);
     assert_eq!(request(b.addr, "DELETE", &path(""), &[], &[]).status, 204);
     for node in [&a, &b] {
         assert_eq!(get(node.addr, &path("/atlas")).status, 404);
@@ -139,7 +132,7 @@ fn kill_9_of_each_node_under_uploads_loses_and_doubles_nothing() {
         wait_until("every accepted photo is finished", || state(serve, id)["state"] == "done");
         assert_eq!(get(serve, &format!("/v1/photos/{id}/atlas")).status, 200);
     }
-    assert_eq!(get(serve, "/v1/photos?limit=200").json()["photos"].as_array().unwrap().len(), UPLOADS, "none is there twice");
+    assert_eq!(listed(serve).len(), UPLOADS, "none is there twice");
 }
 
 #[cfg(target_os = "linux")]

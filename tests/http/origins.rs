@@ -1,44 +1,17 @@
-//! Cross-origin requests: preflights, hosts and frames. `open_matrix.rs` has every route.
+//! Cross-origin requests: hosts and frames. `open_matrix.rs` has preflights, and every route.
 
-use std::sync::Arc;
+use crate::prelude::*;
 
-use tmpi::server::Limits;
-
-use crate::client::{Connection, get, request};
-use crate::fixture::{Running, jpeg, pipeline};
-
-pub fn start() -> (tempfile::TempDir, Running, String) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    let id = server.upload(&jpeg(1));
-    server.wait(&id, "done");
-    (dir, server, id)
-}
-
-#[test]
-fn preflights_are_answered_only_where_other_sites_may_read() {
-    let (_dir, server, id) = start();
-    let preflight = |path: &str, method: &str| {
-        let headers = [("origin", "https://evil.example"), ("access-control-request-method", method)];
-        request(server.addr, "OPTIONS", path, &headers, &[])
-    };
-    let open = preflight(&format!("/v1/photos/{id}/atlas"), "GET");
-    assert_eq!((open.status, open.header("access-control-allow-origin")), (200, Some("*")));
-    assert!(open.header("x-request-id").is_some());
-    for (path, method) in [("/v1/photos".to_owned(), "POST"), (format!("/v1/photos/{id}"), "DELETE"), (format!("/v1/photos/{id}"), "PATCH")]
-    {
-        let closed = preflight(&path, method);
-        assert_eq!((closed.status, closed.header("access-control-allow-origin")), (204, None));
-        assert!(closed.header("allow").unwrap().contains(method));
-    }
-    preflight("/nothing", "GET").problem(404);
-    let methods = preflight(&format!("/v1/photos/{id}/view"), "DELETE").header("access-control-allow-methods").unwrap().to_owned();
-    assert!(!methods.contains("DELETE"), "{methods}");
+/// A server with a finished photo.
+pub fn start() -> (Running, String) {
+    let server = Running::open();
+    let id = server.make(&jpeg(1));
+    (server, id)
 }
 
 #[test]
 fn a_request_has_one_host() {
-    let (_dir, server, _) = start();
+    let (server, _) = start();
     for headers in ["", "host: localhost\r\nhost: localhost\r\n", "host: a b\r\n"] {
         let mut connection = Connection::open(server.addr);
         std::io::Write::write_all(connection.raw(), format!("GET /healthz HTTP/1.1\r\n{headers}\r\n").as_bytes()).unwrap();
@@ -53,7 +26,7 @@ fn a_request_has_one_host() {
 
 #[test]
 fn frames_of_other_sites_show_only_the_photo() {
-    let (_dir, server, id) = start();
+    let (server, id) = start();
     let ancestors = |path: &str| {
         let policy = get(server.addr, path).header("content-security-policy").unwrap().to_owned();
         policy.split("frame-ancestors ").nth(1).unwrap().split(';').next().unwrap().trim().to_owned()

@@ -1,24 +1,10 @@
 //! Settings of a photo, animations, and abandoned views.
 
-use std::sync::Arc;
-
-use serde_json::{Value, json};
-use tmpi::server::Limits;
-use tmpi_render::PictureFormat;
 use tmpi_testing::Need;
 
-use crate::client::{Connection, Response, get, request};
-use crate::fixture::{Gate, Running, jpeg, picture, pipeline, wait_until};
+use crate::prelude::*;
 
 const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
-
-fn with_photo(limits: Limits) -> (tempfile::TempDir, Running, String) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
-    let id = server.upload(&picture(1, PictureFormat::Png));
-    server.wait(&id, "done");
-    (dir, server, format!("/v1/photos/{id}"))
-}
 
 fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) -> Response {
     request(server.addr, "PATCH", photo, &[&[JSON], headers].concat(), body.to_string().as_bytes())
@@ -26,15 +12,10 @@ fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) 
 
 #[test]
 fn a_photo_uploaded_again_takes_the_new_title_and_is_listed_first() {
-    let (dir, server, photo) = with_photo(Limits::default());
+    let (server, photo) = Running::with_photo();
     let first = photo.rsplit('/').next().unwrap().to_owned();
-    let second = server.upload(&picture(2, PictureFormat::Png));
-    server.wait(&second, "done");
-    let listed = |server: &Running| {
-        let list = get(server.addr, "/v1/photos").json();
-        list["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect::<Vec<_>>()
-    };
-    assert_eq!(listed(&server), [second.clone(), first.clone()]);
+    let second = server.make(&picture(2, PictureFormat::Png));
+    assert_eq!(server.listed(), [second.clone(), first.clone()]);
     let send = |query: &str| request(server.addr, "POST", &format!("/v1/photos{query}"), &[], &picture(1, PictureFormat::Png));
     let again = send("?title=By%20the%20lake");
     assert_eq!((again.status, again.json()["id"].as_str()), (202, Some(first.as_str())));
@@ -44,16 +25,15 @@ fn a_photo_uploaded_again_takes_the_new_title_and_is_listed_first() {
     let page = get(server.addr, "/v1/photos?limit=1").json();
     assert_eq!(page["photos"][0]["id"], first);
     assert_eq!(get(server.addr, page["next"].as_str().unwrap()).json()["photos"][0]["id"], second);
-    server.stop();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    assert_eq!(listed(&server), [first, second]);
+    let server = server.restarted();
+    assert_eq!(server.listed(), [first, second]);
     assert_eq!(request(server.addr, "DELETE", &photo, &[], &[]).status, 204);
-    assert_eq!(listed(&server).len(), 1);
+    assert_eq!(server.listed().len(), 1);
 }
 
 #[test]
 fn downloads_are_named_after_the_title() {
-    let (_dir, server, photo) = with_photo(Limits::default());
+    let (server, photo) = Running::with_photo();
     let id = photo.rsplit('/').next().unwrap();
     let name =
         || request(server.addr, "GET", &format!("{photo}/export?format=glb"), &[], &[]).header("content-disposition").unwrap().to_owned();
@@ -66,7 +46,7 @@ fn downloads_are_named_after_the_title() {
 
 #[test]
 fn settings_stay_with_the_photo() {
-    let (dir, server, photo) = with_photo(Limits::default());
+    let (server, photo) = Running::with_photo();
     let before = get(server.addr, &photo);
     assert_eq!(before.json()["settings"], json!({ "version": 1 }));
     let thumbnail = before.json()["links"]["thumbnail"].clone();
@@ -90,8 +70,7 @@ fn settings_stay_with_the_photo() {
     let poster = get(server.addr, changed.json()["links"]["poster"].as_str().unwrap());
     assert_eq!((poster.status, poster.header("content-type")), (200, Some("image/jpeg")));
 
-    server.stop();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let server = server.restarted();
     assert_eq!(get(server.addr, &photo).json()["settings"], settings, "after a restart");
     let removed = patch(&server, &photo, &[], &json!({ "title": null, "poster": null }));
     assert_eq!((removed.json()["settings"].get("title"), &removed.json()["links"]["poster"]), (None, &thumbnail));
@@ -99,14 +78,8 @@ fn settings_stay_with_the_photo() {
 
 #[test]
 fn a_wrong_setting_is_named_and_changes_nothing() {
-    let (_dir, server, photo) = with_photo(Limits::default());
-    for (body, field) in [
-        (json!({ "title": "fine", "motion": { "x": 1.5 } }), "motion.x"),
-        (json!({ "focus": -1 }), "focus"),
-        (json!({ "start": [0, 0, 0] }), "start"),
-        (json!({ "colour": "red" }), "colour"),
-        (json!({ "version": 7 }), "version"),
-    ] {
+    let (server, photo) = Running::with_photo();
+    for (body, field) in [(json!({ "title": "fine", "motion": { "x": 1.5 } }), "motion.x"), (json!({ "colour": "red" }), "colour")] {
         assert_eq!(patch(&server, &photo, &[], &body).problem(400)["field"], field);
     }
     patch(&server, &photo, &[], &json!(3)).problem(400);
@@ -123,7 +96,7 @@ fn a_wrong_setting_is_named_and_changes_nothing() {
 
 #[test]
 fn a_camera_path_is_drawn_as_an_animation() {
-    let (_dir, server, photo) = with_photo(Limits::default());
+    let (server, photo) = Running::with_photo();
     for (query, media_type, magic) in
         [("path=swing&frames=4", "image/webp", (8, b"WEBP")), ("path=orbit&frames=3&w=64&format=mp4", "video/mp4", (4, b"ftyp"))]
     {
@@ -142,16 +115,11 @@ fn a_camera_path_is_drawn_as_an_animation() {
     assert_eq!(get(server.addr, &format!("{photo}/view?path=orbit&frames=240&w=2000&h=2000")).problem(400)["field"], "w");
 }
 
-/// A value of `/metrics`; 0 if it is missing.
-fn metric(server: &Running, name: &str) -> f64 {
-    let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-    text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse().ok()).unwrap_or(0.0)
-}
-
 #[test]
 fn abandoned_views_are_not_drawn() {
     const CLIENTS: usize = 8;
-    let (_dir, server, photo) = with_photo(Limits { views: 1, views_waiting: CLIENTS, ..Limits::default() });
+    let server = Running::with(Limits { views: 1, views_waiting: CLIENTS, ..Limits::default() }, Arc::new(pipeline()));
+    let photo = format!("/v1/photos/{}", server.make(&picture(1, PictureFormat::Png)));
     let clients: Vec<Connection> = (0..CLIENTS)
         .map(|n| {
             let mut client = Connection::open(server.addr);
@@ -160,20 +128,19 @@ fn abandoned_views_are_not_drawn() {
         })
         .collect();
     // the request for the metrics counts, too
-    wait_until("all ask", || metric(&server, "tmpi_requests_in_flight") >= (CLIENTS + 1) as f64);
+    wait_until("all ask", || server.metric("tmpi_requests_in_flight") > CLIENTS as u64);
     drop(clients);
-    wait_until("all are gone", || metric(&server, "tmpi_requests_in_flight") <= 1.0);
+    wait_until("all are gone", || server.metric("tmpi_requests_in_flight") <= 1);
     let view = get(server.addr, &format!("{photo}/view?w=40"));
     assert_eq!(view.status, 200, "the slots are free: {}", String::from_utf8_lossy(&view.body));
-    let drawn = metric(&server, "tmpi_view_seconds_count{phase=\"render\"}");
-    assert!((1.0..CLIENTS as f64).contains(&drawn), "{drawn} views were drawn to the end");
+    let drawn = server.metric("tmpi_view_seconds_count{phase=\"render\"}");
+    assert!((1..CLIENTS as u64).contains(&drawn), "{drawn} views were drawn to the end");
 }
 
 #[test]
 fn if_match_depends_on_the_settings_not_on_the_progress() {
-    let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
-    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let server = Running::with(Limits::default(), gate.clone());
     let id = server.upload(&jpeg(1));
     gate.wait_started(1);
     let photo = format!("/v1/photos/{id}");
@@ -187,7 +154,7 @@ fn if_match_depends_on_the_settings_not_on_the_progress() {
 
 #[test]
 fn parallel_changes_are_all_kept_and_never_restore_a_deleted_photo() {
-    let (_dir, server, photo) = with_photo(Limits::default());
+    let (server, photo) = Running::with_photo();
     let settings = [json!({ "title": "A" }), json!({ "focus": 0.5 }), json!({ "speed": 2.0 }), json!({ "idle": "orbit" })];
     std::thread::scope(|scope| {
         for one in &settings {

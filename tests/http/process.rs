@@ -2,16 +2,11 @@
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read as _, Write};
-use std::net::SocketAddr;
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::AtomicUsize;
 
-use tmpi_render::{PictureFormat, View, encode};
-
-use crate::client::{Connection, form, get, request};
-use crate::fixture::{contents, depth_map, incoming, wait_until};
+use crate::prelude::*;
 
 pub struct Process {
     child: Child,
@@ -53,13 +48,6 @@ impl Process {
         Self { addr: addr.unwrap_or_else(|| panic!("the first line of standard output is the address: {line:?}")), child, log }
     }
 
-    /// Resident memory; 0 if the system does not report it.
-    pub fn resident_mib(&self) -> f64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap_or_default();
-        let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"));
-        line.and_then(|l| l.split_whitespace().next()?.parse::<f64>().ok()).unwrap_or_default() / 1024.0
-    }
-
     /// Kills the server without a chance to clean up.
     pub fn crash(&mut self) {
         self.child.kill().unwrap();
@@ -75,8 +63,13 @@ impl Process {
     /// Stops its process that writes files until the guard is dropped.
     #[cfg(target_os = "linux")]
     pub fn hold_writer(&self) -> Held {
-        wait_until("there is a process that writes files", || self.child_process(true).is_some());
-        let held = Held(self.child_process(true).unwrap());
+        self.held(true)
+    }
+
+    #[cfg(target_os = "linux")]
+    fn held(&self, gives_way: bool) -> Held {
+        wait_until("there is such a process", || self.child_process(gives_way).is_some());
+        let held = Held(self.child_process(gives_way).unwrap());
         held.signal(libc::SIGSTOP);
         held
     }
@@ -104,10 +97,7 @@ impl Process {
     /// Stops the process that makes photos until the guard is dropped, so that no photo is made meanwhile.
     #[cfg(target_os = "linux")]
     pub fn hold(&self) -> Held {
-        wait_until("there is a process that makes photos", || self.maker().is_some());
-        let held = Held(self.maker().unwrap());
-        held.signal(libc::SIGSTOP);
-        held
+        self.held(false)
     }
 
     /// Waits until the server is sending a photo larger than a pipe to the stopped process.
@@ -204,10 +194,7 @@ impl Drop for Process {
 
 /// A picture that takes a while to make.
 pub fn large(seed: u32) -> Vec<u8> {
-    let (width, height) = (480, 360);
-    let at = |x: u32, y: u32| [(x * 7 + seed) as u8, (y * 5) as u8, ((x / 32) * (y / 32) * 9 + seed) as u8, 255];
-    let rgba = (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
-    encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
+    sized(seed, 480, 360)
 }
 
 /// Uploads a photo with its own depth map, so that no network is needed; `None` if the server has gone.
@@ -221,12 +208,7 @@ pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
     connection.raw().write_all(&body).ok()?;
     let answer = connection.receive("POST").ok()?;
     assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    Some(answer.json()["id"].as_str().unwrap().to_owned())
-}
-
-fn ids(addr: SocketAddr) -> Vec<String> {
-    let list = get(addr, "/v1/photos?limit=200").json();
-    list["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect()
+    Some(id(&answer.json()))
 }
 
 #[test]
@@ -272,7 +254,7 @@ fn a_server_without_its_library_is_not_ready_and_logs_why() {
     wait_until("it is not ready", || get(server.addr, "/readyz").status == 503);
     let detail = get(server.addr, "/readyz").problem(503)["detail"].as_str().unwrap().to_owned();
     assert!(detail.contains("ONNX Runtime is missing") && !detail.contains("/nowhere"), "the answer contains no path: {detail}");
-    let log = std::fs::read_to_string(server.log.path()).unwrap();
+    let log = server.logged();
     assert_eq!(log.matches("/nowhere/libonnxruntime.so").count(), 1, "{log}");
     assert!(log.contains("ORT_DYLIB_PATH"), "the log says what to do: {log}");
 }
@@ -310,23 +292,22 @@ fn a_crash_during_ten_uploads_loses_and_doubles_none() {
 
         let server = Process::start(dir.path());
         assert_eq!(incoming(dir.path()), 0, "leftovers are removed");
-        let found = ids(server.addr);
+        let found = listed(server.addr);
         assert_eq!(found.iter().collect::<BTreeSet<_>>().len(), found.len(), "none is there twice");
         let lost: Vec<_> = answered.iter().filter(|id| !found.contains(id)).collect();
         assert!(lost.is_empty(), "lost: {lost:?}");
-        let state = |id: &str| get(server.addr, &format!("/v1/photos/{id}")).json()["state"].as_str().unwrap().to_owned();
         for id in &found {
-            wait_until("a photo from before the crash is done", || state(id) == "done");
+            wait_until("a photo from before the crash is done", || state(server.addr, id)["state"] == "done");
         }
         // uploading all again gives the same ten photos
         let all: BTreeSet<String> = photos.iter().map(|p| upload(server.addr, p).unwrap()).collect();
         assert!(all.len() == 10 && answered.is_subset(&all));
         for id in &all {
-            wait_until("all are done", || state(id) == "done");
+            wait_until("all are done", || state(server.addr, id)["state"] == "done");
             let atlas = get(server.addr, &format!("/v1/photos/{id}/atlas")).body;
             assert!(tmpi_core::container::decode(&atlas).is_ok());
         }
-        assert_eq!(ids(server.addr).len(), 10);
+        assert_eq!(listed(server.addr).len(), 10);
         assert_eq!(contents(dir.path(), "", "container").len(), 10);
     }
 }
@@ -346,7 +327,7 @@ fn sigterm_exits_with_0_and_accepted_photos_are_finished_or_kept() {
     assert_eq!(status.code(), Some(0), "{log}");
     assert!(log.contains("stopping") && log.contains("stopped"), "{log}");
     let server = Process::start(dir.path());
-    wait_until("it is done", || get(server.addr, &format!("/v1/photos/{id}")).json()["state"] == "done");
+    wait_until("it is done", || state(server.addr, &id)["state"] == "done");
 }
 
 #[test]
@@ -385,6 +366,11 @@ fn a_low_limit_of_open_files_is_raised_to_the_hard_limit() {
 
 /// A picture that takes a while to make and does not fit into a pipe.
 pub fn slow(seed: u32) -> Vec<u8> {
+    sized(seed, 1200, 900)
+}
+
+/// A picture whose files are not written by the process that serves.
+pub fn heavy(seed: u32) -> Vec<u8> {
     sized(seed, 2000, 1500)
 }
 
@@ -399,11 +385,7 @@ pub fn upload_with(addr: SocketAddr, photo: &[u8], options: &[(&str, &[u8])]) ->
     let (content_type, body) = form(&[&[("photo", photo), ("depth", &depth)], options].concat());
     let answer = request(addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body);
     assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
-    answer.json()["id"].as_str().unwrap().to_owned()
-}
-
-fn state(addr: SocketAddr, id: &str) -> serde_json::Value {
-    get(addr, &format!("/v1/photos/{id}")).json()
+    id(&answer.json())
 }
 
 #[test]
@@ -440,7 +422,7 @@ fn another_process_makes_the_photo_if_one_is_killed() {
     server.wait_for_photo();
     maker.signal(libc::SIGKILL);
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
-    let log = std::fs::read_to_string(server.log.path()).unwrap();
+    let log = server.logged();
     assert!(log.contains("crashed its process") && !log.contains("panicked"), "{log}");
 }
 
@@ -490,7 +472,7 @@ fn a_photo_over_its_memory_bound_ends_only_its_own_process() {
     wait_until("the limit has ended it", || maker.has_ended());
     // the server goes on, and another process makes the photo
     wait_until("it is done", || state(server.addr, &id)["state"] == "done");
-    let log = std::fs::read_to_string(server.log.path()).unwrap();
+    let log = server.logged();
     assert!(log.contains("crashed its process") && !log.contains("panicked"), "{log}");
 }
 
@@ -524,7 +506,7 @@ fn a_second_signal_ends_it_at_once() {
     upload_with(server.addr, &slow(8), &[]);
     server.wait_for_photo();
     server.signal(libc::SIGTERM);
-    wait_until("the first signal has arrived", || std::fs::read_to_string(server.log.path()).unwrap().contains("stopping"));
+    wait_until("the first signal has arrived", || server.logged().contains("stopping"));
     wait_until("the second signal ends it", || {
         server.signal(libc::SIGTERM);
         server.child.try_wait().unwrap().is_some_and(|status| status.code() == Some(1))

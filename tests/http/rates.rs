@@ -1,13 +1,9 @@
 //! Rate limits per key and per address.
 
-use std::sync::Arc;
+use tmpi::server::Rates;
 
-use tmpi::server::{Limits, Rates};
-
-use crate::access::{ask, private_within};
-use crate::client::{Response, request};
-use crate::fixture::{Running, jpeg, pipeline};
-use crate::key_fixture::{self, Scope};
+use crate::key_fixture;
+use crate::prelude::*;
 
 /// The parameter of an item in a list of RFC 9651, such as `r` of `"uploads"` in `"requests";r=1, "uploads";r=2`.
 fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
@@ -18,10 +14,9 @@ fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
 
 #[test]
 fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
-    let dir = tempfile::tempdir().unwrap();
     let limits = Limits { rates: Rates { requests: 1000, uploads: 2, views: 3 }, ..Limits::default() };
-    let server = private_within(dir.path(), Arc::new(pipeline()), limits);
-    let key = |name: &str| format!("Bearer {}", key_fixture::add(dir.path(), name, &[Scope::Upload, Scope::Read], None).unwrap());
+    let server = private_with(limits, Arc::new(pipeline()));
+    let key = |name: &str| format!("Bearer {}", key_fixture::add(server.data(), name, &[Scope::Upload, Scope::Read], None).unwrap());
     let (site, second_of_site, other) = (key("site"), key("site"), key("other"));
     let upload = |key: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", key), ("prefer", "wait=60")], &jpeg(seed));
     let first = upload(&site, 1);
@@ -38,7 +33,7 @@ fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
     assert!(problem["detail"].as_str().unwrap().contains("uploads are 2 a minute"), "{problem}");
     assert!(matches!(upload(&other, 3).status, 201 | 202), "another key has its own bucket");
     // views have a bucket, too; states and thumbnails do not count as views
-    let id = first.json()["id"].as_str().unwrap().to_owned();
+    let id = id(&first.json());
     let see = |part: &str| ask(&server, "GET", &format!("/v1/photos/{id}{part}"), &[("authorization", &site)], &[]).status;
     assert_eq!([see("/view?w=8"), see("/view?w=9"), see("/export?format=glb"), see("/view?w=8")], [200, 200, 200, 429]);
     assert_eq!((see(""), see("/thumbnail")), (200, 200));
@@ -47,12 +42,7 @@ fn a_key_over_its_rate_gets_429_and_other_keys_do_not() {
 #[test]
 fn clients_that_cannot_be_told_apart_are_not_counted() {
     // all clients of a proxy on this machine share its address
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(
-        dir.path(),
-        Limits { rates: Rates { requests: 1, uploads: 1, views: 1 }, ..Limits::default() },
-        Arc::new(pipeline()),
-    );
+    let server = Running::with(Limits { rates: Rates { requests: 1, uploads: 1, views: 1 }, ..Limits::default() }, Arc::new(pipeline()));
     for _ in 0..4 {
         let answer = request(server.addr, "GET", "/healthz", &[], &[]);
         assert_eq!((answer.status, answer.header("ratelimit")), (200, None));

@@ -1,16 +1,9 @@
 //! The Rust client against a running server.
 
-use std::io::{Read as _, Write as _};
-use std::net::TcpListener;
-use std::sync::Arc;
-use std::time::Duration;
-
-use tmpi::server::{Config, Limits, Server};
 use tmpi_client::{Client, Error, Export, Fresh, Settings, State, Upload, View, Visibility};
-use tmpi_render::Backend;
+use tmpi_testing::{Answer, StandIn};
 
-use crate::client::get;
-use crate::fixture::{Gate, Running, depth_map, jpeg, pipeline};
+use crate::prelude::*;
 
 pub fn block_on<T>(work: impl Future<Output = T>) -> T {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(work)
@@ -27,8 +20,7 @@ fn kind(error: &Error) -> String {
 
 #[test]
 fn a_photo_is_uploaded_and_everything_fetched() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let server = Running::open();
     let client = client(&server);
     block_on(async {
         let upload = Upload::of(jpeg(1)).depth(depth_map()).title("a \"sea\" & more").option("quality", "80");
@@ -68,8 +60,7 @@ fn a_photo_is_uploaded_and_everything_fetched() {
 
 #[test]
 fn errors_have_their_kind_and_field() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let server = Running::open();
     let client = client(&server);
     block_on(async {
         let refused = client.upload(Upload::of(jpeg(1)).option("planes", "many")).await.unwrap_err();
@@ -89,9 +80,8 @@ fn errors_have_their_kind_and_field() {
 
 #[test]
 fn stages_are_reported_until_the_photo_is_made() {
-    let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
-    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let server = Running::with(Limits::default(), gate.clone());
     let client = client(&server);
     block_on(async {
         let id = client.upload(Upload::of(jpeg(1))).await.unwrap().id;
@@ -112,11 +102,7 @@ fn stages_are_reported_until_the_photo_is_made() {
 
 #[test]
 fn photos_belong_to_their_owner_and_a_link_shows_one() {
-    let dir = tempfile::tempdir().unwrap();
-    let config =
-        Config { hosts: vec!["photos.example".into()], private: true, ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    let server = Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap() });
+    let server = private();
     block_on(async {
         let owner = client(&server).with_fresh_owner().unwrap();
         let other = client(&server).with_fresh_owner().unwrap();
@@ -144,25 +130,9 @@ fn photos_belong_to_their_owner_and_a_link_shows_one() {
     });
 }
 
-/// A server that answers each connection with the next text; the thread returns how many it answered.
-fn answers(texts: Vec<&'static str>) -> (String, std::thread::JoinHandle<usize>) {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = format!("http://{}", listener.local_addr().unwrap());
-    let served = std::thread::spawn(move || {
-        for text in &texts {
-            let (mut stream, _) = listener.accept().unwrap();
-            let mut asked = Vec::new();
-            let mut piece = [0; 1024];
-            // the requests here have no body, or a small one
-            while !asked.windows(4).any(|w| w == b"\r\n\r\n") {
-                let n = stream.read(&mut piece).unwrap();
-                asked.extend_from_slice(&piece[..n]);
-            }
-            stream.write_all(text.as_bytes()).unwrap();
-        }
-        texts.len()
-    });
-    (address, served)
+/// A server that answers each connection with the next text.
+fn answers(texts: &'static [&str]) -> StandIn {
+    StandIn::start(|request| Answer::bytes(texts[request.number]))
 }
 
 #[test]
@@ -172,26 +142,26 @@ fn refused_requests_are_repeated_and_possibly_completed_ones_are_not() {
     const CUT: &str = "HTTP/1.1 200 OK\r\ncontent-length: 100\r\nconnection: close\r\n\r\nnot all";
     const NONE: &str = "HTTP/1.1 404 Not Found\r\ncontent-length: 4\r\nconnection: close\r\n\r\nnone";
     block_on(async {
-        let (address, served) = answers(vec![BUSY, CUT, NONE]);
-        let error = Client::new(&address).unwrap().photo("a").await.unwrap_err();
+        let server = answers(&[BUSY, CUT, NONE]);
+        let error = Client::new(&server.url("")).unwrap().photo("a").await.unwrap_err();
         assert!(matches!(&error, Error::Problem(p) if p.status == 404 && p.detail == "none"), "{error:?}");
-        assert_eq!(served.join().unwrap(), 3);
+        assert_eq!(server.begun(), 3);
         // an upload without an owner is not repeated after it may have arrived
-        let (address, served) = answers(vec![OFTEN, CUT]);
-        let error = Client::new(&address).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err();
+        let server = answers(&[OFTEN, CUT]);
+        let error = Client::new(&server.url("")).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err();
         assert!(matches!(error, Error::Network(_)), "{error:?}");
-        served.join().unwrap();
-        let (address, served) = answers(vec![BUSY]);
-        assert_eq!(Client::new(&address).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err().status(), Some(503));
-        served.join().unwrap();
+        assert_eq!(server.begun(), 2);
+        let server = answers(&[BUSY]);
+        assert_eq!(Client::new(&server.url("")).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err().status(), Some(503));
+        assert_eq!(server.begun(), 1);
         // an owner's upload is repeated, because it gives the same photo
-        let (address, served) = answers(vec![CUT, NONE]);
-        let owner = Client::new(&address).unwrap().with_fresh_owner().unwrap();
+        let server = answers(&[CUT, NONE]);
+        let owner = Client::new(&server.url("")).unwrap().with_fresh_owner().unwrap();
         assert_eq!(owner.upload(Upload::of(&b"x"[..])).await.unwrap_err().status(), Some(404));
-        served.join().unwrap();
-        let (address, served) = answers(vec![BUSY]);
-        let error = Client::new(&address).unwrap().patience(Duration::ZERO).photo("a").await.unwrap_err();
+        assert_eq!(server.begun(), 2);
+        let server = answers(&[BUSY]);
+        let error = Client::new(&server.url("")).unwrap().patience(Duration::ZERO).photo("a").await.unwrap_err();
         assert_eq!(error.status(), Some(503));
-        served.join().unwrap();
+        assert_eq!(server.begun(), 1);
     });
 }

@@ -1,17 +1,11 @@
 //! Photos with a second picture, from beside: a file of its own, behind the first in the same file, or the other half of the picture.
 
-use std::net::SocketAddr;
-use std::sync::Arc;
-
-use serde_json::Value;
-use tmpi::server::{Limits, Maker};
 use tmpi_pipeline::depth::{DepthKind, from_map};
-use tmpi_pipeline::{Options, Stereo, photo};
-use tmpi_render::{PictureFormat, View, encode};
+use tmpi_pipeline::{Stereo, photo};
 use tmpi_testing::jpeg::{EYE, multi_picture};
+use tmpi_testing::pictures::noise;
 
-use crate::client::{Response, get, post_form, request};
-use crate::fixture::{Running, contents, depth_map, incoming, jpeg, wait_until, way_within};
+use crate::prelude::*;
 
 const W: u32 = 160;
 const H: u32 = 120;
@@ -19,17 +13,13 @@ const H: u32 = 120;
 const FAR: u32 = 3;
 const NEAR: u32 = 9;
 
-/// Spots of three pixels, 0 to 255.
-fn spots(x: u32, y: u32) -> u8 {
-    let i = (y / 3 * 4099 + x / 3).wrapping_mul(2_654_435_761);
-    ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 24) as u8
-}
-
 /// What an eye sees whose upper half is `far` and whose lower half `near` pixels further to the left.
 fn seen(width: u32, height: u32, far: u32, near: u32) -> View {
     let at = |i: u32| {
         let (x, y) = (i % width, i / width);
-        let v = spots(x + if y < height / 2 { far } else { near }, y);
+        let shift = if y < height / 2 { far } else { near };
+        // spots of three pixels
+        let v = (256.0 * noise((x + shift) / 3, y / 3)) as u8;
         [v, v / 2 + 60, 255 - v, 255]
     };
     View { width, height, rgba: (0..width * height).map(at).collect() }
@@ -54,16 +44,6 @@ fn halves(above: bool) -> Vec<u8> {
     let rows = a.chunks(W as usize).zip(b.chunks(W as usize)).flat_map(|(a, b)| [a, b].concat());
     let rgba = if above { [a.clone(), b.clone()].concat() } else { rows.collect() };
     file(&View { width, height, rgba }, PictureFormat::Png)
-}
-
-fn start() -> (tempfile::TempDir, Running) {
-    with(photo::Limits::default())
-}
-
-fn with(limits: photo::Limits) -> (tempfile::TempDir, Running) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(way_within(limits)));
-    (dir, server)
 }
 
 /// Sends a form and waits for the photo.
@@ -106,7 +86,7 @@ fn is_measured(addr: SocketAddr, made: &Response) {
 
 #[test]
 fn depth_is_measured_against_a_second_picture_and_the_report_says_so() {
-    let (dir, server) = start();
+    let server = Running::open();
     let (first, second) = (first(), second());
     let made = sent(server.addr, &[("photo", &first), ("second", &second)]);
     is_measured(server.addr, &made);
@@ -119,13 +99,13 @@ fn depth_is_measured_against_a_second_picture_and_the_report_says_so() {
     assert_ne!(alone.json()["id"], state["id"]);
     assert_eq!(report(server.addr, &alone)["depth_model"], "ramp");
     // the second picture is kept as it came
-    let kept = contents(dir.path(), state["id"].as_str().unwrap(), "depth");
+    let kept = contents(server.data(), state["id"].as_str().unwrap(), "depth");
     assert!(kept.len() == 1 && std::fs::read(&kept[0]).unwrap() == second, "{kept:?}");
 }
 
 #[test]
 fn depth_is_measured_between_halves_and_behind_one_another() {
-    let (_dir, server) = start();
+    let server = Running::open();
     for (stereo, above) in [(&b"left-right"[..], false), (b"top-bottom", true)] {
         is_measured(server.addr, &sent(server.addr, &[("stereo", stereo), ("photo", &halves(above))]));
     }
@@ -152,7 +132,7 @@ fn a_job_is_admitted_by_what_measuring_takes_wherever_the_second_picture_is() {
 
 #[test]
 fn a_second_picture_that_cannot_be_read_is_refused_by_its_name() {
-    let (dir, server) = start();
+    let server = Running::open();
     let (first, second) = (first(), second());
     let refused = |file: &[u8]| {
         let problem = post_form(server.addr, &[], &[("photo", &first), ("second", file)]).problem(422);
@@ -164,8 +144,8 @@ fn a_second_picture_that_cannot_be_read_is_refused_by_its_name() {
     refused(&second[..40]);
     refused(&second[..second.len() / 2]);
     assert!(refused(b"\0\0\0\x24ftypheic\0\0\0\0mif1heic").contains("second eye"));
-    assert_eq!(get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 0);
-    wait_until("nothing is left", || incoming(dir.path()) == 0 && contents(dir.path(), "", "").is_empty());
+    assert_eq!(server.listed().len(), 0);
+    wait_until("nothing is left", || incoming(server.data()) == 0 && contents(server.data(), "", "").is_empty());
     // damage that only decoding finds fails the photo
     let mut spoilt = second.clone();
     let at = spoilt.windows(4).position(|name| name == b"IDAT").unwrap() + 4;
@@ -173,14 +153,15 @@ fn a_second_picture_that_cannot_be_read_is_refused_by_its_name() {
     assert_eq!(sent(server.addr, &[("photo", &first), ("second", &spoilt)]).problem(422)["field"], "second");
     // one over the limits is refused as one that cannot be read; the photo itself is not at fault
     let larger = file(&seen(2 * W, 2 * H, FAR, NEAR), PictureFormat::Png);
-    let (_dir, server) = with(photo::Limits { pixels: u64::from(W * H), ..photo::Limits::default() });
+    let server =
+        Running::with(Limits::default(), Arc::new(way_within(photo::Limits { pixels: u64::from(W * H), ..photo::Limits::default() })));
     let problem = post_form(server.addr, &[], &[("photo", &first), ("second", &larger)]).problem(422);
     assert!(problem["field"] == "second" && problem["detail"].as_str().unwrap().contains("limit"), "{problem}");
 }
 
 #[test]
 fn one_of_depth_and_second_is_given_and_once() {
-    let (_dir, server) = start();
+    let server = Running::open();
     let (first, second, map) = (first(), second(), depth_map());
     let field = |parts: &[(&str, &[u8])]| post_form(server.addr, &[], parts).problem(400)["field"].as_str().unwrap().to_owned();
     assert_eq!(field(&[("photo", &first), ("depth", &map), ("second", &second)]), "second");
@@ -192,12 +173,12 @@ fn one_of_depth_and_second_is_given_and_once() {
     assert_eq!(field(&[("photo", &first), ("second", &second), ("stereo", b"none")]), "stereo");
     assert_eq!(field(&[("photo", &first), ("stereo", b"beside")]), "stereo");
     assert_eq!(field(&[("photo", &first), ("stereo", b"both")]), "stereo");
-    assert_eq!(get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 0);
+    assert_eq!(server.listed().len(), 0);
 }
 
 #[test]
 fn what_tells_no_depth_leaves_it_to_the_network_unless_no_other_will_do() {
-    let (_dir, server) = start();
+    let server = Running::open();
     let first = first();
     let tall = file(&seen(H, W, FAR, NEAR), PictureFormat::Png);
     let other = file(&View { rgba: seen(W, H, 0, 0).rgba.into_iter().rev().collect(), width: W, height: H }, PictureFormat::Png);
@@ -213,7 +194,7 @@ fn what_tells_no_depth_leaves_it_to_the_network_unless_no_other_will_do() {
 
 #[test]
 fn pictures_of_all_directions_are_refused_with_what_helps() {
-    let (_dir, server) = start();
+    let server = Running::open();
     let packet = "<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'><rdf:Description \
                   xmlns:GPano='http://ns.google.com/photos/1.0/panorama/' GPano:ProjectionType='equirectangular'/></rdf:RDF></x:xmpmeta>";
     let body = [b"http://ns.adobe.com/xap/1.0/\0", packet.as_bytes()].concat();

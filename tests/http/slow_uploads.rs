@@ -1,19 +1,8 @@
 //! How uploads arrive: slowly but steadily, too slowly, to a full queue, and with odd headers.
 
 use std::io::Write;
-use std::sync::Arc;
-use std::time::{Duration, Instant};
 
-use tmpi::server::{Limits, Maker};
-
-use crate::client::{Connection, form, post_form, request};
-use crate::fixture::{Gate, Running, incoming, jpeg, pipeline, wait_until};
-
-fn start(limits: Limits, maker: Arc<dyn Maker>) -> (tempfile::TempDir, Running) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), limits, maker);
-    (dir, server)
-}
+use crate::prelude::*;
 
 /// Sends an upload in `pieces` over `time`.
 fn drip(server: &Running, headers: &str, body: &[u8], pieces: usize, time: Duration) -> Connection {
@@ -32,7 +21,7 @@ fn drip(server: &Running, headers: &str, body: &[u8], pieces: usize, time: Durat
 #[test]
 fn a_slow_but_steady_upload_succeeds_however_long_it_takes() {
     let limits = Limits { request: Duration::from_secs(1), body_read: Duration::from_millis(900), body_rate: 500, ..Limits::default() };
-    let (_dir, server) = start(limits, Arc::new(pipeline()));
+    let server = Running::with(limits, Arc::new(pipeline()));
     let photo = jpeg(1);
     let began = Instant::now();
     let mut raw = drip(&server, "prefer: wait=20\r\n", &photo, 20, Duration::from_secs(3));
@@ -48,20 +37,20 @@ fn a_slow_but_steady_upload_succeeds_however_long_it_takes() {
 #[test]
 fn an_upload_below_the_least_rate_is_408_and_leaves_nothing() {
     let limits = Limits { body_read: Duration::from_millis(300), body_rate: 50_000, ..Limits::default() };
-    let (dir, server) = start(limits, Arc::new(pipeline()));
+    let server = Running::with(limits, Arc::new(pipeline()));
     // no single pause is too long, and the first bytes are a valid picture
     let mut photo = jpeg(1);
     photo.resize(5000, 7);
     let mut slow = drip(&server, "", &photo, 50, Duration::from_secs(2));
     let problem = slow.receive("POST").unwrap().problem(408);
     assert!(problem["detail"].as_str().unwrap().contains("bytes a second"), "{problem}");
-    wait_until("nothing is left", || incoming(dir.path()) == 0);
+    wait_until("nothing is left", || incoming(server.data()) == 0);
 }
 
 #[test]
 fn a_full_queue_is_reported_before_the_body_is_sent() {
     let gate = Gate::new(0);
-    let (dir, server) = start(Limits { queue: 1, uploads_beyond: 1, ..Limits::default() }, gate.clone());
+    let server = Running::with(Limits { queue: 1, uploads_beyond: 1, ..Limits::default() }, gate.clone());
     let _running = server.upload(&jpeg(1));
     gate.wait_started(1);
     let queued = server.upload(&jpeg(2));
@@ -70,13 +59,15 @@ fn a_full_queue_is_reported_before_the_body_is_sent() {
     let photo = jpeg(2);
     let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n", photo.len());
     known.raw().write_all(head.as_bytes()).unwrap();
-    wait_until("it comes in", || incoming(dir.path()) == 1);
+    wait_until("it comes in", || incoming(server.data()) == 1);
     let mut refused = Connection::open(server.addr);
     refused.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: 30000000\r\n\r\n").unwrap();
     let answer = refused.receive("POST").unwrap();
-    assert!(answer.header("retry-after").is_some());
-    answer.problem(429);
-    assert_eq!(incoming(dir.path()), 1, "the refused upload wrote nothing");
+    let seconds: u64 = answer.header("retry-after").unwrap().parse().unwrap();
+    assert_eq!(answer.problem(429)["retry_after"], seconds);
+    assert!((1..=120).contains(&seconds));
+    assert_eq!(get(server.addr, "/readyz").status, 200, "photos are still shown");
+    assert_eq!(incoming(server.data()), 1, "the refused upload wrote nothing");
     known.raw().write_all(&photo).unwrap();
     assert_eq!(known.receive("POST").unwrap().json()["id"], queued.as_str());
     gate.open(2);
@@ -89,7 +80,7 @@ fn a_full_queue_is_reported_before_the_body_is_sent() {
 fn retry_after_grows_with_what_waits() {
     let after = |queue: u8| {
         let gate = Gate::new(0);
-        let (_dir, server) = start(Limits { queue: queue.into(), ..Limits::default() }, gate.clone());
+        let server = Running::with(Limits { queue: queue.into(), ..Limits::default() }, gate.clone());
         server.upload(&jpeg(0));
         gate.wait_started(1);
         for seed in 1..=queue {
@@ -105,7 +96,7 @@ fn retry_after_grows_with_what_waits() {
 #[test]
 fn any_wait_is_accepted_however_long() {
     let gate = Gate::new(1);
-    let (_dir, server) = start(Limits::default(), gate);
+    let server = Running::with(Limits::default(), gate);
     for seconds in [u64::MAX.to_string(), "99999999999999999999".into(), "1e9".into()] {
         let answer = request(server.addr, "POST", "/v1/photos", &[("prefer", &format!("wait={seconds}"))], &jpeg(1));
         assert!(matches!(answer.status, 201 | 202), "{seconds}: {}", String::from_utf8_lossy(&answer.body));
@@ -114,7 +105,7 @@ fn any_wait_is_accepted_however_long() {
 
 #[test]
 fn headers_and_names_of_forms_are_bounded() {
-    let (dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    let server = Running::open();
     for name in ["n".repeat(65), "n".repeat(4000)] {
         let answer = post_form(server.addr, &[], &[(&name, b"1"), ("photo", &jpeg(1))]);
         assert!(answer.body.len() < 2000, "{} bytes", answer.body.len());
@@ -128,12 +119,12 @@ fn headers_and_names_of_forms_are_bounded() {
     answer.problem(400);
     // a name at the limit is refused as an unknown field only
     assert_eq!(post_form(server.addr, &[], &[(&"n".repeat(64), b"1")]).problem(400)["field"], "n".repeat(64));
-    wait_until("nothing is left", || incoming(dir.path()) == 0);
+    wait_until("nothing is left", || incoming(server.data()) == 0);
 }
 
 #[test]
 fn an_answer_does_not_wait_for_an_unread_body() {
-    let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    let server = Running::open();
     let mut connection = Connection::open(server.addr);
     let began = Instant::now();
     connection.raw().write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100\r\n\r\n").unwrap();
@@ -143,7 +134,7 @@ fn an_answer_does_not_wait_for_an_unread_body() {
 
 #[test]
 fn a_body_in_an_unsupported_transfer_coding_is_refused() {
-    let (dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    let server = Running::open();
     for coding in ["gzip, chunked", "x, chunked"] {
         let mut connection = Connection::open(server.addr);
         let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: {coding}\r\n\r\n3\r\nabc\r\n0\r\n\r\n");
@@ -155,5 +146,5 @@ fn a_body_in_an_unsupported_transfer_coding_is_refused() {
     let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\nTransfer-Encoding: Chunked\r\n\r\n{:x}\r\n", photo.len());
     connection.raw().write_all(&[head.as_bytes(), &photo, b"\r\n0\r\n\r\n"].concat()).unwrap();
     assert_eq!(connection.receive("POST").unwrap().status, 202);
-    wait_until("nothing else is left", || incoming(dir.path()) == 0);
+    wait_until("nothing else is left", || incoming(server.data()) == 0);
 }

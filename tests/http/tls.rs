@@ -1,11 +1,9 @@
 //! TLS with `--tls-cert`: HTTP/1.1 and HTTP/2.
 
 use std::io::{Read as _, Write as _};
-use std::net::{SocketAddr, TcpStream};
-use std::path::{Path, PathBuf};
+use std::net::TcpStream;
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use h2::client::SendRequest;
@@ -13,29 +11,29 @@ use hyper::{Request, Response};
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, ServerName};
 use rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
-use serde_json::Value;
-use tmpi::live::{Config as RoomConfig, Rooms};
-use tmpi::server::{Config, Limits, Server, Tls};
-use tmpi_pipeline::Models;
-use tmpi_render::Backend;
+use tmpi::server::Tls;
 
-use crate::client::get;
-use crate::fixture::{Running, jpeg, pipeline, wait_until};
 use crate::live;
+use crate::prelude::*;
 use crate::process::Killed;
 
 fn example(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/http/certificates").join(name)
 }
 
-/// A server with the example certificate.
-fn start(data: &Path, limits: Limits) -> Running {
-    let models = Models { depth: Arc::new(live::Bright), theta: None, psi: None };
-    let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
-    let config = Config { limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
+/// A server with the example certificate and a finished photo; returns the photo's id and container, too.
+fn start(limits: Limits) -> (Running, String, Vec<u8>) {
+    let plain = Running::open();
+    let id = plain.make(&jpeg(1));
+    let atlas = get(plain.addr, &format!("/v1/photos/{id}/atlas")).body;
+    (over_tls(plain, limits), id, atlas)
+}
+
+/// Stops a server and starts one with TLS in its data folder.
+fn over_tls(server: Running, limits: Limits) -> Running {
     let tls = Tls::open(example("one.pem"), example("one.key")).unwrap();
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap().with_rooms(rooms).with_tls(tls) })
+    let change = |config| Config { limits, ..config };
+    server.completed(Arc::new(pipeline()), change, |server| with_rooms(server).with_tls(tls))
 }
 
 /// A client that trusts the example certificate and offers these protocols.
@@ -47,16 +45,6 @@ fn trusting(protocols: &[&[u8]]) -> Arc<ClientConfig> {
     let mut client = client.with_root_certificates(roots).with_no_client_auth();
     client.alpn_protocols = protocols.iter().map(|p| p.to_vec()).collect();
     Arc::new(client)
-}
-
-/// Makes a photo in a data folder; returns its id and container.
-fn made(data: &Path) -> (String, Vec<u8>) {
-    let plain = Running::start(data, Limits::default(), Arc::new(pipeline()));
-    let id = plain.upload(&jpeg(1));
-    plain.wait(&id, "done");
-    let atlas = get(plain.addr, &format!("/v1/photos/{id}/atlas")).body;
-    plain.stop();
-    (id, atlas)
 }
 
 /// An HTTP/2 connection with the flow-control windows of `client`.
@@ -95,9 +83,7 @@ async fn fetch(sender: &SendRequest<Bytes>, request: Request<()>) -> (u16, Vec<u
 
 #[test]
 fn requests_on_a_keep_alive_connection_over_tls() {
-    let dir = tempfile::tempdir().unwrap();
-    let (id, atlas) = made(dir.path());
-    let server = start(dir.path(), Limits::default());
+    let (server, id, atlas) = start(Limits::default());
     let name = ServerName::try_from("localhost").unwrap();
     let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
     let mut stream = StreamOwned::new(session, TcpStream::connect(server.addr).unwrap());
@@ -126,10 +112,8 @@ fn requests_on_a_keep_alive_connection_over_tls() {
 
 #[test]
 fn hsts_is_sent_over_tls() {
-    let dir = tempfile::tempdir().unwrap();
-    let (id, _) = made(dir.path());
-    let told = |limits: Limits, paths: &[&str]| {
-        let server = start(dir.path(), limits);
+    let told = |server: Running, limits: Limits, paths: &[&str]| {
+        let server = over_tls(server, limits);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         let one = runtime.block_on(async {
             let sender = second(server.addr, &mut h2::client::Builder::new()).await;
@@ -147,23 +131,24 @@ fn hsts_is_sent_over_tls() {
         let mut all = Vec::new();
         let _ = stream.read_to_end(&mut all);
         let all = String::from_utf8_lossy(&all).into_owned();
-        server.stop();
-        (one, all.matches("strict-transport-security: max-age=9\r\n").count())
+        (server, one, all.matches("strict-transport-security: max-age=9\r\n").count())
     };
+    let (server, id, _) = start(Limits::default());
     let atlas = format!("/v1/photos/{id}/thumbnail");
     // the second thumbnail comes from a cache
     let paths = ["/healthz", &atlas, &atlas, "/nowhere"];
-    assert_eq!(told(Limits { hsts: Duration::from_secs(9), ..Limits::default() }, &paths), (Some("max-age=9".into()), 4));
-    assert_eq!(told(Limits { hsts: Duration::ZERO, ..Limits::default() }, &paths), (None, 0));
-    assert_eq!(told(Limits::default(), &paths[..1]).0, Some("max-age=604800".into()));
-    let plain = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    assert_eq!(get(plain.addr, "/healthz").header("strict-transport-security"), None);
+    let (server, header, times) = told(server, Limits { hsts: Duration::from_secs(9), ..Limits::default() }, &paths);
+    assert_eq!((header.as_deref(), times), (Some("max-age=9"), 4));
+    let (server, header, times) = told(server, Limits { hsts: Duration::ZERO, ..Limits::default() }, &paths);
+    assert_eq!((header, times), (None, 0));
+    let (server, header, _) = told(server, Limits::default(), &paths[..1]);
+    assert_eq!(header.as_deref(), Some("max-age=604800"));
+    assert_eq!(get(server.restarted().addr, "/healthz").header("strict-transport-security"), None);
 }
 
 #[test]
 fn http_2_announces_the_configured_limit_of_streams() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = start(dir.path(), Limits { streams_at_once: 3, ..Limits::default() });
+    let server = over_tls(Running::open(), Limits { streams_at_once: 3, ..Limits::default() });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
@@ -180,9 +165,7 @@ fn large(mut photo: Vec<u8>) -> Vec<u8> {
 
 #[test]
 fn many_requests_at_a_time_over_http_2() {
-    let dir = tempfile::tempdir().unwrap();
-    let (id, atlas) = made(dir.path());
-    let server = start(dir.path(), Limits::default());
+    let (server, id, atlas) = start(Limits::default());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let sender = second(server.addr, &mut h2::client::Builder::new()).await;
@@ -213,8 +196,8 @@ fn many_requests_at_a_time_over_http_2() {
 
 #[test]
 fn the_program_publishes_and_watches_a_room_over_tls() {
-    let (dir, frames) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let server = start(dir.path(), Limits::default());
+    let frames = tempfile::tempdir().unwrap();
+    let server = over_tls(Running::open(), Limits::default());
     for n in 0..10 {
         std::fs::write(frames.path().join(format!("{n}.jpg")), live::frame(10 + 5 * n)).unwrap();
     }
@@ -243,11 +226,9 @@ fn the_program_publishes_and_watches_a_room_over_tls() {
 
 #[test]
 fn stalled_silent_and_plain_text_connections_are_closed() {
-    let dir = tempfile::tempdir().unwrap();
-    let (id, atlas) = made(dir.path());
     let short = Duration::from_millis(300);
-    let limits = Limits { write: short, write_rate: 1 << 30, header_read: Duration::from_secs(2), ..Limits::default() };
-    let server = start(dir.path(), limits);
+    let limits = Limits { write: short, write_rate: 1 << 30, header_read: Duration::from_secs(1), ..Limits::default() };
+    let (server, id, atlas) = start(limits);
     // no handshake, and plain HTTP
     let mut silent = TcpStream::connect(server.addr).unwrap();
     let mut plain = TcpStream::connect(server.addr).unwrap();

@@ -1,17 +1,11 @@
 //! Uploads that are refused by their first bytes, before the client has sent the rest.
 
 use std::io::Write;
-use std::net::SocketAddr;
-use std::sync::Arc;
-use std::time::Duration;
 
-use serde_json::Value;
-use tmpi::server::{Fault, Limits, Maker, PipelineMaker, Product};
-use tmpi_pipeline::{MakeError, Options, Sink, photo};
-use tmpi_render::{PictureFormat, View, encode};
+use tmpi::server::PipelineMaker;
+use tmpi_pipeline::photo;
 
-use crate::client::{Connection, Response, form, post_form, request};
-use crate::fixture::{Running, contents, depth_map, incoming, jpeg, picture, wait_until, way_within};
+use crate::prelude::*;
 
 /// The real pipeline without the early check of a photo's header.
 struct Late(PipelineMaker);
@@ -31,10 +25,8 @@ fn patient() -> Limits {
     Limits { body_read: Duration::from_hours(1), ..Limits::default() }
 }
 
-fn start(limits: Limits, photo: photo::Limits) -> (tempfile::TempDir, Running) {
-    let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), limits, Arc::new(way_within(photo)));
-    (dir, server)
+fn start(photo: photo::Limits) -> Running {
+    Running::with(patient(), Arc::new(way_within(photo)))
 }
 
 /// The first bytes of a picture that claims a size.
@@ -77,7 +69,7 @@ fn says(mut problem: Value) -> Value {
 
 #[test]
 fn a_header_of_a_picture_that_is_too_large_is_refused_while_the_client_sends_no_more() {
-    let (dir, server) = start(patient(), patient().photo());
+    let server = start(patient().photo());
     for format in PictureFormat::ALL {
         let first = claims(format, 60_000);
         let raw = stalled(server.addr, "/v1/photos", format.media_type(), &first);
@@ -92,25 +84,25 @@ fn a_header_of_a_picture_that_is_too_large_is_refused_while_the_client_sends_no_
     // a client that sends the whole body gets the same answer
     let all = [claims(PictureFormat::Png, 60_000), vec![0; 2_000_000]].concat();
     request(server.addr, "POST", "/v1/photos", &[], &all).problem(413);
-    wait_until("nothing is left", || incoming(dir.path()) == 0);
-    assert!(contents(dir.path(), "", "").is_empty());
+    wait_until("nothing is left", || incoming(server.data()) == 0);
+    assert!(contents(server.data(), "", "").is_empty());
 }
 
 #[test]
 fn a_file_that_is_no_picture_is_refused_by_its_first_bytes() {
-    let (dir, server) = start(patient(), patient().photo());
+    let server = start(patient().photo());
     let page = b"<!doctype html><title>A photo</title>";
     assert_eq!(stalled(server.addr, "/v1/photos", "image/jpeg", page).problem(415)["field"], "photo");
     let heic = stalled(server.addr, "/v1/photos", "image/jpeg", b"\0\0\0\x24ftypheic\0\0\0\0mif1heic").problem(415);
     assert!(heic["detail"].as_str().unwrap().contains("Most Compatible"), "{heic}");
     let (content_type, body) = open_form(&[("photo", page)]);
     assert_eq!(stalled(server.addr, "/v1/photos", &content_type, &body).problem(415)["field"], "photo");
-    wait_until("nothing is left", || incoming(dir.path()) == 0);
+    wait_until("nothing is left", || incoming(server.data()) == 0);
 }
 
 #[test]
 fn a_header_that_comes_byte_by_byte_is_read_as_one_that_comes_at_once() {
-    let (_dir, server) = start(patient(), patient().photo());
+    let server = start(patient().photo());
     let chunked = |bytes: &[u8], ends: bool| {
         let mut connection = Connection::open(server.addr);
         let raw = connection.raw();
@@ -135,7 +127,7 @@ fn a_header_that_comes_byte_by_byte_is_read_as_one_that_comes_at_once() {
 
 #[test]
 fn a_picture_whose_size_comes_late_is_checked_once_it_is_whole() {
-    let (_dir, server) = start(patient(), patient().photo());
+    let server = start(patient().photo());
     let metadata = [&[0xFF, 0xE1, 0xFF, 0xFF][..], &vec![7; 0xFFFF - 2]].concat().repeat(5);
     let behind = |file: &[u8]| [&file[..2], &metadata, &file[2..]].concat();
     let photo = behind(&jpeg(3));
@@ -148,7 +140,7 @@ fn a_picture_whose_size_comes_late_is_checked_once_it_is_whole() {
 
 #[test]
 fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
-    let (_dir, server) = start(patient(), photo::Limits { memory: 122 << 20, ..patient().photo() });
+    let server = start(photo::Limits { memory: 122 << 20, ..patient().photo() });
     let large = claims(PictureFormat::Png, 4000);
     let raw = stalled(server.addr, "/v1/photos", "image/png", &large).problem(413);
     assert!(raw["detail"].as_str().unwrap().contains(&(122 << 20).to_string()), "{raw}");
@@ -166,9 +158,8 @@ fn memory_is_counted_by_the_header_as_far_as_the_options_are_known() {
 #[test]
 fn early_and_late_checks_agree() {
     let photo = || photo::Limits { pixels: 6_000_000, side: 4000, memory: 400 << 20, decoder_memory: 20_000_000, ..patient().photo() };
-    let (_dir, early) = start(patient(), photo());
-    let dir = tempfile::tempdir().unwrap();
-    let late = Running::start(dir.path(), patient(), Arc::new(Late(way_within(photo()))));
+    let early = start(photo());
+    let late = Running::with(patient(), Arc::new(Late(way_within(photo()))));
     let mut bodies =
         vec![b"<svg xmlns='http://www.w3.org/2000/svg'/>".to_vec(), b"GIF89a\x50\0\x3c\0\x80\0\0".to_vec(), vec![0; 5], jpeg(4)];
     for format in PictureFormat::ALL {

@@ -1,41 +1,26 @@
 //! Webhooks, with a receiver in this process.
 
 use std::collections::{BTreeMap, HashMap};
-use std::path::Path;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::AtomicBool;
 
-use serde_json::{Value, json};
-use tmpi::server::{AddressPolicy, Config, Fault, Limits, Maker, Problem, Server};
-use tmpi_render::Backend;
+use tmpi::server::{AddressPolicy, Problem};
+use tmpi_testing::Answer;
 
-use crate::client::{Connection, Response, get, request};
-use crate::fixture::{Does, Running, figure, jpeg, pipeline, rooms, wait_until};
 use crate::live::{Publisher, frame};
-use crate::receiver::{Answer, Got, Receiver};
+use crate::prelude::*;
+use crate::receiver::{Delivery as _, Receiver};
 
 const JSON: (&str, &str) = ("content-type", "application/json");
 /// Retries of which even an unlucky delivery does not use up all.
 const MANY: usize = 60;
 
-/// A server whose webhooks may have any address, with these pauses between attempts.
-fn server(data: &Path, retries: Vec<Duration>) -> Running {
-    server_of(data, Arc::new(pipeline()), |config| Config {
-        webhook_addresses: AddressPolicy::Any,
-        limits: Limits { retries, ..config.limits },
-        ..config
-    })
+/// A server whose webhooks may have any address.
+fn server(limits: Limits) -> Running {
+    Running::configured(Arc::new(pipeline()), |config| Config { webhook_addresses: AddressPolicy::Any, limits, ..config })
 }
 
-fn server_of(data: &Path, maker: Arc<dyn Maker>, change: impl FnOnce(Config) -> Config) -> Running {
-    let config = change(Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()));
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    Running::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
-}
-
-fn quick(times: usize) -> Vec<Duration> {
-    vec![Duration::from_millis(1); times]
+fn quick(times: usize) -> Limits {
+    Limits { retries: vec![Duration::from_millis(1); times], ..Limits::default() }
 }
 
 fn send(server: &Running, method: &str, path: &str, body: &Value) -> Response {
@@ -73,8 +58,7 @@ fn log(server: &Running, webhook: &str) -> Vec<Value> {
 
 #[test]
 fn the_life_of_a_photo_is_told_and_signed() {
-    let dir = tempfile::tempdir().unwrap();
-    let (server, receiver) = (server(dir.path(), quick(3)), Receiver::start(|_| Answer::of(204)));
+    let (server, receiver) = (server(quick(3)), Receiver::start(|_| Answer::of(204)));
     let (webhook, secret) = add(&server, &json!({ "url": receiver.url }));
     let photo = server.upload(&jpeg(1));
     let done = receiver.wait("photo.done", 1);
@@ -92,16 +76,15 @@ fn the_life_of_a_photo_is_told_and_signed() {
     wait_until("all is recorded", || log(&server, &webhook).iter().all(|one| one["state"] == "delivered"));
     let told: Vec<String> = log(&server, &webhook).iter().map(|one| one["type"].as_str().unwrap().to_owned()).collect();
     assert_eq!(told, ["photo.deleted", "export.done", "photo.done"]);
-    assert_eq!(figure(server.addr, "tmpi_deliveries_total{outcome=\"delivered\"}"), Some(3));
+    assert_eq!(server.metric("tmpi_deliveries_total{outcome=\"delivered\"}"), 3);
 }
 
 #[test]
 fn a_failed_photo_is_told_with_its_problem() {
-    let dir = tempfile::tempdir().unwrap();
-    let fails = Does(|_: &[u8], _: &dyn tmpi_pipeline::Sink| {
+    let fails = Does(|_: &[u8], _: &dyn Sink| {
         Err(Fault::Photo(Problem::new(axum::http::StatusCode::UNPROCESSABLE_ENTITY, "broken-photo", "it is torn")))
     });
-    let server = server_of(dir.path(), Arc::new(fails), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
+    let server = Running::configured(Arc::new(fails), |config| Config { webhook_addresses: AddressPolicy::Any, ..config });
     let (failed, done) = (Receiver::start(|_| Answer::of(200)), Receiver::start(|_| Answer::of(200)));
     add(&server, &json!({ "url": failed.url, "events": ["photo.failed"] }));
     let (other, _) = add(&server, &json!({ "url": done.url, "events": ["photo.done"] }));
@@ -113,9 +96,8 @@ fn a_failed_photo_is_told_with_its_problem() {
 
 #[test]
 fn an_attempt_that_fails_is_made_again_with_the_same_id() {
-    let dir = tempfile::tempdir().unwrap();
     let receiver = Receiver::start(|before: usize| if before < 2 { Answer::of(500) } else { Answer::of(200) });
-    let server = server(dir.path(), quick(3));
+    let server = server(quick(3));
     let (webhook, secret) = add(&server, &json!({ "url": receiver.url, "secret": "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw" }));
     assert_eq!(secret, "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw");
     let delivery = ping(&server, &webhook);
@@ -131,11 +113,10 @@ fn an_attempt_that_fails_is_made_again_with_the_same_id() {
 
 #[test]
 fn what_is_never_taken_fails_and_redirects_are_not_followed() {
-    let dir = tempfile::tempdir().unwrap();
     let elsewhere = Receiver::start(|_| Answer::of(200));
     let to = format!("location: {}\r\n", elsewhere.url);
-    let receiver = Receiver::start(move |_| Answer { status: 307, headers: to.clone() });
-    let server = server(dir.path(), quick(2));
+    let receiver = Receiver::start(move |_| Answer::Whole(307, to.clone(), Vec::new()));
+    let server = server(quick(2));
     let (webhook, _) = add(&server, &json!({ "url": receiver.url }));
     ping(&server, &webhook);
     wait_until("it has failed", || log(&server, &webhook)[0]["state"] == "failed");
@@ -146,7 +127,7 @@ fn what_is_never_taken_fails_and_redirects_are_not_followed() {
     assert!(get(server.addr, &format!("/v1/webhooks/{webhook}")).json()["failing_since"].is_string());
     // a receiver that is away, and one that is busy
     drop(receiver);
-    let busy = Receiver::start(|_| Answer { status: 503, headers: "retry-after: 3600\r\n".into() });
+    let busy = Receiver::start(|_| Answer::Whole(503, "retry-after: 3600\r\n".into(), Vec::new()));
     let (webhook, _) = add(&server, &json!({ "url": busy.url }));
     ping(&server, &webhook);
     wait_until("it is recorded", || log(&server, &webhook)[0]["attempts"] == 1 && log(&server, &webhook)[0]["status"] == 503);
@@ -156,7 +137,6 @@ fn what_is_never_taken_fails_and_redirects_are_not_followed() {
 
 #[test]
 fn two_deliveries_of_a_webhook_are_under_way_in_order() {
-    let dir = tempfile::tempdir().unwrap();
     let open = Arc::new(AtomicBool::new(false));
     let gate = Arc::clone(&open);
     let held = Receiver::start(move |_| {
@@ -164,7 +144,7 @@ fn two_deliveries_of_a_webhook_are_under_way_in_order() {
         Answer::of(200)
     });
     let free = Receiver::start(|_| Answer::of(200));
-    let server = server(dir.path(), quick(3));
+    let server = server(quick(3));
     let ((slow, _), (fast, _)) = (add(&server, &json!({ "url": held.url })), add(&server, &json!({ "url": free.url })));
     let pings: Vec<String> = (0..6).map(|_| ping(&server, &slow)).collect();
     wait_until("two are under way", || held.begun() == 2);
@@ -180,13 +160,10 @@ fn two_deliveries_of_a_webhook_are_under_way_in_order() {
 
 #[test]
 fn a_thousand_deliveries_arrive_though_half_of_the_attempts_fail() {
-    let dir = tempfile::tempdir().unwrap();
     // a fair coin, the same for each run
-    let receiver = Receiver::start(|before: usize| {
-        let coin = (before as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(31).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 63;
-        Answer::of(if coin == 0 { 200 } else { 500 })
-    });
-    let server = server(dir.path(), quick(MANY));
+    let receiver =
+        Receiver::start(|before: usize| Answer::of(if tmpi_testing::pictures::noise(before as u32, 0) < 0.5 { 200 } else { 500 }));
+    let server = server(quick(MANY));
     let webhooks: Vec<String> = (0..8).map(|_| add(&server, &json!({ "url": receiver.url })).0).collect();
     let mut connection = Connection::open(server.addr);
     let mut sent = Vec::new();
@@ -211,20 +188,18 @@ fn a_thousand_deliveries_arrive_though_half_of_the_attempts_fail() {
 
 #[test]
 fn a_restart_loses_no_delivery() {
-    let dir = tempfile::tempdir().unwrap();
     let open = Arc::new(AtomicBool::new(false));
     let gate = Arc::clone(&open);
     let receiver = Receiver::start(move |_| {
         wait_until("the gate opens", || gate.load(Ordering::SeqCst));
         Answer::of(200)
     });
-    let first = server(dir.path(), quick(3));
+    let first = server(quick(3));
     let (webhook, _) = add(&first, &json!({ "url": receiver.url }));
     let pings: Vec<String> = (0..3).map(|_| ping(&first, &webhook)).collect();
     wait_until("two are under way", || receiver.begun() == 2);
-    first.stop();
+    let second = first.again(quick(3), Arc::new(pipeline()));
     open.store(true, Ordering::SeqCst);
-    let second = server(dir.path(), quick(3));
     wait_until("all are delivered", || log(&second, &webhook).iter().all(|one| one["state"] == "delivered"));
     let mut got: BTreeMap<String, usize> = BTreeMap::new();
     for one in receiver.got() {
@@ -236,9 +211,8 @@ fn a_restart_loses_no_delivery() {
 
 #[test]
 fn a_webhook_that_is_gone_is_disabled_until_somebody_enables_it() {
-    let dir = tempfile::tempdir().unwrap();
     let receiver = Receiver::start(|before: usize| Answer::of(if before == 0 { 410 } else { 200 }));
-    let server = server(dir.path(), quick(3));
+    let server = server(quick(3));
     let (webhook, _) = add(&server, &json!({ "url": receiver.url }));
     let at = format!("/v1/webhooks/{webhook}");
     ping(&server, &webhook);
@@ -258,10 +232,8 @@ fn a_webhook_that_is_gone_is_disabled_until_somebody_enables_it() {
 
 #[test]
 fn webhooks_of_callers_reach_public_addresses_alone() {
-    let dir = tempfile::tempdir().unwrap();
     let receiver = Receiver::start(|_| Answer::of(200));
-    let server =
-        server_of(dir.path(), Arc::new(pipeline()), |config| Config { limits: Limits { retries: Vec::new(), ..config.limits }, ..config });
+    let server = Running::with(quick(0), Arc::new(pipeline()));
     for wrong in [
         receiver.url.as_str(),
         "http://[::1]/",
@@ -288,8 +260,7 @@ fn webhooks_of_callers_reach_public_addresses_alone() {
 
 #[test]
 fn wrong_fields_are_named() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = server(dir.path(), quick(1));
+    let server = server(quick(1));
     let url = "https://nowhere.invalid/";
     for (body, field) in [
         (json!({}), "url"),
@@ -320,11 +291,10 @@ fn wrong_fields_are_named() {
 
 #[test]
 fn webhooks_of_the_configuration_have_any_address_and_follow_it() {
-    let dir = tempfile::tempdir().unwrap();
     let receiver = Receiver::start(|_| Answer::of(200));
     let secret = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
     let configured = json!({ "url": receiver.url, "secret": secret, "events": ["photo.done"] }).to_string().parse().unwrap();
-    let server = server_of(dir.path(), Arc::new(pipeline()), |config| Config { webhooks: vec![configured], ..config });
+    let server = Running::configured(Arc::new(pipeline()), |config| Config { webhooks: vec![configured], ..config });
     let all = get(server.addr, "/v1/webhooks").json()["webhooks"].clone();
     assert_eq!((all.as_array().unwrap().len(), &all[0]["configured"], &all[0]["all"]), (1, &true.into(), &true.into()));
     let at = format!("/v1/webhooks/{}", all[0]["id"].as_str().unwrap());
@@ -334,23 +304,20 @@ fn webhooks_of_the_configuration_have_any_address_and_follow_it() {
         assert_eq!(send(&server, method, &at, &body).problem(409)["type"], "urn:tmpi:problem:configured");
     }
     assert_eq!(send(&server, "PATCH", &at, &json!({ "enabled": false })).json()["reason"], "a caller disabled it");
-    server.stop();
-    let server = server_of(dir.path(), Arc::new(pipeline()), |config| config);
+    let server = server.changed(Arc::new(pipeline()), |config| Config { webhooks: Vec::new(), ..config });
     get(server.addr, &at).problem(404);
 }
 
 #[test]
 fn a_room_is_told_when_it_starts_and_ends() {
-    let dir = tempfile::tempdir().unwrap();
     let receiver = Receiver::start(|_| Answer::of(200));
-    let first = server(dir.path(), quick(3));
+    let first = server(quick(3));
     add(&first, &json!({ "url": receiver.url, "events": ["room.started", "room.ended"] }));
     let mut publisher = Publisher::new(first.addr, "attic");
     publisher.publish(frame(10));
     assert_eq!(receiver.wait("room.started", 1)[0].json()["data"], json!({ "room": "attic", "path": "/live/attic" }));
-    first.stop();
-    let _second = server(dir.path(), quick(3));
+    let _second = first.again(quick(3), Arc::new(pipeline()));
     assert_eq!(receiver.wait("room.ended", 1)[0].json()["data"]["room"], "attic");
-    let all: Vec<Got> = receiver.got();
+    let all = receiver.got();
     assert_eq!(all.len(), 2, "{all:?}");
 }

@@ -1,27 +1,14 @@
 //! Webhooks of owners on a server with `--access private`.
 
-use std::path::Path;
-use std::sync::Arc;
+use tmpi::server::AddressPolicy;
+use tmpi_testing::Answer;
 
-use serde_json::{Value, json};
-use tmpi::server::{AddressPolicy, Config, Server};
-use tmpi_render::Backend;
+use crate::key_fixture;
+use crate::prelude::*;
+use crate::receiver::{Delivery as _, Receiver};
 
-use crate::access::{ask, id, secret, upload};
-use crate::client::Response;
-use crate::fixture::{Running, pipeline};
-use crate::key_fixture::{self, Scope};
-use crate::receiver::{Answer, Receiver};
-
-fn start(data: &Path) -> Running {
-    let config = Config {
-        hosts: vec!["photos.example".into()],
-        private: true,
-        webhook_addresses: AddressPolicy::Any,
-        ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned())
-    };
-    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
-    Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap() })
+fn start() -> Running {
+    Running::configured(Arc::new(pipeline()), |config| Config { private: true, webhook_addresses: AddressPolicy::Any, ..config })
 }
 
 fn send(server: &Running, who: &str, method: &str, path: &str, body: &Value) -> Response {
@@ -43,9 +30,8 @@ fn photos(receiver: &Receiver) -> Vec<String> {
 
 #[test]
 fn owners_are_told_of_their_photos_and_administrators_of_all() {
-    let dir = tempfile::tempdir().unwrap();
-    let server = start(dir.path());
-    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(dir.path(), name, scopes, None).unwrap());
+    let server = start();
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", key_fixture::add(server.data(), name, scopes, None).unwrap());
     let (ann, site, boss) = (secret("a"), key("site", &[Scope::Upload]), key("boss", &[Scope::Admin]));
     let receivers: Vec<Receiver> = (0..3).map(|_| Receiver::start(|_| Answer::of(200))).collect();
     let [of_ann, of_site, of_boss] = [(&ann, 0), (&site, 1), (&boss, 2)].map(|(who, n)| add(&server, who, &receivers[n].url));

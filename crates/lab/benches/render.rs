@@ -1,21 +1,19 @@
 //! Milliseconds per view of the `cpu` and `gpu` backends. The scene is loaded before the clock starts.
 //!
-//! `TMPI_SCENE=photo.tmpi cargo bench -p tmpi-lab --bench render` renders that container instead of a synthetic scene. At the end, the
-//! backends run in turns, which makes the comparison less sensitive to other load: medians of wall time and of CPU time.
+//! `TMPI_SCENE=photo.tmpi cargo bench -p tmpi-lab --bench render` renders that container instead of a synthetic scene. The backends run in
+//! turns, which makes the comparison less sensitive to other load: medians of wall time and of CPU time.
 #![allow(clippy::unwrap_used, reason = "bench")]
 
 use std::hint::black_box;
 use std::sync::Arc;
-use std::time::Duration;
 
-use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use tmpi_core::container;
 use tmpi_core::{Camera, Pose, Scene};
 use tmpi_lab::conformance::scenes;
 use tmpi_pipeline::usage::Clock;
 use tmpi_render::{Cpu, Gpu, Renderer};
 
-/// Turns of the interleaved measurement.
+/// Measurements of each backend.
 const TURNS: usize = 40;
 
 /// The container that `TMPI_SCENE` names, otherwise a synthetic scene.
@@ -47,33 +45,25 @@ fn cameras(scene: &Scene) -> Vec<(String, Camera)> {
         .into()
 }
 
-fn views(c: &mut Criterion) {
+fn main() {
     let scene = scene();
-    let mut group = c.benchmark_group("view");
-    group.sample_size(20).warm_up_time(Duration::from_secs(1)).measurement_time(Duration::from_secs(3));
-    let (backends, cameras) = (backends(), cameras(&scene));
-    for backend in &backends {
-        for (name, camera) in &cameras {
-            backend.render(&scene, camera).unwrap();
-            group.bench_function(BenchmarkId::new(backend.name(), name), |b| b.iter(|| backend.render(&scene, camera).unwrap()));
-        }
-    }
-    group.finish();
-    for (name, camera) in &cameras {
-        in_turns(&scene, &backends, name, camera);
+    let backends = backends();
+    for (name, camera) in cameras(&scene) {
+        in_turns(&scene, &backends, &name, &camera);
     }
 }
 
 /// Measures the backends, and the copy of a finished view, in turns.
 fn in_turns(scene: &Arc<Scene>, backends: &[Box<dyn Renderer>], name: &str, camera: &Camera) {
-    let view = backends[0].render(scene, camera).unwrap();
+    // the first view loads the scene
+    let views: Vec<_> = backends.iter().map(|backend| backend.render(scene, camera).unwrap()).collect();
     let mut times: Vec<[Vec<f64>; 2]> = vec![[Vec::new(), Vec::new()]; backends.len() + 1];
     for _ in 0..TURNS {
         for (backend, times) in times.iter_mut().enumerate() {
             let clock = Clock::start();
             match backends.get(backend) {
                 Some(backend) => black_box(backend.render(scene, camera).unwrap()),
-                None => black_box(view.clone()),
+                None => black_box(views[0].clone()),
             };
             times[0].push(clock.ms());
             times[1].push(clock.cpu_ms());
@@ -85,9 +75,6 @@ fn in_turns(scene: &Arc<Scene>, backends: &[Box<dyn Renderer>], name: &str, came
             t.sort_by(f64::total_cmp);
             t[t.len() / 2]
         });
-        println!("in turns, {name}: {backend:4} {wall:7.2} ms, {cpu:7.2} ms of CPU time");
+        println!("{name}: {backend:4} {wall:7.2} ms, {cpu:7.2} ms of CPU time");
     }
 }
-
-criterion_group!(benches, views);
-criterion_main!(benches);

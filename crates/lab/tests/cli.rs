@@ -92,7 +92,7 @@ fn help_succeeds_and_wrong_arguments_are_usage_errors() {
     f.run(&["make"]).fails(2, &["make"]);
     f.run(&["live-bench", "--size", "9999x9999"]).fails(2, &["--size"]);
     f.run(&["live-bench", "--size", "64x48,96x64", "--learn", "prior"]).fails(2, &["--learn"]);
-    f.run(&["bench", "serve"]).fails(2, &["URL"]);
+    f.run(&["bench", "--only", "best"]).fails(2, &["--only", "planes"]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Twelve kinds of scenes from eight cameras: the reference against its goldens, and the `cpu` and `gpu` backends against the reference.
+//! Twelve kinds of scenes from eight cameras: the reference against its goldens. `tmpi-lab check` holds all backends against rays.
 //!
 //! `TMPI_BLESS=1 cargo test --release -p tmpi-lab --test goldens` updates the goldens; `TMPI_BLESS=scenes` updates the scenes too.
 #![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "test")]
@@ -7,15 +7,15 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use image::{ExtendedColorType, ImageEncoder};
+use image::ExtendedColorType;
 use tmpi_core::container;
 use tmpi_core::{Camera, Pose, Scene, ViewBox};
-use tmpi_lab::metrics::{flip, share_off};
+use tmpi_lab::metrics::flip;
 use tmpi_lab::scenes;
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks::models;
-use tmpi_render::{Cpu, Gpu, PictureFormat, Reference, Renderer, View, corners, encode};
-use tmpi_testing::Need;
+use tmpi_render::{PictureFormat, Reference, Renderer, View, corners, encode};
+use tmpi_testing::pictures::png;
 
 /// Seeds of scenes of twelve families; no network was trained on them.
 const SEEDS: std::ops::Range<u64> = 910_000..910_400;
@@ -28,10 +28,6 @@ const QUALITY: u8 = 92;
 const MAX_GOLDEN: f64 = 0.0005;
 /// Views per row of a golden.
 const COLUMNS: usize = 4;
-/// Pixels that differ by more levels than this count as different.
-const LEVELS: u8 = 8;
-/// A camera that is off by this many pixels must be detected.
-const MOVED: f64 = 0.5;
 
 fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/scenes")
@@ -49,13 +45,6 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
     poses(&scene.view_box).into_iter().map(|pose| Camera { pose, intrinsics: scene.intrinsics, width, height }).collect()
 }
 
-fn png(width: u32, height: u32, rgb: &[[u8; 3]]) -> Vec<u8> {
-    let mut out = Vec::new();
-    let encoder = image::codecs::png::PngEncoder::new(&mut out);
-    encoder.write_image(rgb.as_flattened(), width, height, ExtendedColorType::Rgb8).unwrap();
-    out
-}
-
 /// Processes the first scene of a family with its exact disparity.
 fn make(family: &str) -> Vec<u8> {
     let scene = SEEDS.map(|seed| scenes::Scene::framed(seed, SIZE.0, SIZE.1)).find(|s| s.family() == family);
@@ -69,7 +58,7 @@ fn make(family: &str) -> Vec<u8> {
         view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
         ..tmpi_pipeline::Options::default()
     };
-    let file = png(SIZE.0, SIZE.1, &picture.photo.rgb);
+    let file = png(SIZE.0, SIZE.1, picture.photo.rgb.as_flattened(), ExtendedColorType::Rgb8);
     let models = models::load(&models::Settings::default()).unwrap();
     tmpi_pipeline::make(&models, &tmpi_pipeline::photo::Limits::default(), &file, Some(&disparity), &options, &Silent).unwrap().container
 }
@@ -82,10 +71,6 @@ fn scene(family: &str) -> Arc<Scene> {
     }
     let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     Arc::new(container::decode(&bytes).unwrap())
-}
-
-fn rgb(view: &View) -> Vec<[u8; 3]> {
-    view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect()
 }
 
 /// Arranges all views in one picture.
@@ -144,57 +129,4 @@ fn faults(views: &[View]) -> [View; 3] {
         with(&|v, x, y| if x == 0 { [0, 0, 0, 255] } else { at(v, x, y) }),
         with(&|v, x, y| at(v, x, y).map(|c| if x < 64 && y < 64 { c.saturating_sub(2) } else { c })),
     ]
-}
-
-/// Fraction of pixels that differ by more than [`LEVELS`], and mean FLIP.
-#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-struct Difference {
-    share: f64,
-    flip: f64,
-}
-
-impl Difference {
-    fn between(got: &View, want: &View) -> Self {
-        Self { share: share_off(&got.rgba, &want.rgba, LEVELS), flip: flip(&rgb(want), &rgb(got), want.width as usize) }
-    }
-
-    fn within(self, most: Self) -> bool {
-        self.share <= most.share && self.flip <= most.flip
-    }
-}
-
-fn compare(backend: &dyn Renderer, most: Difference) {
-    let (mut largest, mut failed) = (Difference { share: 0.0, flip: 0.0 }, Vec::new());
-    for family in FAMILIES {
-        let scene = scene(family);
-        for (i, camera) in cameras(&scene).iter().enumerate() {
-            let want = Reference.render(&scene, camera).unwrap();
-            let off = Difference::between(&backend.render(&scene, camera).unwrap(), &want);
-            largest = Difference { share: largest.share.max(off.share), flip: largest.flip.max(off.flip) };
-            if !off.within(most) {
-                failed.push(format!("{family} from {i}: {off:?}"));
-            }
-            let mut moved = *camera;
-            moved.intrinsics.cx += MOVED;
-            let off = Difference::between(&backend.render(&scene, &moved).unwrap(), &want);
-            if off.within(most) {
-                failed.push(format!("{family} from {i}: a camera that is {MOVED} pixels off is not detected: {off:?}"));
-            }
-        }
-    }
-    println!("{}: {largest:?}", backend.name());
-    assert!(failed.is_empty(), "{}:\n{}", backend.name(), failed.join("\n"));
-}
-
-#[test]
-fn cpu_views_match_the_reference() {
-    compare(&Cpu::default(), Difference { share: 0.0005, flip: 0.005 });
-}
-
-#[test]
-fn gpu_views_match_the_reference() {
-    if let Some(gpu) = Need::Gpu.or_skip(Gpu::new(true)) {
-        // GPUs interpolate textures with 8 bits of subtexel precision
-        compare(&gpu, Difference { share: 0.006, flip: 0.012 });
-    }
 }

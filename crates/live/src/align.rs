@@ -141,6 +141,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use tmpi_testing::pictures::noise;
 
     fn relief(n: usize) -> DisparityMap {
         let delta = (0..n * n).map(|i| 0.2 + 0.3 * (i % n) as f32 / n as f32 + if i / n < n / 3 { 0.2 } else { 0.0 }).collect();
@@ -149,8 +150,7 @@ mod tests {
 
     /// Adds reproducible noise of amplitude `by`.
     fn noisy(map: &DisparityMap, by: f32, seed: u32) -> DisparityMap {
-        let noise = |i: u32| ((i.wrapping_mul(0x9E37_79B1) ^ seed).wrapping_mul(0x85EB_CA77) >> 8) as f32 / (1u32 << 24) as f32 - 0.5;
-        DisparityMap { delta: (0..).zip(&map.delta).map(|(i, d)| d + 2.0 * by * noise(i)).collect(), ..*map }
+        DisparityMap { delta: (0..).zip(&map.delta).map(|(i, d)| d + by * (2.0 * noise(i, seed) - 1.0)).collect(), ..*map }
     }
 
     proptest! {
@@ -169,6 +169,21 @@ mod tests {
             let result = fit(&new, &last, &steady);
             prop_assert!((result.scale / scale - 1.0).abs() < 0.1 && (result.shift - shift).abs() < 0.05, "{result:?}");
         }
+    }
+
+    #[test]
+    fn maps_without_noise_are_fitted_exactly() {
+        let two_values = DisparityMap { width: 60, height: 60, delta: (0..3600).map(|i| if i % 60 < 25 { 0.7 } else { 0.2 }).collect() };
+        for (scale, shift) in [(1.0f32, 0.0f32), (0.8, 0.1), (1.3, -0.2), (0.5, 0.4)] {
+            for new in [relief(60), two_values.clone()] {
+                let last = DisparityMap { delta: new.delta.iter().map(|d| scale * d + shift).collect(), ..new };
+                let result = fit(&new, &last, &[true; 3600]);
+                assert!((result.scale - f64::from(scale)).abs() < 1e-5 && (result.shift - f64::from(shift)).abs() < 1e-5, "{result:?}");
+            }
+        }
+        // near and far have changed places: no negative scale
+        let swapped = DisparityMap { delta: relief(60).delta.iter().map(|d| 0.9 - d).collect(), ..relief(60) };
+        assert!((fit(&swapped, &relief(60), &[true; 3600]).scale - 1.0).abs() < 1e-12);
     }
 
     #[test]

@@ -75,8 +75,6 @@ pub struct Settings {
     pub recheck: RecheckSettings,
     /// Milliseconds that the geometry of a frame may take ([`Budget`]); 0: no limit.
     pub frame_ms: f64,
-    /// Processes each frame like an unrelated photo, for comparison.
-    pub separate: bool,
 }
 
 impl Default for Settings {
@@ -88,7 +86,6 @@ impl Default for Settings {
             cooldown: COOLDOWN,
             recheck: RECHECK,
             frame_ms: 0.0,
-            separate: false,
         }
     }
 }
@@ -239,13 +236,9 @@ impl Geometry {
         if let Some(d) = frame.depth.as_ref().filter(|d| (d.width, d.height) != (frame.photo.width, frame.photo.height)) {
             return Err(GeometryError::Depth(d.width, d.height, frame.photo.width, frame.photo.height));
         }
-        if self.settings.separate {
-            // a first frame is always a cut
-            self.compare = Compare::new(self.settings.tolerance);
-        }
         let models = self.models.clone();
         let mut options = self.settings.options.clone();
-        if frame.depth.is_some() && !self.settings.separate {
+        if frame.depth.is_some() {
             options.max_error *= MEASURED;
         }
         let mut job = Context::new(&models, &self.limits, &options, &Silent);

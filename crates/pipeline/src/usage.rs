@@ -64,22 +64,22 @@ mod system {
     #[must_use]
     pub fn peak_rss_bytes() -> u64 {
         // on Linux, `getrusage` also counts what the parent process held when it started this one
-        super::status_bytes("self", "VmHWM:").unwrap_or_else(|| {
+        super::status_bytes("VmHWM:").unwrap_or_else(|| {
             // kilobytes, except on macOS
             usage(libc::RUSAGE_SELF).map_or(0, |u| u.ru_maxrss as u64) * if cfg!(target_os = "macos") { 1 } else { 1024 }
         })
     }
 }
 
-/// Resident memory in bytes of the process with this id, or of this process for `None`. Returns `None` if the system does not report it.
+/// Resident memory of this process in bytes; `None` if the system does not report it.
 #[must_use]
-pub fn resident_bytes(process: Option<u32>) -> Option<u64> {
-    status_bytes(&process.map_or_else(|| "self".to_owned(), |id| id.to_string()), "VmRSS:")
+pub fn resident_bytes() -> Option<u64> {
+    status_bytes("VmRSS:")
 }
 
-/// One memory figure of `/proc/ID/status`, in bytes.
-fn status_bytes(process: &str, name: &str) -> Option<u64> {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+/// One memory figure of `/proc/self/status`, in bytes.
+fn status_bytes(name: &str) -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let kilobytes = status.lines().find_map(|line| line.strip_prefix(name)?.trim().strip_suffix(" kB"))?;
     Some(kilobytes.trim().parse::<u64>().ok()? * 1024)
 }
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn peak_memory_covers_memory_in_use() {
         let held = std::hint::black_box(vec![1u8; 64 << 20]);
-        let now = resident_bytes(None).unwrap();
+        let now = resident_bytes().unwrap();
         assert!(now >= held.len() as u64 && peak_rss_bytes() >= now, "{now} {}", peak_rss_bytes());
     }
 }

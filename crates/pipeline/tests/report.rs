@@ -9,25 +9,12 @@ use std::sync::Arc;
 use image::ExtendedColorType;
 use tmpi_core::container;
 use tmpi_core::{Camera, DisparityMap, Geometry, Intrinsics, Photo, Pose, Scene, TileFrame, ViewBox, compose, texture};
-use tmpi_pipeline::depth::{DepthError, DepthKind, Estimator, to_png};
+use tmpi_pipeline::depth::{DepthError, DepthKind, to_png};
 use tmpi_pipeline::photo::{Limits, decode};
 use tmpi_pipeline::run::{ErrorFigures, ParallaxShift};
 use tmpi_pipeline::{Denoise, Made, Models, Options, Silent, Switch, make};
 use tmpi_render::{Reference, Renderer};
 use tmpi_testing::pictures::{noise, png, waves as photo};
-
-/// Stand-in for the network: every photo comes with a depth map.
-struct NoNetwork;
-
-impl Estimator for NoNetwork {
-    fn name(&self) -> &'static str {
-        "none"
-    }
-
-    fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
-        Err(DepthError::NotEmbedded)
-    }
-}
 
 /// A photo, the file of its depth map, and the disparities that the file holds by definition.
 struct Subject {
@@ -36,10 +23,6 @@ struct Subject {
     map: Vec<u8>,
     values: DisparityMap,
     options: Options,
-}
-
-fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
-    DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
 }
 
 fn stairs(x: u32, y: u32) -> f32 {
@@ -77,7 +60,8 @@ fn holes() -> (Subject, [f64; 2]) {
 fn made(s: &Subject, change: impl FnOnce(&mut Options)) -> Made {
     let mut options = s.options.clone();
     change(&mut options);
-    let models = Models { depth: Arc::new(NoNetwork), theta: None, psi: None };
+    // every photo comes with a depth map
+    let models = Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None };
     make(&models, &Limits::default(), &s.photo, Some(&s.map), &options, &Silent).unwrap()
 }
 
@@ -334,19 +318,19 @@ fn check(s: &Subject) {
 
 #[test]
 fn a_flat_photo() {
-    check(&subject("flat", (200, 150), &map(200, 150, |_, _| 0.5), Options::default()));
+    check(&subject("flat", (200, 150), &DisparityMap::from_fn(200, 150, |_, _| 0.5), Options::default()));
 }
 
 #[test]
 fn a_noisy_depth_map() {
-    let noisy = map(200, 150, |x, y| (0.4 + 0.1 * (noise(x, y) - 0.5)).clamp(0.0, 1.0));
+    let noisy = DisparityMap::from_fn(200, 150, |x, y| (0.4 + 0.1 * (noise(x, y) - 0.5)).clamp(0.0, 1.0));
     let options = Options { view_box: ViewBox { x: 0.119, y: 0.05, z: 0.2 }, verify_prune: true, ..Options::default() };
     check(&subject("noisy depth", (200, 150), &noisy, options));
 }
 
 #[test]
 fn a_zigzag() {
-    let zigzag = map(300, 200, |x, y| ((x + y) as i32 % 10 - 5).unsigned_abs() as f32 / 5.0);
+    let zigzag = DisparityMap::from_fn(300, 200, |x, y| ((x + y) as i32 % 10 - 5).unsigned_abs() as f32 / 5.0);
     check(&subject("zigzag", (300, 200), &zigzag, Options { max_error: 0.2, verify_prune: true, ..Options::default() }));
 }
 
@@ -361,12 +345,13 @@ fn a_map_with_holes() {
 
 #[test]
 fn twelve_megapixels() {
-    check(&subject("12 MP", (4000, 3000), &map(1000, 750, |x, y| stairs(x / 2, y / 2)), Options::default()));
+    check(&subject("12 MP", (4000, 3000), &DisparityMap::from_fn(1000, 750, |x, y| stairs(x / 2, y / 2)), Options::default()));
 }
 
 #[test]
 fn a_budget() {
-    let s = subject("budgeted", (900, 600), &map(900, 600, stairs), Options { budget_ms: Some(20.0), ..Options::default() });
+    let s =
+        subject("budgeted", (900, 600), &DisparityMap::from_fn(900, 600, stairs), Options { budget_ms: Some(20.0), ..Options::default() });
     let report = made(&s, |_| {}).report;
     let budget = report.budget.unwrap();
     assert!(budget.chose.contains(&format!("--max-error {}", report.error.planes.bound_px.unwrap())), "{budget:?}");

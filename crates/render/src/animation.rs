@@ -158,7 +158,7 @@ impl AnimationFormat {
         match self {
             Self::WebP => [text(&["-c:v", "libwebp_anim", "-loop", "0", "-q:v"]), vec![quality.to_string()]].concat(),
             Self::Mp4 => {
-                // quality 90 gives a rate factor of 20, which nobody can tell from the frames; half-size chroma needs even sides
+                // quality 90 gives a rate factor of 20, which looks the same as the frames; half-size chroma needs even sides
                 let rate = 51 - u32::from(quality) * 31 / 90;
                 let even = text(&["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]);
                 [text(&["-c:v", "libx264", "-preset", "veryfast", "-crf"]), vec![rate.to_string()], even].concat()

@@ -213,7 +213,7 @@ mod tests {
     use super::super::{Cpu, Renderer, draw_reference_view, testing};
     use super::*;
     use tmpi_core::container::fixtures::discs;
-    use tmpi_core::{Camera, Pose, ViewBox};
+    use tmpi_core::{Camera, Layer, Plane, Pose, ViewBox};
 
     #[test]
     fn the_cache_keeps_within_its_budget_and_forgets_dropped_scenes() {
@@ -263,7 +263,8 @@ mod tests {
 
     #[test]
     fn the_order_is_by_mean_disparity_then_index() {
-        let mut scene = testing::stack(16, 16, &[[9, 9, 9, 255]; 4], &[0.5, 0.2, 0.5, 0.0]);
+        let mut scene = testing::flat(16, 16, 0.0);
+        scene.layers = [0.5, 0.2, 0.5, 0.0].map(|delta| Layer { plane: Plane::fronto_parallel(delta), ..scene.layers[0] }).to_vec();
         scene.view_box = ViewBox { x: 0.0, y: 0.0, z: 0.0 };
         let pieces = pieces(&scene);
         assert_eq!(back_to_front(&scene, &pieces, false), [3, 1, 0, 2]);

@@ -21,24 +21,3 @@ pub(super) fn flat(width: u32, height: u32, delta: f64) -> Scene {
         texels,
     }
 }
-
-/// One tile; layer `i` has the straight-alpha colour `colours[i]` everywhere, and disparity `delta[i]`.
-pub(super) fn stack(width: u32, height: u32, colours: &[[u8; 4]], delta: &[f64]) -> Scene {
-    let mut scene = flat(width, height, 0.0);
-    scene.layers.clear();
-    scene.texels = Texels::default();
-    let rect = scene.grid.rect(0);
-    for (c, &d) in colours.iter().zip(delta) {
-        scene.layers.push(Layer {
-            tile: 0,
-            plane: Plane::fronto_parallel(d),
-            rect,
-            first_texel: scene.texels.class.len(),
-            first_hidden: scene.texels.hidden.len(),
-        });
-        scene.texels.class.extend(vec![Class::Hidden as u8; rect.area()]);
-        scene.texels.alpha.extend(vec![c[3]; rect.area()]);
-        scene.texels.hidden.extend(vec![[c[0], c[1], c[2]]; rect.area()]);
-    }
-    scene
-}

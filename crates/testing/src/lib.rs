@@ -1,5 +1,5 @@
-//! Requirements of tests. A test whose requirement is missing is skipped and listed in a file, or fails if `TMPI_REQUIRE` names the
-//! requirement.
+//! What the tests of several crates share: pictures, servers, and requirements. A test whose requirement is missing is skipped and listed in a
+//! file, or fails if `TMPI_REQUIRE` names the requirement.
 
 #[cfg(unix)]
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
@@ -9,6 +9,8 @@ pub mod jpeg;
 pub mod object_stores;
 pub mod pictures;
 pub mod png;
+#[allow(clippy::expect_used, reason = "a machine without a free port fails the test")]
+mod stand_in;
 
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -19,6 +21,7 @@ use std::path::{Path, PathBuf};
 #[cfg(unix)]
 pub use database::database;
 pub use object_stores::Engine;
+pub use stand_in::{Answer, Request, StandIn};
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.
 pub const VARIABLE: &str = "TMPI_REQUIRE";

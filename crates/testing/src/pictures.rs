@@ -1,7 +1,21 @@
 //! Pictures for tests, lossless, and noise that is the same on every machine.
 
+use std::io::Cursor;
+
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
+
+/// The file of a picture.
+///
+/// # Panics
+/// If the format does not hold such a picture.
+#[must_use]
+#[allow(clippy::unwrap_used, reason = "for tests")]
+pub fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
+    let mut out = Cursor::new(Vec::new());
+    image.into().write_to(&mut out, format).unwrap();
+    out.into_inner()
+}
 
 /// A PNG file of these samples.
 ///

@@ -44,16 +44,17 @@ impl Room {
         self.changed();
     }
 
-    /// Takes the origin's `hello`, with empty `chunks` for its tiles; false if this node is no edge any more or `hello` has an older epoch.
-    /// The same epoch continues.
-    pub fn relay_hello(&self, hello: Hello, chunks: Chunks) -> bool {
+    /// Takes the origin's `hello`; false if this node is no edge any more or `hello` is invalid or has an older epoch. The same epoch
+    /// continues.
+    pub fn relay_hello(&self, hello: Hello) -> bool {
+        let chunks = Chunks::new(&hello);
         let mut state = self.lock();
-        if state.edge.is_none() || hello.epoch < state.epoch {
+        if state.edge.is_none() || hello.epoch < state.epoch || chunks.is_none() {
             return false;
         }
         if hello.epoch > state.epoch {
             (state.epoch, state.publisher_epoch, state.farewell) = (hello.epoch, hello.epoch, None);
-            state.begin(hello, Some(chunks));
+            state.begin(hello, chunks, None);
             drop(state);
             self.changed();
         }

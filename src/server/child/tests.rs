@@ -4,23 +4,11 @@ use super::*;
 use crate::server::Limits;
 use crate::server::exports::Recipe;
 use tmpi_core::{DisparityMap, Photo};
-use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{Models, Progress, Silent};
 
-struct Flat;
-
-impl Estimator for Flat {
-    fn name(&self) -> &'static str {
-        "flat"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
-    }
-}
-
 fn maker(command: fn() -> io::Result<Command>, data: &Path) -> ProcessMaker {
-    let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, Limits::default().photo());
+    let flat = ("flat", |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |_, _| 0.5)));
+    let checks = PipelineMaker::new(Models { depth: Arc::new(flat), theta: None, psi: None }, Limits::default().photo());
     let scratch = scratch::folder(data);
     ProcessMaker { checks, idle: Mutex::default(), command: Box::new(command), scratch, better: None, renewed: OnceLock::new() }
 }

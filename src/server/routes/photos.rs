@@ -15,7 +15,7 @@ use super::query::{NoQuery, Pairs};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, StoredFile};
 use crate::server::build_identity::short;
-use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond, respond_uncached};
+use crate::server::conditional::{Entity, check_if_match, insert, respond, respond_uncached};
 use crate::server::photo_settings::{PATCH_BYTES, Settings};
 use crate::server::problem::Problem;
 use crate::server::request_body;
@@ -146,13 +146,13 @@ fn length_told(headers: &HeaderMap) -> u64 {
     headers.get(CONTENT_LENGTH).and_then(|v| v.to_str().ok()).and_then(|v| v.parse().ok()).unwrap_or_default()
 }
 
-/// Whose a photo will be, and whether they were nobody before, where the server asks.
+/// The owner of a new photo if access is private, and whether this request created that owner.
 fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
     let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
     Ok(uploader.map_or((None, false), |u| (Some(u.owner), u.is_new)))
 }
 
-/// The answer to an upload that was accepted; whoever was nobody before is told the photo's token, without which they could not see it.
+/// The answer to an accepted upload. A new owner gets a link with the photo's token, without which they cannot see the photo.
 async fn accepted(app: &App, photo: Photo, clock: &TimeLimit, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
     let photo = wait_for(app, photo, clock, wait).await?;
     let ready = wait.is_some() && photo.state.is_final();
@@ -294,16 +294,7 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
     // a report that is lost has taken the photo out of service
     let photo = if photo.state == Phase::Done { app.photo(&id).await? } else { photo };
     let state = state_now(&app, &photo, better).await?;
-    Ok(respond(
-        &headers,
-        Entity {
-            source: state.source,
-            etag: &state.etag,
-            content_type: "application/json",
-            cache_control: REVALIDATE,
-            coding: ContentCoding::Gzip,
-        },
-    ))
+    Ok(respond(&headers, Entity::json(state.source, &state.etag)))
 }
 
 /// What the owner of a photo wants of its viewers.
@@ -322,14 +313,7 @@ pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery
     let settings = Settings::of(&app.photo(&id).await?);
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = StoredFile::new(bytes);
-    let entity = Entity {
-        source: file.source,
-        etag: &file.etag,
-        content_type: "application/json",
-        cache_control: REVALIDATE,
-        coding: ContentCoding::Gzip,
-    };
-    Ok(respond(&headers, entity))
+    Ok(respond(&headers, Entity::json(file.source, &file.etag)))
 }
 
 /// The state as it is sent. The first half of its tag names the settings, which alone can be changed, the second half all of it.

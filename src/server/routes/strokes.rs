@@ -9,7 +9,7 @@ use super::photos::merge_patch;
 use super::query::NoQuery;
 use super::remake;
 use crate::server::app_state::{App, AppState, StoredFile};
-use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, check_if_match, insert, respond};
+use crate::server::conditional::{Entity, check_if_match, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use tmpi_library::Content;
@@ -55,14 +55,7 @@ pub struct StrokesPatch {
 pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?;
     let file = stored(&app.strokes(&photo).await?);
-    let entity = Entity {
-        source: file.source,
-        etag: &file.etag,
-        content_type: "application/json",
-        cache_control: REVALIDATE,
-        coding: ContentCoding::Gzip,
-    };
-    Ok(respond(&headers, entity))
+    Ok(respond(&headers, Entity::json(file.source, &file.etag)))
 }
 
 /// Touch up a photo's depth.

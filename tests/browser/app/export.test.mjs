@@ -5,7 +5,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { pathToFileURL } from 'node:url';
-import { filePixels, fractionDifferent, launch, openPage, pixelsAt, VIEWPORT, waitForMode } from '../support/browser.mjs';
+import { filePixels, fractionDifferent, launch, MOTION, openPage, pixelsAt, VIEWPORT, waitForMode } from '../support/browser.mjs';
 import { openModel, validate } from '../support/gltf.mjs';
 import { boxPhoto, inBox, png16 } from '../support/pictures.mjs';
 import { makePhoto, startServer } from '../support/program.mjs';
@@ -78,11 +78,11 @@ describe('exports', () => {
   }
 
   test('the page works from disk without requests', async (t) => {
-    const { page, context, errors, requests } = await openPageFile(browser);
+    const { page, context, errors, requests } = await openPageFile(browser, MOTION);
     await waitForMode(page, 'gpu');
-    await page.locator('#stage').focus();
-    await page.keyboard.press('ArrowRight');
-    await page.waitForFunction(() => window.viewer.pose.tx > 2e-3);
+    const first = await page.evaluate(() => window.viewer.pose.tx);
+    await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 2e-3, first);
+    await page.emulateMedia({ reducedMotion: 'reduce' });
     const shares = [];
     for (const pose of POSES) shares.push(fractionDifferent(await pixelsAt(page, pose, WIDTH, HEIGHT), await served(pose), WIDTH, HEIGHT));
     t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);

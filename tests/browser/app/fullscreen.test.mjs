@@ -94,7 +94,7 @@ describe('full screen of a room', () => {
   test('shows the picture on every screen', async () => {
     const publisher = await suite.publish('wide');
     for (const [screen, options] of Object.entries(SCREENS)) {
-      const { page, context } = await suite.watch('wide', { options: { ...options } });
+      const { page, context } = await suite.watch('wide', { options });
       await page.waitForFunction(() => document.getElementById('stage').dataset.mode && document.getElementById('loading').hidden);
       await enter(page, 'the button');
       const shot = await screenPixels(page, await assertFills(page));

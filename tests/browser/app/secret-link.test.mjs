@@ -13,7 +13,7 @@ describe('a link with a secret', () => {
 
   async function open(hash, more = {}) {
     suite.server.posts.length = 0;
-    const opened = await openPage(suite.browser, { ...more });
+    const opened = await openPage(suite.browser, more);
     await opened.page.goto(`${suite.server.url}/view/box${hash}`);
     return opened;
   }

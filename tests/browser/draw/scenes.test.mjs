@@ -76,7 +76,10 @@ describe('scenes', () => {
         const element = document.querySelector('tmpi-viewer');
         // a small canvas, for fast software rendering
         element.style.width = '200px';
-        const loaded = new Promise((resolve) => element.addEventListener('load', resolve, { once: true }));
+        const loaded = new Promise((resolve, reject) => {
+          element.addEventListener('load', resolve, { once: true });
+          element.addEventListener('error', ({ detail }) => reject(new Error(detail.message)), { once: true });
+        });
         element.src = src;
         return (await loaded).detail.mode;
       }, `/scenes/${scene}`);

@@ -106,7 +106,7 @@ describe('element', () => {
 
   /** Opens a page with an element; its script loads after `prepare` has run on the element. */
   async function openBeforeScript(markup, prepare = () => {}) {
-    const opened = await openPage(suite.browser, MOTION);
+    const opened = await openPage(suite.browser);
     opened.requests = [];
     opened.page.on('request', (request) => opened.requests.push(request));
     await opened.page.goto(`${suite.server.url}/embed/blank`);

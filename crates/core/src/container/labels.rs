@@ -209,10 +209,23 @@ mod tests {
     }
 
     #[test]
-    fn sixty_four_labels_fit() {
-        let grid = Grid::new(64, 64, 64);
-        let labels: Vec<u8> = (0..4096u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 26) as u8).collect();
-        assert_eq!(decode(&grid, &[64], &encode(&grid, &[64], &labels)).unwrap(), labels);
-        assert!(decode(&grid, &[0], &[]).is_err() && decode(&grid, &[65], &[]).is_err());
+    fn extreme_labels_round_trip() {
+        let grid = Grid::new(256, 192, 64);
+        let pixels: usize = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum();
+        let sixty_four = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 26) as u8;
+        let maps: [(u8, &dyn Fn(usize) -> u8); 4] = [
+            (64, &sixty_four),
+            // the likeliest symbol over and over, then the least likely one
+            (2, &|i| u8::from(i + 1 == pixels)),
+            (2, &|i| ((i + i / 64) % 2) as u8),
+            (3, &|i| (i / 2048 % 3) as u8),
+        ];
+        for (count, label) in maps {
+            let counts = vec![count; grid.tiles() as usize];
+            let labels: Vec<u8> = (0..pixels).map(label).collect();
+            assert_eq!(decode(&grid, &counts, &encode(&grid, &counts, &labels)).unwrap(), labels);
+        }
+        let one = Grid::new(64, 64, 64);
+        assert!(decode(&one, &[0], &[]).is_err() && decode(&one, &[65], &[]).is_err());
     }
 }

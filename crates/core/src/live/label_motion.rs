@@ -250,12 +250,17 @@ mod tests {
 
     /// A wall, and in front of it an object of 24 × 30 pixels with its corner at `(x, y)`; labels match.
     fn frame(x: u32, y: u32) -> (Geometry, Vec<u32>) {
+        frame_on([0.2, 0.7], (x, y))
+    }
+
+    /// The same on planes of these disparities.
+    fn frame_on(deltas: [f64; 2], (x, y): (u32, u32)) -> (Geometry, Vec<u32>) {
         let inside = |i: u32| (x..x + 24).contains(&(i % W)) && (y..y + 30).contains(&(i / W));
         let wave = |a: u32, b: u32| (127.0 + 100.0 * (f64::from(a) / 3.0).sin() * (f64::from(b) / 4.0).cos()) as u8;
         let rgb = |i| if inside(i) { [200, wave(i % W - x, i / W - y), 40, 0] } else { [20, 40, wave(i % W, i / W) / 2, 0] };
         let colours = (0..W * H).map(|i| u32::from_le_bytes(rgb(i))).collect();
         let grid = Grid::new(W, H, 64);
-        let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.7)];
+        let planes = deltas.map(Plane::fronto_parallel).to_vec();
         let of = |t: u32| {
             let r = grid.rect(t);
             let labels = (0..r.area() as u32).map(|i| inside((r.y + i / r.w) * W + r.x + i % r.w).into()).collect();
@@ -267,16 +272,17 @@ mod tests {
 
     #[test]
     fn labels_follow_an_object() {
-        // adjacent to the border between two tiles
-        let (geometry, was) = frame(40, 16);
-        let surface = geometry.surface();
-        for (x, y) in [(45, 16), (36, 19), (48, 8), (40, 27)] {
-            let (other, now) = frame(x, y);
+        let moves = [(40, 16), (41, 16), (45, 16), (36, 19), (48, 8), (40, 27), (28, 28)];
+        for (deltas, to) in [[0.2, 0.7], [0.0, 1.0], [0.5, 0.56]].into_iter().flat_map(|d| moves.map(|to| (d, to))) {
+            // adjacent to the border between two tiles
+            let (geometry, was) = frame_on(deltas, (40, 16));
+            let surface = geometry.surface();
+            let (other, now) = frame_on(deltas, to);
             let motion = MotionSearch::new(&geometry, &surface, (&was, &now), Duration::ZERO);
             for (t, (tile, other)) in (0..).zip(geometry.tiles.iter().zip(&other.tiles)) {
                 let moved = motion.vector(t, &[]).and_then(|vector| motion.moved(t, vector));
                 let off = moved.as_ref().unwrap_or(tile).labels.iter().zip(&other.labels).filter(|(a, b)| a != b).count();
-                assert_eq!(off, 0, "pixels of tile {t}, to {x}, {y}");
+                assert_eq!(off, 0, "pixels of tile {t} at {deltas:?}, to {to:?}");
             }
         }
     }

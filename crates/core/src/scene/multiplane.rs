@@ -14,6 +14,12 @@ pub struct Photo {
 }
 
 impl Photo {
+    /// A photo of the pixels that `rgb` gives for each `(x, y)`.
+    #[must_use]
+    pub fn from_fn(width: u32, height: u32, rgb: impl Fn(u32, u32) -> [u8; 3]) -> Self {
+        Self { width, height, rgb: row_by_row(width, height, rgb) }
+    }
+
     /// The pixel at `(x, y)`, which must be inside the photo.
     #[must_use]
     pub fn at(&self, x: u32, y: u32) -> [u8; 3] {
@@ -30,6 +36,18 @@ pub struct DisparityMap {
     pub height: u32,
     /// δ from the upper left, row by row.
     pub delta: Vec<f32>,
+}
+
+impl DisparityMap {
+    /// A map of the disparities that `delta` gives for each `(x, y)`.
+    #[must_use]
+    pub fn from_fn(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> Self {
+        Self { width, height, delta: row_by_row(width, height, delta) }
+    }
+}
+
+fn row_by_row<T>(width: u32, height: u32, at: impl Fn(u32, u32) -> T) -> Vec<T> {
+    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect()
 }
 
 /// Class of a layer's texel. Stored as one byte.

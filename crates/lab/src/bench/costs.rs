@@ -1,8 +1,9 @@
 //! Processing costs on this machine, and how well time budgets are kept with them.
 
-use super::measure::{Bench, Depth, median};
+use super::figures::median;
+use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Point};
+use super::{Axis, BenchError, Curve, Experiment, Point, figures};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks;
 use tmpi_pipeline::photo::Limits;
@@ -30,8 +31,7 @@ fn megapixels(made: &Made) -> f64 {
 }
 
 /// Fits the costs to the scenes.
-pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -> Result<Costs, BenchError> {
-    progress("costs of this machine");
+pub(super) fn fitted(bench: &Bench, scenes: &[Subject]) -> Result<Costs, BenchError> {
     let mut costs = Costs::default();
     let mut before = Vec::new();
     let mut points = Vec::new();
@@ -67,8 +67,7 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str))
 }
 
 /// Runs with several budgets, with the built-in costs or those that `TMPI_COSTS` names.
-pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    progress("budgets");
+pub(super) fn kept(bench: &Bench, scenes: &[Subject]) -> Result<Experiment, BenchError> {
     let mut curves = Vec::new();
     for s in scenes.iter().take(3) {
         let map = s.disparity.as_deref().map(tmpi_pipeline::depth::to_png).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
@@ -85,7 +84,8 @@ pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -
             let outcome = budget(|b| b.outcome_ms);
             points.push(point(format!("--budget-ms {asked} chose {chose}"), &runs, outcome));
             if let Some(p) = points.last_mut() {
-                p.figures.extend([("predicted, ms", budget(|b| b.predicted_ms)), ("over budget, %", 100.0 * (outcome / asked - 1.0))]);
+                let predicted = budget(|b| b.predicted_ms);
+                p.figures.extend(figures([("predicted, ms", predicted), ("over budget, %", 100.0 * (outcome / asked - 1.0))]));
             }
         }
         let unbounded = (0..bench.repeats).map(|_| make(None)).collect::<Result<Vec<_>, _>>()?;
@@ -94,13 +94,13 @@ pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -
         curves.push(Curve { name: s.name.clone(), points });
     }
     Ok(Experiment {
-        id: "budget",
+        id: "budget".into(),
         title: "Time budgets".into(),
         about: "Results of --budget-ms with the costs that TMPI_COSTS names, or the built-in ones, and results without a budget. The error is in \
                 pixels of the original photo, so it is larger for a photo that was reduced."
             .into(),
-        x: Axis { label: "time, ms", log: true, up: Some(false) },
-        y: Axis { label: "parallax error, px", log: true, up: Some(false) },
+        x: Axis::new("time, ms", true, Some(false)),
+        y: Axis::new("parallax error, px", true, Some(false)),
         curves,
     })
 }
@@ -110,6 +110,6 @@ fn point(setting: String, runs: &[Made], ms: f64) -> Point {
     let scale = |m: &Made| m.report.error.reduction.map_or(1.0, |r| r.scale);
     let error = median_of(runs, |m| m.report.error.planes.mean_px / scale(m));
     let reduced = runs.last().and_then(|m| m.report.error.reduction?.psnr);
-    let figures = reduced.map(|psnr| ("photo after reduction and enlargement, dB", psnr)).into_iter().collect();
+    let figures = reduced.map(|psnr| ("photo after reduction and enlargement, dB".into(), psnr)).into_iter().collect();
     Point { setting, x: ms, y: error, figures, ..Point::default() }
 }

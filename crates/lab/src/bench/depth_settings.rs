@@ -3,99 +3,82 @@
 use super::experiments::{self, Plan, Set, brief};
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Experiment, Settings};
+use super::{Axis, BenchError, Log};
 use tmpi_pipeline::Options;
 use tmpi_pipeline::networks::{self, models};
 
+const MS: Axis = Axis::new("depth, ms", true, Some(false));
+const ERROR: Axis = Axis::new("disparity error, 1e-3", false, Some(false));
+
+/// Makes a plan from the given settings; a short one if it is to be quick.
+type Make = fn(&models::Settings, bool) -> Plan;
+
 /// Experiments on what the depth network makes of subjects whose disparity is known.
-pub(super) fn run(
-    bench: &Bench,
-    subjects: &[Subject],
-    settings: &Settings,
-    skipped: &mut Vec<String>,
-    progress: &dyn Fn(&str),
-) -> Result<Vec<Experiment>, BenchError> {
+pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<(), BenchError> {
     if let Err(reason) = networks::available() {
-        skipped.push(format!("depth network: {}", brief(&reason)));
-        return Ok(Vec::new());
+        log.skip(format!("depth network: {}", brief(&reason)));
+        return Ok(());
     }
-    let mut plans = vec![depth()];
-    plans.extend(depth_settings(settings.quick, &settings.networks));
-    experiments::run(bench, subjects, plans, settings, progress)
+    let plans: [(&str, Make); 4] = [("depth", pixels), ("depth-smoothing", smoothing), ("depth-ramp", ramp), ("depth-mirror", mirror)];
+    for (id, plan) in plans {
+        // a plan loads networks
+        if log.wants(id) {
+            let plan = plan(&log.settings.networks, log.settings.quick);
+            experiments::run(bench, subjects, Plan { id, ..plan }, log)?;
+        }
+    }
+    Ok(())
 }
 
-/// A network that is given a setting.
-fn network(words: String, default: bool, settings: &models::Settings) -> Option<Set> {
-    let models = models::load(settings).ok()?;
+/// The network with a setting changed; `None` if it cannot be loaded.
+fn network(words: String, default: bool, given: &models::Settings, change: impl FnOnce(&mut models::Settings)) -> Option<Set> {
+    let mut settings = given.clone();
+    change(&mut settings);
+    let models = models::load(&settings).ok()?;
     Some(Set { default, ..Set::new(words, Options::default(), Depth::By(models.depth)) })
 }
 
-const DEPTH_MS: Axis = Axis { label: "depth, ms", log: true, up: Some(false) };
-const DEPTH_ERROR: Axis = Axis { label: "disparity error, 1e-3", log: false, up: Some(false) };
-
-/// What can be set of the depth network.
-fn depth_settings(quick: bool, given: &models::Settings) -> [Plan; 4] {
-    let with = |change: &dyn Fn(&mut models::Settings)| {
-        let mut settings = given.clone();
-        change(&mut settings);
-        settings
-    };
-    let own = |v: f64, own: f64| (v - own).abs() < 1e-12;
-    let numbers: &[f64] = if quick { &[0.0, 1.0, 2.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
-    let smoothing = given.depth_smoothing.unwrap_or(given.depth.smoothing);
-    let at = |v: f64, set: Set| Set { at: Some(v), ..set };
-    let smoothed = numbers.iter().map(|s| smoothing.max(0.01) * s).filter_map(|s| {
-        network(format!("--depth-smoothing {s}"), own(s, smoothing), &with(&|n| n.depth_smoothing = Some(s))).map(|set| at(s, set))
-    });
-    let ramp = given.depth_ramp.unwrap_or(given.depth.ramp);
-    let mut steps: Vec<f64> = numbers.iter().map(|s| 0.25 * s).chain([ramp]).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.dedup_by(|a, b| own(*a, *b));
-    let ramps = steps
-        .into_iter()
-        .filter_map(|r| network(format!("--depth-ramp {r}"), own(r, ramp), &with(&|n| n.depth_ramp = Some(r))).map(|set| at(r, set)));
-    let areas: &[u32] = if quick { &[25_000, 50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
-    let mut pixels: Vec<Set> = areas
-        .iter()
-        .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), &with(&|n| n.depth_pixels = Some(p))))
-        .collect();
-    pixels.extend(network("the network's default size".into(), given.depth_pixels.is_none(), given));
-    let flip = given.flip.unwrap_or(given.depth.flip);
-    let flips = [false, true].into_iter().filter_map(|f| network(format!("--flip {f}"), f == flip, &with(&|n| n.flip = Some(f))));
-    let plan = |id, title, about, x, curve| Plan { id, title, about, axes: (x, DEPTH_ERROR), curves: vec![curve] };
-    let set = |label| Axis { label, log: false, up: None };
-    [
-        plan("depth-pixels", "Depth network: pixels", "How many pixels of the photo the network sees.", DEPTH_MS, ("pixels", pixels)),
-        plan(
-            "depth-smoothing",
-            "Depth network: smoothing",
-            "How strongly the network's map is smoothed up to the photo's edges. It takes as long at any strength above 0.",
-            set("--depth-smoothing"),
-            ("smoothing", smoothed.collect()),
-        ),
-        plan(
-            "depth-ramp",
-            "Depth network: vertical ramp",
-            "How much of a ramp, nearer below, is added to the network's map. It takes no time.",
-            set("--depth-ramp"),
-            ("ramp", ramps.collect()),
-        ),
-        plan(
-            "depth-mirror",
-            "Depth network: mirror image",
-            "The network's map alone, and its mean with the map of the mirrored photo.",
-            DEPTH_MS,
-            ("mirror image", flips.collect()),
-        ),
-    ]
+fn plan(title: &'static str, about: &'static str, x: Axis, sets: impl IntoIterator<Item = Set>) -> Plan {
+    Plan { id: "", title, about, axes: (x, ERROR), curves: vec![("network", sets.into_iter().collect())] }
 }
 
-fn depth() -> Plan {
-    Plan {
-        id: "depth",
-        title: "Depth network",
-        about: "Disparity of the network against the exact one, after alignment of scale and shift.",
-        axes: (DEPTH_MS, DEPTH_ERROR),
-        curves: vec![("estimated", vec![Set::new("the network of --depth-model", Options::default(), Depth::Estimated)])],
-    }
+fn pixels(given: &models::Settings, quick: bool) -> Plan {
+    let areas: &[u32] = if quick { &[25_000, 50_000, 200_000] } else { &[25_000, 50_000, 100_000, 200_000, 400_000] };
+    let sets = areas
+        .iter()
+        .filter_map(|&p| network(format!("--depth-pixels {p}"), given.depth_pixels == Some(p), given, |n| n.depth_pixels = Some(p)));
+    let own = network("the network's default size".into(), given.depth_pixels.is_none(), given, |_| {});
+    let about = "How many pixels of the photo the network sees; its disparity against the exact one, after alignment of scale and shift.";
+    plan("Depth network: pixels", about, MS, sets.chain(own))
+}
+
+fn smoothing(given: &models::Settings, quick: bool) -> Plan {
+    let own = given.depth_smoothing.unwrap_or(given.depth.smoothing);
+    let factors: &[f64] = if quick { &[0.0, 1.0, 2.0] } else { &[0.0, 0.25, 0.5, 1.0, 2.0] };
+    let sets = factors.iter().map(|by| own.max(0.01) * by).filter_map(|s| {
+        let set = network(format!("--depth-smoothing {s}"), (s - own).abs() < 1e-12, given, |n| n.depth_smoothing = Some(s))?;
+        Some(Set { at: Some(s), ..set })
+    });
+    let about = "How strongly the network's map is smoothed up to the photo's edges. It takes as long at any strength above 0.";
+    plan("Depth network: smoothing", about, Axis::new("--depth-smoothing", false, None), sets)
+}
+
+fn ramp(given: &models::Settings, _: bool) -> Plan {
+    let own = given.depth_ramp.unwrap_or(given.depth.ramp);
+    let mut ramps = vec![0.0, 0.125, 0.25, 0.5, own];
+    ramps.sort_by(f64::total_cmp);
+    ramps.dedup();
+    let sets = ramps.into_iter().filter_map(|r| {
+        let set = network(format!("--depth-ramp {r}"), (r - own).abs() < 1e-12, given, |n| n.depth_ramp = Some(r))?;
+        Some(Set { at: Some(r), ..set })
+    });
+    let about = "How much of a ramp, nearer below, is added to the network's map. It takes no time.";
+    plan("Depth network: vertical ramp", about, Axis::new("--depth-ramp", false, None), sets)
+}
+
+fn mirror(given: &models::Settings, _: bool) -> Plan {
+    let own = given.flip.unwrap_or(given.depth.flip);
+    let sets = [false, true].into_iter().filter_map(|flip| network(format!("--flip {flip}"), flip == own, given, |n| n.flip = Some(flip)));
+    let about = "The network's map alone, and its mean with the map of the mirrored photo.";
+    plan("Depth network: mirror image", about, MS, sets)
 }

@@ -1,6 +1,7 @@
 //! Error of planes fitted to clean and damaged disparity maps: the paper's third table.
 
-use super::measure::{Bench, median};
+use super::figures::{Figures, median};
+use super::measure::Bench;
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, experiments};
 use tmpi_core::{DisparityMap, Grid, Photo};
@@ -8,7 +9,7 @@ use tmpi_pipeline::MakeError;
 use tmpi_pipeline::denoise::{local_planes, median_guided, theta};
 use tmpi_pipeline::edges;
 use tmpi_pipeline::photo::{self, Limits};
-use tmpi_pipeline::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, ghost_share, overlap_disagreement, place};
+use tmpi_pipeline::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, ghost_share, place};
 use tmpi_pipeline::usage::Clock;
 
 /// Planes per tile, as in the paper.
@@ -43,8 +44,7 @@ fn cleaned(bench: &Bench, how: Cleaning, photo: &Photo, map: &DisparityMap) -> R
 }
 
 /// Fits planes to clean and damaged maps, and measures their error against the clean map.
-pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    progress("Planes on clean and damaged maps");
+pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
     let methods = [("linear", Method::Linear), ("lloyd", Method::Lloyd), ("optimal", Method::Optimal), ("slanted", Method::Slanted)];
     let mut settings: Vec<(String, Placement, Cleaning)> =
         methods.iter().map(|&(name, m)| (format!("{name}, {PLANES} planes"), Placement::fixed(m, PLANES), Cleaning::Off)).collect();
@@ -66,16 +66,16 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
     ] {
         let mut points = Vec::new();
         for (setting, placement, cleaning) in &settings {
-            points.push(point(bench, subjects, setting, placement, *cleaning, damage)?);
+            points.push(point(bench, subjects, setting, (placement, *cleaning, damage))?);
         }
         curves.push(Curve { name: name.into(), points });
     }
     Ok(Experiment {
-        id: "discretisation",
+        id: "discretisation".into(),
         title: "Planes on clean and damaged maps".into(),
         about: "Planes fitted to a clean map, to one with noise, and to one blurred by 5×5 pixels. All errors are relative to the clean map, in thousandths, as in the paper's third table. Ghosts are pixels whose plane is more than 0.05 from every true surface within two pixels. Subjects are photos with a disparity map beside them, otherwise rendered scenes.".into(),
-        x: Axis { label: "planes, CPU ms", log: true, up: Some(false) },
-        y: Axis { label: "MAE, 1e-3", log: true, up: Some(false) },
+        x: Axis::new("planes, CPU ms", true, Some(false)),
+        y: Axis::new("MAE, 1e-3", true, Some(false)),
         curves,
     })
 }
@@ -84,11 +84,9 @@ fn point(
     bench: &Bench,
     subjects: &[Subject],
     setting: &str,
-    placement: &Placement,
-    cleaning: Cleaning,
-    damage: fn(&DisparityMap) -> DisparityMap,
+    (placement, cleaning, damage): (&Placement, Cleaning, fn(&DisparityMap) -> DisparityMap),
 ) -> Result<Point, BenchError> {
-    let (mut sums, mut count) = ([0f64; 7], 0usize);
+    let mut f = Figures::default();
     for s in subjects {
         let Some(clean) = &s.disparity else { continue };
         let fail = |source| BenchError::Make { subject: s.name.clone(), source };
@@ -102,21 +100,12 @@ fn point(
             times.push(clock.cpu_ms());
         }
         let (mae, mse, q25) = discretisation_error(clean, &grid, &tiles);
-        let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>() as f64 / tiles.len().max(1) as f64;
-        let apart = overlap_disagreement(&grid, &tiles) * 1e3;
-        let ghosts = 100.0 * ghost_share(clean, &grid, &tiles, GHOST);
-        for (sum, v) in sums.iter_mut().zip([median(times), mae * 1e3, mse * 1e3, q25 * 1e3, planes, apart, ghosts]) {
-            *sum += v;
-        }
-        count += 1;
+        f.add("planes, CPU ms", median(times));
+        f.add("MAE, 1e-3", mae * 1e3);
+        f.add("MSE, 1e-3", mse * 1e3);
+        f.add("Q25, 1e-3", q25 * 1e3);
+        f.add("planes per tile", tiles.iter().map(|t| t.planes.len()).sum::<usize>() as f64 / tiles.len().max(1) as f64);
+        f.add("ghosts, % of pixels", 100.0 * ghost_share(clean, &grid, &tiles, GHOST));
     }
-    let [ms, mae, mse, q25, planes, apart, ghosts] = sums.map(|v| v / count.max(1) as f64);
-    let figures = vec![
-        ("MSE, 1e-3", mse),
-        ("Q25, 1e-3", q25),
-        ("planes per tile", planes),
-        ("difference between neighbouring tiles, 1e-3", apart),
-        ("ghosts, % of pixels", ghosts),
-    ];
-    Ok(Point { setting: setting.into(), x: ms, y: mae, figures, ..Point::default() })
+    Ok(f.point(setting.into(), ("planes, CPU ms", "MAE, 1e-3")))
 }

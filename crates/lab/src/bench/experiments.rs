@@ -2,14 +2,15 @@
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Point, Settings};
+use super::{Axis, BenchError, Curve, Experiment, Log, Point};
 use tmpi_core::{DisparityMap, ViewBox};
 use tmpi_pipeline::networks;
-use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, TileSize};
 
-const MS: Axis = Axis { label: "processing, ms", log: true, up: Some(false) };
-const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };
-const PARALLAX: Axis = Axis { label: "parallax error, px", log: true, up: Some(false) };
+const MS: Axis = Axis::new("processing, ms", true, Some(false));
+pub(super) const VIEW: Axis = Axis::new("view, dB", false, Some(true));
+const PARALLAX: Axis = Axis::new("parallax error, px", true, Some(false));
+const KB: Axis = Axis::new("container, KB", true, Some(false));
 
 const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
@@ -51,12 +52,12 @@ impl Plan {
         for (name, settings) in self.curves {
             let mut points: Vec<Point> = Vec::new();
             for Set { words, options, depth, level, at, default } in settings {
-                let p = bench.point_of_level(subjects, &depth, &options, level, words, (x.label, y.label))?;
+                let p = bench.figures(subjects, &depth, &options, level)?.point(words, (&x.label, &y.label));
                 points.push(Point { default, x: at.unwrap_or(p.x), ..p });
             }
             curves.push(Curve { name: name.into(), points });
         }
-        Ok(Experiment { id: self.id, title: self.title.into(), about: self.about.into(), x, y, curves })
+        Ok(Experiment { id: self.id.into(), title: self.title.into(), about: self.about.into(), x, y, curves })
     }
 }
 
@@ -158,35 +159,6 @@ pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
     DisparityMap { delta: (0..w * h).map(mean).collect(), ..*map }
 }
 
-/// Changes one option at a time. `refined`: whether Ψ is available.
-fn steps(refined: bool) -> Plan {
-    let on = |setting: &str, change: &dyn Fn(&mut Options)| {
-        let mut o = Options::default();
-        change(&mut o);
-        (setting.to_owned(), o)
-    };
-    let all = [
-        on("defaults", &|_| {}),
-        on("--snap off", &|o| o.snap = Switch::Off),
-        on("--snap on", &|o| o.snap = Switch::On),
-        on("--denoise classic", &|o| o.denoise = Denoise::Classic),
-        on("--refine on", &|o| o.refine = Switch::On),
-        on("--plane-method optimal", &|o| o.plane_method = PlaneMethod::Optimal),
-        on("--plane-method lloyd --planes 4", &|o| (o.plane_method, o.planes) = (PlaneMethod::Lloyd, PlaneCount::Fixed(4))),
-    ];
-    let of = |depth: &Depth| {
-        let there = all.iter().filter(|(_, o)| refined || o.refine != Switch::On);
-        there.map(|(s, o)| Set::new(s.as_str(), o.clone(), depth.clone())).collect::<Vec<Set>>()
-    };
-    Plan {
-        id: "steps",
-        title: "Steps on and off",
-        about: "One option changed at a time, on exact disparity and on disparity with edges blurred over 5 pixels.",
-        axes: (MS, VIEW),
-        curves: vec![("exact disparity", of(&Depth::Known)), ("blurred disparity", of(&Depth::Degraded(blurred)))],
-    }
-}
-
 /// Cleaning methods. `theta`: whether the network Θ is available.
 fn denoise(theta: bool) -> Plan {
     let of = |depth: &Depth| {
@@ -211,7 +183,7 @@ fn quality(quick: bool) -> Plan {
         id: "quality",
         title: "Picture quality",
         about: "Size of the container, and similarity of its views to the exact ones.",
-        axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
+        axes: (KB, VIEW),
         curves: vec![("quality", all.iter().map(|&q| known(format!("--quality {q}"), |o| o.quality = q)).collect())],
     }
 }
@@ -227,10 +199,7 @@ fn prune(quick: bool) -> Plan {
         id: "prune",
         title: "Pruning of unseen texels",
         about: "Pixels that differ by more than 8 levels between views with and without the pruned texels, at the corners and side centres of the view box; the worst of these cameras.",
-        axes: (
-            Axis { label: "texels per pixel", log: false, up: Some(false) },
-            Axis { label: "wrongly pruned, % of pixels", log: false, up: Some(false) },
-        ),
+        axes: (Axis::new("texels per pixel", false, Some(false)), Axis::new("wrongly pruned, % of pixels", false, Some(false))),
         curves: vec![("view box", all.iter().map(one).collect())],
     }
 }
@@ -252,7 +221,7 @@ fn view_box(quick: bool) -> Plan {
         id: "view-box",
         title: "View box",
         about: "How far cameras may move from the photo's camera, at the same parallax error: costs, and similarity of views within half of the default box to the exact ones.",
-        axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
+        axes: (KB, VIEW),
         curves: vec![("view box", all.iter().map(one).collect())],
     }
 }
@@ -275,7 +244,7 @@ fn sizes(quick: bool) -> [Plan; 2] {
             id: "levels",
             title: "Levels of a container",
             about: "A container at 1, 1/2, 1/4 and 1/8 of its size, as for small screens and slow connections; views are rendered at the photo's original size.",
-            axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
+            axes: (KB, VIEW),
             curves: vec![("levels", (0..=tmpi_core::container::LEVELS).map(level).collect())],
         },
     ]
@@ -287,65 +256,38 @@ pub(super) fn brief(reason: &impl std::fmt::Display) -> String {
 }
 
 /// Runs the experiments on scenes with exact views.
-pub(super) fn on_scenes(
-    bench: &Bench,
-    scenes: &[Subject],
-    settings: &Settings,
-    skipped: &mut Vec<String>,
-    progress: &dyn Fn(&str),
-) -> Result<Vec<Experiment>, BenchError> {
-    let quick = settings.quick;
+pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Result<(), BenchError> {
+    let quick = log.settings.quick;
     // warm-up: the first run of a process pays for threads and memory
-    bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
-    let mut plans = vec![
-        max_error(quick, (MS, VIEW)),
-        planes(quick, (MS, VIEW)),
-        tiles(quick),
-        steps(bench.psi().is_some()),
-        quality(quick),
-        prune(quick),
-        view_box(quick),
-    ];
+    bench.figures(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), 0)?;
+    let mut plans =
+        vec![max_error(quick, (MS, VIEW)), planes(quick, (MS, VIEW)), tiles(quick), quality(quick), prune(quick), view_box(quick)];
     plans.extend(sizes(quick));
     if let Err(reason) = networks::available() {
-        skipped.push(format!("denoise networks: {}", brief(&reason)));
+        log.skip(format!("denoise networks: {}", brief(&reason)));
     } else {
         plans.push(denoise(bench.models.theta.is_some()));
     }
-    run(bench, scenes, plans, settings, progress)
+    plans.into_iter().try_for_each(|plan| run(bench, scenes, plan, log))
 }
 
-/// Those of the experiments that are asked for.
-pub(super) fn run(
-    bench: &Bench,
-    subjects: &[Subject],
-    plans: Vec<Plan>,
-    settings: &Settings,
-    progress: &dyn Fn(&str),
-) -> Result<Vec<Experiment>, BenchError> {
-    let mut all = Vec::new();
-    for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {
-        progress(plan.title);
-        all.push(plan.run(bench, subjects)?);
+/// Runs an experiment if it is asked for.
+pub(super) fn run(bench: &Bench, subjects: &[Subject], plan: Plan, log: &mut Log) -> Result<(), BenchError> {
+    if !log.starts(plan.id) {
+        return Ok(());
     }
-    Ok(all)
+    log.add(plan.run(bench, subjects)?)
 }
 
 /// Runs the experiments on photos with estimated disparity.
-pub(super) fn on_photos(
-    bench: &Bench,
-    photos: &[Subject],
-    skipped: &mut Vec<String>,
-    progress: &dyn Fn(&str),
-) -> Result<Vec<Experiment>, BenchError> {
+pub(super) fn on_photos(bench: &Bench, photos: &[Subject], log: &mut Log) -> Result<(), BenchError> {
     if let Err(reason) = networks::available() {
-        skipped.push(format!("photos: {}", brief(&reason)));
-        return Ok(Vec::new());
+        log.skip(format!("photos: {}", brief(&reason)));
+        return Ok(());
     }
     let mut plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
     if let Some((_, by_error)) = plan.curves.last_mut() {
         *by_error = errors(true);
     }
-    progress(plan.title);
-    Ok(vec![plan.run(bench, photos)?])
+    run(bench, photos, plan, log)
 }

@@ -1,9 +1,9 @@
 //! The machine that measurements ran on.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Description of a machine.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Machine {
     /// CPU model.
     pub processor: String,

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::BenchError;
+use super::figures::{Figures, median};
 use super::subject::Subject;
-use super::{BenchError, Point};
 use crate::metrics::{self, ssim_map};
 use crate::oracle_depth::OracleDepth;
 use tmpi_core::container;
@@ -43,80 +44,19 @@ pub(super) enum Depth {
     Given(fn(&DisparityMap) -> DisparityMap),
 }
 
-/// Median; 0 if there are no values.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    match n {
-        0 => 0.0,
-        _ if n % 2 == 1 => values[n / 2],
-        _ => f64::midpoint(values[n / 2 - 1], values[n / 2]),
-    }
-}
-
-/// Values of all subjects by figure name.
-#[derive(Default)]
-pub(super) struct Figures(Vec<(&'static str, Vec<f64>)>);
-
-impl Figures {
-    pub fn add(&mut self, name: &'static str, value: f64) {
-        match self.0.iter_mut().find(|(n, _)| *n == name) {
-            Some((_, all)) => all.push(value),
-            None => self.0.push((name, vec![value])),
-        }
-    }
-
-    /// Mean and standard deviation; NaN for an unknown figure.
-    fn of(&self, name: &str) -> [f64; 2] {
-        let Some((_, all)) = self.0.iter().find(|f| f.0 == name) else { return [f64::NAN; 2] };
-        let n = all.len() as f64;
-        let mean = all.iter().sum::<f64>() / n;
-        [mean, (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()]
-    }
-
-    /// The means, with two of them as the place of a point, and the spread of the second.
-    pub fn point(&self, setting: String, axes: (&str, &str)) -> Point {
-        let ([x, _], [y, spread]) = (self.of(axes.0), self.of(axes.1));
-        let figures = self.0.iter().map(|(name, _)| (*name, self.of(name)[0])).collect();
-        Point { setting, x, y, spread, figures, ..Point::default() }
-    }
-}
-
 impl Bench<'_> {
     /// Ψ, if it is available and ONNX Runtime can run it.
     pub fn psi(&self) -> Option<&dyn Network> {
         self.models.psi.as_deref().filter(|_| networks::available().is_ok()).map(|psi| psi as &dyn Network)
     }
 
-    /// Runs a setting on all subjects. `axes` names the figures for x and y.
-    pub fn point(
-        &self,
-        subjects: &[Subject],
-        depth: &Depth,
-        options: &Options,
-        setting: String,
-        axes: (&str, &str),
-    ) -> Result<Point, BenchError> {
-        self.point_of_level(subjects, depth, options, 0, setting, axes)
-    }
-
-    /// The same for the container at `1 / 2^level` of its size.
-    pub fn point_of_level(
-        &self,
-        subjects: &[Subject],
-        depth: &Depth,
-        options: &Options,
-        level: u8,
-        setting: String,
-        axes: (&str, &str),
-    ) -> Result<Point, BenchError> {
+    /// Runs a setting on all subjects, and measures the container at `1 / 2^level` of its size.
+    pub fn figures(&self, subjects: &[Subject], depth: &Depth, options: &Options, level: u8) -> Result<Figures, BenchError> {
         let mut figures = Figures::default();
         for s in subjects {
-            for (name, value) in self.figures(s, depth, options, level)? {
-                figures.add(name, value);
-            }
+            self.add_figures(&mut figures, s, (depth, options, level))?;
         }
-        Ok(figures.point(setting, axes))
+        Ok(figures)
     }
 
     /// Processes a subject as often as configured.
@@ -145,51 +85,48 @@ impl Bench<'_> {
         Ok(runs)
     }
 
-    fn figures(&self, s: &Subject, depth: &Depth, options: &Options, level: u8) -> Result<Vec<(&'static str, f64)>, BenchError> {
+    fn add_figures(&self, f: &mut Figures, s: &Subject, (depth, options, level): (&Depth, &Options, u8)) -> Result<(), BenchError> {
         let runs = self.runs(s, depth, options)?;
-        let over = |f: &dyn Fn(&tmpi_pipeline::Report) -> f64| median(runs.iter().map(|m| f(&m.report)).collect());
         let stages = |included: &dyn Fn(&str) -> bool, cpu: bool| {
-            over(&|r| r.stages.iter().filter(|s| included(&s.name)).map(|s| if cpu { s.cpu_ms } else { s.ms }).sum())
+            let of = |r: &Made| r.report.stages.iter().filter(|s| included(&s.name)).map(|s| if cpu { s.cpu_ms } else { s.ms }).sum();
+            median(runs.iter().map(of).collect())
         };
-        let Some(made) = runs.last() else { return Ok(Vec::new()) };
-        let r = &made.report;
+        let Some(made) = runs.last() else { return Ok(()) };
+        let (r, e) = (&made.report, &made.report.error);
         let file = container::level(&made.container, level)?;
-        let mut all = vec![
-            ("processing, ms", stages(&|n| !APART.contains(&n), false)),
-            ("processing, CPU ms", stages(&|n| !APART.contains(&n), true)),
-            ("planes, CPU ms", stages(&|n| n == "planes", true)),
-            ("depth, ms", stages(&|n| n == "depth", false)),
-            ("planes per tile", r.planes_per_tile),
-            ("container, KB", file.len() as f64 / 1000.0),
-            ("depth MAE, 1e-3", r.error.depth_mae * 1e3),
-            ("depth MSE, 1e-3", r.error.depth_mse * 1e3),
-            ("depth Q25, 1e-3", r.error.depth_q25 * 1e3),
-            ("identity, dB", r.error.identity_psnr),
-        ];
-        all.push(("view box, ±", options.view_box.x));
-        all.extend(
-            r.error
-                .planes
-                .bound_px
-                .map(|_| ("tiles over the bound, %", 100.0 * r.error.planes.missed_tiles as f64 / r.tiles.max(1) as f64)),
-        );
-        if let Some(p) = r.error.prune {
-            all.push(("largest difference, levels", p.max_abs.into()));
-            all.push(("wrongly pruned, % of pixels", p.share_off * 100.0));
+        f.add("processing, ms", stages(&|n| !APART.contains(&n), false));
+        f.add("processing, CPU ms", stages(&|n| !APART.contains(&n), true));
+        f.add("planes, CPU ms", stages(&|n| n == "planes", true));
+        f.add("depth, ms", stages(&|n| n == "depth", false));
+        f.add("verifying, ms", stages(&|n| n == "verify", false));
+        f.add("planes per tile", r.planes_per_tile);
+        f.add("container, KB", file.len() as f64 / 1000.0);
+        f.add("depth MAE, 1e-3", e.depth_mae * 1e3);
+        f.add("depth MSE, 1e-3", e.depth_mse * 1e3);
+        f.add("depth Q25, 1e-3", e.depth_q25 * 1e3);
+        f.add("identity, dB", e.identity_psnr);
+        f.add("view box, ±", options.view_box.x);
+        f.add("parallax error, px", e.planes.mean_px);
+        if e.planes.bound_px.is_some() {
+            f.add("tiles over the bound, %", 100.0 * e.planes.missed_tiles as f64 / r.tiles.max(1) as f64);
         }
-        all.push(("verifying, ms", stages(&|n| n == "verify", false)));
+        if let Some(p) = e.prune {
+            f.add("largest difference, levels", p.max_abs.into());
+            f.add("wrongly pruned, % of pixels", p.share_off * 100.0);
+        }
         let scene = Arc::new(container::decode(&file)?);
         let held = scene.texels.class.iter().filter(|c| **c != 0).count() as f64;
-        all.push(("texels per pixel", held / (f64::from(r.width) * f64::from(r.height))));
-        all.push(("parallax error, px", r.error.planes.mean_px));
+        f.add("texels per pixel", held / (f64::from(r.width) * f64::from(r.height)));
         if let Some(truth) = &s.disparity {
-            all.push(("disparity error, 1e-3", 1e3 * aligned_error(&made.disparity, truth)));
+            f.add("disparity error, 1e-3", 1e3 * aligned_error(&made.disparity, truth));
         }
         if !s.views.is_empty() {
             let [psnr, ssim, l1] = views(s, &scene)?;
-            all.extend([("view, dB", psnr), ("view SSIM", ssim), ("view L1", l1)]);
+            f.add("view, dB", psnr);
+            f.add("view SSIM", ssim);
+            f.add("view L1", l1);
         }
-        Ok(all)
+        Ok(())
     }
 }
 
@@ -202,12 +139,12 @@ fn views(s: &Subject, scene: &Arc<Scene>) -> Result<[f64; 3], BenchError> {
 }
 
 /// PSNR, SSIM and L1 of a view over black.
-fn score(view: &View, want: &Photo) -> [f64; 3] {
+pub(super) fn score(view: &View, want: &Photo) -> [f64; 3] {
     compared(&view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>(), want)
 }
 
 /// PSNR, SSIM and L1 (of values from 0 to 1), without [`CROP`] on each side.
-pub(super) fn compared(got: &[[u8; 3]], want: &Photo) -> [f64; 3] {
+pub(crate) fn compared(got: &[[u8; 3]], want: &Photo) -> [f64; 3] {
     let (w, h) = (want.width as usize, want.height as usize);
     let (x, y) = ((w as f64 * CROP) as usize, (h as f64 * CROP) as usize);
     let cut = |p: &[[u8; 3]]| -> Vec<[u8; 3]> { p.chunks(w).skip(y).take(h - 2 * y).flat_map(|row| row[x..w - x].to_vec()).collect() };
@@ -235,13 +172,6 @@ fn aligned_error(got: &DisparityMap, want: &DisparityMap) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn medians_of_odd_even_and_empty_lists() {
-        assert!((median(vec![3.0, 1.0, 9.0]) - 3.0).abs() < 1e-12);
-        assert!((median(vec![4.0, 1.0, 9.0, 2.0]) - 3.0).abs() < 1e-12);
-        assert!(median(Vec::new()).abs() < 1e-12);
-    }
 
     #[test]
     fn scale_and_shift_of_disparity_do_not_count() {

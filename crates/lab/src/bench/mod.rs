@@ -8,28 +8,28 @@ mod ablation;
 mod costs;
 mod depth_settings;
 mod discretisation;
-mod drawing;
 mod experiments;
+mod figures;
+mod log;
 mod machine;
 mod measure;
-mod mesh;
 mod page;
 mod photo_size;
 mod plot;
 mod report_cost;
-mod scene_families;
-pub mod serve;
 mod snapping;
 mod subject;
 mod tile_sizes;
-mod verdicts;
 
-use std::fmt::Write;
+use std::borrow::Cow;
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+pub(crate) use figures::Figures;
+use log::Log;
 pub use machine::Machine;
+pub(crate) use measure::compared;
 pub use page::html;
 use tmpi_pipeline::run::time_budget::Costs;
 use tmpi_pipeline::{MakeError, Models};
@@ -43,22 +43,23 @@ pub struct Settings {
     pub photos: Vec<PathBuf>,
     /// Experiments to run, from [`EXPERIMENTS`]; empty: all.
     pub only: Vec<String>,
+    /// Folder for `index.html`, `results.json` and `costs.json`.
+    pub output: PathBuf,
+    /// Keeps the experiments of the folder's `results.json`, and runs only the others.
+    pub resume: bool,
     /// The networks.
     pub models: Models,
     /// Settings that the networks were loaded with; an experiment varies those of the depth network.
     pub networks: tmpi_pipeline::networks::models::Settings,
 }
 
-/// Short names of the experiments. `live-budget` is [`crate::live::budget`]'s.
-pub const EXPERIMENTS: [&str; 30] = [
+/// Short names of the experiments.
+pub const EXPERIMENTS: [&str; 22] = [
     "scaling",
     "efficiency",
-    "clustering",
     "max-error",
     "planes",
     "tiles",
-    "steps",
-    "ramps",
     "quality",
     "prune",
     "view-box",
@@ -66,33 +67,20 @@ pub const EXPERIMENTS: [&str; 30] = [
     "levels",
     "denoise",
     "depth",
-    "depth-pixels",
     "depth-smoothing",
     "depth-ramp",
     "depth-mirror",
+    "ramps",
     "without",
     "labels",
-    "moves",
     "photos",
-    "mesh",
     "discretisation",
-    "families",
-    "drawing",
     "budget",
     "measuring",
-    "live-budget",
 ];
 
-impl Settings {
-    /// Whether an experiment is asked for.
-    #[must_use]
-    pub fn wants(&self, experiment: &str) -> bool {
-        self.only.is_empty() || self.only.iter().any(|o| o == experiment)
-    }
-}
-
 /// A measured setting: means over all subjects.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Point {
     /// The setting, as on the command line.
     pub setting: String,
@@ -107,11 +95,11 @@ pub struct Point {
     /// Whether no other point of the experiment is better on both axes.
     pub pareto: bool,
     /// All measured values, by name.
-    pub figures: Vec<(&'static str, f64)>,
+    pub figures: Vec<(String, f64)>,
 }
 
 /// Settings that differ in one number.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Curve {
     /// Name in the legend.
     pub name: String,
@@ -120,21 +108,32 @@ pub struct Curve {
 }
 
 /// Axis of a plot.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Axis {
     /// Name and unit.
-    pub label: &'static str,
+    pub label: Cow<'static, str>,
     /// Whether the axis is logarithmic.
     pub log: bool,
     /// Whether more is better; `None` if neither direction is.
     pub up: Option<bool>,
 }
 
+impl Axis {
+    pub(crate) const fn new(label: &'static str, log: bool, up: Option<bool>) -> Self {
+        Self { label: Cow::Borrowed(label), log, up }
+    }
+}
+
+/// Figures with names of their own.
+fn figures<const N: usize>(all: [(&str, f64); N]) -> Vec<(String, f64)> {
+    all.map(|(name, value)| (name.to_owned(), value)).into()
+}
+
 /// Curves on common axes.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Experiment {
     /// Short name.
-    pub id: &'static str,
+    pub id: String,
     /// Heading.
     pub title: String,
     /// Description.
@@ -148,10 +147,10 @@ pub struct Experiment {
 }
 
 /// Results of a benchmark.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Results {
     /// Version of the program.
-    pub version: &'static str,
+    pub version: String,
     /// The machine.
     pub machine: Machine,
     /// Names of the measured scenes and photos.
@@ -198,94 +197,58 @@ pub enum BenchError {
     },
 }
 
-/// Path of the program `tmpi`: the variable `TMPI`, otherwise the program beside this one.
-fn program() -> std::io::Result<PathBuf> {
-    if let Some(named) = std::env::var_os("TMPI").filter(|v| !v.is_empty()) {
-        return Ok(named.into());
-    }
-    let path = std::env::current_exe()?.with_file_name(format!("tmpi{}", std::env::consts::EXE_SUFFIX));
-    if path.is_file() {
-        return Ok(path);
-    }
-    let reason = format!("{} does not exist: run `cargo build --release`, or set TMPI to the program", path.display());
-    Err(std::io::Error::new(std::io::ErrorKind::NotFound, reason))
-}
-
-/// Runs the experiments; calls `progress` with the name of each.
+/// Runs the experiments, and writes the results to the folder after each; calls `progress` with the name of each.
 ///
 /// # Errors
 /// [`BenchError`].
 pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, BenchError> {
-    let start = std::time::Instant::now();
-    let mut skipped = Vec::new();
-    let wants = |id: &str| settings.wants(id);
-    let scaling = if wants("scaling") { photo_size::run(settings.quick, &mut skipped, progress) } else { Vec::new() };
-    let repeats = if settings.quick { 3 } else { 5 };
-    let mut first = Vec::new();
-    if wants("efficiency") {
-        first.extend(tile_sizes::table(repeats, &mut skipped, progress));
+    let mut log = Log::new(settings, progress)?;
+    let (quick, repeats) = (settings.quick, log.results.repeats);
+    if log.starts("scaling") {
+        match photo_size::run(quick) {
+            Ok(both) => both.into_iter().try_for_each(|e| log.add(e))?,
+            Err(reason) => log.skip(format!("scaling: {reason}")),
+        }
     }
-    if wants("clustering") {
-        first.push(tile_sizes::clustering(repeats, progress));
+    if log.starts("efficiency") {
+        match tile_sizes::table(repeats) {
+            Ok(experiment) => log.add(experiment)?,
+            Err(reason) => log.skip(format!("efficiency: {reason}")),
+        }
     }
     progress("rendering scenes");
-    let scenes = subject::rendered(settings.quick)?;
-    let photos = subject::photos(&settings.photos, settings.quick)?;
+    let scenes = subject::rendered(quick)?;
+    let photos = subject::photos(&settings.photos, quick)?;
+    log.results.subjects = scenes.iter().chain(&photos).map(|s| s.name.clone()).collect();
     let bench = measure::Bench { models: &settings.models, repeats };
-    let mut experiments = first;
     let known = photos.iter().any(|p| p.disparity.is_some());
     let measured = if known { &photos } else { &scenes };
-    experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
-    experiments.extend(depth_settings::run(&bench, measured, settings, &mut skipped, progress)?);
-    if wants("ramps") {
-        experiments.push(snapping::run(&bench, &scenes, progress)?);
+    experiments::on_scenes(&bench, &scenes, &mut log)?;
+    depth_settings::run(&bench, measured, &mut log)?;
+    if log.starts("ramps") {
+        log.add(snapping::run(&bench, &scenes)?)?;
     }
-    if wants("without") {
-        experiments.push(ablation::steps(&bench, &scenes, progress)?);
+    if log.starts("without") {
+        log.add(ablation::steps(&bench, &scenes)?)?;
     }
-    if wants("families") {
-        experiments.push(scene_families::run(&bench, settings.quick, progress)?);
+    if log.starts("labels") {
+        log.add(ablation::labels(&scenes, quick)?)?;
     }
-    if wants("labels") {
-        experiments.push(ablation::labels(&scenes, settings.quick, progress)?);
+    if !photos.is_empty() {
+        experiments::on_photos(&bench, &photos, &mut log)?;
     }
-    if wants("moves") {
-        experiments.push(ablation::moves(&bench, &scenes, progress)?);
+    if log.starts("discretisation") {
+        log.add(discretisation::run(&bench, measured)?)?;
     }
-    if wants("photos") && !photos.is_empty() {
-        experiments.extend(experiments::on_photos(&bench, &photos, &mut skipped, progress)?);
+    if log.starts("budget") {
+        log.results.costs = Some(costs::fitted(&bench, &scenes)?);
+        log.add(costs::kept(&bench, &scenes)?)?;
     }
-    if wants("mesh") {
-        experiments.extend(mesh::against(&bench, &photos, progress)?);
+    if log.starts("measuring") {
+        log.add(report_cost::run(&bench, &scenes, quick)?)?;
     }
-    if wants("discretisation") {
-        experiments.push(discretisation::run(&bench, measured, progress)?);
-    }
-    if wants("drawing") {
-        experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
-    }
-    let mut costs = None;
-    if wants("budget") {
-        experiments.push(costs::kept(&bench, &scenes, progress)?);
-        costs = Some(costs::fitted(&bench, &scenes, progress)?);
-    }
-    if wants("measuring") {
-        experiments.push(report_cost::run(&bench, &scenes, settings.quick, progress)?);
-    }
-    experiments.extend(scaling);
-    for e in &mut experiments {
-        e.mark();
-    }
-    Ok(Results {
-        version: env!("CARGO_PKG_VERSION"),
-        machine: Machine::this(),
-        subjects: scenes.iter().chain(&photos).map(|s| s.name.clone()).collect(),
-        repeats,
-        experiments,
-        costs,
-        skipped,
-        seconds: start.elapsed().as_secs_f64(),
-    })
+    log.write()?;
+    Ok(log.results)
 }
 
 impl Experiment {
@@ -293,7 +256,8 @@ impl Experiment {
     pub(crate) fn mark(&mut self) {
         let (Some(x_up), Some(y_up)) = (self.x.up, self.y.up) else { return };
         let score = |p: &Point| (if x_up { p.x } else { -p.x }, if y_up { p.y } else { -p.y });
-        let apart = self.is_apart();
+        // curves that each have a default are of different things, whose points cannot be compared
+        let apart = self.curves.iter().filter(|c| c.points.iter().any(|p| p.default)).count() > 1;
         let all: Vec<(f64, f64)> = self.curves.iter().flat_map(|c| &c.points).map(score).collect();
         for c in &mut self.curves {
             let own: Vec<(f64, f64)> = c.points.iter().map(score).collect();
@@ -306,37 +270,18 @@ impl Experiment {
     }
 }
 
-impl Results {
-    /// All figures of all points as CSV, one per line.
-    #[must_use]
-    pub fn csv(&self) -> String {
-        let quoted = |s: &str| format!("\"{}\"", s.replace('"', "\"\""));
-        let mut out = String::from("experiment,curve,setting,default,pareto,figure,value\n");
-        for e in &self.experiments {
-            for (c, p) in e.curves.iter().flat_map(|c| c.points.iter().map(move |p| (c, p))) {
-                let head = format!("{},{},{},{},{}", e.id, quoted(&c.name), quoted(&p.setting), p.default, p.pareto);
-                for (name, value) in [(e.x.label, p.x), (e.y.label, p.y), ("spread", p.spread)].iter().chain(&p.figures) {
-                    // writing to a String cannot fail
-                    let _ = writeln!(out, "{head},{},{value}", quoted(name));
-                }
-            }
-        }
-        out
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn experiment(points: &[(f64, f64)]) -> Experiment {
+    pub(super) fn experiment(points: &[(f64, f64)]) -> Experiment {
         let points = points.iter().map(|&(x, y)| Point { x, y, setting: format!("{x}"), ..Point::default() }).collect();
         Experiment {
-            id: "e",
+            id: "e".into(),
             title: "E".into(),
             about: "about <it>".into(),
-            x: Axis { label: "ms", log: true, up: Some(false) },
-            y: Axis { label: "dB", log: false, up: Some(true) },
+            x: Axis::new("ms", true, Some(false)),
+            y: Axis::new("dB", false, Some(true)),
             curves: vec![Curve { name: "c, \"d\"".into(), points }],
         }
     }
@@ -346,24 +291,11 @@ mod tests {
         let mut e = experiment(&[(1.0, 10.0), (2.0, 20.0), (3.0, 15.0), (2.0, 19.0), (1.0, 10.0)]);
         e.mark();
         assert_eq!(e.curves[0].points.iter().map(|p| p.pareto).collect::<Vec<_>>(), [true, true, false, false, true]);
-    }
-
-    #[test]
-    fn csv_and_page_contain_all_points() {
-        let results = Results {
-            version: "0",
-            machine: Machine::this(),
-            subjects: vec!["s".into()],
-            repeats: 1,
-            experiments: vec![experiment(&[(1.0, 10.0), (20.0, 30.0)])],
-            costs: None,
-            skipped: vec!["gpu: none & nothing".into()],
-            seconds: 1.0,
-        };
-        assert_eq!(results.csv().lines().count(), 1 + 2 * 3);
-        assert!(results.csv().contains("\"c, \"\"d\"\"\""));
-        let page = html(&results);
-        assert!(page.contains("about &lt;it&gt;") && page.contains("none &amp; nothing") && page.matches("<circle").count() >= 2);
-        assert!(!page.contains("http://") || page.contains("http://www.w3.org/2000/svg"), "the page makes no requests");
+        // points of curves of different things are not compared
+        let [mut worse, mut better] = [&[(9.0, 1.0)], &[(1.0, 9.0)]].map(|points| experiment(points).curves.remove(0));
+        (worse.points[0].default, better.points[0].default) = (true, true);
+        let mut e = Experiment { curves: vec![worse, better], ..e };
+        e.mark();
+        assert!(e.curves.iter().all(|c| c.points[0].pareto));
     }
 }

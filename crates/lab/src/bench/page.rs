@@ -3,8 +3,7 @@
 use std::fmt::Write;
 
 use super::plot::{escaped, number, svg};
-use super::verdicts::Verdict;
-use super::{Experiment, Point, Results};
+use super::{Experiment, Results};
 
 const STYLE: &str = "
 :root{color-scheme:light dark;--ink:#1b1d22;--soft:#5d636e;--paper:#fff;--line:#e3e5ea;--mark:#f4f6f9}
@@ -15,12 +14,11 @@ h1{font-size:1.7rem;margin:0 0 .25rem}h2{font-size:1.2rem;margin:2.75rem 0 .25re
 p{margin:.25rem 0 .75rem;color:var(--soft);max-width:46rem}
 nav{display:flex;flex-wrap:wrap;gap:.25rem 1rem;margin:1rem 0;font-size:.95rem}a{color:inherit}
 svg{width:100%;height:auto;display:block}svg text{font-size:12px;fill:var(--soft)}svg .own{fill:var(--ink);font-weight:600}svg .of{font-size:10.5px}
-.grid{stroke:var(--line)}.front{fill:none;stroke:var(--soft);stroke-width:1.2;stroke-dasharray:2 4}
+.grid{stroke:var(--line)}.x{text-anchor:middle}.y{text-anchor:end}
 details{margin:.5rem 0}summary{cursor:pointer;color:var(--soft)}
 .wide{overflow-x:auto}table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums;white-space:nowrap}
-th,td{padding:.2rem .7rem;text-align:right;border-bottom:1px solid var(--line)}th:first-child,td:first-child,th:nth-child(2),td:nth-child(2){text-align:left}td small{font-size:.9em}
-td b{font-weight:600}
-ul{padding-left:1.2rem;max-width:46rem;color:var(--soft)}small{color:var(--soft)}
+th,td{padding:.2rem .7rem;text-align:right;border-bottom:1px solid var(--line)}th:first-child,td:first-child,th:nth-child(2),td:nth-child(2){text-align:left}
+ul{padding-left:1.2rem;max-width:46rem;color:var(--soft)}
 th{font-weight:600;color:var(--soft)}tr.default{background:var(--mark);font-weight:600}
 dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem 1rem;font-size:.95rem}dt{color:var(--soft)}dd{margin:0}
 ";
@@ -30,7 +28,7 @@ const READING: &str = "<h2>How to read the plots</h2><ul>\
 <li>A point is one setting: the mean over all scenes. Hover over it for the setting and its figures.</li>\
 <li>A ring with the word “default” is the setting that is used where nothing is said.</li>\
 <li>The words at the axes say which side is better.</li>\
-<li>A filled point: no other setting is better in both directions. The dotted line joins these.</li>\
+<li>A filled point: no other setting is better in both directions. If the default is not filled, another setting may be the better choice.</li>\
 <li>A vertical bar is one standard deviation over the scenes: how much scenes differ, not how far the mean is from the truth.</li>\
 <li>“All figures” below a plot opens a table of everything that was measured.</li></ul>\
 <details><summary>What the figures mean</summary><dl>\
@@ -73,7 +71,6 @@ pub fn html(r: &Results) -> String {
         let _ = write!(out, "<a href=\"#{}\">{}</a>", e.id, escaped(&e.title));
     }
     out += "</nav>";
-    out += &at_a_glance(&r.experiments);
     for e in &r.experiments {
         let _ = write!(out, "<h2 id=\"{}\">{}</h2><p>{}</p>", e.id, escaped(&e.title), escaped(&e.about));
         if e.curves.iter().map(|c| c.points.len()).sum::<usize>() > 1 {
@@ -84,61 +81,25 @@ pub fn html(r: &Results) -> String {
     out + "</html>\n"
 }
 
-/// Each default, and whether another setting is better.
-fn at_a_glance(all: &[Experiment]) -> String {
-    let rows: Vec<(&Experiment, Verdict)> = all.iter().flat_map(|e| e.verdicts().into_iter().map(move |v| (e, v))).collect();
-    if rows.is_empty() {
-        return String::new();
-    }
-    let mut out = String::from(
-        "<h2>The defaults</h2><p>A better setting gains in one direction and loses in none. Gains within the noise of two runs do not count, \
-         and where a setting costs nothing the best one is named.</p><div class=\"wide\"><table><tr><th>plot<th>default<th>better",
-    );
-    for (e, v) in rows {
-        let curve = v.curve.map_or(String::new(), |c| format!(", {}", escaped(c)));
-        let place = |p: &Point| {
-            let x = if e.x.up.is_some() { format!("{} {}, ", number(p.x), escaped(e.x.label)) } else { String::new() };
-            format!("<b>{}</b><br><small>{x}{} {}</small>", escaped(&p.setting), number(p.y), escaped(e.y.label))
-        };
-        // a String takes everything
-        let _ = write!(
-            out,
-            "<tr><td><a href=\"#{}\">{}</a>{curve}<td>{}<td>{}",
-            e.id,
-            escaped(&e.title),
-            place(v.default),
-            v.better.map_or("none".into(), place)
-        );
-    }
-    out + "</table></div>"
-}
-
 fn table(e: &Experiment) -> String {
-    let mut names: Vec<&str> = vec![e.x.label, e.y.label];
-    for (name, _) in e.curves.iter().flat_map(|c| &c.points).flat_map(|p| &p.figures) {
-        if !names.contains(name) {
+    let points = || e.curves.iter().flat_map(|c| c.points.iter().map(move |p| (c, p)));
+    let mut names: Vec<&str> = vec![&*e.x.label, &*e.y.label];
+    for (name, _) in points().flat_map(|(_, p)| &p.figures) {
+        if !names.contains(&name.as_str()) {
             names.push(name);
         }
     }
-    let few = e.curves.iter().map(|c| c.points.len()).sum::<usize>() <= 1;
-    let mut out = format!(
-        "<details{}><summary>All figures</summary><div class=\"wide\"><table><tr><th>curve<th>setting<th>± {}",
-        if few { " open" } else { "" },
-        escaped(e.y.label)
-    );
+    let open = if points().count() <= 1 { " open" } else { "" };
+    let y = escaped(&e.y.label);
+    let mut out = format!("<details{open}><summary>All figures</summary><div class=\"wide\"><table><tr><th>curve<th>setting<th>± {y}");
     for n in &names {
         let _ = write!(out, "<th>{}", escaped(n));
     }
-    for (c, p) in e.curves.iter().flat_map(|c| c.points.iter().map(move |p| (c, p))) {
+    for (c, p) in points() {
         let class = if p.default { " class=\"default\"" } else { "" };
-        let _ = write!(out, "<tr{class}><td>{}<td>{}", escaped(&c.name), escaped(&p.setting));
-        let _ = write!(out, "<td>{}", number(p.spread));
-        for n in &names {
-            let value = match *n {
-                n if n == e.x.label => Some(p.x),
-                n if n == e.y.label => Some(p.y),
-                n => p.figures.iter().find(|f| f.0 == n).map(|f| f.1),
-            };
+        let _ = write!(out, "<tr{class}><td>{}<td>{}<td>{}", escaped(&c.name), escaped(&p.setting), number(p.spread));
+        for (i, n) in names.iter().enumerate() {
+            let value = [p.x, p.y].get(i).copied().or_else(|| p.figures.iter().find(|f| f.0 == *n).map(|f| f.1));
             let _ = write!(out, "<td>{}", value.map_or(String::new(), number));
         }
     }

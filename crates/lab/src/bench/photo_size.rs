@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
-use super::{Axis, BenchError, Curve, Experiment, Point};
+use super::{Axis, BenchError, Curve, Experiment, Point, figures};
 use crate::scenes;
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::Report;
@@ -16,48 +16,41 @@ use tmpi_pipeline::photo::resize;
 /// Size of the rendered scene that is enlarged, 3:2.
 const BASE: (u32, u32) = (1200, 800);
 
-pub(super) fn run(quick: bool, skipped: &mut Vec<String>, progress: &dyn Fn(&str)) -> Vec<Experiment> {
-    progress("scaling");
+/// Time and memory of `tmpi make` by photo size.
+pub(super) fn run(quick: bool) -> Result<[Experiment; 2], BenchError> {
     let megapixels: &[f64] = if quick { &[0.2, 0.8, 3.0, 12.0] } else { &[0.2, 0.5, 1.0, 3.0, 6.0, 12.0, 24.0, 49.9] };
-    match measured(megapixels) {
-        Ok(points) => vec![
-            experiment("scaling-time", "Scaling: time", "processing of photo and disparity, ms", &points, |r| r.total_ms),
-            experiment("scaling-memory", "Scaling: memory", "peak resident memory, MB", &points, |r| r.peak_rss_bytes as f64 / 1e6),
-        ],
-        Err(reason) => {
-            skipped.push(format!("scaling: {reason}"));
-            Vec::new()
-        }
-    }
+    let reports = measured(megapixels)?;
+    Ok([
+        experiment("scaling", "Scaling: time", "processing of photo and disparity, ms", &reports, |r| r.total_ms),
+        experiment("scaling-memory", "Scaling: memory", "peak resident memory, MB", &reports, |r| r.peak_rss_bytes as f64 / 1e6),
+    ])
 }
 
-fn experiment(id: &'static str, title: &str, y: &'static str, reports: &[Report], value: fn(&Report) -> f64) -> Experiment {
+fn experiment(id: &str, title: &str, y: &'static str, reports: &[Report], value: fn(&Report) -> f64) -> Experiment {
     let mp = |r: &Report| f64::from(r.width) * f64::from(r.height) / 1e6;
     let point = |r: &Report| {
-        let mut figures = vec![
+        let mut all = figures([
             ("total, ms", r.total_ms),
             ("total, CPU ms", r.stages.iter().map(|s| s.cpu_ms).sum()),
             ("ms per megapixel", r.total_ms / mp(r)),
             ("bytes of memory per pixel", r.peak_rss_bytes as f64 / (mp(r) * 1e6)),
             ("planes per tile", r.planes_per_tile),
-        ];
-        for (name, figure) in [("planes", "planes, ms"), ("layers", "layers, ms"), ("encode", "encode, ms"), ("verify", "verify, ms")] {
-            figures.extend(r.stages.iter().filter(|s| s.name == name).map(|s| (figure, s.ms)));
-        }
-        Point { setting: format!("{}×{}", r.width, r.height), x: mp(r), y: value(r), figures, ..Point::default() }
+        ]);
+        all.extend(r.stages.iter().map(|s| (format!("{}, ms", s.name), s.ms)));
+        Point { setting: format!("{}×{}", r.width, r.height), x: mp(r), y: value(r), figures: all, ..Point::default() }
     };
     let slope = match (reports.first(), reports.last()) {
         (Some(a), Some(b)) if mp(b) > mp(a) => (value(b) - value(a)) / (mp(b) - mp(a)),
         _ => 0.0,
     };
     Experiment {
-        id,
+        id: id.into(),
         title: title.into(),
         about: format!(
             "One rendered scene, enlarged to each size and processed with its disparity once in a separate process. From the smallest to the largest: {slope:.1} per megapixel."
         ),
-        x: Axis { label: "photo, megapixels", log: true, up: None },
-        y: Axis { label: y, log: true, up: Some(false) },
+        x: Axis::new("photo, megapixels", true, None),
+        y: Axis::new(y, true, Some(false)),
         curves: vec![Curve { name: "defaults".into(), points: reports.iter().map(point).collect() }],
     }
 }
@@ -74,7 +67,7 @@ impl ProcessRunner {
         let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
         let bad = |e: std::io::Error| BenchError::File { path: folder.clone(), reason: e.to_string() };
         std::fs::create_dir_all(&folder).map_err(bad)?;
-        let program = super::program().map_err(bad)?;
+        let program = program().map_err(bad)?;
         Ok(Self { folder, program })
     }
 
@@ -114,6 +107,19 @@ impl ProcessRunner {
         let text = std::fs::read(&report).map_err(|e| self.bad(&e))?;
         serde_json::from_slice(&text).map_err(|e| self.bad(&e))
     }
+}
+
+/// Path of the program `tmpi`: the variable `TMPI`, otherwise the program beside this one.
+fn program() -> std::io::Result<PathBuf> {
+    if let Some(named) = std::env::var_os("TMPI").filter(|v| !v.is_empty()) {
+        return Ok(named.into());
+    }
+    let path = std::env::current_exe()?.with_file_name(format!("tmpi{}", std::env::consts::EXE_SUFFIX));
+    if path.is_file() {
+        return Ok(path);
+    }
+    let reason = format!("{} does not exist: run `cargo build --release`, or set TMPI to the program", path.display());
+    Err(std::io::Error::new(std::io::ErrorKind::NotFound, reason))
 }
 
 impl Drop for ProcessRunner {

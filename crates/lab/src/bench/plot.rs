@@ -4,13 +4,15 @@ use std::fmt::Write;
 
 use super::{Axis, Experiment, Point};
 
-const WIDTH: f64 = 720.0;
+const WIDTH: f64 = 770.0;
 const HEIGHT: f64 = 400.0;
-/// Left, top, right and bottom margins.
-const BORDER: [f64; 4] = [70.0, 14.0, 170.0, 50.0];
+/// Edges of the plot itself; the names of the curves are on its right.
+const LEFT: f64 = 70.0;
+const RIGHT: f64 = 550.0;
+const TOP: f64 = 14.0;
+const BOTTOM: f64 = 350.0;
 /// Colour-blind safe colours (Okabe and Ito) that are visible on white and on black.
 const COLOURS: [&str; 6] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9"];
-
 /// Largest number of points whose values are written beside them.
 const NAMED: usize = 12;
 
@@ -37,7 +39,7 @@ pub(super) fn number(v: f64) -> String {
     format!("{v:.digits$}")
 }
 
-/// Maps values to positions on an axis.
+/// Maps values, or their logarithms, from `lo` to `hi` to positions from `from` to `to`.
 struct Scale {
     log: bool,
     lo: f64,
@@ -48,7 +50,7 @@ struct Scale {
 
 impl Scale {
     /// A scale over all finite values, with some padding on both sides.
-    fn new(axis: &Axis, values: impl Iterator<Item = f64>, from: f64, to: f64) -> Self {
+    fn new(axis: &Axis, values: impl Iterator<Item = f64>, (from, to): (f64, f64)) -> Self {
         let log = axis.log;
         let seen = values.filter(|v| v.is_finite() && (!log || *v > 0.0)).map(|v| if log { v.log10() } else { v });
         let (lo, hi) = seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
@@ -63,169 +65,117 @@ impl Scale {
         v.is_finite().then(|| self.from + (v - self.lo) / (self.hi - self.lo) * (self.to - self.from))
     }
 
-    /// About `count` round values for labels.
-    fn ticks(&self, count: f64) -> Vec<f64> {
+    /// Round values for labels, and their positions.
+    fn ticks(&self) -> Vec<(f64, f64)> {
+        let placed = |v: f64| Some((v, self.at(v)?));
         if self.log {
-            let within = |v: &f64| (self.lo..=self.hi).contains(&v.log10());
-            let decades = self.lo.floor() as i32..=self.hi.ceil() as i32;
-            let some = |steps: &[f64]| -> Vec<f64> {
-                decades.clone().flat_map(|d| steps.iter().map(move |s| s * 10f64.powi(d))).filter(within).collect()
+            let multiples = |steps: &[f64]| -> Vec<(f64, f64)> {
+                let decades = self.lo.floor() as i32..=self.hi.ceil() as i32;
+                let values = decades.flat_map(|d| steps.iter().map(move |s| s * 10f64.powi(d)));
+                values.filter(|v| (self.lo..=self.hi).contains(&v.log10())).filter_map(placed).collect()
             };
-            let choices = [some(&[1.0]), some(&[1.0, 3.0]), some(&[1.0, 2.0, 5.0]), some(&[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0])];
-            let enough = choices.iter().position(|c| c.len() >= 3).unwrap_or(choices.len() - 1);
-            return choices[enough].clone();
+            if let Some(enough) = [multiples(&[1.0]), multiples(&[1.0, 2.0, 5.0])].into_iter().find(|ticks| ticks.len() >= 3) {
+                return enough;
+            }
         }
-        let raw = (self.hi - self.lo) / count;
+        // within a decade, both axes are nearly alike
+        let (lo, hi) = if self.log { (10f64.powf(self.lo), 10f64.powf(self.hi)) } else { (self.lo, self.hi) };
+        let raw = (hi - lo) / 6.0;
         let unit = 10f64.powf(raw.log10().floor());
-        let step = unit * [1.0, 2.0, 5.0, 10.0].into_iter().find(|s| s * unit >= raw).unwrap_or(10.0);
-        let (first, last) = ((self.lo / step).ceil() as i64, (self.hi / step).floor() as i64);
-        (first..=last).map(|i| i as f64 * step).collect()
+        let step = unit * [1.0, 2.0, 5.0].into_iter().find(|s| s * unit >= raw).unwrap_or(10.0);
+        let (first, last) = ((lo / step).ceil() as i64, (hi / step).floor() as i64);
+        (first..=last).filter_map(|i| placed(i as f64 * step)).collect()
     }
 }
 
 /// The plot as markup.
 pub(super) fn svg(e: &Experiment) -> String {
     let points = || e.curves.iter().flat_map(|c| &c.points);
-    let x = Scale::new(&e.x, points().map(|p| p.x), BORDER[0], WIDTH - BORDER[2]);
-    let y = Scale::new(&e.y, points().map(|p| p.y), HEIGHT - BORDER[3], BORDER[1]);
+    let x = Scale::new(&e.x, points().map(|p| p.x), (LEFT, RIGHT));
+    let y = Scale::new(&e.y, points().map(|p| p.y), (BOTTOM, TOP));
     let mut out = format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">", escaped(&e.title));
     axes(&mut out, e, &x, &y);
-    front(&mut out, e, &x, &y);
-    let mut labels: Vec<(f64, usize)> = Vec::new();
     let named = e.joined() && points().count() <= NAMED;
+    let mut names = Vec::new();
     for (i, c) in e.curves.iter().enumerate() {
         let colour = COLOURS[i % COLOURS.len()];
-        let dash = if i < COLOURS.len() { "" } else { " stroke-dasharray=\"5 4\"" };
         let places: Vec<(f64, f64, &Point)> = c.points.iter().filter_map(|p| Some((x.at(p.x)?, y.at(p.y)?, p))).collect();
-        let line: Vec<String> = places.iter().map(|(a, b, _)| format!("{a:.1},{b:.1}")).collect();
         if e.joined() {
-            put(
-                &mut out,
-                &format!("<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.6\"{dash}/>", line.join(" ")),
-            );
+            let line: Vec<String> = places.iter().map(|(a, b, _)| format!("{a:.1},{b:.1}")).collect();
+            let dash = if i < COLOURS.len() { "" } else { " stroke-dasharray=\"5 4\"" };
+            // writing to a String cannot fail, here and below
+            let _ = write!(out, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.6\"{dash}/>", line.join(" "));
         }
-        for (a, b, p) in &places {
-            if p.default {
-                put(
-                    &mut out,
-                    &format!(
-                        "<circle cx=\"{a:.1}\" cy=\"{b:.1}\" r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/>\
-                         <text x=\"{:.1}\" y=\"{:.1}\" class=\"own\">default</text>",
-                        a + 11.0,
-                        b + 16.0
-                    ),
-                );
-            }
-            if named {
-                let name = escaped(brief(&p.setting));
-                put(&mut out, &format!("<text x=\"{:.1}\" y=\"{:.1}\" class=\"of\">{name}</text>", a + 7.0, b - 7.0));
-            }
-            if let (Some(top), Some(bottom)) = (y.at(p.y + p.spread), y.at(p.y - p.spread))
-                && p.spread > 0.0
-            {
-                let (top, bottom) = [top, bottom].map(|v| v.clamp(BORDER[1], HEIGHT - BORDER[3])).into();
-                put(
-                    &mut out,
-                    &format!(
-                        "<line x1=\"{a:.1}\" x2=\"{a:.1}\" y1=\"{top:.1}\" y2=\"{bottom:.1}\" stroke=\"{colour}\" stroke-opacity=\".35\"/>"
-                    ),
-                );
-            }
-            let fill = if p.pareto { colour } else { "var(--paper)" };
-            let tip = escaped(&format!("{}: {} {}, {} {}", p.setting, number(p.x), e.x.label, number(p.y), e.y.label));
-            put(
-                &mut out,
-                &format!(
-                    "<circle cx=\"{a:.1}\" cy=\"{b:.1}\" r=\"4\" fill=\"{fill}\" stroke=\"{colour}\" stroke-width=\"1.6\"><title>{tip}</title></circle>"
-                ),
-            );
+        for &(a, b, p) in &places {
+            let _ = write!(out, "<g transform=\"translate({a:.1} {b:.1})\">{}</g>", dot(e, p, (&y, b), colour, named));
         }
-        if let Some((_, b, _)) = places.last() {
-            labels.push((*b, i));
-        }
+        names.extend(places.last().map(|(_, b, _)| (*b, colour, &c.name)));
     }
-    // labels on the right, at the height of each curve's last point, spread to avoid overlap
-    labels.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut next = BORDER[1] + 8.0;
-    for (wanted, i) in labels {
-        let at = wanted.max(next).min(HEIGHT - BORDER[3]);
+    // at the height of each curve's last point, spread to avoid overlap
+    names.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut next = TOP + 8.0;
+    for (wanted, colour, name) in names {
+        let at = wanted.max(next).min(BOTTOM);
         next = at + 17.0;
-        let (colour, left) = (COLOURS[i % COLOURS.len()], WIDTH - BORDER[2] + 10.0);
-        put(
-            &mut out,
-            &format!(
-                "<circle cx=\"{:.1}\" cy=\"{at:.1}\" r=\"4\" fill=\"{colour}\"/><text x=\"{:.1}\" y=\"{:.1}\">{}</text>",
-                left + 4.0,
-                left + 14.0,
-                at + 4.0,
-                escaped(&e.curves[i].name)
-            ),
+        let name = escaped(name);
+        let _ = write!(
+            out,
+            "<g transform=\"translate({} {at:.1})\"><circle r=\"4\" fill=\"{colour}\"/><text x=\"10\" y=\"4\">{name}</text></g>",
+            RIGHT + 14.0
         );
     }
     out + "</svg>"
 }
 
-fn put(out: &mut String, markup: &str) {
-    out.push_str(markup);
+/// A point, relative to its place: the ring of a default, its name, the spread, and the point itself with a tip.
+fn dot(e: &Experiment, p: &Point, (y, b): (&Scale, f64), colour: &str, named: bool) -> String {
+    let mut out = String::new();
+    if p.default {
+        out += "<circle r=\"8.5\" fill=\"none\" stroke=\"currentColor\" stroke-width=\"1.6\"/><text x=\"11\" y=\"16\" class=\"own\">default</text>";
+    }
+    if named {
+        let _ = write!(out, "<text x=\"7\" y=\"-7\" class=\"of\">{}</text>", escaped(brief(&p.setting)));
+    }
+    if let (Some(top), Some(bottom)) = (y.at(p.y + p.spread), y.at(p.y - p.spread)) {
+        let [top, bottom] = [top, bottom].map(|v| v.clamp(TOP, BOTTOM) - b);
+        let _ = write!(out, "<path d=\"M0 {top:.1}V{bottom:.1}\" stroke=\"{colour}\" stroke-opacity=\".35\"/>");
+    }
+    let fill = if p.pareto { colour } else { "var(--paper)" };
+    let tip = escaped(&format!("{}: {} {}, {} {}", p.setting, number(p.x), e.x.label, number(p.y), e.y.label));
+    let _ = write!(out, "<circle r=\"4\" fill=\"{fill}\" stroke=\"{colour}\" stroke-width=\"1.6\"><title>{tip}</title></circle>");
+    out
 }
 
 fn axes(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
-    let (left, right, upper, lower) = (BORDER[0], WIDTH - BORDER[2], BORDER[1], HEIGHT - BORDER[3]);
-    for v in x.ticks(6.0) {
-        if let Some(at) = x.at(v) {
-            // writing to a String cannot fail
-            let _ = write!(
-                out,
-                "<line class=\"grid\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{upper}\" y2=\"{lower}\"/><text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
-                lower + 17.0,
-                short(v)
-            );
-        }
+    for (v, at) in x.ticks() {
+        let label = short(v);
+        let _ = write!(out, "<path class=\"grid\" d=\"M{at:.1} {TOP}V{BOTTOM}\"/><text x=\"{at:.1}\" y=\"367\" class=\"x\">{label}</text>");
     }
-    for v in y.ticks(6.0) {
-        if let Some(at) = y.at(v) {
-            let _ = write!(
-                out,
-                "<line class=\"grid\" x1=\"{left}\" x2=\"{right}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-                left - 8.0,
-                at + 4.0,
-                short(v)
-            );
-        }
+    for (v, at) in y.ticks() {
+        let label = short(v);
+        let _ = write!(
+            out,
+            "<path class=\"grid\" d=\"M{LEFT} {at:.1}H{RIGHT}\"/><text x=\"62\" y=\"{at:.1}\" dy=\"4\" class=\"y\">{label}</text>"
+        );
     }
-    let better = |up: Option<bool>, toward: [&str; 2]| up.map_or(String::new(), |u| format!(" ({} is better)", toward[usize::from(u)]));
-    let (xl, yl) =
-        (format!("{}{}", e.x.label, better(e.x.up, ["left", "right"])), format!("{}{}", e.y.label, better(e.y.up, ["down", "up"])));
+    let name = |axis: &Axis, [less, more]: [&str; 2]| {
+        let better = axis.up.map_or(String::new(), |up| format!(" ({} is better)", if up { more } else { less }));
+        escaped(&format!("{}{better}", axis.label))
+    };
     let _ = write!(
         out,
-        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text><text transform=\"translate(16 {:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
-        f64::midpoint(left, right),
-        HEIGHT - 10.0,
-        escaped(&xl),
-        f64::midpoint(upper, lower),
-        escaped(&yl)
+        "<text x=\"{:.0}\" y=\"390\" class=\"x\">{}</text><text transform=\"translate(16 {:.0}) rotate(-90)\" class=\"x\">{}</text>",
+        f64::midpoint(LEFT, RIGHT),
+        name(&e.x, ["left", "right"]),
+        f64::midpoint(TOP, BOTTOM),
+        name(&e.y, ["down", "up"])
     );
-}
-
-/// Draws the Pareto front as steps.
-fn front(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
-    if !e.joined() || e.x.up.is_none() || e.is_apart() {
-        return;
-    }
-    let mut best: Vec<(f64, f64)> =
-        e.curves.iter().flat_map(|c| &c.points).filter(|p| p.pareto).filter_map(|p| Some((x.at(p.x)?, y.at(p.y)?))).collect();
-    best.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut path = String::new();
-    for (i, (a, b)) in best.iter().enumerate() {
-        let _ = if i == 0 { write!(path, "M{a:.1} {b:.1}") } else { write!(path, "H{a:.1}V{b:.1}") };
-    }
-    put(out, &format!("<path d=\"{path}\" class=\"front\"/>"));
 }
 
 impl Experiment {
     /// Whether the points of a curve follow one number, so that a line between them is meaningful.
     fn joined(&self) -> bool {
-        !["steps", "ramps", "denoise", "without", "moves", "mesh", "discretisation", "families"].contains(&self.id)
+        !["ramps", "denoise", "without", "discretisation"].contains(&self.id.as_str())
     }
 }
 
@@ -241,14 +191,13 @@ mod tests {
 
     #[test]
     fn ticks_are_few_and_on_the_axis() {
-        let axis = |log| Axis { label: "", log, up: None };
+        let axis = |log| Axis::new("", log, None);
         for (values, log) in [(vec![27.3, 28.9], false), (vec![0.0, 0.0], false), (vec![3.0, 250.0], true), (vec![41.0, 47.0], true)] {
-            let s = Scale::new(&axis(log), values.iter().copied(), 0.0, 100.0);
-            let ticks = s.ticks(6.0);
-            assert!((1..=14).contains(&ticks.len()), "{values:?}: {ticks:?}");
-            assert!(ticks.iter().all(|&t| s.at(t).is_some_and(|p| (-1e-6..=100.000_001).contains(&p))), "{values:?}: {ticks:?}");
+            let ticks = Scale::new(&axis(log), values.iter().copied(), (0.0, 100.0)).ticks();
+            assert!((3..=14).contains(&ticks.len()), "{values:?}: {ticks:?}");
+            assert!(ticks.iter().all(|&(_, at)| (-1e-6..=100.000_001).contains(&at)), "{values:?}: {ticks:?}");
         }
-        let none = Scale::new(&axis(true), std::iter::empty(), 0.0, 1.0);
+        let none = Scale::new(&axis(true), std::iter::empty(), (0.0, 1.0));
         assert_eq!(none.at(0.0), None);
     }
 

@@ -1,8 +1,9 @@
-//! What the figures of a photo's report cost.
+//! How much of its time a photo's report costs.
 
-use super::measure::{Bench, Depth, Figures, median};
+use super::figures::{Figures, median};
+use super::measure::{Bench, Depth};
 use super::subject::{self, Subject};
-use super::{Axis, BenchError, Curve, Experiment, Point};
+use super::{Axis, BenchError, Curve, Experiment};
 use tmpi_core::container;
 use tmpi_pipeline::planes::discretisation_error;
 use tmpi_pipeline::usage::Clock;
@@ -14,39 +15,31 @@ const SHARE: &str = "measuring, % of the time";
 const SIZE: &str = "photo, megapixels";
 
 /// A point for each size: the share of the time that a photo takes, with its map given, which goes into figures of its report.
-pub(super) fn run(bench: &Bench, scenes: &[Subject], quick: bool, progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    progress("What the report costs");
-    let larger = LARGE[..if quick { 1 } else { LARGE.len() }].iter().map(|&size| subject::large(size)).collect::<Result<Vec<_>, _>>()?;
-    let groups = [scenes].into_iter().chain(larger.iter().map(std::slice::from_ref));
-    let points = groups.map(|subjects| point(bench, subjects)).collect::<Result<Vec<_>, _>>()?;
+pub(super) fn run(bench: &Bench, scenes: &[Subject], quick: bool) -> Result<Experiment, BenchError> {
+    let larger = LARGE[..if quick { 1 } else { 2 }].iter().map(|&size| subject::large(size)).collect::<Result<Vec<_>, _>>()?;
+    let mut points = Vec::new();
+    for subjects in [scenes].into_iter().chain(larger.iter().map(std::slice::from_ref)) {
+        let mut f = Figures::default();
+        subjects.iter().try_for_each(|s| add(bench, s, &mut f))?;
+        points.push(f.point(subjects.first().map_or("", |s| &s.name).into(), (SIZE, SHARE)));
+    }
     Ok(Experiment {
-        id: "measuring",
+        id: "measuring".into(),
         title: "What the report costs".into(),
         about: "Wall time of the figures in a photo's report: views drawn anew, errors of planes, and how far steps moved the map. Where all of it \
-                would take more than a twentieth, samples are measured, and the report says of how many tiles."
+                would take more than a twentieth, samples are measured, and the report says of how many tiles. The first point is the mean of \
+                all scenes."
             .into(),
-        x: Axis { label: SIZE, log: true, up: None },
-        y: Axis { label: SHARE, log: false, up: Some(false) },
+        x: Axis::new(SIZE, true, None),
+        y: Axis::new(SHARE, false, Some(false)),
         curves: vec![Curve { name: "defaults".into(), points }],
     })
 }
 
-fn point(bench: &Bench, subjects: &[Subject]) -> Result<Point, BenchError> {
-    let mut figures = Figures::default();
-    for s in subjects {
-        for (name, value) in of(bench, s)? {
-            figures.add(name, value);
-        }
-    }
-    let name = subjects.first().map_or("", |s| s.name.as_str());
-    let setting = if subjects.len() > 1 { format!("{} scenes", subjects.len()) } else { name.into() };
-    Ok(figures.point(setting, (SIZE, SHARE)))
-}
-
-fn of(bench: &Bench, s: &Subject) -> Result<Vec<(&'static str, f64)>, BenchError> {
+fn add(bench: &Bench, s: &Subject, f: &mut Figures) -> Result<(), BenchError> {
     let runs = bench.runs(s, &Depth::Known, &Options::default())?;
     let raw = bench.runs(s, &Depth::Known, &Options { denoise: Denoise::Off, snap: Switch::Off, ..Options::default() })?;
-    let (Some(made), Some(raw)) = (runs.last(), raw.last()) else { return Ok(Vec::new()) };
+    let (Some(made), Some(raw)) = (runs.last(), raw.last()) else { return Ok(()) };
     let verify = median(runs.iter().map(|m| m.report.stages.iter().filter(|s| s.name == "verify").map(|s| s.ms).sum()).collect());
     let total = median(runs.iter().map(|m| m.report.total_ms).collect());
     let geometry = container::read_geometry(&made.container)?;
@@ -60,8 +53,8 @@ fn of(bench: &Bench, s: &Subject) -> Result<Vec<(&'static str, f64)>, BenchError
         median((0..bench.repeats).map(one).collect())
     };
     // of a step that changes nothing nothing is measured
-    let steps = [made.report.error.denoise, made.report.error.snap].iter().flatten().count();
-    let maps = steps as f64
+    let steps = [made.report.error.denoise, made.report.error.snap].iter().flatten().count() as f64;
+    let maps = steps
         * timed(&|| {
             std::hint::black_box(movement.between(&raw.disparity, &made.disparity));
         });
@@ -69,13 +62,11 @@ fn of(bench: &Bench, s: &Subject) -> Result<Vec<(&'static str, f64)>, BenchError
         std::hint::black_box(movement.of_planes(&made.disparity, &geometry));
         std::hint::black_box(discretisation_error(&made.disparity, &geometry.grid, &geometry.tiles));
     });
-    let megapixels = f64::from(made.report.width) * f64::from(made.report.height) / 1e6;
-    Ok(vec![
-        (SIZE, megapixels),
-        (SHARE, 100.0 * (verify + maps + planes) / total),
-        ("all, ms", total),
-        ("views drawn anew, ms", verify),
-        ("errors of planes, ms", planes),
-        ("steps on the map, ms", maps),
-    ])
+    f.add(SIZE, f64::from(made.report.width) * f64::from(made.report.height) / 1e6);
+    f.add(SHARE, 100.0 * (verify + maps + planes) / total);
+    f.add("all, ms", total);
+    f.add("views drawn anew, ms", verify);
+    f.add("errors of planes, ms", planes);
+    f.add("steps on the map, ms", maps);
+    Ok(())
 }

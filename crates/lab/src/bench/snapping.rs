@@ -2,7 +2,7 @@
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Point, experiments};
+use super::{Axis, BenchError, Curve, Experiment, Point, experiments, figures};
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::depth;
 use tmpi_pipeline::edges;
@@ -12,12 +12,7 @@ use tmpi_pipeline::{Options, Switch};
 type Damage = fn(&DisparityMap) -> DisparityMap;
 
 /// One point per scene and kind of damage: the fraction of ramps, and the gain of views by snapping.
-pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    progress("Ramps");
-    let axes = (
-        Axis { label: "ramps, % of pixels at edges", log: false, up: None },
-        Axis { label: "views with --snap on − off, dB", log: false, up: Some(true) },
-    );
+pub(super) fn run(bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
     let damages: [(&str, Damage); 4] = [
         ("exact disparity", DisparityMap::clone),
         ("halved and enlarged", depth::halved),
@@ -31,23 +26,23 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
             let Some(exact) = &subject.disparity else { continue };
             let view = |snap: Switch| -> Result<f64, BenchError> {
                 let options = Options { snap, ..Options::default() };
-                Ok(bench.point(std::slice::from_ref(subject), &Depth::Given(damage), &options, String::new(), ("", "view, dB"))?.y)
+                Ok(bench.figures(std::slice::from_ref(subject), &Depth::Given(damage), &options, 0)?.mean("view, dB"))
             };
             let (x, auto, on, off) = (edges::ramp_share(&damage(exact)), view(Switch::Auto)?, view(Switch::On)?, view(Switch::Off)?);
-            let figures = vec![("--snap auto, dB", auto), ("--snap on, dB", on), ("--snap off, dB", off)];
+            let figures = figures([("--snap auto, dB", auto), ("--snap on, dB", on), ("--snap off, dB", off)]);
             points.push(Point { setting: subject.name.clone(), x: 100.0 * x, y: on - off, figures, ..Point::default() });
         }
         curves.push(Curve { name: name.into(), points });
     }
     Ok(Experiment {
-        id: "ramps",
+        id: "ramps".into(),
         title: "Detection of blurred maps".into(),
         about: format!(
             "Exact maps and maps degraded in three ways, each provided as a file; one point per scene. Above {} % of ramps, tmpi treats a map as blurred and snaps it to the photo's edges; below, it applies only the careful median.",
             100.0 * edges::BLURRED
         ),
-        x: axes.0,
-        y: axes.1,
+        x: Axis::new("ramps, % of pixels at edges", false, None),
+        y: Axis::new("views with --snap on − off, dB", false, Some(true)),
         curves,
     })
 }

@@ -79,24 +79,6 @@ pub(super) fn large((width, height): (u32, u32)) -> Result<Subject, BenchError> 
     Ok(Subject { name: format!("{width}×{height}"), ..photo_of(&scene, SEED, (width, height))? })
 }
 
-/// Renders `count` scenes of each family; families are sorted by name.
-pub(super) fn by_family(count: usize) -> Result<super::scene_families::Families, BenchError> {
-    /// Does not overlap with the scenes of [`rendered`].
-    const FIRST: u64 = SEED + 50_000;
-    const SIZE: (u32, u32) = (384, 256);
-    let mut found = std::collections::BTreeMap::<&'static str, Vec<u64>>::new();
-    for seed in FIRST..FIRST + 3000 {
-        let seeds = found.entry(scenes::Scene::framed(seed, SIZE.0, SIZE.1).family()).or_default();
-        if seeds.len() < count {
-            seeds.push(seed);
-        }
-        if found.len() == scenes::FAMILY_COUNT && found.values().all(|s| s.len() == count) {
-            break;
-        }
-    }
-    found.into_iter().map(|(family, seeds)| Ok((family, seeds.into_iter().map(|s| scene(s, SIZE)).collect::<Result<_, _>>()?))).collect()
-}
-
 /// The second surface of a rendered scene: what lies behind the visible one.
 pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> scenes::Picture {
     let scene = scenes::Scene::framed(seed, width, height);

@@ -32,9 +32,6 @@ pub(super) struct LiveBenchArgs {
     /// Send only every Nth frame; the camera takes 30 per second
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=60), value_name = "N")]
     every: u32,
-    /// Video codec
-    #[arg(long, default_value = "h264", value_parser = ["h264", "jpeg"], value_name = "CODEC")]
-    codec: String,
     /// H.264 bits per second; may be several. Default: that of the publishing page, 384 kbit/s at 320×240 and more for larger frames
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     bitrate: Vec<u32>,
@@ -66,13 +63,6 @@ pub(super) struct LiveBenchArgs {
     /// Maximum number of frames for which labels follow motion; 0: they stay in place
     #[arg(long, default_value_t = MAX_MOTION_FRAMES, value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_MOTION_FRAMES)), value_name = "N")]
     follow: u32,
-    /// Align the network's disparity with the true scale first, to exclude errors of scale
-    #[arg(long)]
-    true_scale: bool,
-    /// Instead, damage N access units of a stream, decode them and measure time and memory. Exit code 1 if these exceed their limits or the
-    /// decoder panics, even if the panic is caught
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=100_000_000), value_name = "N")]
-    damaged: Option<u64>,
     /// Render the side view for two of every N frames
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     views: u32,
@@ -104,13 +94,9 @@ fn milliseconds(text: &str) -> Result<f64, String> {
 fn points(args: &LiveBenchArgs) -> Vec<OperatingPoint> {
     let mut points = Vec::new();
     for &size in &args.size {
-        let rate = (RATE * f64::from(size.0) * f64::from(size.1)) as u32;
-        let bitrates = match (args.codec.as_str(), args.bitrate.as_slice()) {
-            ("h264", []) => vec![Some(rate)],
-            ("h264", some) => some.iter().copied().map(Some).collect(),
-            _ => vec![None],
-        };
-        for bitrate in bitrates {
+        let usual = [(RATE * f64::from(size.0) * f64::from(size.1)) as u32];
+        let bitrates: &[u32] = if args.bitrate.is_empty() { &usual } else { &args.bitrate };
+        for &bitrate in bitrates {
             points.extend(args.budget_ms.iter().map(|&budget_ms| OperatingPoint { size, bitrate, budget_ms }));
         }
     }
@@ -120,16 +106,11 @@ fn points(args: &LiveBenchArgs) -> Vec<OperatingPoint> {
 pub(super) fn run(args: &LiveBenchArgs) -> anyhow::Result<()> {
     let points = points(args);
     let first = points.first().context("at least one size and one budget are required")?;
-    if points.len() > 1 && (args.damaged.is_some() || args.learn.is_some() || args.files.is_some()) {
-        let reason = "--damaged, --learn and --files accept only one size, bit rate and budget";
+    if points.len() > 1 && (args.learn.is_some() || args.files.is_some()) {
+        let reason = "--learn and --files accept only one size, bit rate and budget";
         Cli::command().error(ErrorKind::ArgumentConflict, reason).exit();
     }
     let progress = |what: &str| note(&format!("tmpi-lab live-bench: {what}"));
-    if let Some(count) = args.damaged {
-        let found = live::damaged::run(first.size, first.bitrate, count, &progress)?;
-        result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() })?;
-        return found.check().map_err(anyhow::Error::msg);
-    }
     let settings = live::Settings {
         size: first.size,
         seed: args.scene,
@@ -140,7 +121,6 @@ pub(super) fn run(args: &LiveBenchArgs) -> anyhow::Result<()> {
         views: args.views,
         models: models::load(&args.models.settings_of_rooms())?,
         depth: networks::available().is_ok(),
-        true_scale: args.true_scale,
         parallax: args.parallax,
         max_error: args.max_error,
         cooldown: Duration::from_millis(args.rest_ms.into()),
@@ -153,18 +133,12 @@ pub(super) fn run(args: &LiveBenchArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.learn {
         return write(file, live::learn(&settings, &progress)?.as_bytes());
     }
-    let note_skipped = |skipped: &[String]| skipped.iter().for_each(|s| note(&format!("skipped: {s}")));
-    if points.len() > 1 || args.page.is_some() {
-        let found = live::sweep::measure(&settings, &points, &progress)?;
-        note_skipped(&found.skipped);
-        if let Some(file) = &args.page {
-            write(file, found.page().as_bytes())?;
-        }
-        return result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() });
+    let found = live::sweep::measure(&settings, &points, &progress)?;
+    found.skipped.iter().for_each(|s| note(&format!("skipped: {s}")));
+    if let Some(file) = &args.page {
+        write(file, found.page().as_bytes())?;
     }
-    let results = live::run(&settings, &progress)?;
-    note_skipped(&results.skipped);
-    result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
+    result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() })
 }
 
 #[cfg(test)]
@@ -187,18 +161,12 @@ mod tests {
     #[test]
     fn sizes_rates_and_budgets_are_combined() {
         let at = |size, bitrate, budget_ms| OperatingPoint { size, bitrate, budget_ms };
-        assert_eq!(asked("--codec h264"), [at((320, 240), Some(384_000), 0.0)]);
+        assert_eq!(asked(""), [at((320, 240), 384_000, 0.0)]);
         assert_eq!(
-            asked("--codec h264 --size 320x240,640x480 --budget-ms 0,10"),
-            [
-                at((320, 240), Some(384_000), 0.0),
-                at((320, 240), Some(384_000), 10.0),
-                at((640, 480), Some(1_536_000), 0.0),
-                at((640, 480), Some(1_536_000), 10.0)
-            ]
+            asked("--size 320x240,640x480 --budget-ms 0,10"),
+            [at((320, 240), 384_000, 0.0), at((320, 240), 384_000, 10.0), at((640, 480), 1_536_000, 0.0), at((640, 480), 1_536_000, 10.0)]
         );
-        assert_eq!(asked("--codec h264 --bitrate 200000,800000").len(), 2);
-        assert_eq!(asked("--codec jpeg --size 64x64"), [at((64, 64), None, 0.0)]);
+        assert_eq!(asked("--bitrate 200000,800000").len(), 2);
         assert!(asked("--budget-ms nan").is_empty() && asked("--budget-ms=-1").is_empty());
     }
 }

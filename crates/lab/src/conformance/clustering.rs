@@ -3,6 +3,7 @@
 use super::Checked;
 use tmpi_core::{DisparityMap, Grid, Plane, Tile};
 use tmpi_pipeline::planes::{Method, Placement, place};
+use tmpi_testing::pictures::noise;
 
 const FAMILY: &str = "clustering";
 const METHODS: [(Method, &str); 4] =
@@ -14,7 +15,7 @@ const GRID: f64 = 1.5 * Plane::STEP;
 const MAX_SLOPE: f64 = 0.256;
 
 /// A tile's pixels.
-struct Tiles {
+pub(super) struct Tiles {
     name: &'static str,
     width: u32,
     delta: Vec<f32>,
@@ -45,8 +46,12 @@ fn cases() -> Vec<Tiles> {
             ..full("weights 1 to 10 000", &|i| (i % 9) as f32 / 9.0)
         },
         full("smooth", &wave),
+        full("one value of 3e38", &|i| if i == 3 { f32::MAX } else { 0.5 }),
         full("steep ramp", &|i| (i % 64) as f32 / 64.0),
         full("step on a ramp", &|i| if i % 64 < 20 { 0.8 } else { 0.1 + 0.002 * (i / 64) as f32 }),
+        tile("3 values, two of them in one bin", 3, vec![0.778_965_83, 0.0, 0.776_459_34]),
+        tile("11 values of noise", 11, (0..11).map(|i| noise(i, 0)).collect()),
+        tile("256 values of noise", 16, (0..256).map(|i| noise(i, 1)).collect()),
         tile("1×1", 1, vec![0.7]),
         tile("1×64", 1, (0..64).map(|i| i as f32 / 64.0).collect()),
         tile("64×1", 64, (0..64).map(|i| i as f32 / 64.0).collect()),
@@ -54,7 +59,7 @@ fn cases() -> Vec<Tiles> {
 }
 
 impl Tiles {
-    fn place(&self, method: Method, n: u32) -> Tile {
+    pub(super) fn place(&self, method: Method, n: u32) -> Tile {
         let height = self.delta.len() as u32 / self.width;
         let map = DisparityMap { width: self.width, height, delta: self.delta.clone() };
         let grid = Grid::new(self.width, height, 64);
@@ -138,6 +143,18 @@ fn lloyd(points: &[(f64, f64)], n: usize) -> Vec<Plane> {
         centres = next;
     }
     flat(centres)
+}
+
+/// The values of each bin of the histogram as one, their mean: 256 bins, or 16 a plane where those are more.
+fn binned(points: &[(f64, f64)], n: usize) -> Vec<(f64, f64)> {
+    let (lo, hi, bins) = (points[0].0, points[points.len() - 1].0, 256.max(16 * n));
+    let scale = if hi > lo { bins as f64 / (hi - lo) } else { 0.0 };
+    let bin = |p: &(f64, f64)| (((p.0 - lo) * scale) as usize).min(bins - 1);
+    let mean = |some: &[(f64, f64)]| {
+        let (sum, weight) = some.iter().fold((0.0, 0.0), |(s, w), p| (s + p.0 * p.1, w + p.1));
+        (sum / weight, weight)
+    };
+    points.chunk_by(|a, b| bin(a) == bin(b)).map(mean).collect()
 }
 
 /// Least weighted sum of squares of `n` runs: every split tried, sums taken about each run's own mean.
@@ -238,8 +255,8 @@ fn excess(tile: &Tile, pixels: &[Pixel], method: Method, n: u32) -> f64 {
     let points = distinct(pixels);
     let want = match method {
         Method::Linear => linear(&points, n as usize),
-        Method::Lloyd => lloyd(&points, n as usize),
-        Method::Optimal => exact(&points, n as usize),
+        Method::Lloyd => lloyd(&binned(&points, 1), n as usize),
+        Method::Optimal => exact(&binned(&points, n as usize), n as usize),
         Method::Slanted if n == 1 => fit(pixels).into_iter().collect(),
         Method::Slanted => planes(pixels, n as usize),
     };
@@ -254,7 +271,7 @@ pub(super) fn run(checked: &mut Checked) {
 }
 
 /// `kernel` places so many planes on a tile by a method.
-fn clustering(checked: &mut Checked, kernel: impl Fn(&Tiles, Method, u32) -> Tile) {
+pub(super) fn clustering(checked: &mut Checked, kernel: impl Fn(&Tiles, Method, u32) -> Tile) {
     for case in cases() {
         let pixels = case.pixels();
         let points = distinct(&pixels);
@@ -262,6 +279,8 @@ fn clustering(checked: &mut Checked, kernel: impl Fn(&Tiles, Method, u32) -> Til
         for (method, name) in METHODS {
             let bound = GRID
                 + match method {
+                    // planes hold −2 to 2: beyond, it is enough that they are planes at all
+                    _ if range > 4.0 => range,
                     // a boundary between clusters is off by one bin of the histogram at most
                     Method::Lloyd | Method::Optimal => range / 4096.0,
                     // searched on a quarter of the pixels, from several starts: at times another optimum, hardly ever a worse one
@@ -272,28 +291,6 @@ fn clustering(checked: &mut Checked, kernel: impl Fn(&Tiles, Method, u32) -> Til
                 // as many planes as a tile can have is more than most of these have distinct values
                 [1, 2, 4, 64].map(|n| excess(&kernel(&case, method, n), &pixels, method, n)).into_iter().fold(0.0, f64::max)
             });
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::caught;
-    use super::*;
-
-    #[test]
-    fn a_fault_of_each_method_is_caught() {
-        for (method, name) in METHODS {
-            let shifted = |case: &Tiles, m: Method, n: u32| {
-                let mut tile = case.place(m, n);
-                if m == method {
-                    tile.planes[0].a += 0.01;
-                }
-                tile
-            };
-            assert_eq!(caught(|c| clustering(c, shifted)), [name]);
-            let fewer = |case: &Tiles, m: Method, n: u32| case.place(m, if m == method { n.div_ceil(2) } else { n });
-            assert_eq!(caught(|c| clustering(c, fewer)), [name]);
         }
     }
 }

@@ -1,13 +1,16 @@
-//! Compositing: stacks of soft layers against closed sums in `f64`, the tie-break, and the exact identity view.
+//! Compositing: stacks of soft layers against closed sums in `f64`, the tie-break, the exact identity view, and the photo's borders.
 
 use std::sync::Arc;
 
-use super::scenes::{all, stack};
+use super::photos::identity;
+use super::scenes::{all, own_camera, stack};
 use super::{Checked, Hosts};
-use tmpi_core::{Camera, Pose, Scene};
-use tmpi_render::Renderer;
+use tmpi_core::{Pose, Scene};
+use tmpi_render::{Renderer, View, corners};
 
 const FAMILY: &str = "compositing";
+/// Scenes that show the photo, and cover it.
+const FAITHFUL: [&str; 6] = ["flat", "ground", "disc", "disc before infinity", "typical", "remnants"];
 
 /// (name, colours back to front, bound in levels)
 fn stacks() -> Vec<(&'static str, Vec<[u8; 4]>, f64)> {
@@ -23,10 +26,6 @@ fn stacks() -> Vec<(&'static str, Vec<[u8; 4]>, f64)> {
     ]
 }
 
-fn identity(scene: &Scene) -> Camera {
-    Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height }
-}
-
 /// Colours composited back to front, 0 to 255.
 fn over(colours: impl Iterator<Item = [u8; 4]>) -> [f64; 4] {
     colours.fold([0.0; 4], |below, c| {
@@ -37,7 +36,7 @@ fn over(colours: impl Iterator<Item = [u8; 4]>) -> [f64; 4] {
 
 /// Largest difference of any channel of any pixel from `want`.
 fn levels(host: &dyn Renderer, scene: &Arc<Scene>, want: [f64; 4]) -> f64 {
-    let Ok(view) = host.render(scene, &identity(scene)) else { return f64::INFINITY };
+    let Ok(view) = host.render(scene, &own_camera(scene, Pose::default())) else { return f64::INFINITY };
     view.rgba.iter().flat_map(|p| p.iter().zip(want).map(|(p, w)| (f64::from(*p) - w).abs())).fold(0.0, f64::max)
 }
 
@@ -60,20 +59,26 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
             checked.case(FAMILY, &format!("{name}, shuffled"), host.name(), "levels", bound, || levels(host, &scene, want));
         }
         ties(checked, host, 0.51 + rounding);
-        for (name, scene) in all().into_iter().filter(|(n, _)| ["flat", "ground", "disc", "typical", "remnants"].contains(n)) {
+        for (name, scene) in all().into_iter().filter(|(n, _)| FAITHFUL.contains(n)) {
             let scene = Arc::new(scene);
             let bound = if host.name() == "gpu" { 1.0 } else { 0.0 };
-            checked.case(FAMILY, &format!("identity view of {name}"), host.name(), "levels", bound, || {
-                let Ok(view) = host.render(&scene, &identity(&scene)) else { return f64::INFINITY };
-                let off = |(p, q): (&[u8; 4], &[u8; 3])| (0..4).map(|c| p[c].abs_diff(if c < 3 { q[c] } else { 255 })).max().unwrap_or(0);
-                view.rgba.iter().zip(&scene.photo.rgb).map(off).max().unwrap_or(u8::MAX).into()
+            checked.case(FAMILY, &format!("identity view of {name}"), host.name(), "levels", bound, || identity(Some(&scene), host));
+            checked.case(FAMILY, &format!("borders of {name} from the corners of the view box"), host.name(), "open pixels", 0.0, || {
+                [0.0, 0.4, 1.0].into_iter().flat_map(|pivot| corners(&scene.view_box, pivot)).map(|pose| open(host, &scene, pose)).sum()
             });
         }
     }
 }
 
+/// Pixels in a band along the borders, as wide as the parallax, through which one sees; holes further in are not caused by the border.
+fn open(host: &dyn Renderer, scene: &Arc<Scene>, pose: Pose) -> f64 {
+    let Ok(View { width, height, rgba }) = host.render(scene, &own_camera(scene, pose)) else { return f64::INFINITY };
+    let side = |i: u32| (i % width).min(width - 1 - i % width).min(i / width).min(height - 1 - i / width);
+    (0..).zip(&rgba).filter(|(i, p)| side(*i) < 8 && p[3] < 250).count() as f64
+}
+
 /// Equal disparities: the later layer lies in front.
-fn ties(checked: &mut Checked, host: &dyn Renderer, bound: f64) {
+pub(super) fn ties(checked: &mut Checked, host: &dyn Renderer, bound: f64) {
     let soft: Vec<[u8; 4]> = (0..16_u8).map(|i| [i * 16, 255 - i * 16, if i % 2 == 0 { 255 } else { 0 }, 60 + i * 8]).collect();
     let mut opaque = soft.clone();
     opaque[3][3] = 255;
@@ -82,31 +87,5 @@ fn ties(checked: &mut Checked, host: &dyn Renderer, bound: f64) {
         let scene = Arc::new(stack(16, 16, &colours, &vec![0.5; colours.len()]));
         let want = over(colours.iter().copied());
         checked.case(FAMILY, name, host.name(), "levels", bound, || levels(host, &scene, want));
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::{Faulty, failed};
-    use super::*;
-
-    #[test]
-    fn a_fault_of_a_renderer_is_caught() {
-        let right = Faulty::hosts(Renderer::render);
-        assert_eq!(failed(|c| run(c, &right)), 0);
-        // of equals the first lies in front
-        let first = Faulty::hosts(|cpu, scene, camera| {
-            let mut scene = Scene::clone(scene);
-            scene.layers.reverse();
-            cpu.render(&Arc::new(scene), camera)
-        });
-        assert!(failed(|c| ties(c, first.all[0].as_ref(), 1.51)) > 0);
-        // three levels too bright
-        let bright = Faulty::hosts(|cpu, scene, camera| {
-            let mut view = cpu.render(scene, camera)?;
-            view.rgba.iter_mut().for_each(|p| p[1] = p[1].saturating_add(3));
-            Ok(view)
-        });
-        assert!(failed(|c| run(c, &bright)) > 0);
     }
 }

@@ -1,10 +1,12 @@
 //! Pixels beside depth borders, taken apart: against shares and colours that are known, since the photos are mixed of them.
 
 use tmpi_core::container::{PhotoFormat, decode_picture, encode_jpeg};
-use tmpi_core::{Class, Geometry, Grid, Intrinsics, Photo, Plane, TexturedLayer, Tile, ViewBox, compose, texture};
+use tmpi_core::{Class, Geometry, Photo, Plane, TexturedLayer, compose, texture};
 use tmpi_render::draw_reference_view;
+use tmpi_testing::pictures::noise;
 
 use super::Checked;
+use super::readers::geometry;
 
 const WIDTH: u32 = 150;
 const HEIGHT: u32 = 100;
@@ -42,9 +44,9 @@ fn soft(x: u32, y: u32) -> f64 {
     (1.0 - f64::from(outside(x, y)) / 3.0).max(0.0)
 }
 
-fn noise(x: u32, y: u32, k: u32) -> f64 {
-    let i = (x + y * 977 + k * 7919).wrapping_mul(2_654_435_761);
-    f64::from(((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D)) >> 24)
+/// Noise of 0 to 255.
+fn rough(x: u32, y: u32, k: u32) -> f64 {
+    255.0 * f64::from(noise(x, y + 1000 * k))
 }
 
 const DARK: fn(u32, u32) -> [f64; 3] = |_, _| [20.0, 40.0, 60.0];
@@ -64,11 +66,11 @@ fn subjects() -> Vec<Subject> {
         Subject { name: "a band wider than the thing", near: wide, share: |x, _| f64::from(u8::from((70..72).contains(&x))), ..usual },
         Subject { name: "lines of one pixel", near: line, share: |x, _| f64::from(u8::from(x % 9 == 4)), ..usual },
         // each share is off by as much as its pixel is, along the line between both colours
-        Subject { name: "a rough wall", wall: |x, y| [0, 1, 2].map(|k| 180.0 + noise(x, y, k) / 16.0), bound: Some(24.0), ..usual },
+        Subject { name: "a rough wall", wall: |x, y| [0, 1, 2].map(|k| 180.0 + rough(x, y, k) / 16.0), bound: Some(24.0), ..usual },
         Subject {
             name: "noise",
-            thing: |x, y| [0, 1, 2].map(|k| noise(x, y, k)),
-            wall: |x, y| [3, 4, 5].map(|k| noise(x, y, k)),
+            thing: |x, y| [0, 1, 2].map(|k| rough(x, y, k)),
+            wall: |x, y| [3, 4, 5].map(|k| rough(x, y, k)),
             bound: None,
             ..usual
         },
@@ -91,15 +93,9 @@ impl Subject {
     }
 
     fn geometry(&self) -> Geometry {
-        let grid = Grid::new(WIDTH, HEIGHT, 64);
-        let tile = |t: u32| {
-            let r = grid.rect(t);
-            let labels = (0..r.area() as u32).map(|i| u8::from((self.near)(r.x + i % r.w, r.y + i / r.w))).collect();
-            Tile { planes: [0.25, 0.75].map(Plane::fronto_parallel).to_vec(), labels, background: None }
-        };
-        let view_box = ViewBox { x: 0.1, y: 0.1, z: 0.0 };
-        let tiles = (0..grid.tiles()).map(tile).collect();
-        Geometry { grid, intrinsics: Intrinsics::centred(WIDTH, HEIGHT, 90.0), view_box, tiles, matted: true }
+        let near = |x, y| u8::from((self.near)(x, y));
+        let planes = [0.25, 0.75].map(Plane::fronto_parallel);
+        Geometry { matted: true, ..geometry((WIDTH, HEIGHT), 64, &planes, near) }
     }
 
     /// The greatest error of a share of the thing in front of a pixel of the wall, in 255ths; of the pixels that no thing lies on.
@@ -124,7 +120,7 @@ impl Subject {
 }
 
 /// `kernel` colours and mattes the layers of a geometry.
-fn cases(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometry) -> Vec<Vec<TexturedLayer>>) {
+pub(super) fn cases(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometry) -> Vec<Vec<TexturedLayer>>) {
     for subject in subjects() {
         let (photo, geometry) = (subject.photo(), subject.geometry());
         checked.case("matting", &format!("identity view, {}", subject.name), "mattes", "levels", 0.0, || {
@@ -146,31 +142,4 @@ fn cases(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometry) -> Vec<Vec<Te
         let (with, without) = (all(kernel(&photo, &geometry)), all(texture(&photo, &plain, plain.masks())));
         (with.len().abs_diff(without.len()) + with.iter().zip(&without).filter(|(a, b)| a != b).count()) as f64
     });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::failed;
-    use super::*;
-
-    fn spoilt(photo: &Photo, geometry: &Geometry, spoil: impl Fn(&mut TexturedLayer)) -> Vec<Vec<TexturedLayer>> {
-        let mut tiles = texture(photo, geometry, geometry.masks());
-        tiles.iter_mut().flatten().for_each(spoil);
-        tiles
-    }
-
-    #[test]
-    fn planted_faults_are_found() {
-        assert_eq!(failed(|c| cases(c, |p, g| spoilt(p, g, |_| ()))), 0);
-        let near = |l: &TexturedLayer| l.shape.plane.a > 0.5;
-        // a foreground that is a little too bright, a share that is a little too large, a background that is not seen through to
-        assert!(
-            failed(|c| cases(c, |p, g| spoilt(p, g, |l| if near(l) {
-                l.hidden.iter_mut().for_each(|h| h[0] = h[0].saturating_add(9));
-            }))) > 0
-        );
-        let more = |l: &mut TexturedLayer| l.shape.alpha.iter_mut().filter(|a| (1..200).contains(*a)).for_each(|a| *a += 30);
-        assert!(failed(|c| cases(c, |p, g| spoilt(p, g, more))) > 0);
-        assert!(failed(|c| cases(c, |p, g| texture(p, &Geometry { matted: false, ..g.clone() }, g.masks()))) > 0);
-    }
 }

@@ -3,12 +3,16 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use image::codecs::{jpeg::JpegEncoder, png::PngEncoder, webp::WebPEncoder};
+use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder};
+use tmpi_testing::jpeg::{Jpeg, components, smooth};
+use tmpi_testing::pictures::{noise, waves};
+use tmpi_testing::png::{Png, chunk};
 
+use super::scenes::own_camera;
 use super::{Checked, Hosts};
 use tmpi_core::container;
-use tmpi_core::{Camera, DisparityMap, Photo, Pose, Scene};
+use tmpi_core::{DisparityMap, Photo, Pose, Scene};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::photo::{Decoded, Limits, PhotoError, decode};
@@ -31,87 +35,19 @@ impl Estimator for Brightness {
     }
 }
 
-/// Colours of every kind of edge: smooth, sharp, fine.
-fn pixels(w: u32, h: u32) -> Vec<[u8; 3]> {
-    (0..w * h)
-        .map(|i| {
-            let (x, y) = (i % w, i / w);
-            let board = (x / 7 + y / 5).is_multiple_of(2);
-            [(x * 255 / w) as u8, (y * 255 / h) as u8, if board { 230 } else { 20 }]
-        })
-        .collect()
-}
-
-pub(super) fn png(w: u32, h: u32, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
-    let mut out = Vec::new();
-    // what cannot be written is an empty file, which fails its case
-    let _ = PngEncoder::new(&mut out).write_image(samples, w, h, colour);
-    out
-}
-
-pub(super) fn rgb_png(w: u32, h: u32) -> Vec<u8> {
-    png(w, h, pixels(w, h).as_flattened(), ExtendedColorType::Rgb8)
-}
-
-fn jpeg(w: u32, h: u32, samples: &[u8], colour: ExtendedColorType) -> Vec<u8> {
-    let mut out = Vec::new();
-    let _ = JpegEncoder::new_with_quality(&mut out, 95).write_image(samples, w, h, colour);
-    out
-}
-
-/// The frame header of a JPEG (baseline), and the start of its scan.
-fn parts(jpeg: &[u8]) -> Option<(usize, usize)> {
-    let find = |marker: u8| jpeg.windows(2).position(|w| w == [0xFF, marker]);
-    Some((find(0xC0)?, find(0xDA)?))
-}
-
-/// Four grey scans as the four components of one frame: a CMYK JPEG.
-fn cmyk() -> Vec<u8> {
-    let grey = jpeg(16, 8, &(0..128_u8).map(|i| i * 2).collect::<Vec<_>>(), ExtendedColorType::L8);
-    let Some((frame, scan)) = parts(&grey) else { return Vec::new() };
-    let mut out = grey[..frame].to_vec();
-    out.extend([0xFF, 0xC0, 0, 20]);
-    out.extend(&grey[frame + 4..frame + 9]);
-    out.push(4);
-    (1..=4).for_each(|id| out.extend([id, 0x11, 0]));
-    out.extend(&grey[frame + 13..scan]);
-    for id in 1..=4 {
-        out.extend(&grey[scan..scan + 5]);
-        out.push(id);
-        out.extend(&grey[scan + 6..grey.len() - 2]);
-    }
-    out.extend([0xFF, 0xD9]);
-    out
-}
-
-/// Adds a chunk of a PNG or WebP file with its length and, for PNG, checksum.
-fn png_chunk(out: &mut Vec<u8>, name: [u8; 4], body: &[u8]) {
-    out.extend((body.len() as u32).to_be_bytes());
-    let start = out.len();
-    out.extend(name);
-    out.extend(body);
-    let crc = out[start..]
-        .iter()
-        .fold(u32::MAX, |crc, &b| (0..8).fold(crc ^ u32::from(b), |c, _| if c & 1 == 1 { (c >> 1) ^ 0xEDB8_8320 } else { c >> 1 }));
-    out.extend((!crc).to_be_bytes());
-}
-
-/// A palette PNG, from the same compressed samples as a grey one: the samples become indices.
-fn palette() -> Vec<u8> {
-    let grey = png(16, 8, &(0..128_u8).collect::<Vec<_>>(), ExtendedColorType::L8);
-    let mut out = grey[..8].to_vec();
-    let mut header = grey[16..29].to_vec();
-    header[9] = 3;
-    png_chunk(&mut out, *b"IHDR", &header);
-    png_chunk(&mut out, *b"PLTE", &(0..=255_u8).flat_map(|i| [i, 255 - i, 90]).collect::<Vec<_>>());
-    out.extend(&grey[33..]);
-    out
-}
+/// A sample of a channel at a place, 0 to 1.
+type Sample = fn(usize, u32, u32) -> f64;
 
 /// A WebP animation of one frame of 16×8.
 fn animated() -> Vec<u8> {
     let mut still = Vec::new();
-    let _ = WebPEncoder::new_lossless(&mut still).write_image(pixels(16, 8).as_flattened(), 16, 8, ExtendedColorType::Rgb8);
+    // what cannot be written is an empty file, which fails its case
+    let _ = WebPEncoder::new_lossless(&mut still).write_image(
+        &[[200, 30, 90], [20, 90, 230]].repeat(64).concat(),
+        16,
+        8,
+        ExtendedColorType::Rgb8,
+    );
     let mut out = b"RIFF\0\0\0\0WEBPVP8X\x0a\0\0\0\x02\0\0\0\x0f\0\0\x07\0\0ANIM\x06\0\0\0\0\0\0\0\0\0ANMF".to_vec();
     out.extend((16 + still.len() as u32 - 12).to_le_bytes());
     out.extend([0, 0, 0, 0, 0, 0, 0x0f, 0, 0, 0x07, 0, 0, 100, 0, 0, 0]);
@@ -123,50 +59,37 @@ fn animated() -> Vec<u8> {
 
 /// A PNG header that promises a picture, with next to nothing behind it.
 fn promise(w: u32, h: u32) -> Vec<u8> {
-    let mut out = b"\x89PNG\r\n\x1a\n".to_vec();
-    let header = [w.to_be_bytes(), h.to_be_bytes()].concat();
-    png_chunk(&mut out, *b"IHDR", &[&header[..], &[8, 2, 0, 0, 0]].concat());
-    png_chunk(&mut out, *b"IDAT", &[0x78, 0x9c, 0x63, 0, 0]);
-    png_chunk(&mut out, *b"IEND", &[]);
-    out
+    let header = [&w.to_be_bytes()[..], &h.to_be_bytes(), &[8, 2, 0, 0, 0]].concat();
+    let chunks = [chunk(b"IHDR", &header), chunk(b"IDAT", &[0x78, 0x9c, 0x63, 0, 0]), chunk(b"IEND", &[])];
+    [&b"\x89PNG\r\n\x1a\n"[..], &chunks.concat()].concat()
 }
 
 /// A JPEG that says it was taken with a focal length of so many millimetres, as a double.
 fn with_focal(millimetres: f64) -> Vec<u8> {
-    let plain = jpeg(40, 24, pixels(40, 24).as_flattened(), ExtendedColorType::Rgb8);
-    let mut tiff = b"II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0".to_vec();
-    tiff.extend(b"\x01\0\x05\xa4\x0c\0\x01\0\0\0\x2c\0\0\0\0\0\0\0");
-    tiff.extend(millimetres.to_le_bytes());
-    let mut out = plain[..2].to_vec();
-    out.extend([0xFF, 0xE1]);
-    out.extend((tiff.len() as u16 + 8).to_be_bytes());
-    out.extend(b"Exif\0\0");
-    out.extend(&tiff);
-    out.extend(&plain[2..]);
-    out
+    let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0".to_vec();
+    exif.extend(b"\x01\0\x05\xa4\x0c\0\x01\0\0\0\x2c\0\0\0\0\0\0\0");
+    exif.extend(millimetres.to_le_bytes());
+    Jpeg { segments: vec![(0xE1, exif)], ..Jpeg::new(40, 24, components(&[(1, 1); 3])) }.write(smooth)
 }
 
 fn readable() -> Vec<(String, Vec<u8>)> {
-    let mut all: Vec<(String, Vec<u8>)> = [(1, 1), (1, 2000), (2000, 1), (1, 16_384), (16_384, 1), (63, 63), (65, 65), (64, 64), (7, 200)]
-        .into_iter()
-        .map(|(w, h)| (format!("{w}×{h}"), rgb_png(w, h)))
-        .collect();
-    let (w, h) = (70, 50);
-    let n = (w * h) as usize;
-    let wide: Vec<u16> = (0..n * 3).map(|i| (i * 37 % 65_536) as u16).collect();
-    let grey: Vec<u8> = (0..n).map(|i| (i * 7 % 256) as u8).collect();
-    let clear: Vec<u8> = pixels(w, h).iter().enumerate().flat_map(|(i, p)| [p[0], p[1], p[2], (i % 256) as u8]).collect();
+    let sides = [(1, 1), (1, 2000), (2000, 1), (1, 16_384), (16_384, 1), (63, 63), (65, 65), (64, 64), (7, 200)];
+    let mut all: Vec<(String, Vec<u8>)> = sides.into_iter().map(|(w, h)| (format!("{w}×{h}"), waves(w, h))).collect();
+    let blocks: Sample = |c, x, y| noise(x / 7, y / 5 + 100 * c as u32).into();
+    let png =
+        |depth, colour, sample: Sample| Png { width: 70, height: 50, depth, colour, interlaced: false, chunks: Vec::new() }.write(sample);
+    let jpeg = |sampling: &[(u8, u8)]| Jpeg::new(70, 50, components(sampling)).write(smooth);
     let rest: [(&str, Vec<u8>); 10] = [
-        ("greyscale JPEG", jpeg(w, h, &grey, ExtendedColorType::L8)),
-        ("greyscale PNG", png(w, h, &grey, ExtendedColorType::L8)),
-        ("palette", palette()),
-        ("16 bits", png(w, h, bytemuck::cast_slice(&wide), ExtendedColorType::Rgb16)),
-        ("CMYK JPEG", cmyk()),
-        ("alpha", png(w, h, &clear, ExtendedColorType::Rgba8)),
-        ("wholly transparent", png(w, h, &vec![0; n * 4], ExtendedColorType::Rgba8)),
+        ("greyscale JPEG", jpeg(&[(1, 1)])),
+        ("greyscale PNG", png(8, 0, blocks)),
+        ("palette", png(8, 3, blocks)),
+        ("16 bits", png(16, 2, blocks)),
+        ("CMYK JPEG", jpeg(&[(1, 1); 4])),
+        ("alpha", png(8, 6, blocks)),
+        ("wholly transparent", png(8, 6, |_, _, _| 0.0)),
         ("animated", animated()),
-        ("all black", png(w, h, &vec![0; n * 3], ExtendedColorType::Rgb8)),
-        ("one colour", png(w, h, &[[200, 10, 90]].repeat(n).concat(), ExtendedColorType::Rgb8)),
+        ("all black", png(8, 2, |_, _, _| 0.0)),
+        ("one colour", png(8, 2, |c, _, _| [0.8, 0.04, 0.35][c])),
     ];
     all.extend(rest.map(|(name, bytes)| (name.to_owned(), bytes)));
     all
@@ -185,7 +108,7 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
 }
 
 /// `kernel` decodes a photo.
-fn decoder(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, PhotoError>) {
+pub(super) fn decoder(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, PhotoError>) {
     refusals(checked, &kernel);
     for focal in [0.0, f64::NAN, 1e9, -50.0, f64::INFINITY] {
         checked.case(FAMILY, &format!("EXIF focal length of {focal} mm"), "decoder", "px from default", 0.0, || {
@@ -207,8 +130,7 @@ pub(super) fn made(models: &Models, file: &[u8], options: &Options) -> Option<Ar
 /// Largest difference between the view from the reference camera and the photo that the container carries, in levels.
 pub(super) fn identity(scene: Option<&Arc<Scene>>, host: &dyn Renderer) -> f64 {
     let Some(scene) = scene else { return f64::INFINITY };
-    let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height };
-    let Ok(view) = host.render(scene, &camera) else { return f64::INFINITY };
+    let Ok(view) = host.render(scene, &own_camera(scene, Pose::default())) else { return f64::INFINITY };
     let off = |(p, q): (&[u8; 4], &[u8; 3])| (0..4).map(|c| p[c].abs_diff(if c < 3 { q[c] } else { 255 })).max().unwrap_or(0);
     view.rgba.iter().zip(&scene.photo.rgb).map(off).max().unwrap_or(u8::MAX).into()
 }
@@ -218,8 +140,8 @@ type Wanted<'a> = &'a dyn Fn(&PhotoError) -> bool;
 
 /// Files that are no photo or too much of one.
 fn refusals(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, PhotoError>) {
-    let whole = rgb_png(33, 17);
-    let photo = jpeg(33, 17, pixels(33, 17).as_flattened(), ExtendedColorType::Rgb8);
+    let whole = waves(33, 17);
+    let photo = Jpeg::new(33, 17, components(&[(1, 1); 3])).write(smooth);
     let too_large = |e: &PhotoError| matches!(e, PhotoError::SideTooLong { .. } | PhotoError::TooManyPixels { .. });
     let any = |_: &PhotoError| true;
     let files: [(&str, Vec<u8>, Wanted); 8] = [
@@ -236,31 +158,5 @@ fn refusals(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, Pho
         checked.case(FAMILY, &format!("{name} is refused"), "decoder", "accepted", 0.0, || {
             f64::from(u8::from(!kernel(&file).is_err_and(|e| wanted(&e))))
         });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::{Faulty, caught, failed};
-    use super::*;
-    use tmpi_core::Intrinsics;
-
-    #[test]
-    fn a_fault_of_the_decoder_or_of_a_renderer_is_caught() {
-        let right = |file: &[u8]| decode(file, &Limits::default(), None);
-        assert_eq!(failed(|c| decoder(c, right)), 0);
-        let takes_all = |file: &[u8]| right(file).or_else(|_| right(&rgb_png(3, 3)));
-        assert!(failed(|c| refusals(c, takes_all)) > 0);
-        let believes = |file: &[u8]| {
-            let decoded = right(file)?;
-            Ok(Decoded { intrinsics: Intrinsics { fx: decoded.intrinsics.fx * 1.01, ..decoded.intrinsics }, ..decoded })
-        };
-        assert!(failed(|c| decoder(c, believes)) > 0);
-        let upside_down = Faulty::hosts(|cpu, scene, camera| {
-            let mut view = cpu.render(scene, camera)?;
-            view.rgba.reverse();
-            Ok(view)
-        });
-        assert_eq!(caught(|c| run(c, &upside_down)), ["gpu"]);
     }
 }

@@ -1,10 +1,7 @@
-//! What readers make of planes and labels: which texels are there, which of them are seen, what colour hides behind; and how all of it is
-//! written and cut.
+//! What readers make of planes and labels: which texels are there, which of them are seen, what colour hides behind.
 
-use tmpi_core::container::{self, EncodedPhoto, OptionalSections, RegionPhoto, TileRect};
-use tmpi_core::{
-    Class, Geometry, Grid, Intrinsics, LayerMasks, Photo, Plane, Rect, Scene, Texels, TexturedLayer, Tile, TileFrame, ViewBox, texture,
-};
+use tmpi_core::{Class, Geometry, Grid, Intrinsics, LayerMasks, Photo, Plane, Rect, TexturedLayer, Tile, TileFrame, ViewBox, texture};
+use tmpi_testing::pictures::noise;
 
 use super::Checked;
 
@@ -12,19 +9,10 @@ pub(super) fn run(checked: &mut Checked) {
     visibility(checked, Geometry::masks_unpruned);
     pruning(checked, Geometry::masks);
     inpainting(checked, |photo, geometry| texture(photo, geometry, geometry.masks()));
-    codecs(checked, |geometry| written(&photo(geometry), geometry).and_then(|file| container::read_geometry(&file).ok()));
-    levels(checked, |file, level| container::level(file, level).ok());
-    regions(checked, |file, tiles| container::region(file, tiles, 0, RegionPhoto::Lossless).ok());
-}
-
-/// 32 bits that look like noise.
-fn mixed(i: u32) -> u32 {
-    let i = i.wrapping_mul(2_654_435_761);
-    (i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) ^ (i >> 12)
 }
 
 /// A geometry of which every tile has `planes`, given in its own coordinates, and each pixel the label that `label` says.
-fn geometry((w, h): (u32, u32), size: u32, planes: &[Plane], label: impl Fn(u32, u32) -> u8) -> Geometry {
+pub(super) fn geometry((w, h): (u32, u32), size: u32, planes: &[Plane], label: impl Fn(u32, u32) -> u8) -> Geometry {
     let grid = Grid::new(w, h, size);
     let tile = |t: u32| {
         let r = grid.rect(t);
@@ -45,31 +33,27 @@ fn photo(geometry: &Geometry) -> Photo {
     Photo { width, height, rgb: (0..width * height).map(|i| [i % 251, i / 3 % 241, i * 7 % 239].map(|v| v as u8)).collect() }
 }
 
-fn written(photo: &Photo, geometry: &Geometry) -> Option<Vec<u8>> {
-    let Geometry { grid, intrinsics, view_box, .. } = *geometry;
-    let photo_file = EncodedPhoto::lossless(photo).ok()?;
-    let scene = Scene { grid, intrinsics, view_box, photo: photo.clone(), layers: Vec::new(), texels: Texels::default() };
-    container::encode(geometry, &scene, &photo_file, OptionalSections::default()).ok().map(|file| file.0)
-}
-
 /// Colour of a pixel.
 type Paint = fn(u32, u32) -> [u8; 3];
+/// Label of a pixel.
+type Label = fn(u32, u32) -> u8;
 
 const FLAT: fn(f64) -> Plane = Plane::fronto_parallel;
 
+const SQUARE: Label = |x, y| u8::from((20..70).contains(&x) && (15..50).contains(&y));
+
 fn geometries() -> Vec<(&'static str, Geometry)> {
-    let square = |x: u32, y: u32| u8::from((20..70).contains(&x) && (15..50).contains(&y));
     // in order, as containers have them
     let steep = [Plane { a: -0.1, b: 0.25, c: 0.0 }, Plane { a: 0.1, b: -0.25, c: 0.0 }];
     let many: Vec<Plane> =
         (0..64).map(|i| Plane { a: f64::from(i) / 64.0, b: f64::from(i % 5) / 40.0 - 0.05, c: f64::from(i % 3) / 50.0 }).collect();
     let two = [FLAT(0.2), FLAT(0.8)];
     vec![
-        ("a square before a wall", geometry((100, 70), 64, &two, square)),
+        ("a square before a wall", geometry((100, 70), 64, &two, SQUARE)),
         ("crossing zero within a tile", geometry((100, 70), 64, &steep, |x, _| u8::from(x / 8 % 2 == 0))),
-        ("near the horizon", geometry((100, 70), 64, &[FLAT(0.0), FLAT(0.0002)], square)),
-        ("64 planes, labels of noise", geometry((100, 70), 64, &many, |x, y| (mixed(x * 71 + y) % 64) as u8)),
-        ("two values, labels of noise", geometry((100, 70), 32, &[FLAT(0.0), FLAT(1.0)], |x, y| (mixed(x * 71 + y) % 2) as u8)),
+        ("near the horizon", geometry((100, 70), 64, &[FLAT(0.0), FLAT(0.0002)], SQUARE)),
+        ("64 planes, labels of noise", geometry((100, 70), 64, &many, |x, y| (noise(x, y) * 64.0) as u8)),
+        ("two values, labels of noise", geometry((100, 70), 32, &[FLAT(0.0), FLAT(1.0)], |x, y| (noise(x, y) * 2.0) as u8)),
         ("one row", geometry((300, 1), 64, &two, |x, _| u8::from(x / 10 % 2 == 0))),
         ("one column", geometry((1, 300), 64, &two, |_, y| u8::from(y / 10 % 2 == 0))),
         ("one pixel", geometry((1, 1), 64, &two, |_, _| 1)),
@@ -141,11 +125,10 @@ fn wrong_texels(geometry: &Geometry, index: u32, masks: &LayerMasks) -> usize {
 /// `kernel` leaves out what no camera of the view box sees. With two parallel planes a camera looks past an edge by the parallax between them, so that
 /// a texel is seen exactly where so near to it, right or down, the far plane shows.
 pub(super) fn pruning(checked: &mut Checked, kernel: impl Fn(&Geometry) -> Vec<LayerMasks>) {
-    type Label = fn(u32, u32) -> u8;
     let labels: [(&str, (u32, u32), Label); 6] = [
         ("a square before a wall", (128, 100), |x, y| u8::from((20..90).contains(&x) && (15..80).contains(&y))),
         ("one far pixel", (100, 80), |x, y| u8::from((x, y) != (50, 40))),
-        ("noise of single pixels", (100, 80), |x, y| u8::from(!mixed(x * 93 + y).is_multiple_of(97))),
+        ("noise of single pixels", (100, 80), |x, y| u8::from(noise(x, y) > 0.01)),
         ("a panorama of bars", (900, 30), |x, _| u8::from(x % 60 > 5)),
         ("one row", (400, 1), |x, _| u8::from(x % 70 > 2)),
         ("one column", (1, 400), |_, y| u8::from(y % 70 > 2)),
@@ -185,27 +168,32 @@ pub(super) fn pruning(checked: &mut Checked, kernel: impl Fn(&Geometry) -> Vec<L
 
 /// `kernel` colours what is hidden: by what lies behind alone.
 pub(super) fn inpainting(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometry) -> Vec<Vec<TexturedLayer>>) {
+    // a name, labels, far colours, the least and the greatest that may lie hidden, planes
+    type Hidden = (&'static str, Label, Paint, [[u8; 3]; 2], [Plane; 2]);
     const WALL: [u8; 3] = [40, 50, 30];
-    let two = [FLAT(0.2), FLAT(0.8)];
-    let square = |x: u32, y: u32| u8::from((20..70).contains(&x) && (15..50).contains(&y));
-    let colours = |geometry: &Geometry, far: &dyn Fn(u32, u32) -> [u8; 3]| {
+    const HOLE: Label = |x, y| u8::from((x, y) != (50, 35));
+    let colours = |geometry: &Geometry, label: Label, far: Paint| {
         let (w, h) = (geometry.grid.width, geometry.grid.height);
         let pixel = |x: u32, y: u32| {
             // what touches an edge counts as mixed, and fills nothing: a far colour stands there, too
-            let near = (x.saturating_sub(2)..x + 3).all(|x| (y.saturating_sub(2)..y + 3).all(|y| square(x, y) == 1));
+            let near = (x.saturating_sub(2)..x + 3).all(|x| (y.saturating_sub(2)..y + 3).all(|y| label(x, y) == 1));
             if near { [250; 3] } else { far(x, y) }
         };
         Photo { width: w, height: h, rgb: (0..w * h).map(|i| pixel(i % w, i / w)).collect() }
     };
-    let cases: [(&str, Paint, [[u8; 3]; 2]); 3] = [
-        ("one colour", |_, _| WALL, [WALL, WALL]),
-        ("noise", |x, y| [0, 8, 16].map(|s| ((mixed(x * 71 + y) >> s) % 60) as u8), [[0; 3], [59; 3]]),
-        ("a slope", |x, y| [x as u8, y as u8, 99], [[0, 0, 99], [100, 70, 99]]),
+    let two = [FLAT(0.2), FLAT(0.8)];
+    let cases: [Hidden; 5] = [
+        ("one colour", SQUARE, |_, _| WALL, [WALL, WALL], two),
+        ("noise", SQUARE, |x, y| [0, 100, 200].map(|s| (noise(x, y + s) * 60.0) as u8), [[0; 3], [59; 3]], two),
+        ("a slope", SQUARE, |x, y| [x as u8, y as u8, 99], [[0, 0, 99], [100, 70, 99]], two),
+        ("black at infinity", SQUARE, |_, _| [0; 3], [[0; 3]; 2], [FLAT(0.0), FLAT(1.0)]),
+        // it touches what lies before it, so nothing fills
+        ("a single far pixel", HOLE, |_, _| [20; 3], [[20; 3], [250; 3]], two),
     ];
-    for (name, far, [least, most]) in cases {
-        let geometry = geometry((100, 70), 64, &two, square);
+    for (name, label, far, [least, most], planes) in cases {
+        let geometry = geometry((100, 70), 64, &planes, label);
         checked.case("inpainting", &format!("{name} behind white"), "pyramid", "levels off", 0.0, || {
-            let photo = colours(&geometry, &far);
+            let photo = colours(&geometry, label, far);
             let off = |p: &[u8; 3]| (0..3).map(|c| least[c].saturating_sub(p[c]).max(p[c].saturating_sub(most[c]))).max().unwrap_or(0);
             let layers = kernel(&photo, &geometry);
             let hidden = layers.iter().flatten().flat_map(|l| &l.hidden);
@@ -221,161 +209,4 @@ pub(super) fn inpainting(checked: &mut Checked, kernel: impl Fn(&Photo, &Geometr
         };
         geometries().into_iter().map(one).sum::<usize>() as f64
     });
-}
-
-/// What of two geometries differs: labels, and planes of any tile.
-fn differences(a: &Geometry, b: &Geometry) -> f64 {
-    if a.grid != b.grid || a.tiles.len() != b.tiles.len() {
-        return f64::INFINITY;
-    }
-    let labels =
-        |(a, b): (&Tile, &Tile)| a.labels.iter().zip(&b.labels).filter(|(a, b)| a != b).count() + a.labels.len().abs_diff(b.labels.len());
-    let planes = |(a, b): (&Tile, &Tile)| usize::from(a.planes != b.planes || a.background != b.background);
-    a.tiles.iter().zip(&b.tiles).map(|pair| labels(pair) + planes(pair)).sum::<usize>() as f64
-}
-
-/// `kernel` writes planes and labels and reads them again, by the range coder.
-pub(super) fn codecs(checked: &mut Checked, kernel: impl Fn(&Geometry) -> Option<Geometry>) {
-    let ends =
-        [Plane { a: -1.999, b: -2.0, c: 1.999 }, Plane { a: 0.0, b: Plane::STEP, c: -Plane::STEP }, Plane { a: 1.999, b: 1.999, c: -2.0 }];
-    let none = [FLAT(0.0)];
-    let two = [FLAT(0.2), FLAT(0.8)];
-    let more = [
-        ("planes at the ends of their range", geometry((200, 130), 64, &ends, |x, y| ((x / 9 + y / 7) % 3) as u8)),
-        // the likeliest symbol over and over, then the least likely one
-        ("one label, and one other pixel at the end", geometry((640, 480), 64, &two, |x, y| u8::from((x, y) == (639, 479)))),
-        ("one plane in each of 10 000 tiles", geometry((700, 700), 8, &none, |_, _| 0)),
-        ("labels that change with each pixel", geometry((300, 200), 64, &two, |x, y| ((x + y) % 2) as u8)),
-        ("long runs of different labels", geometry((640, 480), 64, &ends, |x, y| ((x / 200 + y / 150) % 3) as u8)),
-    ];
-    for (name, geometry) in geometries().into_iter().chain(more) {
-        checked.case("codecs", name, "planes and labels", "pixels", 0.0, || {
-            kernel(&geometry).map_or(f64::INFINITY, |got| differences(&got, &geometry))
-        });
-    }
-}
-
-/// `kernel` gives a container at half the size, so many times over.
-pub(super) fn levels(checked: &mut Checked, kernel: impl Fn(&[u8], u8) -> Option<Vec<u8>>) {
-    for (name, geometry) in geometries() {
-        let photo = photo(&geometry);
-        checked.case("levels", name, "labels of half the size", "pixels", 0.0, || {
-            let Some(half) =
-                written(&photo, &geometry).and_then(|file| kernel(&file, 1)).and_then(|file| container::read_geometry(&file).ok())
-            else {
-                return f64::INFINITY;
-            };
-            half.tiles.iter().zip(0..).map(|(tile, t)| wrong_votes(&geometry, &half, t, tile) as f64).sum()
-        });
-        checked.case("levels", name, "photo of half the size", "levels, deviation", 12.0, || {
-            let Some((small, _)) =
-                written(&photo, &geometry).and_then(|file| kernel(&file, 1)).and_then(|file| container::read(&file).ok())
-            else {
-                return f64::INFINITY;
-            };
-            let value = |x: u32, y: u32, c: usize| f64::from(photo.at(x.min(photo.width - 1), y.min(photo.height - 1))[c]);
-            let off = |i: usize, c: usize| {
-                let (x, y) = (2 * (i as u32 % small.width), 2 * (i as u32 / small.width));
-                let mean = (value(x, y, c) + value(x + 1, y, c) + value(x, y + 1, c) + value(x + 1, y + 1, c)) / 4.0;
-                (f64::from(small.rgb[i][c]) - mean).powi(2)
-            };
-            let n = small.rgb.len();
-            // it is a JPEG of quality 90, of colours that change from pixel to pixel
-            ((0..n).map(|i| (0..3).map(|c| off(i, c)).sum::<f64>()).sum::<f64>() / (3 * n).max(1) as f64).sqrt()
-        });
-    }
-}
-
-/// Pixels of a tile of half the size whose plane is not one that most of the four above it lie on, or not there.
-fn wrong_votes(whole: &Geometry, half: &Geometry, index: u32, tile: &Tile) -> usize {
-    let (from, r, to) = (&whole.tiles[index as usize], whole.grid.rect(index), half.grid.rect(index));
-    if half.grid.size * 2 != whole.grid.size {
-        return usize::MAX >> 12;
-    }
-    let wrong = |i: u32| {
-        let (x, y) = (2 * (i % to.w), 2 * (i / to.w));
-        let four =
-            [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| from.labels[((y + dy).min(r.h - 1) * r.w + (x + dx).min(r.w - 1)) as usize]);
-        let votes = |l: u8| four.iter().filter(|k| **k == l).count();
-        let most = four.iter().map(|l| votes(*l)).max().unwrap_or(0);
-        let shown = tile.planes[usize::from(tile.labels[i as usize])];
-        // of equals the nearest, whose label is the highest
-        let want = four.into_iter().filter(|l| votes(*l) == most).max().unwrap_or(0);
-        from.planes[usize::from(want)] != shown
-    };
-    (0..to.area() as u32).filter(|i| wrong(*i)).count()
-}
-
-/// `kernel` cuts some tiles out of a container.
-pub(super) fn regions(checked: &mut Checked, kernel: impl Fn(&[u8], &TileRect) -> Option<Vec<u8>>) {
-    for (name, geometry) in geometries() {
-        let (photo, grid) = (photo(&geometry), geometry.grid);
-        let (columns, rows) = (grid.columns() / 2..grid.columns(), 0..grid.rows().div_ceil(2));
-        let (rect, part) = grid.part(columns.clone(), rows.clone());
-        checked.case("regions", name, "tiles and photo", "pixels", 0.0, || {
-            let tiles = TileRect { columns: columns.clone(), rows: rows.clone() };
-            let Some((got_photo, got)) =
-                written(&photo, &geometry).and_then(|file| kernel(&file, &tiles)).and_then(|file| container::read(&file).ok())
-            else {
-                return f64::INFINITY;
-            };
-            let all = rows.clone().flat_map(|row| columns.clone().map(move |column| row * grid.columns() + column));
-            let k = geometry.intrinsics;
-            let want = Geometry {
-                grid: part,
-                intrinsics: Intrinsics { cx: k.cx - f64::from(rect.x), cy: k.cy - f64::from(rect.y), ..k },
-                tiles: all.map(|t| geometry.tiles[t as usize].clone()).collect(),
-                ..geometry
-            };
-            if got.intrinsics != want.intrinsics || got_photo.rgb.len() != rect.area() {
-                return f64::INFINITY;
-            }
-            let pixel = |i: usize| got_photo.rgb[i] != photo.at(rect.x + i as u32 % rect.w, rect.y + i as u32 / rect.w);
-            differences(&got, &want) + (0..got_photo.rgb.len()).filter(|i| pixel(*i)).count() as f64
-        });
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::failed;
-    use super::*;
-
-    /// Masks of which one texel of a far layer is changed.
-    fn spoilt(mut masks: Vec<LayerMasks>, from: Class, to: Class) -> Vec<LayerMasks> {
-        let mut classes = masks.iter_mut().flat_map(|m| &mut m.layers).filter(|l| l.label == Some(0)).flat_map(|l| &mut l.class);
-        if let Some(class) = classes.find(|c| **c == from as u8) {
-            *class = to as u8;
-        }
-        masks
-    }
-
-    #[test]
-    fn a_fault_of_each_kernel_is_caught() {
-        assert!(failed(|c| visibility(c, |g| spoilt(g.masks_unpruned(), Class::Hidden, Class::Empty))) > 0);
-        assert!(failed(|c| visibility(c, |g| spoilt(g.masks_unpruned(), Class::Photo, Class::Hidden))) > 0);
-        // texels of a smaller and of a larger view box
-        let of = |g: &Geometry, x: f64| Geometry { view_box: ViewBox { x, ..g.view_box }, ..g.clone() }.masks();
-        assert!(failed(|c| pruning(c, |g| of(g, 0.07))) > 0);
-        assert!(failed(|c| pruning(c, |g| of(g, 0.15))) > 0);
-        let near_colours = |photo: &Photo, g: &Geometry| {
-            let mut layers = texture(photo, g, g.masks());
-            layers.iter_mut().flatten().filter_map(|l| l.hidden.first_mut()).for_each(|p| *p = [250; 3]);
-            layers
-        };
-        assert!(failed(|c| inpainting(c, near_colours)) > 0);
-        let one_label = |g: &Geometry| {
-            let mut g = g.clone();
-            *g.tiles.last_mut()?.labels.last_mut()? ^= 1;
-            Some(g)
-        };
-        assert!(failed(|c| codecs(c, one_label)) > 0);
-        assert!(failed(|c| levels(c, |file, _| Some(file.to_vec()))) > 0);
-        let one_less = |file: &[u8], tiles: &TileRect| {
-            let tiles =
-                TileRect { columns: tiles.columns.start..(tiles.columns.end - 1).max(tiles.columns.start + 1), rows: tiles.rows.clone() };
-            container::region(file, &tiles, 0, RegionPhoto::Lossless).ok()
-        };
-        assert!(failed(|c| regions(c, one_less)) > 0);
-    }
 }

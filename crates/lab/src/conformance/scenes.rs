@@ -1,6 +1,7 @@
 //! Scenes and cameras made to hold the renderers against each other.
 
 use tmpi_core::{Camera, Class, Grid, Intrinsics, Layer, Photo, Plane, Pose, Scene, Texels, ViewBox};
+use tmpi_testing::pictures;
 
 /// A texel: its class, alpha and, where hidden, colour.
 pub enum Texel {
@@ -96,10 +97,7 @@ pub fn close(deltas: &[f64]) -> Scene {
 /// Pixels that lie on either of two disparities by chance; hidden texels behind the near ones.
 fn noise([far, near]: [f64; 2]) -> Scene {
     let mut b = Builder::new(Grid::new(200, 120, 64));
-    let is_near = |x: u32, y: u32| {
-        let i = (x * 71 + y).wrapping_mul(2_654_435_761);
-        (i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 31 == 1
-    };
+    let is_near = |x, y| pictures::noise(x, y) > 0.5;
     for tile in 0..b.0.grid.tiles() {
         let behind = |x, y| if is_near(x, y) { Texel::Hidden([90, 60, 30], 255) } else { Texel::Photo(255) };
         b.layer(tile, Plane::fronto_parallel(far), (1.0, 1.0), behind);
@@ -270,11 +268,17 @@ pub fn camera(scene: &Scene, pose: Pose, width: u32, height: u32) -> Camera {
     Camera { pose, intrinsics: scene.intrinsics.resized(from, (width, height)), width, height }
 }
 
+/// The camera of the photo at `pose`.
+#[must_use]
+pub fn own_camera(scene: &Scene, pose: Pose) -> Camera {
+    Camera { pose, intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height }
+}
+
 /// Every camera of the comparison, with its name.
 #[must_use]
 pub fn cameras(scene: &Scene) -> Vec<(&'static str, Camera)> {
     let (w, h) = (scene.photo.width, scene.photo.height);
-    let own = |pose: Pose| camera(scene, pose, w, h);
+    let own = |pose: Pose| own_camera(scene, pose);
     let fov = |degrees: f64, w: u32, h: u32| Camera {
         pose: Pose::at(0.05, 0.0, 0.0),
         intrinsics: Intrinsics::from_fov_x(w, h, degrees),

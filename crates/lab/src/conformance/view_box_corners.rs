@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::Checked;
+use super::scenes::own_camera;
 use tmpi_core::container;
 use tmpi_core::container::PhotoFormat;
-use tmpi_core::{Camera, Scene, ViewBox};
+use tmpi_core::{Scene, ViewBox};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Models, Options};
@@ -32,8 +33,7 @@ fn uncovered(scene: &Arc<Scene>, share: f64) -> [f64; 2] {
     let (mut open, mut all) = ([0, 0], 0);
     for pivot in [0.0, 1.0] {
         for pose in corners(&reached, pivot) {
-            let camera = Camera { pose, intrinsics: scene.intrinsics, width: scene.grid.width, height: scene.grid.height };
-            let Ok(view) = cpu.render(scene, &camera) else { return [f64::INFINITY; 2] };
+            let Ok(view) = cpu.render(scene, &own_camera(scene, pose)) else { return [f64::INFINITY; 2] };
             for (open, least) in open.iter_mut().zip([HOLE, SEAM]) {
                 *open += view.rgba.iter().filter(|p| p[3] < least).count();
             }

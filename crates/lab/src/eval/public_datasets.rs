@@ -84,7 +84,7 @@ struct Measured {
 /// Measures depth; `None` if the pictures do not allow it.
 fn measured(photo: &Photo, second: &Photo, depth: &dyn Estimator) -> Result<Option<Measured>, EvalError> {
     let Ok(measured) = measure(photo, second) else { return Ok(None) };
-    let joined = measured.joined(photo, &depth.estimate(photo)?);
+    let joined = measured.fuse(photo, &depth.estimate(photo)?);
     let f = joined.figures;
     let side = if f.crossed { -1.0 } else { 1.0 };
     Ok(Some(Measured { map: joined.map, span: side * (f.nearest_px - f.infinity_px), infinity: side * f.infinity_px }))

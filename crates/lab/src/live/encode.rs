@@ -1,45 +1,21 @@
-//! Encoders of the publisher, for measurements.
+//! What publishers send: video and sound.
 
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
 use tmpi_core::Photo;
+use tmpi_core::live::schema::Sound;
+use tmpi_core::live::schema::message::Kind;
 
 use super::LiveBenchError;
 
-/// Encodes frames in order.
-pub trait Encoder {
-    /// Codec string, as sent by publishers.
-    fn codec(&self) -> &'static str;
+/// Opus bits per second and packets per second, as the publishing page sends them (`static/live/microphone.js`).
+const SOUND: (usize, usize) = (32_000, 50);
 
-    /// Encodes a frame; returns its bytes, and whether it is a key frame.
-    ///
-    /// # Errors
-    /// [`LiveBenchError::Encode`].
-    fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError>;
-}
-
-/// JPEG quality of publishers without a video encoder.
-pub const QUALITY: u8 = 90;
-
-/// Encodes each frame as JPEG.
-#[derive(Clone, Copy, Debug)]
-pub struct Jpeg {
-    /// Quality, 1 to 100.
-    pub quality: u8,
-}
-
-impl Encoder for Jpeg {
-    fn codec(&self) -> &'static str {
-        tmpi_live::video::JPEG
-    }
-
-    fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError> {
-        let mut out = Vec::new();
-        JpegEncoder::new_with_quality(&mut out, self.quality)
-            .write_image(photo.rgb.as_flattened(), photo.width, photo.height, ExtendedColorType::Rgb8)
-            .map_err(|e| LiveBenchError::Encode(e.to_string()))?;
-        Ok((out, true))
-    }
+/// Bytes of sound per frame at 30 frames a second, including messages.
+#[must_use]
+pub fn sound_bytes() -> f64 {
+    let data = vec![0; SOUND.0 / 8 / SOUND.1].into();
+    // about two weeks in microseconds, like a clock that counts since boot
+    let message = tmpi_core::live::write(Kind::Sound(Sound { time: 1 << 40, data }));
+    (message.len() * SOUND.1) as f64 / 30.0
 }
 
 /// Encodes H.264 Constrained Baseline without delay.
@@ -51,6 +27,8 @@ pub struct H264 {
 impl H264 {
     /// Frames between key frames.
     pub const GOP: u32 = 60;
+    /// Codec string, as sent by publishers.
+    pub const CODEC: &'static str = "avc1.42e01e";
 
     /// Creates an encoder for frames of this size at 30 frames and `bitrate` bits per second.
     ///
@@ -63,14 +41,12 @@ impl H264 {
         let encoder = rusty_h264_encoder::Encoder::new(config).map_err(|e| LiveBenchError::Encode(e.to_string()))?;
         Ok(Self { encoder, frames: 0 })
     }
-}
 
-impl Encoder for H264 {
-    fn codec(&self) -> &'static str {
-        "avc1.42e01e"
-    }
-
-    fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError> {
+    /// Encodes a frame; returns its bytes, and whether it is a key frame.
+    ///
+    /// # Errors
+    /// [`LiveBenchError::Encode`].
+    pub fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError> {
         let key = self.frames.is_multiple_of(Self::GOP);
         self.frames += 1;
         let [y, u, v] = to_i420(photo);
@@ -113,5 +89,11 @@ mod tests {
         let back = to_rgb(&I420 { width: 64, height: 64, y: &y, u: &u, v: &v }, Colour::default()).unwrap();
         let off = photo.rgb.as_flattened().iter().zip(back.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(off <= Some(3), "{off:?}");
+    }
+
+    #[test]
+    fn sound_includes_message_overhead() {
+        let kbit_s = sound_bytes() * 30.0 * 8.0 / 1e3;
+        assert!((32.0..40.0).contains(&kbit_s), "{kbit_s} kbit/s");
     }
 }

@@ -5,17 +5,16 @@ use std::time::{Duration, Instant};
 
 use tmpi_core::live::{FrameTiming, TileState, schema};
 use tmpi_core::{Photo, Pose};
-use tmpi_live::{Frame, Geometry as Driver, video as codecs};
+use tmpi_live::{Frame, Geometry as Driver, Update, video as codecs};
 use tmpi_pipeline::usage::Clock;
 use tmpi_render::difference::psnr;
 use tmpi_render::{PictureFormat, View};
 
-use super::aligned_depth::Truth;
-use super::baseline::as_jpeg;
-use super::sequence::{Kind, SeenSurfaces, Sequence, Shot};
-use super::side_view::{Mean, Moment, Reader, ms};
-use super::totals::{Totals, add, add_bytes};
-use super::{Figures, LiveBenchError, Settings, encoder, room};
+use super::encode::{H264, sound_bytes};
+use super::sequence::{Kind, Sequence, Shot};
+use super::side_view::{Moment, Reader, ms};
+use super::{LiveBenchError, Row, Settings, room, tiles};
+use crate::bench::Figures;
 
 /// Sideways offset of the side view: the border of the default view box.
 pub const SIDE_OFFSET: f64 = 0.03;
@@ -25,110 +24,117 @@ const CORNERS: [(&str, (f64, f64)); 4] =
 /// Seconds after which the reader's memory is measured.
 const SETTLED: f64 = 5.0;
 
-/// Runs a sequence through a room that keeps its geometry between frames, and through one that does not.
-pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Figures, LiveBenchError> {
-    let mut f = Figures { sequence: kind.name(), codec: if settings.bitrate.is_some() { "h264" } else { "jpeg" }, ..Figures::default() };
-    let mut encoder = encoder(settings.size, settings.bitrate)?;
-    let mut decoder = codecs::decoder(encoder.codec(), settings.size)?;
-    let truth = Truth::default();
-    let models = if settings.true_scale { truth.scaled(&settings.models) } else { settings.models.clone() };
-    let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
-    let mut separate = Driver::new(models, room(settings, sequence, 0.0, true));
-    let (mut reader, mut other) = (Reader::with_memory(settings.follow), Reader::default());
-    // the true previous frame, and everything that the camera has seen
-    let (mut last, mut seen) = (None::<Photo>, SeenSurfaces::default());
-    let (mut stream, mut messages) = (Vec::new(), Vec::new());
-    let empty = room(settings, sequence, settings.frame_ms, false).empty(settings.size.0, settings.size.1);
-    record(&mut messages, schema::message::Kind::Hello(schema::Hello { codec: encoder.codec().into(), ..TileState::hello(&empty) }));
-    let mut sums = Totals::default();
+/// Runs a sequence through a room.
+pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Row, LiveBenchError> {
+    let mut encoder = H264::new(settings.size, settings.bitrate)?;
+    let mut decoder = codecs::decoder(H264::CODEC, settings.size)?;
+    let settings_of_room = room(settings, sequence, settings.frame_ms);
+    let empty = settings_of_room.empty(settings.size.0, settings.size.1);
+    let mut driver = Driver::new(settings.models.clone(), settings_of_room);
+    let (mut f, mut stages) = (Figures::default(), Vec::new());
+    let (mut reader, mut streams) = (Reader::new(settings.follow), Streams::default());
+    streams.record(schema::message::Kind::Hello(schema::Hello { codec: H264::CODEC.into(), ..TileState::hello(&empty) }));
+    let mut last = None::<Photo>;
     // an odd interval: if every second frame is in the cooldown, views alternate between both kinds
     let views = settings.views | 1;
     for n in 0..settings.frames {
         let taken = n * settings.every;
         let shot = sequence.shot(taken);
-        truth.set(&shot.delta);
-        let seen_before = seen.add(sequence, taken, &shot);
         let (data, key) = encoder.encode(&shot.noisy)?;
-        f.video_bytes += record(&mut messages, video((n, taken), key, &data));
-        stream.extend_from_slice(&data);
+        f.add("video, bytes", streams.record(video((n, taken), key, &data)));
+        streams.video.extend_from_slice(&data);
         let clock = Clock::start();
         let Some(photo) = decoder.decode(&data)? else { continue };
-        let decode_ms = clock.ms();
-        f.decode_ms += decode_ms;
-        f.server_cpu_ms += clock.cpu_ms();
+        let decoding = (clock.ms(), clock.cpu_ms());
         if n % views == 0 {
-            compare_video(&mut sums, &photo, &shot)?;
+            f.add("video, dB", psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened()));
         }
         let depth = (kind == Kind::Measured).then(|| shot.delta.clone());
         let frame = Frame { number: n.into(), at: at(taken), photo, depth };
         let clock = Clock::start();
-        let update = carried.next(&frame)?;
-        let server_ms = clock.ms() + decode_ms;
-        f.server_cpu_ms += clock.cpu_ms();
-        f.server_ms += server_ms;
-        sums.clocks.push(server_ms);
-        update.stages.iter().for_each(|s| add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms)));
-        add(&mut f.stages_ms, "chunks", (update.coding_ms, update.coding_ms));
+        let update = driver.next(&frame)?;
+        add_times(&mut f, &mut stages, &update, [decoding, (clock.ms(), clock.cpu_ms())]);
         let message = schema::Geometry { frame: n.into(), chunks: update.chunks.clone() };
-        add_bytes(&mut f, &mut sums.chunks, &message);
-        record(&mut messages, schema::message::Kind::Geometry(message.clone()));
-        if let Some(g) = carried.geometry() {
-            sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
-            f.left_out_off = f.left_out_off.max(carried.reference().map_or(0, |of| most_off(of, &frame.photo)));
-            f.kept_off = f.kept_off.max(update.kept_error);
+        let encoded = streams.record(schema::message::Kind::Geometry(message.clone()));
+        tiles::bytes(&mut f, &message, encoded);
+        if let Some(g) = driver.geometry() {
+            tiles::count(&mut f, g, &update, last.as_ref().map(|l| (l, &shot.clean)));
+            let off = driver.reference().map_or(0, |of| most_off(of, &frame.photo));
+            f.most("unsent pixels: most off, levels", off.into());
             reader.model.get_or_insert(TileState::new(&TileState::hello(g))?);
         }
         let before = Instant::now();
-        let (came, tiles) = reader.receive(message, settings.late)?;
-        f.read_ms += ms(before);
+        let (came, of_frame) = reader.receive(message, settings.late)?;
+        f.add("reader: chunks, ms", ms(before));
         let known = reader.model.as_ref().and_then(TileState::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.update(g, &came, &frame.photo, FrameTiming { frame: n.into(), tiles, elapsed: Some(at(settings.every)) });
-            sums.layers.push(ms(before));
+            reader.update(g, &came, &frame.photo, FrameTiming { frame: n.into(), tiles: of_frame, elapsed: Some(at(settings.every)) });
+            f.add("reader: layers, ms", ms(before));
             if let Some(plate) = sequence.plate(taken) {
-                sums.edges(reader.shown(g), (&shot.delta, &plate.disparity));
+                tiles::edges(&mut f, reader.shown(g), (&shot.delta, &plate.disparity));
             }
-        }
-        if n % views <= 1 {
-            if let Some(bytes) = snapshot(&carried, n)? {
-                sums.snapshots.add(bytes);
-            }
-            let moment = |geometry, sent| Moment {
-                geometry,
-                photo: &frame.photo,
-                shot: &shot,
-                seen_before: &seen_before,
-                plate: sequence.plate(taken),
-                side_pose: sequence.side_pose(),
-                follows: n % views == 1,
-                sent,
-                settled: f64::from(taken) >= SETTLED * 30.0,
-            };
-            let view = known.as_ref().map(|g| reader.show(moment(g, &came))).transpose()?;
-            separate.next(&frame)?;
-            let by_itself = separate.geometry().map(|g| other.show(moment(g, &[]))).transpose()?;
-            if let Some(folder) = settings.files.as_deref().filter(|_| n % views == 0) {
-                let ours = [("frame", Some(&frame.photo)), ("beside", view.as_ref()), ("separate", by_itself.as_ref())];
-                for (what, picture) in ours.into_iter().chain([("truth", Some(&shot.side_view))]) {
-                    keep(folder, kind, n, what, picture)?;
-                }
-                for (corner, (tx, ty)) in CORNERS {
-                    let at = (tx * SIDE_OFFSET, ty * SIDE_OFFSET);
-                    let view = known.as_ref().map(|g| reader.view(moment(g, &[]), Pose::at(at.0, at.1, 0.0))).transpose()?.flatten();
-                    keep(folder, kind, n, corner, view.as_ref())?;
-                    keep(folder, kind, n, &format!("{corner}-truth"), Some(&sequence.view(taken, at)))?;
+            if n % views <= 1 {
+                f.add("snapshot, bytes", snapshot(&driver, n)?);
+                let moment = Moment {
+                    geometry: g,
+                    photo: &frame.photo,
+                    shot: &shot,
+                    side_pose: sequence.side_pose(),
+                    follows: n % views == 1,
+                    sent: &came,
+                    settled: f64::from(taken) >= SETTLED * 30.0,
+                };
+                let view = reader.show(moment, &mut f)?;
+                if let Some(folder) = settings.files.as_deref().filter(|_| n % views == 0) {
+                    keep_pictures(folder, (kind, n), sequence, taken, (&reader, moment, &view))?;
                 }
             }
         }
         last = Some(shot.clean);
     }
     if let Some(folder) = &settings.files {
-        keep_streams(settings, folder, kind, (&stream, &messages))?;
+        write(folder, &format!("{}.h264", kind.slug()), &streams.video)?;
+        write(folder, &format!("{}.room", kind.slug()), &streams.messages)?;
     }
-    sums.finish(&mut f, settings.frames, settings.every);
-    compare(&mut f, &reader, &other);
-    Ok(f)
+    reader.finish(&mut f);
+    Ok(Row { sequence: kind.name(), figures: finished(f, stages, settings) })
+}
+
+/// Time and CPU time in milliseconds.
+type Times = (f64, f64);
+
+/// Adds the times of decoding and geometry, and of each stage.
+fn add_times(f: &mut Figures, stages: &mut Vec<(String, Times)>, update: &Update, [decoding, geometry]: [Times; 2]) {
+    f.add("server: decode, ms", decoding.0);
+    f.add("server, ms", decoding.0 + geometry.0);
+    f.add("server, CPU ms", decoding.1 + geometry.1);
+    let coding = ("chunks", (update.coding_ms, update.coding_ms));
+    for (name, (ms, cpu)) in update.stages.iter().map(|s| (s.name.as_str(), (s.ms, s.cpu_ms))).chain([coding]) {
+        match stages.iter_mut().find(|(n, _)| n == name) {
+            Some((_, sum)) => *sum = (sum.0 + ms, sum.1 + cpu),
+            None => stages.push((name.to_owned(), (ms, cpu))),
+        }
+    }
+}
+
+/// The means over the frames, and what follows from them. Each frame stands for `every` frames at 30 frames a second.
+fn finished(mut f: Figures, stages: Vec<(String, Times)>, settings: &Settings) -> Vec<(String, f64)> {
+    for (name, (ms, cpu)) in stages {
+        f.add(&format!("server: {name}, ms"), ms / f64::from(settings.frames));
+        f.add(&format!("server: {name}, CPU ms"), cpu / f64::from(settings.frames));
+    }
+    for name in ["server, ms", "reader: layers, ms", "edge short, px"] {
+        f.add(&format!("{name}, 95th percentile"), f.percentile(name, 0.95));
+    }
+    f.add("server, ms, longest", f.percentile("server, ms", 1.0));
+    let every = f64::from(settings.every);
+    f.add("sound, bytes", every * sound_bytes());
+    let geometry = f.mean("geometry, bytes");
+    let all = f.mean("video, bytes") + geometry + every * sound_bytes();
+    f.add("total, kbit/s", all * 30.0 / every * 8.0 / 1e3);
+    f.add("geometry, % of total", 100.0 * geometry / all);
+    f.means()
 }
 
 /// Largest difference of any channel between two pictures, in levels.
@@ -136,45 +142,31 @@ fn most_off(a: &Photo, b: &Photo) -> u8 {
     a.rgb.as_flattened().iter().zip(b.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or_default()
 }
 
-/// Collects the readers' results for both rooms.
-fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
-    (f.masks_ms, f.fill_ms) = (reader.masks.get(), reader.fill.get());
-    let decibels = |square: Mean| if square.get() > 0.0 { 10.0 * (255f64.powi(2) / square.get()).log10() } else { 0.0 };
-    (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.inpainted));
-    f.uncovered_psnr_most = decibels(reader.least);
-    (f.seen_before_psnr, f.seen_before_psnr_made_up) = (decibels(reader.seen_remembered), decibels(reader.seen_inpainted));
-    (f.own_depth_psnr, f.own_depth_psnr_made_up) = (decibels(reader.own_remembered), decibels(reader.own_inpainted));
-    ([f.seam, f.seam_wide], [f.seam_separate, f.seam_wide_separate]) = (reader.seams.map(Mean::get), other.seams.map(Mean::get));
-    f.seen_before = reader.seen_remembered.count() / reader.remembered.count().max(1.0);
-    f.own_view_off = reader.off;
-    (f.psnr, f.ssim, f.flicker, f.flicker_left_out) =
-        (reader.psnr.get(), reader.ssim.get(), reader.flicker.get(), reader.flicker_left_out.get());
-    (f.psnr_separate, f.ssim_separate, f.flicker_separate) = (other.psnr.get(), other.ssim.get(), other.flicker.get());
-}
-
-/// Adds the PSNR of the video, and the JPEG with the same PSNR.
-fn compare_video(sums: &mut Totals, photo: &Photo, shot: &Shot) -> Result<(), LiveBenchError> {
-    let off = psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened());
-    sums.video_psnr.add(off);
-    sums.jpeg(as_jpeg(&shot.noisy, &shot.clean, off)?);
-    Ok(())
-}
-
-/// Size of a room's snapshot at a frame in bytes; `None` if the room is empty.
-fn snapshot(room: &Driver, n: u32) -> Result<Option<f64>, LiveBenchError> {
+/// Size of a room's snapshot at a frame in bytes; 0 if the room is empty.
+fn snapshot(room: &Driver, n: u32) -> Result<f64, LiveBenchError> {
     let message = |chunk| schema::message::Kind::Snapshot(schema::Geometry { frame: n.into(), chunks: vec![chunk] });
-    Ok(room.snapshot(n.into())?.map(|chunk| tmpi_core::live::write(message(chunk)).len() as f64))
+    Ok(room.snapshot(n.into())?.map_or(0.0, |chunk| tmpi_core::live::write(message(chunk)).len() as f64))
 }
 
-/// Writes the video and all messages of the room.
-fn keep_streams(settings: &Settings, folder: &Path, kind: Kind, (video, messages): (&[u8], &[u8])) -> Result<(), LiveBenchError> {
-    write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), video)?;
-    write(folder, &format!("{}.room", kind.slug()), messages)
-}
-
-/// Writes a picture for a frame, if there is one.
-fn keep(folder: &Path, kind: Kind, n: u32, what: &str, picture: Option<&Photo>) -> Result<(), LiveBenchError> {
-    picture.map_or(Ok(()), |picture| write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?))
+/// Writes the frame, the side view and views from the corners of the view box, each with the truth.
+fn keep_pictures(
+    folder: &Path,
+    (kind, n): (Kind, u32),
+    sequence: &Sequence,
+    taken: u32,
+    (reader, m, view): (&Reader, Moment, &Photo),
+) -> Result<(), LiveBenchError> {
+    let keep = |what: &str, picture: &Photo| write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?);
+    let Shot { side_view, .. } = m.shot;
+    for (what, picture) in [("frame", m.photo), ("beside", view), ("truth", side_view)] {
+        keep(what, picture)?;
+    }
+    for (corner, (tx, ty)) in CORNERS {
+        let at = (tx * SIDE_OFFSET, ty * SIDE_OFFSET);
+        keep(corner, &reader.view(m, Pose::at(at.0, at.1, 0.0))?)?;
+        keep(&format!("{corner}-truth"), &sequence.view(taken, at))?;
+    }
+    Ok(())
 }
 
 /// Capture time of a frame, at 30 frames a second.
@@ -188,18 +180,25 @@ fn video((n, taken): (u32, u32), key: bool, data: &[u8]) -> schema::message::Kin
     schema::message::Kind::Video(schema::Video { frame: n.into(), time, key, layer: 0, data: data.to_vec().into() })
 }
 
-/// Appends a length-prefixed message, as `tmpi live watch --record` does; returns its size in bytes.
-fn record(messages: &mut Vec<u8>, kind: schema::message::Kind) -> f64 {
-    let bytes = tmpi_core::live::write(kind);
-    messages.extend((bytes.len() as u32).to_le_bytes());
-    messages.extend_from_slice(&bytes);
-    bytes.len() as f64
+/// The video, and all messages of the room.
+#[derive(Default)]
+struct Streams {
+    video: Vec<u8>,
+    messages: Vec<u8>,
+}
+
+impl Streams {
+    /// Appends a length-prefixed message, as `tmpi live watch --record` does; returns its size in bytes.
+    fn record(&mut self, kind: schema::message::Kind) -> f64 {
+        let bytes = tmpi_core::live::write(kind);
+        self.messages.extend((bytes.len() as u32).to_le_bytes());
+        self.messages.extend_from_slice(&bytes);
+        bytes.len() as f64
+    }
 }
 
 fn png(photo: &Photo) -> Result<Vec<u8>, LiveBenchError> {
-    let rgba = photo.rgb.iter().map(|[r, g, b]| [*r, *g, *b, 255]).collect();
-    let view = View { width: photo.width, height: photo.height, rgba };
-    tmpi_render::encode(&view, PictureFormat::Png, 0).map_err(|e| LiveBenchError::Encode(e.to_string()))
+    tmpi_render::encode(&View::from(photo), PictureFormat::Png, 0).map_err(|e| LiveBenchError::Encode(e.to_string()))
 }
 
 fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), LiveBenchError> {

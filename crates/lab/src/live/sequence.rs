@@ -70,8 +70,6 @@ pub struct Shot {
     pub side_view: Photo,
     /// Pixels of the side view that the camera itself does not see.
     pub uncovered: Vec<bool>,
-    /// Exact disparity of the side view.
-    pub side_delta: DisparityMap,
 }
 
 /// A sequence of frames.
@@ -160,8 +158,8 @@ impl Sequence {
         let rgb =
             clean.photo.rgb.iter().map(|p| p.map(|v| (f64::from(v) + NOISE * noise.next()).round().clamp(0.0, 255.0) as u8)).collect();
         let uncovered = self.uncovered(&clean.disparity, &view.disparity);
-        let (clean, delta, side_view, side_delta) = (clean.photo, clean.disparity, view.photo, view.disparity);
-        Shot { noisy: Photo { rgb, ..clean }, clean, delta, side_view, uncovered, side_delta }
+        let (clean, delta, side_view) = (clean.photo, clean.disparity, view.photo);
+        Shot { noisy: Photo { rgb, ..clean }, clean, delta, side_view, uncovered }
     }
 
     /// Frame `n` without the object; `None` if the camera moves.
@@ -174,15 +172,8 @@ impl Sequence {
         usize::from(self.kind == Kind::Cut && n >= self.frames / 2)
     }
 
-    /// Whether frame `n` shows the same scene from the same camera as the previous one, so that colours seen at a pixel remain valid.
-    #[must_use]
-    pub fn is_still(&self, n: u32) -> bool {
-        self.kind != Kind::Moving && !(self.kind == Kind::Cut && n == self.frames / 2)
-    }
-
     /// Pixels of the side view that are hidden from the camera, whose disparity is `here`.
-    #[must_use]
-    pub fn uncovered(&self, here: &DisparityMap, side: &DisparityMap) -> Vec<bool> {
+    fn uncovered(&self, here: &DisparityMap, side: &DisparityMap) -> Vec<bool> {
         let (w, shift) = (side.width as usize, self.camera.intrinsics.fx * self.side_offset);
         let hidden = |(i, delta): (usize, &f32)| {
             // position of the same point in the frame; check both neighbours, because it lies between two pixels
@@ -234,27 +225,6 @@ impl Sequence {
         let at = |dx: u32, dy: u32| p.at((x0 + dx).min(p.width - 1), (y0 + dy).min(p.height - 1)).map(f64::from);
         let (a, b, c, d) = (at(0, 0), at(1, 0), at(0, 1), at(1, 1));
         std::array::from_fn(|i| (a[i] * (1.0 - fx) + b[i] * fx) * (1.0 - fy) + (c[i] * (1.0 - fx) + d[i] * fx) * fy)
-    }
-}
-
-/// What the camera has seen of a sequence so far.
-#[derive(Debug, Default)]
-pub struct SeenSurfaces {
-    /// Disparity of the farthest surface seen at each pixel.
-    farthest: Option<DisparityMap>,
-}
-
-impl SeenSurfaces {
-    /// Adds frame `n`. Returns the pixels of the side view that the camera does not see in this frame, but has seen before.
-    #[must_use]
-    pub fn add(&mut self, sequence: &Sequence, n: u32, shot: &Shot) -> Vec<bool> {
-        let Some(farthest) = self.farthest.as_mut().filter(|_| sequence.is_still(n)) else {
-            self.farthest = Some(shot.delta.clone());
-            return vec![false; shot.uncovered.len()];
-        };
-        farthest.delta.iter_mut().zip(&shot.delta.delta).for_each(|(far, now)| *far = far.min(*now));
-        let never = sequence.uncovered(farthest, &shot.side_delta);
-        shot.uncovered.iter().zip(never).map(|(uncovered, never)| *uncovered && !never).collect()
     }
 }
 
@@ -315,26 +285,6 @@ mod tests {
         let near = a.delta.delta.iter().filter(|d| (**d - OBJECT as f32).abs() < 1e-6).count() as f64 / (160.0 * 120.0);
         assert!((0.08..0.2).contains(&near), "{near}");
         assert_ne!(a.clean, a.side_view);
-    }
-
-    #[test]
-    fn only_uncovered_pixels_can_be_seen_before() {
-        let s = Sequence::new(Kind::Still, 900_101, (160, 120), 150, 0.03);
-        let mut seen = SeenSurfaces::default();
-        let counts: Vec<[usize; 2]> = (0..150)
-            .map(|n| {
-                let shot = s.shot(n);
-                let again = seen.add(&s, n, &shot);
-                assert!(again.iter().zip(&shot.uncovered).all(|(again, uncovered)| !again || *uncovered), "frame {n}");
-                [&again, &shot.uncovered].map(|of| of.iter().filter(|p| **p).count())
-            })
-            .collect();
-        assert_eq!(counts[0][0], 0, "nothing was seen before the first frame");
-        let last: [usize; 2] = std::array::from_fn(|i| counts[75..].iter().map(|c| c[i]).sum());
-        assert!(last[0] > 0 && last[0] < last[1], "{last:?}");
-        let moving = Sequence::new(Kind::Moving, 900_101, (64, 48), 4, 0.03);
-        let mut seen = SeenSurfaces::default();
-        assert!((0..4).all(|n| !seen.add(&moving, n, &moving.shot(n)).contains(&true)));
     }
 
     #[test]

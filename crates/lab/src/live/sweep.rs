@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use super::{Figures, LiveBenchError, Settings, run};
+use super::{LiveBenchError, Row, Settings, run};
 use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
 
 /// Settings of a point.
@@ -12,8 +12,8 @@ use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
 pub struct OperatingPoint {
     /// Size of the frames.
     pub size: (u32, u32),
-    /// H.264 bits per second; `None`: JPEG frames.
-    pub bitrate: Option<u32>,
+    /// H.264 bits per second.
+    pub bitrate: u32,
     /// Milliseconds that the geometry of a frame may take; 0: no limit.
     pub budget_ms: f64,
 }
@@ -26,7 +26,7 @@ pub struct Point {
     pub at: OperatingPoint,
     /// Results.
     #[serde(flatten)]
-    pub figures: Figures,
+    pub row: Row,
 }
 
 /// All sequences at all operating points.
@@ -44,7 +44,7 @@ pub struct Points {
     pub seconds: f64,
 }
 
-/// Measures all sequences at each point, and calls `progress` for each. Writes no pictures or streams.
+/// Measures all sequences at each point, and calls `progress` for each.
 ///
 /// # Errors
 /// [`LiveBenchError`].
@@ -52,10 +52,10 @@ pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&st
     let start = std::time::Instant::now();
     let (mut points, mut skipped) = (Vec::new(), Vec::new());
     for &at in at {
-        let settings = Settings { size: at.size, bitrate: at.bitrate, frame_ms: at.budget_ms, files: None, ..settings.clone() };
-        let results = run(&settings, &|what| progress(&format!("{what}, {at}")))?;
-        points.extend(results.rows.into_iter().map(|figures| Point { at, figures }));
-        skipped = results.skipped;
+        let settings = Settings { size: at.size, bitrate: at.bitrate, frame_ms: at.budget_ms, ..settings.clone() };
+        let (rows, without) = run(&settings, &|what| progress(&format!("{what}, {at}")))?;
+        points.extend(rows.into_iter().map(|row| Point { at, row }));
+        skipped = without;
     }
     Ok(Points { machine: Machine::this(), frames: settings.frames, points, skipped, seconds: start.elapsed().as_secs_f64() })
 }
@@ -63,50 +63,73 @@ pub fn measure(settings: &Settings, at: &[OperatingPoint], progress: &dyn Fn(&st
 impl std::fmt::Display for OperatingPoint {
     /// Formats the point as command-line options.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "--size {}x{}", self.size.0, self.size.1)?;
-        match self.bitrate {
-            Some(bitrate) => write!(f, " --bitrate {bitrate}")?,
-            None => write!(f, " --codec jpeg")?,
-        }
+        write!(f, "--size {}x{} --bitrate {}", self.size.0, self.size.1, self.bitrate)?;
         if self.budget_ms > 0.0 { write!(f, " --budget-ms {}", self.budget_ms) } else { Ok(()) }
     }
 }
 
-/// Column of the table: name, width, and contents.
-type Column = (&'static str, usize, fn(&Point) -> String);
-const COLUMNS: [Column; 14] = [
-    ("sequence", 20, |p| p.figures.sequence.into()),
-    ("size", 11, |p| format!("{}x{}", p.at.size.0, p.at.size.1)),
-    ("target kbit/s", 14, |p| p.at.bitrate.map_or_else(|| "jpeg".into(), |b| format!("{}", b / 1000))),
-    ("budget ms", 10, |p| if p.at.budget_ms > 0.0 { p.at.budget_ms.to_string() } else { "none".into() }),
-    ("server ms", 10, |p| format!("{:.1}", p.figures.server_ms)),
-    ("p95", 7, |p| format!("{:.1}", p.figures.server_ms_p95)),
-    ("PSNR", 7, |p| format!("{:.2}", p.figures.psnr)),
-    ("SSIM", 7, |p| format!("{:.3}", p.figures.ssim)),
-    ("flicker", 8, |p| format!("{:.3}", p.figures.flicker)),
-    ("kbit/s", 7, |p| format!("{:.0}", p.figures.kbit_s)),
-    ("geometry", 9, |p| format!("{:.1} %", 100.0 * p.figures.geometry_share)),
-    ("unsent", 9, |p| format!("{:.1} %", 100.0 * p.figures.left_out)),
-    ("late", 7, |p| format!("{:.1} %", 100.0 * (p.figures.waiting + p.figures.coarse))),
-    ("depth px", 9, |p| format!("{:.0}", p.figures.depth_pixels)),
+/// Figures in the table and on the page: heading, name, and digits.
+const FIGURES: [(&str, &str, usize); 11] = [
+    ("server ms", "server, ms", 1),
+    ("p95", "server, ms, 95th percentile", 1),
+    ("PSNR", "side view, dB", 2),
+    ("SSIM", "side view, SSIM", 3),
+    ("flicker", "flicker, levels", 3),
+    ("kbit/s", "total, kbit/s", 0),
+    ("geometry %", "geometry, % of total", 1),
+    ("unsent %", "tiles not sent, %", 1),
+    ("waiting %", "tiles late: waiting, %", 1),
+    ("coarse %", "tiles late: coarse, %", 1),
+    ("depth px", "depth network, pixels", 0),
 ];
 
 impl Points {
-    /// The results as a text table, with a line for each point and sequence.
+    /// The results as a text table: all figures with a column for each sequence, or some with a line for each if there are several points.
     #[must_use]
     pub fn table(&self) -> String {
-        let mut out = format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view\n", self.frames);
-        let mut line = |of: &dyn Fn(&Column) -> String| {
-            for (i, column) in COLUMNS.iter().enumerate() {
-                let width = column.1;
-                // writing to a String cannot fail
-                let _ = if i == 0 { write!(out, "{:<width$}", of(column)) } else { write!(out, "{:>width$}", of(column)) };
+        if self.points.iter().all(|p| p.at == self.points[0].at) { self.all_figures() } else { self.lines() }
+    }
+
+    fn all_figures(&self) -> String {
+        let mut names: Vec<&str> = Vec::new();
+        for (name, _) in self.points.iter().flat_map(|p| &p.row.figures) {
+            if !names.contains(&name.as_str()) {
+                names.push(name);
+            }
+        }
+        let mut out = self.points.first().map_or(String::new(), |p| format!("{}, {} frames\n", p.at, self.frames));
+        let mut line = |name: &str, of: &dyn Fn(&Row) -> String| {
+            // writing to a String cannot fail
+            let _ = write!(out, "{name:<36}");
+            for p in &self.points {
+                let _ = write!(out, "{:>22}", of(&p.row));
             }
             out.push('\n');
         };
-        line(&|c| c.0.into());
-        for p in &self.points {
-            line(&|c| c.2(p));
+        line("", &|row| row.sequence.into());
+        for name in names {
+            line(name, &|row| row.get(name).map_or(String::new(), |v| format!("{v:.3}")));
+        }
+        out
+    }
+
+    fn lines(&self) -> String {
+        let mut out = format!("{} frames per sequence; PSNR in dB, SSIM and flicker (levels) of the side view\n", self.frames);
+        let mut line = |sequence: &str, cells: Vec<String>| {
+            // writing to a String cannot fail
+            let _ = write!(out, "{sequence:<20}");
+            for cell in cells {
+                let _ = write!(out, "{cell:>12}");
+            }
+            out.push('\n');
+        };
+        let of_point = ["size", "target", "budget ms"];
+        line("sequence", of_point.into_iter().chain(FIGURES.map(|f| f.0)).map(String::from).collect());
+        for Point { at, row } in &self.points {
+            let budget = if at.budget_ms > 0.0 { at.budget_ms.to_string() } else { "none".into() };
+            let own = [format!("{}x{}", at.size.0, at.size.1), (at.bitrate / 1000).to_string(), budget];
+            let figures = FIGURES.map(|(_, name, digits)| row.get(name).map_or(String::new(), |v| format!("{v:.digits$}")));
+            line(row.sequence, own.into_iter().chain(figures).collect());
         }
         out
     }
@@ -115,22 +138,22 @@ impl Points {
     #[must_use]
     pub fn page(&self) -> String {
         let about = "Side views against the truth; means over the frames of one run of each sequence.";
-        let time = Axis { label: "server, ms per frame", log: true, up: Some(false) };
-        let bytes = Axis { label: "video, geometry and sound, kbit/s", log: true, up: Some(false) };
-        let plot = |id, title: &str, x, of: fn(&Figures) -> f64| {
-            let y = Axis { label: "PSNR, dB", log: false, up: Some(true) };
-            let mut e = Experiment { id, title: title.into(), about: about.into(), x, y, curves: self.curves(of) };
+        let time = Axis::new("server, ms per frame", true, Some(false));
+        let bytes = Axis::new("video, geometry and sound, kbit/s", true, Some(false));
+        let plot = |id: &str, title: &str, x: Axis, of: &str| {
+            let y = Axis::new("PSNR, dB", false, Some(true));
+            let mut e = Experiment { id: id.into(), title: title.into(), about: about.into(), x, y, curves: self.curves(of) };
             e.mark();
             e
         };
         crate::bench::html(&Results {
-            version: env!("CARGO_PKG_VERSION"),
+            version: env!("CARGO_PKG_VERSION").into(),
             machine: self.machine.clone(),
             subjects: vec![format!("rendered sequences of {} frames", self.frames)],
             repeats: 1,
             experiments: vec![
-                plot("room-time", "Rooms: error against run time", time, |f| f.server_ms),
-                plot("room-bytes", "Rooms: error against bytes", bytes, |f| f.kbit_s),
+                plot("room-time", "Rooms: error against run time", time, "server, ms"),
+                plot("room-bytes", "Rooms: error against bytes", bytes, "total, kbit/s"),
             ],
             costs: None,
             skipped: self.skipped.clone(),
@@ -139,23 +162,16 @@ impl Points {
     }
 
     /// A curve for each sequence and size.
-    pub(super) fn curves(&self, x: fn(&Figures) -> f64) -> Vec<Curve> {
+    fn curves(&self, x: &str) -> Vec<Curve> {
         let mut curves: Vec<Curve> = Vec::new();
-        for Point { at, figures: f } in &self.points {
-            let name = format!("{}, {}x{}", f.sequence, at.size.0, at.size.1);
+        for Point { at, row } in &self.points {
+            let name = format!("{}, {}x{}", row.sequence, at.size.0, at.size.1);
+            let of = |name: &str| row.get(name).unwrap_or_default();
             let point = Plotted {
                 setting: at.to_string(),
-                x: x(f),
-                y: f.psnr,
-                figures: vec![
-                    ("SSIM", f.ssim),
-                    ("flicker, levels", f.flicker),
-                    ("server, p95, ms", f.server_ms_p95),
-                    ("total, kbit/s", f.kbit_s),
-                    ("geometry, %", 100.0 * f.geometry_share),
-                    ("tiles not sent, %", 100.0 * f.left_out),
-                    ("tiles late, %", 100.0 * (f.waiting + f.coarse)),
-                ],
+                x: of(x),
+                y: of("side view, dB"),
+                figures: FIGURES.map(|(_, name, _)| (name.to_owned(), of(name))).into(),
                 ..Plotted::default()
             };
             match curves.iter_mut().find(|c| c.name == name) {
@@ -175,8 +191,11 @@ mod tests {
 
     fn points() -> Points {
         let point = |width, budget_ms, psnr| Point {
-            at: OperatingPoint { size: (width, 240), bitrate: Some(384_000), budget_ms },
-            figures: Figures { sequence: "still camera", psnr, server_ms: 12.0, kbit_s: 500.0, ..Figures::default() },
+            at: OperatingPoint { size: (width, 240), bitrate: 384_000, budget_ms },
+            row: Row {
+                sequence: "still camera",
+                figures: [("side view, dB", psnr), ("server, ms", 12.0), ("total, kbit/s", 500.0)].map(|(n, v)| (n.into(), v)).into(),
+            },
         };
         let points = vec![point(320, 0.0, 24.5), point(320, 10.0, 23.0), point(640, 0.0, 26.0)];
         Points { machine: Machine::this(), frames: 9, points, skipped: vec!["cut: a < b".into()], seconds: 1.0 }
@@ -188,12 +207,9 @@ mod tests {
         let lines: Vec<&str> = table.lines().skip(1).collect();
         assert_eq!(lines.len(), 4);
         assert!(lines[1].contains("none") && lines[2].contains(" 10 ") && lines[3].contains("640x240"));
-        assert!(COLUMNS.iter().all(|(name, width, _)| name.len() < *width));
-        let wide = Point {
-            at: OperatingPoint { size: (1920, 1080), bitrate: None, budget_ms: 1000.0 },
-            figures: Figures { sequence: "still camera, RGB-D", ..Figures::default() },
-        };
-        assert!(COLUMNS.iter().all(|(_, width, of)| of(&wide).len() <= *width));
+        assert!(FIGURES.iter().all(|f| f.0.len() < 12));
+        let one = Points { points: vec![points().points.remove(1)], ..points() }.table();
+        assert!(one.contains("--budget-ms 10, 9 frames") && one.contains("side view, dB") && one.contains("23.000"), "{one}");
     }
 
     #[test]
@@ -220,12 +236,11 @@ mod tests {
             seed: super::super::SEED,
             frames: 3,
             every: 1,
-            bitrate: None,
+            bitrate: 100_000,
             frame_ms: 0.0,
             views: 2,
             models,
             depth: false,
-            true_scale: false,
             max_error: tmpi_live::MAX_ERROR,
             parallax: 0.25,
             cooldown: tmpi_live::COOLDOWN,
@@ -235,17 +250,20 @@ mod tests {
             only: None,
             files: None,
         };
-        let at = |width, budget_ms| OperatingPoint { size: (width, 64), bitrate: None, budget_ms };
+        let at = |width, budget_ms| OperatingPoint { size: (width, 64), bitrate: 100_000, budget_ms };
         let found = measure(&settings, &[at(80, 0.0), at(96, 1e-3)], &|_| {}).unwrap();
         // without a depth network, only the sequence with measured depth runs
         assert_eq!(
-            found.points.iter().map(|p| (p.at.size.0, p.figures.sequence)).collect::<Vec<_>>(),
+            found.points.iter().map(|p| (p.at.size.0, p.row.sequence)).collect::<Vec<_>>(),
             [(80, "still camera, RGB-D"), (96, "still camera, RGB-D")]
         );
         assert_eq!(found.skipped.len(), 3);
-        let late = |i: usize| found.points[i].figures.waiting + found.points[i].figures.coarse;
+        let figure = |i: usize, name: &str| found.points[i].row.get(name).unwrap();
+        let late = |i: usize| figure(i, "tiles late: waiting, %") + figure(i, "tiles late: coarse, %");
         assert!(late(0) <= 0.0 && late(1) > 0.0, "{} {}", late(0), late(1));
+        let missing: Vec<&str> = FIGURES.iter().map(|f| f.1).filter(|name| found.points[0].row.get(name).is_none()).collect();
+        assert_eq!(missing, ["depth network, pixels"]);
         let json: serde_json::Value = serde_json::to_value(&found).unwrap();
-        assert!(json["points"][1]["budget_ms"] == 1e-3 && json["points"][0]["psnr"].is_number());
+        assert!(json["points"][1]["budget_ms"] == 1e-3 && json["points"][0]["figures"]["side view, dB"].is_number());
     }
 }

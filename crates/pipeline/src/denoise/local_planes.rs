@@ -186,23 +186,13 @@ mod tests {
         DisparityMap { width: w, height: h, delta: delta.collect() }
     }
 
-    /// Normal deviates as sums of twelve uniform ones (`SplitMix64`).
+    /// Normal deviates as sums of twelve uniform ones.
     fn noise(i: usize) -> f32 {
-        let even = |k: u64| {
-            let z = (i as u64 * 12 + k + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
-        };
-        (0..12).map(even).sum::<f32>() - 6.0
+        (0..12).map(|k| tmpi_testing::pictures::noise(i as u32, k)).sum::<f32>() - 6.0
     }
 
     fn with_noise(map: &DisparityMap, deviation: f32) -> DisparityMap {
         DisparityMap { delta: map.delta.iter().enumerate().map(|(i, d)| (d + deviation * noise(i)).clamp(0.0, 1.0)).collect(), ..*map }
-    }
-
-    fn error(a: &DisparityMap, b: &DisparityMap) -> f32 {
-        a.delta.iter().zip(&b.delta).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.delta.len() as f32
     }
 
     #[test]
@@ -215,30 +205,6 @@ mod tests {
             let got = Degradation::of(&with_noise(&map, deviation)).noise;
             assert!((got / deviation - 1.0).abs() < 0.15, "{deviation}: {got}");
         }
-    }
-
-    #[test]
-    fn noise_is_removed_and_the_step_stays() {
-        let map = clean(160, 120);
-        for deviation in [0.01, 0.0316] {
-            let dirty = with_noise(&map, deviation);
-            let got = denoise(&dirty);
-            assert!(error(&got, &map) < 0.12 * error(&dirty, &map), "{} of {}", error(&got, &map), error(&dirty, &map));
-            let row = &got.delta[60 * 160..61 * 160];
-            assert!(row[80] - row[79] > 0.4, "{} {}", row[79], row[80]);
-        }
-    }
-
-    #[test]
-    fn outliers_are_removed_and_nothing_else_changes() {
-        let map = clean(100, 80);
-        let mut dirty = map.clone();
-        for i in (0..dirty.delta.len()).step_by(83) {
-            dirty.delta[i] = 1.0 - dirty.delta[i];
-        }
-        assert!(Degradation::of(&dirty).outliers > SPOTTED);
-        let got = denoise(&dirty);
-        assert!(got.delta.iter().zip(&map.delta).all(|(a, b)| (a - b).abs() < 0.02));
     }
 
     #[test]
@@ -280,15 +246,6 @@ mod tests {
             }
             let want = (a[0][3] / a[0][0]).clamp(0.0, 1.0);
             assert!((f64::from(got[y * w + x]) - want).abs() < 1e-4, "({x}, {y}): {} {want}", got[y * w + x]);
-        }
-    }
-
-    #[test]
-    fn the_smallest_maps_can_be_cleaned() {
-        for (w, h) in [(1, 1), (1, 50), (50, 1), (3, 3)] {
-            let map = with_noise(&clean(w, h), 0.05);
-            let got = denoise(&map);
-            assert!(got.delta.len() == map.delta.len() && got.delta.iter().all(|v| (0.0..=1.0).contains(v)));
         }
     }
 }

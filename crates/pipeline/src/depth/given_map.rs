@@ -313,11 +313,10 @@ mod tests {
     }
 
     use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb};
+    use tmpi_testing::pictures::encoded;
 
     fn png(image: impl Into<DynamicImage>) -> Vec<u8> {
-        let mut out = Cursor::new(Vec::new());
-        image.into().write_to(&mut out, ImageFormat::Png).unwrap();
-        out.into_inner()
+        encoded(image, ImageFormat::Png)
     }
 
     fn wide(w: u32, h: u32, f: impl Fn(u32, u32) -> u16) -> Vec<u8> {
@@ -424,11 +423,6 @@ mod tests {
         let grey = ImageBuffer::from_fn(40, 4, |x, _| Luma([value(x)]));
         let rgb = ImageBuffer::from_fn(40, 4, |x, _| Rgb([value(x); 3]));
         let clear = ImageBuffer::from_fn(40, 4, |x, _| image::Rgba([value(x), value(x), value(x), 255 - value(x)]));
-        let written = |image: DynamicImage, format| {
-            let mut out = Cursor::new(Vec::new());
-            image.write_to(&mut out, format).unwrap();
-            out.into_inner()
-        };
         let profiled = |image: DynamicImage, profile: moxcms::ColorProfile| {
             let mut out = Cursor::new(Vec::new());
             image.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 100)).unwrap();
@@ -439,7 +433,7 @@ mod tests {
             profiled(grey.into(), moxcms::ColorProfile::new_gray_with_gamma(1.0)),
             profiled(rgb.into(), moxcms::ColorProfile::new_bt2020()),
             png(clear.clone()),
-            written(clear.into(), ImageFormat::WebP),
+            encoded(clear, ImageFormat::WebP),
         ];
         for (i, file) in files.iter().enumerate() {
             let got = from_map(file, DepthKind::Disparity, 40, 4).unwrap();

@@ -103,6 +103,20 @@ pub trait Estimator: Send + Sync {
     }
 }
 
+/// A function of the photo, and its name.
+impl<F> Estimator for (&'static str, F)
+where
+    F: Fn(&Photo) -> Result<DisparityMap, DepthError> + Send + Sync,
+{
+    fn name(&self) -> &str {
+        self.0
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        (self.1)(photo)
+    }
+}
+
 /// Result of an [`Estimator`].
 #[derive(Clone, Debug)]
 pub struct Estimate {

@@ -135,60 +135,6 @@ fn solve(v: [f64; 6], epsilon: f64, c: [f64; 3]) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    fn noise(i: usize, seed: usize) -> f32 {
-        ((i.wrapping_mul(2_654_435_761).wrapping_add(seed * 40_503) >> 7) % 1000) as f32 / 1000.0
-    }
-
-    /// The model by its definition: sums over each window in `f64`, Gaussian elimination.
-    fn by_definition(guide: &[[f32; 3]], delta: &[f32], (w, h): (usize, usize), r: usize, epsilon: f64) -> Vec<[f64; 4]> {
-        let window = |i: usize| {
-            let (x, y) = (i % w, i / w);
-            (y.saturating_sub(r)..(y + r + 1).min(h))
-                .flat_map(move |yy| (x.saturating_sub(r)..(x + r + 1).min(w)).map(move |xx| yy * w + xx))
-        };
-        let fitted: Vec<[f64; 4]> = (0..w * h)
-            .map(|i| {
-                let n = window(i).count() as f64;
-                let m: [f64; 3] = std::array::from_fn(|c| window(i).map(|j| f64::from(guide[j][c])).sum::<f64>() / n);
-                let d = window(i).map(|j| f64::from(delta[j])).sum::<f64>() / n;
-                let mut a = [[0f64; 4]; 3];
-                for (p, row) in a.iter_mut().enumerate() {
-                    for q in 0..3 {
-                        row[q] = window(i).map(|j| (f64::from(guide[j][p]) - m[p]) * (f64::from(guide[j][q]) - m[q])).sum::<f64>() / n;
-                    }
-                    row[p] += epsilon;
-                    row[3] = window(i).map(|j| (f64::from(guide[j][p]) - m[p]) * (f64::from(delta[j]) - d)).sum::<f64>() / n;
-                }
-                for p in 0..3 {
-                    for q in 0..3 {
-                        if p != q {
-                            let f = a[q][p] / a[p][p];
-                            let pivot = a[p];
-                            for k in 0..4 {
-                                a[q][k] -= f * pivot[k];
-                            }
-                        }
-                    }
-                }
-                let s: [f64; 3] = std::array::from_fn(|p| a[p][3] / a[p][p]);
-                [s[0], s[1], s[2], d - (0..3).map(|c| s[c] * m[c]).sum::<f64>()]
-            })
-            .collect();
-        (0..w * h).map(|i| std::array::from_fn(|k| window(i).map(|j| fitted[j][k]).sum::<f64>() / window(i).count() as f64)).collect()
-    }
-
-    #[test]
-    fn the_model_agrees_with_its_definition_in_f64() {
-        for (w, h, r) in [(23, 17, 3), (1, 40, 2), (40, 1, 5), (5, 5, 9)] {
-            let guide: Vec<[f32; 3]> = (0..w * h).map(|i| std::array::from_fn(|c| noise(i, c + 1))).collect();
-            let delta: Vec<f32> = (0..w * h).map(|i| 0.5 * guide[i][1] + 0.5 * noise(i, 9)).collect();
-            let got = fit(&guide, &delta, (w, h), r, EPSILON);
-            let want = by_definition(&guide, &delta, (w, h), r, EPSILON);
-            let worst = got.iter().zip(&want).flat_map(|(a, b)| (0..4).map(|k| (f64::from(a[k]) - b[k]).abs())).fold(0.0, f64::max);
-            assert!(worst < 2e-4, "{w}×{h}: {worst}");
-        }
-    }
-
     #[test]
     fn photos_of_one_colour_only_smooth_the_map() {
         for colour in [[0; 3], [255; 3], [17, 200, 90]] {

@@ -148,20 +148,6 @@ mod tests {
     }
 
     #[test]
-    fn bytes_equal_those_of_64_bit_sums_over_the_whole_line() {
-        for (from, to) in [((97, 61), (32, 48)), ((40, 33), (81, 70)), ((50, 50), (50, 21)), ((50, 50), (13, 50)), ((31, 7), (31, 7))] {
-            for filter in [Filter::Cubic, Filter::Triangle, Filter::Lanczos3] {
-                let source = noise(from.0, from.1, 7);
-                assert_eq!(
-                    resample_bytes(&source, from, to, filter),
-                    reference(&source, from, to, filter),
-                    "{from:?} to {to:?}, {filter:?}"
-                );
-            }
-        }
-    }
-
-    #[test]
     fn a_pass_differs_from_double_precision_only_by_rounding() {
         let source = noise(3001, 1, 3);
         let line: Vec<u8> = source.iter().map(|p| p[1]).collect();
@@ -203,17 +189,13 @@ mod tests {
         }
 
         #[test]
-        fn any_sizes_agree_with_64_bit_sums(w in 1u32..24, h in 1u32..24, to_w in 1u32..24, to_h in 1u32..24, seed in any::<u32>()) {
-            let source = noise(w, h, seed);
-            for filter in [Filter::Cubic, Filter::Triangle] {
+        fn any_sizes_agree_with_64_bit_sums_over_the_whole_line(
+            w in 1u32..50, h in 1u32..50, to_w in prop::option::of(1u32..50), to_h in prop::option::of(1u32..50), seed in any::<u32>(),
+        ) {
+            let (source, to_w, to_h) = (noise(w, h, seed), to_w.unwrap_or(w), to_h.unwrap_or(h));
+            for filter in [Filter::Cubic, Filter::Triangle, Filter::Lanczos3] {
                 prop_assert_eq!(resample_bytes(&source, (w, h), (to_w, to_h), filter), reference(&source, (w, h), (to_w, to_h), filter));
             }
-        }
-
-        #[test]
-        fn resampling_to_the_same_size_changes_nothing(w in 1u32..24, h in 1u32..24, seed in any::<u32>()) {
-            let source = noise(w, h, seed);
-            prop_assert_eq!(resample_bytes(&source, (w, h), (w, h), Filter::Cubic), source);
         }
     }
 }

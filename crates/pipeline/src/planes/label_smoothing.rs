@@ -113,60 +113,8 @@ mod tests {
         assert!(changes(&labels) * 4 < before, "{} of {before}", changes(&labels));
     }
 
-    /// Iterated conditional modes by definition, in `f64`: pixel by pixel, in several passes, each pixel takes the cheapest of its own
-    /// label and those of its four neighbours. A label costs its squared error in units of the target, plus `neighbour` for each of the
-    /// eight neighbours with another label. The error of a new label is at most the target.
-    fn by_definition(s: &Samples, planes: &[Plane], labels: &mut [u8], target: f64, neighbour: f64) {
-        let (w, h) = (s.width, labels.len() / s.width);
-        let error = |i: usize, l: u8| {
-            (planes[usize::from(l)].disparity(f64::from(s.us()[i]), f64::from(s.vs()[i])) - f64::from(s.deltas()[i])).abs() / target
-        };
-        for _ in 0..PASSES {
-            for i in 0..labels.len() {
-                let (x, y) = (i % w, i / w);
-                let others = |l: u8, labels: &[u8]| {
-                    let near = |j: &usize| *j != i && (j % w).abs_diff(x) <= 1 && (j / w).abs_diff(y) <= 1;
-                    (0..labels.len()).filter(near).filter(|j| labels[*j] != l).count() as f64
-                };
-                let cost = |l: u8, labels: &[u8]| error(i, l).powi(2) + neighbour * others(l, labels);
-                let up_down = [(y > 0).then(|| i - w), (y + 1 < h).then(|| i + w)];
-                let left_right = [(x > 0).then(|| i - 1), (x + 1 < w).then(|| i + 1)];
-                let mut best = labels[i];
-                for j in up_down.into_iter().chain(left_right).flatten() {
-                    let l = labels[j];
-                    if error(i, l) <= 1.0 && cost(l, labels) < cost(best, labels) {
-                        best = l;
-                    }
-                }
-                labels[i] = best;
-            }
-        }
-    }
-
-    /// Multiples of 1/64.
-    fn sixty_fourths(range: std::ops::Range<i32>) -> impl Strategy<Value = f64> {
-        range.prop_map(|v| f64::from(v) / 64.0)
-    }
-
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(96))]
-
-        /// All numbers are exact in `f32`, so rounding decides no label and both results are equal.
-        #[test]
-        fn labels_match_the_definition(
-            (width, height) in (1usize..40, 1usize..12),
-            planes in prop::collection::vec([sixty_fourths(0..64), sixty_fourths(-8..8), sixty_fourths(-8..8)], 2..5),
-            values in prop::collection::vec(sixty_fourths(0..64), 40 * 12), patch in 1usize..9, bits in 0i32..6, weight in 1u8..16,
-        ) {
-            let planes: Vec<Plane> = planes.into_iter().map(|[a, b, c]| Plane { a, b, c }).collect();
-            let s = samples(width, |i| values[i] as f32, width * height);
-            let (target, neighbour) = (0.5f64.powi(bits), f32::from(weight) / 16.0);
-            let mut got: Vec<u8> = (0..width * height).map(|i| ((i % width / patch + i / width / patch) % planes.len()) as u8).collect();
-            let mut want = got.clone();
-            smooth_labels(&s, &planes, &mut got, target, neighbour);
-            by_definition(&s, &planes, &mut want, target, neighbour.into());
-            prop_assert_eq!(got, want);
-        }
 
         #[test]
         fn no_error_grows_beyond_the_target(

@@ -18,7 +18,7 @@ pub(crate) use k_planes::fit_points;
 pub use label_smoothing::{NEIGHBOUR_COST, smooth_labels};
 pub use sample::Samples;
 pub(crate) use sample::percentile_99;
-use tmpi_core::{DisparityMap, Grid, Plane, Rect, Tile};
+use tmpi_core::{DisparityMap, Grid, Plane, Tile};
 pub use warm_start::{place_again, place_tile_from};
 
 /// Most planes per tile: labels are bytes, and renderers sort only a few layers per tile.
@@ -244,26 +244,6 @@ pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32
     });
     let (ghosts, all) = counts.reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
     ghosts as f64 / all.max(1) as f64
-}
-
-/// Disagreement of horizontally or vertically adjacent tiles: mean |δ − δ′| over the pixels that both contain, over all pairs of tiles; 0
-/// if none overlap.
-#[must_use]
-pub fn overlap_disagreement(grid: &Grid, tiles: &[Tile]) -> f64 {
-    let shown: Vec<Vec<f32>> = tiles.par_iter().enumerate().map(|(i, t)| t.disparities(grid, i as u32)).collect();
-    let columns = grid.columns() as usize;
-    let pair = |(i, j): (usize, usize)| {
-        let (a, b) = (grid.rect(i as u32), grid.rect(j as u32));
-        let (x0, y0) = (a.x.max(b.x), a.y.max(b.y));
-        let (x1, y1) = ((a.x + a.w).min(b.x + b.w), (a.y + a.h).min(b.y + b.h));
-        let at = |r: &Rect, tile: usize, x: u32, y: u32| f64::from(shown[tile][((y - r.y) * r.w + x - r.x) as usize]);
-        let both = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (x, y)));
-        both.fold((0.0, 0u64), |(sum, n), (x, y)| (sum + (at(&a, i, x, y) - at(&b, j, x, y)).abs(), n + 1))
-    };
-    let beside = (0..tiles.len()).filter(|i| (i + 1) % columns != 0).map(|i| (i, i + 1));
-    let below = (0..tiles.len().saturating_sub(columns)).map(|i| (i, i + columns));
-    let (sum, n) = beside.chain(below).map(pair).fold((0.0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
-    if n > 0 { sum / n as f64 } else { 0.0 }
 }
 
 #[cfg(test)]

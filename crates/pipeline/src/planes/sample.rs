@@ -58,11 +58,6 @@ impl Samples {
         self.weight.push(if known { usable_weight(weight) } else { 0.0 });
     }
 
-    #[cfg(test)]
-    pub(super) fn settle_weights_for_test(&mut self) {
-        self.settle_weights();
-    }
-
     fn settle_weights(&mut self) {
         if self.weight.iter().all(|&w| w == 0.0) {
             self.weight.fill(1.0);

@@ -1,5 +1,3 @@
-use proptest::prelude::*;
-
 use super::*;
 
 fn samples(width: usize, deltas: &[f32], weights: Option<&[f32]>) -> Samples {
@@ -10,7 +8,6 @@ fn samples(width: usize, deltas: &[f32], weights: Option<&[f32]>) -> Samples {
         let (x, y) = (i % width, i / width);
         s.push(2.0 * (x as f32 + 0.5) / width as f32 - 1.0, 2.0 * (y as f32 + 0.5) / h as f32 - 1.0, d, weights.map_or(1.0, |w| w[i]));
     }
-    s.settle_weights_for_test();
     s
 }
 
@@ -18,10 +15,6 @@ const METHODS: [Method; 4] = [Method::Linear, Method::Lloyd, Method::Optimal, Me
 
 fn place_n(s: &Samples, method: Method, n: u32) -> Tile {
     place_tile(s, &Placement::fixed(method, n))
-}
-
-fn cost(s: &Samples, p: &[Plane]) -> f64 {
-    s.assign(p, &mut Vec::new(), &mut Vec::new())
 }
 
 #[test]
@@ -72,121 +65,6 @@ fn low_confidence_suppresses_an_outlier() {
         let p = place_n(&samples(64, &d, Some(&w)), m, 1).planes[0];
         assert!((p.disparity(0.0, 0.0) - 0.2).abs() < 1e-4, "{m:?}: {p:?}");
     }
-}
-
-/// Name, width, disparities, weights.
-type Case = (&'static str, usize, Vec<f32>, Option<Vec<f32>>);
-
-#[test]
-fn extreme_tiles_get_finite_planes_that_fit() {
-    let n = 4096;
-    let mut cases: Vec<Case> = vec![
-        ("1e-7 apart", 64, (0..n).map(|i| if i % 2 == 0 { 0.5 } else { 0.5 + 1e-7 }).collect(), None),
-        ("1e-8 and 1", 64, (0..n).map(|i| if i % 2 == 0 { 1e-8 } else { 1.0 }).collect(), None),
-        ("one outlier", 64, (0..n).map(|i| if i == 99 { 1.0 } else { 0.1 }).collect(), None),
-        ("no confidence", 64, (0..n).map(|i| (i % 7) as f32 / 7.0).collect(), Some(vec![0.0; n])),
-        ("NaN, Inf, negative", 64, (0..n).map(|i| [0.3, f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -0.5][i % 5]).collect(), None),
-        ("all NaN", 64, vec![f32::NAN; n], None),
-        ("NaN weights", 64, (0..n).map(|i| (i % 3) as f32 / 3.0).collect(), Some(vec![f32::NAN; n])),
-        (
-            "weights 1 : 1e4",
-            64,
-            (0..n).map(|i| (i % 9) as f32 / 9.0).collect(),
-            Some((0..n).map(|i| if i % 2 == 0 { 1.0 } else { 1e4 }).collect()),
-        ),
-        ("huge", 64, (0..n).map(|i| if i == 3 { f32::MAX } else { 0.5 }).collect(), None),
-    ];
-    cases.push(("1x1", 1, vec![0.7], None));
-    cases.push(("1xN", 1, (0..64).map(|i| i as f32 / 64.0).collect(), None));
-    cases.push(("Nx1", 64, (0..64).map(|i| i as f32 / 64.0).collect(), None));
-    for (name, width, d, w) in cases {
-        let s = samples(width, &d, w.as_deref());
-        let of = |value: &dyn Fn(usize) -> f64| (0..s.len()).map(|i| f64::from(s.weights()[i]) * value(i)).sum::<f64>();
-        let flat = cost(&s, &[Plane::fronto_parallel(of(&|i| s.deltas()[i].into()) / of(&|_| 1.0))]);
-        for m in METHODS {
-            for n in [1, 2, 4, 64] {
-                let t = place_n(&s, m, n);
-                assert!(!t.planes.is_empty() && t.planes.len() <= n as usize, "{name} {m:?}");
-                assert!(t.planes.iter().all(Plane::is_finite), "{name} {m:?}: {:?}", t.planes);
-                assert!(t.labels.iter().all(|&l| (l as usize) < t.planes.len()), "{name} {m:?}");
-                // linear planes ignore the distribution of values; all others are no worse than one plane at the mean
-                let got = cost(&s, &t.planes);
-                assert!(m == Method::Linear || got <= flat * 1.01 + 1e-6, "{name} {m:?} {n}: {got}, not {flat}");
-            }
-        }
-    }
-}
-
-/// Compares the result with the best split between bins, and with the best split of all by the documented bound.
-fn compare_with_all_splits(d: &mut [f32], n: usize) -> Result<(), TestCaseError> {
-    let s = samples(d.len(), d, None);
-    let got = cost(&s, &exact_k_means::Table::new(&s, n).centres(n).into_iter().map(Plane::fronto_parallel).collect::<Vec<_>>());
-    d.sort_by(f32::total_cmp);
-    let d: Vec<f64> = d.iter().copied().map(f64::from).collect();
-    let scale = 256.0 / (d[d.len() - 1] - d[0]);
-    let bin = |x: f64| (((x - d[0]) * scale) as usize).min(255);
-    let sse = |p: &[f64]| {
-        let m = p.iter().sum::<f64>() / p.len() as f64;
-        p.iter().map(|x| (x - m).powi(2)).sum::<f64>()
-    };
-    let best = |ends: &[usize]| {
-        let mut best = sse(&d);
-        for (k, &i) in ends.iter().enumerate() {
-            best = best.min(sse(&d[..i]) + sse(&d[i..]));
-            for &j in &ends[if n == 3 { k + 1 } else { ends.len() }..] {
-                best = best.min(sse(&d[..i]) + sse(&d[i..j]) + sse(&d[j..]));
-            }
-        }
-        best
-    };
-    let all: Vec<usize> = (1..d.len()).collect();
-    let between: Vec<usize> = all.iter().copied().filter(|&i| bin(d[i - 1]) < bin(d[i])).collect();
-    let binned = best(&between);
-    prop_assert!(got <= binned + 1e-6, "{got} > {binned}");
-    let (exact, within) = (best(&all), d.chunk_by(|a, b| bin(*a) == bin(*b)).map(sse).sum::<f64>());
-    let bound = (exact.sqrt() + within.sqrt()).powi(2) + within;
-    prop_assert!(got <= bound + 1e-6, "{got} > {bound} of {exact}");
-    Ok(())
-}
-
-#[test]
-fn the_optimal_split_does_not_divide_a_bin() {
-    compare_with_all_splits(&mut [0.778_965_83, 0.0, 0.776_459_34], 3).expect("the bins' optimum");
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
-
-    /// Compares dynamic programming with all splits between bins, in `f64`.
-    #[test]
-    fn optimal_is_optimal(mut d in prop::collection::vec(0f32..1.0, 3..12), n in 2usize..4) {
-        compare_with_all_splits(&mut d, n)?;
-    }
-
-    #[test]
-    fn optimal_costs_no_more_than_the_others(d in prop::collection::vec(0f32..1.0, 256)) {
-        let s = samples(16, &d, None);
-        let c = |m| cost(&s, &place_n(&s, m, 4).planes);
-        prop_assert!(c(Method::Optimal) <= c(Method::Lloyd) * 1.01 + 1e-6);
-        prop_assert!(c(Method::Optimal) <= c(Method::Linear) * 1.01 + 1e-6);
-    }
-}
-
-#[test]
-fn overlap_disagreement_is_the_mean_difference_of_shared_pixels() {
-    let grid = Grid::new(150, 64, 64);
-    let tile =
-        |i: u32, delta: f64| Tile { planes: vec![Plane::fronto_parallel(delta)], labels: vec![0; grid.rect(i).area()], background: None };
-    let (columns, pairs) = (grid.columns(), f64::from(grid.columns() - 1));
-    assert!(columns > 2 && grid.rows() == 1);
-    let flat: Vec<Tile> = (0..columns).map(|i| tile(i, 0.25)).collect();
-    assert!(overlap_disagreement(&grid, &flat) < 1e-9);
-    // only the first pair differs; all pairs share the same number of pixels
-    let mut one = flat;
-    one[0] = tile(0, 0.5);
-    let shared = |i: u32| grid.rect(i).x + grid.rect(i).w - grid.rect(i + 1).x;
-    assert!((0..columns - 1).all(|i| shared(i) == shared(0) && shared(0) > 0));
-    assert!((overlap_disagreement(&grid, &one) - 0.25 / pairs).abs() < 1e-6);
 }
 
 #[test]

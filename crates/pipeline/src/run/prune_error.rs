@@ -134,7 +134,7 @@ mod tests {
     use tmpi_core::{Grid, Intrinsics, Plane, Tile, ViewBox};
 
     /// A near square in front of a far wall of another colour.
-    fn scene(view_box: ViewBox) -> (Photo, Geometry) {
+    fn scene() -> (Photo, Geometry) {
         let near = |i: u32| (16..48).contains(&(i % 64)) && (16..48).contains(&(i / 64));
         let photo = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| if near(i) { [200, 20, 20] } else { [20, 90, 200] }).collect() };
         let tile = Tile {
@@ -145,7 +145,7 @@ mod tests {
         let geometry = Geometry {
             grid: Grid::new(64, 64, 64),
             intrinsics: Intrinsics::centred(64, 64, 100.0),
-            view_box,
+            view_box: ViewBox { x: 0.01, y: 0.01, z: 0.0 },
             tiles: vec![tile],
             matted: false,
         };
@@ -153,21 +153,8 @@ mod tests {
     }
 
     #[test]
-    fn pruned_texels_are_invisible_from_the_view_box() {
-        let (photo, geometry) = scene(ViewBox { x: 0.05, y: 0.03, z: 0.02 });
-        assert!(geometry.masks()[0].never_seen > 0);
-        assert_eq!(verify(&photo, &geometry).unwrap(), PruneError { max_abs: 0, share_off: 0.0, tiles: 1 });
-        let count = |b: &Geometry| cameras(&layers_of(&photo, b)).len();
-        assert_eq!(count(&geometry), 8 + 6);
-    }
-
-    fn layers_of(photo: &Photo, b: &Geometry) -> Scene {
-        compose(photo.clone(), b, texture(photo, b, b.masks()))
-    }
-
-    #[test]
     fn pruned_texels_are_missing_in_views_from_outside_the_box() {
-        let (photo, geometry) = scene(ViewBox { x: 0.01, y: 0.01, z: 0.0 });
+        let (photo, geometry) = scene();
         let all = texture(&photo, &geometry, geometry.masks_unpruned());
         let kept = vec![cut(&all[0], &geometry.masks()[0].layers)];
         let compose = |tiles| Arc::new(compose(photo.clone(), &geometry, tiles));

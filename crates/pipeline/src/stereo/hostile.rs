@@ -1,11 +1,11 @@
 //! Second pictures made to break their readers.
 
-use std::io::Cursor;
 use std::sync::Arc;
 
 use image::{ImageFormat, RgbImage};
 use proptest::prelude::*;
 use tmpi_testing::jpeg::{EYE, multi_picture};
+use tmpi_testing::pictures::encoded;
 
 use super::tests::{beside, spots};
 use super::*;
@@ -32,10 +32,7 @@ impl Estimator for Constant {
 }
 
 fn file(photo: &Photo, format: ImageFormat) -> Vec<u8> {
-    let image = RgbImage::from_vec(photo.width, photo.height, photo.rgb.as_flattened().to_vec()).unwrap();
-    let mut out = Cursor::new(Vec::new());
-    image.write_to(&mut out, format).unwrap();
-    out.into_inner()
+    encoded(RgbImage::from_vec(photo.width, photo.height, photo.rgb.as_flattened().to_vec()).unwrap(), format)
 }
 
 fn jpeg(photo: &Photo) -> Vec<u8> {

@@ -171,20 +171,6 @@ fn geometry(grid: Grid, planes: Vec<Plane>, labels: Vec<u8>) -> Geometry {
 }
 
 #[test]
-fn hidden_colour_comes_from_behind_only() {
-    // left half green at δ 0.2, right half red at δ 0.8; a layer at 0.2 below the red half must be green
-    let (w, h) = (64u32, 64u32);
-    let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 32 { [0, 200, 0] } else { [200, 0, 0] }).collect() };
-    let grid = Grid::new(w, h, 64);
-    let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.8)];
-    let b = geometry(grid, planes.clone(), (0..w * h).map(|i| u8::from(i % w >= 32)).collect());
-    let class: Vec<u8> = (0..w * h).map(|i| if i % w < 32 { Class::Photo } else { Class::Hidden } as u8).collect();
-    let colours = Inpainter::new(&photo, &b).fill(0, &planes[0], grid.rect(0), &class, &mut Pyramid::default());
-    assert_eq!(colours.len(), 32 * 64);
-    assert!(colours.iter().all(|c| *c == [0, 200, 0]));
-}
-
-#[test]
 fn without_sources_the_fill_is_the_mean_of_the_layers_rectangle() {
     let photo = Photo { width: 8, height: 8, rgb: (0..64).map(|i| if i % 8 < 4 { [90, 80, 70] } else { [110, 80, 75] }).collect() };
     let grid = Grid::new(8, 8, 64);

@@ -221,37 +221,3 @@ proptest! {
         }
     }
 }
-
-#[test]
-fn a_soft_outline_is_removed_from_the_background() {
-    // a dark square in front of a light wall, with an outline two pixels wide
-    let (width, height) = (100, 70);
-    let grid = Grid::new(width, height, 64);
-    let near = |x: u32, y: u32| (30..60).contains(&x) && (20..50).contains(&y);
-    let soft = |x: u32, y: u32| {
-        let off = |v: u32, from: u32, to: u32| if v < from { from - v } else { (v + 1).saturating_sub(to) };
-        [255, 170, 85, 0][off(x, 30, 60).max(off(y, 20, 50)).min(3) as usize]
-    };
-    let mix = |share: u32| [20u32, 30, 40].map(|c| ((c * share + 200 * (255 - share)) / 255) as u8);
-    let rgb: Vec<[u8; 3]> = (0..width * height).map(|i| mix(soft(i % width, i / width))).collect();
-    let tile = |t: u32| {
-        let r = grid.rect(t);
-        let labels = (0..r.area() as u32).map(|i| u8::from(near(r.x + i % r.w, r.y + i / r.w))).collect();
-        Tile { planes: [0.25, 0.75].map(Plane::fronto_parallel).to_vec(), labels, background: None }
-    };
-    let tiles = (0..grid.tiles()).map(tile).collect();
-    let (intrinsics, view_box) = (Intrinsics::centred(width, height, 60.0), ViewBox { x: 0.1, y: 0.1, z: 0.0 });
-    let (geometry, photo) = (Geometry { grid, intrinsics, view_box, tiles, matted: true }, Photo { width, height, rgb });
-    let all = texture(&photo, &geometry, geometry.masks());
-    for (i, stack) in stacks(&photo, &geometry, &all).iter().enumerate() {
-        let (x, y) = (i as u32 % width, i as u32 / width);
-        if near(x, y) {
-            continue;
-        }
-        let share = soft(x, y);
-        let back = stack.iter().find(|t| t.delta < 0.5).unwrap();
-        assert!(back.colour.iter().all(|c| c.abs_diff(200) <= 1), "pixel {i}: {:?}", back.colour);
-        let front: u32 = stack.iter().filter(|t| t.delta > 0.5).map(|t| u32::from(t.alpha)).max().unwrap_or(0);
-        assert!(front.abs_diff(share) <= 2, "pixel {i}: {front} for {share}");
-    }
-}

@@ -1,11 +1,10 @@
 //! Photos that carry depth, written as phones write them.
 
-use std::io::Cursor;
-
 use base64::Engine as _;
-use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
+use image::{GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use proptest::prelude::*;
 use tmpi_testing::jpeg::multi_picture;
+use tmpi_testing::pictures::encoded;
 
 use super::*;
 use crate::{Models, Options, Switch};
@@ -13,12 +12,6 @@ use tmpi_core::{DisparityMap, Photo};
 
 const W: u32 = 64;
 const H: u32 = 48;
-
-fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
-    let mut out = Cursor::new(Vec::new());
-    image.into().write_to(&mut out, format).unwrap();
-    out.into_inner()
-}
 
 fn photo() -> Vec<u8> {
     encoded(RgbImage::from_fn(W, H, |x, y| Rgb([(x * 3) as u8, (y * 4) as u8, 90])), ImageFormat::Jpeg)

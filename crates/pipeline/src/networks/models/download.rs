@@ -449,8 +449,8 @@ mod tests {
         assert!(matches!(c.fetch(Mood::Longer, Some(300_000)), Err(DownloadError::Size { want: 300_000, got: 300_001 })));
         assert!(matches!(c.fetch(Mood::Longer, None), Err(DownloadError::Corrupt { .. })));
         assert!(matches!(c.fetch(Mood::Refuses, None), Err(DownloadError::Status { status: 404, .. })));
-        let nobody = RemoteFile { url: "http://127.0.0.1:1/x", bytes: None, sha256: c.sha256 };
-        assert!(matches!(fetch(&nobody, &c.file(), |_, _| {}), Err(DownloadError::Http { .. })));
+        let unreachable = RemoteFile { url: "http://127.0.0.1:1/x", bytes: None, sha256: c.sha256 };
+        assert!(matches!(fetch(&unreachable, &c.file(), |_, _| {}), Err(DownloadError::Http { .. })));
         assert!(!c.file().exists());
     }
 

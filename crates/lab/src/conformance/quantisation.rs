@@ -1,16 +1,17 @@
-//! Hidden colours, and what the container rounds: planes to a grid, disparity to 16 bits, everything at the ends of its options.
+//! What the container rounds: planes to a grid, disparity to 16 bits, everything at the ends of its options.
 
 use std::sync::Arc;
 
-use super::photos::{Brightness, identity, made, rgb_png};
+use super::photos::{Brightness, identity, made};
+use super::scenes::own_camera;
 use super::views::{bound, wrong};
 use super::{Checked, Hosts, cast, cast_in_layer_order};
-use tmpi_core::{Camera, Class, DisparityMap, Plane, Pose, Scene, ViewBox};
-use tmpi_pipeline;
+use tmpi_core::{Camera, DisparityMap, Plane, Pose, Scene, ViewBox};
 use tmpi_pipeline::depth::{DepthKind, from_map, to_png};
 use tmpi_pipeline::photo::Limits;
-use tmpi_pipeline::{Denoise, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_pipeline::{Models, Options, PlaneCount, PlaneMethod, TileSize};
 use tmpi_render::{Cpu, Renderer};
+use tmpi_testing::pictures::waves;
 
 /// Layers a tile at most, as [`tmpi_pipeline::planes::MAX_PLANES`] and one behind them.
 const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
@@ -18,7 +19,6 @@ const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
 pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
     let models = Models { depth: Arc::new(Brightness), theta: None, psi: None };
     let make = |file: &[u8], options: &Options| made(&models, file, options);
-    fill(checked, make);
     rounding(checked, Plane::quantised);
     sixteen_bits(checked, |map| {
         let png = to_png(map).ok()?;
@@ -27,58 +27,8 @@ pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
     options(checked, make, hosts);
 }
 
-type Paint = fn(u32, u32) -> [u8; 3];
-
-/// A photo by its pixels, the least and greatest colour that may lie hidden in it, and how it is made.
-type Hidden = (&'static str, Paint, [[u8; 3]; 2], Options);
-
-/// Bright things lie in front of dark ones: what is hidden behind them has the colours of the dark ones. `kernel` makes a photo.
-fn fill(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>) {
-    const SIDE: u32 = 96;
-    const WALL: [u8; 3] = [40, 50, 30];
-    let wide = || Options { quality: 100, view_box: ViewBox { x: 0.1, y: 0.1, z: 0.1 }, ..Options::default() };
-    // where a step cleans the map, or planes spare one pixel in a hundred, no such pixel is left
-    let (planes, plane_method) = (PlaneCount::Fixed(2), PlaneMethod::Lloyd);
-    let exactly = Options { planes, plane_method, snap: Switch::Off, denoise: Denoise::Off, ..wide() };
-    let photos: [Hidden; 4] = [
-        (
-            "bright disc before a dark wall",
-            |x, y| if x.abs_diff(48).pow(2) + y.abs_diff(48).pow(2) < 400 { [250; 3] } else { WALL },
-            [WALL, WALL],
-            wide(),
-        ),
-        (
-            "bright bars before dark noise",
-            |x, y| if x % 24 < 10 { [255, 240, 250] } else { [(x * 7 + y * 13) as u8 % 60, (x * 5 + y) as u8 % 60, (y * 11) as u8 % 60] },
-            [[0; 3], [59; 3]],
-            wide(),
-        ),
-        // it touches what lies before it, so its colour counts as mixed and fills nothing
-        (
-            "background seen through one pixel",
-            |x, y| if (x, y) == (48, 48) { [20; 3] } else { [240, 250, 255] },
-            [[20; 3], [240, 250, 255]],
-            exactly,
-        ),
-        ("black and white at infinity and nearest", |x, _| if x < 48 { [255; 3] } else { [0; 3] }, [[0; 3], [0; 3]], wide()),
-    ];
-    for (name, paint, [least, most], options) in photos {
-        let rgb: Vec<u8> = (0..SIDE * SIDE).flat_map(|i| paint(i % SIDE, i / SIDE)).collect();
-        // the photo is carried as a lossy picture, which the colours come from: beside a bright disc it is 3 levels off
-        checked.case("filling", name, "pyramid", "levels off", 4.0, || {
-            let file = super::photos::png(SIDE, SIDE, &rgb, image::ExtendedColorType::Rgb8);
-            let Some(scene) = kernel(&file, &options) else { return f64::INFINITY };
-            let off = |p: &[u8; 3]| (0..3).map(|c| least[c].saturating_sub(p[c]).max(p[c].saturating_sub(most[c]))).max().unwrap_or(0);
-            // what is soft is the bright thing's foreground; where nothing is hidden, nothing is checked
-            let hidden = scene.texels.class.iter().zip(&scene.texels.alpha).filter(|(c, _)| **c == Class::Hidden as u8).map(|(_, a)| *a);
-            let behind = scene.texels.hidden.iter().zip(hidden).filter(|(_, alpha)| *alpha == u8::MAX).map(|(colour, _)| colour);
-            behind.map(off).max().map_or(f64::INFINITY, f64::from)
-        });
-    }
-}
-
 /// `kernel` brings a plane to the container's grid.
-fn rounding(checked: &mut Checked, kernel: impl Fn(&Plane) -> Plane) {
+pub(super) fn rounding(checked: &mut Checked, kernel: impl Fn(&Plane) -> Plane) {
     let coefficients: Vec<f64> = (0..400).map(|i| (i as f64 - 200.0) / 200.0 * 1.999).chain([0.0, -0.0, 1e-300, 1e-8, 1.0]).collect();
     checked.case("quantisation", "planes on the container's grid, anywhere on the tile", "planes", "δ", 1.5 * Plane::STEP, || {
         let off = |(a, b, c): (f64, f64, f64)| {
@@ -96,7 +46,7 @@ fn rounding(checked: &mut Checked, kernel: impl Fn(&Plane) -> Plane) {
 }
 
 /// `kernel` writes a map as a file and reads it.
-fn sixteen_bits(checked: &mut Checked, kernel: impl Fn(&DisparityMap) -> Option<DisparityMap>) {
+pub(super) fn sixteen_bits(checked: &mut Checked, kernel: impl Fn(&DisparityMap) -> Option<DisparityMap>) {
     checked.case("quantisation", "disparity as 16 bits and back", "depth map", "δ", 0.501 / 65_535.0, || {
         let delta: Vec<f32> = (0..4096).map(|i| (i as f32 / 4095.0).powi(3)).collect();
         let map = DisparityMap { width: 64, height: 64, delta };
@@ -114,17 +64,12 @@ fn expected(host: &dyn Renderer, options: &Options, scene: &Scene, camera: &Came
 fn moved(scene: &Scene) -> [Camera; 2] {
     let v = scene.view_box;
     let far = |e: f64| e.min(0.9);
-    [1.0, -1.0].map(|s| Camera {
-        pose: Pose::at(s * far(v.x), s * far(v.y), s * far(v.z)),
-        intrinsics: scene.intrinsics,
-        width: scene.photo.width,
-        height: scene.photo.height,
-    })
+    [1.0, -1.0].map(|s| own_camera(scene, Pose::at(s * far(v.x), s * far(v.y), s * far(v.z))))
 }
 
 /// The way and the container at both ends of every option. `kernel` makes a photo.
-fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>, hosts: &Hosts) {
-    let file = rgb_png(150, 100);
+pub(super) fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc<Scene>>, hosts: &Hosts) {
+    let file = waves(150, 100);
     let cpu = Cpu::default();
     let plain = Options::default;
     let all = [
@@ -171,35 +116,4 @@ fn options(checked: &mut Checked, kernel: impl Fn(&[u8], &Options) -> Option<Arc
         let most = (0..scene.grid.tiles()).map(|t| scene.layers.iter().filter(|l| l.tile == t).count()).max().unwrap_or(0);
         most.saturating_sub(LAYERS) as f64
     });
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::{caught, failed};
-    use super::*;
-
-    /// The way with a fault in the scene that a reader finds.
-    fn faulty(fault: impl Fn(&mut Scene)) -> impl Fn(&[u8], &Options) -> Option<Arc<Scene>> {
-        let models = Models { depth: Arc::new(Brightness), theta: None, psi: None };
-        move |file, options| {
-            let mut scene = Scene::clone(&*made(&models, file, options)?);
-            fault(&mut scene);
-            Some(Arc::new(scene))
-        }
-    }
-
-    #[test]
-    fn a_fault_of_each_kernel_is_caught() {
-        assert!(failed(|c| fill(c, faulty(|scene| scene.texels.hidden.iter_mut().for_each(|p| *p = [250; 3])))) > 0);
-        assert!(failed(|c| rounding(c, |p| Plane { a: p.a + 4.0 * Plane::STEP, ..*p }.quantised())) > 0);
-        assert!(failed(|c| rounding(c, |p| *p)) > 0);
-        let eight_bits =
-            |map: &DisparityMap| Some(DisparityMap { delta: map.delta.iter().map(|d| (d * 255.0).round() / 255.0).collect(), ..*map });
-        assert!(failed(|c| sixteen_bits(c, eight_bits)) > 0);
-        let none = Hosts { all: Vec::new() };
-        let hole = faulty(|scene| scene.layers.truncate(scene.layers.len() - 1));
-        assert_eq!(caught(|c| options(c, &hole, &none)), ["container"]);
-        let double = faulty(|scene| scene.layers.extend(scene.layers.clone()));
-        assert_eq!(caught(|c| options(c, &double, &none)), ["container"]);
-    }
 }
