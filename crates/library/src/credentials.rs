@@ -8,7 +8,7 @@ use sqlx::any::AnyRow;
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::{Digest, Millis, Owner, hex, random};
-use crate::named::named;
+use crate::string_enum::string_enum;
 use crate::photo::of_name;
 use crate::{Library, millis};
 
@@ -21,7 +21,7 @@ const MAX_NAME: usize = 64;
 /// Hex digits of a key's id, from its hash.
 const ID_DIGITS: usize = 8;
 
-named! {
+string_enum! {
     /// What a key allows.
     pub enum Scope {
         /// Upload photos; change and delete the owner's.

@@ -16,7 +16,7 @@ use crate::database::{Lock, Tx, is_held};
 use crate::error::{LibraryError, Result};
 use crate::events::Event;
 use crate::ids::{Millis, Owner, PhotoId, hex, random};
-use crate::named::named;
+use crate::string_enum::string_enum;
 use crate::photo::{Photo, Problem, json, parsed, to_json};
 use crate::queue::{Job, JobKind};
 use crate::webhooks::{EventType, Webhook, disable};
@@ -87,7 +87,7 @@ impl EventData {
     }
 }
 
-named! {
+string_enum! {
     /// State of a delivery.
     pub enum DeliveryState {
         /// It waits for an attempt, or one is under way.

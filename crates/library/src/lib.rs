@@ -21,7 +21,7 @@ mod garbage_collection;
 mod ids;
 mod integrity;
 mod leases;
-mod named;
+mod string_enum;
 mod photo;
 mod photos;
 mod queue;

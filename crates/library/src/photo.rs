@@ -12,9 +12,9 @@ use sqlx::any::AnyRow;
 
 use crate::error::{LibraryError, Result};
 use crate::ids::{Digest, Millis, Owner, PhotoId};
-use crate::named::named;
+use crate::string_enum::string_enum;
 
-named! {
+string_enum! {
     /// State of a photo.
     pub enum PhotoState {
         /// Waiting for a worker.
@@ -38,7 +38,7 @@ impl PhotoState {
     }
 }
 
-named! {
+string_enum! {
     /// How urgent a job is.
     #[derive(Default)]
     pub enum Class {
@@ -57,7 +57,7 @@ impl Class {
     }
 }
 
-named! {
+string_enum! {
     /// A part of a photo's contents.
     pub enum Part {
         /// The photo as uploaded.

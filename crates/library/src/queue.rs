@@ -14,7 +14,7 @@ use crate::Library;
 use crate::database::{Lock, Tx};
 use crate::error::{LibraryError, QueueLimit, Result};
 use crate::ids::{Millis, Owner, PhotoId};
-use crate::named::named;
+use crate::string_enum::string_enum;
 use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, parsed, to_json};
 
 /// Estimated duration of a job before any was measured.
@@ -22,7 +22,7 @@ const FIRST_GUESS: Duration = Duration::from_secs(5);
 /// Longest `retry_after`.
 const MAX_RETRY: Duration = Duration::from_mins(2);
 
-named! {
+string_enum! {
     /// What a job does.
     pub enum JobKind {
         /// Makes a photo.
@@ -47,7 +47,7 @@ impl JobKind {
     }
 }
 
-named! {
+string_enum! {
     /// State of a job.
     pub enum JobState {
         /// Waiting for a worker.

@@ -10,13 +10,13 @@ use sqlx::Row as _;
 use crate::database::{Database, Lock};
 use crate::error::{LibraryError, Result};
 use crate::ids::{Millis, Owner, PhotoId, hex, random, unhex};
-use crate::named::named;
+use crate::string_enum::string_enum;
 use crate::photo::Photo;
 
 /// Bytes of the secret and of a signature.
 const BYTES: usize = 32;
 
-named! {
+string_enum! {
     /// What a link allows.
     pub enum Grant {
         /// See a photo.

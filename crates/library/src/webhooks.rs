@@ -10,13 +10,13 @@ use crate::Library;
 use crate::database::{Lock, Tx};
 use crate::error::{LibraryError, Result};
 use crate::ids::{Digest, Millis, Owner, hex, random};
-use crate::named::named;
+use crate::string_enum::string_enum;
 use crate::photo::of_name;
 
 /// Webhooks of one owner, and those for all photos, besides the configuration's.
 pub const MAX_WEBHOOKS: u64 = 16;
 
-named! {
+string_enum! {
     /// What happened.
     pub enum EventType {
         /// A photo is made.

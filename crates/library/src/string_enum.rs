@@ -1,7 +1,7 @@
 //! Enums whose variants have names.
 
 /// Defines an enum with a name for each variant: the same in the database, in JSON and in metrics.
-macro_rules! named {
+macro_rules! string_enum {
     ($(#[$of_enum:meta])* pub enum $type:ident { $($(#[$of_variant:meta])* $variant:ident = $name:literal,)* }) => {
         $(#[$of_enum])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
@@ -20,4 +20,4 @@ macro_rules! named {
         }
     };
 }
-pub(crate) use named;
+pub(crate) use string_enum;
