@@ -7,8 +7,8 @@ use sqlx::AssertSqlSafe;
 
 use crate::Library;
 use crate::blobs::{Content, Contents};
+use crate::change_notifications::Event;
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
 use crate::ids::PhotoId;
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, to_json};
 use crate::photos::locked_photo;

@@ -6,17 +6,16 @@ use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
 use crate::blobs::Contents;
+use crate::change_notifications::Event;
 use crate::database::{Tx, is_held};
 use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::Millis;
 use crate::leases::Lease;
 use crate::photo::{self, Blobs, Photo, PhotoState, Problem, blob_names, bytes_of, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{Job, JobKind, record_duration};
 use crate::webhooks::EventType;
-use crate::{Library, exports, millis};
+use crate::{Library, Millis, exports, millis};
 
 /// Pause after the server's first fault, doubled after each further one, and the longest pause.
 const BACK_OFF: Duration = Duration::from_millis(500);

@@ -5,12 +5,14 @@ use std::time::Duration;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
+use crate::change_notifications::Event;
+use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Digest, Millis, Owner, hex, random};
-use crate::string_enum::string_enum;
+use crate::ids::random;
+use crate::owner::Owner;
 use crate::photo::of_name;
-use crate::{Library, millis};
+use crate::string_enum::string_enum;
+use crate::{Library, Millis, millis};
 
 /// Prefix of a key.
 pub const KEY_PREFIX: &str = "tmpi_k_";

@@ -8,9 +8,10 @@ use std::time::Duration;
 use sqlx::any::{AnyPoolOptions, AnyQueryResult, install_default_drivers};
 use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor as _, Row as _, Transaction};
 
+use crate::Millis;
+use crate::change_notifications::{CHANNEL, Event, Events};
 use crate::error::{LibraryError, Result};
-use crate::events::{CHANNEL, Event, Events};
-use crate::ids::{Millis, PhotoId};
+use crate::ids::PhotoId;
 
 /// Migrations; each runs once, in this order.
 const MIGRATIONS: [&str; 1] = [include_str!("../migrations/1.sql")];

@@ -12,15 +12,17 @@ use serde_json::Value;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
+use crate::change_notifications::Event;
 use crate::database::{Lock, Tx, is_held};
+use crate::digest::hex;
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Millis, Owner, PhotoId, hex, random};
-use crate::string_enum::string_enum;
+use crate::ids::{PhotoId, random};
+use crate::owner::Owner;
 use crate::photo::{Photo, Problem, json, parsed, to_json};
 use crate::queue::{Job, JobKind};
+use crate::string_enum::string_enum;
 use crate::webhooks::{EventType, Webhook, disable};
-use crate::{Library, millis};
+use crate::{Library, Millis, millis};
 
 /// Longest attempt: after that another one begins.
 const LEASE: Duration = Duration::from_mins(1);

@@ -6,10 +6,10 @@ use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
 use crate::blobs::{Content, Contents};
+use crate::change_notifications::Event;
 use crate::database::Tx;
 use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
 use crate::ids::PhotoId;
 use crate::leases::Lease;
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, file_names, to_json};

@@ -11,14 +11,15 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
+use crate::change_notifications::Event;
 use crate::completion::{MAX_BACK_OFF, Retry, set_state};
 use crate::database::{Tx, is_held};
+use crate::digest::hex;
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Millis, hex, random};
+use crate::ids::random;
 use crate::photo::{Photo, PhotoState, to_json};
 use crate::queue::{COLUMNS, Job, JobKind};
-use crate::{Library, deliveries, millis, rooms};
+use crate::{Library, Millis, deliveries, millis, room_leases};
 
 /// Longest lease: one that ends later was granted before the clock was set back.
 const MAX_LEASE: Duration = Duration::from_mins(10);
@@ -150,7 +151,7 @@ impl Library {
         }
         let mut tx = self.database().write().await?;
         deliveries::release(&mut tx).await?;
-        rooms::end_all(&mut tx).await?;
+        room_leases::end_all(&mut tx).await?;
         tx.commit().await
     }
 

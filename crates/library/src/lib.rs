@@ -10,28 +10,30 @@
 
 mod accept;
 mod blobs;
+mod change_notifications;
 mod completion;
 mod credentials;
 mod database;
 mod deliveries;
+mod digest;
 mod error;
-mod events;
 mod exports;
 mod garbage_collection;
 mod ids;
 mod integrity;
 mod leases;
-mod string_enum;
+mod owner;
 mod photo;
 mod photos;
 mod queue;
 mod quota;
 mod remake;
 mod retention;
-mod rooms;
+mod room_leases;
 mod signed_links;
-mod sources;
+mod source_validators;
 mod statistics;
+mod string_enum;
 #[cfg(test)]
 mod tests;
 mod webhooks;
@@ -47,28 +49,33 @@ use serde_json::Value;
 
 pub use accept::{Accepted, Outcome, Upload};
 pub use blobs::{BlobStore, Content, Contents, DiskSpace, Reserve};
+pub use change_notifications::{Event, Subscription};
 pub use completion::{PhotoResults, Retry};
 pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope};
 pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, DueDelivery, EventData, ExportData, RETRIES, Verdict};
+pub use digest::{Digest, hex};
 pub use error::{LibraryError, QueueLimit, Quota, Result, Service};
-pub use events::{Event, Subscription};
 pub use exports::{NewExport, OrderedExport};
 pub use garbage_collection::Collected;
-pub use ids::{Digest, Millis, Owner, PhotoId, hex};
+pub use ids::PhotoId;
 pub use integrity::Damage;
 pub use leases::Lease;
+pub use owner::Owner;
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Page};
 pub use queue::{Job, JobKind, JobState, Requester};
 pub use retention::Swept;
-pub use rooms::Origin;
+pub use room_leases::Origin;
 pub use signed_links::{Grant, Link, Secret, Subject};
-pub use sources::Source;
+pub use source_validators::Source;
 pub use statistics::Statistics;
 pub use webhooks::{Disabled, EventType, MAX_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
 
 use database::Database;
 use leases::OwnLeases;
+
+/// Milliseconds since 1970 by the database's clock. Never compare it with a node's clock.
+pub type Millis = i64;
 
 /// How often to read the database's clock. In between, this process's monotonic clock continues it.
 const CLOCK: Duration = Duration::from_secs(5);

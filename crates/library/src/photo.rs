@@ -10,8 +10,11 @@ use serde_json::Value;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
+use crate::Millis;
+use crate::digest::Digest;
 use crate::error::{LibraryError, Result};
-use crate::ids::{Digest, Millis, Owner, PhotoId};
+use crate::ids::PhotoId;
+use crate::owner::Owner;
 use crate::string_enum::string_enum;
 
 string_enum! {

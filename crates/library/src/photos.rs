@@ -7,14 +7,15 @@ use std::sync::PoisonError;
 use serde_json::Value;
 use sqlx::{Any, AssertSqlSafe, Executor};
 
-use crate::Library;
+use crate::change_notifications::Event;
 use crate::database::Tx;
 use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Millis, Owner, PhotoId};
+use crate::ids::PhotoId;
+use crate::owner::Owner;
 use crate::photo::{COLUMNS, Photo, Problem, blob_names, file_names, to_json};
 use crate::webhooks::EventType;
+use crate::{Library, Millis};
 
 /// Views recorded per transaction.
 const VIEWS: usize = 500;

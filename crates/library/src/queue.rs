@@ -10,12 +10,13 @@ use serde_json::Value;
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::Library;
 use crate::database::{Lock, Tx};
 use crate::error::{LibraryError, QueueLimit, Result};
-use crate::ids::{Millis, Owner, PhotoId};
-use crate::string_enum::string_enum;
+use crate::ids::PhotoId;
+use crate::owner::Owner;
 use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, parsed, to_json};
+use crate::string_enum::string_enum;
+use crate::{Library, Millis};
 
 /// Estimated duration of a job before any was measured.
 const FIRST_GUESS: Duration = Duration::from_secs(5);

@@ -4,7 +4,7 @@ use sqlx::{Any, Executor, Row as _};
 
 use crate::Library;
 use crate::error::{LibraryError, Quota, Result};
-use crate::ids::Owner;
+use crate::owner::Owner;
 
 /// Number and bytes of an owner's photos.
 const USED: &str = "SELECT COUNT(*) AS photos, CAST(COALESCE(SUM(bytes), 0) AS BIGINT) AS bytes FROM photos WHERE owner = $1";

@@ -6,9 +6,8 @@ use std::time::Duration;
 use sqlx::Row as _;
 
 use crate::deliveries;
-use crate::ids::Millis;
 use crate::photo::{file_names, parsed};
-use crate::{Library, Result, millis, rooms};
+use crate::{Library, Millis, Result, millis, room_leases};
 
 /// Photos per query.
 const PART: i64 = 256;
@@ -98,7 +97,7 @@ impl Library {
     /// Removes unused exports, expired sessions and rooms, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
-        rooms::end_abandoned(&mut tx).await?;
+        room_leases::end_abandoned(&mut tx).await?;
         let (now, limits) = (tx.now, self.limits());
         let delete = "DELETE FROM jobs WHERE (state = 'done' AND used_at <= $1) OR (state = 'failed' AND used_at <= $2) RETURNING result";
         let (done, failed) = (now - millis(limits.exports_for), now - millis(FAILED_FOR.min(limits.exports_for)));

@@ -7,11 +7,14 @@ use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::Sha256;
 use sqlx::Row as _;
 
+use crate::Millis;
 use crate::database::{Database, Lock};
+use crate::digest::{hex, unhex};
 use crate::error::{LibraryError, Result};
-use crate::ids::{Millis, Owner, PhotoId, hex, random, unhex};
-use crate::string_enum::string_enum;
+use crate::ids::{PhotoId, random};
+use crate::owner::Owner;
 use crate::photo::Photo;
+use crate::string_enum::string_enum;
 
 /// Bytes of the secret and of a signature.
 const BYTES: usize = 32;

@@ -6,12 +6,14 @@ use std::fmt;
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::Library;
 use crate::database::{Lock, Tx};
+use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
-use crate::ids::{Digest, Millis, Owner, hex, random};
-use crate::string_enum::string_enum;
+use crate::ids::random;
+use crate::owner::Owner;
 use crate::photo::of_name;
+use crate::string_enum::string_enum;
+use crate::{Library, Millis};
 
 /// Webhooks of one owner, and those for all photos, besides the configuration's.
 pub const MAX_WEBHOOKS: u64 = 16;

@@ -7,8 +7,8 @@
 mod callers;
 mod cookies;
 mod link_query;
-mod permissions;
 mod photo_token;
+mod route_permissions;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,7 +31,7 @@ use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cook
 pub use cookies::{set_manage, set_owner};
 use link_query::LinkInUrl;
 pub(super) use link_query::{link_of_url, query_of, take_link};
-use permissions::{Permission, permission, refusal};
+use route_permissions::{Permission, permission, refusal};
 
 /// Lifetime of a ticket.
 pub const TICKET: Duration = Duration::from_mins(15);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::server::app_state::AppState;
-use crate::server::finished_photo::FinishedPhoto;
+use crate::server::photo_details::FinishedPhoto;
 use crate::server::photo_options;
 use crate::server::photo_settings::{Settings, Visibility};
 use crate::server::problem::Problem;

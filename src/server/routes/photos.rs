@@ -9,15 +9,15 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
-use super::depth_upgrade::better_depth;
+use super::better_depth::better_depth;
 use super::photo_state::{PhotoList, PhotoState};
 use super::query::{NoQuery, Pairs};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, StoredFile};
-use crate::server::build_identity::short;
 use crate::server::conditional::{Entity, check_if_match, insert, respond, respond_uncached};
 use crate::server::photo_settings::{PATCH_BYTES, Settings};
 use crate::server::problem::Problem;
+use crate::server::program_digest::short;
 use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_by_address::SourceOrder;

@@ -18,8 +18,10 @@ pub(crate) use folder::create_private;
 pub(crate) use folder::{Disk, Files};
 pub use folder::{DiskSpace, Reserve};
 
+use crate::Millis;
+use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
-use crate::ids::{Digest, Millis, PhotoId, hex, random};
+use crate::ids::{PhotoId, random};
 use crate::photo::{Blob, Blobs, Part};
 use folder::Folder;
 use objects::Objects;

@@ -2,16 +2,16 @@
 
 mod accept;
 mod blobs;
+mod change_notifications;
 mod crash;
 mod credentials;
-mod events;
 mod exports;
 mod forgetful_disk;
 mod opening;
 mod photos;
 mod queue;
 mod retention;
-mod rooms;
+mod room_leases;
 mod webhooks;
 
 use std::collections::BTreeMap;

@@ -3,8 +3,9 @@
 use sqlx::Row as _;
 
 use crate::Library;
+use crate::digest::Digest;
 use crate::error::Result;
-use crate::ids::{Digest, PhotoId};
+use crate::ids::PhotoId;
 use crate::photo::parsed;
 
 /// The photo that was made of a source, and what the source said of it.
