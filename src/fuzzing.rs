@@ -10,7 +10,7 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::{FrameTiming, Layers, TileState};
 use tmpi_core::{DisparityMap, Photo, Rect, container};
 use tmpi_live::access_units::Splitter;
-use tmpi_live::measured_depth;
+use tmpi_live::depth_codec;
 use tmpi_pipeline::depth::{self as maps, DepthKind, Read};
 use tmpi_pipeline::{networks, photo, strokes};
 
@@ -349,10 +349,10 @@ fn measured(data: &[u8]) -> usize {
     let Some((head, packed)) = data.split_first_chunk::<2>() else { return LEAST };
     let (width, height) = (u32::from(head[0]) + 1, u32::from(head[1]) + 1);
     let count = width as usize * height as usize;
-    if let Ok(map) = measured_depth::unpack(packed, width, height) {
+    if let Ok(map) = depth_codec::unpack(packed, width, height) {
         assert_eq!((map.width, map.height, map.delta.len()), (width, height, count));
         assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
-        let again = measured_depth::pack(&map).and_then(|packed| measured_depth::unpack(&packed, width, height));
+        let again = depth_codec::pack(&map).and_then(|packed| depth_codec::unpack(&packed, width, height));
         assert!(again.is_ok_and(|again| again == map), "the map differs after packing");
     }
     LEAST + 2 * data.len() + 64 * count

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use bytes::Bytes;
 
-use tmpi_live::measured_depth;
+use tmpi_live::depth_codec;
 use tmpi_live::video::{self, JPEG};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
@@ -102,7 +102,7 @@ fn measured(file: &Path, kind: DepthKind, frame: &[u8]) -> anyhow::Result<Bytes>
     let (width, height) = video::size(JPEG, frame)?.with_context(name)?;
     let limits = tmpi_pipeline::photo::Limits::default();
     let (map, _) = maps::from_map(&std::fs::read(file).with_context(name)?, kind, &limits, width, height).with_context(name)?;
-    Ok(measured_depth::pack(&map)?.into())
+    Ok(depth_codec::pack(&map)?.into())
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
-use super::origin_node::{Nodes, Socket};
+use super::origin_client::{Nodes, Socket};
 use super::room::Room;
 use super::{COME_BACK, RoomHandle};
 

@@ -6,40 +6,40 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `room_token` | the tokens with which people publish and watch |
+//! | `signed_token` | the tokens with which people publish and watch |
 //! | `request_access` | the state of the handlers, and access checks |
 //! | `room_state` | the state of a room, for its pages |
-//! | `watch_token` | tokens for viewers |
-//! | `routes` | the routes, and the upgrade to WebSockets |
+//! | `routes` | the routes, the upgrade to WebSockets, and tokens for viewers |
 //! | `publisher`, `viewer` | one socket each |
 //! | `token_bucket` | the rate limit of a client's messages |
 //! | `room` | the state that sockets and threads of a room share |
 //! | `snapshot` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
-//! | `gops` | the same as groups of pictures, for plain HTTP |
+//! | `gop_buffer` | the same as groups of pictures, for plain HTTP |
 //! | `plain_http` | the newest frame and groups of pictures by plain HTTP |
-//! | `chunk_store` | the tiles of a room as encoded chunks |
-//! | `origin_node` | which node has a room |
+//! | `tile_store` | the tiles of a room as encoded chunks |
+//! | `origin_lease` | which node has a room, and this node's lease of it |
+//! | `origin_client` | requests to the node that has a room |
 //! | `edge` | a room that another node has |
-//! | `geometry_threads` | the threads that decode frames and make geometry |
+//! | `frame_threads` | the threads that decode frames and make geometry |
 
-mod chunk_store;
 mod edge;
-mod geometry_threads;
-mod gops;
-mod origin_node;
+mod frame_threads;
+mod gop_buffer;
+mod origin_client;
+mod origin_lease;
 mod plain_http;
 mod publisher;
 mod request_access;
 mod ring;
 mod room;
 mod room_state;
-mod room_token;
 pub(crate) mod routes;
+mod signed_token;
 mod snapshot;
+mod tile_store;
 mod token_bucket;
 mod viewer;
-mod watch_token;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -51,14 +51,15 @@ use tmpi_pipeline::Models;
 
 use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
-pub use origin_node::NodeAddress;
+pub use origin_client::NodeAddress;
 pub(crate) use request_access::RoomsContext;
-pub use room_token::{Role, room_token};
+pub use signed_token::{Role, room_token};
 use tmpi_core::live::schema::Bye;
 use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::write;
 
-use origin_node::{Lease, Nodes};
+use origin_client::Nodes;
+use origin_lease::Lease;
 use request_access::{busy, none_publishes};
 use room::Room;
 use tmpi_library::{Library, LibraryError, Origin};
@@ -285,7 +286,7 @@ impl RoomHandle {
             () = tokio::time::sleep(COME_BACK) => false,
             () = stop.cancelled() => false,
             // this node itself may have taken a newer lease
-            () = origin_node::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.is_publisher_epoch(lease.epoch())),
+            () = origin_lease::lost(lease.as_ref()) => lease.as_ref().is_some_and(|lease| self.room.is_publisher_epoch(lease.epoch())),
         };
         // before the room closes, which tells its viewers
         if let Some(lease) = lease {

@@ -14,10 +14,10 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::gops::{Group, GroupPart};
+use super::gop_buffer::{Group, GroupPart};
 use super::request_access::{RoomAccess, RoomsContext, none_publishes};
 use super::room::Room;
-use super::room_token::Role;
+use super::signed_token::Role;
 use crate::server::{ConnectionGuard, ContentCoding, Entity, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 

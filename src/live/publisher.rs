@@ -1,4 +1,4 @@
-//! The socket of a publisher: checks its messages, passes them on to viewers, and gives frames to the geometry threads.
+//! The socket of a publisher: checks its messages, passes them on to viewers, and gives frames to the threads of the room.
 
 use std::error::Error as _;
 use std::sync::Arc;
@@ -15,10 +15,10 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, TileState, VERSION, read, write};
 use tmpi_live::video::{Decoder, VideoError};
-use tmpi_live::{Geometry, Settings, access_units, video};
+use tmpi_live::{FramePipeline, Settings, access_units, video};
 
-use super::geometry_threads::{DecodeOutcome, EncodedFrame, GeometryThreads};
-use super::origin_node::{Lease, lost};
+use super::frame_threads::{DecodeOutcome, EncodedFrame, FrameThreads};
+use super::origin_lease::{Lease, lost};
 use super::request_access::{ENDED, RoomsContext, ended};
 use super::ring::MessageKind;
 use super::room::Room;
@@ -158,7 +158,7 @@ enum Gone {
 struct Show {
     epoch: u64,
     hello: Hello,
-    threads: GeometryThreads,
+    threads: FrameThreads,
 }
 
 impl Show {
@@ -168,9 +168,9 @@ impl Show {
         let decoder = decoder(&hello)?;
         let epoch = room.publish(hello.clone(), since_1970().as_micros() as u64, least);
         let models = config.models.clone();
-        let geometry = move || Geometry::new(models.clone(), settings.clone());
+        let geometry = move || FramePipeline::new(models.clone(), settings.clone());
         let threads =
-            GeometryThreads::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
+            FrameThreads::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
         Ok(Self { epoch, hello, threads })
     }
 

@@ -7,7 +7,7 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use super::room_token::{Role, token_expiry, token_in_headers};
+use super::signed_token::{Role, token_expiry, token_in_headers};
 use super::{Rooms, is_name};
 use crate::server::{Pairs, Problem, check_origin, since_1970};
 

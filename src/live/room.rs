@@ -11,10 +11,10 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{self, Bye, Hello, Statistics};
 use tmpi_core::live::write;
 
-use super::chunk_store::Chunks;
-use super::gops::{Group, GroupPart, Groups};
+use super::gop_buffer::{Group, GroupPart, Groups};
 use super::ring::{Cursor, MessageKind, Ring, Step};
 pub use super::snapshot::{FrameWithTiles, Tiles};
+use super::tile_store::Chunks;
 use super::{KEYS, RoomLimits};
 
 mod relayed;

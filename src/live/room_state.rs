@@ -8,7 +8,7 @@ use tmpi_core::live::schema::bye::Cause;
 use utoipa::ToSchema;
 
 use super::request_access::{RoomAccess, RoomsContext};
-use super::room_token::Role;
+use super::signed_token::Role;
 use crate::server::Problem;
 
 /// Longest state of a room from its origin, in bytes.

@@ -1,24 +1,30 @@
-//! The routes of rooms.
+//! The routes of rooms: the upgrade to WebSockets, and tokens for viewers, which the publisher hands out.
 
-use axum::Extension;
+use std::time::Duration;
+
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::Response;
+use axum::{Extension, Json};
+use serde::Serialize;
+use utoipa::ToSchema;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::request_access::{RoomAccess, RoomsContext, busy, none_publishes};
 use super::room::ViewerKind;
-use super::room_token::{PROTOCOL, Role};
-use super::{plain_http, publisher, room_state, viewer, watch_token};
-use crate::server::{ConnectionGuard, Problem};
+use super::signed_token::{PROTOCOL, Role, room_token, token_expiry, token_in_headers};
+use super::{plain_http, publisher, room_state, viewer};
+use crate::server::{ConnectionGuard, NoBody, Pairs, Problem, since_1970};
 
 /// Write buffer of a viewer: the largest message and nothing else.
 const WRITE_BUFFER: usize = 2 << 20;
 /// `Retry-After` of a full room, in seconds.
 const FULL_AGAIN: u64 = 10;
+/// Lifetime of a token to watch that this machine's own user requests.
+const TOKEN_LIFETIME: Duration = Duration::from_hours(24);
 
 /// Routes for viewers. Pages of other sites may use them with a token.
 pub fn watching_api() -> OpenApiRouter<RoomsContext> {
@@ -31,7 +37,7 @@ pub fn watching_api() -> OpenApiRouter<RoomsContext> {
 
 /// Routes for publishers.
 pub fn publishing_api() -> OpenApiRouter<RoomsContext> {
-    OpenApiRouter::new().routes(routes!(watch_token::watch_token)).routes(routes!(publish))
+    OpenApiRouter::new().routes(routes!(watch_token)).routes(routes!(publish))
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
@@ -123,4 +129,44 @@ async fn subscribe(
         viewer::serve(socket, (room, kind), here.stop, ends).await;
         drop(held);
     }))
+}
+
+/// A token to watch.
+#[derive(Serialize, ToSchema)]
+struct WatchToken {
+    /// Null if the server has no key for tokens: only this machine's own user may watch then.
+    token: Option<String>,
+}
+
+/// Create a token to watch.
+///
+/// For callers that may publish. The token expires with the caller's own, or after a day if the caller needs none.
+#[utoipa::path(
+    post, path = "/v1/live/{room}/token", tag = "live",
+    params(
+        ("room" = String, Path, description = "Name of the room"),
+        ("token" = Option<String>, Query, description = "Token to publish here, unless sent as a bearer token; this machine's own user needs none"),
+    ),
+    responses(
+        (status = 200, description = "The token", body = WatchToken),
+        (status = 400, description = "A parameter is unknown, or the request has a body"),
+        (status = 403, description = "The request comes from a page of another site, or has no valid token"),
+        (status = 404, description = "The name is invalid, or rooms are disabled"),
+    )
+)]
+async fn watch_token(
+    State(here): State<RoomsContext>,
+    Path(name): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+    _: NoBody,
+) -> Result<Json<WatchToken>, Problem> {
+    here.check(&name, Role::Publish, &uri, &headers).await?;
+    let query = Pairs::read(&uri, &["token"])?;
+    let token = here.rooms.config.key.as_ref().and_then(|key| {
+        let (given, now) = (query.get("token").or_else(|| token_in_headers(&headers)), since_1970().as_secs());
+        let end = given.and_then(|given| token_expiry(key, Role::Publish, &name, given, now)).unwrap_or(now + TOKEN_LIFETIME.as_secs());
+        room_token(key, Role::Watch, &name, end)
+    });
+    Ok(Json(WatchToken { token }))
 }

@@ -13,22 +13,22 @@ use tokio_util::sync::CancellationToken;
 use super::Config;
 use super::access::Guard;
 use super::blocking_pool::{BlockingPool, Slot, WorkClass};
-use super::build_identity;
 use super::cache::Cache;
 pub use super::cache_values::{Derived, DiskFullPolicy, Export, StoredFile, TempFolder, Version};
 use super::client_slots::{ClientSlots, client_address};
-use super::finished_photo::FinishedPhoto;
+use super::depth_network_upgrade::Download;
+use super::fetch_by_url::Sources;
 use super::hosts::Hosts;
 use super::limits::Limits;
 use super::maker::Maker;
 use super::memory_budget::MemoryBudget;
 use super::metrics::Telemetry;
-use super::network_download::Download;
 use super::outbound::AddressPolicy;
+use super::photo_details::FinishedPhoto;
 use super::problem::Problem;
+use super::program_digest;
 use super::proxies::Proxies;
 use super::rate_limit::RateLimiter;
-use super::sources::Sources;
 use super::traces;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, TileRect};
@@ -150,7 +150,7 @@ impl AppState {
             scratch: data,
             limits: Arc::new(limits),
             telemetry,
-            build: build_identity::of_server(renderer.name()),
+            build: program_digest::of_server(renderer.name()),
             renderer,
             hosts: Hosts::new(addr, &hosts),
             proxies,
@@ -256,7 +256,7 @@ impl AppState {
     /// Version of everything made of a photo: differs between photos, remakes and programs.
     #[must_use]
     pub fn version(&self, done: &FinishedPhoto) -> String {
-        build_identity::of_results(&self.build, done)
+        program_digest::of_results(&self.build, done)
     }
 
     /// A result file of a photo.

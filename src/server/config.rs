@@ -3,10 +3,10 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use super::fetch_by_url::{SourceHost, Sources};
 use super::limits::Limits;
 use super::outbound::AddressPolicy;
 use super::proxies::Proxies;
-use super::sources::{SourceHost, Sources};
 use super::traces::Collector;
 use super::webhooks::ConfiguredWebhook;
 

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::access;
 use super::app_state::AppState;
-use super::finished_photo::FinishedPhoto;
+use super::photo_details::FinishedPhoto;
 use super::photo_options;
 use super::photo_settings::Settings;
 use crate::export::escaped;

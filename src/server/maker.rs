@@ -11,11 +11,11 @@ use tmpi_pipeline::strokes;
 use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
-use super::build_identity;
+use super::depth_network_upgrade::NetworkOffer;
 use super::exports::ExportTask;
 use super::limits::Limits;
-use super::network_download::NetworkOffer;
 use super::problem::Problem;
+use super::program_digest;
 
 /// The stored results of a photo.
 #[derive(Clone, Debug, Default)]
@@ -60,7 +60,7 @@ pub enum HeadOf<'a> {
 pub trait Maker: Send + Sync + 'static {
     /// What its results depend on besides the upload. It is part of a photo's id, so that a better maker makes photos anew.
     fn identity(&self) -> &str {
-        build_identity::PIPELINE
+        program_digest::PIPELINE
     }
 
     /// Name of the depth network, as in reports; the identity by default.
@@ -137,7 +137,7 @@ impl PipelineMaker {
     /// A maker with these networks and limits.
     #[must_use]
     pub fn new(models: Models, limits: photo::Limits) -> Self {
-        Self { models, limits, identity: build_identity::PIPELINE.into() }
+        Self { models, limits, identity: program_digest::PIPELINE.into() }
     }
 
     /// Memory for making photos, in bytes.
@@ -149,7 +149,7 @@ impl PipelineMaker {
     /// With networks that `text` identifies.
     #[must_use]
     pub fn with_identity(self, text: &str) -> Self {
-        Self { identity: format!("{} {text}", build_identity::PIPELINE), ..self }
+        Self { identity: format!("{} {text}", program_digest::PIPELINE), ..self }
     }
 }
 

@@ -266,7 +266,7 @@ impl From<LibraryError> for Problem {
                 Self::new(StatusCode::SERVICE_UNAVAILABLE, "store-unreachable", what).retry_after(5)
             }
             LibraryError::TooManyWebhooks { .. } => Self::new(StatusCode::FORBIDDEN, "too-many-webhooks", text),
-            LibraryError::LeaseLost | LibraryError::RoomTaken { .. } | LibraryError::Internal(_) => Self::internal("the library", &text),
+            LibraryError::LeaseLost | LibraryError::Internal(_) => Self::internal("the library", &text),
         }
     }
 }

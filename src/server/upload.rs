@@ -10,8 +10,8 @@ use futures_util::StreamExt;
 
 use super::app_state::{App, AppState};
 use super::client_slots::{ClientSlot, client_address};
-use super::header_limit::LimitedHeaders;
 use super::maker::HeadOf;
+use super::multipart_header_limit::LimitedHeaders;
 use super::photo_options;
 use super::photo_settings::{Settings, title_of_file};
 use super::problem::Problem;

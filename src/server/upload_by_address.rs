@@ -10,11 +10,11 @@ use reqwest::Url;
 use serde_json::Value;
 
 use super::app_state::App;
+use super::fetch_by_url::{Fetched, SourceError, Validators};
 use super::maker::HeadOf;
 use super::photo_options;
 use super::problem::Problem;
 use super::request_body::{self, CutOff, LimitedBody};
-use super::sources::{Fetched, SourceError, Validators};
 use super::time_limit::TimeLimit;
 use super::upload::{self, UploadParts};
 use super::upload_fields::{UploadFields, check_name, of_query};

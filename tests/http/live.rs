@@ -322,7 +322,7 @@ fn measured_depth_is_used_and_sound_is_forwarded_unchanged() {
     let mut publisher = Publisher::new(server.addr, "attic");
     // the measured depth differs from brightness
     let map = DisparityMap::from_fn(SIZE.0, SIZE.1, |x, _| if x < 80 { 0.25 } else { 0.75 });
-    let data = tmpi_live::measured_depth::pack(&map).unwrap();
+    let data = tmpi_live::depth_codec::pack(&map).unwrap();
     let mut viewer = None;
     for n in 0..4 {
         publisher.client.send(Kind::Depth(Depth { frame: n, data: data.clone().into() }));

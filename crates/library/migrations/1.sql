@@ -23,12 +23,9 @@ CREATE TABLE keys (
 CREATE TABLE sessions (
     hash TEXT PRIMARY KEY,
     owner TEXT NOT NULL REFERENCES owners (owner),
-    key_hash TEXT REFERENCES keys (hash) ON DELETE CASCADE,
     created_at BIGINT NOT NULL,
     expires_at BIGINT NOT NULL
 );
-CREATE INDEX sessions_by_key ON sessions (key_hash);
-CREATE INDEX sessions_by_owner ON sessions (owner);
 
 CREATE TABLE photos (
     id TEXT PRIMARY KEY,
@@ -38,7 +35,6 @@ CREATE TABLE photos (
     listed_at BIGINT NOT NULL,
     viewed_at BIGINT NOT NULL,
     class BIGINT NOT NULL,
-    title TEXT,
     options TEXT NOT NULL,
     settings TEXT NOT NULL,
     settings_version BIGINT NOT NULL,
@@ -57,7 +53,6 @@ CREATE INDEX photos_by_age ON photos (accepted_at, id);
 CREATE INDEX photos_listed ON photos (listed_at, id);
 -- with the bytes, so that a quota is counted within the index
 CREATE INDEX photos_by_owner ON photos (owner, listed_at, id, bytes);
-CREATE INDEX photos_by_state ON photos (state, listed_at, id);
 CREATE INDEX photos_by_view ON photos (viewed_at, id);
 CREATE INDEX photos_by_check ON photos (state, checked_at);
 -- for metrics, which count and weigh all of them
@@ -77,7 +72,6 @@ CREATE TABLE jobs (
     turn BIGINT NOT NULL,
     created_at BIGINT NOT NULL,
     run_after BIGINT NOT NULL,
-    started_at BIGINT,
     lease_until BIGINT,
     lease_token TEXT,
     attempts BIGINT NOT NULL,
@@ -91,19 +85,23 @@ CREATE TABLE jobs (
 CREATE INDEX jobs_by_turn ON jobs (state, class, turn, created_at, id);
 CREATE INDEX jobs_by_photo ON jobs (photo);
 
--- What has become of jobs, for metrics and for how long a wait is likely to be.
-CREATE TABLE outcomes (
+-- How long jobs take on average, most of all the recent ones, for how long a wait is likely to be.
+CREATE TABLE durations (
     kind TEXT PRIMARY KEY,
-    mean_ms DOUBLE PRECISION NOT NULL,
-    finished BIGINT NOT NULL,
-    failed BIGINT NOT NULL,
-    died BIGINT NOT NULL
+    mean_ms DOUBLE PRECISION NOT NULL
 );
 
 -- When a task of all nodes ran last.
 CREATE TABLE upkeep (
     task TEXT PRIMARY KEY,
     ran_at BIGINT NOT NULL
+);
+
+-- The database's clock as the last sweep saw it, and since when it has not jumped.
+CREATE TABLE clock (
+    id BIGINT PRIMARY KEY,
+    seen_at BIGINT NOT NULL,
+    steady_since BIGINT NOT NULL
 );
 
 CREATE TABLE rooms (

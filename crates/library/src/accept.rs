@@ -7,10 +7,10 @@ use sqlx::AssertSqlSafe;
 
 use crate::Library;
 use crate::blobs::{Content, Contents};
-use crate::error::{LibraryError, Result, is_refusal};
-use crate::events::Event;
+use crate::change_notifications::Event;
+use crate::error::{LibraryError, Result};
 use crate::ids::PhotoId;
-use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, title_of, to_json};
+use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{JobKind, NewJob, Requester};
 use crate::remake::Remake;
@@ -36,7 +36,7 @@ pub struct Upload {
 
 impl Upload {
     fn bytes(&self) -> u64 {
-        self.photo.len() + self.depth.as_ref().map_or(0, Content::len)
+        self.photo.bytes() + self.depth.as_ref().map_or(0, Content::bytes)
     }
 }
 
@@ -67,7 +67,7 @@ impl Library {
     /// any case it moves to the head of the list.
     ///
     /// # Errors
-    /// [`LibraryError::QueueFull`], [`LibraryError::QuotaExceeded`], [`LibraryError::StorageFull`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::QueueFull`], [`LibraryError::QuotaExceeded`], [`LibraryError::StorageFull`].
     pub async fn accept(&self, upload: Upload) -> Result<Accepted> {
         let Some(photo) = self.find(upload.id).await? else { return self.accept_new(upload).await };
         let outcome = match photo.state {
@@ -100,7 +100,7 @@ impl Library {
     /// Moves a photo to the head of the list, as a second upload does.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`].
     pub async fn move_to_front(&self, id: PhotoId) -> Result<Photo> {
         let mut tx = self.database().write().await?;
         locked_photo(&mut tx, id).await?;
@@ -127,12 +127,7 @@ impl Library {
                 self.blobs().discard(written).await;
                 Ok(Accepted { photo: self.get(upload.id).await?, outcome: Outcome::Known })
             }
-            Err(error) => {
-                if is_refusal(&error) {
-                    self.blobs().discard(written).await;
-                }
-                Err(error)
-            }
+            Err(error) => Err(self.blobs().discard_refused(written, error).await),
         }
     }
 
@@ -143,16 +138,16 @@ impl Library {
         let owner = upload.requester.owner.as_ref();
         if let Some(owner) = owner {
             tx.lock_owner(owner.as_str()).await?;
-            self.check_quota_in(&mut tx, owner, bytes as u64).await?;
+            self.check_quota_on(tx.connection(), owner, bytes as u64).await?;
         }
         let insert = format!(
-            "INSERT INTO photos (id, owner, accepted_at, listed_at, viewed_at, class, title, options, settings, settings_version, link_generation,
-             state, version, blobs, bytes, checked_at) VALUES ($1, $2, $3, $3, $3, $4, $5, $6, $7, 1, 1, $8, 1, $9, $10, $3) ON CONFLICT (id) DO NOTHING RETURNING {COLUMNS}"
+            "INSERT INTO photos (id, owner, accepted_at, listed_at, viewed_at, class, options, settings, settings_version, link_generation,
+             state, version, blobs, bytes, checked_at) VALUES ($1, $2, $3, $3, $3, $4, $5, $6, 1, 1, $7, 1, $8, $9, $3) ON CONFLICT (id) DO NOTHING RETURNING {COLUMNS}"
         );
         let now = tx.now;
         let insert = sqlx::query(AssertSqlSafe(insert)).bind(upload.id.to_string()).bind(owner.map(|o| o.as_str().to_owned())).bind(now);
-        let insert = insert.bind(upload.class.rank()).bind(title_of(&upload.settings).map(str::to_owned)).bind(to_json(&upload.options)?);
-        let insert = insert.bind(to_json(&upload.settings)?).bind(PhotoState::Queued.name()).bind(to_json(blobs)?).bind(bytes);
+        let insert = insert.bind(upload.class.rank()).bind(to_json(&upload.options)?).bind(to_json(&upload.settings)?);
+        let insert = insert.bind(PhotoState::Queued.name()).bind(to_json(blobs)?).bind(bytes);
         let Some(row) = insert.fetch_optional(tx.connection()).await? else { return Ok(None) };
         let job =
             NewJob { kind: JobKind::Make, photo: upload.id, version: 1, key: None, class: upload.class, requester: &upload.requester };

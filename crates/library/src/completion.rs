@@ -6,18 +6,16 @@ use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
 use crate::blobs::Contents;
-use crate::database::Tx;
+use crate::change_notifications::Event;
+use crate::database::{Tx, is_held};
 use crate::deliveries::{EventData, announce};
-use crate::error::{LibraryError, Result, is_refusal};
-use crate::events::Event;
-use crate::ids::Millis;
+use crate::error::{LibraryError, Result};
 use crate::leases::Lease;
 use crate::photo::{self, Blobs, Photo, PhotoState, Problem, blob_names, bytes_of, to_json};
 use crate::photos::locked_photo;
-use crate::queue::{Job, JobKind};
-use crate::statistics::{count_death, count_outcome};
+use crate::queue::{Job, JobKind, record_duration};
 use crate::webhooks::EventType;
-use crate::{Library, exports, millis};
+use crate::{Library, Millis, exports, millis};
 
 /// Pause after the server's first fault, doubled after each further one, and the longest pause.
 const BACK_OFF: Duration = Duration::from_millis(500);
@@ -57,19 +55,14 @@ impl Library {
                 self.blobs().discard_later(replaced).await;
                 Ok(photo)
             }
-            Err(error) => {
-                if is_refusal(&error) {
-                    self.blobs().discard(written).await;
-                }
-                Err(error)
-            }
+            Err(error) => Err(self.blobs().discard_refused(written, error).await),
         }
     }
 
     async fn keep(&self, lease: &Lease, details: &Value, blobs: Blobs) -> Result<(Photo, Vec<String>)> {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(lease.job.photo).await?;
-        end(&mut tx, lease).await?;
+        end(&mut tx, &lease.job, &lease.token()).await?;
         let before = locked_photo(&mut tx, lease.job.photo).await?;
         let (old, mut all): (Blobs, Blobs) = before.blobs.into_iter().partition(|(part, _)| part.is_result());
         all.extend(blobs);
@@ -83,7 +76,7 @@ impl Library {
         // exports of the previous version
         let mut replaced = exports::remove_of(&mut tx, lease.job.photo).await?;
         replaced.extend(blob_names(&old));
-        count_outcome(&mut tx, &lease.job, Some(lease.age())).await?;
+        record_duration(&mut tx, JobKind::Make, lease.age()).await?;
         announce(&mut tx, EventType::PhotoDone, photo.owner.as_ref(), &EventData::of_photo(&photo, None)).await?;
         tx.notify(Event::Photo(lease.job.photo));
         tx.commit().await?;
@@ -93,7 +86,7 @@ impl Library {
     /// Fails a job for good because of its photo or its parameters.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::LeaseLost`].
     pub async fn fail(&self, lease: &Lease, problem: &Problem) -> Result<()> {
         let mut tx = self.database().write().await?;
         self.fail_in(&mut tx, &lease.job, &lease.token(), problem).await?;
@@ -101,45 +94,29 @@ impl Library {
     }
 
     async fn fail_in(&self, tx: &mut Tx, job: &Job, token: &str, problem: &Problem) -> Result<()> {
-        let text = to_json(problem)?;
-        let end = match job.kind {
-            JobKind::Make => "DELETE FROM jobs WHERE id = $1 AND lease_token = $2",
-            JobKind::Export | JobKind::Film => {
-                "UPDATE jobs SET state = 'failed', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = $3, used_at = $4
-                 WHERE id = $1 AND lease_token = $2"
-            }
+        let photo = self.read_photo(tx.connection(), job.photo).await?.ok_or(LibraryError::LeaseLost)?;
+        let (event, data) = if job.kind == JobKind::Make {
+            end(tx, job, token).await?;
+            let update = sqlx::query("UPDATE photos SET state = 'failed', problem = $1, finished_at = $2 WHERE id = $3");
+            update.bind(to_json(problem)?).bind(tx.now).bind(job.photo.to_string()).execute(tx.connection()).await?;
+            (EventType::PhotoFailed, EventData::of_photo(&photo, Some(problem)))
+        } else {
+            let update =
+                "UPDATE jobs SET state = 'failed', lease_token = NULL, lease_until = NULL, owner = NULL, address = NULL, problem = $1,
+                used_at = $2 WHERE id = $3 AND lease_token = $4";
+            let update = sqlx::query(update).bind(to_json(problem)?).bind(tx.now).bind(job.id.clone()).bind(token.to_owned());
+            is_held(&update.execute(tx.connection()).await?)?;
+            (EventType::ExportFailed, EventData::of_export(job, &photo, Some(problem)))
         };
-        let mut query = sqlx::query(end).bind(job.id.clone()).bind(token.to_owned());
-        if matches!(job.kind, JobKind::Export | JobKind::Film) {
-            query = query.bind(text.clone()).bind(tx.now);
-        }
-        if query.execute(tx.connection()).await?.rows_affected() == 0 {
-            return Err(LibraryError::LeaseLost);
-        }
-        if job.kind == JobKind::Make {
-            let update = "UPDATE photos SET state = $1, problem = $2, finished_at = $3 WHERE id = $4";
-            let update = sqlx::query(update).bind(PhotoState::Failed.name()).bind(text).bind(tx.now);
-            update.bind(job.photo.to_string()).execute(tx.connection()).await?;
-        }
-        self.announce_failure(tx, job, problem).await?;
-        count_outcome(tx, job, None).await?;
+        announce(tx, event, photo.owner.as_ref(), &data).await?;
         tx.notify(Event::Photo(job.photo));
         Ok(())
-    }
-
-    async fn announce_failure(&self, tx: &mut Tx, job: &Job, problem: &Problem) -> Result<()> {
-        let photo = self.read_photo(tx.connection(), job.photo).await?.ok_or(LibraryError::NotFound("photo"))?;
-        let (event, data) = match job.kind {
-            JobKind::Make => (EventType::PhotoFailed, EventData::of_photo(&photo, Some(problem))),
-            JobKind::Export | JobKind::Film => (EventType::ExportFailed, EventData::of_export(job, &photo, Some(problem))),
-        };
-        announce(tx, event, photo.owner.as_ref(), &data).await
     }
 
     /// Requeues a job.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::LeaseLost`].
     pub async fn retry(&self, lease: &Lease, why: &Retry) -> Result<()> {
         let mut tx = self.database().write().await?;
         self.put_back(&mut tx, &lease.job, &lease.token(), why).await?;
@@ -156,8 +133,7 @@ impl Library {
         if died == 1 && job.attempts + 1 >= self.limits().attempts {
             let times = job.attempts + 1;
             let problem = Problem::new("gave-up", format!("it crashed its worker process {times} times"));
-            self.fail_in(tx, job, token, &problem).await?;
-            return count_death(tx, job.kind).await;
+            return self.fail_in(tx, job, token, &problem).await;
         }
         let update =
             "UPDATE jobs SET state = 'queued', lease_token = NULL, lease_until = NULL, attempts = attempts + $1, faults = faults + $2,
@@ -170,9 +146,6 @@ impl Library {
         sqlx::query("UPDATE jobs SET run_after = $1 WHERE id = $2").bind(after).bind(job.id.clone()).execute(tx.connection()).await?;
         if job.kind == JobKind::Make {
             set_state(tx, job, PhotoState::Queued).await?;
-        }
-        if died == 1 {
-            count_death(tx, job.kind).await?;
         }
         tx.notify(Event::Photo(job.photo));
         Ok(())
@@ -187,9 +160,9 @@ fn back_off(faults: i64) -> Millis {
 }
 
 /// Deletes the row of a job.
-async fn end(tx: &mut Tx, lease: &Lease) -> Result<()> {
-    let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(lease.job.id.clone()).bind(lease.token());
-    if delete.execute(tx.connection()).await?.rows_affected() == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
+async fn end(tx: &mut Tx, job: &Job, token: &str) -> Result<()> {
+    let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 AND lease_token = $2").bind(job.id.clone()).bind(token.to_owned());
+    is_held(&delete.execute(tx.connection()).await?)
 }
 
 pub(crate) async fn set_state(tx: &mut Tx, job: &Job, state: PhotoState) -> Result<()> {

@@ -2,14 +2,17 @@
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
+use crate::change_notifications::Event;
+use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Digest, Millis, Owner, hex, random};
-use crate::{Library, millis};
+use crate::ids::random;
+use crate::owner::Owner;
+use crate::photo::of_name;
+use crate::string_enum::string_enum;
+use crate::{Library, Millis, millis};
 
 /// Prefix of a key.
 pub const KEY_PREFIX: &str = "tmpi_k_";
@@ -20,34 +23,23 @@ const MAX_NAME: usize = 64;
 /// Hex digits of a key's id, from its hash.
 const ID_DIGITS: usize = 8;
 
-/// What a key allows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Scope {
-    /// Upload photos; change and delete the owner's.
-    Upload,
-    /// List and read the owner's photos.
-    Read,
-    /// Read the server's metrics.
-    Metrics,
-    /// Everything, on all photos.
-    Admin,
+string_enum! {
+    /// What a key allows.
+    pub enum Scope {
+        /// Upload photos; change and delete the owner's.
+        Upload = "upload",
+        /// List and read the owner's photos.
+        Read = "read",
+        /// Read the server's metrics.
+        Metrics = "metrics",
+        /// Everything, on all photos.
+        Admin = "admin",
+    }
 }
 
 impl Scope {
     /// All scopes.
     pub const ALL: [Self; 4] = [Self::Upload, Self::Read, Self::Metrics, Self::Admin];
-
-    /// Name on the command line.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Upload => "upload",
-            Self::Read => "read",
-            Self::Metrics => "metrics",
-            Self::Admin => "admin",
-        }
-    }
 }
 
 /// A key, without its secret.
@@ -77,12 +69,11 @@ impl Key {
 
     fn from_row(row: &AnyRow) -> Result<Self> {
         let (hash, scopes, owner): (String, String, String) = (row.try_get("hash")?, row.try_get("scopes")?, row.try_get("owner")?);
-        let scope = |name: &str| Scope::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| LibraryError::stored("scope", name));
         Ok(Self {
             id: hash.get(..ID_DIGITS).unwrap_or_default().to_owned(),
             name: row.try_get("name")?,
             owner: Owner::from_column(owner),
-            scopes: scopes.split(',').filter(|name| !name.is_empty()).map(scope).collect::<Result<_>>()?,
+            scopes: scopes.split(',').filter(|name| !name.is_empty()).map(of_name).collect::<Result<_>>()?,
             created_at: row.try_get("created_at")?,
             expires_at: row.try_get("expires_at")?,
             hash,
@@ -99,17 +90,6 @@ pub struct NewKey {
     pub secret: String,
 }
 
-/// A browser's session.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Session {
-    /// The owner.
-    pub owner: Owner,
-    /// The key of the sign-in, whose scopes bound the session; without one the session may do what its owner may.
-    pub key: Option<Key>,
-    /// When it ends.
-    pub expires_at: Millis,
-}
-
 fn hash(secret: &str) -> String {
     Digest::of(secret.as_bytes()).as_str().to_owned()
 }
@@ -122,7 +102,7 @@ impl Library {
     /// Creates a key.
     ///
     /// # Errors
-    /// [`LibraryError::Invalid`] for an invalid name, [`LibraryError::Unavailable`].
+    /// [`LibraryError::Invalid`] for an invalid name.
     pub async fn add_key(&self, name: &str, scopes: &[Scope], lasts: Option<Duration>) -> Result<NewKey> {
         if !is_name(name) {
             return Err(LibraryError::Invalid("a name has 1 to 64 letters, digits, dots, - and _".into()));
@@ -152,9 +132,6 @@ impl Library {
     }
 
     /// Whether a key still exists and has not expired.
-    ///
-    /// # Errors
-    /// As [`Library::find_key`].
     pub async fn is_valid(&self, key: &Key) -> Result<bool> {
         Ok(self.key_of_hash(key.hash.clone()).await?.is_some())
     }
@@ -166,18 +143,15 @@ impl Library {
     }
 
     /// All keys, by name and age.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn keys(&self) -> Result<Vec<Key>> {
         let rows = sqlx::query("SELECT * FROM keys ORDER BY name, created_at").fetch_all(self.database().reader()).await?;
         rows.iter().map(Key::from_row).collect()
     }
 
-    /// Removes all keys of a name, or the one with an id, and their sessions; returns the number of keys.
+    /// Removes all keys of a name, or the one with an id; returns the number of keys.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`].
     pub async fn remove_keys(&self, name: &str, id: Option<&str>) -> Result<u64> {
         let mut tx = self.database().write().await?;
         let delete = sqlx::query("DELETE FROM keys WHERE name = $1 AND ($2 = '' OR SUBSTR(hash, 1, 8) = $2)");
@@ -190,64 +164,23 @@ impl Library {
         Ok(removed)
     }
 
-    /// Opens a session; returns the secret for its cookie, which is not stored.
-    ///
-    /// # Errors
-    /// [`LibraryError::NotFound`] if the key was removed meanwhile, [`LibraryError::Unavailable`].
-    pub async fn open_session(&self, owner: &Owner, key: Option<&Key>, lasts: Duration) -> Result<String> {
+    /// Opens an owner's session; returns the secret for its cookie, which is not stored.
+    pub async fn open_session(&self, owner: &Owner, lasts: Duration) -> Result<String> {
         let secret = format!("{SESSION_PREFIX}{}", hex(&random::<32>()?));
         let mut tx = self.database().write().await?;
         tx.lock_owner(owner.as_str()).await?;
-        if let Some(key) = key {
-            let select = sqlx::query("SELECT hash FROM keys WHERE hash = $1").bind(key.hash.clone());
-            select.fetch_optional(tx.connection()).await?.ok_or(LibraryError::NotFound("key"))?;
-        }
-        let insert = "INSERT INTO sessions (hash, owner, key_hash, created_at, expires_at) VALUES ($1, $2, $3, $4, $5)";
-        let insert = sqlx::query(insert).bind(hash(&secret)).bind(owner.as_str().to_owned()).bind(key.map(|key| key.hash.clone()));
+        let insert = "INSERT INTO sessions (hash, owner, created_at, expires_at) VALUES ($1, $2, $3, $4)";
+        let insert = sqlx::query(insert).bind(hash(&secret)).bind(owner.as_str().to_owned());
         insert.bind(tx.now).bind(tx.now + millis(lasts)).execute(tx.connection()).await?;
         tx.commit().await?;
         Ok(secret)
     }
 
-    /// The session of a cookie, unless the session or its key has expired.
-    ///
-    /// # Errors
-    /// As [`Library::find_key`].
-    pub async fn find_session(&self, secret: &str) -> Result<Option<Session>> {
+    /// The owner of an unexpired session.
+    pub async fn session_owner(&self, secret: &str) -> Result<Option<Owner>> {
         let now = self.now().await?;
-        let select = sqlx::query("SELECT owner, key_hash, expires_at FROM sessions WHERE hash = $1 AND expires_at > $2");
-        let Some(row) = select.bind(hash(secret)).bind(now).fetch_optional(self.database().reader()).await? else { return Ok(None) };
-        let key = match row.try_get::<Option<String>, _>("key_hash")? {
-            Some(hash) => match self.key_of_hash(hash).await? {
-                None => return Ok(None),
-                key => key,
-            },
-            None => None,
-        };
-        Ok(Some(Session { owner: Owner::from_column(row.try_get("owner")?), key, expires_at: row.try_get("expires_at")? }))
-    }
-
-    /// Ends a session.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
-    pub async fn end_session(&self, secret: &str) -> Result<()> {
-        self.end("DELETE FROM sessions WHERE hash = $1", hash(secret)).await
-    }
-
-    /// Ends all sessions of an owner.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
-    pub async fn end_sessions(&self, owner: &Owner) -> Result<()> {
-        self.end("DELETE FROM sessions WHERE owner = $1", owner.as_str().to_owned()).await
-    }
-
-    async fn end(&self, delete: &'static str, of: String) -> Result<()> {
-        let mut tx = self.database().write().await?;
-        if sqlx::query(delete).bind(of).execute(tx.connection()).await?.rows_affected() > 0 {
-            tx.notify(Event::Revoked);
-        }
-        tx.commit().await
+        let select = sqlx::query("SELECT owner FROM sessions WHERE hash = $1 AND expires_at > $2").bind(hash(secret)).bind(now);
+        let row = select.fetch_optional(self.database().reader()).await?;
+        Ok(row.map(|row| row.try_get("owner")).transpose()?.map(Owner::from_column))
     }
 }

@@ -5,12 +5,13 @@
 use std::path::Path;
 use std::time::Duration;
 
-use sqlx::any::{AnyPoolOptions, install_default_drivers};
+use sqlx::any::{AnyPoolOptions, AnyQueryResult, install_default_drivers};
 use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor as _, Row as _, Transaction};
 
+use crate::Millis;
+use crate::change_notifications::{CHANNEL, Event, Events};
 use crate::error::{LibraryError, Result};
-use crate::events::{CHANNEL, Event, Events};
-use crate::ids::{Millis, PhotoId};
+use crate::ids::PhotoId;
 
 /// Migrations; each runs once, in this order.
 const MIGRATIONS: [&str; 1] = [include_str!("../migrations/1.sql")];
@@ -105,12 +106,14 @@ impl Database {
     }
 
     async fn ready(kind: JobKind, writer: AnyPool, reader: AnyPool, events: Events) -> Result<Self> {
-        #[cfg(test)]
-        let skew = std::sync::Arc::default();
-        #[cfg(test)]
-        let database = Self { kind, writer, reader, events, skew };
-        #[cfg(not(test))]
-        let database = Self { kind, writer, reader, events };
+        let database = Self {
+            kind,
+            writer,
+            reader,
+            events,
+            #[cfg(test)]
+            skew: std::sync::Arc::default(),
+        };
         database.migrate().await?;
         Ok(database)
     }
@@ -230,14 +233,6 @@ impl Tx {
         Ok(())
     }
 
-    /// Locks the row of a photo. Lock the rows of jobs first.
-    pub async fn lock_photo(&mut self, id: &str) -> Result<()> {
-        if self.has_row_locks() {
-            sqlx::query("SELECT id FROM photos WHERE id = $1 FOR UPDATE").bind(id).fetch_optional(self.connection()).await?;
-        }
-        Ok(())
-    }
-
     /// Inserts the row of an owner if it is missing, and locks it.
     pub async fn lock_owner(&mut self, owner: &str) -> Result<()> {
         let (text, now) = (owner.to_owned(), self.now);
@@ -273,4 +268,9 @@ impl Tx {
         self.database.events.committed(events);
         Ok(())
     }
+}
+
+/// Whether an update, which matches the token of a lease or its like, has found its row.
+pub(crate) fn is_held(updated: &AnyQueryResult) -> Result<()> {
+    if updated.rows_affected() == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
 }

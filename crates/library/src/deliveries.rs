@@ -12,14 +12,17 @@ use serde_json::Value;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
-use crate::database::{Lock, Tx};
+use crate::change_notifications::Event;
+use crate::database::{Lock, Tx, is_held};
+use crate::digest::hex;
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Millis, Owner, PhotoId, hex, random};
-use crate::photo::{Photo, Problem, json, to_json};
+use crate::ids::{PhotoId, random};
+use crate::owner::Owner;
+use crate::photo::{Photo, Problem, json, parsed, to_json};
 use crate::queue::{Job, JobKind};
+use crate::string_enum::string_enum;
 use crate::webhooks::{EventType, Webhook, disable};
-use crate::{Library, millis};
+use crate::{Library, Millis, millis};
 
 /// Longest attempt: after that another one begins.
 const LEASE: Duration = Duration::from_mins(1);
@@ -49,19 +52,14 @@ pub const RETRIES: [Duration; 8] = [
 #[serde(default)]
 pub struct EventData {
     /// The photo.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub photo: Option<PhotoId>,
     /// Its title.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub title: Option<String>,
     /// The export.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub export: Option<ExportData>,
     /// Why the photo or the export failed.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<Problem>,
     /// The room.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub room: Option<String>,
 }
 
@@ -91,29 +89,15 @@ impl EventData {
     }
 }
 
-/// State of a delivery.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum DeliveryState {
-    /// It waits for an attempt, or one is under way.
-    Pending,
-    /// The receiver has it.
-    Delivered,
-    /// It is given up.
-    Failed,
-}
-
-impl DeliveryState {
-    const ALL: [Self; 3] = [Self::Pending, Self::Delivered, Self::Failed];
-
-    /// As in the database.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Pending => "pending",
-            Self::Delivered => "delivered",
-            Self::Failed => "failed",
-        }
+string_enum! {
+    /// State of a delivery.
+    pub enum DeliveryState {
+        /// It waits for an attempt, or one is under way.
+        Pending = "pending",
+        /// The receiver has it.
+        Delivered = "delivered",
+        /// It is given up.
+        Failed = "failed",
     }
 }
 
@@ -146,16 +130,14 @@ pub struct Delivery {
 
 impl Delivery {
     fn from_row(row: &AnyRow) -> Result<Self> {
-        let (event, state): (String, String) = (row.try_get("event")?, row.try_get("state")?);
-        let state = DeliveryState::ALL.into_iter().find(|known| known.name() == state);
         Ok(Self {
             id: row.try_get("id")?,
-            event: EventType::of_column(&event)?,
+            event: parsed(row, "event")?,
             data: json(row, "data")?,
             created_at: row.try_get("created_at")?,
             run_after: row.try_get("run_after")?,
             attempts: row.try_get("attempts")?,
-            state: state.ok_or_else(|| LibraryError::stored("state", "of a delivery"))?,
+            state: parsed(row, "state")?,
             status: row.try_get::<Option<i64>, _>("status")?.map(|status| status as u16),
             error: row.try_get("error")?,
             took_ms: row.try_get("took_ms")?,
@@ -256,7 +238,7 @@ impl Library {
     /// Sends a [`EventType::Ping`] to a webhook; returns the id of the delivery.
     ///
     /// # Errors
-    /// [`LibraryError::Invalid`] if the webhook is disabled, [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::Invalid`] if the webhook is disabled, [`LibraryError::NotFound`].
     pub async fn ping(&self, webhook: &str) -> Result<String> {
         let mut tx = self.database().write().await?;
         let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(webhook.to_owned());
@@ -270,9 +252,6 @@ impl Library {
     }
 
     /// Takes at most `most` due deliveries, those first that have waited longest, for a minute. A webhook has two under way at a time.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn take_deliveries(&self, most: usize) -> Result<Vec<DueDelivery>> {
         let mut tx = self.database().write().await?;
         // counts what is under way
@@ -292,9 +271,6 @@ impl Library {
     }
 
     /// Time until the next attempt is due; `None` if none is pending.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn next_delivery_in(&self) -> Result<Option<Duration>> {
         let now = self.database().now().await?;
         let select = "SELECT MIN(run_after) AS due FROM deliveries WHERE state = 'pending'";
@@ -306,7 +282,7 @@ impl Library {
     /// attempts have failed for five days, is disabled.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`] if another attempt has begun, or the delivery has ended; [`LibraryError::Unavailable`].
+    /// [`LibraryError::LeaseLost`] if another attempt has begun, or the delivery has ended.
     pub async fn record_attempt(&self, due: &DueDelivery, attempt: &Attempt) -> Result<DeliveryState> {
         let mut tx = self.database().write().await?;
         let (delivery, webhook) = (&due.delivery, due.webhook.id.as_str());
@@ -323,19 +299,13 @@ impl Library {
             lease_until = NULL WHERE id = $7 AND attempts = $8 AND state = 'pending'";
         let update = sqlx::query(update).bind(state.name()).bind(after).bind(attempt.status.map(i64::from)).bind(attempt.error.clone());
         let update = update.bind(millis(attempt.took)).bind(Some(tx.now).filter(|_| state != DeliveryState::Pending));
-        let updated = update.bind(delivery.id.clone()).bind(delivery.attempts).execute(tx.connection()).await?;
-        if updated.rows_affected() == 0 {
-            return Err(LibraryError::LeaseLost);
-        }
+        is_held(&update.bind(delivery.id.clone()).bind(delivery.attempts).execute(tx.connection()).await?)?;
         note(&mut tx, webhook, attempt.verdict, state).await?;
         tx.commit().await?;
         Ok(state)
     }
 
     /// At most `limit` deliveries of a webhook before `after`, newest first.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn deliveries(&self, webhook: &str, after: Option<&str>, limit: usize) -> Result<DeliveryPage> {
         let select = sqlx::query("SELECT * FROM deliveries WHERE webhook = $1 AND ($2 = '' OR id < $2) ORDER BY id DESC LIMIT $3");
         let select = select.bind(webhook.to_owned()).bind(after.unwrap_or_default().to_owned()).bind(limit as i64 + 1);

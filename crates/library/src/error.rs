@@ -79,12 +79,6 @@ pub enum LibraryError {
     /// The caller no longer holds the job. Its result is discarded.
     #[error("the lease is lost")]
     LeaseLost,
-    /// Another node has the room.
-    #[error("the room's origin is {origin}")]
-    RoomTaken {
-        /// Its address.
-        origin: String,
-    },
     /// A value that cannot be accepted.
     #[error("{0}")]
     Invalid(String),
@@ -150,8 +144,3 @@ impl From<sqlx::Error> for LibraryError {
 
 /// Result of the library.
 pub type Result<T> = std::result::Result<T, LibraryError>;
-
-/// Whether an error guarantees that nothing was committed. After other errors the blobs stay for `gc`.
-pub(crate) const fn is_refusal(error: &LibraryError) -> bool {
-    !matches!(error, LibraryError::Unavailable { .. } | LibraryError::Internal(_))
-}

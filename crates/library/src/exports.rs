@@ -6,16 +6,15 @@ use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
 use crate::blobs::{Content, Contents};
+use crate::change_notifications::Event;
 use crate::database::Tx;
 use crate::deliveries::{EventData, announce};
-use crate::error::{LibraryError, Result, is_refusal};
-use crate::events::Event;
+use crate::error::{LibraryError, Result};
 use crate::ids::PhotoId;
 use crate::leases::Lease;
 use crate::photo::{Blob, Class, Part, Photo, PhotoState, file_names, to_json};
 use crate::photos::locked_photo;
-use crate::queue::{COLUMNS, Job, JobKind, JobState, NewJob, Requester, id_of};
-use crate::statistics::count_outcome;
+use crate::queue::{COLUMNS, Job, JobKind, JobState, NewJob, Requester, id_of, record_duration};
 use crate::webhooks::EventType;
 use crate::{Library, millis};
 
@@ -95,9 +94,9 @@ impl Library {
     ///
     /// # Errors
     /// [`LibraryError::LeaseLost`], after which the file is discarded; [`LibraryError::Invalid`] if it exceeds the limit of all exports;
-    /// [`LibraryError::StorageFull`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::StorageFull`].
     pub async fn finish_export(&self, lease: &Lease, file: Content) -> Result<Job> {
-        let (bytes, most) = (file.len(), self.limits().exports_bytes);
+        let (bytes, most) = (file.bytes(), self.limits().exports_bytes);
         if bytes > most {
             return Err(LibraryError::Invalid(format!("the file has {bytes} bytes; the limit of all exports is {most}")));
         }
@@ -108,12 +107,7 @@ impl Library {
                 self.blobs().discard(gone).await;
                 Ok(job)
             }
-            Err(error) => {
-                if is_refusal(&error) {
-                    self.blobs().discard([blob.name]).await;
-                }
-                Err(error)
-            }
+            Err(error) => Err(self.blobs().discard_refused(vec![blob.name], error).await),
         }
     }
 
@@ -127,7 +121,7 @@ impl Library {
         let row = update.bind(lease.job.id.clone()).bind(lease.token()).fetch_optional(tx.connection()).await?;
         let job = Job::from_row(&row.ok_or(LibraryError::LeaseLost)?)?;
         let gone = self.trim(&mut tx, &job.id).await?;
-        count_outcome(&mut tx, &job, Some(lease.age())).await?;
+        record_duration(&mut tx, job.kind, lease.age()).await?;
         let data = EventData::of_export(&job, &lease.photo, None);
         announce(&mut tx, EventType::ExportDone, lease.photo.owner.as_ref(), &data).await?;
         tx.notify(Event::Photo(job.photo));
@@ -153,9 +147,6 @@ impl Library {
     }
 
     /// Records that an export was fetched, which extends its life. A second fetch within a minute writes nothing.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn note_export_fetch(&self, job: &Job) -> Result<()> {
         let mut tx = self.database().write().await?;
         let update = sqlx::query("UPDATE jobs SET used_at = $1 WHERE id = $2 AND used_at <= $3").bind(tx.now).bind(job.id.clone());
@@ -164,9 +155,6 @@ impl Library {
     }
 
     /// Cancels or removes an export; false if it does not exist.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn cancel_export(&self, photo: PhotoId, key: &str) -> Result<bool> {
         let mut tx = self.database().write().await?;
         let delete = sqlx::query("DELETE FROM jobs WHERE id = $1 RETURNING result").bind(id_of(JobKind::Export, photo, Some(key)));

@@ -22,30 +22,19 @@ pub struct Collected {
 
 impl Library {
     /// Deletes blobs without references that are more than a day old by the store's clock.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`](crate::LibraryError::Unavailable), possibly after some deletions.
     pub async fn gc(&self) -> Result<Collected> {
         self.gc_older_than(ORPHAN).await
     }
 
     /// Runs [`Library::gc`] once a day, on one node; `None` if it is not due here.
-    ///
-    /// # Errors
-    /// As [`Library::gc`].
     pub async fn gc_if_due(&self) -> Result<Option<Collected>> {
-        if self.is_due("gc", ORPHAN).await? { self.gc().await.map(Some) } else { Ok(None) }
-    }
-
-    /// Whether this node should now run a task that runs once per `period` on one node.
-    async fn is_due(&self, task: &'static str, period: Duration) -> Result<bool> {
         let mut tx = self.database().write().await?;
-        let claim = "INSERT INTO upkeep (task, ran_at) VALUES ($1, $2)
-            ON CONFLICT (task) DO UPDATE SET ran_at = excluded.ran_at WHERE upkeep.ran_at <= $3";
-        let claim = sqlx::query(claim).bind(task).bind(tx.now).bind(tx.now - millis(period));
-        let claimed = claim.execute(tx.connection()).await?.rows_affected() > 0;
+        let claim = "INSERT INTO upkeep (task, ran_at) VALUES ('gc', $1)
+            ON CONFLICT (task) DO UPDATE SET ran_at = excluded.ran_at WHERE upkeep.ran_at <= $2";
+        let claim = sqlx::query(claim).bind(tx.now).bind(tx.now - millis(ORPHAN));
+        let is_due = claim.execute(tx.connection()).await?.rows_affected() > 0;
         tx.commit().await?;
-        Ok(claimed)
+        if is_due { self.gc().await.map(Some) } else { Ok(None) }
     }
 
     pub(crate) async fn gc_older_than(&self, age: Duration) -> Result<Collected> {

@@ -1,4 +1,4 @@
-//! Names of photos, owners and contents, which are all digests.
+//! Ids of photos, and random bytes for other ids and for secrets.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,33 +6,8 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-/// Milliseconds since 1970 by the database's clock. Never compare it with a node's clock.
-pub type Millis = i64;
-
-/// SHA-256 of a content, as 64 lower-case hex digits.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Digest(String);
-
-impl Digest {
-    /// The digest of `bytes`.
-    #[must_use]
-    pub fn of(bytes: &[u8]) -> Self {
-        Self(hex(&Sha256::digest(bytes)))
-    }
-
-    /// From the 32 bytes of a SHA-256.
-    #[must_use]
-    pub fn from_bytes(bytes: &[u8; 32]) -> Self {
-        Self(hex(bytes))
-    }
-
-    /// 64 hex digits.
-    #[must_use]
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
+use crate::LibraryError;
+use crate::digest::{Digest, hex, unhex};
 
 /// Id of a photo: 128 bits as 32 lower-case hex digits.
 ///
@@ -65,19 +40,12 @@ impl PhotoId {
     }
 }
 
-/// Text that is not a photo id.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a photo id has 32 lower-case hex digits")]
-pub struct IdError;
-
 impl FromStr for PhotoId {
-    type Err = IdError;
+    type Err = LibraryError;
 
-    fn from_str(text: &str) -> Result<Self, IdError> {
-        if text.bytes().any(|b| b.is_ascii_uppercase()) {
-            return Err(IdError);
-        }
-        unhex(text).map(Self).ok_or(IdError)
+    fn from_str(text: &str) -> crate::Result<Self> {
+        let id = if text.bytes().any(|b| b.is_ascii_uppercase()) { None } else { unhex(text).map(Self) };
+        id.ok_or_else(|| LibraryError::Invalid("a photo id has 32 lower-case hex digits".into()))
     }
 }
 
@@ -105,72 +73,10 @@ impl<'de> Deserialize<'de> for PhotoId {
     }
 }
 
-/// The owner of a photo: a one-way hash of a secret or a name, as 64 hex digits.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct Owner(String);
-
-impl Owner {
-    fn of(kind: &str, text: &str) -> Self {
-        Self(hex(&Sha256::digest(format!("tmpi owner 1\0{kind}\0{text}"))))
-    }
-
-    /// The holder of this secret.
-    #[must_use]
-    pub fn of_secret(secret: &str) -> Self {
-        Self::of("secret", secret)
-    }
-
-    /// The holders of keys with this name. Keys of one name share an owner, so that one can replace another.
-    #[must_use]
-    pub fn of_keys(name: &str) -> Self {
-        Self::of("keys", name)
-    }
-
-    /// The user of this machine, who has no quotas.
-    #[must_use]
-    pub fn local_user() -> Self {
-        Self::of("local", "")
-    }
-
-    /// As text.
-    #[must_use]
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-
-    pub(crate) const fn from_column(text: String) -> Self {
-        Self(text)
-    }
-}
-
-/// Lower-case hex of `bytes`.
-#[must_use]
-pub fn hex(bytes: &[u8]) -> String {
-    let digit = |v: u8| char::from(if v < 10 { b'0' + v } else { b'a' + v - 10 });
-    bytes.iter().flat_map(|b| [digit(b >> 4), digit(b & 15)]).collect()
-}
-
-/// Decodes exactly `N` bytes from hex digits.
-pub(crate) fn unhex<const N: usize>(text: &str) -> Option<[u8; N]> {
-    let digits: Vec<u8> = text.chars().map(|c| c.to_digit(16).map(|d| d as u8)).collect::<Option<_>>()?;
-    let mut bytes = [0; N];
-    if digits.len() != 2 * N {
-        return None;
-    }
-    for (byte, pair) in bytes.iter_mut().zip(digits.chunks_exact(2)) {
-        *byte = pair[0] << 4 | pair[1];
-    }
-    Some(bytes)
-}
-
 /// `N` cryptographically random bytes.
-///
-/// # Errors
-/// The system has no random bytes.
 pub(crate) fn random<const N: usize>() -> crate::Result<[u8; N]> {
     let mut bytes = [0; N];
-    getrandom::fill(&mut bytes).map_err(|e| crate::LibraryError::Internal(format!("no random bytes: {e}")))?;
+    getrandom::fill(&mut bytes).map_err(|e| LibraryError::Internal(format!("no random bytes: {e}")))?;
     Ok(bytes)
 }
 
@@ -198,18 +104,12 @@ mod tests {
         #[test]
         fn an_id_survives_text(bytes in any::<[u8; 16]>()) {
             let id = PhotoId(bytes);
-            prop_assert_eq!(id.to_string().parse(), Ok(id));
+            prop_assert_eq!(id.to_string().parse().ok(), Some(id));
         }
 
         #[test]
         fn only_canonical_text_is_an_id(text in "\\PC{0,40}|[0-9a-fA-F]{32}") {
             if let Ok(id) = text.parse::<PhotoId>() { prop_assert_eq!(id.to_string(), text); }
         }
-    }
-
-    #[test]
-    fn owners_of_different_kinds_differ() {
-        assert_ne!(Owner::of_secret("a"), Owner::of_keys("a"));
-        assert_ne!(Owner::of_secret(""), Owner::local_user());
     }
 }

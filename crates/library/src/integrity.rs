@@ -8,7 +8,6 @@ use sqlx::AssertSqlSafe;
 use crate::error::{LibraryError, Result};
 use crate::ids::PhotoId;
 use crate::photo::{COLUMNS, Part, Photo, PhotoState};
-use crate::photos::Filter;
 use crate::{Library, millis};
 
 /// Photos per query.
@@ -72,13 +71,10 @@ impl Library {
     }
 
     /// Checks the contents of all photos against their sizes and digests, and marks photos with damaged results.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn fsck(&self) -> Result<Vec<Damage>> {
         let (mut all, mut after) = (Vec::new(), None);
         loop {
-            let page = self.list(&Filter::default(), after, PART).await?;
+            let page = self.list(None, after, PART).await?;
             for photo in &page.photos {
                 let found = self.verify(photo).await?;
                 self.mark_if_damaged(photo, &found).await?;

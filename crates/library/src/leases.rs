@@ -11,14 +11,15 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use sqlx::{AssertSqlSafe, Row as _};
 
+use crate::change_notifications::Event;
 use crate::completion::{MAX_BACK_OFF, Retry, set_state};
-use crate::database::Tx;
+use crate::database::{Tx, is_held};
+use crate::digest::hex;
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Millis, hex, random};
+use crate::ids::random;
 use crate::photo::{Photo, PhotoState, to_json};
 use crate::queue::{COLUMNS, Job, JobKind};
-use crate::{Library, deliveries, millis, rooms};
+use crate::{Library, Millis, deliveries, millis, room_leases};
 
 /// Longest lease: one that ends later was granted before the clock was set back.
 const MAX_LEASE: Duration = Duration::from_mins(10);
@@ -41,36 +42,6 @@ impl OwnLeases {
     }
 }
 
-/// Since when this node has reached the database without interruption; `None` while it cannot.
-#[derive(Debug, Default)]
-pub(crate) struct Connectivity(Mutex<Since>);
-
-#[derive(Clone, Copy, Debug, Default)]
-enum Since {
-    #[default]
-    Start,
-    Outage(Option<Instant>),
-}
-
-impl Connectivity {
-    fn note(&self, is_reached: bool) {
-        let mut since = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        *since = match *since {
-            _ if !is_reached => Since::Outage(None),
-            Since::Outage(None) => Since::Outage(Some(Instant::now())),
-            since => since,
-        };
-    }
-
-    /// Whether live workers of other nodes have had time to renew their leases.
-    fn for_long(&self, lease: Duration) -> bool {
-        match *self.0.lock().unwrap_or_else(PoisonError::into_inner) {
-            Since::Start => true,
-            Since::Outage(since) => since.is_some_and(|since| since.elapsed() >= lease),
-        }
-    }
-}
-
 /// A worker's lease of a job. If dropped unfinished, another worker gets the job once the lease expires.
 #[derive(Debug)]
 pub struct Lease {
@@ -90,24 +61,12 @@ impl Drop for Lease {
     }
 }
 
-/// A job whose lease has expired.
-struct Over {
-    job: Job,
-    token: String,
-}
-
 impl Library {
     /// Takes the next job of these kinds, for `lasts`; `None` if none is ready.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn take(&self, kinds: &[JobKind], lasts: Duration) -> Result<Option<Lease>> {
         let lasts = lasts.min(MAX_LEASE);
-        let begun = self.database().write().await;
-        self.0.reached.note(begun.is_ok());
-        let mut tx = begun?;
-        // after an outage of the database all leases have expired, and their holders have yet to renew them
-        let over = if self.0.reached.for_long(lasts) { self.over(&mut tx).await? } else { Vec::new() };
+        let mut tx = self.database().write().await?;
+        let over = self.over(&mut tx).await?;
         if !over.is_empty() {
             tx.commit().await?;
             self.take_back(over).await?;
@@ -119,9 +78,9 @@ impl Library {
         };
         let token = hex(&random::<16>()?);
         let update = format!(
-            "UPDATE jobs SET state = 'working', lease_token = $1, lease_until = $2, started_at = $3, problem = NULL WHERE id = $4 RETURNING {COLUMNS}"
+            "UPDATE jobs SET state = 'working', lease_token = $1, lease_until = $2, problem = NULL WHERE id = $3 RETURNING {COLUMNS}"
         );
-        let update = sqlx::query(AssertSqlSafe(update)).bind(token.clone()).bind(tx.now + millis(lasts)).bind(tx.now).bind(id);
+        let update = sqlx::query(AssertSqlSafe(update)).bind(token.clone()).bind(tx.now + millis(lasts)).bind(id);
         let job = Job::from_row(&update.fetch_one(tx.connection()).await?)?;
         if job.kind == JobKind::Make {
             set_state(&mut tx, &job, PhotoState::Working).await?;
@@ -138,9 +97,6 @@ impl Library {
     }
 
     /// Like [`Self::take`], but waits for a job; `None` once `stop` completes.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn next(&self, kinds: &[JobKind], lasts: Duration, stop: impl Future<Output = ()>) -> Result<Option<Lease>> {
         let mut events = self.subscribe();
         let mut stop = std::pin::pin!(stop);
@@ -164,8 +120,8 @@ impl Library {
         }
     }
 
-    /// Jobs with expired leases: their workers have died.
-    async fn over(&self, tx: &mut Tx) -> Result<Vec<Over>> {
+    /// Jobs with expired leases, and their tokens: their workers have died.
+    async fn over(&self, tx: &mut Tx) -> Result<Vec<(Job, String)>> {
         let over = format!("SELECT {COLUMNS}, lease_token FROM jobs WHERE state = 'working' AND (lease_until <= $1 OR lease_until > $2)");
         let over = sqlx::query(AssertSqlSafe(over)).bind(tx.now).bind(tx.now + millis(MAX_LEASE));
         let mut jobs = Vec::new();
@@ -175,7 +131,7 @@ impl Library {
                 continue;
             }
             match Job::from_row(&row) {
-                Ok(job) => jobs.push(Over { job, token }),
+                Ok(job) => jobs.push((job, token)),
                 // from a newer version; must not block other jobs
                 Err(error) => tracing::warn!(%error, "skipping a job that this version cannot read"),
             }
@@ -183,11 +139,8 @@ impl Library {
         Ok(jobs)
     }
 
-    /// Requeues all running jobs, lets deliveries under way be tried again, and ends all rooms. That does not count as an attempt, but each waits longer every time, because one of them may have crashed
-    /// the server. Only for a process that is the only one with workers.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
+    /// Requeues all running jobs, lets deliveries under way be tried again, and ends all rooms. That does not count as an attempt, but each
+    /// job waits longer every time, because one of them may have crashed the server. Only for a process that is the only one with workers.
     pub async fn reclaim(&self) -> Result<()> {
         let select = format!("SELECT {COLUMNS}, lease_token FROM jobs WHERE state = 'working'");
         for row in sqlx::query(AssertSqlSafe(select)).fetch_all(self.database().reader()).await? {
@@ -198,13 +151,13 @@ impl Library {
         }
         let mut tx = self.database().write().await?;
         deliveries::release(&mut tx).await?;
-        rooms::end_all(&mut tx).await?;
+        room_leases::end_all(&mut tx).await?;
         tx.commit().await
     }
 
     /// Requeues jobs of dead workers, each in its own transaction, so that none locks the rows of two.
-    async fn take_back(&self, jobs: Vec<Over>) -> Result<()> {
-        for Over { job, token } in jobs {
+    async fn take_back(&self, jobs: Vec<(Job, String)>) -> Result<()> {
+        for (job, token) in jobs {
             let mut tx = self.database().write().await?;
             let why = Retry::Died("its worker stopped responding".into());
             match self.put_back(&mut tx, &job, &token, &why).await {
@@ -244,17 +197,11 @@ impl Library {
         let progress = progress.map(to_json).transpose()?;
         let update = "UPDATE jobs SET lease_until = $1, progress = COALESCE($2, progress) WHERE id = $3 AND lease_token = $4";
         let update = sqlx::query(update).bind(tx.now + millis(lease.lasts)).bind(progress);
-        let renewed = update.bind(lease.job.id.clone()).bind(lease.token.clone()).execute(tx.connection()).await?;
-        if renewed.rows_affected() == 0 {
-            return Err(LibraryError::LeaseLost);
-        }
+        is_held(&update.bind(lease.job.id.clone()).bind(lease.token.clone()).execute(tx.connection()).await?)?;
         tx.commit().await
     }
 
     /// Sends the worker's progress to the photo's followers without storing it.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn send_progress(&self, lease: &Lease, progress: Value) -> Result<()> {
         self.database().notify(Event::Progress { photo: lease.job.photo, progress }).await
     }
@@ -275,26 +222,5 @@ impl Lease {
     /// How long the job has run, by this process's clock.
     pub(crate) fn age(&self) -> Millis {
         millis(self.taken.elapsed())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn after_an_outage_leases_get_time_to_be_renewed() {
-        let (reached, lease) = (Connectivity::default(), Duration::from_millis(30));
-        reached.note(true);
-        assert!(reached.for_long(lease), "at the start nothing is known of an outage");
-        reached.note(false);
-        assert!(!reached.for_long(lease));
-        let back = Instant::now();
-        reached.note(true);
-        while !reached.for_long(lease) {
-            reached.note(true);
-            std::thread::yield_now();
-        }
-        assert!(back.elapsed() >= lease);
     }
 }

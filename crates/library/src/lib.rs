@@ -4,31 +4,36 @@
 //! blob store. A blob is written before the row that refers to it and deleted after it, so a crash leaves at most orphans, which
 //! [`Library::gc`] removes after a day. Long-running work is a [`Job`] with a [`Lease`] by the database's clock.
 //!
-//! This crate knows nothing of HTTP or pixels.
+//! While the database or the blob store cannot be reached, each call fails with [`LibraryError::Unavailable`]; only its other errors are named
+//! with it. This crate knows nothing of HTTP or pixels.
+#![allow(clippy::missing_errors_doc, reason = "what each call can fail with is said once, above")]
 
 mod accept;
 mod blobs;
+mod change_notifications;
 mod completion;
 mod credentials;
 mod database;
 mod deliveries;
+mod digest;
 mod error;
-mod events;
 mod exports;
 mod garbage_collection;
 mod ids;
 mod integrity;
 mod leases;
+mod owner;
 mod photo;
 mod photos;
 mod queue;
 mod quota;
 mod remake;
 mod retention;
-mod rooms;
+mod room_leases;
 mod signed_links;
-mod sources;
+mod source_validators;
 mod statistics;
+mod string_enum;
 #[cfg(test)]
 mod tests;
 mod webhooks;
@@ -44,29 +49,33 @@ use serde_json::Value;
 
 pub use accept::{Accepted, Outcome, Upload};
 pub use blobs::{BlobStore, Content, Contents, DiskSpace, Reserve};
+pub use change_notifications::{Event, Subscription};
 pub use completion::{PhotoResults, Retry};
-pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope, Session};
+pub use credentials::{KEY_PREFIX, Key, NewKey, SESSION_PREFIX, Scope};
 pub use deliveries::{Attempt, Delivery, DeliveryPage, DeliveryState, DueDelivery, EventData, ExportData, RETRIES, Verdict};
+pub use digest::{Digest, hex};
 pub use error::{LibraryError, QueueLimit, Quota, Result, Service};
-pub use events::{Event, Subscription};
 pub use exports::{NewExport, OrderedExport};
 pub use garbage_collection::Collected;
-pub use ids::{Digest, IdError, Millis, Owner, PhotoId, hex};
+pub use ids::PhotoId;
 pub use integrity::Damage;
 pub use leases::Lease;
+pub use owner::Owner;
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
-pub use photos::{Cursor, Filter, Page};
-pub use queue::{Job, JobKind, JobState, Position, Requester};
+pub use photos::{Cursor, Page};
+pub use queue::{Job, JobKind, JobState, Requester};
 pub use retention::Swept;
-pub use rooms::{Claim, Origin};
+pub use room_leases::Origin;
 pub use signed_links::{Grant, Link, Secret, Subject};
-pub use sources::Source;
-pub use statistics::{OutcomeCounts, Statistics};
+pub use source_validators::Source;
+pub use statistics::Statistics;
 pub use webhooks::{Disabled, EventType, MAX_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
 
 use database::Database;
-use leases::{Connectivity, OwnLeases};
-use retention::TrustedClock;
+use leases::OwnLeases;
+
+/// Milliseconds since 1970 by the database's clock. Never compare it with a node's clock.
+pub type Millis = i64;
 
 /// How often to read the database's clock. In between, this process's monotonic clock continues it.
 const CLOCK: Duration = Duration::from_secs(5);
@@ -155,20 +164,15 @@ struct Inner {
     secret: Secret,
     incoming: PathBuf,
     held: OwnLeases,
-    reached: Connectivity,
     /// Number of jobs that this process has taken.
     taken: AtomicU64,
     /// Photos viewed since the last [`Library::save_views`].
     viewed: Mutex<HashSet<PhotoId>>,
     clock: Mutex<Option<(Instant, Millis)>>,
-    trusted: Mutex<Option<TrustedClock>>,
 }
 
 impl Library {
     /// Opens a library, creates it if missing, and migrates its schema.
-    ///
-    /// # Errors
-    /// The database or the blob store cannot be reached or written.
     pub async fn open(config: Config) -> Result<Self> {
         blobs::create_private(&config.data)?;
         let blobs = match &config.blobs {
@@ -196,11 +200,9 @@ impl Library {
             secret,
             incoming,
             held: OwnLeases::default(),
-            reached: Connectivity::default(),
             taken: AtomicU64::new(0),
             viewed: Mutex::default(),
             clock: Mutex::default(),
-            trusted: Mutex::default(),
         })))
     }
 
@@ -245,9 +247,6 @@ impl Library {
     }
 
     /// The database's time, from a reading a few seconds old.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn now(&self) -> Result<Millis> {
         let known = *self.0.clock.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((at, now)) = known.filter(|(at, _)| at.elapsed() < CLOCK) {
@@ -259,9 +258,6 @@ impl Library {
     }
 
     /// Checks that the database and the blob store are writable, and the disk has space beyond its reserve.
-    ///
-    /// # Errors
-    /// The first failed check.
     pub async fn check(&self) -> Result<()> {
         self.database().write().await?.commit().await?;
         self.blobs().check_space(0)?;

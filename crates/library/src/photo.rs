@@ -3,46 +3,37 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use serde::de::DeserializeOwned;
+use serde::de::value;
+use serde::de::{DeserializeOwned, IntoDeserializer as _};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
+use crate::Millis;
+use crate::digest::Digest;
 use crate::error::{LibraryError, Result};
-use crate::ids::{Digest, Millis, Owner, PhotoId};
+use crate::ids::PhotoId;
+use crate::owner::Owner;
+use crate::string_enum::string_enum;
 
-/// State of a photo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PhotoState {
-    /// Waiting for a worker.
-    Queued,
-    /// A worker is making it.
-    Working,
-    /// It has its results.
-    Done,
-    /// It failed.
-    Failed,
-    /// Its results are damaged.
-    Damaged,
+string_enum! {
+    /// State of a photo.
+    pub enum PhotoState {
+        /// Waiting for a worker.
+        Queued = "queued",
+        /// A worker is making it.
+        Working = "working",
+        /// It has its results.
+        Done = "done",
+        /// It failed.
+        Failed = "failed",
+        /// Its results are damaged.
+        Damaged = "damaged",
+    }
 }
 
 impl PhotoState {
-    pub(crate) const ALL: [Self; 5] = [Self::Queued, Self::Working, Self::Done, Self::Failed, Self::Damaged];
-
-    /// Name in the database and in metrics.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Queued => "queued",
-            Self::Working => "working",
-            Self::Done => "done",
-            Self::Failed => "failed",
-            Self::Damaged => "damaged",
-        }
-    }
-
     /// Whether no job is pending.
     #[must_use]
     pub const fn is_final(self) -> bool {
@@ -50,72 +41,48 @@ impl PhotoState {
     }
 }
 
-/// How urgent a job is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Class {
-    /// A person is waiting for it.
-    #[default]
-    Interactive,
-    /// One of many.
-    Batch,
+string_enum! {
+    /// How urgent a job is.
+    #[derive(Default)]
+    pub enum Class {
+        /// A person is waiting for it.
+        #[default]
+        Interactive = "interactive",
+        /// One of many.
+        Batch = "batch",
+    }
 }
 
 impl Class {
-    pub(crate) const ALL: [Self; 2] = [Self::Interactive, Self::Batch];
-
-    /// Name in forms and metrics.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Interactive => "interactive",
-            Self::Batch => "batch",
-        }
-    }
-
+    /// In the database, which orders jobs by it.
     pub(crate) const fn rank(self) -> i64 {
         self as i64
     }
 }
 
-/// A part of a photo's contents.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Part {
-    /// The photo as uploaded.
-    Upload,
-    /// The depth map that came with it.
-    Depth,
-    /// The touch-up, JSON.
-    Strokes,
-    /// The container.
-    Container,
-    /// Disparity as used, 16-bit grey PNG.
-    Disparity,
-    /// Small JPEG.
-    Thumbnail,
-    /// Report of the making, JSON.
-    Report,
-    /// A file to download.
-    Export,
+string_enum! {
+    /// A part of a photo's contents.
+    pub enum Part {
+        /// The photo as uploaded.
+        Upload = "upload",
+        /// The depth map that came with it.
+        Depth = "depth",
+        /// The touch-up, JSON.
+        Strokes = "strokes",
+        /// The container.
+        Container = "container",
+        /// Disparity as used, 16-bit grey PNG.
+        Disparity = "disparity",
+        /// Small JPEG.
+        Thumbnail = "thumbnail",
+        /// Report of the making, JSON.
+        Report = "report",
+        /// A file to download.
+        Export = "export",
+    }
 }
 
 impl Part {
-    /// Name in the names of blobs.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Upload => "upload",
-            Self::Depth => "depth",
-            Self::Strokes => "strokes",
-            Self::Container => "container",
-            Self::Disparity => "disparity",
-            Self::Thumbnail => "thumbnail",
-            Self::Report => "report",
-            Self::Export => "export",
-        }
-    }
-
     /// Whether a worker makes this part.
     #[must_use]
     pub const fn is_result(self) -> bool {
@@ -217,15 +184,13 @@ impl Photo {
     /// Title in its settings.
     #[must_use]
     pub fn title(&self) -> Option<&str> {
-        title_of(&self.settings)
+        self.settings.get("title").and_then(Value::as_str)
     }
 
     pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
-        let id: String = row.try_get("id")?;
-        let owner: Option<String> = row.try_get("owner")?;
         Ok(Self {
-            id: id.parse().map_err(|e| LibraryError::stored("id", e))?,
-            owner: owner.map(Owner::from_column),
+            id: parsed(row, "id")?,
+            owner: row.try_get::<Option<_>, _>("owner")?.map(Owner::from_column),
             accepted_at: row.try_get("accepted_at")?,
             listed_at: row.try_get("listed_at")?,
             viewed_at: row.try_get("viewed_at")?,
@@ -234,7 +199,7 @@ impl Photo {
             settings: json(row, "settings")?,
             settings_version: row.try_get("settings_version")?,
             link_generation: row.try_get("link_generation")?,
-            state: state_of(row)?,
+            state: parsed(row, "state")?,
             version: row.try_get("version")?,
             finished_at: row.try_get("finished_at")?,
             details: optional_json(row, "details")?,
@@ -243,10 +208,6 @@ impl Photo {
             bytes: row.try_get::<i64, _>("bytes")? as u64,
         })
     }
-}
-
-pub(crate) fn title_of(settings: &Value) -> Option<&str> {
-    settings.get("title").and_then(Value::as_str)
 }
 
 /// Names of blobs, for deleting them.
@@ -264,15 +225,22 @@ pub(crate) fn bytes_of(blobs: &Blobs) -> i64 {
     blobs.values().map(|blob| blob.bytes).sum::<u64>() as i64
 }
 
-pub(crate) fn state_of(row: &AnyRow) -> Result<PhotoState> {
-    let name: String = row.try_get("state")?;
-    let state = PhotoState::ALL.into_iter().find(|state| state.name() == name);
-    state.ok_or_else(|| LibraryError::stored("state", &name))
+pub(crate) fn class_of(row: &AnyRow) -> Result<Class> {
+    match row.try_get("class")? {
+        0_i64 => Ok(Class::Interactive),
+        1 => Ok(Class::Batch),
+        rank => Err(LibraryError::stored("class", rank)),
+    }
 }
 
-pub(crate) fn class_of(row: &AnyRow) -> Result<Class> {
-    let rank: i64 = row.try_get("class")?;
-    Class::ALL.into_iter().find(|class| class.rank() == rank).ok_or_else(|| LibraryError::stored("class", rank))
+/// The value that a text names: a variant of an enum, an id.
+pub(crate) fn of_name<T: DeserializeOwned>(name: &str) -> Result<T> {
+    T::deserialize(name.into_deserializer()).map_err(|e: value::Error| LibraryError::Internal(e.to_string()))
+}
+
+/// The value that a column names.
+pub(crate) fn parsed<T: DeserializeOwned>(row: &AnyRow, column: &str) -> Result<T> {
+    of_name(&row.try_get::<String, _>(column)?)
 }
 
 /// A JSON column.

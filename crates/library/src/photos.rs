@@ -7,28 +7,18 @@ use std::sync::PoisonError;
 use serde_json::Value;
 use sqlx::{Any, AssertSqlSafe, Executor};
 
-use crate::Library;
+use crate::change_notifications::Event;
 use crate::database::Tx;
 use crate::deliveries::{EventData, announce};
 use crate::error::{LibraryError, Result};
-use crate::events::Event;
-use crate::ids::{Millis, Owner, PhotoId};
-use crate::photo::{COLUMNS, Photo, PhotoState, Problem, blob_names, file_names, title_of, to_json};
+use crate::ids::PhotoId;
+use crate::owner::Owner;
+use crate::photo::{COLUMNS, Photo, Problem, blob_names, file_names, to_json};
 use crate::webhooks::EventType;
+use crate::{Library, Millis};
 
 /// Views recorded per transaction.
 const VIEWS: usize = 500;
-
-/// Filter of the list.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Filter {
-    /// Photos of one owner; `None` for all.
-    pub owner: Option<Owner>,
-    /// Photos in one state.
-    pub state: Option<PhotoState>,
-    /// Photos whose titles contain this text, ignoring ASCII case.
-    pub title: Option<String>,
-}
 
 /// A position in the list, stable while photos come and go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,9 +67,6 @@ impl Library {
     }
 
     /// A photo, if it exists.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn find(&self, id: PhotoId) -> Result<Option<Photo>> {
         self.read_photo(self.database().reader(), id).await
     }
@@ -87,38 +74,20 @@ impl Library {
     /// A photo.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`].
     pub async fn get(&self, id: PhotoId) -> Result<Photo> {
         self.find(id).await?.ok_or(LibraryError::NotFound("photo"))
     }
 
-    /// At most `limit` photos after `after`, most recently uploaded first.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
-    pub async fn list(&self, filter: &Filter, after: Option<Cursor>, limit: usize) -> Result<Page> {
-        let mut conditions = vec!["(listed_at, id) < ($1, $2)".to_owned()];
-        let mut texts = Vec::new();
-        let mut add = |condition: &str, text: String| {
-            texts.push(text);
-            conditions.push(condition.replace('?', &format!("${}", texts.len() + 3)));
-        };
-        if let Some(owner) = &filter.owner {
-            add("owner = ?", owner.as_str().to_owned());
-        }
-        if let Some(state) = filter.state {
-            add("state = ?", state.name().to_owned());
-        }
-        if let Some(title) = &filter.title {
-            let escaped = title.to_ascii_lowercase().replace('!', "!!").replace('%', "!%").replace('_', "!_");
-            add("LOWER(title) LIKE ? ESCAPE '!'", format!("%{escaped}%"));
-        }
-        let conditions = conditions.join(" AND ");
-        let select = format!("SELECT {COLUMNS} FROM photos WHERE {conditions} ORDER BY listed_at DESC, id DESC LIMIT $3");
+    /// At most `limit` photos after `after`, of one owner or of all, most recently uploaded first.
+    pub async fn list(&self, owner: Option<&Owner>, after: Option<Cursor>, limit: usize) -> Result<Page> {
+        let of_owner = if owner.is_some() { "AND owner = $4" } else { "" };
+        let select =
+            format!("SELECT {COLUMNS} FROM photos WHERE (listed_at, id) < ($1, $2) {of_owner} ORDER BY listed_at DESC, id DESC LIMIT $3");
         let (at, id) = after.map_or((Millis::MAX, String::new()), |after| (after.listed_at, after.id.to_string()));
         let mut select = sqlx::query(AssertSqlSafe(select)).bind(at).bind(id).bind(limit as i64 + 1);
-        for text in texts {
-            select = select.bind(text);
+        if let Some(owner) = owner {
+            select = select.bind(owner.as_str().to_owned());
         }
         let rows = select.fetch_all(self.database().reader()).await?;
         let photos: Vec<Photo> = rows.iter().take(limit).map(Photo::from_row).collect::<Result<_>>()?;
@@ -129,16 +98,15 @@ impl Library {
     /// Replaces a photo's settings for viewers, a JSON object, if the photo has not changed since the caller read it as `seen`.
     ///
     /// # Errors
-    /// [`LibraryError::Changed`], [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::Changed`], [`LibraryError::NotFound`].
     pub async fn set_settings(&self, seen: &Photo, settings: &Value) -> Result<Photo> {
         let mut tx = self.database().write().await?;
         let before = locked_photo(&mut tx, seen.id).await?;
         if before.settings_version != seen.settings_version || before.accepted_at != seen.accepted_at {
             return Err(LibraryError::Changed);
         }
-        let update = "UPDATE photos SET settings = $1, title = $2, settings_version = settings_version + 1 WHERE id = $3";
-        let update = sqlx::query(update).bind(to_json(settings)?).bind(title_of(settings).map(str::to_owned)).bind(seen.id.to_string());
-        update.execute(tx.connection()).await?;
+        let update = "UPDATE photos SET settings = $1, settings_version = settings_version + 1 WHERE id = $2";
+        sqlx::query(update).bind(to_json(settings)?).bind(seen.id.to_string()).execute(tx.connection()).await?;
         tx.notify(Event::Photo(seen.id));
         tx.commit().await?;
         Ok(Photo { settings: settings.clone(), settings_version: before.settings_version + 1, ..before })
@@ -147,7 +115,7 @@ impl Library {
     /// Revokes all links to a photo.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`].
     pub async fn revoke_links(&self, id: PhotoId) -> Result<()> {
         let mut tx = self.database().write().await?;
         let update = sqlx::query("UPDATE photos SET link_generation = link_generation + 1 WHERE id = $1").bind(id.to_string());
@@ -161,9 +129,6 @@ impl Library {
 
     /// Deletes a photo in any state, with everything that belongs to it; false if it does not exist. With `accepted_at`, deletes only the
     /// upload accepted at that time.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn delete(&self, id: PhotoId, accepted_at: Option<Millis>) -> Result<bool> {
         let mut tx = self.database().write().await?;
         tx.lock_jobs(id).await?;
@@ -189,24 +154,16 @@ impl Library {
     }
 
     /// Writes the recorded views to the database. [`Library::sweep`] calls it, too.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn save_views(&self) -> Result<()> {
-        let viewed = std::mem::take(&mut *self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner));
-        if viewed.is_empty() {
-            return Ok(());
-        }
-        let mut ids: Vec<PhotoId> = viewed.into_iter().collect();
+        let viewed = || self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut ids: Vec<PhotoId> = std::mem::take(&mut *viewed()).into_iter().collect();
         // all nodes lock rows in the same order
         ids.sort_unstable();
-        let mut done = 0;
         for part in ids.chunks(VIEWS) {
             if let Err(error) = self.note_part(part).await {
-                self.0.viewed.lock().unwrap_or_else(PoisonError::into_inner).extend(&ids[done..]);
+                viewed().extend(&ids);
                 return Err(error);
             }
-            done += part.len();
         }
         Ok(())
     }
@@ -221,9 +178,6 @@ impl Library {
     }
 
     /// Marks a finished photo as damaged, with `detail`; false if it was made again or deleted meanwhile. Uploading it again repairs it.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn mark_damaged(&self, seen: &Photo, detail: &str) -> Result<bool> {
         let mut tx = self.database().write().await?;
         let problem = Problem::new("damaged", format!("{detail}: upload the photo again to repair it"));
@@ -240,11 +194,10 @@ impl Library {
     }
 }
 
-/// A photo, with its row locked.
+/// A photo, with its row locked. Lock the rows of jobs first.
 pub(crate) async fn locked_photo(tx: &mut Tx, id: PhotoId) -> Result<Photo> {
-    let id = id.to_string();
-    tx.lock_photo(&id).await?;
-    let row =
-        sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM photos WHERE id = $1"))).bind(id).fetch_optional(tx.connection()).await?;
+    let lock = if tx.has_row_locks() { "FOR UPDATE" } else { "" };
+    let select = format!("SELECT {COLUMNS} FROM photos WHERE id = $1 {lock}");
+    let row = sqlx::query(AssertSqlSafe(select)).bind(id.to_string()).fetch_optional(tx.connection()).await?;
     Photo::from_row(&row.ok_or(LibraryError::NotFound("photo"))?)
 }

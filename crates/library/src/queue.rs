@@ -6,47 +6,38 @@
 use std::net::{IpAddr, Ipv6Addr};
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::Library;
 use crate::database::{Lock, Tx};
 use crate::error::{LibraryError, QueueLimit, Result};
-use crate::ids::{Millis, Owner, PhotoId};
-use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, to_json};
+use crate::ids::PhotoId;
+use crate::owner::Owner;
+use crate::photo::{Blob, Class, Problem, class_of, json, optional_json, parsed, to_json};
+use crate::string_enum::string_enum;
+use crate::{Library, Millis};
 
 /// Estimated duration of a job before any was measured.
 const FIRST_GUESS: Duration = Duration::from_secs(5);
 /// Longest `retry_after`.
 const MAX_RETRY: Duration = Duration::from_mins(2);
 
-/// What a job does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum JobKind {
-    /// Makes a photo.
-    Make,
-    /// Writes a file to download.
-    Export,
-    /// Draws a film to download.
-    Film,
+string_enum! {
+    /// What a job does.
+    pub enum JobKind {
+        /// Makes a photo.
+        Make = "make",
+        /// Writes a file to download.
+        Export = "export",
+        /// Draws a film to download.
+        Film = "film",
+    }
 }
 
 impl JobKind {
     /// All kinds.
     pub const ALL: [Self; 3] = [Self::Make, Self::Export, Self::Film];
-
-    /// As in the database and in metrics.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Make => "make",
-            Self::Export => "export",
-            Self::Film => "film",
-        }
-    }
 
     /// Kinds that share the limits of the queue with this one.
     const fn beside(self) -> [Self; 2] {
@@ -55,38 +46,19 @@ impl JobKind {
             Self::Export | Self::Film => [Self::Export, Self::Film],
         }
     }
-
-    pub(crate) fn of_name(name: &str) -> Result<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| LibraryError::stored("kind", name))
-    }
 }
 
-/// State of a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum JobState {
-    /// Waiting for a worker.
-    Queued,
-    /// A worker holds it.
-    Working,
-    /// Its file exists.
-    Done,
-    /// It failed.
-    Failed,
-}
-
-impl JobState {
-    pub(crate) const ALL: [Self; 4] = [Self::Queued, Self::Working, Self::Done, Self::Failed];
-
-    /// As in the database.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Queued => "queued",
-            Self::Working => "working",
-            Self::Done => "done",
-            Self::Failed => "failed",
-        }
+string_enum! {
+    /// State of a job.
+    pub enum JobState {
+        /// Waiting for a worker.
+        Queued = "queued",
+        /// A worker holds it.
+        Working = "working",
+        /// Its file exists.
+        Done = "done",
+        /// It failed.
+        Failed = "failed",
     }
 }
 
@@ -138,15 +110,13 @@ pub struct Job {
     pub result: Option<Blob>,
     /// When it was queued.
     pub created_at: Millis,
-    /// When a worker took it.
-    pub started_at: Option<Millis>,
     /// When its file was last written or fetched.
     pub used_at: Millis,
 }
 
 /// Columns of [`Job`].
 pub(crate) const COLUMNS: &str =
-    "id, kind, photo, version, class, payload, state, attempts, progress, problem, result, created_at, started_at, used_at";
+    "id, kind, photo, version, class, payload, state, attempts, progress, problem, result, created_at, used_at";
 
 impl Job {
     /// Name of an export among those of its photo.
@@ -156,34 +126,22 @@ impl Job {
     }
 
     pub(crate) fn from_row(row: &AnyRow) -> Result<Self> {
-        let (kind, state, photo): (String, String, String) = (row.try_get("kind")?, row.try_get("state")?, row.try_get("photo")?);
-        let state = JobState::ALL.into_iter().find(|known| known.name() == state).ok_or_else(|| LibraryError::stored("state", &state))?;
         Ok(Self {
             id: row.try_get("id")?,
-            kind: JobKind::of_name(&kind)?,
-            photo: photo.parse().map_err(|e| LibraryError::stored("photo", e))?,
+            kind: parsed(row, "kind")?,
+            photo: parsed(row, "photo")?,
             version: row.try_get("version")?,
             class: class_of(row)?,
             payload: json(row, "payload")?,
-            state,
+            state: parsed(row, "state")?,
             attempts: row.try_get("attempts")?,
             progress: optional_json(row, "progress")?,
             problem: optional_json(row, "problem")?,
             result: optional_json(row, "result")?,
             created_at: row.try_get("created_at")?,
-            started_at: row.try_get("started_at")?,
             used_at: row.try_get("used_at")?,
         })
     }
-}
-
-/// A job's position in the queue.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Position {
-    /// Jobs of its kind ahead of it.
-    pub ahead: u64,
-    /// Estimated wait.
-    pub wait: Duration,
 }
 
 /// A job to queue.
@@ -244,7 +202,7 @@ impl Library {
         {
             let waiting = row.try_get::<i64, _>(column)? as u64;
             if waiting >= places {
-                let retry_after = wait(tx, job.kind, waiting).await?.clamp(Duration::from_secs(1), MAX_RETRY);
+                let retry_after = wait(tx, job.kind, waiting).await?;
                 return Err(LibraryError::QueueFull { waiting, places, share, retry_after });
             }
         }
@@ -252,28 +210,19 @@ impl Library {
     }
 
     /// Number of photos until the queue is full.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn free_places(&self) -> Result<u64> {
         let count = "SELECT COUNT(*) AS waiting FROM jobs WHERE state = 'queued' AND kind = 'make'";
         let row = sqlx::query(count).fetch_one(self.database().reader()).await?;
         Ok(self.limits().queue.saturating_sub(row.try_get::<i64, _>("waiting")? as u64))
     }
 
-    /// A job's position; `None` if it is not waiting.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
-    pub async fn position(&self, kind: JobKind, photo: PhotoId, key: Option<&str>) -> Result<Option<Position>> {
+    /// Number of photos that are made before this one; `None` if it is not waiting.
+    pub async fn position(&self, photo: PhotoId) -> Result<Option<u64>> {
         let ahead = "SELECT (SELECT COUNT(*) FROM jobs o WHERE o.state = 'queued' AND o.kind = j.kind
                 AND (o.class, o.turn, o.created_at, o.id) < (j.class, j.turn, j.created_at, j.id)) AS ahead
             FROM jobs j WHERE j.id = $1 AND j.state = 'queued'";
-        let row = sqlx::query(ahead).bind(id_of(kind, photo, key)).fetch_optional(self.database().reader()).await?;
-        let Some(row) = row else { return Ok(None) };
-        let ahead = row.try_get::<i64, _>("ahead")? as u64;
-        let rate = sqlx::query(RATE).bind(kind.name()).fetch_one(self.database().reader()).await?;
-        Ok(Some(Position { ahead, wait: wait_of(&rate, ahead + 1)? }))
+        let row = sqlx::query(ahead).bind(id_of(JobKind::Make, photo, None)).fetch_optional(self.database().reader()).await?;
+        Ok(row.map(|row| row.try_get::<i64, _>("ahead")).transpose()?.map(|ahead| ahead as u64))
     }
 
     /// A job of a photo; `key` names an export.
@@ -297,20 +246,23 @@ async fn turn(tx: &mut Tx, class: Class, party: &str) -> Result<i64> {
     Ok(row.try_get("turn")?)
 }
 
-/// Mean duration of the jobs of a kind, and the number of running ones.
-const RATE: &str = "SELECT (SELECT mean_ms FROM outcomes WHERE kind = $1 AND finished > 0) AS mean_ms,
-    (SELECT COUNT(*) FROM jobs WHERE state = 'working' AND kind = $1) AS working";
-
+/// Estimated time in which the running workers do this many jobs, within bounds.
 async fn wait(tx: &mut Tx, kind: JobKind, jobs: u64) -> Result<Duration> {
-    let row = sqlx::query(RATE).bind(kind.name()).fetch_one(tx.connection()).await?;
-    wait_of(&row, jobs)
+    let rate = "SELECT (SELECT mean_ms FROM durations WHERE kind = $1) AS mean_ms,
+        (SELECT COUNT(*) FROM jobs WHERE state = 'working' AND kind = $1) AS working";
+    let row = sqlx::query(rate).bind(kind.name()).fetch_one(tx.connection()).await?;
+    let mean = row.try_get::<Option<f64>, _>("mean_ms")?.map_or(FIRST_GUESS.as_secs_f64(), |ms| ms / 1000.0);
+    let working = row.try_get::<i64, _>("working")?.max(1) as f64;
+    let wait = Duration::try_from_secs_f64(mean * jobs as f64 / working).unwrap_or(MAX_RETRY);
+    Ok(wait.clamp(Duration::from_secs(1), MAX_RETRY))
 }
 
-fn wait_of(rate: &AnyRow, jobs: u64) -> Result<Duration> {
-    let mean: Option<f64> = rate.try_get("mean_ms")?;
-    let mean = mean.map_or(FIRST_GUESS.as_secs_f64(), |ms| ms / 1000.0);
-    let working = rate.try_get::<i64, _>("working")?.max(1) as f64;
-    Ok(Duration::try_from_secs_f64(mean * jobs as f64 / working).unwrap_or(MAX_RETRY))
+/// Records how long a job took, for estimates.
+pub(crate) async fn record_duration(tx: &mut Tx, kind: JobKind, took: Millis) -> Result<()> {
+    let insert = "INSERT INTO durations (kind, mean_ms) VALUES ($1, $2)
+        ON CONFLICT (kind) DO UPDATE SET mean_ms = 0.8 * durations.mean_ms + 0.2 * excluded.mean_ms";
+    sqlx::query(insert).bind(kind.name()).bind(took as f64).execute(tx.connection()).await?;
+    Ok(())
 }
 
 #[cfg(test)]

@@ -5,8 +5,8 @@ use sqlx::AssertSqlSafe;
 
 use crate::Library;
 use crate::blobs::{Content, Contents};
-use crate::error::{LibraryError, Result, is_refusal};
-use crate::events::Event;
+use crate::change_notifications::Event;
+use crate::error::{LibraryError, Result};
 use crate::photo::{Blobs, COLUMNS, Class, Part, Photo, PhotoState, blob_names, bytes_of, to_json};
 use crate::photos::locked_photo;
 use crate::queue::{JobKind, NewJob, Requester};
@@ -51,12 +51,7 @@ impl Library {
                 self.blobs().discard(replaced).await;
                 Ok(photo)
             }
-            Err(error) => {
-                if is_refusal(&error) {
-                    self.blobs().discard(written).await;
-                }
-                Err(error)
-            }
+            Err(error) => Err(self.blobs().discard_refused(written, error).await),
         }
     }
 

@@ -1,15 +1,13 @@
 //! Retention: deletes photos that are too old, the least recently viewed photos if all take too much space, unused exports, and expired
 //! rows.
 
-use std::sync::PoisonError;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use sqlx::Row as _;
 
 use crate::deliveries;
-use crate::ids::{Millis, PhotoId};
-use crate::photo::file_names;
-use crate::{Library, LibraryError, Result, millis, rooms};
+use crate::photo::{file_names, parsed};
+use crate::{Library, Millis, Result, millis, room_leases};
 
 /// Photos per query.
 const PART: i64 = 256;
@@ -17,6 +15,8 @@ const PART: i64 = 256;
 const FAILED_FOR: Duration = Duration::from_mins(10);
 /// How long a room without a lease keeps its epoch.
 const ROOM_FOR: Duration = Duration::from_hours(24 * 30);
+/// How long the clock must run without a jump, and the least difference from one sweep to the next that is a jump.
+const STEADY: Duration = Duration::from_hours(24);
 
 /// What a sweep deleted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,13 +31,6 @@ pub struct Swept {
     pub exports: u64,
 }
 
-/// A photo to delete.
-struct Candidate {
-    id: PhotoId,
-    accepted_at: Millis,
-    bytes: u64,
-}
-
 impl Library {
     /// When a photo accepted at this time is deleted for its age, if ever.
     #[must_use]
@@ -46,19 +39,19 @@ impl Library {
     }
 
     /// Applies the retention limits. Photos that wait or are being made stay.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`], possibly after some deletions.
     pub async fn sweep(&self) -> Result<Swept> {
         self.save_views().await?;
         let mut swept = Swept::default();
-        if let Some(time) = self.limits().retain {
-            let before = self.trusted_now().await?.saturating_sub(millis(time));
+        if let Some(time) = self.limits().retain
+            && let Some(now) = self.steady_now().await?
+        {
+            let before = now.saturating_sub(millis(time));
             let select = "SELECT id, accepted_at, bytes FROM photos WHERE accepted_at <= $1 AND state IN ('done', 'failed', 'damaged')
                 ORDER BY accepted_at LIMIT $2";
             loop {
-                let going = self.candidates(select, before).await?;
-                if self.delete_all(&going, u64::MAX, &mut swept.by_age, &mut swept.bytes).await? == 0 {
+                let (deleted, bytes) = self.delete_found(select, before, u64::MAX).await?;
+                (swept.by_age, swept.bytes) = (swept.by_age + deleted, swept.bytes + bytes);
+                if deleted == 0 {
                     break;
                 }
             }
@@ -80,44 +73,31 @@ impl Library {
             if over == 0 {
                 return Ok(());
             }
-            let going = self.candidates(select, Millis::MAX).await?;
-            if self.delete_all(&going, over, &mut swept.by_space, &mut swept.bytes).await? == 0 {
+            let (deleted, bytes) = self.delete_found(select, Millis::MAX, over).await?;
+            (swept.by_space, swept.bytes) = (swept.by_space + deleted, swept.bytes + bytes);
+            if deleted == 0 {
                 return Ok(());
             }
         }
     }
 
-    async fn candidates(&self, select: &'static str, until: Millis) -> Result<Vec<Candidate>> {
-        let rows = sqlx::query(select).bind(until).bind(PART).fetch_all(self.database().reader()).await?;
-        let of = |row: &sqlx::any::AnyRow| {
-            let id: String = row.try_get("id")?;
-            let id = id.parse().map_err(|e| LibraryError::stored("id", e))?;
-            Ok(Candidate { id, accepted_at: row.try_get("accepted_at")?, bytes: row.try_get::<i64, _>("bytes")? as u64 })
-        };
-        rows.iter().map(of).collect()
-    }
-
-    /// Deletes photos until `enough` bytes are free; returns how many.
-    async fn delete_all(&self, going: &[Candidate], enough: u64, count: &mut u64, bytes: &mut u64) -> Result<u64> {
+    /// Deletes the photos that a query finds, until `enough` bytes are free; returns their number and their bytes.
+    async fn delete_found(&self, select: &'static str, until: Millis, enough: u64) -> Result<(u64, u64)> {
         let (mut deleted, mut freed) = (0, 0_u64);
-        for photo in going {
+        for row in sqlx::query(select).bind(until).bind(PART).fetch_all(self.database().reader()).await? {
             if freed >= enough {
                 break;
             }
-            if self.delete(photo.id, Some(photo.accepted_at)).await? {
-                deleted += 1;
-            }
-            freed += photo.bytes;
+            deleted += u64::from(self.delete(parsed(&row, "id")?, Some(row.try_get("accepted_at")?)).await?);
+            freed += row.try_get::<i64, _>("bytes")? as u64;
         }
-        *count += deleted;
-        *bytes += freed;
-        Ok(deleted)
+        Ok((deleted, freed))
     }
 
     /// Removes unused exports, expired sessions and rooms, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
-        rooms::end_abandoned(&mut tx).await?;
+        room_leases::end_abandoned(&mut tx).await?;
         let (now, limits) = (tx.now, self.limits());
         let delete = "DELETE FROM jobs WHERE (state = 'done' AND used_at <= $1) OR (state = 'failed' AND used_at <= $2) RETURNING result";
         let (done, failed) = (now - millis(limits.exports_for), now - millis(FAILED_FOR.min(limits.exports_for)));
@@ -134,79 +114,20 @@ impl Library {
         Ok(deleted.len() as u64)
     }
 
-    /// The database's time, as far as deletions may trust it.
-    async fn trusted_now(&self) -> Result<Millis> {
-        let told = self.database().now().await?;
-        let latest = sqlx::query("SELECT MAX(accepted_at) AS latest FROM photos").fetch_one(self.database().reader()).await?;
-        let latest: Option<Millis> = latest.try_get("latest")?;
-        let mut clock = self.0.trusted.lock().unwrap_or_else(PoisonError::into_inner);
-        let now = Instant::now();
-        Ok(clock.get_or_insert_with(|| TrustedClock::start(told, latest, now)).time(told, now))
-    }
-}
-
-/// How far the clock may run ahead of the monotonic one before that counts as a jump.
-const SLACK: Duration = Duration::from_mins(10);
-/// How long the clock must stay ahead before it is trusted, and how far it may be ahead of the newest photo at the start.
-const STAYS: Duration = Duration::from_hours(24);
-
-/// The clock for deletions, which trusts a jump ahead only after a day. A clock that is temporarily wrong, as before NTP corrects it, must
-/// not make photos look years old.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TrustedClock {
-    at: Millis,
-    read: Instant,
-    /// Since when the database's clock has been ahead, and by how much.
-    ahead: Option<(Instant, Millis)>,
-}
-
-impl TrustedClock {
-    /// Starts at the database's time, or at the newest photo if that is more than [`STAYS`] older.
-    fn start(told: Millis, latest: Option<Millis>, read: Instant) -> Self {
-        let at = latest.filter(|latest| told > latest.saturating_add(millis(STAYS))).unwrap_or(told);
-        Self { at, read, ahead: None }
-    }
-
-    fn time(&mut self, told: Millis, read: Instant) -> Millis {
-        let counted = self.at.saturating_add(millis(read.saturating_duration_since(self.read)));
-        let by = told.saturating_sub(counted);
-        let is_ahead = by > millis(SLACK);
-        // another far jump restarts the wait
-        let since = self.ahead.filter(|(_, before)| by <= before.saturating_add(millis(STAYS))).map_or(read, |(since, _)| since);
-        let is_believed = !is_ahead || read.saturating_duration_since(since) >= STAYS;
-        if is_ahead && self.ahead.is_none() {
-            tracing::warn!(ahead_s = by / 1000, "the clock jumped ahead: retention uses the new time after a day");
+    /// The database's time, if its clock has not jumped for a day. A clock that is temporarily wrong, as before NTP corrects it, must not
+    /// make photos look years old.
+    async fn steady_now(&self) -> Result<Option<Millis>> {
+        let mut tx = self.database().write().await?;
+        let look =
+            "INSERT INTO clock (id, seen_at, steady_since) VALUES (1, $1, 0) ON CONFLICT (id) DO UPDATE SET seen_at = excluded.seen_at,
+            steady_since = CASE WHEN ABS(excluded.seen_at - clock.seen_at) > $2 THEN excluded.seen_at ELSE clock.steady_since END
+            RETURNING steady_since";
+        let row = sqlx::query(look).bind(tx.now).bind(millis(STEADY)).fetch_one(tx.connection()).await?;
+        let (now, since) = (tx.now, row.try_get::<Millis, _>("steady_since")?);
+        tx.commit().await?;
+        if since == now {
+            tracing::warn!("the clock jumped, or no sweep ran for a day: photos are deleted by their age again after a day");
         }
-        (self.at, self.read) = (if is_believed { told } else { counted }, read);
-        self.ahead = (!is_believed).then_some((since, by));
-        self.at
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const HOUR: Duration = Duration::from_hours(1);
-
-    #[test]
-    fn a_clock_that_jumps_ahead_is_trusted_after_a_day() {
-        let start = Instant::now();
-        let (day, year) = (millis(HOUR * 24), millis(HOUR * 24 * 365));
-        let mut clock = TrustedClock::start(day, Some(day), start);
-        assert_eq!(clock.time(day + year, start + HOUR), day + millis(HOUR));
-        assert_eq!(clock.time(day + year, start + HOUR * 24), day + day);
-        assert_eq!(clock.time(day + year, start + HOUR * 25), day + year);
-        assert_eq!(clock.time(day, start + HOUR * 26), day, "put back, it is believed at once");
-    }
-
-    #[test]
-    fn a_start_long_after_the_newest_photo_is_not_trusted_at_once() {
-        let start = Instant::now();
-        let year = millis(HOUR * 24 * 365);
-        let mut clock = TrustedClock::start(year, Some(7), start);
-        assert_eq!(clock.time(year, start), 7);
-        assert_eq!(clock.time(year + millis(HOUR * 25), start + HOUR * 25), year + millis(HOUR * 25));
-        assert_eq!(TrustedClock::start(year, None, start).time(year, start), year);
+        Ok((now - since >= millis(STEADY)).then_some(now))
     }
 }

@@ -7,32 +7,27 @@ use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::Sha256;
 use sqlx::Row as _;
 
+use crate::Millis;
 use crate::database::{Database, Lock};
+use crate::digest::{hex, unhex};
 use crate::error::{LibraryError, Result};
-use crate::ids::{Millis, Owner, PhotoId, hex, random, unhex};
+use crate::ids::{PhotoId, random};
+use crate::owner::Owner;
 use crate::photo::Photo;
+use crate::string_enum::string_enum;
 
 /// Bytes of the secret and of a signature.
 const BYTES: usize = 32;
 
-/// What a link allows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Grant {
-    /// See a photo.
-    View,
-    /// See and change a photo.
-    Edit,
-    /// Relay a room to the viewers of another node.
-    Relay,
-}
-
-impl Grant {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::View => "view",
-            Self::Edit => "edit",
-            Self::Relay => "relay",
-        }
+string_enum! {
+    /// What a link allows.
+    pub enum Grant {
+        /// See a photo.
+        View = "view",
+        /// See and change a photo.
+        Edit = "edit",
+        /// Relay a room to the viewers of another node.
+        Relay = "relay",
     }
 }
 

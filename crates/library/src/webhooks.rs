@@ -3,45 +3,41 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, Row as _};
 
-use crate::Library;
 use crate::database::{Lock, Tx};
+use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
-use crate::ids::{Digest, Millis, Owner, hex, random};
+use crate::ids::random;
+use crate::owner::Owner;
+use crate::photo::of_name;
+use crate::string_enum::string_enum;
+use crate::{Library, Millis};
 
 /// Webhooks of one owner, and those for all photos, besides the configuration's.
 pub const MAX_WEBHOOKS: u64 = 16;
 
-/// What happened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub enum EventType {
-    /// A photo is made.
-    #[serde(rename = "photo.done")]
-    PhotoDone,
-    /// A photo cannot be made.
-    #[serde(rename = "photo.failed")]
-    PhotoFailed,
-    /// A photo is deleted, by a caller or by retention.
-    #[serde(rename = "photo.deleted")]
-    PhotoDeleted,
-    /// An export or a film is written.
-    #[serde(rename = "export.done")]
-    ExportDone,
-    /// An export or a film cannot be written.
-    #[serde(rename = "export.failed")]
-    ExportFailed,
-    /// Someone publishes in a room.
-    #[serde(rename = "room.started")]
-    RoomStarted,
-    /// A room's publisher has left for good.
-    #[serde(rename = "room.ended")]
-    RoomEnded,
-    /// Somebody tests a webhook; no webhook has to ask for it.
-    #[serde(rename = "ping")]
-    Ping,
+string_enum! {
+    /// What happened.
+    pub enum EventType {
+        /// A photo is made.
+        PhotoDone = "photo.done",
+        /// A photo cannot be made.
+        PhotoFailed = "photo.failed",
+        /// A photo is deleted, by a caller or by retention.
+        PhotoDeleted = "photo.deleted",
+        /// An export or a film is written.
+        ExportDone = "export.done",
+        /// An export or a film cannot be written.
+        ExportFailed = "export.failed",
+        /// Someone publishes in a room.
+        RoomStarted = "room.started",
+        /// A room's publisher has left for good.
+        RoomEnded = "room.ended",
+        /// Somebody tests a webhook; no webhook has to ask for it.
+        Ping = "ping",
+    }
 }
 
 impl EventType {
@@ -49,29 +45,10 @@ impl EventType {
     pub const ALL: [Self; 7] =
         [Self::PhotoDone, Self::PhotoFailed, Self::PhotoDeleted, Self::ExportDone, Self::ExportFailed, Self::RoomStarted, Self::RoomEnded];
 
-    /// Its name, as receivers see it.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::PhotoDone => "photo.done",
-            Self::PhotoFailed => "photo.failed",
-            Self::PhotoDeleted => "photo.deleted",
-            Self::ExportDone => "export.done",
-            Self::ExportFailed => "export.failed",
-            Self::RoomStarted => "room.started",
-            Self::RoomEnded => "room.ended",
-            Self::Ping => "ping",
-        }
-    }
-
     /// The event of [`Self::ALL`] with this name.
     #[must_use]
     pub fn of_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|event| event.name() == name)
-    }
-
-    pub(crate) fn of_column(name: &str) -> Result<Self> {
-        Self::of_name(name).or_else(|| (name == Self::Ping.name()).then_some(Self::Ping)).ok_or_else(|| LibraryError::stored("event", name))
     }
 }
 
@@ -168,7 +145,7 @@ fn names_of(events: &[EventType]) -> String {
 }
 
 fn events_of(column: &str) -> Result<Vec<EventType>> {
-    column.split(',').filter(|name| !name.is_empty()).map(EventType::of_column).collect()
+    column.split(',').filter(|name| !name.is_empty()).map(of_name).collect()
 }
 
 /// Id of a webhook of the configuration: the same address is the same webhook.
@@ -182,7 +159,7 @@ impl Library {
     /// Adds a webhook for the photos of an owner, or for all.
     ///
     /// # Errors
-    /// [`LibraryError::TooManyWebhooks`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::TooManyWebhooks`].
     pub async fn add_webhook(&self, owner: Option<&Owner>, new: &NewWebhook) -> Result<Webhook> {
         let mut tx = self.database().write().await?;
         if let Some(owner) = owner {
@@ -204,9 +181,6 @@ impl Library {
     }
 
     /// Makes the webhooks of the configuration those of the library. One that was disabled stays so while its address does.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn configure_webhooks(&self, all: &[NewWebhook]) -> Result<()> {
         let mut tx = self.database().write().await?;
         tx.lock(Lock::Webhooks).await?;
@@ -227,9 +201,6 @@ impl Library {
     }
 
     /// The webhooks of an owner, or all with `None`, oldest first.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn webhooks(&self, owner: Option<&Owner>) -> Result<Vec<Webhook>> {
         let select = sqlx::query("SELECT * FROM webhooks WHERE $1 = '' OR owner = $1 ORDER BY created_at, id");
         let rows = select.bind(owner.map_or("", Owner::as_str).to_owned()).fetch_all(self.database().reader()).await?;
@@ -239,7 +210,7 @@ impl Library {
     /// A webhook.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`].
     pub async fn webhook(&self, id: &str) -> Result<Webhook> {
         let select = sqlx::query("SELECT * FROM webhooks WHERE id = $1").bind(id.to_owned());
         let row = select.fetch_optional(self.database().reader()).await?;
@@ -249,7 +220,7 @@ impl Library {
     /// Changes a webhook. One that is disabled fails its pending deliveries.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`].
     pub async fn change_webhook(&self, id: &str, change: &WebhookChange) -> Result<Webhook> {
         let mut tx = self.database().write().await?;
         match change.enabled {
@@ -268,9 +239,6 @@ impl Library {
     }
 
     /// Removes a webhook and its deliveries; false if it does not exist.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn remove_webhook(&self, id: &str) -> Result<bool> {
         let mut tx = self.database().write().await?;
         let removed = remove(&mut tx, id).await?;

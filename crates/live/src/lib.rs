@@ -10,30 +10,31 @@
 //!    the pixels that did not change; these keep their depth, and new depth joins them without a step.
 //! 4. Changed tiles get new planes, starting from the last ones ([`tmpi_pipeline::planes::place_again`]). Labels change only if that gains
 //!    much.
-//! 5. [`reprojection_error()`] compares each new tile with the one sent last. If no point moves by more than a quarter of a pixel, for any
+//! 5. [`tile_displacement()`] compares each new tile with the one sent last. If no point moves by more than a quarter of a pixel, for any
 //!    camera in the view box, the tile is not sent and the room keeps the old one, so that it always has the tiles that its readers have.
 //! 6. The other tiles are encoded as chunks ([`tmpi_core::live::chunk`]).
 //!
-//! [`Geometry`] keeps all this within a time [`Budget`], based on earlier measurements: if frames are late, the depth network runs at a
-//! smaller size, tiles get fewer planes, and tiles that still do not fit wait for the next frame. The most changed tiles go first, and no
+//! [`FramePipeline`] keeps all this within a time [`Budget`], based on earlier measurements: if frames are late, the depth network runs at
+//! a smaller size, tiles get fewer planes, and tiles that still do not fit wait for the next frame. The most changed tiles go first, and no
 //! tile waits forever. After a frame whose tiles were sent, there is a short cooldown ([`Settings::cooldown`]); changes during it are sent
 //! after it.
 //!
-//! [`video`] and [`measured_depth`] decode what publishers send, and [`access_units`] splits their streams. This crate does no I/O and never blocks.
+//! [`video`] and [`depth_codec`] decode what publishers send, and [`access_units`] splits their streams. This crate does no I/O and never
+//! blocks.
 
 pub mod access_units;
 pub mod align;
 pub mod change;
+pub mod depth_codec;
 mod depth_recheck;
 mod frame_budget;
-mod geometry;
-pub mod measured_depth;
-mod plane_queue;
-mod reprojection_error;
+mod frame_pipeline;
+mod tile_displacement;
+mod tile_queue;
 pub mod video;
 
 pub use change::Tolerance;
 pub use depth_recheck::{RECHECK, RecheckSettings};
 pub use frame_budget::{Budget, TileBudget};
-pub use geometry::{BUDGET_MS, COOLDOWN, Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, Settings, Update};
-pub use reprojection_error::reprojection_error;
+pub use frame_pipeline::{BUDGET_MS, COOLDOWN, Frame, FramePipeline, GeometryError, MAX_ERROR, PARALLAX, Settings, Update};
+pub use tile_displacement::tile_displacement;

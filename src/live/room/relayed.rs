@@ -9,8 +9,8 @@ use tmpi_core::live::schema::message::Kind;
 use tmpi_core::live::schema::{Bye, Hello};
 
 use super::{Room, Viewer, ViewerKind};
-use crate::live::chunk_store::Chunks;
 use crate::live::ring::MessageKind;
+use crate::live::tile_store::Chunks;
 
 impl Room {
     /// Whether this node is an edge of the room.

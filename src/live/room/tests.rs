@@ -6,7 +6,7 @@ use tmpi_core::live::{TileState, read};
 use tmpi_core::{Geometry, Photo};
 
 use super::*;
-use crate::live::chunk_store::tests::{geometry, message};
+use crate::live::tile_store::tests::{geometry, message};
 
 pub const EPOCH: u64 = 7;
 

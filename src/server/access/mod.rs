@@ -7,8 +7,8 @@
 mod callers;
 mod cookies;
 mod link_query;
-mod permissions;
 mod photo_token;
+mod route_permissions;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,7 +31,7 @@ use cookies::{KEPT, LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cook
 pub use cookies::{set_manage, set_owner};
 use link_query::LinkInUrl;
 pub(super) use link_query::{link_of_url, query_of, take_link};
-use permissions::{Permission, permission, refusal};
+use route_permissions::{Permission, permission, refusal};
 
 /// Lifetime of a ticket.
 pub const TICKET: Duration = Duration::from_mins(15);
@@ -186,10 +186,7 @@ impl Guard {
                 return found.map(|key| (Principal::Key(key), None)).ok_or_else(unknown);
             }
             let who = match text.strip_prefix(TICKET_PREFIX) {
-                Some(rest) => {
-                    let session = self.library.find_session(&format!("{SESSION_PREFIX}{rest}")).await?;
-                    session.map(|session| Principal::Ticket(session.owner))
-                }
+                Some(rest) => self.library.session_owner(&format!("{SESSION_PREFIX}{rest}")).await?.map(Principal::Ticket),
                 None => Principal::of_bearer(text),
             };
             let who = who.ok_or_else(unknown)?;
@@ -211,8 +208,8 @@ impl Guard {
     async fn of_cookie(&self, headers: &HeaderMap) -> Result<Principal, Problem> {
         let Some(kept) = owner_cookie(headers) else { return Ok(Principal::Anonymous) };
         if kept.starts_with(SESSION_PREFIX) {
-            let session = self.library.find_session(kept).await?;
-            return Ok(session.map_or(Principal::Anonymous, |session| Principal::Owner(session.owner, kept.to_owned())));
+            let owner = self.library.session_owner(kept).await?;
+            return Ok(owner.map_or(Principal::Anonymous, |owner| Principal::Owner(owner, kept.to_owned())));
         }
         Ok(if is_secret(kept) { Principal::Owner(Owner::of_secret(kept), kept.to_owned()) } else { Principal::Anonymous })
     }
@@ -230,7 +227,7 @@ impl Guard {
     /// # Errors
     /// 503 where the library cannot be reached.
     pub async fn ticket(&self, owner: &Owner) -> Result<String, Problem> {
-        let session = self.library.open_session(owner, None, TICKET).await?;
+        let session = self.library.open_session(owner, TICKET).await?;
         Ok(session.replacen(SESSION_PREFIX, TICKET_PREFIX, 1))
     }
 
@@ -241,7 +238,7 @@ impl Guard {
     pub async fn session_cookie(&self, owner: &Owner) -> Result<String, Problem> {
         match caller().as_deref() {
             Some(Caller { who: Principal::Owner(_, kept), .. }) => Ok(kept.clone()),
-            _ => Ok(self.library.open_session(owner, None, Duration::from_secs(KEPT)).await?),
+            _ => Ok(self.library.open_session(owner, Duration::from_secs(KEPT)).await?),
         }
     }
 
@@ -289,7 +286,7 @@ impl Guard {
         let good = match &caller.who {
             Principal::Key(key) => self.library.is_valid(key).await.unwrap_or(false),
             Principal::Owner(_, kept) if kept.starts_with(SESSION_PREFIX) => {
-                self.library.find_session(kept).await.is_ok_and(|found| found.is_some())
+                self.library.session_owner(kept).await.is_ok_and(|found| found.is_some())
             }
             _ => true,
         };

@@ -2,10 +2,10 @@
 
 mod query;
 mod recipe;
+mod run_export;
 mod write;
-mod write_limits;
 
 pub use query::ExportQuery;
 pub use recipe::Recipe;
+pub use run_export::{WriteRequest, write_export};
 pub use write::{Drawing, ExportTask, TITLE, timeout_problem};
-pub use write_limits::{WriteRequest, write_export};

@@ -6,9 +6,9 @@ use axum::http::{HeaderMap, HeaderName};
 use axum::response::Response;
 
 use crate::server::app_state::{AppState, StoredFile};
-use crate::server::build_identity;
 use crate::server::conditional::{ContentCoding, Entity, cache_control_for, insert, known_etag, not_modified, respond};
-use crate::server::finished_photo::FinishedPhoto;
+use crate::server::photo_details::FinishedPhoto;
+use crate::server::program_digest;
 
 /// A derived answer before it is made.
 pub(super) struct Derived {
@@ -21,7 +21,7 @@ impl Derived {
     /// For a finished photo. `asked` is the version in the query; `name` maps the photo's version to everything that the answer depends on.
     pub fn new(app: &AppState, done: &FinishedPhoto, asked: Option<&str>, name: impl FnOnce(&str) -> String) -> Self {
         let results = app.version(done);
-        Self { cache_control: cache_control_for(asked, || results.clone()), made: build_identity::short(&name(&results)) }
+        Self { cache_control: cache_control_for(asked, || results.clone()), made: program_digest::short(&name(&results)) }
     }
 
     /// 304 for a client that has the answer already.

@@ -9,7 +9,7 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::{StreamExt as _, stream};
 use serde::Serialize;
-use tmpi_library::{Event as Happened, JobKind, Photo, PhotoId, PhotoState as Phase, Subscription};
+use tmpi_library::{Event as Happened, Photo, PhotoId, PhotoState as Phase, Subscription};
 use tokio::time::Instant;
 
 use super::photo_state::{PhotoState, Progress};
@@ -105,7 +105,7 @@ impl Listener {
             return None;
         }
         if photo.state == Phase::Queued {
-            let position = self.app.library.position(JobKind::Make, self.id, None).await.ok()?.map_or(0, |position| position.ahead);
+            let position = self.app.library.position(self.id).await.ok()?.unwrap_or_default();
             let moved = self.queued.replace(position) != Some(position);
             return Some(if moved { vec![event("queued", &Position { position })] } else { Vec::new() });
         }

@@ -12,11 +12,11 @@ use serde::Serialize;
 use super::query::NoQuery;
 use crate::server::access::Guard;
 use crate::server::app_state::{App, AppState, StoredFile};
-use crate::server::build_identity;
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
 use crate::server::problem::Problem;
+use crate::server::program_digest;
 use crate::server::request_body;
 use crate::server::timestamps::rfc3339;
 use tmpi_library::{Class, Job, JobKind, JobState, LibraryError, NewExport, Part, Photo, QueueLimit};
@@ -195,7 +195,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
     let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
-    let key = build_identity::short(&format!("file {} {text}", app.version(&done)));
+    let key = program_digest::short(&format!("file {} {text}", app.version(&done)));
     let order = NewExport {
         photo: &photo,
         key: &key,
@@ -227,7 +227,7 @@ async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
     };
     // files of an older version of the photo or of the program expire on their own
     let is_current =
-        job.version == photo.version && build_identity::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
+        job.version == photo.version && program_digest::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
     if is_current { Ok(job) } else { Err(none()) }
 }
 

@@ -1,25 +1,26 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
 mod admin_listener;
-mod depth_upgrade;
+mod better_depth;
+mod depth_network;
 mod derived_answer;
 mod events;
-mod export_download;
+mod export;
 mod export_jobs;
-mod network;
 mod oembed;
 mod openapi_errors;
 mod openapi_values;
+mod owner;
 mod photo_state;
 mod photos;
 mod query;
 mod remake;
+mod rendered_view;
+mod rendered_view_query;
 mod results;
 mod sharing;
 mod strokes;
 mod system;
-mod view;
-mod view_query;
 mod webhook_state;
 mod webhooks;
 
@@ -42,7 +43,7 @@ use super::middleware;
 pub(super) use admin_listener::router as admin_router;
 pub(super) use photo_state::Progress as Stage;
 pub(crate) use query::{NoBody, Pairs};
-pub(super) use view_query::ViewQuery;
+pub(super) use rendered_view_query::ViewQuery;
 
 use super::pages;
 use super::problem::Problem;
@@ -74,8 +75,8 @@ fn open_api() -> OpenApiRouter<App> {
         .routes(routes!(results::atlas))
         .routes(routes!(results::report))
         .routes(routes!(results::thumbnail))
-        .routes(routes!(view::view))
-        .routes(routes!(export_download::export))
+        .routes(routes!(rendered_view::view))
+        .routes(routes!(export::export))
         .routes(routes!(oembed::oembed))
 }
 
@@ -88,9 +89,9 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(remake::remake))
         .routes(routes!(sharing::links))
         .routes(routes!(sharing::keep_token, sharing::revoke_links))
-        .routes(routes!(sharing::ticket))
-        .routes(routes!(sharing::adopt_owner))
-        .routes(routes!(network::network, network::fetch))
+        .routes(routes!(owner::ticket))
+        .routes(routes!(owner::adopt_owner))
+        .routes(routes!(depth_network::network, depth_network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
         .routes(routes!(export_jobs::order))

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::server::app_state::AppState;
-use crate::server::finished_photo::FinishedPhoto;
+use crate::server::photo_details::FinishedPhoto;
 use crate::server::photo_options;
 use crate::server::photo_settings::{Settings, Visibility};
 use crate::server::problem::Problem;
@@ -179,7 +179,7 @@ impl PhotoState {
         let mut state = Self::of_row(app, photo);
         match photo.state {
             Phase::Queued => {
-                state.position = app.library.position(JobKind::Make, photo.id, None).await?.map(|position| position.ahead);
+                state.position = app.library.position(photo.id).await?;
                 state.waits_for = match app.library.job(JobKind::Make, photo.id, None).await {
                     Ok(job) => job.problem.filter(|problem| problem.kind == "fault").map(|problem| problem.detail),
                     Err(LibraryError::NotFound(_)) => None,

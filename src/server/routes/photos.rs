@@ -9,20 +9,20 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
-use super::depth_upgrade::better_depth;
+use super::better_depth::better_depth;
 use super::photo_state::{PhotoList, PhotoState};
 use super::query::{NoQuery, Pairs};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, StoredFile};
-use crate::server::build_identity::short;
 use crate::server::conditional::{Entity, check_if_match, insert, respond, respond_uncached};
 use crate::server::photo_settings::{PATCH_BYTES, Settings};
 use crate::server::problem::Problem;
+use crate::server::program_digest::short;
 use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_by_address::SourceOrder;
 use crate::server::{upload, upload_by_address};
-use tmpi_library::{Cursor, Event, Filter, LibraryError, Owner, Page, Photo, PhotoState as Phase};
+use tmpi_library::{Cursor, Event, LibraryError, Owner, Page, Photo, PhotoState as Phase};
 
 /// Part of the time limit of a request that is left to answer it.
 pub(super) const ANSWER: Duration = Duration::from_millis(500);
@@ -258,8 +258,8 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
     let page = match app.guard.as_ref().filter(|_| !Guard::is_admin()).map(|_| Guard::owner()) {
         // a stranger has none
         Some(None) => Page { photos: Vec::new(), next: None },
-        Some(owner) => app.library.list(&Filter { owner, ..Filter::default() }, after, limit).await?,
-        None => app.library.list(&Filter::default(), after, limit).await?,
+        Some(owner) => app.library.list(owner.as_ref(), after, limit).await?,
+        None => app.library.list(None, after, limit).await?,
     };
     let next = page.next.map(|next| format!("/v1/photos?limit={limit}&after={next}"));
     let mut photos = Vec::with_capacity(page.photos.len());

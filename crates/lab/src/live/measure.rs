@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use tmpi_core::live::{FrameTiming, TileState, schema};
 use tmpi_core::{Photo, Pose};
-use tmpi_live::{Frame, Geometry as Driver, Update, video as codecs};
+use tmpi_live::{Frame, FramePipeline, Update, video as codecs};
 use tmpi_pipeline::usage::Clock;
 use tmpi_render::difference::psnr;
 use tmpi_render::{PictureFormat, View};
@@ -30,7 +30,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let mut decoder = codecs::decoder(H264::CODEC, settings.size)?;
     let settings_of_room = room(settings, sequence, settings.frame_ms);
     let empty = settings_of_room.empty(settings.size.0, settings.size.1);
-    let mut driver = Driver::new(settings.models.clone(), settings_of_room);
+    let mut driver = FramePipeline::new(settings.models.clone(), settings_of_room);
     let (mut f, mut stages) = (Figures::default(), Vec::new());
     let (mut reader, mut streams) = (Reader::new(settings.follow), Streams::default());
     streams.record(schema::message::Kind::Hello(schema::Hello { codec: H264::CODEC.into(), ..TileState::hello(&empty) }));
@@ -143,7 +143,7 @@ fn most_off(a: &Photo, b: &Photo) -> u8 {
 }
 
 /// Size of a room's snapshot at a frame in bytes; 0 if the room is empty.
-fn snapshot(room: &Driver, n: u32) -> Result<f64, LiveBenchError> {
+fn snapshot(room: &FramePipeline, n: u32) -> Result<f64, LiveBenchError> {
     let message = |chunk| schema::message::Kind::Snapshot(schema::Geometry { frame: n.into(), chunks: vec![chunk] });
     Ok(room.snapshot(n.into())?.map_or(0.0, |chunk| tmpi_core::live::write(message(chunk)).len() as f64))
 }

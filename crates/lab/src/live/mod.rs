@@ -15,7 +15,7 @@ use serde::{Serialize, Serializer};
 
 use tmpi_core::live::chunk::Area;
 use tmpi_core::live::coder_prior::Learning;
-use tmpi_live::{Geometry, GeometryError, Settings as Room, video};
+use tmpi_live::{FramePipeline, GeometryError, Settings as Room, video};
 use tmpi_pipeline::{Models, Options};
 
 use encode::H264;
@@ -76,7 +76,7 @@ pub struct Settings {
     pub depth: bool,
     /// Allowed parallax error of planes, in pixels.
     pub max_error: f64,
-    /// Reprojection error, in pixels, below which a tile is not sent again.
+    /// Displacement, in pixels, below which a tile is not sent again.
     pub parallax: f64,
     /// Time after sending tiles during which no others are sent.
     pub cooldown: Duration,
@@ -150,7 +150,7 @@ pub fn learn(settings: &Settings, progress: &dyn Fn(&str)) -> Result<String, Liv
         let kind = if lesson % 3 == 2 { Kind::Moving } else { Kind::Still };
         let sequence = Sequence::new(kind, TRAINING_SEED + 3 * lesson, settings.size, LESSONS.1, measure::SIDE_OFFSET);
         let (mut encoder, mut geometry) =
-            (H264::new(settings.size, settings.bitrate)?, Geometry::new(settings.models.clone(), room(settings, &sequence, 0.0)));
+            (H264::new(settings.size, settings.bitrate)?, FramePipeline::new(settings.models.clone(), room(settings, &sequence, 0.0)));
         let mut decoder = video::decoder(H264::CODEC, settings.size)?;
         for n in 0..LESSONS.1 {
             let shot = sequence.shot(n);

@@ -15,8 +15,8 @@ use std::time::UNIX_EPOCH;
 use bytes::Bytes;
 
 use super::{Listed, Source, Write};
+use crate::Millis;
 use crate::error::{LibraryError, Result};
-use crate::ids::Millis;
 
 /// Folder for temporary files.
 const INCOMING: &str = "incoming";

@@ -18,8 +18,10 @@ pub(crate) use folder::create_private;
 pub(crate) use folder::{Disk, Files};
 pub use folder::{DiskSpace, Reserve};
 
+use crate::Millis;
+use crate::digest::{Digest, hex};
 use crate::error::{LibraryError, Result};
-use crate::ids::{Digest, Millis, PhotoId, hex, random};
+use crate::ids::{PhotoId, random};
 use crate::photo::{Blob, Blobs, Part};
 use folder::Folder;
 use objects::Objects;
@@ -65,14 +67,8 @@ impl Content {
 
     /// Its size in bytes.
     #[must_use]
-    pub const fn len(&self) -> u64 {
+    pub const fn bytes(&self) -> u64 {
         self.bytes
-    }
-
-    /// Whether it is empty.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.bytes == 0
     }
 
     /// Its digest.
@@ -135,9 +131,6 @@ impl BlobStore {
     }
 
     /// Writes, reads and deletes a blob.
-    ///
-    /// # Errors
-    /// The store's error.
     pub async fn probe(&self) -> Result<()> {
         let name = format!("{PROBE}/{}", hex(&random::<8>()?));
         let written = Bytes::from_static(b"tmpi");
@@ -169,7 +162,7 @@ impl BlobStore {
 
     /// Stores contents of a photo. All are durable when this returns; after an error it may leave orphans.
     pub(crate) async fn store(&self, photo: PhotoId, contents: Contents) -> Result<Blobs> {
-        self.check_space(contents.values().map(Content::len).sum())?;
+        self.check_space(contents.values().map(Content::bytes).sum())?;
         let (mut blobs, mut writes) = (Blobs::new(), Vec::new());
         for (part, content) in contents {
             let name = name(photo, part, &content.digest)?;
@@ -218,7 +211,7 @@ impl BlobStore {
     /// A range of a blob's bytes.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`].
     pub async fn read_range(&self, blob: &Blob, range: Range<u64>) -> Result<Bytes> {
         self.get(&blob.name, Some(range.start.min(blob.bytes)..range.end.min(blob.bytes))).await
     }
@@ -226,7 +219,7 @@ impl BlobStore {
     /// A whole blob, checked against its size and digest.
     ///
     /// # Errors
-    /// [`LibraryError::Damaged`], [`LibraryError::Unavailable`].
+    /// [`LibraryError::Damaged`].
     pub async fn read(&self, part: Part, blob: &Blob) -> Result<Bytes> {
         let damaged = |detail: String| LibraryError::Damaged { part, detail };
         let bytes = match self.get(&blob.name, None).await {
@@ -265,6 +258,14 @@ impl BlobStore {
                 tracing::warn!(name, %error, "cannot delete a blob; gc will");
             }
         }
+    }
+
+    /// Deletes the blobs of a change that failed. After an error that may have come after the commit, they stay for `gc`.
+    pub(crate) async fn discard_refused(&self, written: Vec<String>, error: LibraryError) -> LibraryError {
+        if !matches!(error, LibraryError::Unavailable { .. } | LibraryError::Internal(_)) {
+            self.discard(written).await;
+        }
+        error
     }
 
     /// [`Self::discard`], in an object store after [`READERS`]: readers fetch objects piece by piece, while they keep files open.

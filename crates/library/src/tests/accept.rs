@@ -31,16 +31,9 @@ async fn a_repeated_upload_is_known(bed: Bed) {
 }
 
 async fn one_of_two_simultaneous_uploads_is_new(bed: Bed) {
-    let nodes = [bed.node().await, bed.node().await];
-    let twins = (0..16).map(|n| {
-        let node = nodes[n % 2].clone();
-        tokio::spawn(async move { node.accept(photo(1)).await.unwrap().outcome })
-    });
-    let mut new = 0;
-    for twin in twins.collect::<Vec<_>>() {
-        new += u32::from(twin.await.unwrap() == Outcome::New);
-    }
-    assert_eq!(new, 1);
+    let nodes = bed.two_nodes(Limits::default()).await;
+    let outcomes = at_once(&nodes, 16, |node, _| async move { node.accept(photo(1)).await.unwrap().outcome }).await;
+    assert_eq!(outcomes.into_iter().filter(|outcome| *outcome == Outcome::New).count(), 1);
     assert_eq!(bed.blobs(&nodes[0]).await.len(), 1, "blobs of concurrent uploads are deleted");
     make_next(&nodes[1]).await;
     assert!(nodes[0].take(&JobKind::ALL, LEASE).await.unwrap().is_none());
@@ -86,22 +79,15 @@ async fn a_remade_photo_keeps_its_results_until_it_is_done(bed: Bed) {
 }
 
 /// Number of accepted uploads out of 16 concurrent ones at two nodes.
-async fn taken(bed: &Bed, limits: &Limits) -> usize {
-    let nodes = [bed.node_with(limits.clone()).await, bed.node_with(limits.clone()).await];
-    let uploads: Vec<_> = (0..16)
-        .map(|n| {
-            let node = nodes[n as usize % 2].clone();
-            tokio::spawn(async move { node.accept(upload(10 + n, owner("ann"))).await })
-        })
-        .collect();
-    let mut taken = 0;
-    for upload in uploads {
-        match upload.await.unwrap() {
-            Ok(_) => taken += 1,
-            Err(LibraryError::QuotaExceeded { .. }) => {}
-            Err(error) => panic!("{error}"),
-        }
-    }
+async fn taken(bed: &Bed, limits: Limits) -> usize {
+    let nodes = bed.two_nodes(limits).await;
+    let uploads = at_once(&nodes, 16, |node, n| async move { node.accept(upload(10 + n, owner("ann"))).await }).await;
+    let is_taken = |upload: &Result<Accepted>| match upload {
+        Ok(_) => true,
+        Err(LibraryError::QuotaExceeded { .. }) => false,
+        Err(error) => panic!("{error}"),
+    };
+    let taken = uploads.into_iter().filter(is_taken).count();
     assert_eq!(bed.blobs(&nodes[0]).await.len(), taken, "what is refused is deleted");
     nodes[0].accept(upload(99, owner("bob"))).await.unwrap();
     let mut local = upload(98, Requester { owner: Some(Owner::local_user()), ..Requester::default() });
@@ -111,12 +97,12 @@ async fn taken(bed: &Bed, limits: &Limits) -> usize {
 }
 
 async fn the_quota_of_photos_is_never_exceeded(bed: Bed) {
-    assert_eq!(taken(&bed, &Limits { quota_photos: Some(5), ..Limits::default() }).await, 5);
+    assert_eq!(taken(&bed, Limits { quota_photos: Some(5), ..Limits::default() }).await, 5);
 }
 
 async fn the_quota_of_bytes_is_never_exceeded(bed: Bed) {
     // each has 8 bytes
-    assert_eq!(taken(&bed, &Limits { quota_bytes: Some(47), ..Limits::default() }).await, 5);
+    assert_eq!(taken(&bed, Limits { quota_bytes: Some(47), ..Limits::default() }).await, 5);
 }
 
 async fn a_full_queue_and_a_greedy_owner_are_refused(bed: Bed) {

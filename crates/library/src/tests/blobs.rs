@@ -10,12 +10,8 @@ on_both! {
 async fn gc_deletes_blobs_without_references_after_a_day(bed: Bed) {
     let library = bed.node().await;
     let photo = done(&library, 1, owner("ann")).await;
-    let requester = owner("ann");
-    let order =
-        NewExport { photo: &photo, key: "a", kind: JobKind::Film, payload: json!({}), class: Class::Interactive, requester: &requester };
-    library.order_export(&order).await.unwrap();
-    let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
-    library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
+    order(&library, &photo, JobKind::Film, "a", &owner("ann")).await.unwrap();
+    write_next(&library, b"film").await;
     let orphan = |n: u8| Contents::from([(Part::Upload, Content::of_bytes(vec![n; 9]))]);
     let old = library.blobs().store(photo.id, orphan(1)).await.unwrap().remove(&Part::Upload).unwrap();
     library.blobs().store(PhotoId::from_bytes([0; 16]), orphan(2)).await.unwrap();

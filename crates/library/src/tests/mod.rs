@@ -2,16 +2,16 @@
 
 mod accept;
 mod blobs;
+mod change_notifications;
 mod crash;
 mod credentials;
-mod events;
 mod exports;
 mod forgetful_disk;
 mod opening;
 mod photos;
 mod queue;
 mod retention;
-mod rooms;
+mod room_leases;
 mod webhooks;
 
 use std::collections::BTreeMap;
@@ -103,6 +103,10 @@ impl Bed {
         Library::of(database, blobs, Config { limits, ..Config::of_folder(self.path()) }).await
     }
 
+    pub async fn two_nodes(&self, limits: Limits) -> [Library; 2] {
+        [self.node_with(limits.clone()).await, self.node_with(limits).await]
+    }
+
     /// Shifts the database's clock.
     pub fn jump(&self, by: i64) {
         self.clock.fetch_add(by, Ordering::SeqCst);
@@ -179,6 +183,38 @@ pub async fn make_next(library: &Library) -> Photo {
 pub async fn done(library: &Library, n: u32, requester: Requester) -> Photo {
     library.accept(upload(n, requester)).await.unwrap();
     make_next(library).await
+}
+
+/// Orders a file of a photo.
+pub async fn order(library: &Library, photo: &Photo, kind: JobKind, key: &str, requester: &Requester) -> Result<OrderedExport> {
+    let payload = json!({"format": key});
+    library.order_export(&NewExport { photo, key, kind, payload, class: Class::Batch, requester }).await
+}
+
+/// Writes the next file.
+pub async fn write_next(library: &Library, file: &[u8]) -> Job {
+    let lease = library.take(&[JobKind::Export, JobKind::Film], LEASE).await.unwrap().unwrap();
+    library.finish_export(&lease, Content::of_bytes(file.to_vec())).await.unwrap()
+}
+
+/// Runs a task this many times simultaneously, at all nodes in turn.
+pub async fn at_once<T, F>(nodes: &[Library], times: u32, task: impl Fn(Library, u32) -> F) -> Vec<T>
+where
+    T: Send + 'static,
+    F: Future<Output = T> + Send + 'static,
+{
+    let tasks: Vec<_> = (0..times).map(|n| tokio::spawn(task(nodes[n as usize % nodes.len()].clone(), n))).collect();
+    let mut all = Vec::new();
+    for task in tasks {
+        all.push(task.await.unwrap());
+    }
+    all
+}
+
+/// Number of rows of a table.
+pub async fn count(library: &Library, table: &str) -> i64 {
+    let select = sqlx::AssertSqlSafe(format!("SELECT COUNT(*) AS count FROM {table}"));
+    sqlx::Row::get(&sqlx::query(select).fetch_one(library.database().reader()).await.unwrap(), "count")
 }
 
 /// Drops a future after this many polls, as if its process was killed; `None` if it was dropped.

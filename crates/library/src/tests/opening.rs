@@ -24,7 +24,7 @@ async fn nodes_that_open_simultaneously_create_one_schema(bed: Bed) {
     let library = bed.node().await;
     done(&library, 1, owner("ann")).await;
     library.close().await;
-    assert_eq!(bed.node().await.list(&Filter::default(), None, 9).await.unwrap().photos.len(), 1, "opened again nothing is lost");
+    assert_eq!(bed.node().await.list(None, None, 9).await.unwrap().photos.len(), 1, "opened again nothing is lost");
 }
 
 async fn a_newer_schema_is_refused(bed: Bed) {

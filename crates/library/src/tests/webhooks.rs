@@ -19,6 +19,10 @@ fn attempt(verdict: Verdict) -> Attempt {
     Attempt { verdict, status: Some(500), error: Some("500".into()), took: Duration::from_millis(7) }
 }
 
+async fn next_due(library: &Library) -> DueDelivery {
+    library.take_deliveries(1).await.unwrap().pop().unwrap()
+}
+
 /// Takes all that is due and delivers it; returns what it was, in order.
 async fn told(library: &Library) -> Vec<(String, EventType, EventData)> {
     let mut all = Vec::new();
@@ -121,14 +125,14 @@ async fn the_attempt_of_a_dead_process_is_repeated(bed: Bed) {
     let library = bed.node().await;
     let webhook = library.add_webhook(None, &to("x")).await.unwrap();
     library.ping(&webhook.id).await.unwrap();
-    let dead = library.take_deliveries(1).await.unwrap().pop().unwrap();
+    let dead = next_due(&library).await;
     bed.jump(60_001);
-    let again = library.take_deliveries(1).await.unwrap().pop().unwrap();
+    let again = next_due(&library).await;
     assert_eq!(again.delivery.id, dead.delivery.id);
     assert!(matches!(library.record_attempt(&dead, &attempt(Verdict::Delivered)).await, Err(LibraryError::LeaseLost)));
     // a process that is alone need not wait
     library.reclaim().await.unwrap();
-    let third = library.take_deliveries(1).await.unwrap().pop().unwrap();
+    let third = next_due(&library).await;
     library.record_attempt(&third, &attempt(Verdict::Delivered)).await.unwrap();
     assert_eq!(library.deliveries(&webhook.id, None, 9).await.unwrap().deliveries[0].state, DeliveryState::Delivered);
 }
@@ -138,7 +142,7 @@ async fn a_webhook_that_is_gone_or_fails_for_days_is_disabled(bed: Bed) {
     let webhook = library.add_webhook(None, &to("x")).await.unwrap();
     let ping = async |verdict| {
         library.ping(&webhook.id).await.unwrap();
-        let due = library.take_deliveries(1).await.unwrap().pop().unwrap();
+        let due = next_due(&library).await;
         library.record_attempt(&due, &attempt(verdict)).await.unwrap();
         library.webhook(&webhook.id).await.unwrap()
     };
@@ -186,18 +190,14 @@ async fn configured_webhooks_follow_the_configuration(bed: Bed) {
 async fn the_log_of_deliveries_is_bounded(bed: Bed) {
     let library = bed.node().await;
     let webhook = library.add_webhook(None, &to("x")).await.unwrap();
-    let count = async || {
-        let select = sqlx::query("SELECT COUNT(*) AS count FROM deliveries").fetch_one(library.database().reader()).await.unwrap();
-        sqlx::Row::try_get::<i64, _>(&select, "count").unwrap()
-    };
     for _ in 0..2 {
         library.ping(&webhook.id).await.unwrap();
     }
-    let due = library.take_deliveries(1).await.unwrap().pop().unwrap();
+    let due = next_due(&library).await;
     library.record_attempt(&due, &attempt(Verdict::Delivered)).await.unwrap();
     bed.jump(7 * 86_400_000 + 1);
     library.sweep().await.unwrap();
-    assert_eq!(count().await, 1, "one that is pending stays");
+    assert_eq!(count(&library, "deliveries").await, 1, "one that is pending stays");
     // each delivery that has ended fourfold until there are 1 024, with ids of their own
     told(&library).await;
     let mut tx = library.database().write().await.unwrap();
@@ -209,9 +209,9 @@ async fn the_log_of_deliveries_is_bounded(bed: Bed) {
         sqlx::query(sqlx::AssertSqlSafe(double)).execute(tx.connection()).await.unwrap();
     }
     tx.commit().await.unwrap();
-    assert_eq!(count().await, 1024);
+    assert_eq!(count(&library, "deliveries").await, 1024);
     library.sweep().await.unwrap();
-    assert_eq!(count().await, 1000);
+    assert_eq!(count(&library, "deliveries").await, 1000);
 }
 
 async fn the_end_of_each_job_and_room_is_announced(bed: Bed) {
@@ -221,36 +221,23 @@ async fn the_end_of_each_job_and_room_is_announced(bed: Bed) {
     library.accept(upload(2, owner("ann"))).await.unwrap();
     let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     library.fail(&lease, &Problem::new("broken-photo", "why")).await.unwrap();
-    let requester = owner("bob");
-    for key in ["a", "b"] {
-        let order = NewExport {
-            photo: &photo,
-            key,
-            kind: JobKind::Film,
-            payload: json!("format=mp4"),
-            class: Class::Interactive,
-            requester: &requester,
-        };
-        library.order_export(&order).await.unwrap();
-        let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
-        if key == "a" {
-            library.finish_export(&lease, Content::of_bytes(b"film".as_slice())).await.unwrap();
-        } else {
-            library.retry(&lease, &Retry::Died("signal 9".into())).await.unwrap();
-        }
-    }
+    order(&library, &photo, JobKind::Film, "a", &owner("bob")).await.unwrap();
+    write_next(&library, b"film").await;
+    order(&library, &photo, JobKind::Film, "b", &owner("bob")).await.unwrap();
+    let lease = library.take(&[JobKind::Film], LEASE).await.unwrap().unwrap();
+    library.retry(&lease, &Retry::Died("signal 9".into())).await.unwrap();
     for _ in 0..2 {
         library.start_room("attic").await.unwrap();
     }
     for _ in 0..2 {
         library.end_room("attic").await.unwrap();
     }
-    let origin = library.claim_room("cellar", "one", Claim::TakeOver, Duration::from_secs(5)).await.unwrap();
-    let origin = library.claim_room("cellar", "two", Claim::TakeOver, Duration::from_secs(5)).await.map(|o| (origin, o)).unwrap();
-    assert!(library.release_room("cellar", &origin.0).await.is_err());
-    library.release_room("cellar", &origin.1).await.unwrap();
+    let claim = async |room: &str, node: &str| library.claim_room(room, node, Duration::from_secs(5)).await.unwrap();
+    let (lost, origin) = (claim("cellar", "one").await, claim("cellar", "two").await);
+    assert!(library.release_room("cellar", &lost).await.is_err());
+    library.release_room("cellar", &origin).await.unwrap();
     // a node that has died
-    library.claim_room("hall", "one", Claim::IfFree, Duration::from_secs(5)).await.unwrap();
+    claim("hall", "one").await;
     bed.jump(65_001);
     library.sweep().await.unwrap();
     // a process that was alone and has died
@@ -263,7 +250,7 @@ async fn the_end_of_each_job_and_room_is_announced(bed: Bed) {
     assert_eq!(names, [&["photo.done", "photo.failed", "export.done", "export.failed"][..], &rooms].concat());
     assert_eq!(seen[1].2.problem.as_ref().unwrap().detail, "why");
     let export = seen[3].2.export.clone().unwrap();
-    assert_eq!((export.key.as_str(), export.kind, export.payload), ("b", JobKind::Film, json!("format=mp4")));
+    assert_eq!((export.key.as_str(), export.kind, export.payload), ("b", JobKind::Film, json!({"format": "b"})));
     assert_eq!((seen[3].2.problem.as_ref().unwrap().kind.as_str(), seen[3].2.photo), ("gave-up", Some(photo.id)));
     assert_eq!(seen[10].2.room.as_deref(), Some("roof"));
 }

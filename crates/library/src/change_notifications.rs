@@ -44,7 +44,7 @@ pub enum Event {
     },
     /// A photo was deleted.
     Deleted(PhotoId),
-    /// A key, a session, or links to a photo were revoked: check the access of open connections again.
+    /// A key, or links to a photo, were revoked: check the access of open connections again.
     Revoked,
     /// A delivery to a webhook waits.
     Delivery,

@@ -3,8 +3,10 @@
 use sqlx::Row as _;
 
 use crate::Library;
-use crate::error::{LibraryError, Result};
-use crate::ids::{Digest, PhotoId};
+use crate::digest::Digest;
+use crate::error::Result;
+use crate::ids::PhotoId;
+use crate::photo::parsed;
 
 /// The photo that was made of a source, and what the source said of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,21 +21,16 @@ pub struct Source {
 
 impl Library {
     /// The photo of a source, if it is remembered; `digest` is of the address and all else that makes the photo the same.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn source(&self, digest: &Digest) -> Result<Option<Source>> {
         let select = sqlx::query("SELECT photo, etag, last_modified FROM sources WHERE digest = $1").bind(digest.as_str().to_owned());
         let Some(row) = select.fetch_optional(self.database().reader()).await? else { return Ok(None) };
-        let photo: String = row.try_get("photo")?;
-        let photo = photo.parse().map_err(|e| LibraryError::stored("photo", e))?;
-        Ok(Some(Source { photo, etag: row.try_get("etag")?, last_modified: row.try_get("last_modified")? }))
+        Ok(Some(Source { photo: parsed(&row, "photo")?, etag: row.try_get("etag")?, last_modified: row.try_get("last_modified")? }))
     }
 
     /// Remembers a source until its photo is deleted.
     ///
     /// # Errors
-    /// [`LibraryError::NotFound`] if the photo is deleted, [`LibraryError::Unavailable`].
+    /// [`LibraryError::NotFound`](crate::LibraryError::NotFound) if the photo is deleted.
     pub async fn remember_source(&self, digest: &Digest, source: &Source) -> Result<()> {
         let mut tx = self.database().write().await?;
         let insert = "INSERT INTO sources (digest, photo, etag, last_modified) VALUES ($1, $2, $3, $4)

@@ -7,7 +7,7 @@ use tmpi_core::live::{TileState, schema};
 use tmpi_pipeline::depth::{DepthError, Estimate, Estimator};
 use tmpi_pipeline::run::stages::Snap;
 
-use super::estimate::snap_part;
+use super::depth::snap_part;
 use super::*;
 
 /// Derives disparity from brightness, with another scale and shift in each run, like networks.
@@ -34,9 +34,9 @@ fn without_cooldown() -> Settings {
     Settings { cooldown: Duration::ZERO, ..Settings::default() }
 }
 
-fn room(settings: Settings) -> (Arc<Bright>, Geometry) {
+fn room(settings: Settings) -> (Arc<Bright>, FramePipeline) {
     let depth = Arc::new(Bright::default());
-    (Arc::clone(&depth), Geometry::new(Models { depth, theta: None, psi: None }, settings))
+    (Arc::clone(&depth), FramePipeline::new(Models { depth, theta: None, psi: None }, settings))
 }
 
 /// A square at `x` in front of a wall that gets nearer to the right.
@@ -83,7 +83,7 @@ fn a_reader_of_all_chunks_matches_the_room() {
 #[test]
 fn a_change_of_the_networks_scale_does_not_move_depth() {
     let (_, mut room) = room(without_cooldown());
-    let shown = |room: &Geometry, x: u32| {
+    let shown = |room: &FramePipeline, x: u32| {
         let g = room.geometry().unwrap();
         // tile 6 has its upper left corner at (56, 56)
         g.tiles[6].disparities(&g.grid, 6)[(70 - 56) * 64 + (x - 56) as usize]
@@ -206,7 +206,7 @@ fn late_depth_runs_at_a_smaller_size() {
     for (frame_ms, then) in [(1e-6, (60, 34)), (0.0, (240, 136))] {
         let depth = Arc::new(Choice::default());
         let models = Models { depth: Arc::<Choice>::clone(&depth), theta: None, psi: None };
-        let mut room = Geometry::new(models, Settings { frame_ms, ..Settings::default() });
+        let mut room = FramePipeline::new(models, Settings { frame_ms, ..Settings::default() });
         assert_eq!(room.next(&frame(0, 60)).unwrap().depth_size, Some((240, 136)), "no cost has been measured yet");
         assert_eq!(room.next(&other).unwrap().depth_size, Some(then), "a new scene does not wait");
         assert_eq!(*depth.ran.lock().unwrap(), [(240, 136), then]);
@@ -225,7 +225,7 @@ fn coarse_tiles_get_more_planes_when_there_is_time() {
         f.depth = Some(DisparityMap { width: 240, height: 136, delta });
         f
     };
-    let planes = |room: &Geometry| room.geometry().unwrap().tiles[0].planes.len();
+    let planes = |room: &FramePipeline| room.geometry().unwrap().tiles[0].planes.len();
     let first = room.next(&with(0)).unwrap();
     assert!(first.waiting == 0 && first.coarse > 0 && planes(&room) == 2, "{} wait, {} coarse", first.waiting, first.coarse);
     // real measurements lower the costs

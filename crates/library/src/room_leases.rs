@@ -4,23 +4,14 @@ use std::time::Duration;
 
 use sqlx::Row as _;
 
-use crate::database::Tx;
+use crate::database::{Tx, is_held};
 use crate::deliveries::{EventData, announce};
-use crate::error::{LibraryError, Result};
+use crate::error::Result;
 use crate::webhooks::EventType;
 use crate::{Library, millis};
 
-/// Longest lease of a room: one that ends later was granted before the clock was set back.
-const MAX_LEASE: Duration = Duration::from_mins(1);
-
-/// How to claim a room that another node has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Claim {
-    /// Only after the other's lease has expired.
-    IfFree,
-    /// At once: its publisher has connected to this node.
-    TakeOver,
-}
+/// Time after the end of a lease after which its node has died, and no publisher comes back to the room.
+const ABANDONED: Duration = Duration::from_mins(1);
 
 /// The node that has a room.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,24 +23,15 @@ pub struct Origin {
 }
 
 impl Library {
-    /// Claims a room for the node at `address`, for `lasts`.
-    ///
-    /// # Errors
-    /// [`LibraryError::RoomTaken`], [`LibraryError::Unavailable`].
-    pub async fn claim_room(&self, room: &str, address: &str, claim: Claim, lasts: Duration) -> Result<Origin> {
+    /// Claims a room for the node at `address`, for `lasts`; takes it over from another node.
+    pub async fn claim_room(&self, room: &str, address: &str, lasts: Duration) -> Result<Origin> {
         let mut tx = self.database().write().await?;
         let insert =
             "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, $2, $4, $3, 0) ON CONFLICT (name) DO UPDATE SET
             origin = excluded.origin, lease_until = excluded.lease_until,
-            epoch = CASE WHEN excluded.epoch > rooms.epoch THEN excluded.epoch ELSE rooms.epoch + 1 END
-            WHERE rooms.lease_until <= $4 OR rooms.lease_until > $5 OR rooms.origin = excluded.origin OR $6 = 1 RETURNING epoch";
-        let ends = tx.now + millis(lasts.min(MAX_LEASE));
-        let insert = sqlx::query(insert).bind(room.to_owned()).bind(address.to_owned()).bind(ends).bind(tx.now);
-        let insert = insert.bind(tx.now + millis(MAX_LEASE)).bind(i64::from(claim == Claim::TakeOver));
-        let Some(row) = insert.fetch_optional(tx.connection()).await? else {
-            let select = sqlx::query("SELECT origin FROM rooms WHERE name = $1").bind(room.to_owned());
-            return Err(LibraryError::RoomTaken { origin: select.fetch_one(tx.connection()).await?.try_get("origin")? });
-        };
+            epoch = CASE WHEN excluded.epoch > rooms.epoch THEN excluded.epoch ELSE rooms.epoch + 1 END RETURNING epoch";
+        let insert = sqlx::query(insert).bind(room.to_owned()).bind(address.to_owned()).bind(tx.now + millis(lasts)).bind(tx.now);
+        let row = insert.fetch_one(tx.connection()).await?;
         start(&mut tx, room).await?;
         tx.commit().await?;
         Ok(Origin { address: address.to_owned(), epoch: row.try_get("epoch")? })
@@ -58,10 +40,10 @@ impl Library {
     /// Renews the lease of a room.
     ///
     /// # Errors
-    /// [`LibraryError::LeaseLost`] if another node has taken it, [`LibraryError::Unavailable`].
+    /// [`LibraryError::LeaseLost`](crate::LibraryError::LeaseLost) if another node has taken it.
     pub async fn renew_room(&self, room: &str, origin: &Origin, lasts: Duration) -> Result<()> {
         let mut tx = self.database().write().await?;
-        set(&mut tx, room, origin, millis(lasts.min(MAX_LEASE))).await?;
+        set(&mut tx, room, origin, millis(lasts)).await?;
         tx.commit().await
     }
 
@@ -77,9 +59,6 @@ impl Library {
     }
 
     /// Tells webhooks that someone publishes in a room of a node that shares its rooms with no other; such rooms have no leases.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn start_room(&self, room: &str) -> Result<()> {
         let mut tx = self.database().write().await?;
         let insert = "INSERT INTO rooms (name, origin, epoch, lease_until, live) VALUES ($1, '', $2, 0, 0)
@@ -90,9 +69,6 @@ impl Library {
     }
 
     /// Tells webhooks that the publisher of such a room has left for good.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn end_room(&self, room: &str) -> Result<()> {
         let mut tx = self.database().write().await?;
         end(&mut tx, room).await?;
@@ -100,9 +76,6 @@ impl Library {
     }
 
     /// The node that has a room, if any.
-    ///
-    /// # Errors
-    /// [`LibraryError::Unavailable`].
     pub async fn room(&self, room: &str) -> Result<Option<Origin>> {
         let now = self.database().now().await?;
         let select = sqlx::query("SELECT origin, epoch FROM rooms WHERE name = $1 AND lease_until > $2").bind(room.to_owned()).bind(now);
@@ -114,8 +87,7 @@ impl Library {
 /// Sets how long a lease lasts from now.
 async fn set(tx: &mut Tx, room: &str, origin: &Origin, lasts: i64) -> Result<()> {
     let update = sqlx::query("UPDATE rooms SET lease_until = $1 WHERE name = $2 AND epoch = $3").bind(tx.now + lasts);
-    let updated = update.bind(room.to_owned()).bind(origin.epoch).execute(tx.connection()).await?.rows_affected();
-    if updated == 0 { Err(LibraryError::LeaseLost) } else { Ok(()) }
+    is_held(&update.bind(room.to_owned()).bind(origin.epoch).execute(tx.connection()).await?)
 }
 
 /// Announces that a room is live, unless it was.
@@ -143,7 +115,7 @@ pub(crate) async fn end_all(tx: &mut Tx) -> Result<()> {
 
 /// Ends the rooms of nodes that have died.
 pub(crate) async fn end_abandoned(tx: &mut Tx) -> Result<()> {
-    let until = tx.now - millis(MAX_LEASE);
+    let until = tx.now - millis(ABANDONED);
     end_of(tx, "SELECT name FROM rooms WHERE live = 1 AND origin <> '' AND lease_until <= $1", until).await
 }
 

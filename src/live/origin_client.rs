@@ -1,7 +1,6 @@
-//! The origin of a room: the node to which its publisher is connected, recorded in the library with a lease.
+//! How a node reaches the origin of a room, the node to which its publisher is connected.
 //!
-//! A publisher that connects to another node takes the room there at once, with a higher epoch; the lease only limits how long a dead node
-//! stays the origin. Leases and credentials use the database's clock, never a node's.
+//! Credentials use the database's clock, never a node's.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,13 +9,12 @@ use std::time::Duration;
 use axum::body::Body;
 use axum::http::uri::{Scheme, Uri};
 use axum::http::{HeaderMap, Response, StatusCode, header};
-use tmpi_library::{Claim, Grant, Library, LibraryError, Link, Origin, Subject};
-use tokio::time::{sleep, timeout};
+use tmpi_library::{Grant, Library, LibraryError, Link, Origin, Subject};
+use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async_with_config};
 use tokio_util::sync::CancellationToken;
-use tokio_util::task::AbortOnDropHandle;
 
 use tmpi_core::live::MAX_MESSAGE;
 
@@ -24,9 +22,6 @@ use super::edge::EdgeError;
 use super::request_access::none_publishes;
 use crate::server::Problem;
 
-/// Duration of a lease, and the interval of its renewal.
-const LEASE: Duration = Duration::from_secs(5);
-const RENEW: Duration = Duration::from_secs(1);
 /// Lifetime of a node's credential, which opens one connection.
 const CREDENTIAL: Duration = Duration::from_mins(1);
 /// Timeout for connecting to an origin, and for reading from it.
@@ -36,7 +31,7 @@ const READ: Duration = Duration::from_secs(15);
 /// URL at which other nodes reach this one: `http://HOST[:PORT]`, or `https://`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeAddress {
-    url: String,
+    pub(super) url: String,
     host: String,
 }
 
@@ -74,8 +69,8 @@ pub type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
 
 /// This node's access to the other nodes.
 pub struct Nodes {
-    library: Library,
-    address: NodeAddress,
+    pub(super) library: Library,
+    pub(super) address: NodeAddress,
     http: reqwest::Client,
     /// Set when the server stops.
     pub stop: CancellationToken,
@@ -91,25 +86,6 @@ impl Nodes {
         let http = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let http = http.connect_timeout(CONNECT).read_timeout(READ).build()?;
         Ok(Self { library, address, http, stop })
-    }
-
-    /// Claims a room for this node; takes it over from another node.
-    ///
-    /// # Errors
-    /// The database cannot be reached.
-    pub async fn claim(&self, room: &str) -> Result<Lease, LibraryError> {
-        let origin = self.library.claim_room(room, &self.address.url, Claim::TakeOver, LEASE).await?;
-        let (library, room, lost) = (self.library.clone(), room.to_owned(), CancellationToken::new());
-        let renewal = tokio::spawn(renew(library.clone(), room.clone(), origin.clone(), lost.clone()));
-        Ok(Lease { library, room, origin, lost, renewal: AbortOnDropHandle::new(renewal) })
-    }
-
-    /// The other node that has a room, if any.
-    ///
-    /// # Errors
-    /// The database cannot be reached.
-    pub async fn origin(&self, room: &str) -> Result<Option<Origin>, LibraryError> {
-        Ok(self.library.room(room).await?.filter(|origin| origin.address != self.address.url))
     }
 
     /// Whether a token is another node's credential for a room.
@@ -164,54 +140,6 @@ impl Nodes {
             status if status.is_client_error() || status.is_server_error() => Err(silent(&status)),
             _ => Ok(Response::from(answer).map(Body::new)),
         }
-    }
-}
-
-/// Renews the lease of a room until it is lost.
-async fn renew(library: Library, room: String, origin: Origin, lost: CancellationToken) {
-    loop {
-        sleep(RENEW).await;
-        match library.renew_room(&room, &origin, LEASE).await {
-            Ok(()) => {}
-            Err(LibraryError::LeaseLost) => return lost.cancel(),
-            // keep the room: other nodes only take it over for a publisher
-            Err(error) => tracing::warn!(%error, room, "cannot renew the lease of a room"),
-        }
-    }
-}
-
-/// This node's lease of a room.
-pub struct Lease {
-    library: Library,
-    room: String,
-    origin: Origin,
-    /// Set when another node has taken it.
-    lost: CancellationToken,
-    renewal: AbortOnDropHandle<()>,
-}
-
-impl Lease {
-    /// The epoch: higher than that of the room's previous node. It is the database's time in milliseconds, which grows faster than the
-    /// epochs that changes of the pictures' size begin.
-    pub const fn epoch(&self) -> u64 {
-        self.origin.epoch.cast_unsigned()
-    }
-
-    /// Releases the room, unless another node has taken it.
-    pub async fn release(self) {
-        self.renewal.abort();
-        match self.library.release_room(&self.room, &self.origin).await {
-            Ok(()) | Err(LibraryError::LeaseLost) => {}
-            Err(error) => tracing::warn!(%error, room = self.room, "cannot release a room"),
-        }
-    }
-}
-
-/// Completes when the lease is lost; never without one.
-pub async fn lost(lease: Option<&Lease>) {
-    match lease {
-        Some(lease) => lease.lost.cancelled().await,
-        None => std::future::pending().await,
     }
 }
 

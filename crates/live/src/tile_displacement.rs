@@ -1,4 +1,4 @@
-//! Bounds the error of a reader that keeps a tile's old planes instead of the new ones.
+//! Bounds how far a tile's points move from old planes to new ones: the error of a reader that keeps the old ones.
 
 use tmpi_core::{Geometry, Plane, Rect, Tile, TileFrame};
 
@@ -13,7 +13,7 @@ struct Corner<'a> {
 /// camera in the view box. Covers the visible pixels, each layer over the whole tile, and the background. Infinite if the numbers of layers
 /// differ, because one set then shows content that the other lacks.
 #[must_use]
-pub fn reprojection_error(geometry: &Geometry, index: u32, old: &Tile, new: &Tile) -> f64 {
+pub fn tile_displacement(geometry: &Geometry, index: u32, old: &Tile, new: &Tile) -> f64 {
     let same_layers = old.planes.len() == new.planes.len() && old.background.is_some() == new.background.is_some();
     if !same_layers || old.labels.len() != new.labels.len() {
         return f64::INFINITY;

@@ -96,7 +96,7 @@ impl CameraView {
 /// A room with one viewer that receives all chunks.
 struct ViewedRoom {
     depth: Arc<NoisyTruth>,
-    room: Geometry,
+    room: FramePipeline,
     viewer: Option<TileState>,
     number: u64,
     shown: Vec<f32>,
@@ -115,7 +115,7 @@ impl ViewedRoom {
     fn new(spread: f32, settings: Settings) -> Self {
         let depth = Arc::new(NoisyTruth { spread, ..NoisyTruth::default() });
         let models = Models { depth: Arc::<NoisyTruth>::clone(&depth), theta: None, psi: None };
-        Self { depth, room: Geometry::new(models, settings), viewer: None, number: 0, shown: Vec::new() }
+        Self { depth, room: FramePipeline::new(models, settings), viewer: None, number: 0, shown: Vec::new() }
     }
 
     fn next(&mut self, view: CameraView) -> Observation {

@@ -13,7 +13,7 @@ use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile
 use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
-use crate::server::finished_photo::FinishedPhoto;
+use crate::server::photo_details::FinishedPhoto;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use tmpi_core::{Camera, Scene};
@@ -21,7 +21,7 @@ use tmpi_library::Photo;
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_multiview, encode};
 
 use super::derived_answer::Derived;
-use super::view_query::ViewQuery;
+use super::rendered_view_query::ViewQuery;
 
 /// The format that the client prefers; PNG without a preference. `None` if it accepts none.
 fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {

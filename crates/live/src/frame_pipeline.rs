@@ -16,15 +16,15 @@ use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, l
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
 use crate::depth_recheck::{RECHECK, RecheckSettings, Rechecks};
-use crate::plane_queue::Queue;
-use crate::reprojection_error::reprojection_error;
+use crate::tile_displacement::tile_displacement;
+use crate::tile_queue::Queue;
 use crate::{Budget, TileBudget};
 
-mod estimate;
+mod depth;
 
-use estimate::estimate;
+use depth::estimate;
 
-/// Default reprojection error, in pixels, below which a tile is not sent again.
+/// Default displacement, in pixels, below which a tile is not sent again.
 pub const PARALLAX: f64 = 0.25;
 
 /// Default cooldown after a frame whose tiles were sent: two frames at 30 frames a second. Meanwhile, readers move labels along with the
@@ -66,7 +66,7 @@ pub struct Settings {
     /// How much a block may differ from the frame that its geometry comes from and still count as unchanged.
     pub tolerance: Tolerance,
     /// A tile is sent only if its new planes move some point by more than this many pixels, for some camera in the view box
-    /// ([`reprojection_error`]). 0: every difference is sent.
+    /// ([`tile_displacement`]). 0: every difference is sent.
     pub parallax: f64,
     /// After a frame whose tiles were sent, no tiles are placed or sent for this long; changes wait for a later frame. Does not apply to
     /// measured depth: its tiles are few, and accurate enough that lateness would be visible.
@@ -128,7 +128,7 @@ pub struct Update {
     pub sent: Vec<u32>,
     /// Tiles that got new planes within the tolerance. They are not sent; readers and this room keep the last sent version.
     pub kept: Vec<u32>,
-    /// Largest reprojection error of the kept tiles in pixels: an upper bound over all cameras in the view box.
+    /// Largest displacement of the kept tiles in pixels: an upper bound over all cameras in the view box.
     pub kept_error: f64,
     /// The sent tiles, encoded.
     pub chunks: Vec<Chunk>,
@@ -145,7 +145,7 @@ pub struct Update {
 }
 
 /// The geometry of a room, updated frame by frame.
-pub struct Geometry {
+pub struct FramePipeline {
     models: Models,
     settings: Settings,
     limits: Limits,
@@ -189,7 +189,7 @@ pub enum GeometryError {
     Depth(u32, u32, u32, u32),
 }
 
-impl Geometry {
+impl FramePipeline {
     /// Starts without any frame.
     #[must_use]
     pub fn new(models: Models, settings: Settings) -> Self {
@@ -435,7 +435,7 @@ impl State {
             if *old == new {
                 continue;
             }
-            let error = reprojection_error(&self.geometry, t, old, &new);
+            let error = tile_displacement(&self.geometry, t, old, &new);
             if error > parallax {
                 self.geometry.tiles[t as usize] = new;
                 update.sent.push(t);
@@ -453,4 +453,4 @@ impl State {
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
-mod viewer_tests;
+mod view_quality_tests;

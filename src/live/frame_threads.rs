@@ -14,7 +14,7 @@ use tokio::sync::mpsc;
 use tmpi_core::live::schema;
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_live::video::{Decoder, FAILED, VideoError};
-use tmpi_live::{Frame, Geometry, measured_depth};
+use tmpi_live::{Frame, FramePipeline, depth_codec};
 
 use super::PANICS;
 use super::room::{FrameWithTiles, Room};
@@ -48,7 +48,7 @@ pub enum DecodeOutcome {
 }
 
 /// A room's threads, which end when this is dropped.
-pub struct GeometryThreads {
+pub struct FrameThreads {
     frames: SyncSender<EncodedFrame>,
 }
 
@@ -65,7 +65,7 @@ struct Waiting {
     ended: bool,
 }
 
-impl GeometryThreads {
+impl FrameThreads {
     /// Starts the threads for `epoch`. `geometry` makes a driver, and another one after a panic. `done` receives the outcome of each frame
     /// in order.
     ///
@@ -74,7 +74,7 @@ impl GeometryThreads {
     pub fn start(
         (room, epoch): (Arc<Room>, u64),
         mut decoder: Box<dyn Decoder>,
-        geometry: impl Fn() -> Geometry + Send + 'static,
+        geometry: impl Fn() -> FramePipeline + Send + 'static,
         done: mpsc::Sender<DecodeOutcome>,
     ) -> std::io::Result<Self> {
         let (frames, coded): (_, Receiver<EncodedFrame>) = sync_channel(WAITING);
@@ -162,13 +162,13 @@ impl Slot {
 /// Decodes a frame's picture and measured depth; `None` if it holds no picture.
 fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, VideoError> {
     let Some(photo) = decoder.decode(data)? else { return Ok(None) };
-    let depth = packed.map(|packed| measured_depth::unpack(packed, photo.width, photo.height)).transpose();
+    let depth = packed.map(|packed| depth_codec::unpack(packed, photo.width, photo.height)).transpose();
     let depth = depth.map_err(|e| VideoError::Broken(e.to_string()))?;
     Ok(Some((photo, depth)))
 }
 
 /// Makes the geometry of frames until the slot ends or [`PANICS`] frames in a row panic.
-fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
+fn geometries(place: (&Room, u64), make: &impl Fn() -> FramePipeline, slot: &Slot) {
     let (mut driver, mut panics) = (None, 0);
     while let Some((frame, at)) = slot.next() {
         // a change of size made frames of the epoch before it useless
@@ -192,7 +192,7 @@ fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
 }
 
 /// Makes the geometry of a frame and passes it on.
-fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: Instant) {
+fn made((room, epoch): (&Room, u64), driver: &mut FramePipeline, frame: Frame, at: Instant) {
     let update = match driver.next(&frame) {
         Ok(update) => update,
         Err(error) => {
@@ -236,7 +236,7 @@ mod tests {
         // depth is brightness
         let bright = |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |x, y| f32::from(photo.at(x, y)[0]) / 255.0));
         let models = Models { depth: Arc::new(("bright", bright)), theta: None, psi: None };
-        let (room, mut driver) = (Room::new(RoomLimits::default()), Geometry::new(models, settings.clone()));
+        let (room, mut driver) = (Room::new(RoomLimits::default()), FramePipeline::new(models, settings.clone()));
         let epoch = room.publish(TileState::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
         let mut viewer = room.join(crate::live::room::ViewerKind::Local).unwrap();
         let mut model = TileState::new(&TileState::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();
@@ -287,7 +287,7 @@ mod tests {
         let room = Arc::new(Room::new(RoomLimits::default()));
         let epoch = room.publish(TileState::hello(&Settings::default().empty(160, 120)), 0, 1);
         let (done, mut told) = mpsc::channel(16);
-        let threads = GeometryThreads::start((room, epoch), Box::new(Panics), || -> Geometry { panic!("as planned") }, done).unwrap();
+        let threads = FrameThreads::start((room, epoch), Box::new(Panics), || -> FramePipeline { panic!("as planned") }, done).unwrap();
         for frame in 0..3 {
             assert!(threads.take(EncodedFrame { frame, data: Bytes::new(), depth: None, at: Instant::now() }));
             assert!(matches!(told.blocking_recv(), Some(DecodeOutcome::Broken(_))));

@@ -71,9 +71,9 @@ proptest! {
         let old = tile(&g, index, &planes, behind, edges[0]);
         let other: Vec<_> = planes.iter().zip(&by).map(|(p, by)| std::array::from_fn(|i| p[i] + by[i])).collect();
         let new = tile(&g, index, &other, behind, edges[1]);
-        let (bound, found) = (reprojection_error(&g, index, &old, &new), reference(&g, index, &old, &new));
+        let (bound, found) = (tile_displacement(&g, index, &old, &new), reference(&g, index, &old, &new));
         prop_assert!(found <= bound * (1.0 + 1e-9), "{found} px seen, {bound} px said");
-        prop_assert_eq!(bound.to_bits(), reprojection_error(&g, index, &new, &old).to_bits());
+        prop_assert_eq!(bound.to_bits(), tile_displacement(&g, index, &new, &old).to_bits());
     }
 
     #[test]
@@ -81,7 +81,7 @@ proptest! {
         let g = scene(ViewBox { x: half[0], y: half[1], z: half[2] });
         let index = index % g.grid.tiles();
         let [old, new] = edges.map(|edge| tile(&g, index, &planes, true, edge));
-        let (bound, found) = (reprojection_error(&g, index, &old, &new), reference(&g, index, &old, &new));
+        let (bound, found) = (tile_displacement(&g, index, &old, &new), reference(&g, index, &old, &new));
         prop_assert!((bound - found).abs() <= 1e-9 * (1.0 + found), "{found} px seen, {bound} px said");
     }
 }
@@ -91,7 +91,7 @@ fn the_bound_is_exact_for_fronto_parallel_planes() {
     let g = scene(ViewBox::default());
     for index in 0..g.grid.tiles() {
         let [old, new] = [0.4, 0.43].map(|a| tile(&g, index, &[[a, 0.0, 0.0]], false, 0));
-        let (bound, found) = (reprojection_error(&g, index, &old, &new), reference(&g, index, &old, &new));
+        let (bound, found) = (tile_displacement(&g, index, &old, &new), reference(&g, index, &old, &new));
         assert!(found > 0.0 && (bound - found).abs() < 1e-9, "{found} px seen, {bound} px said");
     }
 }
@@ -100,9 +100,9 @@ fn the_bound_is_exact_for_fronto_parallel_planes() {
 fn different_numbers_of_layers_are_infinitely_far_apart() {
     let g = scene(ViewBox::default());
     let two = tile(&g, 1, &[[0.2, 0.0, 0.0], [0.7, 0.0, 0.0]], true, 0);
-    assert_eq!(reprojection_error(&g, 1, &two, &two).to_bits(), 0f64.to_bits());
+    assert_eq!(tile_displacement(&g, 1, &two, &two).to_bits(), 0f64.to_bits());
     for other in [tile(&g, 1, &[[0.2, 0.0, 0.0]], true, 0), Tile { background: None, ..two.clone() }, Tile::default()] {
-        assert!(reprojection_error(&g, 1, &two, &other).is_infinite() && reprojection_error(&g, 1, &other, &two).is_infinite());
+        assert!(tile_displacement(&g, 1, &two, &other).is_infinite() && tile_displacement(&g, 1, &other, &two).is_infinite());
     }
 }
 
@@ -110,6 +110,6 @@ fn different_numbers_of_layers_are_infinitely_far_apart() {
 fn a_camera_behind_a_plane_has_no_bound() {
     let g = scene(ViewBox { x: 0.0, y: 0.0, z: 1.2 });
     let [far, near] = [0.5, 0.9].map(|a| tile(&g, 0, &[[a, 0.0, 0.0]], false, 0));
-    assert!(reprojection_error(&g, 0, &far, &near).is_infinite());
-    assert!(reprojection_error(&g, 0, &near, &near) < f64::MIN_POSITIVE);
+    assert!(tile_displacement(&g, 0, &far, &near).is_infinite());
+    assert!(tile_displacement(&g, 0, &near, &near) < f64::MIN_POSITIVE);
 }

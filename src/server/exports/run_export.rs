@@ -9,9 +9,9 @@ use tokio_util::sync::CancellationToken;
 use super::recipe::Recipe;
 use super::write::{ExportTask, timeout_problem};
 use crate::server::app_state::AppState;
-use crate::server::finished_photo::FinishedPhoto;
 use crate::server::maker::Fault;
 use crate::server::memory_budget::Priority;
+use crate::server::photo_details::FinishedPhoto;
 use crate::server::problem::Problem;
 use tmpi_pipeline::{Progress, Sink};
 
