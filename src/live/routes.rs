@@ -1,4 +1,4 @@
-//! The routes of rooms: the upgrade to WebSockets, and tokens for viewers, which the publisher hands out.
+//! The routes of rooms: the WebSocket upgrade, and tokens that a publisher hands out to viewers.
 
 use std::time::Duration;
 
