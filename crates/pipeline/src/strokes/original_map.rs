@@ -3,7 +3,7 @@
 //! It is a chunk of the PNG file that readers of pictures skip (ancillary, private, unsafe to copy), directly after the header, so that
 //! the beginning of a file suffices to read it.
 
-use super::outline::SIDE;
+use super::region::SIDE;
 use crate::depth::{DepthError, resized, to_png};
 use crate::photo::reduced_size;
 use tmpi_core::DisparityMap;
