@@ -3,7 +3,8 @@
 use super::experiments::{self, Plan, Set, brief};
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Log};
+use super::{Axis, Log};
+use crate::LabError;
 use tmpi_pipeline::Options;
 use tmpi_pipeline::networks::{self, models};
 
@@ -14,7 +15,7 @@ const ERROR: Axis = Axis::new("disparity error, 1e-3", false, Some(false));
 type Make = fn(&models::Settings, bool) -> Plan;
 
 /// Experiments on what the depth network makes of subjects whose disparity is known.
-pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<(), BenchError> {
+pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<(), LabError> {
     if let Err(reason) = networks::available() {
         log.skip(format!("depth network: {}", brief(&reason)));
         return Ok(());
@@ -23,7 +24,7 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<
     for (id, plan) in plans {
         // a plan loads networks
         if log.wants(id) {
-            let plan = plan(&log.settings.networks, log.settings.quick);
+            let plan = plan(&log.settings.networks, log.settings.flags.quick);
             experiments::run(bench, subjects, Plan { id, ..plan }, log)?;
         }
     }

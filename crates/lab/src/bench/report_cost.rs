@@ -3,7 +3,8 @@
 use super::figures::{Figures, median};
 use super::measure::{Bench, Depth};
 use super::subject::{self, Subject};
-use super::{Axis, BenchError, Curve, Experiment};
+use super::{Axis, Curve, Experiment};
+use crate::LabError;
 use tmpi_core::container;
 use tmpi_pipeline::planes::discretisation_error;
 use tmpi_pipeline::usage::Clock;
@@ -15,8 +16,8 @@ const SHARE: &str = "measuring, % of the time";
 const SIZE: &str = "photo, megapixels";
 
 /// A point for each size: the share of the time that a photo takes, with its map given, which goes into figures of its report.
-pub(super) fn run(bench: &Bench, scenes: &[Subject], quick: bool) -> Result<Experiment, BenchError> {
-    let larger = LARGE[..if quick { 1 } else { 2 }].iter().map(|&size| subject::large(size)).collect::<Result<Vec<_>, _>>()?;
+pub(super) fn run(bench: &Bench, scenes: &[Subject], quick: bool) -> Result<Experiment, LabError> {
+    let larger: Vec<Subject> = LARGE[..if quick { 1 } else { 2 }].iter().map(|&size| subject::large(size)).collect();
     let mut points = Vec::new();
     for subjects in [scenes].into_iter().chain(larger.iter().map(std::slice::from_ref)) {
         let mut f = Figures::default();
@@ -36,7 +37,7 @@ pub(super) fn run(bench: &Bench, scenes: &[Subject], quick: bool) -> Result<Expe
     })
 }
 
-fn add(bench: &Bench, s: &Subject, f: &mut Figures) -> Result<(), BenchError> {
+fn add(bench: &Bench, s: &Subject, f: &mut Figures) -> Result<(), LabError> {
     let runs = bench.runs(s, &Depth::Known, &Options::default())?;
     let raw = bench.runs(s, &Depth::Known, &Options { denoise: Denoise::Off, snap: Switch::Off, ..Options::default() })?;
     let (Some(made), Some(raw)) = (runs.last(), raw.last()) else { return Ok(()) };
