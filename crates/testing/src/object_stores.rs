@@ -7,11 +7,9 @@ use std::time::Duration;
 
 use crate::Need;
 
-/// The account that every such emulator has, and its key, which are no secret.
+/// The account that every such emulator has, which is no secret.
 pub const AZURE_ACCOUNT: &str = "devstoreaccount1";
-/// See [`AZURE_ACCOUNT`].
-pub const AZURE_KEY: &str = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2UVErCz4I6tq/K1SZFPTOtr/KBHBeksoGMGw==";
-/// Leave to do anything to its blobs until 2099, signed with that key.
+/// Leave to do anything to its blobs until 2099, signed with its key, which is no secret either.
 const AZURE_LEAVE: &str =
     "sv=2019-12-12&ss=b&srt=sco&sp=rwdlac&se=2099-01-01T00%3A00%3A00Z&spr=https,http&sig=0inStVod1SiNNw%2FCJ4fRrpJIdRZAadbisT7bZCD4KQs%3D";
 

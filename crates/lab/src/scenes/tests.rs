@@ -16,7 +16,7 @@ fn single(shape: Shape, frame: Frame) -> Scene {
     let g = world.group();
     world.add(g, frame, shape, texture::Texture::any(&rng, 0.3));
     world.finish();
-    Scene { seed: 0, family: "test", world, unit: 1.0, size: (64, 48) }
+    Scene { family: "test", world, unit: 1.0, size: (64, 48) }
 }
 
 #[test]
