@@ -16,7 +16,6 @@ mod measure;
 mod page;
 mod photo_size;
 mod plot;
-mod report_cost;
 mod snapping;
 mod subject;
 
@@ -67,7 +66,7 @@ pub struct Settings {
 }
 
 /// Short names of the experiments.
-pub const EXPERIMENTS: [&str; 21] = [
+pub const EXPERIMENTS: [&str; 20] = [
     "scaling",
     "max-error",
     "planes",
@@ -88,7 +87,6 @@ pub const EXPERIMENTS: [&str; 21] = [
     "photos",
     "discretisation",
     "budget",
-    "measuring",
 ];
 
 /// A measured setting: means over all subjects.
@@ -219,9 +217,6 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabE
     if log.starts("budget") {
         log.results.costs = Some(costs::fitted(&bench, &scenes)?);
         log.add(costs::kept(&bench, &scenes)?)?;
-    }
-    if log.starts("measuring") {
-        log.add(report_cost::run(&bench, &scenes, quick)?)?;
     }
     log.write()?;
     Ok(log.results)

@@ -51,12 +51,6 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Subject {
         let c = Camera { pose, ..camera };
         (c, scene.render(&c, SAMPLES).photo)
     });
-    Subject { views: views.into(), ..photo_of(&scene, seed, (width, height)) }
-}
-
-/// A scene's photo and disparity, without views.
-fn photo_of(scene: &scenes::Scene, seed: u64, (width, height): (u32, u32)) -> Subject {
-    let camera = scene.camera();
     let picture = scene.render(&camera, SAMPLES);
     Subject {
         name: format!("{} {seed}", scene.family()),
@@ -64,14 +58,8 @@ fn photo_of(scene: &scenes::Scene, seed: u64, (width, height): (u32, u32)) -> Su
         disparity: Some(Arc::new(picture.disparity)),
         seed: Some(seed),
         fov_x: Some(camera.intrinsics.fov_x(width)),
-        views: Vec::new(),
+        views: views.into(),
     }
-}
-
-/// Renders one scene at a given size, without views.
-pub(super) fn large((width, height): (u32, u32)) -> Subject {
-    let scene = scenes::Scene::framed(SEED, width, height);
-    Subject { name: format!("{width}×{height}"), ..photo_of(&scene, SEED, (width, height)) }
 }
 
 /// The second surface of a rendered scene: what lies behind the visible one.
