@@ -123,7 +123,7 @@ mod tests {
     use tmpi_core::Pose;
 
     fn photo() -> Photo {
-        Photo { width: 40, height: 30, rgb: (0..1200u32).map(|i| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 90]).collect() }
+        Photo::from_fn(40, 30, |x, y| [(x * 6) as u8, (y * 8) as u8, 90])
     }
 
     fn view(pose: Pose, delta: impl Fn(usize) -> f32) -> Warp {

@@ -84,7 +84,7 @@ mod tests {
     fn readers_invert_the_colour_conversion() {
         // one colour per four pixels, like chroma
         let pixel = |x: u32, y: u32| [(x / 2 * 8) as u8, (y / 2 * 8) as u8, ((x / 2 + y / 2) * 4) as u8];
-        let photo = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| pixel(i % 64, i / 64)).collect() };
+        let photo = Photo::from_fn(64, 64, pixel);
         let [y, u, v] = to_i420(&photo);
         let back = to_rgb(&I420 { width: 64, height: 64, y: &y, u: &u, v: &v }, Colour::default()).unwrap();
         let off = photo.rgb.as_flattened().iter().zip(back.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
