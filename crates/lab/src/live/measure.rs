@@ -14,6 +14,7 @@ use tmpi_testing::pictures::png;
 use super::encode::{H264, sound_bytes};
 use super::sequence::{Kind, Sequence, Shot};
 use super::side_view::{Moment, Reader, ms};
+use super::sweep::OperatingPoint;
 use super::{Flags, Row, Settings, room, tiles};
 use crate::bench::Figures;
 use crate::{LabError, files};
@@ -28,11 +29,11 @@ const SETTLED: f64 = 5.0;
 
 /// Runs a sequence through a room.
 pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Row, LabError> {
-    let (flags, at_point) = (&settings.flags, settings.at);
-    let mut encoder = H264::new(at_point.size, at_point.bitrate)?;
-    let mut decoder = codecs::decoder(H264::CODEC, at_point.size)?;
-    let settings_of_room = room(settings, sequence, at_point.budget_ms);
-    let empty = settings_of_room.empty(at_point.size.0, at_point.size.1);
+    let (flags, OperatingPoint { size, bitrate, budget_ms }) = (&settings.flags, settings.at);
+    let mut encoder = H264::new(size, bitrate)?;
+    let mut decoder = codecs::decoder(H264::CODEC, size)?;
+    let settings_of_room = room(settings, sequence, budget_ms);
+    let empty = settings_of_room.empty(size.0, size.1);
     let mut driver = FramePipeline::new(settings.models.clone(), settings_of_room);
     let (mut f, mut stages) = (Figures::default(), Vec::new());
     let (mut reader, mut streams) = (Reader::new(flags.follow), Streams::default());
