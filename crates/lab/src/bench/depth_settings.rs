@@ -1,6 +1,6 @@
 //! What can be set of the depth network.
 
-use super::experiments::{self, Plan, Set, brief};
+use super::experiments::{Plan, Set, brief};
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
 use super::{Axis, Log};
@@ -21,14 +21,10 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], log: &mut Log) -> Result<
         return Ok(());
     }
     let plans: [(&str, Make); 4] = [("depth", pixels), ("depth-smoothing", smoothing), ("depth-ramp", ramp), ("depth-mirror", mirror)];
-    for (id, plan) in plans {
-        // a plan loads networks
-        if log.wants(id) {
-            let plan = plan(&log.settings.networks, log.settings.flags.quick);
-            experiments::run(bench, subjects, Plan { id, ..plan }, log)?;
-        }
-    }
-    Ok(())
+    let settings = log.settings;
+    // a plan loads networks
+    let run = |id, plan: Make| Plan { id, ..plan(&settings.networks, settings.flags.quick) }.run(bench, subjects);
+    plans.into_iter().try_for_each(|(id, plan)| log.run(id, || run(id, plan)))
 }
 
 /// The network with a setting changed; `None` if it cannot be loaded.

@@ -47,7 +47,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    fn run(self, bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
+    /// Measures each setting on all subjects.
+    pub fn run(self, bench: &Bench, subjects: &[Subject]) -> Result<Experiment, LabError> {
         let (x, y) = self.axes;
         let mut curves = Vec::new();
         for (name, settings) in self.curves {
@@ -269,15 +270,7 @@ pub(super) fn on_scenes(bench: &Bench, scenes: &[Subject], log: &mut Log) -> Res
     } else {
         plans.push(denoise(bench.models.theta.is_some()));
     }
-    plans.into_iter().try_for_each(|plan| run(bench, scenes, plan, log))
-}
-
-/// Runs an experiment if it is asked for.
-pub(super) fn run(bench: &Bench, subjects: &[Subject], plan: Plan, log: &mut Log) -> Result<(), LabError> {
-    if !log.starts(plan.id) {
-        return Ok(());
-    }
-    log.add(plan.run(bench, subjects)?)
+    plans.into_iter().try_for_each(|plan| log.run(plan.id, || plan.run(bench, scenes)))
 }
 
 /// Runs the experiments on photos with estimated disparity.
@@ -290,5 +283,5 @@ pub(super) fn on_photos(bench: &Bench, photos: &[Subject], log: &mut Log) -> Res
     if let Some((_, by_error)) = plan.curves.last_mut() {
         *by_error = errors(true);
     }
-    run(bench, photos, plan, log)
+    log.run(plan.id, || plan.run(bench, photos))
 }

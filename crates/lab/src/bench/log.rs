@@ -54,6 +54,11 @@ impl<'a> Log<'a> {
         wants
     }
 
+    /// Runs and adds an experiment if it is asked for.
+    pub fn run(&mut self, id: &str, experiment: impl FnOnce() -> Result<Experiment, LabError>) -> Result<(), LabError> {
+        if self.starts(id) { self.add(experiment()?) } else { Ok(()) }
+    }
+
     pub fn skip(&mut self, reason: String) {
         self.results.skipped.push(reason);
     }

@@ -199,21 +199,13 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, LabE
     let measured = if known { &photos } else { &scenes };
     experiments::on_scenes(&bench, &scenes, &mut log)?;
     depth_settings::run(&bench, measured, &mut log)?;
-    if log.starts("ramps") {
-        log.add(snapping::run(&bench, &scenes)?)?;
-    }
-    if log.starts("without") {
-        log.add(ablation::steps(&bench, &scenes)?)?;
-    }
-    if log.starts("labels") {
-        log.add(ablation::labels(&scenes, quick)?)?;
-    }
+    log.run("ramps", || snapping::run(&bench, &scenes))?;
+    log.run("without", || ablation::steps(&bench, &scenes))?;
+    log.run("labels", || ablation::labels(&scenes, quick))?;
     if !photos.is_empty() {
         experiments::on_photos(&bench, &photos, &mut log)?;
     }
-    if log.starts("discretisation") {
-        log.add(discretisation::run(&bench, measured)?)?;
-    }
+    log.run("discretisation", || discretisation::run(&bench, measured))?;
     if log.starts("budget") {
         log.results.costs = Some(costs::fitted(&bench, &scenes)?);
         log.add(costs::kept(&bench, &scenes)?)?;
