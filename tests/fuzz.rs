@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use tmpi::fuzzing::{Run, TARGETS};
+use tmpi_testing::png::chunk;
 
 #[path = "../fuzz/memory.rs"]
 mod memory;
@@ -74,13 +75,6 @@ fn targets_accept_seeds_and_mutations_within_their_memory_bound() {
     huge_metadata_takes_bounded_memory();
 }
 
-/// A PNG chunk with its checksum.
-fn png_chunk(name: [u8; 4], body: &[u8]) -> Vec<u8> {
-    let mut out = [(body.len() as u32).to_be_bytes().as_slice(), &name, body].concat();
-    out.extend_from_slice(&crc32fast::hash(&out[4..]).to_be_bytes());
-    out
-}
-
 /// Little-endian TIFF data with one entry, an orientation of `count` zero values of type `kind`.
 fn orientation(kind: u16, count: u32) -> Vec<u8> {
     let mut tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01".to_vec();
@@ -96,12 +90,12 @@ fn huge_metadata_takes_bounded_memory() {
     let seed = &seeds("png")[0].1;
     let with = |chunk: Vec<u8>| [&seed[..33], &chunk, &seed[33..]].concat();
     // an orientation of 31 million empty strings
-    memory::hold(run, &with(png_chunk(*b"eXIf", &orientation(2, 31 << 20))));
+    memory::hold(run, &with(chunk(b"eXIf", &orientation(2, 31 << 20))));
     // a profile of zeros, a thousand times larger than its chunk
     let packed = zlib(&vec![0; 64 << 20]);
-    memory::hold(run, &with(png_chunk(*b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
-    memory::hold(run, &with(png_chunk(*b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
-    let many: Vec<u8> = (0..200_000).flat_map(|_| png_chunk(*b"tEXt", b"a\0b")).collect();
+    memory::hold(run, &with(chunk(b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
+    memory::hold(run, &with(chunk(b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
+    let many: Vec<u8> = (0..200_000).flat_map(|_| chunk(b"tEXt", b"a\0b")).collect();
     memory::hold(run, &with(many));
     // a JPEG segment with TIFF directories that point to each other
     let mut tiff = b"II*\0\x08\0\0\0".to_vec();
