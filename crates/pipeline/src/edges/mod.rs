@@ -200,28 +200,6 @@ mod tests {
         assert_ne!(full_median(&photo, &map), map);
     }
 
-    #[test]
-    fn the_weighted_median_agrees_with_sorting() {
-        let mut random = 7u32;
-        let mut next = || {
-            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (random >> 8) as f32 / (1 << 24) as f32
-        };
-        for n in 1..=25 {
-            // some values are equal
-            let (values, weights): (Vec<f32>, Vec<f32>) = (0..n).map(|_| ((next() * 12.0).round() / 12.0, next() + 1e-6)).unzip();
-            let mut sorted: Vec<(f32, f32)> = values.iter().copied().zip(weights.iter().copied()).collect();
-            sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let (total, mut sum) = (sorted.iter().map(|v| f64::from(v.1)).sum::<f64>(), 0.0);
-            let want = sorted.iter().find(|v| {
-                sum += f64::from(v.1);
-                sum >= 0.5 * total
-            });
-            let got = fearless_simd::dispatch!(Level::new(), simd => kernel::weighted_median(simd, &values, &weights));
-            assert_eq!(Some(got), want.map(|v| v.0));
-        }
-    }
-
     /// A pixel's window, by definition.
     struct Window {
         own: ([f64; 3], f64),
