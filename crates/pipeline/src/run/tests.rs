@@ -8,25 +8,13 @@ use crate::photo::Limits;
 use tmpi_core::Photo;
 use tmpi_testing::pictures::{noise, waves as photo};
 
-/// A stand-in for the network: all photos here come with a depth map.
-struct Flat;
-
-impl Estimator for Flat {
-    fn name(&self) -> &'static str {
-        "flat"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
-    }
-}
-
 fn map(width: u32, height: u32, delta: impl Fn(u32, u32) -> f32) -> DisparityMap {
     DisparityMap { width, height, delta: (0..width * height).map(|i| delta(i % width, i / width)).collect() }
 }
 
 fn made(photo: &[u8], depth: &DisparityMap, options: &Options) -> Made {
-    let models = Models { depth: Arc::new(Flat), theta: None, psi: None };
+    // all photos here come with a depth map
+    let models = Models { depth: Arc::new(("none", |_: &Photo| Err(DepthError::NotEmbedded))), theta: None, psi: None };
     make(&models, &Limits::default(), photo, Some(&to_png(depth).unwrap()), options, &Silent).unwrap()
 }
 

@@ -264,21 +264,10 @@ fn a_map_may_be_larger_than_its_photo_but_not_than_memory_allows() {
     assert!(read(&with(W, H + 1), &Limits { pixels: u64::from(W * H), ..Limits::default() }, W, H).is_err());
 }
 
-struct Flat;
-
-impl crate::depth::Estimator for Flat {
-    fn name(&self) -> &'static str {
-        "flat"
-    }
-
-    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
-    }
-}
-
 #[test]
 fn carried_depth_is_used_unless_a_map_is_given_or_it_is_switched_off() {
-    let models = Models { depth: std::sync::Arc::new(Flat), theta: None, psi: None };
+    let flat = |photo: &Photo| Ok(DisparityMap::from_fn(photo.width, photo.height, |_, _| 0.5));
+    let models = Models { depth: std::sync::Arc::new(("flat", flat)), theta: None, psi: None };
     let make = |file: &[u8], given: Option<&[u8]>, photo_depth| {
         let options = Options { photo_depth, ..Options::default() };
         crate::make(&models, &Limits::default(), file, given, &options, &crate::Silent).map(|made| made.report)
