@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageFormat};
 
@@ -15,6 +16,18 @@ pub fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
     let mut out = Cursor::new(Vec::new());
     image.into().write_to(&mut out, format).unwrap();
     out.into_inner()
+}
+
+/// A JPEG file of a picture at a quality of 1 to 100.
+///
+/// # Panics
+/// If the format does not hold such a picture.
+#[must_use]
+#[allow(clippy::unwrap_used, reason = "for tests")]
+pub fn jpeg(image: impl Into<DynamicImage>, quality: u8) -> Vec<u8> {
+    let mut out = Vec::new();
+    image.into().write_with_encoder(JpegEncoder::new_with_quality(&mut out, quality)).unwrap();
+    out
 }
 
 /// A PNG file of these samples.

@@ -1,6 +1,6 @@
 //! Files crafted to cost much, and damaged files that could pass as whole.
 
-use image::{ExtendedColorType, ImageEncoder};
+use tmpi_testing::pictures;
 
 use super::*;
 
@@ -46,12 +46,7 @@ fn a_file_too_short_for_its_claimed_size_is_refused_by_the_check() {
     let error = check(&file, &Limits::default()).unwrap_err();
     assert!(error.to_string().contains("cut short"), "{error}");
     // the flattest picture needs few bits and is accepted
-    let flat = {
-        let mut out = Vec::new();
-        let grey = vec![128; 4096 * 300];
-        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 1).write_image(&grey, 4096, 300, ExtendedColorType::L8).unwrap();
-        out
-    };
+    let flat = pictures::jpeg(image::GrayImage::from_pixel(4096, 300, image::Luma([128])), 1);
     assert!(check(&flat, &Limits::default()).is_ok() && !decode(&flat, &Limits::default(), None).unwrap().damaged);
     let error = decode(&scans(1), &Limits::default(), None).unwrap_err();
     assert!(error.to_string().contains("first scan"), "{error}");
@@ -79,8 +74,7 @@ fn memory_is_checked_before_decoding_and_fifty_megapixels_of_any_kind_pass() {
 
 #[test]
 fn the_check_refuses_a_png_cut_within_a_chunk_and_counts_its_memory() {
-    let mut file = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut file).write_image(&[7; 40 * 30 * 8], 40, 30, ExtendedColorType::Rgba16).unwrap();
+    let file = pictures::png(40, 30, &[7; 40 * 30 * 8], image::ExtendedColorType::Rgba16);
     let limits = |decoder_memory| Limits { decoder_memory, ..Limits::default() };
     assert!(check(&file, &limits(40 * 30 * 8)).is_ok());
     assert!(matches!(check(&file, &limits(40 * 30 * 8 - 1)), Err(PhotoError::TooMuchMemory { .. })));

@@ -1,5 +1,6 @@
-use image::{ExtendedColorType, ImageBuffer, ImageEncoder, ImageFormat, Luma, LumaA, Rgb, Rgba};
-use tmpi_testing::jpeg::{Jpeg, components};
+use image::{ImageBuffer, ImageFormat, Luma, LumaA, Rgb, Rgba};
+use tmpi_testing::jpeg::{Jpeg, components, segment, with_profile, with_segments};
+use tmpi_testing::pictures;
 pub(super) use tmpi_testing::pictures::encoded as file;
 
 use super::*;
@@ -10,11 +11,7 @@ pub(super) fn picture(w: u32, h: u32) -> image::RgbImage {
 }
 
 pub(super) fn jpeg(w: u32, h: u32) -> Vec<u8> {
-    let mut out = Vec::new();
-    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 95)
-        .write_image(picture(w, h).as_raw(), w, h, ExtendedColorType::Rgb8)
-        .unwrap();
-    out
+    pictures::jpeg(picture(w, h), 95)
 }
 
 /// A TIFF structure with an orientation, and with a focal length (tag 0xA405, in the EXIF directory) of the given type and bytes.
@@ -42,17 +39,8 @@ fn tiff(orientation: u16, focal: Option<(u16, [u8; 4], &[u8])>) -> Vec<u8> {
     t
 }
 
-pub(super) fn with_segment(jpeg: &[u8], marker: u8, body: &[u8]) -> Vec<u8> {
-    let mut out = jpeg[..2].to_vec();
-    out.extend_from_slice(&[0xFF, marker]);
-    out.extend_from_slice(&((body.len() + 2) as u16).to_be_bytes());
-    out.extend_from_slice(body);
-    out.extend_from_slice(&jpeg[2..]);
-    out
-}
-
 fn with_exif(jpeg: &[u8], tiff: &[u8]) -> Vec<u8> {
-    with_segment(jpeg, 0xE1, &[b"Exif\0\0".as_slice(), tiff].concat())
+    with_segments(jpeg, &[segment(0xE1, &[b"Exif\0\0".as_slice(), tiff].concat())])
 }
 
 pub(super) fn ok(bytes: &[u8]) -> Decoded {
@@ -88,9 +76,8 @@ fn all_eight_orientations_become_upright() {
 fn a_rotated_jpeg_is_not_carried_and_a_plain_one_is_without_its_metadata() {
     let plain = jpeg(40, 24);
     let secret = b"GPS 59.3N 18.1E";
-    let mut bytes = with_segment(&plain, 0xFE, secret);
-    bytes = with_segment(&bytes, 0xED, secret);
-    bytes = with_exif(&bytes, &[tiff(1, None), secret.to_vec()].concat());
+    let bytes = with_segments(&plain, &[segment(0xED, secret), segment(0xFE, secret)]);
+    let mut bytes = with_exif(&bytes, &[tiff(1, None), secret.to_vec()].concat());
     bytes.extend_from_slice(secret);
     let got = ok(&bytes);
     let stripped = got.stripped.unwrap();
@@ -312,16 +299,12 @@ fn by_definition(source: &[f32], from: (u32, u32), to: (u32, u32), filter: Filte
 
 #[test]
 fn a_wide_gamut_profile_is_converted_and_an_srgb_profile_is_not() {
-    let icc = |p: moxcms::ColorProfile| {
-        let mut body = b"ICC_PROFILE\0\x01\x01".to_vec();
-        body.extend_from_slice(&p.encode().unwrap());
-        with_segment(&jpeg(40, 24), 0xE2, &body)
-    };
+    let icc = |p: moxcms::ColorProfile| with_profile(&jpeg(40, 24), &p.encode().unwrap());
     let plain = ok(&jpeg(40, 24));
     let same = ok(&icc(moxcms::ColorProfile::new_srgb()));
     assert!(same.photo == plain.photo && same.stripped.is_some());
     let wide = ok(&icc(moxcms::ColorProfile::new_display_p3()));
     assert!(wide.photo != plain.photo && wide.stripped.is_none());
-    let junk = ok(&with_segment(&jpeg(40, 24), 0xE2, b"ICC_PROFILE\0\x01\x01not a profile"));
+    let junk = ok(&with_profile(&jpeg(40, 24), b"not a profile"));
     assert_eq!(junk.photo, plain.photo);
 }

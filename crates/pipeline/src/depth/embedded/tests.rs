@@ -3,7 +3,7 @@
 use base64::Engine as _;
 use image::{GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use proptest::prelude::*;
-use tmpi_testing::jpeg::multi_picture;
+use tmpi_testing::jpeg::{multi_picture, segment, with_segments as with};
 use tmpi_testing::pictures::encoded;
 
 use super::*;
@@ -22,16 +22,6 @@ fn map() -> GrayImage {
     GrayImage::from_fn(W / 2, H / 2, |x, _| Luma([if x < W / 4 { 51 } else { 204 }]))
 }
 
-fn segment(marker: u8, body: &[&[u8]]) -> Vec<u8> {
-    let body = body.concat();
-    [&[0xFF, marker], ((body.len() + 2) as u16).to_be_bytes().as_slice(), &body].concat()
-}
-
-/// The file with `segments` after its first marker.
-fn with(file: &[u8], segments: &[Vec<u8>]) -> Vec<u8> {
-    [&file[..2], &segments.concat(), &file[2..]].concat()
-}
-
 fn packet(description: &str) -> String {
     format!(
         "<?xpacket begin='\u{feff}' id='W5M0MpCehiHzreSzNTczkc9d'?><x:xmpmeta xmlns:x='adobe:ns:meta/'>\
@@ -40,7 +30,7 @@ fn packet(description: &str) -> String {
 }
 
 fn main(description: &str) -> Vec<u8> {
-    segment(0xE1, &[b"http://ns.adobe.com/xap/1.0/\0", packet(description).as_bytes()])
+    segment(0xE1, &[b"http://ns.adobe.com/xap/1.0/\0", packet(description).as_bytes()].concat())
 }
 
 /// An extended packet in segments of 200 bytes; its name is 32 times the same letter.
@@ -48,7 +38,8 @@ fn extended(description: &str, name: u8) -> Vec<Vec<u8>> {
     let whole = packet(description);
     let part = |(i, bytes): (usize, &[u8])| {
         let (length, at) = (whole.len() as u32, (i * 200) as u32);
-        segment(0xE1, &[b"http://ns.adobe.com/xmp/extension/\0", &[name; 32], &length.to_be_bytes(), &at.to_be_bytes(), bytes])
+        let name = [name; 32];
+        segment(0xE1, &[b"http://ns.adobe.com/xmp/extension/\0", &name[..], &length.to_be_bytes(), &at.to_be_bytes(), bytes].concat())
     };
     whole.as_bytes().chunks(200).enumerate().map(part).collect()
 }
@@ -222,7 +213,7 @@ fn a_map_is_turned_upright_with_its_photo() {
 /// Sets orientation 6: the stored top is the upright right.
 fn on_its_side(file: &[u8]) -> Vec<u8> {
     let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0".as_slice(), &[0; 4]].concat();
-    with(file, &[segment(0xE1, &[&exif])])
+    with(file, &[segment(0xE1, &exif)])
 }
 
 #[test]
