@@ -57,3 +57,15 @@ pub fn noise(x: u32, y: u32) -> f32 {
     let i = (y * 4099 + x).wrapping_mul(2_654_435_761);
     ((i ^ (i >> 15)).wrapping_mul(0x2C1B_3C6D) >> 8) as f32 / (1 << 24) as f32
 }
+
+/// Frames of an IVF file, which holds a film in VP9.
+#[must_use]
+pub fn ivf_frames(file: &[u8]) -> Vec<&[u8]> {
+    let (mut frames, mut file) = (Vec::new(), &file[32..]);
+    while let Some((head, rest)) = file.split_first_chunk::<12>() {
+        let (frame, rest) = rest.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
+        frames.push(frame);
+        file = rest;
+    }
+    frames
+}
