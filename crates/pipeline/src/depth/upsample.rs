@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::denoise::guided_filter::box_mean;
-use crate::photo::{Filter, resample};
+use crate::photo::{Filter, resample, working_size};
 use tmpi_core::{DisparityMap, Photo};
 
 /// Most pixels at which the model is fitted. On seven stereo scenes with this program's own depth, 100 000 instead of 400 000 keep the
@@ -22,7 +22,7 @@ const EPSILON: f64 = 1e-4;
 #[must_use]
 pub fn upsample(photo: &Photo, small: &DisparityMap) -> DisparityMap {
     let (width, height) = (photo.width, photo.height);
-    let (w, h) = working_size(width, height);
+    let (w, h) = working_size((width, height), WORK);
     let guide = resample(&photo.rgb, (width, height), (w, h), Filter::Triangle, |p| p.map(|v| f32::from(v) / 255.0), |p| p);
     let delta = resample(&small.delta, (small.width, small.height), (w, h), Filter::Triangle, |v| [v], |[v]| v);
     let radius = ((f64::from(w) * f64::from(h)).sqrt() * RADIUS).round().max(1.0) as usize;
@@ -49,13 +49,6 @@ pub fn halved(d: &DisparityMap) -> DisparityMap {
     let half = ((d.width / 2).max(1), (d.height / 2).max(1));
     let to = |from: &[f32], a, b| resample(from, a, b, Filter::Triangle, |v: f32| [v], |[v]| v);
     DisparityMap { delta: to(&to(&d.delta, (d.width, d.height), half), half, (d.width, d.height)), ..*d }
-}
-
-/// The photo's size, reduced to at most [`WORK`] pixels.
-fn working_size(width: u32, height: u32) -> (u32, u32) {
-    let scale = (WORK / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
-    let side = |s: u32| ((f64::from(s) * scale).round() as u32).clamp(1, s);
-    (side(width), side(height))
 }
 
 fn mix(a: &[f32; 4], b: &[f32; 4], share: f32) -> [f32; 4] {

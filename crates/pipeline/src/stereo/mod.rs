@@ -20,7 +20,7 @@ pub use self::halves::{Halves, Stereo};
 use self::rectify::Rectified;
 use self::sgm::{Range, Views};
 use crate::depth;
-use crate::photo::{Filter, resample};
+use crate::photo::{Filter, resample, working_size};
 use crate::usage::Clock;
 
 /// Most pixels at which pictures are matched.
@@ -213,13 +213,6 @@ impl Measured {
         figures.fuse_ms = clock.ms();
         FusedDisparity { map, own: (!own).then_some(small), figures }
     }
-}
-
-/// A picture's size, reduced to at most `most` pixels.
-fn working_size((width, height): (u32, u32), most: f64) -> (u32, u32) {
-    let scale = (most / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
-    let side = |s: u32| ((f64::from(s) * scale).round() as u32).clamp(1, s);
-    (side(width), side(height))
 }
 
 /// Brightness of a picture at a size.
