@@ -260,10 +260,6 @@ fn bands_hold_the_same_labels_as_one_stream() {
     assert_eq!(decode(&one).unwrap(), decode(&bands).unwrap());
     let codec = |bytes: &[u8]| sections(bytes).unwrap().iter().find(|s| s.kind == "labels").unwrap().codec;
     assert_eq!((codec(&one), codec(&bands)), ("range", "range-bands"));
-    let labels = sections(&bands).unwrap().into_iter().find(|s| s.kind == "labels").unwrap();
-    let mut damaged = bands.clone();
-    damaged[(labels.offset + labels.length) as usize - 1] ^= 1;
-    assert!(decode(&damaged).unwrap_err().to_string().contains("band 3 of 3"));
 }
 
 #[test]
