@@ -90,16 +90,6 @@ pub fn read_geometry(bytes: &[u8]) -> Result<Geometry, ContainerError> {
     layer_geometry(&index, body, grid, (intrinsics, view_box), &ALL_ROWS)
 }
 
-/// Returns the header and index of a container, and its section of planes before entropy coding.
-///
-/// # Errors
-/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
-pub fn read_plain(bytes: &[u8]) -> Result<(&[u8], Vec<u8>), ContainerError> {
-    let (index, body) = split(bytes)?;
-    let (grid, ..) = cameras(&index)?;
-    Ok((&bytes[..bytes.len() - body.len()], plane_section(&index, body, &grid, index.planes as usize)?))
-}
-
 fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: PictureDecoder) -> Result<(Photo, Geometry), ContainerError> {
     let (grid, intrinsics, view_box) = cameras(index)?;
     let section = find(index, Kind::Photo).ok_or_else(|| ContainerError::broken("there is no photo section"))?;
