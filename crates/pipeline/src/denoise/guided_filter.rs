@@ -119,7 +119,7 @@ mod tests {
             let rough = (y * w + x).wrapping_mul(0x85EB_CA77).wrapping_add(seed) >> 27;
             (flat + if (x / patch).is_multiple_of(2) { rough } else { 0 }).min(255) as u8
         };
-        Photo { width: w, height: h, rgb: (0..w * h).map(|i| [value(i % w, i / w), value(i / w, i % w), 200]).collect() }
+        Photo::from_fn(w, h, |x, y| [value(x, y), value(y, x), 200])
     }
 
     proptest! {

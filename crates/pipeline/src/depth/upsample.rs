@@ -131,11 +131,9 @@ mod tests {
     #[test]
     fn a_blurred_edge_moves_to_the_photos_edge() {
         let (w, h) = (600u32, 400u32);
-        let rgb = (0..w * h).map(|i| if i % w < 300 { [40, 60, 50] } else { [180, 150, 190] }).collect();
-        let photo = Photo { width: w, height: h, rgb };
+        let photo = Photo::from_fn(w, h, |x, _| if x < 300 { [40, 60, 50] } else { [180, 150, 190] });
         // a ramp 12 photo pixels wide
-        let delta = (0..150 * 100).map(|i| (((i % 150) as f32 - 73.0) / 3.0).clamp(0.0, 1.0)).collect();
-        let small = DisparityMap { width: 150, height: 100, delta };
+        let small = DisparityMap::from_fn(150, 100, |x, _| ((x as f32 - 73.0) / 3.0).clamp(0.0, 1.0));
         let got = upsample(&photo, &small).delta;
         let row = &got[200 * 600..201 * 600];
         let step = row[300] - row[299];

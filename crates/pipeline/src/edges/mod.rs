@@ -157,10 +157,8 @@ mod tests {
 
     fn step(ramp: f32) -> (Photo, DisparityMap) {
         let (w, h) = (48u32, 24u32);
-        let photo =
-            Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 24 { [40, 60, 90] } else { [200, 150, 60] }).collect() };
-        let d = (0..w * h).map(|i| 0.2 + 0.6 * ((i % w) as f32 - 24.0 + 0.5 + ramp / 2.0).max(0.0).min(ramp) / ramp).collect();
-        (photo, DisparityMap { width: w, height: h, delta: d })
+        let photo = Photo::from_fn(w, h, |x, _| if x < 24 { [40, 60, 90] } else { [200, 150, 60] });
+        (photo, DisparityMap::from_fn(w, h, |x, _| 0.2 + 0.6 * (x as f32 - 24.0 + 0.5 + ramp / 2.0).max(0.0).min(ramp) / ramp))
     }
 
     #[test]

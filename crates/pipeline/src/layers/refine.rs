@@ -183,9 +183,7 @@ mod tests {
         let (width, height) = (50, 34);
         let grid = Grid::new(width, height, 20);
         let near = |x: u32, y: u32| (14..30).contains(&x) && (8..26).contains(&y);
-        let rgb = (0..width * height)
-            .map(|i| if near(i % width, i / width) { [200, 30, 10] } else { [10, (i % width * 5) as u8, (i / width * 7) as u8] });
-        let photo = Photo { width, height, rgb: rgb.collect() };
+        let photo = Photo::from_fn(width, height, |x, y| if near(x, y) { [200, 30, 10] } else { [10, (x * 5) as u8, (y * 7) as u8] });
         let tile = |t: u32| {
             let r = grid.rect(t);
             let labels = (0..r.area() as u32).map(|i| near(r.x + i % r.w, r.y + i / r.w).into()).collect();
