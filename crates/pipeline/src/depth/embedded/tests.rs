@@ -2,7 +2,6 @@
 
 use base64::Engine as _;
 use image::{GrayImage, ImageFormat, Luma, Rgb, RgbImage};
-use proptest::prelude::*;
 use tmpi_testing::jpeg::{multi_picture, segment, with_segments as with};
 use tmpi_testing::pictures::encoded;
 
@@ -280,21 +279,6 @@ fn carried_depth_is_used_unless_a_map_is_given_or_it_is_switched_off() {
     let report = make(&broken, None, Switch::Auto).unwrap();
     assert!(report.depth_model == "flat" && report.input.depth_problem.unwrap().contains("not form a range"));
     assert!(make(&broken, None, Switch::On).is_err() && make(&photo(), None, Switch::On).is_err());
-}
-
-proptest! {
-    #[test]
-    fn damage_is_an_error_or_ignored(at in 0usize..4000, value: u8, which in 0u8..3, cut in 0usize..9000) {
-        let mut file = match which { 0 => gdepth("RangeInverse", "1", "5"), 1 => dynamic("android/depthmap"), _ => multi(&PORTRAIT) };
-        let at = at % file.len();
-        file[at] = value;
-        file.truncate(cut.max(2));
-        if let Ok(Some(found)) = embedded_depth(&file)
-            && let Ok(Read { map, .. }) = found.read(&Limits::default(), W, H)
-        {
-            prop_assert!(map.delta.len() == (W * H) as usize && map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
-        }
-    }
 }
 
 /// These photos as files, for fuzzing and for trying them out; `TMPI_BLESS=embedded_depth` writes them anew.
