@@ -148,7 +148,7 @@ pub fn measure(first: &Photo, second: &Photo) -> Result<Measured, StereoError> {
     let mut pair = [grey(first, size), grey(second, size)];
     // rows that cannot be determined stay as they are
     let rectified = rectify::rectify(&pair[0], &pair[1]);
-    let Rectified { model, before_px, after_px, .. } = rectified.unwrap_or_default();
+    let Rectified { model, before_px, after_px } = rectified.unwrap_or_default();
     pair[1] = model.rectified(&pair[1]);
     let rectify_ms = clock.ms();
     let mut range = range(&pair).ok_or(StereoError::Few { share: 0.0 })?;

@@ -96,9 +96,7 @@ impl Model {
 pub struct Rectified {
     /// The model; the default one moves nothing.
     pub model: Model,
-    /// Number of matches that agree with it.
-    pub matches: usize,
-    /// Median distance of these from their rows, in pixels, in the pictures as given.
+    /// Median distance of the matches that agree with it from their rows, in pixels, in the pictures as given.
     pub before_px: f64,
     /// The same after rectification.
     pub after_px: f64,
@@ -130,7 +128,7 @@ pub fn rectify(first: &Grey, second: &Grey) -> Option<Rectified> {
     // pictures that already lie on their rows stay unchanged
     let better = before_px - after_px > 0.1;
     let (model, after_px) = if better { (model, after_px) } else { (Model::default(), before_px) };
-    Some(Rectified { model, matches: agreeing.len(), before_px, after_px })
+    Some(Rectified { model, before_px, after_px })
 }
 
 /// A corner of the first picture, and its position in the second, in pixels.
