@@ -183,7 +183,7 @@ fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
         (None, None) => return None,
     };
     let baseline = args.ipd.unwrap_or(usual);
-    Some(Rig { arrangement, baseline, focus: args.focus.unwrap_or_else(|| tmpi_render::pivot(scene)) })
+    Some(Rig { arrangement, baseline, focus: args.focus.unwrap_or_else(|| MotionRange::of(scene).pivot) })
 }
 
 /// `name-0001.png`, with as many digits as all frames need, at least four.
