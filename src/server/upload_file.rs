@@ -10,7 +10,9 @@ use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
 use super::app_state::App;
+use super::maker::HeadOf;
 use super::problem::Problem;
+use super::upload_head::UploadHead;
 use tmpi_library::{Content, Digest};
 
 /// Size of the write buffer.
@@ -67,16 +69,11 @@ async fn create(path: &Path) -> std::io::Result<File> {
     tokio::fs::OpenOptions::from(options).open(path).await
 }
 
-/// Writes a stream to a file, piece by piece; `check` may refuse each piece first.
+/// Writes a stream to a file, piece by piece, and checks its first bytes as those `of` a part of an upload.
 ///
 /// # Errors
-/// Those of `problem` and `check`, 507, 500.
-pub async fn receive<S, E>(
-    app: &App,
-    mut stream: S,
-    problem: impl Fn(E) -> Problem,
-    mut check: impl FnMut(&[u8]) -> Result<(), Problem>,
-) -> Result<ReceivedFile, Problem>
+/// Those of `problem` and [`UploadHead::see`], 507, 500.
+pub async fn receive<S, E>(app: &App, mut stream: S, of: HeadOf<'_>, problem: impl Fn(E) -> Problem) -> Result<ReceivedFile, Problem>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
@@ -84,11 +81,11 @@ where
     app.library.blobs().check_space(0)?;
     let path = TempPath::within(app.library.incoming());
     let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(&path.0).await.map_err(disk)?);
-    let mut hash = Sha256::new();
+    let (mut head, mut hash) = (UploadHead::new(&app.maker), Sha256::new());
     let mut bytes = 0;
     while let Some(chunk) = stream.next().await {
         let chunk = chunk.map_err(&problem)?;
-        check(&chunk)?;
+        head.see(&chunk, of)?;
         hash.update(&chunk);
         bytes += chunk.len() as u64;
         file.write_all(&chunk).await.map_err(disk)?;
