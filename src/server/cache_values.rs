@@ -8,14 +8,11 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 
 use super::body_source::Source;
-use super::cache::{Key, Value};
+use super::cache::Weight;
 use super::problem::Problem;
 use tmpi_core::Scene;
 use tmpi_core::container::TileRect;
-use tmpi_library::{Blob, BlobStore, LibraryError, Part, PhotoId, hex};
-
-/// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
-pub type Version = (PhotoId, u64);
+use tmpi_library::{Blob, BlobStore, LibraryError, Part, hex};
 
 /// Derived files with more bytes are stored on disk.
 const LARGE: usize = 1 << 20;
@@ -141,7 +138,7 @@ impl TempFolder {
     }
 }
 
-impl Value for StoredFile {
+impl Weight for StoredFile {
     fn weight(&self) -> usize {
         match &self.source {
             Source::Memory(bytes) => bytes.len(),
@@ -157,43 +154,27 @@ const MIN_EXPORT: usize = 4 << 20;
 #[derive(Clone, Debug)]
 pub struct Export(pub StoredFile);
 
-impl Value for Export {
+impl Weight for Export {
     fn weight(&self) -> usize {
         self.0.source.len().max(MIN_EXPORT)
     }
 }
 
-impl Value for Arc<Scene> {
+impl Weight for Arc<Scene> {
     fn weight(&self) -> usize {
         self.memory()
     }
 }
 
-impl Key for Version {
-    fn photo(&self) -> PhotoId {
-        self.0
-    }
-}
+impl Weight for () {}
 
-impl Key for (Version, Part) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-}
+impl Weight for Part {}
 
-impl Key for (Version, String) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
+impl Weight for Derived {}
 
+impl Weight for String {
     fn weight(&self) -> usize {
-        self.1.len()
-    }
-}
-
-impl Key for (Version, Derived) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
+        self.len()
     }
 }
 
