@@ -23,7 +23,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
-use super::client_slots::{ClientLimits, ClientPermit};
+use super::client_slots::{ClientSlot, ClientSlots};
 use super::limits::Limits;
 use super::metrics::{GaugeGuard, Telemetry};
 use super::minimum_rate::{MinimumRate, SmallBuffer, limit_send_buffer};
@@ -74,7 +74,7 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
     let Endpoint { listener, tls, proxies } = endpoint;
     let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
-    let shares = ClientLimits::new(limits.connections_per_address);
+    let shares = ClientSlots::per_address(limits.connections_per_address);
     let open = TaskTracker::new();
     loop {
         let accepted = tokio::select! {
@@ -229,7 +229,7 @@ pub struct Peer(pub IpAddr);
 pub struct ConnectionGuard {
     little: Arc<AtomicBool>,
     #[expect(dead_code, reason = "held until it is dropped")]
-    all: Arc<(OwnedSemaphorePermit, ClientPermit, (GaugeGuard, TaskTrackerToken))>,
+    all: Arc<(OwnedSemaphorePermit, ClientSlot, (GaugeGuard, TaskTrackerToken))>,
 }
 
 impl ConnectionGuard {
@@ -249,7 +249,7 @@ fn is_of_the_client(error: &io::Error) -> bool {
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | NotConnected)
 }
 
-async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, IpAddr, tokio::sync::OwnedSemaphorePermit)> {
+async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, IpAddr, OwnedSemaphorePermit)> {
     let permit = Arc::clone(room).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, peer) = listener.accept().await?;
     // answers are written in one go, so delaying for more data only adds latency; if this fails, the client has gone
