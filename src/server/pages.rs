@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 use axum::extract::{self, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::Response;
+use axum::routing::{MethodRouter, get};
 use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
@@ -34,16 +35,16 @@ const EMBEDDER_POLICY: HeaderName = HeaderName::from_static("cross-origin-embedd
 
 /// Which sites may frame a page or embed a file.
 #[derive(Clone, Copy)]
-enum Frames {
+pub enum Frames {
     /// This site: the page has buttons that change things, which another site could cover with its own (clickjacking).
     Own,
     /// Any site.
     Anybody,
 }
 
-/// `GET /`.
-pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/upload-page.html", Frames::Own).await
+/// Answers with the file `name`, whatever the address.
+pub fn fixed(name: &'static str, frames: Frames) -> MethodRouter<App> {
+    get(move |State(app): State<App>, headers: HeaderMap| async move { page(&app, &headers, name, frames).await })
 }
 
 /// `GET /view/{id}`, with the photo's preview card. If the photo is missing, or the browser has yet to send its credentials, the answer is
@@ -68,21 +69,6 @@ pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<Stri
         return missing_page(&app, name, Frames::Anybody).await;
     }
     page(&app, &headers, name, Frames::Anybody).await
-}
-
-/// `GET /demo`.
-pub async fn demo(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/demo-page.html", Frames::Own).await
-}
-
-/// `GET /live/{room}`: the page itself shows whether the room is live.
-pub async fn watch(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/watch-page.html", Frames::Own).await
-}
-
-/// `GET /live/{room}/publish`.
-pub async fn publish(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/publish-page.html", Frames::Own).await
 }
 
 /// Fallback for unknown addresses: a page for people, a problem for programs.
@@ -114,11 +100,6 @@ pub async fn file(State(app): State<App>, extract::Path(name): extract::Path<Str
         return Err(missing(&name));
     }
     page(&app, &headers, &name, Frames::Anybody).await
-}
-
-/// `GET /tmpi-viewer.js`.
-pub async fn script(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "element/tmpi-viewer.js", Frames::Anybody).await
 }
 
 async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Result<Response, Problem> {
