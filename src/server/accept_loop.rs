@@ -135,10 +135,10 @@ impl Connection {
     /// Serves HTTP/1.1.
     async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
         let inner = TowerToHyperService::new(self.router);
-        let (from, given) = (self.from, self.held.clone());
+        let (from, held) = (self.from, self.held);
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(from);
-            request.extensions_mut().insert(given.clone());
+            request.extensions_mut().insert(held.clone());
             if let Some(secure) = secure {
                 request.extensions_mut().insert(secure);
             }
@@ -155,18 +155,17 @@ impl Connection {
         if let Err(error) = ended {
             tracing::debug!(%error, "connection");
         }
-        drop(self.held);
     }
 
     /// Serves HTTP/2, only over TLS.
     async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
         let streams = Streams::new();
         let inner = TowerToHyperService::new(self.router);
-        let (from, given, opened) = (self.from, self.held.clone(), Arc::clone(&streams));
+        let (from, held, opened) = (self.from, self.held, Arc::clone(&streams));
         let service = service_fn(move |mut request: Request<Incoming>| {
             let open = opened.open();
             request.extensions_mut().insert(from);
-            request.extensions_mut().insert(given.clone());
+            request.extensions_mut().insert(held.clone());
             request.extensions_mut().insert(Secure);
             name_host(&mut request);
             let answer = inner.call(request);
@@ -202,7 +201,6 @@ impl Connection {
         if let Err(error) = ended {
             tracing::debug!(%error, "connection");
         }
-        drop(self.held);
     }
 }
 

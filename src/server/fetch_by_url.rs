@@ -98,14 +98,6 @@ impl Validators {
     }
 }
 
-/// An answer of a source.
-pub enum Fetched {
-    /// The photo.
-    Photo(Body, Validators),
-    /// It is the one of the validators.
-    NotModified,
-}
-
 /// Fetches photos.
 pub struct Sources {
     hosts: Vec<SourceHost>,
@@ -147,11 +139,11 @@ impl Sources {
         })
     }
 
-    /// Asks for a photo; with `known`, only whether it has changed. Follows three redirects.
+    /// Asks for a photo; `None` if it is still that of the validators `known`. Follows three redirects.
     ///
     /// # Errors
     /// [`SourceError`].
-    pub async fn fetch(&self, url: Url, known: Option<&Validators>) -> Result<Fetched, SourceError> {
+    pub async fn fetch(&self, url: Url, known: Option<&Validators>) -> Result<Option<(Body, Validators)>, SourceError> {
         let mut url = url;
         for _ in 0..=REDIRECTS {
             self.check(&url)?;
@@ -160,9 +152,9 @@ impl Sources {
             match status {
                 StatusCode::OK => {
                     let (parts, body) = Response::from(answer).into_parts();
-                    return Ok(Fetched::Photo(Body::new(body), Validators::of(&parts.headers)));
+                    return Ok(Some((Body::new(body), Validators::of(&parts.headers))));
                 }
-                StatusCode::NOT_MODIFIED if known.is_some() => return Ok(Fetched::NotModified),
+                StatusCode::NOT_MODIFIED if known.is_some() => return Ok(None),
                 _ if status.is_redirection() => url = target(&url, answer.headers())?,
                 _ if status.is_client_error() => return Err(SourceError::Refused(status)),
                 _ => return Err(SourceError::Failed(format!("the source answers {status}"))),

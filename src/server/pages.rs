@@ -1,7 +1,7 @@
 //! The pages and scripts of the viewer: embedded in the program, or read from a directory during development.
 
 use std::path::{Component, Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{LazyLock, OnceLock};
 
 use axum::extract::{self, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
@@ -12,22 +12,15 @@ use sha2::{Digest, Sha256};
 
 use super::app_state::App;
 use super::compress;
-use super::conditional::{ContentCoding, Entity, REVALIDATE, respond};
+use super::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use super::hosts::origin;
 use super::link_preview::PreviewCard;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 use tmpi_library::hex;
 
-/// Only scripts and pictures of this server; the viewer's decoder needs blobs.
-const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
-                      worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 /// Which sites may embed an answer (Fetch standard, section 3.7).
 pub const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
-
-/// The policy of pages that show photos of other servers.
-const OPEN_POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src * blob: data:; media-src 'self' blob:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
-                           worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 
 /// Which resources a page may embed (HTML standard, section 7.1.4). A cross-origin isolated page can frame only pages, and start only
 /// workers, that set this header.
@@ -106,6 +99,10 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
     Ok(send(load(app, name).await?, headers, name, frames))
 }
 
+/// For each of the embedded files, its tag, and its bytes in gzip, compressed on first use.
+static EMBEDDED: LazyLock<Vec<(String, OnceLock<Option<Bytes>>)>> =
+    LazyLock::new(|| FILES.iter().map(|(_, bytes)| (etag_of(bytes), OnceLock::new())).collect());
+
 /// A file to send.
 struct File {
     bytes: Bytes,
@@ -121,8 +118,10 @@ async fn load(app: &App, name: &str) -> Result<File, Problem> {
         return Ok(File { bytes: bytes.into(), etag, coding: if is_text(name) { ContentCoding::Gzip } else { ContentCoding::Plain } });
     }
     let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
-    let coding = if is_text(name) { ContentCoding::Coded(coded(at)) } else { ContentCoding::Plain };
-    Ok(File { bytes: Bytes::from_static(FILES[at].1), etag: tags()[at].clone(), coding })
+    let (bytes, (etag, coded)) = (FILES[at].1, &EMBEDDED[at]);
+    let gzip = || compress::gzip(bytes, flate2::Compression::best());
+    let coding = if is_text(name) { ContentCoding::Coded(coded.get_or_init(gzip).clone()) } else { ContentCoding::Plain };
+    Ok(File { bytes: Bytes::from_static(bytes), etag: etag.clone(), coding })
 }
 
 fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, frames: Frames) -> Response {
@@ -132,11 +131,16 @@ fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, fra
         Frames::Own => ("'self'", "same-origin"),
         Frames::Anybody => ("*", "cross-origin"),
     };
-    // a worker has its own policy, and reads containers and rooms of other servers, too
-    let policy = if matches!(name, "app/demo-page.html" | "decode/worker.js" | "live/worker.js") { OPEN_POLICY } else { POLICY };
-    if let Ok(policy) = HeaderValue::from_str(&format!("{policy}; frame-ancestors {ancestors}")) {
-        response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
-    }
+    // these show photos of other servers; a worker has its own policy, and reads their containers and rooms, too
+    let is_open = matches!(name, "app/demo-page.html" | "decode/worker.js" | "live/worker.js");
+    let servers = if is_open { "*" } else { "'self'" };
+    // the viewer's decoder needs blobs
+    let policy = format!(
+        "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src {servers} blob: data:; media-src 'self' blob:; \
+         connect-src {servers} blob: data:; style-src 'self' 'unsafe-inline'; worker-src 'self' blob:; object-src 'none'; \
+         base-uri 'none'; form-action 'self'; frame-ancestors {ancestors}"
+    );
+    insert(&mut response, header::CONTENT_SECURITY_POLICY, &policy);
     response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static(takers));
     if matches!(name, "app/embed-page.html" | "decode/worker.js" | "live/worker.js") {
         response.headers_mut().insert(EMBEDDER_POLICY, HeaderValue::from_static("require-corp"));
@@ -162,18 +166,6 @@ fn etag_of(bytes: &[u8]) -> String {
 fn is_text(name: &str) -> bool {
     let kind = content_type(name);
     kind.starts_with("text/") || matches!(kind, "application/json" | "application/wasm" | "image/svg+xml")
-}
-
-/// An embedded file in gzip, compressed on first use.
-fn coded(at: usize) -> Option<Bytes> {
-    static CODED: OnceLock<Vec<OnceLock<Option<Bytes>>>> = OnceLock::new();
-    let all = CODED.get_or_init(|| FILES.iter().map(|_| OnceLock::new()).collect());
-    all[at].get_or_init(|| compress::gzip(FILES[at].1, flate2::Compression::best())).clone()
-}
-
-fn tags() -> &'static [String] {
-    static TAGS: OnceLock<Vec<String>> = OnceLock::new();
-    TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| etag_of(bytes)).collect())
 }
 
 #[cfg(test)]

@@ -47,8 +47,7 @@ impl Proxies {
     /// Whether a peer is a trusted proxy.
     #[must_use]
     pub fn trusts(&self, peer: IpAddr) -> bool {
-        // most servers trust none
-        !self.networks.is_empty() && self.networks.iter().any(|network| network.contains(&peer.to_canonical()))
+        self.networks.iter().any(|network| network.contains(&peer.to_canonical()))
     }
 
     /// The client of a request from `peer`: the last address on its way that is not a trusted proxy, or the first of all.

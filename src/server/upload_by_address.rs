@@ -10,7 +10,7 @@ use reqwest::Url;
 use serde_json::Value;
 
 use super::app_state::App;
-use super::fetch_by_url::{Fetched, SourceError, Validators};
+use super::fetch_by_url::{SourceError, Validators};
 use super::maker::HeadOf;
 use super::photo_options;
 use super::problem::Problem;
@@ -165,10 +165,8 @@ async fn fetch(
     known: Option<&Validators>,
     of: HeadOf<'_>,
 ) -> Result<Option<(ReceivedFile, Validators)>, Problem> {
-    let (body, validators) = match app.sources.fetch(url, known).await.map_err(|e| problem(field, &e))? {
-        Fetched::Photo(body, validators) => (body, validators),
-        Fetched::NotModified => return Ok(None),
-    };
+    let fetched = app.sources.fetch(url, known).await.map_err(|e| problem(field, &e))?;
+    let Some((body, validators)) = fetched else { return Ok(None) };
     let (guarded, _rest) = LimitedBody::new(body, &app.limits, TimeLimit::new(PATIENCE));
     let received = receive(app, Body::new(guarded).into_data_stream(), of, |e| cut_off(field, &e)).await;
     // problems of the server itself have no field
