@@ -27,9 +27,11 @@ pub trait Weight: Clone + Send + Sync + 'static {
     }
 }
 
+type Entries<K, V> = Kept<(Version, K), V>;
+
 /// Keeps values by version and key, of at most `budget` bytes together; evicts the least recently used first.
 pub struct Cache<K, V> {
-    kept: Kept<(Version, K), V>,
+    kept: Entries<K, V>,
 }
 
 impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
@@ -45,7 +47,7 @@ impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
         Self::built(budget, Kept::builder().time_to_idle(rest))
     }
 
-    fn built(budget: usize, builder: CacheBuilder<(Version, K), V, Kept<(Version, K), V>>) -> Self {
+    fn built(budget: usize, builder: CacheBuilder<(Version, K), V, Entries<K, V>>) -> Self {
         let weigh = |(_, key): &(Version, K), value: &V| u32::try_from(key.weight() + value.weight() + OVERHEAD).unwrap_or(u32::MAX);
         let kept = builder
             .max_capacity(budget as u64)

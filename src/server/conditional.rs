@@ -122,11 +122,9 @@ pub fn requested_range(headers: &HeaderMap, etag: &str, length: usize) -> Reques
     if headers.get(header::IF_RANGE).is_some_and(|v| v.as_bytes() != etag.as_bytes()) {
         return RequestedRange::All;
     }
-    let Some(range) = headers.get(header::RANGE).and_then(|v| v.to_str().ok()) else { return RequestedRange::All };
-    let Some((unit, range)) = range.split_once('=') else { return RequestedRange::All };
-    let Some((first, last)) = range.trim().split_once('-').filter(|_| unit.trim().eq_ignore_ascii_case("bytes")) else {
-        return RequestedRange::All;
-    };
+    let range = headers.get(header::RANGE).and_then(|v| v.to_str().ok()?.split_once('='));
+    let range = range.filter(|(unit, _)| unit.trim().eq_ignore_ascii_case("bytes")).and_then(|(_, range)| range.trim().split_once('-'));
+    let Some((first, last)) = range else { return RequestedRange::All };
     let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
     if !digits(first) || !digits(last) || (first.is_empty() && last.is_empty()) {
         return RequestedRange::All;

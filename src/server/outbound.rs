@@ -148,7 +148,7 @@ struct NotPublic;
 /// Whether a request failed because its name has no public address.
 #[must_use]
 pub fn is_not_public(error: &reqwest::Error) -> bool {
-    anyhow::Chain::new(error).any(|cause| cause.is::<NotPublic>())
+    anyhow::Chain::new(error).any(<dyn std::error::Error>::is::<NotPublic>)
 }
 
 /// Sends requests to addresses within a reach. Its client is made when it is first used: a machine without certificates can run a server
