@@ -14,7 +14,8 @@ use super::Config;
 use super::access::Guard;
 use super::blocking_pool::{BlockingPool, Slot, WorkClass};
 use super::cache::Cache;
-pub use super::cache_values::{Derived, DiskFullPolicy, Export, StoredFile, TempFolder, Version};
+pub use super::cache::Version;
+pub use super::cache_values::{Derived, DiskFullPolicy, Export, StoredFile, TempFolder};
 use super::client_slots::{ClientSlots, client_address};
 use super::depth_network_upgrade::Download;
 use super::fetch_by_url::Sources;
@@ -62,17 +63,17 @@ pub struct AppState {
     /// Counters.
     pub telemetry: Arc<Telemetry>,
     /// Decoded scenes.
-    pub scenes: Cache<Version, Arc<Scene>>,
+    pub scenes: Cache<(), Arc<Scene>>,
     /// The download of the better depth network.
     pub download: Download,
     /// Small files, and open ones.
-    pub files: Cache<(Version, Part), StoredFile>,
+    pub files: Cache<Part, StoredFile>,
     /// Smaller levels and parts of containers.
-    pub levels: Cache<(Version, Derived), StoredFile>,
+    pub levels: Cache<Derived, StoredFile>,
     /// Encoded views by version and parameters.
-    pub views: Cache<(Version, String), StoredFile>,
+    pub views: Cache<String, StoredFile>,
     /// Files to download and films, on disk.
-    pub exports: Cache<(Version, String), Export>,
+    pub exports: Cache<String, Export>,
     /// Where views are drawn.
     pub pool: BlockingPool,
     /// Uploads in progress.
@@ -389,7 +390,7 @@ impl AppState {
             took = Some(start.elapsed());
             Ok::<_, Problem>(Arc::new(scene))
         };
-        let scene = self.scenes.get(version, decode).await?;
+        let scene = self.scenes.get((version, ()), decode).await?;
         Ok((scene, took))
     }
 
