@@ -1,6 +1,5 @@
 //! Workers: tasks that take jobs from the queue and run them on blocking threads.
 
-use std::any::Any;
 use std::convert::Infallible;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -302,7 +301,7 @@ async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -
         let unwanted = || here.is_over() || app.stop.is_cancelled();
         let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, unwanted) else { return (Err(Fault::Cancelled), job) };
         let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo), job: &job };
-        let made = catch_panic(|| app.maker.make(&photo, depth.as_deref(), &options, &sink));
+        let made = catch_panic("making the photo panicked", || app.maker.make(&photo, depth.as_deref(), &options, &sink));
         job.made();
         (made, job)
     });
@@ -383,15 +382,11 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
     }
 }
 
-/// Turns a panic into a failure of the photo. The maker borrows none of the server's state mutably, so a panic cannot leave it
-/// inconsistent.
-pub(super) fn catch_panic(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
-    catch_unwind(AssertUnwindSafe(make))
-        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &panic_message(panic.as_ref())))))
-}
-
-/// The message of a panic.
-pub(super) fn panic_message(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
-    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
+/// Turns a panic into a failure of the photo; `what` says what panicked. The maker borrows none of the server's state mutably, so a panic
+/// cannot leave it inconsistent.
+pub(super) fn catch_panic<T>(what: &str, work: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+        Err(Fault::Photo(Problem::internal(what, &text.unwrap_or_default())))
+    })
 }
