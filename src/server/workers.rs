@@ -14,7 +14,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
 use super::app_state::App;
-use super::exports::{Recipe, WriteRequest, write_export};
+use super::exports::{Recipe, write_export};
 use super::maker::{Fault, Product};
 use super::memory_budget::Priority;
 use super::photo_details::FinishedPhoto;
@@ -360,7 +360,7 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
     let here = doing.clone();
     let bytes = hold(lease, doing, told, move || {
         let unwanted = || here.is_over() || here.app.stop.is_cancelled();
-        write_export(&here.app, &recipe, (&container, &done), &WriteRequest { unwanted: &unwanted, is_low_priority: true })
+        write_export(&here.app, &recipe, (&container, &done), Priority::Low, &unwanted)
     });
     let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
     let file = match bytes.await {

@@ -119,6 +119,13 @@ impl Recipe {
         PROCESS + scene + self.own(done)
     }
 
+    /// Memory for a slot of work that writes the file, in bytes.
+    #[must_use]
+    pub fn slot_bytes(&self, done: &FinishedPhoto) -> u64 {
+        let pixels = u64::from(done.width) * u64::from(done.height);
+        done.scene_bytes() + if matches!(self, Self::File { format: ExportFormat::Ora, .. }) { ORA_BYTES * pixels } else { 0 }
+    }
+
     /// Whether the server writes it in its own process, while the client waits: pages, which contain the container unchanged, and other
     /// files of small photos, but no films.
     #[must_use]
