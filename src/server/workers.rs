@@ -77,6 +77,11 @@ impl Doing {
     fn is_over(&self) -> bool {
         self.lost.load(Ordering::Acquire) || self.abort.load(Ordering::Acquire)
     }
+
+    /// Whether work that can be repeated easily should end: also once the server stops.
+    fn is_unwanted(&self) -> bool {
+        self.is_over() || self.app.stop.is_cancelled()
+    }
 }
 
 /// Takes jobs until the server stops.
@@ -288,12 +293,7 @@ async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
         }),
     };
     let mut options = photo_options::from_text(&photo.options).map_err(End::Failed)?;
-    options.strokes = match read(Part::Strokes).await {
-        Ok(strokes) => super::app_state::strokes_of(strokes.as_deref()),
-        // the photo can be made without strokes
-        Err(End::Failed(_)) => Vec::new(),
-        Err(again) => return Err(again),
-    };
+    options.strokes = doing.app.strokes(photo).await.map_err(|problem| End::Again(Retry::Fault(problem.detail.into())))?;
     let lost = || End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
     Ok(Inputs { photo: read(Part::Upload).await?.ok_or_else(lost)?, depth: read(Part::Depth).await?, options })
 }
@@ -305,8 +305,7 @@ async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -
     let made = hold(lease, doing, told, move || {
         let app = &here.app;
         let memory = app.maker.memory(&photo, depth.as_deref(), &options);
-        let unwanted = || here.is_over() || app.stop.is_cancelled();
-        let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, unwanted) else { return Err(Fault::Cancelled) };
+        let Some(_memory) = app.memory.wait_for(memory, Priority::Normal, || here.is_unwanted()) else { return Err(Fault::Cancelled) };
         let sink = JobSink { doing: &here, deadline: Instant::now() + app.limits.time_for(&photo) };
         let made = catch_panic("making the photo panicked", || app.maker.make(&photo, depth.as_deref(), &options, &sink));
         here.span.made();
@@ -352,10 +351,8 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
         }
     })?;
     let here = doing.clone();
-    let bytes = hold(lease, doing, told, move || {
-        let unwanted = || here.is_over() || here.app.stop.is_cancelled();
-        write_export(&here.app, &recipe, (&container, &done), Priority::Low, &unwanted)
-    });
+    let bytes =
+        hold(lease, doing, told, move || write_export(&here.app, &recipe, (&container, &done), Priority::Low, &|| here.is_unwanted()));
     let stops = || doing.abort.load(Ordering::Acquire) || app.stop.is_cancelled();
     let file = match bytes.await? {
         Ok(bytes) => Content::of_bytes(bytes),

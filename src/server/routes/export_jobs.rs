@@ -15,6 +15,7 @@ use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
+use crate::server::photo_details::FinishedPhoto;
 use crate::server::problem::Problem;
 use crate::server::program_digest;
 use crate::server::request_body;
@@ -190,7 +191,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
     let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
-    let key = program_digest::short(&format!("file {} {text}", app.version(&done)));
+    let key = key_of(&app, &done, &text);
     let order = NewExport {
         photo: &photo,
         key: &key,
@@ -221,9 +222,13 @@ async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
         job => job?,
     };
     // files of an older version of the photo or of the program expire on their own
-    let is_current =
-        job.version == photo.version && program_digest::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
+    let is_current = job.version == photo.version && key_of(app, &done, recipe_of(&job)) == key;
     if is_current { Ok(job) } else { Err(none()) }
+}
+
+/// The name of the file of a recipe.
+fn key_of(app: &AppState, done: &FinishedPhoto, recipe: &str) -> String {
+    program_digest::short(&format!("file {} {recipe}", app.version(done)))
 }
 
 fn recipe_of(job: &Job) -> &str {
