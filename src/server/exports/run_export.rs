@@ -87,7 +87,8 @@ pub fn write_export(
     }
     let mut crashed = 0;
     loop {
-        match if here { task.run(&sink) } else { app.maker.export(&task, &sink) } {
+        let written = if here { task.run(&sink) } else { app.maker.export(&task, &sink) };
+        match written {
             Ok(bytes) => return Ok(bytes),
             Err(Fault::Cancelled) if unwanted() => return Err(cancelled()),
             // only its time limit cancelled it
