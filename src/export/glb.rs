@@ -145,10 +145,10 @@ fn page_texture(scene: &Scene, page: &texture_atlas::Page, textures: ModelTextur
 
 /// The photo's file if glTF supports its format, otherwise the re-encoded photo.
 fn photo_texture(photo: &PhotoFile<'_>, scene: &Scene) -> Result<(&'static str, Vec<u8>), ExportError> {
-    if photo.codec != "webp" {
-        return Ok((photo.media_type(), photo.bytes.to_vec()));
+    match photo.media_type {
+        "image/webp" => Ok(("image/jpeg", jpeg(&scene.photo, QUALITY)?)),
+        media_type => Ok((media_type, photo.bytes.to_vec())),
     }
-    Ok(("image/jpeg", jpeg(&scene.photo, QUALITY)?))
 }
 
 /// Kind of a layer by its texels.
