@@ -44,12 +44,6 @@ pub type App = Arc<AppState>;
 /// Time after which a fault of the server counts as over; failed jobs are retried at least every minute.
 const TROUBLE: Duration = Duration::from_mins(2);
 
-/// A fault of this server.
-struct Trouble {
-    reason: String,
-    at: Instant,
-}
-
 /// State of the server.
 pub struct AppState {
     /// Photos, jobs, owners, keys and rooms, in the database and the blob store.
@@ -86,8 +80,8 @@ pub struct AppState {
     pub streams: ClientSlots,
     /// Result of the last check: why the library cannot be written, or what is missing to make photos.
     storage: Mutex<Option<&'static str>>,
-    /// The fault of this server that kept the last job from being done.
-    trouble: Mutex<Option<Trouble>>,
+    /// The fault of this server that kept the last job from being done, and when.
+    trouble: Mutex<Option<(String, Instant)>>,
     /// Folder for unnamed temporary files.
     pub scratch: PathBuf,
     /// Renders views.
@@ -193,13 +187,12 @@ impl AppState {
     #[must_use]
     pub fn trouble(&self) -> Option<String> {
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner);
-        trouble.as_ref().filter(|trouble| trouble.at.elapsed() < TROUBLE).map(|trouble| trouble.reason.clone())
+        trouble.as_ref().filter(|(_, at)| at.elapsed() < TROUBLE).map(|(reason, _)| reason.clone())
     }
 
     /// Stores the fault of the last job, if any.
     pub fn set_trouble(&self, reason: Option<String>) {
-        let trouble = reason.map(|reason| Trouble { reason, at: Instant::now() });
-        *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
+        *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = reason.map(|reason| (reason, Instant::now()));
     }
 
     /// Runs blocking `work` that reads an upload whole, when a permit is free.
@@ -299,7 +292,10 @@ impl AppState {
     pub async fn strokes(&self, photo: &Photo) -> Result<Vec<Stroke>, Problem> {
         let Some(blob) = photo.blobs.get(&Part::Strokes) else { return Ok(Vec::new()) };
         match self.library.blobs().read(Part::Strokes, blob).await {
-            Ok(bytes) => Ok(strokes_of(Some(&bytes))),
+            Ok(bytes) => Ok(strokes::read(&bytes).unwrap_or_else(|error| {
+                tracing::error!(%error, "damaged strokes are left out");
+                Vec::new()
+            })),
             Err(LibraryError::Damaged { .. }) => Ok(Vec::new()),
             Err(error) => Err(error.into()),
         }
@@ -431,15 +427,4 @@ pub struct AppParts {
     pub openapi: Bytes,
     /// Fetches photos by address.
     pub sources: Sources,
-}
-
-/// Parses strokes. Damaged ones are logged and count as none.
-#[must_use]
-pub fn strokes_of(bytes: Option<&[u8]>) -> Vec<Stroke> {
-    bytes.map_or_else(Vec::new, |bytes| {
-        strokes::read(bytes).unwrap_or_else(|error| {
-            tracing::error!(%error, "damaged strokes are left out");
-            Vec::new()
-        })
-    })
 }

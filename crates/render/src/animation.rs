@@ -143,7 +143,9 @@ impl AnimationFormat {
         }
     }
 
-    const fn extension(self) -> &'static str {
+    /// File name extension.
+    #[must_use]
+    pub const fn extension(self) -> &'static str {
         match self {
             Self::WebP => "webp",
             Self::Mp4 => "mp4",

@@ -1,8 +1,10 @@
 //! Query parameters of an export.
 
 use axum::http::Uri;
+use clap::ValueEnum;
 
 use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures};
+use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::routes::Pairs;
 
@@ -48,17 +50,7 @@ impl ExportQuery {
                 return Err(Problem::parameter(name, "requires format=glb"));
             }
         }
-        let shape = pairs.get("shape").map(|value| match value {
-            "relief" => Ok(ModelShape::Relief),
-            "metric" => Ok(ModelShape::Metric),
-            _ => Err(Problem::parameter("shape", format!("must be relief or metric, not {value:?}"))),
-        });
-        let textures = pairs.get("textures").map(|value| match value {
-            "plain" => Ok(ModelTextures::Plain),
-            "webp" => Ok(ModelTextures::WebP),
-            _ => Err(Problem::parameter("textures", format!("must be plain or webp, not {value:?}"))),
-        });
-        let (shape, textures) = (shape.transpose()?.unwrap_or_default(), textures.transpose()?.unwrap_or_default());
+        let (shape, textures) = (choice(&pairs, "shape")?, choice(&pairs, "textures")?);
         Ok(Self { format, shape, textures, version: pairs.take("v") })
     }
 
@@ -67,6 +59,15 @@ impl ExportQuery {
     pub const fn model(&self) -> ModelOptions {
         ModelOptions { shape: self.shape, textures: self.textures }
     }
+}
+
+/// The named value of a parameter, or the default.
+fn choice<T: ValueEnum + Default>(pairs: &Pairs, name: &str) -> Result<T, Problem> {
+    let Some(value) = pairs.get(name) else { return Ok(T::default()) };
+    T::from_str(value, false).map_err(|_| {
+        let all: Vec<String> = T::value_variants().iter().map(value_name).collect();
+        Problem::parameter(name, format!("must be {}, not {value:?}", all.join(" or ")))
+    })
 }
 
 #[cfg(test)]

@@ -1,9 +1,10 @@
 //! The recipe of an export file: its format and parameters.
 
 use super::query::ExportQuery;
-use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures, ORA_BYTES};
+use crate::export::{ExportFormat, ModelOptions, ORA_BYTES};
 use crate::server::limits::Limits;
 use crate::server::photo_details::FinishedPhoto;
+use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::routes::{Pairs, ViewQuery};
 use tmpi_render::{AnimationFormat, Arrangement, Path, StereoLayout};
@@ -62,9 +63,7 @@ impl Recipe {
     /// # Errors
     /// As [`Recipe::read`].
     pub fn parse(text: &str, limits: &Limits) -> Result<Self, Problem> {
-        let pair =
-            |part: &str| part.split_once('=').map_or_else(|| (part.to_owned(), String::new()), |(n, v)| (n.to_owned(), v.to_owned()));
-        Self::read(text.split('&').map(pair).collect(), (1, 1), limits)
+        Self::read(form_urlencoded::parse(text.as_bytes()).into_owned().collect(), (1, 1), limits)
     }
 
     /// All parameters in canonical form.
@@ -72,15 +71,7 @@ impl Recipe {
     pub fn pairs(&self) -> Vec<(&'static str, String)> {
         match self {
             Self::File { format: ExportFormat::Glb, model: ModelOptions { shape, textures } } => {
-                let shape = match shape {
-                    ModelShape::Relief => "relief",
-                    ModelShape::Metric => "metric",
-                };
-                let textures = match textures {
-                    ModelTextures::Plain => "plain",
-                    ModelTextures::WebP => "webp",
-                };
-                [("format", "glb"), ("shape", shape), ("textures", textures)].map(|(name, value)| (name, value.to_owned())).into()
+                vec![("format", "glb".to_owned()), ("shape", value_name(shape)), ("textures", value_name(textures))]
             }
             Self::File { format, .. } => vec![("format", format.extension().to_owned())],
             Self::Film(query, size) => film_pairs(query, *size),
@@ -98,7 +89,7 @@ impl Recipe {
     pub fn kind(text: &str) -> Option<(&'static str, &'static str)> {
         let format = text.split('&').find_map(|part| part.strip_prefix("format="))?;
         let file = ExportFormat::from_extension(format).map(|format| (format.media_type(), format.extension()));
-        file.or_else(|| AnimationFormat::from_extension(format).map(|format| (format.media_type(), ending(format))))
+        file.or_else(|| AnimationFormat::from_extension(format).map(|format| (format.media_type(), format.extension())))
     }
 
     /// Memory that the work takes besides the scene, in bytes.
@@ -119,6 +110,13 @@ impl Recipe {
         PROCESS + scene + self.own(done)
     }
 
+    /// Memory for a slot of work that writes the file, in bytes.
+    #[must_use]
+    pub fn slot_bytes(&self, done: &FinishedPhoto) -> u64 {
+        let pixels = u64::from(done.width) * u64::from(done.height);
+        done.scene_bytes() + if matches!(self, Self::File { format: ExportFormat::Ora, .. }) { ORA_BYTES * pixels } else { 0 }
+    }
+
     /// Whether the server writes it in its own process, while the client waits: pages, which contain the container unchanged, and other
     /// files of small photos, but no films.
     #[must_use]
@@ -129,17 +127,6 @@ impl Recipe {
             Self::Film(..) => false,
         }
     }
-}
-
-const fn ending(format: AnimationFormat) -> &'static str {
-    match format {
-        AnimationFormat::WebP => "webp",
-        AnimationFormat::Mp4 => "mp4",
-    }
-}
-
-fn way(path: Path) -> &'static str {
-    Path::NAMES.into_iter().find(|name| Path::from_name(name) == Some(path)).unwrap_or_default()
 }
 
 fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static str, String)> {
@@ -153,11 +140,10 @@ fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static s
         Arrangement::Stereo(_) => None,
     });
     let crop = q.crop.map(|c| format!("{},{},{},{}", c.corner[0], c.corner[1], c.size[0], c.size[1]));
-    let film = q.film.map(|m| (ending(m.format), way(m.path), m.frames));
     let all = [
-        ("path", film.map(|m| m.1.to_owned())),
-        ("format", film.map(|m| m.0.to_owned())),
-        ("frames", film.map(|m| m.2.to_string())),
+        ("path", q.film.map(|film| value_name(&film.path))),
+        ("format", q.film.map(|film| film.format.extension().to_owned())),
+        ("frames", q.film.map(|film| film.frames.to_string())),
         ("w", Some(width.to_string())),
         ("h", Some(height.to_string())),
         ("tx", pose(q.tx)),
@@ -181,8 +167,7 @@ mod tests {
     use super::*;
 
     fn read(text: &str) -> Result<Recipe, Problem> {
-        let pairs = text.split('&').filter_map(|p| p.split_once('=')).map(|(n, v)| (n.to_owned(), v.to_owned())).collect();
-        Recipe::read(pairs, (80, 60), &Limits::default())
+        Recipe::read(form_urlencoded::parse(text.as_bytes()).into_owned().collect(), (80, 60), &Limits::default())
     }
 
     #[test]

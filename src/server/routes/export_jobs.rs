@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use axum::Json;
-use axum::extract::{Path, Query, Request, State};
+use axum::extract::{Path, Request, State};
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, LOCATION, RETRY_AFTER};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
@@ -15,6 +15,7 @@ use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
+use crate::server::photo_details::FinishedPhoto;
 use crate::server::problem::Problem;
 use crate::server::program_digest;
 use crate::server::request_body;
@@ -103,7 +104,6 @@ impl ExportState {
             JobState::Done => ExportStateName::Done,
             JobState::Failed => ExportStateName::Failed,
         };
-        let pair = |part: &str| part.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
         let key = job.key().unwrap_or_default().to_owned();
         let photo = format!("/v1/photos/{}", job.photo);
         let this = format!("{photo}/exports/{key}");
@@ -111,7 +111,7 @@ impl ExportState {
         Self {
             key,
             state,
-            parameters: recipe_of(job).split('&').filter_map(pair).collect(),
+            parameters: form_urlencoded::parse(recipe_of(job).as_bytes()).into_owned().collect(),
             bytes: job.result.as_ref().map(|blob| blob.bytes),
             problem: job.problem.as_ref().filter(|_| job.state == JobState::Failed).map(Problem::of_library),
             expires: job.result.as_ref().map(|_| rfc3339(job.used_at.saturating_add(stays))),
@@ -134,19 +134,15 @@ impl ExportState {
 
 /// The parameters of a request, from its query and its body (a form or a JSON object).
 async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> {
-    let Query(mut pairs) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
+    let decoded = |text: &[u8]| form_urlencoded::parse(text).into_owned().collect::<Vec<_>>();
+    let mut pairs = decoded(request.uri().query().unwrap_or_default().as_bytes());
     let (parts, body) = request.into_parts();
     let kind = parts.headers.get(CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
     let body = request_body::read(body, MOST).await?;
     match kind.as_str() {
         _ if body.is_empty() => {}
-        "application/x-www-form-urlencoded" => {
-            let text = String::from_utf8_lossy(&body);
-            let form = format!("/?{text}").parse().map_err(|_| Problem::bad_request("the form cannot be read"))?;
-            let Query(form) = Query::<Vec<(String, String)>>::try_from_uri(&form).map_err(|e| Problem::bad_request(e.body_text()))?;
-            pairs.extend(form);
-        }
+        "application/x-www-form-urlencoded" => pairs.extend(decoded(&body)),
         "application/json" => {
             let object: serde_json::Map<String, serde_json::Value> = serde_json::from_slice(&body)
                 .map_err(|e| Problem::bad_request(format!("the body must be an object of parameters: {e}")))?;
@@ -195,7 +191,7 @@ pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Requ
     let (_, done) = AppState::finished(&photo)?;
     let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
     let text = recipe.text();
-    let key = program_digest::short(&format!("file {} {text}", app.version(&done)));
+    let key = key_of(&app, &done, &text);
     let order = NewExport {
         photo: &photo,
         key: &key,
@@ -226,9 +222,13 @@ async fn find(app: &App, photo: &Photo, key: &str) -> Result<Job, Problem> {
         job => job?,
     };
     // files of an older version of the photo or of the program expire on their own
-    let is_current =
-        job.version == photo.version && program_digest::short(&format!("file {} {}", app.version(&done), recipe_of(&job))) == key;
+    let is_current = job.version == photo.version && key_of(app, &done, recipe_of(&job)) == key;
     if is_current { Ok(job) } else { Err(none()) }
+}
+
+/// The name of the file of a recipe.
+fn key_of(app: &AppState, done: &FinishedPhoto, recipe: &str) -> String {
+    program_digest::short(&format!("file {} {recipe}", app.version(done)))
 }
 
 fn recipe_of(job: &Job) -> &str {

@@ -4,7 +4,7 @@
 use clap::ValueEnum;
 use serde_json::Value;
 
-use crate::export::ExportFormat;
+use crate::export::{ExportFormat, ModelShape, ModelTextures};
 use crate::server::photo_options::value_name;
 use crate::server::photo_settings::{Idle, SPEED, TITLE, VERSION};
 use tmpi_library::EventType;
@@ -75,11 +75,11 @@ pub fn add_values(document: &mut Value) {
         fields["url"]["format"] = "uri".into();
     }
     let stills = PictureFormat::ALL.map(|f| value_name(&f));
-    let exports = [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Ora, ExportFormat::Zip].map(|f| f.extension().to_owned());
+    let exports = ExportFormat::ALL.map(|f| f.extension().to_owned());
     let order = &mut document["components"]["schemas"]["ExportOrder"]["properties"];
     Text::Words([&exports[..], &["webp".to_owned(), "mp4".to_owned()]].concat()).put(&mut order["format"]);
-    Text::Words(["relief", "metric"].map(str::to_owned).into()).put(&mut order["shape"]);
-    Text::Words(["plain", "webp"].map(str::to_owned).into()).put(&mut order["textures"]);
+    Text::Words(words::<ModelShape>()).put(&mut order["shape"]);
+    Text::Words(words::<ModelTextures>()).put(&mut order["textures"]);
     Text::Words(words::<Path>()).put(&mut order["path"]);
     for (path, parameter, text) in [
         ("/v1/photos/{id}/view", "format", Text::Words([&stills[..], &["mpo", "mp4"].map(str::to_owned)].concat())),
@@ -88,8 +88,8 @@ pub fn add_values(document: &mut Value) {
         ("/v1/photos/{id}/view", "crop", Text::Pattern("^[^,]+,[^,]+,[^,]+,[^,]+$")),
         ("/v1/photos/{id}/view", "path", Text::Words(words::<Path>())),
         ("/v1/photos/{id}/export", "format", Text::Words(exports.into())),
-        ("/v1/photos/{id}/export", "shape", Text::Words(["relief", "metric"].map(str::to_owned).into())),
-        ("/v1/photos/{id}/export", "textures", Text::Words(["plain", "webp"].map(str::to_owned).into())),
+        ("/v1/photos/{id}/export", "shape", Text::Words(words::<ModelShape>())),
+        ("/v1/photos/{id}/export", "textures", Text::Words(words::<ModelTextures>())),
         ("/v1/photos/{id}/atlas", "region", Text::Pattern("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
     ] {
         let parameters = document["paths"][path]["get"]["parameters"].as_array_mut();
