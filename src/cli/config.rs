@@ -184,8 +184,11 @@ fn parse(text: &str) -> Result<Table, String> {
     text.parse::<Table>().map_err(|e| e.to_string().trim_end().to_owned())
 }
 
-/// Fuzz target: parses a file and its values. Every refusal must have a reason.
-pub(crate) fn fuzz(text: &str) {
+/// Fuzz target: parses a file and its values.
+///
+/// # Panics
+/// A refusal has no reason.
+pub fn fuzz(text: &str) {
     static SERVE: std::sync::OnceLock<Command> = std::sync::OnceLock::new();
     let command = SERVE.get_or_init(|| ServeArgs::augment_args(Command::new(COMMANDS[0])));
     match parse(text) {

@@ -2,7 +2,7 @@
 
 mod batch;
 mod better_network;
-pub(crate) mod config;
+mod config;
 mod depth;
 mod depth_pairs;
 mod export;
@@ -29,6 +29,9 @@ mod settings;
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
+
+#[doc(hidden)]
+pub use config::fuzz as fuzz_config;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
