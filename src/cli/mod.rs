@@ -231,6 +231,11 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
+/// Writes one line of results: an object, or text for people.
+fn result_as(is_json: bool, object: &serde_json::Value, text: &str) -> anyhow::Result<()> {
+    if is_json { result(&object.to_string()) } else { result(text) }
+}
+
 /// Writes one line of results.
 fn result(line: &str) -> anyhow::Result<()> {
     writeln!(std::io::stdout(), "{line}")?;
