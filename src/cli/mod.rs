@@ -56,8 +56,10 @@ enum Command {
     /// Make photos that other nodes serve, like `serve --role work`
     Work(WorkArgs),
     Config(config::ConfigArgs),
-    Fsck(integrity::FsckArgs),
-    Gc(integrity::GcArgs),
+    /// Check that every file of every photo exists and is intact; servers may run meanwhile
+    Fsck(integrity::IntegrityArgs),
+    /// Remove files that no photo refers to and that are at least a day old; servers may run meanwhile
+    Gc(integrity::IntegrityArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
     Key(key::KeyArgs),

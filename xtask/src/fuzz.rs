@@ -3,9 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Mutex;
 
-use crate::command::{self, Fault, cargo, cores, output, root, run_quietly};
+use crate::command::{self, Fault, cargo, cores, in_parallel, output, root, run_quietly};
 
 /// Folder with the seeds of each target.
 const SEEDS: &str = "fuzz/seeds";
@@ -70,19 +69,8 @@ pub fn fuzz_all(minutes: u64) -> Result<(), Fault> {
 /// Fuzzes targets for `seconds` each.
 fn run(targets: &[String], seconds: u32) -> Result<(), Fault> {
     let program = build()?;
-    // one worker per core
-    let all = Mutex::new(targets.iter());
-    let worker = || {
-        let mut faults = Vec::new();
-        while let Some(name) = all.lock().ok().and_then(|mut all| all.next()) {
-            faults.extend(one(&program, name, seconds).err().map(|fault| fault.to_string()));
-        }
-        faults
-    };
-    let faults: Vec<String> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..cores()).map(|_| scope.spawn(worker)).collect();
-        workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
-    });
+    let ended = in_parallel(cores(), targets.iter(), |name| one(&program, name, seconds));
+    let faults: Vec<String> = ended.into_iter().filter_map(Result::err).map(|fault| fault.to_string()).collect();
     if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
 }
 
