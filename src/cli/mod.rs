@@ -54,7 +54,7 @@ enum Command {
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
     /// Make photos that other nodes serve, like `serve --role work`
-    Work(WorkArgs),
+    Work(serve::ServeArgs),
     Config(config::ConfigArgs),
     /// Check that every file of every photo exists and is intact; servers may run meanwhile
     Fsck(integrity::IntegrityArgs),
@@ -68,13 +68,6 @@ enum Command {
         /// The shell
         shell: clap_complete::Shell,
     },
-}
-
-/// The options of `serve` without the role.
-#[derive(Debug, clap::Args)]
-struct WorkArgs {
-    #[command(flatten)]
-    serve: serve::ServeArgs,
 }
 
 /// The command line's definition.
@@ -107,7 +100,7 @@ fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
                 let wrong = |error: anyhow::Error| called.clone().error(ErrorKind::ValueValidation, error);
                 args.shown = config::shown(called, given, &sources, &args.serve).map_err(wrong)?;
             }
-            Command::Serve(args) | Command::Work(WorkArgs { serve: args }) => args.for_makers = config::for_makers(called, given),
+            Command::Serve(args) | Command::Work(args) => args.for_makers = config::for_makers(called, given),
             _ => {}
         }
     }
@@ -133,7 +126,7 @@ pub fn main() -> ExitCode {
         }
     };
     match &cli.command {
-        Command::Serve(args) | Command::Work(WorkArgs { serve: args }) => log_to_stderr("info", args.log),
+        Command::Serve(args) | Command::Work(args) => log_to_stderr("info", args.log),
         _ => log_to_stderr("error", Log::Text),
     }
     match run(cli.command) {
@@ -162,7 +155,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Depth(args) => depth::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
-        Command::Work(args) => serve::run(args.serve.at_work()?),
+        Command::Work(args) => serve::run(args.at_work()?),
         Command::Config(args) => {
             if !args.schema {
                 args.serve.check()?;
