@@ -17,6 +17,11 @@ impl Fault {
         Self { step: None, text: text.into() }
     }
 
+    /// An error of a file or folder.
+    pub fn at(path: &Path, error: &std::io::Error) -> Self {
+        Self::new(format!("{}: {error}", path.display()))
+    }
+
     /// Names the step, unless one is already named.
     pub fn in_step(mut self, step: &'static str) -> Self {
         self.step.get_or_insert(step);

@@ -36,7 +36,7 @@ const C_FLAGS: &str = "-fsanitize=address -fno-omit-frame-pointer -O1";
 /// Names of all targets: a test checks that they are those of the folders of seeds.
 fn targets() -> Result<Vec<String>, Fault> {
     let folders = fs::read_dir(root().join(SEEDS)).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-    let folders = folders.map_err(|e| Fault::new(format!("{SEEDS}: {e}")))?;
+    let folders = folders.map_err(|e| Fault::at(Path::new(SEEDS), &e))?;
     let mut names: Vec<String> = folders.iter().map(|folder| folder.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     Ok(names)
@@ -92,7 +92,7 @@ fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
     let corpus = std::env::var_os(CORPUS).filter(|v| !v.is_empty()).map_or_else(|| root().join("target/fuzz/corpus"), PathBuf::from);
     let (found, crashes) = (corpus.join(name), root().join("target/fuzz/crashes").join(name));
     for folder in [&found, &crashes] {
-        fs::create_dir_all(folder).map_err(|e| Fault::new(format!("{}: {e}", folder.display())))?;
+        fs::create_dir_all(folder).map_err(|e| Fault::at(folder, &e))?;
     }
     let mut command = Command::new(program);
     // one thread each, because one target runs on each core
