@@ -2,13 +2,19 @@
 #![allow(clippy::unwrap_used, reason = "test")]
 #![allow(unsafe_code, reason = "an allocator that counts")]
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use tmpi::fuzzing::{Run, TARGETS};
+use targets::{Run, TARGETS};
 use tmpi_testing::png::chunk;
 
 #[path = "../fuzz/memory.rs"]
 mod memory;
+#[path = "../fuzz/targets/mod.rs"]
+mod targets;
+
+/// Folder with the seeds of each target.
+const SEEDS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/seeds");
 
 /// Mutations of each seed; `TMPI_FUZZ_CHANGES` overrides it, for longer runs without libFuzzer.
 const CHANGES: usize = 400;
@@ -50,7 +56,7 @@ fn mutated(seed: &[u8], random: &mut Random) -> Vec<u8> {
 }
 
 fn seeds(name: &str) -> Vec<(String, Vec<u8>)> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds").join(name);
+    let folder = Path::new(SEEDS).join(name);
     let mut files: Vec<_> = std::fs::read_dir(&folder).unwrap().map(|e| e.unwrap().path()).collect();
     files.sort();
     assert!(!files.is_empty(), "{} has no seeds", folder.display());
@@ -73,6 +79,14 @@ fn targets_accept_seeds_and_mutations_within_their_memory_bound() {
     }
     // not a test of its own: memory is counted for the whole process
     huge_metadata_takes_bounded_memory();
+}
+
+/// `cargo xtask fuzz` takes the names of the targets from the folders.
+#[test]
+fn every_folder_of_seeds_is_a_target() {
+    let folders: BTreeSet<String> =
+        std::fs::read_dir(SEEDS).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    assert_eq!(folders, TARGETS.iter().map(|(name, _)| (*name).to_owned()).collect());
 }
 
 /// Little-endian TIFF data with one entry, an orientation of `count` zero values of type `kind`.

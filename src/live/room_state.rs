@@ -61,13 +61,8 @@ pub(super) async fn state(
         None if access == RoomAccess::Node => RoomState::default(),
         None => at_origin(&here, &name).await?.unwrap_or_default(),
     };
-    let ended = here
-        .rooms
-        .get(&name)
-        .and_then(|room| room.farewell())
-        .filter(|bye| bye.cause() == Cause::Rejected)
-        .map(|bye| bye.reason)
-        .or(state.ended);
+    let farewell = here.rooms.get(&name).and_then(|room| room.farewell()).filter(|bye| bye.cause() == Cause::Rejected);
+    let ended = farewell.map(|bye| bye.reason).or(state.ended);
     Ok(Json(RoomState { full, may_publish, ended, ..state }))
 }
 

@@ -21,7 +21,8 @@ mod cross_site;
 mod depth_network_upgrade;
 mod exports;
 mod fetch_by_url;
-pub(crate) mod fuzzing;
+#[doc(hidden)]
+pub mod fuzzing;
 mod hosts;
 mod idle_trim;
 mod limits;
