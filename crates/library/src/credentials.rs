@@ -1,4 +1,4 @@
-//! API keys and browser sessions. Both are stored as hashes: a secret has 256 random bits, so one SHA-256 is enough.
+//! API keys, stored as hashes: a secret has 256 random bits, so one SHA-256 is enough.
 
 use std::time::Duration;
 
@@ -16,8 +16,6 @@ use crate::{Library, Millis, millis};
 
 /// Prefix of a key.
 pub const KEY_PREFIX: &str = "tmpi_k_";
-/// Prefix of a session's cookie.
-pub const SESSION_PREFIX: &str = "tmpi_s_";
 /// Longest name of a key.
 const MAX_NAME: usize = 64;
 /// Hex digits of a key's id, from its hash.
@@ -162,25 +160,5 @@ impl Library {
         tx.notify(Event::Revoked);
         tx.commit().await?;
         Ok(removed)
-    }
-
-    /// Opens an owner's session; returns the secret for its cookie, which is not stored.
-    pub async fn open_session(&self, owner: &Owner, lasts: Duration) -> Result<String> {
-        let secret = format!("{SESSION_PREFIX}{}", hex(&random::<32>()?));
-        let mut tx = self.database().write().await?;
-        tx.lock_owner(owner.as_str()).await?;
-        let insert = "INSERT INTO sessions (hash, owner, created_at, expires_at) VALUES ($1, $2, $3, $4)";
-        let insert = sqlx::query(insert).bind(hash(&secret)).bind(owner.as_str().to_owned());
-        insert.bind(tx.now).bind(tx.now + millis(lasts)).execute(tx.connection()).await?;
-        tx.commit().await?;
-        Ok(secret)
-    }
-
-    /// The owner of an unexpired session.
-    pub async fn session_owner(&self, secret: &str) -> Result<Option<Owner>> {
-        let now = self.now().await?;
-        let select = sqlx::query("SELECT owner FROM sessions WHERE hash = $1 AND expires_at > $2").bind(hash(secret)).bind(now);
-        let row = select.fetch_optional(self.database().reader()).await?;
-        Ok(row.map(|row| row.try_get("owner")).transpose()?.map(Owner::from_column))
     }
 }

@@ -94,7 +94,7 @@ impl Library {
         Ok((deleted, freed))
     }
 
-    /// Removes unused exports, expired sessions and rooms, and the log of deliveries beyond its limits; returns the number of exports.
+    /// Removes unused exports, rooms that nobody has, and the log of deliveries beyond its limits; returns the number of exports.
     async fn sweep_ended(&self) -> Result<u64> {
         let mut tx = self.database().write().await?;
         room_leases::end_abandoned(&mut tx).await?;
@@ -102,12 +102,8 @@ impl Library {
         let delete = "DELETE FROM jobs WHERE (state = 'done' AND used_at <= $1) OR (state = 'failed' AND used_at <= $2) RETURNING result";
         let (done, failed) = (now - millis(limits.exports_for), now - millis(FAILED_FOR.min(limits.exports_for)));
         let deleted = sqlx::query(delete).bind(done).bind(failed).fetch_all(tx.connection()).await?;
-        for (delete, until) in [
-            ("DELETE FROM sessions WHERE expires_at <= $1", now),
-            ("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1", now - millis(ROOM_FOR)),
-        ] {
-            sqlx::query(delete).bind(until).execute(tx.connection()).await?;
-        }
+        let rooms = sqlx::query("DELETE FROM rooms WHERE live = 0 AND lease_until <= $1").bind(now - millis(ROOM_FOR));
+        rooms.execute(tx.connection()).await?;
         deliveries::sweep(&mut tx).await?;
         tx.commit().await?;
         self.blobs().discard(file_names(&deleted)?).await;
