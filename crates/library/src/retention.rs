@@ -3,10 +3,8 @@
 
 use std::time::Duration;
 
-use sqlx::Row as _;
-
 use crate::deliveries;
-use crate::photo::{file_names, parsed};
+use crate::photo::file_names;
 use crate::{Library, Millis, Result, millis, room_leases};
 
 /// Photos per query.
@@ -67,9 +65,9 @@ impl Library {
         let select = "SELECT id, accepted_at, bytes FROM photos WHERE state IN ('done', 'failed', 'damaged') AND viewed_at <= $1
             ORDER BY viewed_at, id LIMIT $2";
         loop {
-            let sum = "SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) AS bytes FROM photos";
-            let all = sqlx::query(sum).fetch_one(self.database().reader()).await?.try_get::<i64, _>("bytes")? as u64;
-            let over = all.saturating_sub(room);
+            let sum = sqlx::query_scalar("SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM photos");
+            let all: i64 = sum.fetch_one(self.database().reader()).await?;
+            let over = (all as u64).saturating_sub(room);
             if over == 0 {
                 return Ok(());
             }
@@ -84,12 +82,13 @@ impl Library {
     /// Deletes the photos that a query finds, until `enough` bytes are free; returns their number and their bytes.
     async fn delete_found(&self, select: &'static str, until: Millis, enough: u64) -> Result<(u64, u64)> {
         let (mut deleted, mut freed) = (0, 0_u64);
-        for row in sqlx::query(select).bind(until).bind(PART).fetch_all(self.database().reader()).await? {
+        let found: Vec<(String, Millis, i64)> = sqlx::query_as(select).bind(until).bind(PART).fetch_all(self.database().reader()).await?;
+        for (id, accepted_at, bytes) in found {
             if freed >= enough {
                 break;
             }
-            deleted += u64::from(self.delete(parsed(&row, "id")?, Some(row.try_get("accepted_at")?)).await?);
-            freed += row.try_get::<i64, _>("bytes")? as u64;
+            deleted += u64::from(self.delete(id.parse()?, Some(accepted_at)).await?);
+            freed += bytes as u64;
         }
         Ok((deleted, freed))
     }
@@ -118,8 +117,8 @@ impl Library {
             "INSERT INTO clock (id, seen_at, steady_since) VALUES (1, $1, 0) ON CONFLICT (id) DO UPDATE SET seen_at = excluded.seen_at,
             steady_since = CASE WHEN ABS(excluded.seen_at - clock.seen_at) > $2 THEN excluded.seen_at ELSE clock.steady_since END
             RETURNING steady_since";
-        let row = sqlx::query(look).bind(tx.now).bind(millis(STEADY)).fetch_one(tx.connection()).await?;
-        let (now, since) = (tx.now, row.try_get::<Millis, _>("steady_since")?);
+        let now = tx.now;
+        let since: Millis = sqlx::query_scalar(look).bind(now).bind(millis(STEADY)).fetch_one(tx.connection()).await?;
         tx.commit().await?;
         if since == now {
             tracing::warn!("the clock jumped, or no sweep ran for a day: photos are deleted by their age again after a day");

@@ -6,7 +6,6 @@ use std::str::FromStr;
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
 use sha2::{Digest as _, Sha256};
-use sqlx::Row as _;
 
 use crate::Millis;
 use crate::database::{Database, Lock};
@@ -185,9 +184,9 @@ pub(crate) async fn stored_secret(database: &Database, name: &'static str) -> Re
     tx.lock(Lock::Secret).await?;
     let insert = sqlx::query("INSERT INTO secrets (name, value) VALUES ($1, $2) ON CONFLICT (name) DO NOTHING");
     insert.bind(name).bind(hex(&random::<BYTES>()?)).execute(tx.connection()).await?;
-    let row = sqlx::query("SELECT value FROM secrets WHERE name = $1").bind(name).fetch_one(tx.connection()).await?;
+    let value = sqlx::query_scalar("SELECT value FROM secrets WHERE name = $1").bind(name).fetch_one(tx.connection()).await?;
     tx.commit().await?;
-    Ok(row.try_get("value")?)
+    Ok(value)
 }
 
 #[cfg(test)]
