@@ -3,31 +3,18 @@
 use axum::http::{HeaderMap, header};
 use tmpi_library::{Grant, Link, Millis, Secret, Subject};
 
-/// What a token allows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// Publishing.
-    Publish,
-    /// Watching.
-    Watch,
-}
-
-/// A token for a room until `expires`, in seconds since 1970.
+/// A token to publish in a room, or to watch it, until `expires`, in seconds since 1970.
 #[must_use]
-pub fn room_token(key: &[u8], role: Role, room: &str, expires: u64) -> String {
-    let grant = match role {
-        Role::Publish => Grant::Publish,
-        Role::Watch => Grant::Watch,
-    };
+pub fn room_token(key: &[u8], grant: Grant, room: &str, expires: u64) -> String {
     Secret::of_key(key).sign(grant, Subject::Room(room), expires).to_string()
 }
 
-/// Expiry of a token in seconds since 1970; `None` if the token is not valid now for this room and role. A publisher may watch, too.
+/// Expiry of a token in seconds since 1970; `None` if the token is not valid now for this room and grant. A publisher may watch, too.
 #[must_use]
-pub fn token_expiry(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> Option<u64> {
+pub fn token_expiry(key: &[u8], grant: Grant, room: &str, token: &str, now: u64) -> Option<u64> {
     let (secret, link) = (Secret::of_key(key), token.parse::<Link>().ok()?);
     let allows = |grant| secret.allows(grant, Subject::Room(room), &link, now as Millis * 1000);
-    (allows(Grant::Publish) || role == Role::Watch && allows(Grant::Watch)).then_some(link.expires)
+    (allows(grant) || grant == Grant::Watch && allows(Grant::Publish)).then_some(link.expires)
 }
 
 /// Prefix of a token among the WebSocket protocols: the one header of a WebSocket that a page can set.
@@ -48,23 +35,23 @@ pub fn token_in_headers(headers: &HeaderMap) -> Option<&str> {
 mod tests {
     use super::*;
 
-    fn is_good(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> bool {
-        token_expiry(key, role, room, token, now).is_some()
+    fn is_good(key: &[u8], grant: Grant, room: &str, token: &str, now: u64) -> bool {
+        token_expiry(key, grant, room, token, now).is_some()
     }
 
     #[test]
     fn a_token_is_valid_for_its_room_role_and_time_only() {
         let key = b"a key";
-        let watch = room_token(key, Role::Watch, "attic", 1000);
-        let publish = room_token(key, Role::Publish, "attic", 1000);
-        assert!(is_good(key, Role::Watch, "attic", &watch, 999) && is_good(key, Role::Publish, "attic", &publish, 999));
-        assert_eq!(token_expiry(key, Role::Watch, "attic", &publish, 999), Some(1000), "a publisher may watch");
-        assert!(!is_good(key, Role::Publish, "attic", &watch, 999), "a viewer may not publish");
-        assert!(!is_good(key, Role::Watch, "attic", &watch, 1000), "too late");
-        assert!(!is_good(key, Role::Watch, "cellar", &watch, 999) && !is_good(b"another", Role::Watch, "attic", &watch, 999));
+        let watch = room_token(key, Grant::Watch, "attic", 1000);
+        let publish = room_token(key, Grant::Publish, "attic", 1000);
+        assert!(is_good(key, Grant::Watch, "attic", &watch, 999) && is_good(key, Grant::Publish, "attic", &publish, 999));
+        assert_eq!(token_expiry(key, Grant::Watch, "attic", &publish, 999), Some(1000), "a publisher may watch");
+        assert!(!is_good(key, Grant::Publish, "attic", &watch, 999), "a viewer may not publish");
+        assert!(!is_good(key, Grant::Watch, "attic", &watch, 1000), "too late");
+        assert!(!is_good(key, Grant::Watch, "cellar", &watch, 999) && !is_good(b"another", Grant::Watch, "attic", &watch, 999));
         let later = watch.replace("1000-", "2000-");
         for wrong in ["", "-", "1000", "1000-", "x-y", &watch[..watch.len() - 1], &later] {
-            assert!(!is_good(key, Role::Watch, "attic", wrong, 999), "{wrong}");
+            assert!(!is_good(key, Grant::Watch, "attic", wrong, 999), "{wrong}");
         }
     }
 
