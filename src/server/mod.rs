@@ -70,7 +70,6 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept_loop::ConnectionGuard;
-pub(crate) use access::constant_time_eq;
 pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run_child};
 pub(crate) use conditional::{ContentCoding, Entity, respond};
 pub use config::{Config, Role};

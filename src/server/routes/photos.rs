@@ -149,7 +149,7 @@ fn length_told(headers: &HeaderMap) -> u64 {
 /// The owner of a new photo if access is private, and whether this request created that owner.
 fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
     let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
-    Ok(uploader.map_or((None, false), |u| (Some(u.owner), u.is_new)))
+    Ok(uploader.map_or((None, false), |(owner, is_new)| (Some(owner), is_new)))
 }
 
 /// The answer to an accepted upload. A new owner gets a link with the photo's token, without which they cannot see the photo.

@@ -105,9 +105,7 @@ pub async fn keep_token(
 ) -> Result<Response, Problem> {
     let photo = app.photo(&id).await?.id;
     let mut response = StatusCode::NO_CONTENT.into_response();
-    if let Some(token) = access::token() {
-        access::set_manage(&mut response, &headers, photo, &token);
-    }
+    access::set_manage(&mut response, &headers, photo);
     Ok(response)
 }
 
