@@ -17,7 +17,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::depth_network_upgrade::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
+use super::depth_network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
 use super::exports::ExportTask;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::problem::Problem;

@@ -11,7 +11,7 @@ use tmpi_pipeline::strokes;
 use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
-use super::depth_network_upgrade::NetworkOffer;
+use super::depth_network_download::NetworkOffer;
 use super::exports::ExportTask;
 use super::limits::Limits;
 use super::problem::Problem;

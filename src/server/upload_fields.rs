@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::photo_options;
-use super::photo_settings::Settings;
 use super::problem::Problem;
+use super::viewer_settings::Settings;
 use tmpi_library::Class;
 use tmpi_pipeline::Options;
 

@@ -15,9 +15,9 @@ use tokio::task::JoinHandle;
 
 use super::app_state::App;
 use super::exports::{Recipe, write_export};
+use super::finished_photo::FinishedPhoto;
 use super::maker::{Fault, Product};
 use super::memory_budget::Priority;
-use super::photo_details::FinishedPhoto;
 use super::photo_options;
 use super::problem::Problem;
 use super::routes::Stage;
