@@ -41,10 +41,10 @@ impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
         Self::built(budget, Kept::builder())
     }
 
-    /// A cache in memory, which also drops entries unused for `rest`, at the next [`Self::evict_idle`] at the latest.
+    /// A cache in memory, which also drops entries unused for `idle_time`, at the next [`Self::evict_idle`] at the latest.
     #[must_use]
-    pub fn with_idle_timeout(budget: usize, rest: Duration) -> Self {
-        Self::built(budget, Kept::builder().time_to_idle(rest))
+    pub fn with_idle_timeout(budget: usize, idle_time: Duration) -> Self {
+        Self::built(budget, Kept::builder().time_to_idle(idle_time))
     }
 
     fn built(budget: usize, builder: CacheBuilder<(Version, K), V, Entries<K, V>>) -> Self {

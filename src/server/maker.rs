@@ -106,8 +106,8 @@ pub trait Maker: Send + Sync + 'static {
         None
     }
 
-    /// Frees memory that was unused for `rest`; returns whether there was some.
-    fn rest(&self, _rest: Duration) -> bool {
+    /// Frees memory that was unused for `idle_time`; returns whether there was some.
+    fn release_idle_memory(&self, _idle_time: Duration) -> bool {
         false
     }
 

@@ -241,18 +241,18 @@ impl Server {
                 }
             }
         });
-        let mut upkeep = tokio::task::JoinSet::new();
-        upkeep.spawn(maintenance::probe(Arc::clone(&app), has_objects));
-        upkeep.spawn(maintenance::sweep(Arc::clone(&app)));
-        upkeep.spawn(maintenance::evict_deleted(Arc::clone(&app)));
+        let mut background = tokio::task::JoinSet::new();
+        background.spawn(maintenance::probe(Arc::clone(&app), has_objects));
+        background.spawn(maintenance::sweep(Arc::clone(&app)));
+        background.spawn(maintenance::evict_deleted(Arc::clone(&app)));
         if tls.is_some() {
             app.set_origin(addr.port());
         }
-        upkeep.spawn(webhooks::deliver(Arc::clone(&app), clients));
-        upkeep.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
+        background.spawn(webhooks::deliver(Arc::clone(&app), clients));
+        background.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
         if !has_objects {
             // an object store checks its own contents
-            upkeep.spawn(maintenance::verify_photos(Arc::clone(&app)));
+            background.spawn(maintenance::verify_photos(Arc::clone(&app)));
         }
         // nodes that only make photos have no rooms
         let rooms = rooms.filter(|_| role != Role::Work);
@@ -288,7 +288,7 @@ impl Server {
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
-        upkeep.shutdown().await;
+        background.shutdown().await;
         if let Err(error) = app.library.save_views().await {
             tracing::warn!(%error, "cannot record when photos were viewed");
         }
