@@ -16,7 +16,7 @@ const OVERHEAD: usize = 1536;
 /// Epochs after which removed entries are freed, and one that may have begun already.
 const EPOCHS: usize = 3;
 
-/// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
+/// A version of a photo: id and when it was made, so that an entry of a deleted photo never serves a new one with the same id.
 pub type Version = (PhotoId, u64);
 
 /// Part of a cache entry.

@@ -18,7 +18,7 @@ pub struct UploadFields {
     /// Options of the photo.
     pub options: Options,
     given: BTreeSet<String>,
-    /// How urgent the making is.
+    /// How urgent it is to process the photo.
     pub class: Class,
     /// Title and visibility.
     pub settings: Settings,
