@@ -226,7 +226,7 @@ fn expand(tree: &str, above: &[String], paths: &mut Vec<Names>) {
     group.split(is_end).filter(|part| !part.trim().is_empty()).for_each(|part| expand(part, &path, paths));
 }
 
-/// Paths in expressions, such as `super::share::asker()`.
+/// Paths in expressions, such as `super::problem::Problem`.
 fn inline_paths(source: &str) -> Vec<Names> {
     let words = source.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
     // a path that ends with `::` starts a group

@@ -51,14 +51,14 @@ impl<'a> Addresses<'a> {
     pub(super) async fn sessions(
         &mut self,
         what: &str,
-        mut session: impl AsyncFnMut(Socket) -> anyhow::Result<Option<End>>,
+        mut session: impl AsyncFnMut(Socket) -> anyhow::Result<Option<SessionEnd>>,
     ) -> Result<(), Unreached> {
         // since when no frame has come, and the last reason, so that each is printed once
         let (mut since, mut told) = (None::<Instant>, String::new());
         loop {
             let (lost, again) = match self.connect(what).await {
                 Ok(socket) => {
-                    let Some(End { error, again, progress }) = session(socket).await? else { return Ok(()) };
+                    let Some(SessionEnd { error, again, progress }) = session(socket).await? else { return Ok(()) };
                     if progress {
                         since = None;
                         told.clear();
@@ -75,7 +75,7 @@ impl<'a> Addresses<'a> {
                 told = reason;
             }
             let Some(pause) = again else { return Ok(()) };
-            let patience = if lost.nobody { COME_BACK } else { PATIENCE };
+            let patience = if lost.no_publisher { COME_BACK } else { PATIENCE };
             if since.get_or_insert_with(Instant::now).elapsed() > patience {
                 return Err(lost);
             }
@@ -93,12 +93,12 @@ impl<'a> Addresses<'a> {
     /// # Errors
     /// [`Unreached`] if none does.
     async fn connect(&mut self, what: &str) -> Result<Socket, Unreached> {
-        let mut unreached = Unreached { nobody: true, error: anyhow::anyhow!("no address") };
+        let mut unreached = Unreached { no_publisher: true, error: anyhow::anyhow!("no address") };
         for _ in 0..self.all.len() {
             match timeout(ANSWER, connect(&self.all[self.at], what, self.token)).await {
                 Ok(Ok(socket)) => return Ok(socket),
-                Ok(Err(Unreached { nobody, error })) => unreached = Unreached { nobody: nobody && unreached.nobody, error },
-                Err(_) => unreached = Unreached { nobody: false, error: anyhow::anyhow!("{} does not answer", self.all[self.at]) },
+                Ok(Err(other)) => unreached = Unreached { no_publisher: other.no_publisher && unreached.no_publisher, ..other },
+                Err(_) => unreached = Unreached { no_publisher: false, error: anyhow::anyhow!("{} does not answer", self.all[self.at]) },
             }
             self.go_on();
         }
@@ -107,7 +107,7 @@ impl<'a> Addresses<'a> {
 }
 
 /// How a session ended.
-pub(super) struct End {
+pub(super) struct SessionEnd {
     /// Why.
     pub(super) error: anyhow::Error,
     /// Pause before the next session; `None` if there must be none.
@@ -132,14 +132,14 @@ pub(super) fn received(came: Option<Result<Message, tungstenite::Error>>) -> any
 /// Why no URL accepted the connection.
 pub(super) struct Unreached {
     /// Every node answered that the room has no publisher.
-    pub(super) nobody: bool,
+    pub(super) no_publisher: bool,
     /// The error of the last URL.
     pub(super) error: anyhow::Error,
 }
 
 impl From<anyhow::Error> for Unreached {
     fn from(error: anyhow::Error) -> Self {
-        Self { nobody: false, error }
+        Self { no_publisher: false, error }
     }
 }
 
@@ -162,8 +162,8 @@ async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, 
         Ok((socket, _)) => Ok(socket),
         Err(tungstenite::Error::Http(answer)) => {
             let body = answer.body().as_deref().map(String::from_utf8_lossy).unwrap_or_default().into_owned();
-            let nobody = answer.status() == StatusCode::NOT_FOUND;
-            Err(Unreached { nobody, error: anyhow::anyhow!("the server answers {}: {body}", answer.status()) })
+            let no_publisher = answer.status() == StatusCode::NOT_FOUND;
+            Err(Unreached { no_publisher, error: anyhow::anyhow!("the server answers {}: {body}", answer.status()) })
         }
         Err(error) => Err(anyhow::Error::from(error).context("connecting to the room").into()),
     }

@@ -92,7 +92,7 @@ impl<'a> Origin<'a> {
 
 /// What the user asked for.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Wanted {
+pub(super) struct InputOptions {
     /// Always encode the video.
     pub(super) transcode: bool,
     /// Publish the sound, if the source has any.
@@ -117,15 +117,15 @@ impl Plan {
     ///
     /// # Errors
     /// The source has no video, its video needs an encoder that ffmpeg lacks, or the system has no such camera.
-    pub(super) fn new(origin: Origin<'_>, wanted: Wanted) -> anyhow::Result<Self> {
+    pub(super) fn new(origin: Origin<'_>, options: InputOptions) -> anyhow::Result<Self> {
         let input = origin.input(std::env::consts::OS)?;
         // ` V....D libx264              libx264 H.264 …`
         let encoders = String::from_utf8(printed("ffmpeg", &["-hide_banner", "-loglevel", "error", "-encoders"])?)?;
         let encoders: Vec<&str> = encoders.lines().filter_map(|line| line.split_whitespace().nth(1)).collect();
-        Self::decide(input, &origin.probe()?, wanted, &encoders)
+        Self::decide(input, &origin.probe()?, options, &encoders)
     }
 
-    fn decide(input: Vec<String>, probed: &Value, wanted: Wanted, encoders: &[&str]) -> anyhow::Result<Self> {
+    fn decide(input: Vec<String>, probed: &Value, options: InputOptions, encoders: &[&str]) -> anyhow::Result<Self> {
         let of_kind = |kind: &str| probed["streams"].as_array()?.iter().find(|s| s["codec_type"] == kind);
         let video = of_kind("video").context("the source has no video")?;
         let list = |of: &Value, key: &str| of[key].as_array().cloned().unwrap_or_default();
@@ -139,7 +139,7 @@ impl Plan {
         }
         let is = |key: &str, good: &[&str]| good.contains(&video[key].as_str().unwrap_or_default());
         let obstacles = [
-            (wanted.transcode, "--transcode"),
+            (options.transcode, "--transcode"),
             (!is("codec_name", &["h264"]), "it is not H.264"),
             (video["has_b_frames"] != 0, "its frames are not in display order (B-frames)"),
             (!is("pix_fmt", &["yuv420p", "yuvj420p"]), "its pixels are not 4:2:0 with 8 bits"),
@@ -147,7 +147,7 @@ impl Plan {
             (!is("sample_aspect_ratio", &["", "N/A", "0:1", "1:1"]), "its pixels are not square"),
             (is_turned(video), "its frames are rotated"),
         ];
-        let mut plan = Self { input, encoder: None, sound: wanted.sound && of_kind("audio").is_some(), notices: Vec::new() };
+        let mut plan = Self { input, encoder: None, sound: options.sound && of_kind("audio").is_some(), notices: Vec::new() };
         if let Some((_, why)) = obstacles.into_iter().find(|(is, _)| *is) {
             let encoder = ENCODERS.iter().map(|(name, _)| *name).find(|name| encoders.contains(name));
             let encoder =
@@ -205,7 +205,7 @@ mod tests {
         let h264 = json!({ "codec_type": "video", "codec_name": "h264", "pix_fmt": "yuv420p", "has_b_frames": 0 });
         let both = json!({ "streams": [{ "codec_type": "audio" }, h264] });
         let plan = |probed: &Value, (transcode, sound), encoders: &[&str]| {
-            Plan::decide(vec!["-i".into(), "x".into()], probed, Wanted { transcode, sound }, encoders)
+            Plan::decide(vec!["-i".into(), "x".into()], probed, InputOptions { transcode, sound }, encoders)
         };
         let args = |plan: &Plan| plan.command(Some(4000)).get_args().map(|a| a.to_string_lossy()).collect::<Vec<_>>().join(" ");
         let copied = plan(&both, (false, true), &[OPUS]).unwrap();

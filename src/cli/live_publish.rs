@@ -16,8 +16,8 @@ use tmpi_live::access_units::codec;
 use tmpi_live::video::{self, JPEG, VideoError};
 use tmpi_pipeline::depth::DepthKind;
 
-use super::live_client::{AGAIN, Addresses, End, Socket, micros, received};
-use super::live_input::{Origin, SOUND, Wanted};
+use super::live_client::{AGAIN, Addresses, SessionEnd, Socket, micros, received};
+use super::live_input::{InputOptions, Origin, SOUND};
 use super::live_rtp::Sound;
 use super::live_source::{Frame, Source};
 use super::{note, result};
@@ -93,15 +93,15 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
         (None, Some(source)) => Origin::of(source, args.rate),
         (None, None) => return Err(super::Usage("a folder, a file, an address or --camera".into()).into()),
     };
-    let mut wanted = Wanted { transcode: args.transcode, sound: !args.no_sound };
+    let mut options = InputOptions { transcode: args.transcode, sound: !args.no_sound };
     let (source, sound, first, hello) = loop {
-        let (mut source, sound) = Source::open(origin, args.depth_kind, wanted).await?;
+        let (mut source, sound) = Source::open(origin, args.depth_kind, options).await?;
         let first = source.next().await?.context("the source has no frame")?;
         match hello(&source, &first, args.fov_x, sound.is_some()) {
             // the probe may miss that rooms cannot take the video
-            Err(error) if !wanted.transcode && matches!(error.downcast_ref(), Some(VideoError::Unsupported(_))) => {
+            Err(error) if !options.transcode && matches!(error.downcast_ref(), Some(VideoError::Unsupported(_))) => {
                 note(&format!("tmpi live publish: re-encoding the video: {error}"));
-                wanted.transcode = true;
+                options.transcode = true;
             }
             hello => break (source, sound, first, hello?),
         }
@@ -163,7 +163,7 @@ impl Sender {
             let before = self.sent.frames;
             match self.send(socket, hello).await {
                 Ok(()) => Ok(None),
-                Err(Failure::Lost(error)) => Ok(Some(End { error, again: Some(AGAIN), progress: self.sent.frames > before })),
+                Err(Failure::Lost(error)) => Ok(Some(SessionEnd { error, again: Some(AGAIN), progress: self.sent.frames > before })),
                 Err(Failure::Refused(error)) => Err(error),
             }
         });

@@ -9,7 +9,7 @@ use tmpi_live::depth_codec;
 use tmpi_live::video::{self, JPEG};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
-use super::live_input::{Origin, Plan, Wanted};
+use super::live_input::{InputOptions, Origin, Plan};
 use super::live_program::Program;
 use super::live_rtp::Sound;
 use super::note;
@@ -31,17 +31,17 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Opens the frames of an origin, and its sound if it has sound and `wanted` asks for it.
+    /// Opens the frames of an origin, and its sound if it has sound and `options` ask for it.
     ///
     /// # Errors
     /// The file does not exist or has no frame, or ffmpeg cannot read it.
-    pub(super) async fn open(origin: Origin<'_>, depth: DepthKind, wanted: Wanted) -> anyhow::Result<(Self, Option<Sound>)> {
+    pub(super) async fn open(origin: Origin<'_>, depth: DepthKind, options: InputOptions) -> anyhow::Result<(Self, Option<Sound>)> {
         if let Origin::Address(source) = origin
             && Path::new(source).is_dir()
         {
             return Ok((Self::folder(Path::new(source), depth)?, None));
         }
-        let plan = Plan::new(origin, wanted)?;
+        let plan = Plan::new(origin, options)?;
         plan.notices.iter().for_each(|notice| note(&format!("tmpi live publish: {notice}")));
         let sound = if plan.sound { Some(Sound::open().await.context("a port for the sound")?) } else { None };
         let program = Program::start(plan.command(sound.as_ref().map(Sound::port)).into(), origin.is_live())?;
@@ -117,8 +117,8 @@ mod tests {
     use super::*;
 
     /// All frames, and the times of the sound packets among them.
-    async fn read(origin: &str, wanted: Wanted) -> anyhow::Result<(Vec<Frame>, Vec<u64>)> {
-        let (mut source, mut sound) = Source::open(Origin::of(origin, 30.0), DepthKind::default(), wanted).await?;
+    async fn read(origin: &str, options: InputOptions) -> anyhow::Result<(Vec<Frame>, Vec<u64>)> {
+        let (mut source, mut sound) = Source::open(Origin::of(origin, 30.0), DepthKind::default(), options).await?;
         let (mut frames, mut times) = (Vec::new(), Vec::new());
         let all = async {
             loop {
@@ -169,7 +169,7 @@ mod tests {
             command.args(["-pix_fmt", "yuv420p"]).args(&arguments).arg(&film);
             let Some(status) = Need::Ffmpeg.or_skip(command.status()) else { return };
             assert!(status.success(), "{arguments:?}");
-            let (frames, times) = read(&film, Wanted { transcode: false, sound: true }).await.unwrap();
+            let (frames, times) = read(&film, InputOptions { transcode: false, sound: true }).await.unwrap();
             // fails for other video
             Command::new("ffmpeg").args(["-loglevel", "quiet", "-i", &film, "-an", "-c:v", "copy", &copy]).status().unwrap();
             let sent: Vec<u8> = frames.iter().flat_map(|f| f.data.to_vec()).collect();
@@ -180,7 +180,7 @@ mod tests {
             assert!(times.len() > 10 || !has_sound, "{times:?}");
             assert!(times.windows(2).all(|t| t[1] > t[0]), "{times:?}");
         }
-        assert!(read("no/such/film.mp4", Wanted::default()).await.is_err_and(|e| e.to_string().contains("No such file")));
+        assert!(read("no/such/film.mp4", InputOptions::default()).await.is_err_and(|e| e.to_string().contains("No such file")));
     }
 
     #[tokio::test]
@@ -192,6 +192,6 @@ mod tests {
         command.args(["-c:v", "libx264", "-bf", "0", "-bsf:v", "h264_metadata=display_orientation=insert:rotate=90", &film]);
         let Some(status) = Need::Ffmpeg.or_skip(command.status()) else { return };
         assert!(status.success());
-        assert!(read(&film, Wanted::default()).await.is_err_and(|e| e.to_string().contains("transpose")));
+        assert!(read(&film, InputOptions::default()).await.is_err_and(|e| e.to_string().contains("transpose")));
     }
 }

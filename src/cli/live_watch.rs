@@ -18,7 +18,7 @@ use tmpi_core::{Camera, Photo, Pose};
 use tmpi_live::video::{self, Decoder};
 use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
 
-use super::live_client::{AGAIN, Addresses, End, Socket, Unreached, micros, received};
+use super::live_client::{AGAIN, Addresses, SessionEnd, Socket, Unreached, micros, received};
 use super::render::pose;
 use super::{files, result};
 
@@ -91,7 +91,7 @@ async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
     };
     match ended {
         // the publisher has gone
-        Err(Unreached { nobody: true, .. }) if watcher.frames > 0 => Ok(()),
+        Err(Unreached { no_publisher: true, .. }) if watcher.frames > 0 => Ok(()),
         ended => ended.map_err(|unreached| unreached.error),
     }
 }
@@ -106,7 +106,7 @@ struct Watcher<'a> {
 
 impl Watcher<'_> {
     /// Watches on one connection.
-    async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<Option<End>> {
+    async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<Option<SessionEnd>> {
         let (mut shown, mut begun, before) = (None, Some(Instant::now()), self.frames);
         let (error, again) = loop {
             let Ok(came) = timeout(SILENCE, socket.next()).await else {
@@ -129,7 +129,7 @@ impl Watcher<'_> {
                 break (anyhow::anyhow!("the server says: {}", bye.reason), bye.again.then_some(pause));
             }
         };
-        Ok(Some(End { error, again, progress: self.frames > before }))
+        Ok(Some(SessionEnd { error, again, progress: self.frames > before }))
     }
 
     /// Handles a message; returns the server's farewell. `begun` is the start of the session until the first tiles come.

@@ -54,7 +54,7 @@ pub enum EdgeError {
 
 /// Why a subscription ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum End {
+enum SubscriptionEnd {
     /// The room has no viewers here.
     Unwatched,
     /// The origin ended it.
@@ -102,8 +102,8 @@ impl Edge<'_> {
                 tracing::debug!(%error, room = self.name, "a room of another node");
             }
             gone = match ended {
-                Ok(End::Bye(bye)) if matches!(bye.cause(), Cause::Left | Cause::Rejected) => return Some(bye),
-                Ok(End::Bye(bye)) => bye.cause() == Cause::Lost,
+                Ok(SubscriptionEnd::Bye(bye)) if matches!(bye.cause(), Cause::Left | Cause::Rejected) => return Some(bye),
+                Ok(SubscriptionEnd::Bye(bye)) => bye.cause() == Cause::Lost,
                 _ => false,
             };
             if self.is_unwatched() || self.heard.elapsed() > COME_BACK {
@@ -121,7 +121,7 @@ impl Edge<'_> {
     }
 
     /// Relays one origin.
-    async fn subscribe(&mut self, origin: &Origin) -> Result<End, EdgeError> {
+    async fn subscribe(&mut self, origin: &Origin) -> Result<SubscriptionEnd, EdgeError> {
         let mut socket = self.nodes.subscribe(origin, self.name).await?;
         let (mut look, mut told, mut told_at) = (interval(LOOK), 0, None::<Instant>);
         let mut silent = Instant::now() + SILENCE;
@@ -145,7 +145,7 @@ impl Edge<'_> {
                 () = self.room.keys.notified() => true,
                 _ = look.tick() => {
                     if self.is_unwatched() {
-                        return Ok(End::Unwatched);
+                        return Ok(SubscriptionEnd::Unwatched);
                     }
                     if told == self.room.local_viewers() || told_at.is_some_and(|at| at.elapsed() < COUNT) {
                         continue;
@@ -159,11 +159,11 @@ impl Edge<'_> {
     }
 
     /// Handles a message; returns how the subscription ends if it does.
-    fn take(&mut self, bytes: Bytes) -> Result<Option<End>, EdgeError> {
+    fn take(&mut self, bytes: Bytes) -> Result<Option<SubscriptionEnd>, EdgeError> {
         // unknown kinds come from newer versions
         let Ok(kind) = read(bytes.clone()) else { return Ok(None) };
         match kind {
-            Kind::Bye(bye) => return Ok(Some(End::Bye(bye))),
+            Kind::Bye(bye) => return Ok(Some(SubscriptionEnd::Bye(bye))),
             Kind::Hello(hello) => {
                 self.epoch = hello.epoch;
                 if !self.room.relay_hello(hello) {

@@ -52,9 +52,9 @@ pub struct FrameThreads {
     frames: SyncSender<EncodedFrame>,
 }
 
-/// Holds the frame that waits for its geometry.
+/// The newest frame that waits for its geometry.
 #[derive(Default)]
-struct Slot {
+struct LatestFrame {
     frame: Mutex<Waiting>,
     filled: Condvar,
 }
@@ -78,8 +78,8 @@ impl FrameThreads {
         done: mpsc::Sender<DecodeOutcome>,
     ) -> std::io::Result<Self> {
         let (frames, coded): (_, Receiver<EncodedFrame>) = sync_channel(WAITING);
-        let slot = Arc::new(Slot::default());
-        let (to, from, counted) = (Arc::clone(&slot), slot, Arc::clone(&room));
+        let latest = Arc::new(LatestFrame::default());
+        let (to, from, counted) = (Arc::clone(&latest), latest, Arc::clone(&room));
         let panics = done.clone();
         thread::Builder::new().name("tmpi-geometry".into()).spawn(move || {
             geometries((&room, epoch), &geometry, &from);
@@ -90,7 +90,7 @@ impl FrameThreads {
         })?;
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
             // ends the other thread when this one ends, even by a panic
-            let to = Filler(to);
+            let to = EndOnDrop(to);
             // use arrival times: the publisher's clock may stand still
             let began = Instant::now();
             for EncodedFrame { frame, data, depth, at } in coded {
@@ -125,16 +125,16 @@ impl FrameThreads {
     }
 }
 
-/// Ends a slot on drop.
-struct Filler(Arc<Slot>);
+/// Ends the geometry thread on drop.
+struct EndOnDrop(Arc<LatestFrame>);
 
-impl Drop for Filler {
+impl Drop for EndOnDrop {
     fn drop(&mut self) {
         self.0.end();
     }
 }
 
-impl Slot {
+impl LatestFrame {
     fn put(&self, frame: Frame, at: Instant, room: &Room) {
         let mut waiting = self.frame.lock().unwrap_or_else(PoisonError::into_inner);
         if waiting.frame.replace((frame, at)).is_some() {
@@ -167,10 +167,10 @@ fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Res
     Ok(Some((photo, depth)))
 }
 
-/// Makes the geometry of frames until the slot ends or [`PANICS`] frames in a row panic.
-fn geometries(place: (&Room, u64), make: &impl Fn() -> FramePipeline, slot: &Slot) {
+/// Makes the geometry of frames until no more frames come or [`PANICS`] frames in a row panic.
+fn geometries(place: (&Room, u64), make: &impl Fn() -> FramePipeline, latest: &LatestFrame) {
     let (mut driver, mut panics) = (None, 0);
-    while let Some((frame, at)) = slot.next() {
+    while let Some((frame, at)) = latest.next() {
         // a change of size made frames of the epoch before it useless
         if !place.0.has_epoch(place.1) {
             continue;

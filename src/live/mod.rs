@@ -15,7 +15,7 @@
 //! | `room` | the state that sockets and threads of a room share |
 //! | `snapshot` | the last frame with its geometry |
 //! | `ring` | messages since the last key frame |
-//! | `gop_buffer` | the same as groups of pictures, for plain HTTP |
+//! | `http_gops` | the same as groups of pictures (GOPs), for plain HTTP |
 //! | `plain_http` | the newest frame and groups of pictures by plain HTTP |
 //! | `tile_store` | the tiles of a room as encoded chunks |
 //! | `origin_lease` | which node has a room, and this node's lease of it |
@@ -25,7 +25,7 @@
 
 mod edge;
 mod frame_threads;
-mod gop_buffer;
+mod http_gops;
 mod origin_client;
 mod origin_lease;
 mod plain_http;

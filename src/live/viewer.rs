@@ -38,7 +38,7 @@ const WORDS_A_SECOND: f64 = 2.0;
 const NOTHING_ELSE: &str = "viewers may send only CREDIT";
 
 /// Why a viewer's connection ends.
-enum End {
+enum ConnectionEnd {
     /// It has gone, or cannot be written to.
     Gone,
     /// The server disconnects it with a reason.
@@ -68,7 +68,7 @@ pub async fn serve(mut socket: WebSocket, (room, kind): (Arc<Room>, ViewerKind),
         let mut counted = Counted { room: &room, viewer };
         watch(&mut socket, &room, &mut counted.viewer, &stop, ends).await
     };
-    if let End::Bye(bye) = end {
+    if let ConnectionEnd::Bye(bye) = end {
         disconnect(socket, bye).await;
     }
 }
@@ -79,7 +79,7 @@ async fn watch(
     viewer: &mut Viewer,
     stop: &CancellationToken,
     ends: Option<Instant>,
-) -> Result<Infallible, End> {
+) -> Result<Infallible, ConnectionEnd> {
     let mut changes = room.watch();
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -103,9 +103,9 @@ async fn watch(
                 send(socket, room.tiles(viewer)).await?;
             }
             NextStep::Tiles => send(socket, room.tiles(viewer)).await?,
-            NextStep::Closed => return Err(End::Bye(room.farewell().unwrap_or_else(|| gone(Cause::Lost)))),
+            NextStep::Closed => return Err(ConnectionEnd::Bye(room.farewell().unwrap_or_else(|| gone(Cause::Lost)))),
             NextStep::Wait => tokio::select! {
-                changed = changes.changed() => changed.map_err(|_| End::Gone)?,
+                changed = changes.changed() => changed.map_err(|_| ConnectionEnd::Gone)?,
                 _ = heartbeat.tick() => send(socket, Some(write(Kind::Statistics(room.statistics(viewer))))).await?,
                 came = socket.recv() => heard(came, &mut words, room, viewer)?,
                 () = stop.cancelled() => {}
@@ -115,12 +115,12 @@ async fn watch(
     }
 }
 
-fn bye(reason: &str, again: bool) -> End {
-    End::Bye(Bye { reason: reason.into(), again, ..Bye::default() })
+fn bye(reason: &str, again: bool) -> ConnectionEnd {
+    ConnectionEnd::Bye(Bye { reason: reason.into(), again, ..Bye::default() })
 }
 
 /// Handles a message of a viewer.
-fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Bucket, room: &Room, viewer: &mut Viewer) -> Result<(), End> {
+fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Bucket, room: &Room, viewer: &mut Viewer) -> Result<(), ConnectionEnd> {
     match came {
         // the library answers pings
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
@@ -136,7 +136,7 @@ fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Bucket, room: &
             }
         }
         Some(Ok(Message::Text(_))) => return Err(bye(NOTHING_ELSE, false)),
-        _ => return Err(End::Gone),
+        _ => return Err(ConnectionEnd::Gone),
     }
     Ok(())
 }
@@ -153,7 +153,7 @@ fn credit(bytes: Bytes, words: &mut Bucket) -> Result<Credit, String> {
     }
 }
 
-async fn send(socket: &mut WebSocket, bytes: Option<Bytes>) -> Result<(), End> {
+async fn send(socket: &mut WebSocket, bytes: Option<Bytes>) -> Result<(), ConnectionEnd> {
     let Some(bytes) = bytes else { return Ok(()) };
-    socket.send(Message::Binary(bytes)).await.map_err(|_| End::Gone)
+    socket.send(Message::Binary(bytes)).await.map_err(|_| ConnectionEnd::Gone)
 }

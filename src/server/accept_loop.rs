@@ -101,9 +101,10 @@ pub async fn serve(endpoint: Endpoint, router: Router, limits: &Arc<Limits>, tel
         let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
-            let little = Arc::new(AtomicBool::new(false));
-            let held = ConnectionGuard { little: Arc::clone(&little), all: Arc::new((permit, share, present)) };
-            let stream = MinimumRate::new(stream, limits.write, limits.write_rate, SmallBuffer { wanted: little, keep: limit_send_buffer });
+            let limits_buffer = Arc::new(AtomicBool::new(false));
+            let held = ConnectionGuard { limits_buffer: Arc::clone(&limits_buffer), all: Arc::new((permit, share, present)) };
+            let stream =
+                MinimumRate::new(stream, limits.write, limits.write_rate, SmallBuffer { wanted: limits_buffer, keep: limit_send_buffer });
             let connection = Connection { http, router, limits, from: Peer(peer), held, stop };
             let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
@@ -225,15 +226,15 @@ pub struct Peer(pub IpAddr);
 /// Resources of a connection that are limited in number; a WebSocket keeps them after the upgrade.
 #[derive(Clone)]
 pub struct ConnectionGuard {
-    little: Arc<AtomicBool>,
+    limits_buffer: Arc<AtomicBool>,
     #[expect(dead_code, reason = "held until it is dropped")]
     all: Arc<(OwnedSemaphorePermit, ClientSlot, (GaugeGuard, TaskTrackerToken))>,
 }
 
 impl ConnectionGuard {
-    /// Makes the system buffer little from the next write on, since live data is soon stale.
+    /// Limits the send buffer from the next write on, since live data is soon stale.
     pub fn limit_send_buffer(&self) {
-        self.little.store(true, Ordering::Relaxed);
+        self.limits_buffer.store(true, Ordering::Relaxed);
     }
 }
 

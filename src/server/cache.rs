@@ -16,7 +16,7 @@ const OVERHEAD: usize = 1536;
 /// Epochs after which removed entries are freed, and one that may have begun already.
 const EPOCHS: usize = 3;
 
-/// A version of a photo: id and time of making, so that an entry of a deleted photo never serves a new one with the same id.
+/// A version of a photo: id and when it was made, so that an entry of a deleted photo never serves a new one with the same id.
 pub type Version = (PhotoId, u64);
 
 /// Part of a cache entry.
@@ -41,10 +41,10 @@ impl<K: Weight + Eq + Hash, V: Weight> Cache<K, V> {
         Self::built(budget, Kept::builder())
     }
 
-    /// A cache in memory, which also drops entries unused for `rest`, at the next [`Self::evict_idle`] at the latest.
+    /// A cache in memory, which also drops entries unused for `idle_time`, at the next [`Self::evict_idle`] at the latest.
     #[must_use]
-    pub fn with_idle_timeout(budget: usize, rest: Duration) -> Self {
-        Self::built(budget, Kept::builder().time_to_idle(rest))
+    pub fn with_idle_timeout(budget: usize, idle_time: Duration) -> Self {
+        Self::built(budget, Kept::builder().time_to_idle(idle_time))
     }
 
     fn built(budget: usize, builder: CacheBuilder<(Version, K), V, Entries<K, V>>) -> Self {

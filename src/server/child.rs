@@ -17,7 +17,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::depth_network_upgrade::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
+use super::depth_network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
 use super::exports::ExportTask;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::problem::Problem;
@@ -273,10 +273,10 @@ impl Maker for ProcessMaker {
         networks::available().is_err().then_some(missing)
     }
 
-    fn rest(&self, rest: Duration) -> bool {
+    fn release_idle_memory(&self, idle_time: Duration) -> bool {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let before = idle.len();
-        idle.retain(|worker| worker.made.is_none_or(|at| at.elapsed() < rest));
+        idle.retain(|worker| worker.made.is_none_or(|at| at.elapsed() < idle_time));
         let (ended, none) = (before - idle.len(), idle.iter().all(|worker| worker.is_low_priority));
         drop(idle);
         if ended > 0 && none {

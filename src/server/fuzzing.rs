@@ -10,9 +10,9 @@ use super::conditional::{RequestedRange, requested_range};
 use super::hosts::origin;
 use super::multipart_header_limit::LimitedHeaders;
 use super::photo_options;
-use super::photo_settings::Settings;
 use super::proxies::{Network, Proxies, X_FORWARDED_FOR};
 use super::routes::ViewQuery;
+use super::viewer_settings::Settings;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
 /// Reads a query for a view of a photo of 60 × 40 pixels.

@@ -31,11 +31,11 @@ pub async fn trim_when_idle(app: App) {
         tokio::time::sleep((app.limits.idle / CHECKS).max(Duration::from_millis(10))).await;
         app.evict_idle().await;
         let shared = App::clone(&app);
-        let settled = tokio::task::spawn_blocking(move || {
-            shared.renderer.settle();
-            shared.maker.rest(shared.limits.idle)
+        let freed = tokio::task::spawn_blocking(move || {
+            shared.renderer.free_dropped_scenes();
+            shared.maker.release_idle_memory(shared.limits.idle)
         });
-        let ended = settled.await.unwrap_or_default();
+        let ended = freed.await.unwrap_or_default();
         let busy = app.pool.bytes() > 0 || app.memory.taken() > 0;
         let seen = Activity::of(&app);
         if !busy && (ended || seen != released) {

@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 
 use super::access;
 use super::app_state::AppState;
-use super::photo_details::FinishedPhoto;
+use super::finished_photo::FinishedPhoto;
 use super::photo_options;
-use super::photo_settings::Settings;
+use super::viewer_settings::Settings;
 use crate::export::escaped;
 use tmpi_library::Photo;
 

@@ -11,7 +11,7 @@ use tmpi_pipeline::strokes;
 use tmpi_pipeline::{self, MakeError, Models, Options, Sizes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
-use super::depth_network_upgrade::NetworkOffer;
+use super::depth_network_download::NetworkOffer;
 use super::exports::ExportTask;
 use super::limits::Limits;
 use super::problem::Problem;
@@ -106,8 +106,8 @@ pub trait Maker: Send + Sync + 'static {
         None
     }
 
-    /// Frees memory that was unused for `rest`; returns whether there was some.
-    fn rest(&self, _rest: Duration) -> bool {
+    /// Frees memory that was unused for `idle_time`; returns whether there was some.
+    fn release_idle_memory(&self, _idle_time: Duration) -> bool {
         false
     }
 

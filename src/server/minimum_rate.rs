@@ -34,7 +34,7 @@ pub struct MinimumRate<S> {
     /// Total time of waiting, and bytes read in it.
     waited: Duration,
     taken: usize,
-    little: SmallBuffer<S>,
+    small_buffer: SmallBuffer<S>,
 }
 
 /// Whether to limit the send buffer, and how.
@@ -47,13 +47,13 @@ pub struct SmallBuffer<S> {
 
 impl<S> MinimumRate<S> {
     /// The peer must read at least a byte within `limit`, and `rate` bytes a second over it.
-    pub fn new(stream: S, limit: Duration, rate: u64, little: SmallBuffer<S>) -> Self {
-        Self { stream, limit, rate, timer: None, since: None, waited: Duration::ZERO, taken: 0, little }
+    pub fn new(stream: S, limit: Duration, rate: u64, small_buffer: SmallBuffer<S>) -> Self {
+        Self { stream, limit, rate, timer: None, since: None, waited: Duration::ZERO, taken: 0, small_buffer }
     }
 
     fn limit_send_buffer(&self) {
-        if self.little.wanted.swap(false, Ordering::Relaxed) {
-            (self.little.keep)(&self.stream);
+        if self.small_buffer.wanted.swap(false, Ordering::Relaxed) {
+            (self.small_buffer.keep)(&self.stream);
         }
     }
 

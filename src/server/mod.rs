@@ -10,7 +10,7 @@ mod app_state;
 mod blocking_pool;
 mod body_source;
 mod cache;
-mod cache_values;
+mod cache_entries;
 mod child;
 mod client_slots;
 mod compress;
@@ -18,9 +18,10 @@ mod conditional;
 mod config;
 mod content_disposition;
 mod cross_site;
-mod depth_network_upgrade;
+mod depth_network_download;
 mod exports;
 mod fetch_by_url;
+mod finished_photo;
 #[doc(hidden)]
 pub mod fuzzing;
 mod hosts;
@@ -36,9 +37,7 @@ mod minimum_rate;
 mod multipart_header_limit;
 mod outbound;
 mod pages;
-mod photo_details;
 mod photo_options;
-mod photo_settings;
 mod problem;
 mod program_digest;
 mod proxies;
@@ -56,6 +55,7 @@ mod upload_by_address;
 mod upload_fields;
 mod upload_file;
 mod upload_head;
+mod viewer_settings;
 mod webhooks;
 mod workers;
 
@@ -74,7 +74,7 @@ pub use child::{ProcessMaker, VARIABLE, disable_process_inspection, serve as run
 pub(crate) use conditional::{ContentCoding, Entity, respond};
 pub use config::{Config, Role};
 pub(crate) use cross_site::check_origin;
-pub use depth_network_upgrade::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
+pub use depth_network_download::{InstalledNetwork, NetworkOffer, NetworkUpgrade};
 pub use fetch_by_url::SourceHost;
 pub use idle_trim::use_one_malloc_arena;
 pub use limits::{Caches, Exports, Limits, Quotas, Rates, Retention};
@@ -241,18 +241,18 @@ impl Server {
                 }
             }
         });
-        let mut upkeep = tokio::task::JoinSet::new();
-        upkeep.spawn(maintenance::probe(Arc::clone(&app), has_objects));
-        upkeep.spawn(maintenance::sweep(Arc::clone(&app)));
-        upkeep.spawn(maintenance::evict_deleted(Arc::clone(&app)));
+        let mut background = tokio::task::JoinSet::new();
+        background.spawn(maintenance::probe(Arc::clone(&app), has_objects));
+        background.spawn(maintenance::sweep(Arc::clone(&app)));
+        background.spawn(maintenance::evict_deleted(Arc::clone(&app)));
         if tls.is_some() {
             app.set_origin(addr.port());
         }
-        upkeep.spawn(webhooks::deliver(Arc::clone(&app), clients));
-        upkeep.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
+        background.spawn(webhooks::deliver(Arc::clone(&app), clients));
+        background.spawn(idle_trim::trim_when_idle(Arc::clone(&app)));
         if !has_objects {
             // an object store checks its own contents
-            upkeep.spawn(maintenance::verify_photos(Arc::clone(&app)));
+            background.spawn(maintenance::verify_photos(Arc::clone(&app)));
         }
         // nodes that only make photos have no rooms
         let rooms = rooms.filter(|_| role != Role::Work);
@@ -288,7 +288,7 @@ impl Server {
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
-        upkeep.shutdown().await;
+        background.shutdown().await;
         if let Err(error) = app.library.save_views().await {
             tracing::warn!(%error, "cannot record when photos were viewed");
         }

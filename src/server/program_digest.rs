@@ -3,7 +3,7 @@
 
 use sha2::{Digest, Sha256};
 
-use super::photo_details::FinishedPhoto;
+use super::finished_photo::FinishedPhoto;
 use tmpi_library::hex;
 
 /// Sources, networks and dependencies that make photos.

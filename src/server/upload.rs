@@ -13,11 +13,11 @@ use super::client_slots::{ClientSlot, client_address};
 use super::maker::HeadOf;
 use super::multipart_header_limit::LimitedHeaders;
 use super::photo_options;
-use super::photo_settings::{Settings, title_of_file};
 use super::problem::Problem;
 use super::request_body::{self, is_media_type};
 use super::upload_fields::{UploadFields, check_name, of_query};
 use super::upload_file::{ReceivedFile, receive};
+use super::viewer_settings::{Settings, title_of_file};
 use tmpi_library::{LibraryError, Outcome, Owner, Photo, PhotoId, Upload};
 use tmpi_pipeline::{Options, Stereo};
 

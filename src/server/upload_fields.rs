@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::photo_options;
-use super::photo_settings::Settings;
 use super::problem::Problem;
+use super::viewer_settings::Settings;
 use tmpi_library::Class;
 use tmpi_pipeline::Options;
 
@@ -18,7 +18,7 @@ pub struct UploadFields {
     /// Options of the photo.
     pub options: Options,
     given: BTreeSet<String>,
-    /// How urgent the making is.
+    /// How urgent it is to process the photo.
     pub class: Class,
     /// Title and visibility.
     pub settings: Settings,

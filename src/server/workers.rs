@@ -15,9 +15,9 @@ use tokio::task::JoinHandle;
 
 use super::app_state::App;
 use super::exports::{Recipe, write_export};
+use super::finished_photo::FinishedPhoto;
 use super::maker::{Fault, Product};
 use super::memory_budget::Priority;
-use super::photo_details::FinishedPhoto;
 use super::photo_options;
 use super::problem::Problem;
 use super::routes::Stage;
@@ -157,13 +157,13 @@ async fn hold<T: Send + 'static>(
     doing: &Doing,
     mut told: UnboundedReceiver<Progress>,
     work: impl FnOnce() -> T + Send + 'static,
-) -> Result<T, End> {
+) -> Result<T, JobEnd> {
     let library = &doing.app.library;
     let (send, mut done) = oneshot::channel();
     let mut events = library.subscribe();
     let started = std::thread::Builder::new().name("tmpi-job".into()).spawn(move || drop(send.send(work())));
     if let Err(error) = started {
-        return Err(End::Again(Retry::Fault(format!("cannot start a thread: {error}"))));
+        return Err(JobEnd::Again(Retry::Fault(format!("cannot start a thread: {error}"))));
     }
     let mut said = None;
     loop {
@@ -172,7 +172,7 @@ async fn hold<T: Send + 'static>(
                 while let Ok(progress) = told.try_recv() {
                     tell(lease, doing, &progress).await;
                 }
-                return done.map_err(|_| End::Failed(Problem::internal("the job panicked", &"see above")));
+                return done.map_err(|_| JobEnd::Failed(Problem::internal("the job panicked", &"see above")));
             }
             Some(progress) = told.recv() => said = tell(lease, doing, &progress).await,
             event = events.next() => match event {
@@ -209,18 +209,18 @@ async fn tell(lease: &Lease, doing: &Doing, progress: &Progress) -> Option<serde
 }
 
 /// End of a job without a result.
-enum End {
+enum JobEnd {
     Failed(Problem),
     Again(Retry),
 }
 
 /// Records the end, however long that takes; otherwise a database outage would count as a crash of the worker.
-async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
+async fn end(lease: &Lease, doing: &Doing, end: JobEnd) -> &'static str {
     let library = &doing.app.library;
     loop {
         let told = match &end {
-            End::Failed(problem) => library.fail(lease, &problem.to_library()).await,
-            End::Again(retry) => library.retry(lease, retry).await,
+            JobEnd::Failed(problem) => library.fail(lease, &problem.to_library()).await,
+            JobEnd::Again(retry) => library.retry(lease, retry).await,
         };
         match told {
             Ok(()) => break,
@@ -235,20 +235,20 @@ async fn end(lease: &Lease, doing: &Doing, end: End) -> &'static str {
         }
     }
     match end {
-        End::Failed(problem) => {
+        JobEnd::Failed(problem) => {
             tracing::warn!(photo = %lease.job.photo, kind = problem.kind, detail = problem.detail, "a job failed");
             "failed"
         }
-        End::Again(Retry::Died(reason)) => {
+        JobEnd::Again(Retry::Died(reason)) => {
             tracing::warn!(photo = %lease.job.photo, reason, "a job crashed its process");
             "crashed"
         }
-        End::Again(Retry::Fault(reason)) => {
+        JobEnd::Again(Retry::Fault(reason)) => {
             tracing::error!(photo = %lease.job.photo, reason, "a fault of the server; the job is retried");
             doing.app.set_trouble(Some(reason));
             "put-back"
         }
-        End::Again(Retry::Stopping) => "cancelled",
+        JobEnd::Again(Retry::Stopping) => "cancelled",
     }
 }
 
@@ -281,25 +281,25 @@ struct Inputs {
     options: Options,
 }
 
-async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, End> {
+async fn inputs(lease: &Lease, doing: &Doing) -> Result<Inputs, JobEnd> {
     let (photo, blobs) = (&lease.photo, doing.app.library.blobs());
     let read = async |part: Part| match photo.blobs.get(&part) {
         None => Ok(None),
         Some(blob) => blobs.read(part, blob).await.map(Some).map_err(|error| match error {
             LibraryError::Damaged { .. } => {
-                End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", format!("{error}: upload the photo again")))
+                JobEnd::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", format!("{error}: upload the photo again")))
             }
-            error => End::Again(Retry::Fault(error.to_string())),
+            error => JobEnd::Again(Retry::Fault(error.to_string())),
         }),
     };
-    let mut options = photo_options::from_text(&photo.options).map_err(End::Failed)?;
-    options.strokes = doing.app.strokes(photo).await.map_err(|problem| End::Again(Retry::Fault(problem.detail.into())))?;
-    let lost = || End::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
+    let mut options = photo_options::from_text(&photo.options).map_err(JobEnd::Failed)?;
+    options.strokes = doing.app.strokes(photo).await.map_err(|problem| JobEnd::Again(Retry::Fault(problem.detail.into())))?;
+    let lost = || JobEnd::Failed(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", "the upload is missing: upload the photo again"));
     Ok(Inputs { photo: read(Part::Upload).await?.ok_or_else(lost)?, depth: read(Part::Depth).await?, options })
 }
 
 /// Makes a photo; returns the outcome.
-async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> Result<&'static str, End> {
+async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> Result<&'static str, JobEnd> {
     let Inputs { photo, depth, options } = inputs(lease, doing).await?;
     let here = doing.clone();
     let made = hold(lease, doing, told, move || {
@@ -313,41 +313,41 @@ async fn make(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -
     });
     match made.await? {
         Ok(product) => keep(lease, doing, product).await,
-        Err(Fault::Photo(problem)) => Err(End::Failed(problem)),
-        Err(Fault::Server(reason)) => Err(End::Again(Retry::Fault(reason))),
+        Err(Fault::Photo(problem)) => Err(JobEnd::Failed(problem)),
+        Err(Fault::Server(reason)) => Err(JobEnd::Again(Retry::Fault(reason))),
         Err(Fault::Cancelled) if doing.lost.load(Ordering::Acquire) => Ok("deleted"),
         // when the server stops, the process may have ended with it
-        Err(Fault::Crashed(reason)) if !doing.app.stop.is_cancelled() => Err(End::Again(Retry::Died(reason))),
-        Err(Fault::Cancelled | Fault::Crashed(_)) => Err(End::Again(Retry::Stopping)),
+        Err(Fault::Crashed(reason)) if !doing.app.stop.is_cancelled() => Err(JobEnd::Again(Retry::Died(reason))),
+        Err(Fault::Cancelled | Fault::Crashed(_)) => Err(JobEnd::Again(Retry::Stopping)),
     }
 }
 
 /// Stores the results of a photo; returns the outcome.
-async fn keep(lease: &Lease, doing: &Doing, product: Product) -> Result<&'static str, End> {
+async fn keep(lease: &Lease, doing: &Doing, product: Product) -> Result<&'static str, JobEnd> {
     let Product { container, report, disparity, thumbnail } = product;
-    let text = serde_json::to_vec(&report).map_err(|error| End::Failed(Problem::internal("writing a report", &error)))?;
+    let text = serde_json::to_vec(&report).map_err(|error| JobEnd::Failed(Problem::internal("writing a report", &error)))?;
     let parts = [(Part::Container, container), (Part::Disparity, disparity), (Part::Thumbnail, thumbnail), (Part::Report, text)];
     let digested = move || parts.into_iter().map(|(part, bytes)| (part, Content::of_bytes(bytes))).collect::<Contents>();
     let contents = tokio::task::spawn_blocking(digested).await;
-    let contents = contents.map_err(|error| End::Failed(Problem::internal("taking digests", &error)))?;
+    let contents = contents.map_err(|error| JobEnd::Failed(Problem::internal("taking digests", &error)))?;
     match doing.app.library.finish(lease, PhotoResults { contents, details: FinishedPhoto::details(report.width, report.height) }).await {
         Ok(_) => Ok("done"),
         Err(LibraryError::LeaseLost) => Ok("deleted"),
-        Err(error) => Err(End::Again(Retry::Fault(format!("cannot store the results: {error}")))),
+        Err(error) => Err(JobEnd::Again(Retry::Fault(format!("cannot store the results: {error}")))),
     }
 }
 
 /// Writes an export file; returns the outcome.
-async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> Result<&'static str, End> {
+async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) -> Result<&'static str, JobEnd> {
     let app = &doing.app;
-    let gone = || End::Failed(Problem::not_found("the photo was made again, or was deleted"));
-    let recipe = Recipe::parse(lease.job.payload.as_str().ok_or_else(gone)?, &app.limits).map_err(End::Failed)?;
+    let gone = || JobEnd::Failed(Problem::not_found("the photo was made again, or was deleted"));
+    let recipe = Recipe::parse(lease.job.payload.as_str().ok_or_else(gone)?, &app.limits).map_err(JobEnd::Failed)?;
     let done = FinishedPhoto::of(&lease.photo).ok_or_else(gone)?;
     let container = app.container_of(&lease.photo).await.map_err(|problem| {
         if problem.status == StatusCode::SERVICE_UNAVAILABLE {
-            End::Again(Retry::Fault(problem.detail.into()))
+            JobEnd::Again(Retry::Fault(problem.detail.into()))
         } else {
-            End::Failed(problem)
+            JobEnd::Failed(problem)
         }
     })?;
     let here = doing.clone();
@@ -357,18 +357,18 @@ async fn write(lease: &Lease, doing: &Doing, told: UnboundedReceiver<Progress>) 
     let file = match bytes.await? {
         Ok(bytes) => Content::of_bytes(bytes),
         Err(_) if doing.lost.load(Ordering::Acquire) => return Ok("cancelled"),
-        Err(_) if stops() => return Err(End::Again(Retry::Stopping)),
-        Err(problem) => return Err(End::Failed(problem)),
+        Err(_) if stops() => return Err(JobEnd::Again(Retry::Stopping)),
+        Err(problem) => return Err(JobEnd::Failed(problem)),
     };
     match app.library.finish_export(lease, file).await {
         Ok(_) => Ok("done"),
         Err(LibraryError::LeaseLost) => Ok("cancelled"),
         Err(LibraryError::Invalid(detail)) => {
             let detail = format!("{detail} (exports.disk)");
-            Err(End::Failed(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", detail)))
+            Err(JobEnd::Failed(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", detail)))
         }
-        Err(error @ LibraryError::StorageFull) => Err(End::Failed(error.into())),
-        Err(error) => Err(End::Again(Retry::Fault(error.to_string()))),
+        Err(error @ LibraryError::StorageFull) => Err(JobEnd::Failed(error.into())),
+        Err(error) => Err(JobEnd::Again(Retry::Fault(error.to_string()))),
     }
 }
 

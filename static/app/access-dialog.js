@@ -80,7 +80,11 @@ function somebodyElse(manage, takeBack, anew) {
       'details',
       '',
       element('summary', '', t('Let somebody else change it')),
-      element('p', '', t('A secret: whoever opens this link can see, change and delete this photo, and no other, until you take it back.')),
+      element(
+        'p',
+        '',
+        t('A secret: anyone who opens this link can see, change and delete this photo, and no other, until you take it back.'),
+      ),
       ...link.parts,
       element('div', 'row', back),
       said,
@@ -116,7 +120,7 @@ function otherBrowser(id) {
     element(
       'p',
       '',
-      t('A secret: whoever opens this link in time can see, change and delete all your photos, and that cannot be taken back.'),
+      t('A secret: anyone who opens this link in time can see, change and delete all your photos, and that cannot be taken back.'),
     ),
     element('div', 'row', make),
     shown,

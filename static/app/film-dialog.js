@@ -15,7 +15,7 @@ const SECONDS = [2, 4, 8];
 /** Longer sides in pixels: those below the photo's own are offered, and the photo's own up to the largest. */
 const SIDES = [480, 720, 1280, 1920];
 /** Default sizes by kind. */
-const USUAL_SIDE = { mp4: 1280, webm: 1280, gif: 480 };
+const DEFAULT_SIDE = { mp4: 1280, webm: 1280, gif: 480 };
 /** Names of the camera paths: as in a photo's settings, and after the command line's names. */
 const NAMES = /** @type {Record<string, string>} */ ({
   swing: t('Swing: from side to side'),
@@ -59,12 +59,12 @@ export async function open({ viewer, file }) {
     t('Longer side'),
     sides.map((s) => [String(s), t('{0} pixels', s)]),
   );
-  const usual = () => {
-    const wanted = USUAL_SIDE[/** @type {FilmOptions['kind']} */ (kind.select.value)];
+  const chooseDefaultSide = () => {
+    const wanted = DEFAULT_SIDE[/** @type {FilmOptions['kind']} */ (kind.select.value)];
     side.select.value = String(sides.filter((s) => s <= wanted).pop() ?? sides[0]);
   };
-  kind.select.addEventListener('change', usual);
-  usual();
+  kind.select.addEventListener('change', chooseDefaultSide);
+  chooseDefaultSide();
 
   const fields = element('fieldset', 'fields', kind.label, style.label, seconds.label, side.label);
   const bar = element('progress');

@@ -9,7 +9,7 @@ export const isMine = () =>
   ask(
     t('Is this link your own?'),
     t(
-      'It makes this browser the owner of what another browser uploaded. Whoever made the link can see, change and delete what you upload from here. Go on only if you made it yourself.',
+      'It makes this browser the owner of what another browser uploaded. The person who made the link can see, change and delete what you upload from here. Go on only if you made it yourself.',
     ),
     t('I made it myself'),
   );

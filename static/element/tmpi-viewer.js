@@ -15,7 +15,7 @@
 //   auto-rotate      `off`: does not move without input; `still`, without a value, does the same
 //   motion           how it moves without input: `swing`, `orbit`, `dolly`, `dolly-zoom`, `zoom` (into the nearest thing), or `none`. The
 //                    default is the owner's setting, else `swing`. A room moves only if this or auto-rotate is set
-//   speed            how fast, 0.25 to 4 times the usual
+//   speed            how fast, 0.25 to 4 times the default
 //   settings         `off`: does not fetch the owner's camera settings (range, start) from the server
 //
 // `false` means `off`, since frameworks write that; `still="false"` is as if it were missing.
@@ -374,14 +374,14 @@ function parsed(address) {
 }
 
 for (const [attribute, name] of Object.entries(SWITCHES)) {
-  const usual = attribute !== 'still';
+  const defaultValue = attribute !== 'still';
   /** @type {PropertyDescriptor & ThisType<TmpiViewer>} */
   const property = {
     configurable: true,
     enumerable: true,
     get() {
       const value = this.getAttribute(attribute);
-      return value === null ? usual : !OFF.has(value);
+      return value === null ? defaultValue : !OFF.has(value);
     },
     set(value) {
       if (value === null || value === undefined) this.removeAttribute(attribute);

@@ -12,7 +12,7 @@ const GERMAN = {
   'A day': 'Ein Tag',
   'A link with an end date': 'Ein Link mit Enddatum',
   'A link to change it': 'Ein Link, um es zu ändern',
-  'A secret: whoever opens this link can see, change and delete this photo, and no other, until you take it back.':
+  'A secret: anyone who opens this link can see, change and delete this photo, and no other, until you take it back.':
     'Ein Geheimnis: Wer diesen Link öffnet, kann dieses Foto sehen, ändern und löschen, und kein anderes, bis Sie ihn zurücknehmen.',
   'A week': 'Eine Woche',
   'An hour': 'Eine Stunde',
@@ -22,7 +22,7 @@ const GERMAN = {
   'Cancel {0}': '{0} abbrechen',
   'Choose photos': 'Fotos auswählen',
   'Click the picture where it should be sharp.': 'Ins Bild klicken, wo es scharf sein soll.',
-  'A secret: whoever opens this link in time can see, change and delete all your photos, and that cannot be taken back.':
+  'A secret: anyone who opens this link in time can see, change and delete all your photos, and that cannot be taken back.':
     'Ein Geheimnis: Wer diesen Link rechtzeitig öffnet, kann alle Ihre Fotos sehen, ändern und löschen, und das lässt sich nicht zurücknehmen.',
   'For another browser of yours': 'Für einen anderen Ihrer Browser',
   'Give them up': 'Aufgeben',
@@ -32,7 +32,7 @@ const GERMAN = {
   'Give up the photos of this browser?': 'Die Fotos dieses Browsers aufgeben?',
   'I made it myself': 'Er ist von mir',
   'Is this link your own?': 'Ist dieser Link von Ihnen?',
-  'It makes this browser the owner of what another browser uploaded. Whoever made the link can see, change and delete what you upload from here. Go on only if you made it yourself.':
+  'It makes this browser the owner of what another browser uploaded. The person who made the link can see, change and delete what you upload from here. Go on only if you made it yourself.':
     'Er macht diesen Browser zum Besitzer dessen, was ein anderer hochgeladen hat. Wer den Link gemacht hat, kann sehen, ändern und löschen, was Sie von hier hochladen. Nur weiter, wenn er von Ihnen selbst ist.',
   'Let somebody else change it': 'Jemand anderem Änderungen erlauben',
   'Earlier links no longer work; these are new.': 'Frühere Links gelten nicht mehr; diese sind neu.',

@@ -47,7 +47,7 @@ export class Motion {
     this.idle = false;
     /** True while something other than the pointer sets the target, so that a hovering mouse does not interfere. */
     this.steered = false;
-    this.quiet = IDLE.delay;
+    this.idleTime = IDLE.delay;
     this.phase = 0;
     this.level = 0;
     /** Style of idle motion, one of `STYLES`, and its speed as a factor. */
@@ -129,13 +129,13 @@ export class Motion {
 
   /** Records input, which interrupts idle motion. */
   touched() {
-    this.quiet = 0;
+    this.idleTime = 0;
   }
 
   /** @param {boolean} on */
   setIdle(on) {
     this.idle = on;
-    this.quiet = on ? IDLE.delay : 0;
+    this.idleTime = on ? IDLE.delay : 0;
   }
 
   /**
@@ -153,8 +153,8 @@ export class Motion {
    * @param {number} dt
    */
   step(dt) {
-    this.quiet += dt;
-    const swinging = this.idle && this.quiet > IDLE.delay;
+    this.idleTime += dt;
+    const swinging = this.idle && this.idleTime > IDLE.delay;
     this.level = Math.max(0, Math.min(1, this.level + (swinging ? dt : -dt * 4) / IDLE.swell));
     const turns = this.#turns;
     if (this.level > 0) this.phase += (dt * 2 * Math.PI * this.rate) / IDLE.period;

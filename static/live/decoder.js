@@ -136,14 +136,14 @@ export class RoomDecoder {
   /**
    * Computes the texels of layers.
    * @param {Uint32Array} layers two numbers each: the tile, and the layer's index in the tile
-   * @param {ArrayBuffer} [spare] a buffer to reuse if it is large enough
+   * @param {ArrayBuffer} [scratch] a buffer to reuse if it is large enough
    * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one layer after another
    */
-  cells(layers, spare) {
+  cells(layers, scratch) {
     this.#instance.hand(new Uint8Array(layers.buffer, layers.byteOffset, layers.byteLength));
     this.#instance.call('tmpi_cells');
     const texels = this.#instance.output(CELLS);
-    const out = spare && spare.byteLength >= texels.length ? new Uint8Array(spare, 0, texels.length) : new Uint8Array(texels.length);
+    const out = scratch && scratch.byteLength >= texels.length ? new Uint8Array(scratch, 0, texels.length) : new Uint8Array(texels.length);
     out.set(texels);
     return out;
   }

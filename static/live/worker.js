@@ -1,6 +1,6 @@
 // Watches a room in a worker: receives its messages, decodes the video, and composes the layers of its tiles.
 //
-// Messages from the page: {watch: {address, token, side, flat}} starts · {drawn, spare}: a picture is shown, and `spare` is a buffer to reuse ·
+// Messages from the page: {watch: {address, token, side, flat}} starts · {drawn, scratch}: a picture is shown, and `scratch` is a buffer to reuse ·
 // {again}: send the whole scene again · {hidden} · {sound}: whether the sound is on · {flat}: nothing can draw the scene.
 // Messages to the page: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
 // {type: 'picture', picture, early}: plain video, `early` if it is only shown until the tiles arrive · {type: 'state', state, reason} ·
@@ -77,7 +77,7 @@ class Room {
   #busy = false;
   #inFlight = new InFlight();
   /** Buffer to reuse for the next texels. @type {ArrayBuffer | undefined} */
-  #spare;
+  #scratch;
   /** True to copy samples unconverted, false to read them from a canvas. */
   #copySamples = true;
   #hidden = false;
@@ -147,10 +147,10 @@ class Room {
 
   /**
    * Handles the page's notice that it shows the oldest picture in flight.
-   * @param {ArrayBuffer} [spare] buffer that it no longer needs
+   * @param {ArrayBuffer} [scratch] buffer that it no longer needs
    */
-  drawn(spare) {
-    this.#spare = spare;
+  drawn(scratch) {
+    this.#scratch = scratch;
     const shown = this.#inFlight.shown(performance.now());
     if (shown) this.#measurements.shown(shown.time);
     this.#pump();
@@ -430,8 +430,8 @@ class Room {
     this.#atlas ??= new TileAtlas(head, this.#request.side);
     let { numbers, places, reshaped, grown } = this.#atlas.change(changed);
     if (!this.#sceneSent) ({ numbers, places } = this.#atlas.all());
-    const cells = { places, data: this.#decoder.cells(numbers, this.#spare) };
-    this.#spare = undefined;
+    const cells = { places, data: this.#decoder.cells(numbers, this.#scratch) };
+    this.#scratch = undefined;
     const drawn = reshaped || !this.#sceneSent ? this.#atlas.drawn() : null;
     const made = performance.now() - started;
     this.#measurements.took('made', made);
@@ -494,7 +494,7 @@ self.onmessage = async ({ data }) => {
     if (data.watch) room = compiled().then(async (module) => new Room(await RoomDecoder.of(module), data.watch));
     const now = await room;
     if (!now) return;
-    if (data.drawn) now.drawn(data.spare);
+    if (data.drawn) now.drawn(data.scratch);
     if (data.again) now.again();
     if (data.flat) now.flat();
     if ('hidden' in data) now.hidden = data.hidden;

@@ -113,8 +113,8 @@ export class LiveView {
     if (!change || !renderer) return false;
     renderer.update(change);
     // the renderer has copied the texels
-    const spare = change.cells.data.buffer;
-    this.#viewer.postToWorker({ drawn: true, spare }, [spare]);
+    const scratch = change.cells.data.buffer;
+    this.#viewer.postToWorker({ drawn: true, scratch }, [scratch]);
     return true;
   }
 

@@ -108,7 +108,7 @@ fn files_are_deleted_with_their_photo_and_when_it_is_made_again() {
     get(server.addr, &before).problem(404);
     let after = made("format=glb");
     assert_ne!(before, after);
-    wait_until("the file of the previous making is deleted", || files(server.data()) == 1);
+    wait_until("the file of the previous version is deleted", || files(server.data()) == 1);
     request(server.addr, "POST", &format!("/v1/photos/{photo}/remake?class=never"), &[], &[]).problem(400);
     assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{photo}"), &[], &[]).status, 204);
     get(server.addr, &after).problem(404);

@@ -76,7 +76,7 @@ pub struct Subject<'a> {
 
 /// A silhouette in a row: the column of its first background pixel, and the residue in levels.
 #[derive(Clone, Copy)]
-struct Place {
+struct Silhouette {
     column: usize,
     residue: f64,
 }
@@ -86,17 +86,17 @@ impl Subject<'_> {
     #[must_use]
     pub fn ghosts(&self, view: &[[u8; 3]], tx: f64) -> Ghosts {
         let width = self.photo.width as usize;
-        let rows: Vec<Vec<Place>> = (0..self.photo.height as usize)
-            .map(|y| (0..width).filter_map(|x| Some(Place { column: x, residue: self.residue(view, tx, (x, y))? })).collect())
+        let rows: Vec<Vec<Silhouette>> = (0..self.photo.height as usize)
+            .map(|y| (0..width).filter_map(|x| Some(Silhouette { column: x, residue: self.residue(view, tx, (x, y))? })).collect())
             .collect();
         let mut out = Ghosts::default();
         for (y, row) in rows.iter().enumerate() {
-            for place in row {
+            for silhouette in row {
                 out.places += 1;
-                out.residue += place.residue;
-                let above = chain(rows[..y].iter().rev(), place.column);
-                let below = chain(rows[y + 1..].iter(), place.column);
-                out.seen += usize::from(place.residue > SEEN && above + 1 + below >= ROWS);
+                out.residue += silhouette.residue;
+                let above = chain(rows[..y].iter().rev(), silhouette.column);
+                let below = chain(rows[y + 1..].iter(), silhouette.column);
+                out.seen += usize::from(silhouette.residue > SEEN && above + 1 + below >= ROWS);
             }
         }
         out
@@ -146,7 +146,7 @@ impl Subject<'_> {
 }
 
 /// Number of consecutive rows with a ghost near a column, at most [`ROWS`].
-fn chain<'a>(rows: impl Iterator<Item = &'a Vec<Place>>, mut column: usize) -> usize {
+fn chain<'a>(rows: impl Iterator<Item = &'a Vec<Silhouette>>, mut column: usize) -> usize {
     let mut count = 0;
     for row in rows.take(ROWS) {
         let Some(next) = row.iter().find(|p| p.column.abs_diff(column) <= 2 && p.residue > SEEN) else { break };

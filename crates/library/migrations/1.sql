@@ -85,7 +85,7 @@ CREATE TABLE durations (
 );
 
 -- When a task of all nodes ran last.
-CREATE TABLE upkeep (
+CREATE TABLE maintenance (
     task TEXT PRIMARY KEY,
     ran_at BIGINT NOT NULL
 );

@@ -23,7 +23,7 @@ pub struct Upload {
     pub id: PhotoId,
     /// The caller, who owns the photo.
     pub requester: Requester,
-    /// How urgent its making is.
+    /// How urgent it is to process it.
     pub class: Class,
     /// Options as text, all of them.
     pub options: BTreeMap<String, String>,

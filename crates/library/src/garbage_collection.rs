@@ -29,8 +29,8 @@ impl Library {
     /// Runs [`Library::gc`] once a day, on one node; `None` if it is not due here.
     pub async fn gc_if_due(&self) -> Result<Option<Collected>> {
         let mut tx = self.database().write().await?;
-        let claim = "INSERT INTO upkeep (task, ran_at) VALUES ('gc', $1)
-            ON CONFLICT (task) DO UPDATE SET ran_at = excluded.ran_at WHERE upkeep.ran_at <= $2";
+        let claim = "INSERT INTO maintenance (task, ran_at) VALUES ('gc', $1)
+            ON CONFLICT (task) DO UPDATE SET ran_at = excluded.ran_at WHERE maintenance.ran_at <= $2";
         let claim = sqlx::query(claim).bind(tx.now).bind(tx.now - millis(ORPHAN));
         let is_due = claim.execute(tx.connection()).await?.rows_affected() > 0;
         tx.commit().await?;

@@ -22,6 +22,7 @@ mod garbage_collection;
 mod ids;
 mod integrity;
 mod leases;
+mod link_signatures;
 mod owner;
 mod photo;
 mod photos;
@@ -30,7 +31,6 @@ mod quota;
 mod remake;
 mod retention;
 mod room_leases;
-mod signed_links;
 mod source_validators;
 mod statistics;
 mod string_enum;
@@ -60,13 +60,13 @@ pub use garbage_collection::Collected;
 pub use ids::PhotoId;
 pub use integrity::Damage;
 pub use leases::Lease;
+pub use link_signatures::{Grant, Link, Secret, Subject};
 pub use owner::Owner;
 pub use photo::{Blob, Blobs, Class, Part, Photo, PhotoState, Problem};
 pub use photos::{Cursor, Page};
 pub use queue::{Job, JobKind, JobState, Requester};
 pub use retention::Swept;
 pub use room_leases::Origin;
-pub use signed_links::{Grant, Link, Secret, Subject};
 pub use source_validators::Source;
 pub use statistics::Statistics;
 pub use webhooks::{Disabled, EventType, MAX_WEBHOOKS, NewWebhook, Webhook, WebhookChange};
@@ -192,7 +192,7 @@ impl Library {
         let incoming = config.data.join("blobs").join("incoming");
         blobs::create_private(&incoming)?;
         Box::pin(pair(&database, &blobs)).await?;
-        let secret = signed_links::secret(&database).await?;
+        let secret = link_signatures::secret(&database).await?;
         Ok(Self(Arc::new(Inner {
             database,
             blobs,
@@ -272,7 +272,7 @@ impl Library {
 
 /// Refuses a blob store of another library: `gc` would delete its blobs as orphans.
 async fn pair(database: &Database, blobs: &BlobStore) -> Result<()> {
-    let id = signed_links::stored_secret(database, "library").await?;
+    let id = link_signatures::stored_secret(database, "library").await?;
     match blobs.library().await? {
         Some(of) if of == id => Ok(()),
         Some(_) => {

@@ -75,7 +75,7 @@ string_enum! {
         Disparity = "disparity",
         /// Small JPEG.
         Thumbnail = "thumbnail",
-        /// Report of the making, JSON.
+        /// Report of the processing, JSON.
         Report = "report",
         /// A file to download.
         Export = "export",
@@ -143,7 +143,7 @@ pub struct Photo {
     pub listed_at: Millis,
     /// When it was last viewed, or accepted.
     pub viewed_at: Millis,
-    /// How urgent its making is.
+    /// How urgent it is to process it.
     pub class: Class,
     /// Options as text, all of them.
     pub options: BTreeMap<String, String>,

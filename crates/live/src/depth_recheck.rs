@@ -5,9 +5,9 @@
 
 use crate::change::Change;
 
-/// Default settings. `tmpi-lab live-bench --only still --settle N --settle-blocks M` compares others: with 6 frames, views lose 0.04 dB and
-/// 1 % more of the unchanged tiles are sent; with 24 frames, geometry has 6 % fewer bytes but outlines remain twice as long; fewer blocks
-/// save 9 % and lose 0.02 dB; without rechecks, outlines stay.
+/// Default settings. `tmpi-lab live-bench --only still --recheck-frames N --recheck-blocks M` compares others: with 6 frames, views lose
+/// 0.04 dB and 1 % more of the unchanged tiles are sent; with 24 frames, geometry has 6 % fewer bytes but outlines remain twice as long;
+/// fewer blocks save 9 % and lose 0.02 dB; without rechecks, outlines stay.
 pub const RECHECK: RecheckSettings = RecheckSettings { frames: 12, blocks: 2 };
 
 /// When to recheck blocks.

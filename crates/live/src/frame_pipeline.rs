@@ -30,7 +30,7 @@ pub const PARALLAX: f64 = 0.25;
 /// Default cooldown after a frame whose tiles were sent: two frames at 30 frames a second. Meanwhile, readers move labels along with the
 /// motion. At lower frame rates, where objects move far between frames, no frame falls into it.
 ///
-/// `tmpi-lab live-bench --only still --rest-ms N` compares 0, 50, 80 and 100 ms: 520, 311, 220 and 175 bytes of geometry a frame; 65, 34,
+/// `tmpi-lab live-bench --only still --cooldown-ms N` compares 0, 50, 80 and 100 ms: 520, 311, 220 and 175 bytes of geometry a frame; 65, 34,
 /// 23 and 18 ms of CPU time; flicker 0.041, 0.057, 0.065 and 0.071 levels; edges 1.9, 2.0, 2.2 and 2.1 pixels short; views equally good.
 /// With more than 80 ms and late tiles, few frames remain in which labels follow.
 pub const COOLDOWN: Duration = Duration::from_millis(80);

@@ -40,7 +40,7 @@ pub(super) struct Footprint {
 
 /// Position of a sample.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct SamplePosition {
     /// Distance from the rectangle's left border, in reference pixels.
     pub x: f64,
     /// Distance from the rectangle's upper border, in reference pixels.
@@ -78,7 +78,7 @@ impl Footprint {
     }
 
     /// Where the ray through target position `(x, y)` hits the layer; `None` if it misses.
-    pub fn hit(&self, x: f64, y: f64) -> Option<Place> {
+    pub fn hit(&self, x: f64, y: f64) -> Option<SamplePosition> {
         let lambda = value(&self.lambda, x, y);
         let delta = value(&self.delta, x, y);
         if !(lambda > 0.0 && delta * NEAR <= 1.0) {
@@ -87,7 +87,7 @@ impl Footprint {
         let (px, py) = (value(&self.x, x, y) / lambda, value(&self.y, x, y) / lambda);
         let [[left, right], [upper, lower]] = self.drawn;
         let inside = px >= left && py >= upper && px <= right && py <= lower;
-        inside.then_some(Place { x: px, y: py, delta: delta.max(0.0) })
+        inside.then_some(SamplePosition { x: px, y: py, delta: delta.max(0.0) })
     }
 }
 

@@ -69,7 +69,7 @@ pub enum RenderError {
     /// There is no graphics adapter, or the device was lost and could not be rebuilt.
     #[error("graphics adapter: {0}")]
     Adapter(String),
-    /// Nobody waits for the view any more.
+    /// No caller waits for the view any more.
     #[error("the view is not wanted any more")]
     Cancelled,
     /// The scene exceeds the adapter's limits.
@@ -108,7 +108,7 @@ pub trait Renderer: Send + Sync {
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError>;
 
     /// Frees the cached data of scenes that were dropped; otherwise the next view frees it. May wait until a view in progress is drawn.
-    fn settle(&self) {}
+    fn free_dropped_scenes(&self) {}
 }
 
 /// Checks what every backend relies on: a finite pose, valid intrinsics, and a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
@@ -172,8 +172,8 @@ impl Renderer for GpuOrCpu {
         }
     }
 
-    fn settle(&self) {
-        self.gpu.settle();
-        self.cpu.settle();
+    fn free_dropped_scenes(&self) {
+        self.gpu.free_dropped_scenes();
+        self.cpu.free_dropped_scenes();
     }
 }

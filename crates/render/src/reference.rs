@@ -16,7 +16,7 @@ use tmpi_core::{Camera, Scene};
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Reference;
 
-struct Seen {
+struct ProjectedPiece {
     footprint: Footprint,
     index: usize,
     size: [usize; 2],
@@ -41,17 +41,17 @@ impl Renderer for Reference {
         let pieces = pieces(scene);
         let blur = mirror_blur(scene, &pieces);
         let mut expander = Expander::new(scene, blur.as_ref());
-        let seen: Vec<Seen> = (pieces.iter().enumerate())
+        let projected: Vec<ProjectedPiece> = (pieces.iter().enumerate())
             .filter_map(|(index, piece)| {
                 let footprint = Footprint::new(scene, piece, camera)?;
                 let mut texels = Vec::new();
                 expander.append(piece, &mut texels);
-                Some(Seen { footprint, index, size: piece.size.map(|v| v as usize), texels })
+                Some(ProjectedPiece { footprint, index, size: piece.size.map(|v| v as usize), texels })
             })
             .collect();
         let mut view = View::transparent(camera);
         view.rgba.par_chunks_mut(camera.width as usize).enumerate().for_each(|(y, row)| {
-            for (out, sum) in row.iter_mut().zip(row_of(&seen, y as u32, camera.width)) {
+            for (out, sum) in row.iter_mut().zip(row_of(&projected, y as u32, camera.width)) {
                 *out = sum.map(|v| (v * 255.0).round() as u8);
             }
         });
@@ -59,9 +59,9 @@ impl Renderer for Reference {
     }
 }
 
-fn row_of(seen: &[Seen], y: u32, width: u32) -> Vec<[f64; 4]> {
+fn row_of(projected: &[ProjectedPiece], y: u32, width: u32) -> Vec<[f64; 4]> {
     let mut samples: Vec<Vec<Sample>> = (0..width).map(|_| Vec::new()).collect();
-    for s in seen.iter().filter(|s| (s.footprint.y0..s.footprint.y1).contains(&y)) {
+    for s in projected.iter().filter(|s| (s.footprint.y0..s.footprint.y1).contains(&y)) {
         for x in s.footprint.x0..s.footprint.x1 {
             if let Some(at) = s.footprint.hit(f64::from(x) + 0.5, f64::from(y) + 0.5) {
                 let rgba = bilinear(&s.texels, s.size[0], s.size[1], at.x, at.y);

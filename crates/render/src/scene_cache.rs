@@ -49,7 +49,7 @@ pub(super) const PADDING: usize = 8;
 
 /// A scene as the `cpu` backend draws it.
 #[derive(Debug)]
-pub(super) struct Prepared {
+pub(super) struct ExpandedScene {
     /// The layers, and their mirror images beyond the borders.
     pub pieces: Vec<Piece>,
     /// Straight-alpha texels of all pieces. Each piece repeats its last column and last row, so that all 2×2 neighbours exist. [`PADDING`]
@@ -63,7 +63,7 @@ pub(super) struct Prepared {
     pub reference: ReferenceView,
 }
 
-impl Prepared {
+impl ExpandedScene {
     /// Validates and expands `scene`; `blurred` blurs mirrored pieces.
     pub fn new(scene: &Scene, blurred: bool) -> Result<Self, SceneError> {
         scene.validate()?;
@@ -110,7 +110,7 @@ impl Prepared {
         Self { pieces, texels, first, order, reference: ReferenceView::default() }
     }
 
-    /// Maximum number of bytes that [`Prepared::new`] takes for `scene`.
+    /// Maximum number of bytes that [`ExpandedScene::new`] takes for `scene`.
     pub fn bytes(scene: &Scene) -> usize {
         let pieces = pieces(scene);
         let texels = pieces.iter().map(padded).sum::<usize>() + PADDING;
@@ -181,13 +181,13 @@ impl<T> SceneCache<T> {
     }
 
     /// Removes the values of dropped scenes.
-    pub fn settle(&mut self) {
+    pub fn remove_dropped_scenes(&mut self) {
         self.entries.retain(|(weak, ..)| weak.strong_count() > 0);
     }
 
     /// Returns the value of `scene` and marks it as the most recently used.
     pub fn get(&mut self, scene: &Arc<Scene>) -> Option<&mut T> {
-        self.settle();
+        self.remove_dropped_scenes();
         let at = self.entries.iter().position(|(weak, ..)| std::ptr::eq(weak.as_ptr(), Arc::as_ptr(scene)))?;
         self.entries[at..].rotate_left(1);
         self.entries.last_mut().map(|(.., value)| value)
@@ -233,7 +233,7 @@ mod tests {
         assert_eq!(cache.bytes(), 20);
         assert_eq!(get(&mut cache, &scenes[1]), 4, "the least recently used one was dropped");
         drop(scenes);
-        cache.settle();
+        cache.remove_dropped_scenes();
         assert_eq!((cache.entries.len(), cache.bytes()), (0, 0));
         let get = |cache: &mut SceneCache<u32>, scene: &Arc<Scene>| *cache.insert(scene, 10, || 9);
         let other = Arc::new(testing::flat(8, 8, 0.5));
@@ -244,18 +244,18 @@ mod tests {
     #[test]
     fn texels_that_several_threads_expand_are_those_of_each_piece_with_its_ends_twice() {
         let scene = discs(640, 480).1;
-        let prepared = Prepared::new(&scene, true).unwrap();
-        assert!(prepared.texels.len() > 3 * THREAD_TEXELS && prepared.pieces.iter().any(Piece::is_mirrored));
-        let blur = mirror_blur(&scene, &prepared.pieces);
-        for &i in &prepared.order {
-            let (piece, first) = (&prepared.pieces[i], prepared.first[i]);
+        let expanded = ExpandedScene::new(&scene, true).unwrap();
+        assert!(expanded.texels.len() > 3 * THREAD_TEXELS && expanded.pieces.iter().any(Piece::is_mirrored));
+        let blur = mirror_blur(&scene, &expanded.pieces);
+        for &i in &expanded.order {
+            let (piece, first) = (&expanded.pieces[i], expanded.first[i]);
             let mut own = Vec::new();
             Expander::new(&scene, blur.as_ref()).append(piece, &mut own);
             let (w, h) = (piece.size[0] as usize, piece.size[1] as usize);
             let texel = |i: usize| own[(i / (w + 1)).min(h - 1) * w + (i % (w + 1)).min(w - 1)];
-            assert!((0..padded(piece)).all(|i| prepared.texels[first + i] == texel(i)), "{piece:?}");
+            assert!((0..padded(piece)).all(|i| expanded.texels[first + i] == texel(i)), "{piece:?}");
         }
-        let reference = Prepared::for_reference_view(&scene).unwrap();
+        let reference = ExpandedScene::for_reference_view(&scene).unwrap();
         assert_eq!(reference.pieces.len(), scene.layers.len());
         let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 640, height: 480 };
         assert_eq!(draw_reference_view(&scene).unwrap(), Cpu::default().render(&Arc::new(scene), &camera).unwrap());

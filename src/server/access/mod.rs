@@ -22,9 +22,9 @@ use tmpi_library::{Grant, KEY_PREFIX, Library, Link, Millis, Owner, Photo, Photo
 use super::client_slots::client_address;
 use super::cross_site::check_origin;
 use super::hosts::Hosts;
-use super::photo_settings::{Settings, Visibility};
 use super::problem::Problem;
 use super::rate_limit::{RateHeaders, RateKey, RateLimiter};
+use super::viewer_settings::{Settings, Visibility};
 use callers::{Caller, bearer, new_secret, owner_of_secret};
 use cookies::{KEPT, LINK, MANAGE, OWNER, cookie, keep_private, set_cookie};
 pub(super) use link_query::{link_of_url, query_of, take_link};

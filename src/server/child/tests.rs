@@ -78,12 +78,12 @@ fn an_idle_process_ends_after_its_timeout() {
     let dir = tempfile::tempdir().unwrap();
     let maker = maker(|| Ok(shell("cat > /dev/null")), dir.path());
     maker.prepare();
-    assert!(!maker.rest(Duration::ZERO), "one that has made none is small");
+    assert!(!maker.release_idle_memory(Duration::ZERO), "one that has made none is small");
     let ids = || maker.idle.lock().unwrap().iter().map(|worker| worker.child.id()).collect::<Vec<_>>();
     let before = ids();
     maker.idle.lock().unwrap()[0].made = Some(Instant::now());
-    assert!(!maker.rest(Duration::from_hours(1)) && ids() == before);
-    assert!(maker.rest(Duration::ZERO));
+    assert!(!maker.release_idle_memory(Duration::from_hours(1)) && ids() == before);
+    assert!(maker.release_idle_memory(Duration::ZERO));
     assert!(ids().len() == 1 && ids() != before, "another waits in its place");
 }
 

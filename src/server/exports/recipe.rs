@@ -2,8 +2,8 @@
 
 use super::query::ExportQuery;
 use crate::export::{ExportFormat, ModelOptions, ORA_BYTES};
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::limits::Limits;
-use crate::server::photo_details::FinishedPhoto;
 use crate::server::photo_options::value_name;
 use crate::server::problem::Problem;
 use crate::server::routes::{Pairs, ViewQuery};

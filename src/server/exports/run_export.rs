@@ -11,9 +11,9 @@ use super::recipe::Recipe;
 use super::write::{ExportTask, timeout_problem};
 use crate::server::app_state::{App, AppState, DiskFullPolicy, Export, StoredFile};
 use crate::server::blocking_pool::WorkClass;
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::maker::Fault;
 use crate::server::memory_budget::Priority;
-use crate::server::photo_details::FinishedPhoto;
 use crate::server::problem::Problem;
 use tmpi_pipeline::{Progress, Sink};
 

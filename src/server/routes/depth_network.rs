@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::query::{NoBody, NoQuery};
 use crate::server::app_state::{App, AppState};
-use crate::server::depth_network_upgrade::{DownloadState, NetworkOffer};
+use crate::server::depth_network_download::{DownloadState, NetworkOffer};
 use crate::server::problem::Problem;
 use tmpi_pipeline::networks::models::registry::better_than;
 

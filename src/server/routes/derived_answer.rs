@@ -7,7 +7,7 @@ use axum::response::Response;
 
 use crate::server::app_state::{AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, cache_control_for, insert, known_etag, not_modified, respond};
-use crate::server::photo_details::FinishedPhoto;
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::program_digest;
 
 /// A derived answer before it is made.

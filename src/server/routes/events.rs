@@ -53,17 +53,17 @@ impl Listener {
     /// The next events; `None` at the end.
     async fn next(&mut self) -> Option<Vec<Event>> {
         while !self.ended {
-            let news = if self.seen { self.news().await } else { Some(News::Photo) };
+            let update = if self.seen { self.next_update().await } else { Some(PhotoUpdate::Photo) };
             self.seen = true;
-            let events = match news? {
-                News::Nothing => continue,
-                News::Stage(progress) if self.is_allowed(None).await => {
+            let events = match update? {
+                PhotoUpdate::Nothing => continue,
+                PhotoUpdate::Stage(progress) if self.is_allowed(None).await => {
                     self.queued = None;
                     self.stage_events(progress)
                 }
-                News::Stage(_) => return None,
-                News::Photo => self.fresh().await?,
-                News::Deleted => self.end("deleted", &serde_json::json!({})),
+                PhotoUpdate::Stage(_) => return None,
+                PhotoUpdate::Photo => self.fresh().await?,
+                PhotoUpdate::Deleted => self.end("deleted", &serde_json::json!({})),
             };
             if !events.is_empty() {
                 return Some(events);
@@ -72,17 +72,17 @@ impl Listener {
         None
     }
 
-    /// Waits for news; `None` if the server stops (the client then reconnects).
-    async fn news(&mut self) -> Option<News> {
+    /// Waits for an update; `None` if the server stops (the client then reconnects).
+    async fn next_update(&mut self) -> Option<PhotoUpdate> {
         let looks = self.queued.is_some() || self.pass.is_some();
         tokio::select! {
             biased;
             // the queue moves without an event to those waiting; other photos' events must not delay this check
             () = tokio::time::sleep_until(self.look), if looks => {
                 self.look = Instant::now() + QUEUE_LOOK;
-                Some(News::Photo)
+                Some(PhotoUpdate::Photo)
             }
-            happened = self.subscription.next() => Some(News::of(self.id, happened?)),
+            happened = self.subscription.next() => Some(PhotoUpdate::of(self.id, happened?)),
             () = self.app.stop.cancelled() => None,
         }
     }
@@ -117,7 +117,7 @@ impl Listener {
         // stages that came before the end
         let mut events = Vec::new();
         while let Some(happened) = self.subscription.try_next() {
-            if let News::Stage(progress) = News::of(self.id, happened) {
+            if let PhotoUpdate::Stage(progress) = PhotoUpdate::of(self.id, happened) {
                 events.extend(self.stage_events(progress));
             }
         }
@@ -146,14 +146,14 @@ impl Listener {
 }
 
 /// What an event means for one photo.
-enum News {
+enum PhotoUpdate {
     Nothing,
     Stage(Progress),
     Photo,
     Deleted,
 }
 
-impl News {
+impl PhotoUpdate {
     fn of(id: PhotoId, happened: Happened) -> Self {
         match happened {
             Happened::Progress { photo, progress } if photo == id => serde_json::from_value(progress).map_or(Self::Nothing, Self::Stage),

@@ -15,7 +15,7 @@ use crate::server::app_state::{App, AppState, StoredFile};
 use crate::server::conditional::{ContentCoding, Entity, REVALIDATE, insert, respond};
 use crate::server::content_disposition::content_disposition;
 use crate::server::exports::Recipe;
-use crate::server::photo_details::FinishedPhoto;
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::problem::Problem;
 use crate::server::program_digest;
 use crate::server::request_body;

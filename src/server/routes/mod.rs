@@ -1,7 +1,6 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
 mod admin_listener;
-mod better_depth;
 mod depth_network;
 mod derived_answer;
 mod events;
@@ -10,7 +9,7 @@ mod export_jobs;
 mod oembed;
 mod openapi_errors;
 mod openapi_values;
-mod owner;
+mod owner_tickets;
 mod photo_state;
 mod photos;
 mod query;
@@ -89,8 +88,8 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(remake::remake))
         .routes(routes!(sharing::links))
         .routes(routes!(sharing::keep_token, sharing::revoke_links))
-        .routes(routes!(owner::ticket))
-        .routes(routes!(owner::adopt_owner))
+        .routes(routes!(owner_tickets::ticket))
+        .routes(routes!(owner_tickets::adopt_owner))
         .routes(routes!(depth_network::network, depth_network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::export::{ExportFormat, ModelShape, ModelTextures};
 use crate::server::photo_options::value_name;
-use crate::server::photo_settings::{Idle, SPEED, TITLE, VERSION};
+use crate::server::viewer_settings::{Idle, SPEED, TITLE, VERSION};
 use tmpi_library::EventType;
 use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, PlaneMethod, Stereo, Switch};

@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::server::app_state::AppState;
-use crate::server::photo_details::FinishedPhoto;
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::photo_options;
-use crate::server::photo_settings::{Settings, Visibility};
 use crate::server::problem::Problem;
 use crate::server::timestamps::rfc3339;
+use crate::server::viewer_settings::{Settings, Visibility};
 use tmpi_library::{JobKind, LibraryError, Part, Photo, PhotoState as Phase};
 
 /// State of a photo.

@@ -9,20 +9,20 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
-use super::better_depth::better_depth;
 use super::photo_state::{PhotoList, PhotoState};
 use super::query::{NoQuery, Pairs};
 use crate::server::access::Guard;
 use crate::server::app_state::{App, StoredFile};
 use crate::server::conditional::{Entity, check_if_match, insert, respond, respond_uncached};
-use crate::server::photo_settings::{PATCH_BYTES, Settings};
 use crate::server::problem::Problem;
 use crate::server::program_digest::short;
 use crate::server::request_body;
 use crate::server::time_limit::TimeLimit;
 use crate::server::upload_by_address::SourceOrder;
+use crate::server::viewer_settings::{PATCH_BYTES, Settings};
 use crate::server::{upload, upload_by_address};
-use tmpi_library::{Cursor, Event, LibraryError, Owner, Page, Photo, PhotoState as Phase};
+use tmpi_library::{Cursor, Event, LibraryError, Owner, Page, Part, Photo, PhotoState as Phase};
+use tmpi_pipeline::networks::models::registry::better_than;
 
 /// Part of the time limit of a request that is left to answer it.
 pub(super) const ANSWER: Duration = Duration::from_millis(500);
@@ -314,6 +314,26 @@ pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = StoredFile::new(bytes);
     Ok(respond(&headers, Entity::json(file.source, &file.etag)))
+}
+
+/// What a report says of its photo's depth.
+#[derive(serde::Deserialize)]
+struct DepthReport {
+    depth_model: String,
+}
+
+/// Name of this node's network, if it is better than the one that estimated the photo's depth and the caller may have the photo made again.
+/// `None` if the depth was uploaded or came with the photo, or if the report cannot be read.
+async fn better_depth(app: &App, photo: &Photo) -> Option<String> {
+    let network = app.maker.network().to_owned();
+    let worse = better_than(&network);
+    if worse.is_empty() || app.guard.as_ref().is_some_and(|guard| !guard.may_change(photo)) {
+        return None;
+    }
+    // a request for the report itself answers with the error
+    let StoredFile { source, .. } = app.file(photo, Part::Report).await.ok()?;
+    let DepthReport { depth_model } = serde_json::from_slice(&source.head(source.len()).await.ok()?).ok()?;
+    worse.iter().any(|kind| depth_model.starts_with(kind)).then_some(network)
 }
 
 /// The state as it is sent. The first half of its tag names the settings, which alone can be changed, the second half all of it.

@@ -12,7 +12,7 @@ use crate::server::app_state::{App, AppState, DiskFullPolicy, StoredFile};
 use crate::server::blocking_pool::WorkClass;
 use crate::server::conditional::insert;
 use crate::server::exports::{Recipe, export_for_client};
-use crate::server::photo_details::FinishedPhoto;
+use crate::server::finished_photo::FinishedPhoto;
 use crate::server::problem::Problem;
 use crate::server::time_limit::TimeLimit;
 use tmpi_core::{Camera, Scene};

@@ -46,7 +46,7 @@ async function measure({ file }) {
   const times = [];
   let atlas = null;
   let waits = null;
-  let spare;
+  let scratch;
   let read = 0;
   let tiles = 0;
   const show = () => {
@@ -60,7 +60,7 @@ async function measure({ file }) {
     const layered = performance.now();
     if (changed.length) {
       atlas ??= new TileAtlas(hello.head, 4096);
-      spare = decoder.cells(atlas.change(changed).numbers, spare).buffer;
+      scratch = decoder.cells(atlas.change(changed).numbers, scratch).buffer;
     }
     const done = performance.now();
     times.push({

@@ -140,8 +140,8 @@ pub(super) fn derive_layers(
     pictures: PictureDecoder,
 ) -> Result<TileLayers, ContainerError> {
     let shapes = geometry.masks_of(tiles.clone(), &surface, false);
-    let carried = find(index, Kind::Hidden).is_some();
-    let textured = if carried {
+    let has_hidden = find(index, Kind::Hidden).is_some();
+    let textured = if has_hidden {
         let tile = |s: LayerMasks| s.layers.into_iter().map(|shape| TexturedLayer { shape, hidden: Vec::new() }).collect();
         shapes.into_iter().map(tile).collect()
     } else {
@@ -150,7 +150,7 @@ pub(super) fn derive_layers(
     let (mut layers, mut texels) = join(tiles.start, textured);
     refine_alpha(index, body, &mut texels.alpha)?;
     let hidden = count_hidden(&mut layers, &texels.class);
-    if carried {
+    if has_hidden {
         texels.hidden = hidden_colours(index, body, &layers, &texels.class, hidden, pictures)?;
     }
     Ok(TileLayers { layers, texels })

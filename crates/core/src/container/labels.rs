@@ -38,13 +38,13 @@ impl Models {
 }
 
 /// What earlier tiles say about each pixel: tile index plus one, and label.
-struct Seen {
+struct LabelMap {
     width: usize,
     tile: Vec<u32>,
     label: Vec<u8>,
 }
 
-impl Seen {
+impl LabelMap {
     /// 0 if unknown, 1 if both pixels have the same label, 2 if there is an edge between them.
     fn edge(&self, p: usize, q: usize) -> usize {
         if self.tile[p] == 0 || self.tile[p] != self.tile[q] { 0 } else { 1 + usize::from(self.label[p] != self.label[q]) }
@@ -89,20 +89,20 @@ pub fn decode_by(models: &mut Models, grid: &Grid, counts: &[u8], data: &[u8], l
 
 fn walk(models: &mut Models, grid: &Grid, counts: &[u8], labels: &mut [u8], coder: &mut impl Coder) {
     let width = grid.width as usize;
-    let mut seen = Seen { width, tile: vec![0; width * grid.height as usize], label: vec![0; width * grid.height as usize] };
+    let mut map = LabelMap { width, tile: vec![0; width * grid.height as usize], label: vec![0; width * grid.height as usize] };
     let mut first = 0;
     for tile in 0..grid.tiles() {
         let area = grid.rect(tile).area();
         let own = &mut labels[first..first + area];
         first += area;
-        tile_labels(grid, tile, counts[tile as usize], own, &mut seen, models, coder);
+        tile_labels(grid, tile, counts[tile as usize], own, &mut map, models, coder);
     }
 }
 
-fn tile_labels(grid: &Grid, tile: u32, count: u8, own: &mut [u8], seen: &mut Seen, models: &mut Models, coder: &mut impl Coder) {
+fn tile_labels(grid: &Grid, tile: u32, count: u8, own: &mut [u8], map: &mut LabelMap, models: &mut Models, coder: &mut impl Coder) {
     let r = grid.rect(tile);
     let (w, h) = (r.w as usize, r.h as usize);
-    let photo = |x: usize, y: usize| (r.y as usize + y) * seen.width + r.x as usize + x;
+    let photo = |x: usize, y: usize| (r.y as usize + y) * map.width + r.x as usize + x;
     if count > 1 {
         for y in 0..h {
             for x in 0..w {
@@ -115,8 +115,8 @@ fn tile_labels(grid: &Grid, tile: u32, count: u8, own: &mut [u8], seen: &mut See
                 let left2 = at(2, 0).unwrap_or(l.unwrap_or(0));
                 let above2 = at(0, 2).unwrap_or(a.unwrap_or(0));
                 let p = photo(x, y);
-                let edge_left = if x > 0 { seen.edge(p, p - 1) } else { 0 };
-                let edge_above = if y > 0 { seen.edge(p, p - seen.width) } else { 0 };
+                let edge_left = if x > 0 { map.edge(p, p - 1) } else { 0 };
+                let edge_above = if y > 0 { map.edge(p, p - map.width) } else { 0 };
                 let bit = |b: bool, i: u32| usize::from(b) << i;
                 let label = own[y * w + x];
                 own[y * w + x] = 'label: {
@@ -141,8 +141,8 @@ fn tile_labels(grid: &Grid, tile: u32, count: u8, own: &mut [u8], seen: &mut See
     for y in 0..h {
         for x in 0..w {
             let p = photo(x, y);
-            seen.tile[p] = tile + 1;
-            seen.label[p] = own[y * w + x];
+            map.tile[p] = tile + 1;
+            map.label[p] = own[y * w + x];
         }
     }
 }

@@ -128,8 +128,8 @@ pub(super) fn identity(scene: Option<&Arc<Scene>>, host: &dyn Renderer) -> f64 {
     view.rgba.iter().zip(&scene.photo.rgb).map(off).max().unwrap_or(u8::MAX).into()
 }
 
-/// Whether an error is the one that was wanted.
-type Wanted<'a> = &'a dyn Fn(&PhotoError) -> bool;
+/// Whether an error is the expected one.
+type IsExpected<'a> = &'a dyn Fn(&PhotoError) -> bool;
 
 /// Files that are no photo or too much of one.
 fn refusals(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, PhotoError>) {
@@ -137,7 +137,7 @@ fn refusals(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, Pho
     let photo = Jpeg::new(33, 17, components(&[(1, 1); 3])).write(smooth);
     let too_large = |e: &PhotoError| matches!(e, PhotoError::SideTooLong { .. } | PhotoError::TooManyPixels { .. });
     let any = |_: &PhotoError| true;
-    let files: [(&str, Vec<u8>, Wanted); 8] = [
+    let files: [(&str, Vec<u8>, IsExpected); 8] = [
         ("1×20 000", promise(1, 20_000), &too_large),
         ("20 000×1", promise(20_000, 1), &too_large),
         ("decompression bomb, 16 000×16 000", promise(16_000, 16_000), &too_large),
@@ -147,9 +147,9 @@ fn refusals(checked: &mut Checked, kernel: impl Fn(&[u8]) -> Result<Decoded, Pho
         ("empty", Vec::new(), &any),
         ("text", b"a photo of a cat".to_vec(), &any),
     ];
-    for (name, file, wanted) in files {
+    for (name, file, is_expected) in files {
         checked.case(FAMILY, &format!("{name} is refused"), "decoder", "accepted", 0.0, || {
-            f64::from(u8::from(!kernel(&file).is_err_and(|e| wanted(&e))))
+            f64::from(u8::from(!kernel(&file).is_err_and(|e| is_expected(&e))))
         });
     }
 }

@@ -96,11 +96,11 @@ impl Measured {
 #[derive(Deserialize)]
 struct LightField {
     focal_over_width: f64,
-    cameras: Vec<Place>,
+    cameras: Vec<CameraEntry>,
 }
 
 #[derive(Deserialize)]
-struct Place {
+struct CameraEntry {
     file: String,
     a_mm: f64,
     b_mm: f64,
@@ -115,19 +115,19 @@ fn light_field(folder: &Path, depth: &dyn Estimator) -> Result<Case, LabError> {
     let photo = files::read(&folder.join(&middle.file))?;
     let reference = decoded(&photo, &folder.join(&middle.file))?;
     let (width, height) = (reference.width, reference.height);
-    let views: Vec<&Place> = cameras.iter().filter(|c| c.a_mm <= 0.0 && c.b_mm <= 0.0 && c.a_mm + c.b_mm < 0.0).collect();
+    let views: Vec<&CameraEntry> = cameras.iter().filter(|c| c.a_mm <= 0.0 && c.b_mm <= 0.0 && c.a_mm + c.b_mm < 0.0).collect();
     // far enough to the side for exact depth, near enough to see most of the photo
-    let mut aside: Vec<&Place> = views.iter().copied().filter(|c| c.a_mm >= 0.0).collect();
+    let mut aside: Vec<&CameraEntry> = views.iter().copied().filter(|c| c.a_mm >= 0.0).collect();
     aside.sort_by(|a, b| b.b_mm.total_cmp(&a.b_mm));
     let second = aside.get(aside.len() / 2).ok_or_else(|| bad("has no camera beside the middle one"))?;
     let beside = Photo { width, height, rgb: picture(&folder.join(&second.file), width, height)? };
     let measured = measured(&reference, &beside, depth)?.filter(|m| m.span < 0.0).ok_or_else(|| bad("its depth cannot be measured"))?;
     let intrinsics = Intrinsics::centred(width, height, focal_over_width * f64::from(width));
-    let truth = |place: &&Place| {
-        let rgb = picture(&folder.join(&place.file), width, height)?;
+    let truth = |entry: &&CameraEntry| {
+        let rgb = picture(&folder.join(&entry.file), width, height)?;
         // the span is that of a camera to the left
         let way = |mm: f64| mm / second.b_mm;
-        Ok(Truth { camera: measured.camera(intrinsics, (way(place.b_mm), way(place.a_mm))), rgb })
+        Ok(Truth { camera: measured.camera(intrinsics, (way(entry.b_mm), way(entry.a_mm))), rgb })
     };
     let views = views.iter().map(truth).collect::<Result<_, LabError>>()?;
     Ok(Case { name: files::name(folder), photo, intrinsics, truth: measured.map.clone(), views })

@@ -54,13 +54,13 @@ pub struct Flags {
     pub max_error: f64,
     /// Frames between the last change near a block and a second estimate of its depth; 0: none
     #[arg(long, default_value_t = RECHECK.frames, value_name = "N")]
-    pub settle: u8,
+    pub recheck_frames: u8,
     /// Radius around a changed block that counts as near, in blocks of 8 pixels
     #[arg(long, default_value_t = RECHECK.blocks, value_name = "N")]
-    pub settle_blocks: u8,
+    pub recheck_blocks: u8,
     /// With estimated depth, milliseconds after sending tiles during which no others are sent
     #[arg(long, default_value_t = COOLDOWN.as_millis() as u16, value_parser = clap::value_parser!(u16).range(0..=1000), value_name = "MS")]
-    pub rest_ms: u16,
+    pub cooldown_ms: u16,
     /// Frames by which tiles arrive late; meanwhile the reader moves labels along with motion
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
     pub late: u32,
@@ -140,10 +140,10 @@ fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<(Vec<Row>, Vec<St
 /// Settings of the room for a sequence.
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
-    let Flags { parallax, max_error, settle, settle_blocks, rest_ms, .. } = settings.flags;
+    let Flags { parallax, max_error, recheck_frames, recheck_blocks, cooldown_ms, .. } = settings.flags;
     let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, ..Options::default() };
-    let recheck = RecheckSettings { frames: settle, blocks: settle_blocks };
-    Room { options, parallax, cooldown: Duration::from_millis(rest_ms.into()), recheck, frame_ms, ..Room::default() }
+    let recheck = RecheckSettings { frames: recheck_frames, blocks: recheck_blocks };
+    Room { options, parallax, cooldown: Duration::from_millis(cooldown_ms.into()), recheck, frame_ms, ..Room::default() }
 }
 
 /// Learns the initial state of the chunk coders (`crates/core/src/live/coder_prior.in`) from the chunks of rendered sequences.

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
+use super::cutout::CutoutShape;
 use super::families::look;
 use super::indoor::{body, indoor_light, ring_or_stick};
 use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, fbm, v3};
 use super::objects::Build;
 use super::outdoor::daylight;
-use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour, hsv};
 
@@ -16,7 +16,7 @@ fn backdrop(b: &mut Build, d: f64) {
     let pattern = if b.rng.chance(0.6) { b.rng.pick(&Pattern::STRONG) } else { b.rng.pick(&Pattern::QUIET) };
     let (g, t) = (b.w.group(), Texture::new(b.rng, pattern, d * b.rng.log_range(0.05, 0.5)));
     let turn: f64 = b.rng.range(-0.5, 0.5);
-    b.w.card(g, v3(0.0, 0.0, d), v3(turn.cos(), 0.0, turn.sin()), DOWN, (d * 5.0, d * 5.0), Outline::Full, t);
+    b.w.card(g, v3(0.0, 0.0, d), v3(turn.cos(), 0.0, turn.sin()), DOWN, (d * 5.0, d * 5.0), CutoutShape::Full, t);
 }
 
 /// Toys, cushions, books and cones heaped on steps in front of a wall: busy everywhere, with small depth differences between neighbours.
@@ -68,7 +68,7 @@ fn toy(b: &mut Build, at: V3, s: f64) {
         }
         8 => b.vessel(at, s * 4.0),
         _ => {
-            let o = Outline::subject(b.rng);
+            let o = CutoutShape::subject(b.rng);
             b.cutout(at, s * 1.2, -AHEAD, o, 0.9);
         }
     }
@@ -106,7 +106,7 @@ pub(super) fn closeup(b: &mut Build) {
     if b.rng.chance(0.6) {
         let (g, t) = (b.w.group(), Texture::any(b.rng, h * b.rng.log_range(0.3, 2.0)));
         let z = h * b.rng.log_range(1.8, 9.0);
-        b.w.card(g, v3(0.0, 0.0, z), RIGHT, DOWN, (z * 4.0, z * 3.0), Outline::Full, t);
+        b.w.card(g, v3(0.0, 0.0, z), RIGHT, DOWN, (z * 4.0, z * 3.0), CutoutShape::Full, t);
     }
     indoor_light(b, v3(b.rng.range(-2.0, 2.0), -2.0, b.rng.range(-1.0, 1.5)) * h);
 }
@@ -189,7 +189,7 @@ pub(super) fn foliage(b: &mut Build) {
     let far = d * b.rng.range(1.8, 8.0);
     if b.rng.chance(0.7) {
         let (g, t) = (b.w.group(), Texture::new(b.rng, Pattern::Foliage, far * b.rng.log_range(0.04, 0.3)));
-        b.w.card(g, v3(0.0, 0.0, far), RIGHT, DOWN, (far * 4.0, far * b.rng.range(0.3, 3.0)), Outline::Full, t);
+        b.w.card(g, v3(0.0, 0.0, far), RIGHT, DOWN, (far * 4.0, far * b.rng.range(0.3, 3.0)), CutoutShape::Full, t);
     }
     let ground = b.rng.chance(0.6).then(|| d * b.rng.range(0.3, 0.9));
     if let Some(y) = ground {
@@ -203,7 +203,7 @@ pub(super) fn foliage(b: &mut Build) {
     if b.rng.chance(0.6) {
         let z = d * b.rng.range(0.8, 1.6);
         let at = v3(b.rng.range(-0.4, 0.4) * z, ground.unwrap_or(z * 0.4), z);
-        let o = if b.rng.chance(0.6) { Outline::animal(b.rng) } else { Outline::subject(b.rng) };
+        let o = if b.rng.chance(0.6) { CutoutShape::animal(b.rng) } else { CutoutShape::subject(b.rng) };
         b.cutout(at, d * b.rng.range(0.4, 1.2), -AHEAD, o, 1.2);
     }
     look(b, V3::default(), b.rng.range(-15.0, 15.0), b.rng.range(-25.0, 20.0), b.rng.range(-8.0, 8.0));
@@ -225,7 +225,7 @@ fn plant(b: &mut Build, root: V3, s: f64) {
             let f = Frame::turned(root.lerp(tip, b.rng.range(0.25, 1.0)), &m);
             let size = long * b.rng.range(0.6, 1.2);
             let t = Texture::of(b.rng, Pattern::Noise, size * 0.5, [leaf, leaf * b.rng.range(0.5, 1.1), leaf]);
-            b.w.add(g, Frame { origin: f.origin + f.axes[1] * size, ..f }, Shape::Card(size * slim, size, Outline::Disc), t);
+            b.w.add(g, Frame { origin: f.origin + f.axes[1] * size, ..f }, Shape::Card(size * slim, size, CutoutShape::Disc), t);
         }
         if let Some(c) = bloom {
             let t = Texture::plain(b.rng, c);

@@ -1,9 +1,9 @@
 //! Families of close-range and indoor scenes: room, shelf, table, figures, floating objects.
 
+use super::cutout::CutoutShape;
 use super::families::look;
 use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, v3};
 use super::objects::Build;
-use super::outline::Outline;
 use super::shape::Shape;
 use super::texture::{Pattern, Texture, colour};
 use super::world::Light;
@@ -21,13 +21,13 @@ pub(super) fn room(b: &mut Build) {
     let pale = v3(0.75, 0.75, 0.72) * b.rng.range(0.6, 1.1);
     let ceiling_pattern = b.rng.pick(&[Pattern::Plain, Pattern::Plain, Pattern::Tiles, Pattern::Planks]);
     let ceiling = Texture::of(b.rng, ceiling_pattern, 0.6, [pale, pale * 0.7, pale * 0.5]);
-    b.w.card(g, v3(0.0, 0.0, 0.0), RIGHT, AHEAD, (hx, hz), Outline::Full, floor);
-    b.w.card(g, v3(0.0, -h, 0.0), RIGHT, AHEAD, (hx, hz), Outline::Full, ceiling);
+    b.w.card(g, v3(0.0, 0.0, 0.0), RIGHT, AHEAD, (hx, hz), CutoutShape::Full, floor);
+    b.w.card(g, v3(0.0, -h, 0.0), RIGHT, AHEAD, (hx, hz), CutoutShape::Full, ceiling);
     let sides =
         [(v3(0.0, 0.0, hz), RIGHT, hx), (v3(0.0, 0.0, -hz), -RIGHT, hx), (v3(hx, 0.0, 0.0), -AHEAD, hz), (v3(-hx, 0.0, 0.0), AHEAD, hz)];
     for (middle, right, half) in sides {
         let middle = middle - DOWN * (h * 0.5);
-        b.w.card(g, middle, right, DOWN, (half, h * 0.5), Outline::Full, walls.clone());
+        b.w.card(g, middle, right, DOWN, (half, h * 0.5), CutoutShape::Full, walls.clone());
         let outward = middle.mul(v3(1.0, 0.0, 1.0)).unit();
         for _ in 0..b.rng.int(0, 4) {
             decorate(b, middle, right, outward, half, h);
@@ -80,19 +80,19 @@ fn decorate(b: &mut Build, middle: V3, right: V3, outward: V3, half: f64, h: f64
             let pattern = b.rng.pick(&[Pattern::Print, Pattern::Print, Pattern::Marble, Pattern::Noise, Pattern::Gradient, Pattern::Text]);
             let picture = Texture::new(b.rng, pattern, scale);
             let y = b.rng.range(1.1, 1.9);
-            b.w.card(g, at(y, 0.02), right, DOWN, (w, t), Outline::Full, picture);
+            b.w.card(g, at(y, 0.02), right, DOWN, (w, t), CutoutShape::Full, picture);
             let rim = Texture::any(b.rng, 0.2);
-            b.w.card(g, at(y, 0.03), right, DOWN, (w + 0.04, t + 0.04), Outline::Window(0.08), rim);
+            b.w.card(g, at(y, 0.03), right, DOWN, (w + 0.04, t + 0.04), CutoutShape::Window(0.08), rim);
         }
         3 => {
             let scale = b.rng.range(0.5, 2.0);
             let sky = Texture::of(b.rng, Pattern::Noise, scale, [v3(0.8, 0.9, 1.0), v3(0.5, 0.7, 0.6), v3(0.3, 0.4, 0.3)])
                 .glowing(b.rng.range(0.4, 2.5));
             let (w, t) = (b.rng.range(0.3, 0.9), b.rng.range(0.4, 0.7));
-            b.w.card(g, at(1.5, 0.01), right, DOWN, (w, t), Outline::Full, sky);
+            b.w.card(g, at(1.5, 0.01), right, DOWN, (w, t), CutoutShape::Full, sky);
             let rim = Texture::any(b.rng, 0.2);
-            b.w.card(g, at(1.5, 0.04), right, DOWN, (w + 0.06, t + 0.06), Outline::Window(0.12), rim.clone());
-            b.w.card(g, at(1.5, 0.04), right, DOWN, (0.02, t), Outline::Full, rim);
+            b.w.card(g, at(1.5, 0.04), right, DOWN, (w + 0.06, t + 0.06), CutoutShape::Window(0.12), rim.clone());
+            b.w.card(g, at(1.5, 0.04), right, DOWN, (0.02, t), CutoutShape::Full, rim);
             if b.rng.chance(0.5) {
                 let cloth = Texture::any(b.rng, 0.15);
                 for side in [-1.0, 1.0] {
@@ -106,7 +106,7 @@ fn decorate(b: &mut Build, middle: V3, right: V3, outward: V3, half: f64, h: f64
         }
         4 => {
             let door = Texture::any(b.rng, 0.5);
-            b.w.card(g, at(1.0, 0.02), right, DOWN, (0.42, 1.0), Outline::Full, door);
+            b.w.card(g, at(1.0, 0.02), right, DOWN, (0.42, 1.0), CutoutShape::Full, door);
         }
         _ => {
             let t = Texture::any(b.rng, 0.4);
@@ -140,7 +140,7 @@ fn furnish(b: &mut Build, p: V3, h: f64, hx: f64, hz: f64) {
             let g = b.w.group();
             let t = Texture::any(b.rng, 0.3);
             let q = v3(p.x.clamp(-hx + 1.0, hx - 1.0), -0.004, p.z.clamp(-hz + 1.0, hz - 1.0));
-            b.w.card(g, q, RIGHT, AHEAD, (0.9, 0.9), if b.rng.chance(0.5) { Outline::Disc } else { Outline::Full }, t);
+            b.w.card(g, q, RIGHT, AHEAD, (0.9, 0.9), if b.rng.chance(0.5) { CutoutShape::Disc } else { CutoutShape::Full }, t);
         }
         10 => {
             let (g, t) = (b.w.group(), Texture::plain(b.rng, v3(0.2, 0.2, 0.2)));
@@ -175,7 +175,7 @@ pub(super) fn shelf(b: &mut Build) {
         b.rng.pick(&[Pattern::Noise, Pattern::Bricks, Pattern::Planks, Pattern::Plain])
     };
     let wall = Texture::new(b.rng, pattern, b.rng.log_range(0.04, 0.4));
-    b.w.card(g, v3(0.0, 0.0, d), RIGHT, DOWN, (wide, wide), Outline::Full, wall);
+    b.w.card(g, v3(0.0, 0.0, d), RIGHT, DOWN, (wide, wide), CutoutShape::Full, wall);
     let (yaw, pitch) = (b.rng.range(-35.0, 35.0), b.rng.range(-25.0, 25.0));
     let roll = if b.rng.chance(0.15) { b.rng.range(-90.0, 90.0) } else { b.rng.range(-6.0, 6.0) };
     look(b, v3(b.rng.range(-0.3, 0.3), 0.0, 0.0), yaw * 0.6, pitch * 0.6, roll);
@@ -188,7 +188,7 @@ pub(super) fn shelf(b: &mut Build) {
             let z = d * b.rng.range(0.4, 0.95);
             let at = v3(b.rng.range(-0.7, 0.7) * z, y, z);
             let s = d * b.rng.range(0.7, 2.2);
-            if b.rng.chance(0.7) { b.vessel(at, s) } else { b.cutout(at, 0.25 * s, -AHEAD, Outline::subject(b.rng), 0.8) }
+            if b.rng.chance(0.7) { b.vessel(at, s) } else { b.cutout(at, 0.25 * s, -AHEAD, CutoutShape::subject(b.rng), 0.8) }
         }
     }
     if b.rng.chance(0.5) {
@@ -212,7 +212,7 @@ pub(super) fn shelf(b: &mut Build) {
                 }
                 _ => {
                     let s = d * b.rng.range(0.1, 0.35);
-                    let o = Outline::subject(b.rng);
+                    let o = CutoutShape::subject(b.rng);
                     b.cutout(at, s, -AHEAD, o, 0.8);
                 }
             }
@@ -324,7 +324,7 @@ pub(super) fn figures(b: &mut Build) {
     });
     let turn: f64 = b.rng.range(-0.7, 0.7);
     if b.rng.chance(0.8) {
-        b.w.card(g, v3(0.0, 0.0, far), v3(turn.cos(), 0.0, turn.sin()), DOWN, (wide, wide), Outline::Full, back);
+        b.w.card(g, v3(0.0, 0.0, far), v3(turn.cos(), 0.0, turn.sin()), DOWN, (wide, wide), CutoutShape::Full, back);
     }
     let ground = b.rng.chance(0.35);
     if ground {
@@ -333,7 +333,7 @@ pub(super) fn figures(b: &mut Build) {
     for _ in 0..b.rng.int(0, 7) {
         let z = far * b.rng.range(0.45, 0.9);
         let at = v3(b.rng.range(-0.8, 0.8) * z, b.rng.range(-0.5, 0.6) * z, z);
-        let (s, o) = (z * b.rng.log_range(0.08, 0.4), Outline::subject(b.rng));
+        let (s, o) = (z * b.rng.log_range(0.08, 0.4), CutoutShape::subject(b.rng));
         b.cutout(at, s, -AHEAD, o, 0.8);
     }
     let near = far * b.rng.range(0.12, 0.4);
@@ -345,16 +345,16 @@ pub(super) fn figures(b: &mut Build) {
         match b.rng.int(0, 5) {
             0 | 1 => b.person(v3(x, y.max(size * 0.4), z), size * 1.4, std::f64::consts::PI + b.rng.range(-0.9, 0.9)),
             2 => {
-                let o = Outline::portrait(b.rng);
+                let o = CutoutShape::portrait(b.rng);
                 b.cutout(v3(x, y.max(size * 0.5), z), size, -AHEAD, o, 0.9);
             }
             3 => {
-                let o = Outline::subject(b.rng);
+                let o = CutoutShape::subject(b.rng);
                 b.cutout(v3(x, y, z), size, -AHEAD, o, 0.7);
             }
             4 => body(b, v3(x, y - size * 0.3, z), size * 0.35),
             _ => {
-                let o = Outline::animal(b.rng);
+                let o = CutoutShape::animal(b.rng);
                 b.cutout(v3(x, y, z), size * 0.8, -AHEAD, o, 1.3);
             }
         }
@@ -385,7 +385,7 @@ pub(super) fn floating(b: &mut Build) {
     look(b, V3::default(), 0.0, 0.0, 0.0);
     let far = b.rng.log_range(2.0, 10.0);
     let m = tmpi_core::Pose { yaw: b.rng.range(-60.0, 60.0), pitch: b.rng.range(-60.0, 60.0), ..Default::default() }.orientation();
-    let back = Shape::Card(far * 6.0, far * 6.0, Outline::Full);
+    let back = Shape::Card(far * 6.0, far * 6.0, CutoutShape::Full);
     b.put(Texture::any(b.rng, far * 0.3), Frame::turned(v3(0.0, 0.0, far), &m), back);
     for _ in 0..b.rng.int(4, 20) {
         let z = far * b.rng.range(0.25, 0.8);
@@ -399,7 +399,7 @@ pub(super) fn floating(b: &mut Build) {
             1 => b.w.add(g, f, Shape::Ellipsoid(v), t),
             2 => b.w.add(g, f, Shape::Cylinder(v.x, v.y * 0.4, v.z), t),
             3 => {
-                let o = Outline::subject(b.rng);
+                let o = CutoutShape::subject(b.rng);
                 b.w.add(g, f, Shape::Card(s, s, o), t);
             }
             _ => ring_or_stick(b, at, s),

@@ -5,6 +5,7 @@
 
 mod bvh;
 mod close;
+mod cutout;
 mod families;
 mod furnished;
 pub mod hidden_colours;
@@ -13,7 +14,6 @@ mod math;
 mod model;
 mod objects;
 mod outdoor;
-mod outline;
 mod photo_texture;
 mod places;
 mod shape;

@@ -1,7 +1,7 @@
 //! Compound objects for scenes: people, trees, furniture, vessels, cars, fences.
 
+use super::cutout::CutoutShape;
 use super::math::{DOWN, Frame, Rng, V3, v3};
-use super::outline::Outline;
 use super::shape::Shape;
 use super::texture::{Pattern, Texture, colour, hsv};
 use super::world::World;
@@ -100,14 +100,14 @@ impl Build<'_> {
     }
 
     /// A flat figure at `at` that roughly faces the direction `toward` (unit, horizontal), `height` metres high.
-    pub fn cutout(&mut self, at: V3, height: f64, toward: V3, outline: Outline, aspect: f64) {
+    pub fn cutout(&mut self, at: V3, height: f64, toward: V3, cutout: CutoutShape, aspect: f64) {
         let g = self.w.group();
         let yaw = self.rng.range(-0.6, 0.6);
         let (s, c) = yaw.sin_cos();
         let right = v3(toward.z * c - toward.x * s, 0.0, -toward.x * c - toward.z * s).unit();
         let scale = height * self.rng.log_range(0.05, 0.5);
         let t = Texture::any(self.rng, scale);
-        self.w.card(g, at - DOWN * (height * 0.5), right, DOWN, (height * 0.5 * aspect, height * 0.5), outline, t);
+        self.w.card(g, at - DOWN * (height * 0.5), right, DOWN, (height * 0.5 * aspect, height * 0.5), cutout, t);
     }
 
     pub fn tree(&mut self, at: V3, height: f64) {
@@ -140,9 +140,9 @@ impl Build<'_> {
                 for _ in 0..self.rng.int(8, 24) {
                     let size = height * self.rng.range(0.06, 0.16);
                     let off = v3(self.rng.range(-1.0, 1.0), self.rng.range(-1.2, 0.8), self.rng.range(-1.0, 1.0)) * (height * 0.26);
-                    let outline = Outline::Crown(self.rng.range(3.0, 7.0), self.rng.next() as u32);
+                    let cutout = CutoutShape::Crown(self.rng.range(3.0, 7.0), self.rng.next() as u32);
                     let frame = Frame::turned(top + off - DOWN * (height * 0.1), &self.rng.rotation());
-                    self.w.add(g, frame, Shape::Card(size, size, outline), crown.clone());
+                    self.w.add(g, frame, Shape::Card(size, size, cutout), crown.clone());
                 }
             }
         }
@@ -309,7 +309,7 @@ impl Build<'_> {
                     let tex = Texture::of(self.rng, Pattern::Noise, 0.05, [leaf, leaf * 0.6, leaf]);
                     let tip = v3(self.rng.range(-0.12, 0.12), -self.rng.range(0.1, 0.3), self.rng.range(-0.12, 0.12)) * s;
                     let f = Frame::along(up(0.12) + tip * 0.5, tip);
-                    self.w.add(g, f, Shape::Card(0.02 * s, tip.norm() * 0.5, Outline::Disc), tex);
+                    self.w.add(g, f, Shape::Card(0.02 * s, tip.norm() * 0.5, CutoutShape::Disc), tex);
                 }
             }
         }

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
+use super::cutout::CutoutShape;
 use super::families::look;
 use super::indoor::ring_or_stick;
 use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, fbm, v3};
 use super::objects::Build;
-use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour, hsv};
 use super::world::Light;
@@ -70,7 +70,7 @@ pub(super) fn street(b: &mut Build) {
     let paint = Texture::plain(b.rng, v3(0.7, 0.7, 0.65));
     for i in 0..14 {
         let at = v3(0.0, -0.003, f64::from(i) * 5.0 - 10.0);
-        b.w.card(g, at, RIGHT, AHEAD, (0.08, 1.2), Outline::Full, paint.clone());
+        b.w.card(g, at, RIGHT, AHEAD, (0.08, 1.2), CutoutShape::Full, paint.clone());
     }
     let walk = b.rng.range(1.0, 3.0);
     for side in [-1.0, 1.0] {
@@ -155,7 +155,7 @@ fn horizon(b: &mut Build, far: f64) {
             let (g, t) = (b.w.group(), Texture::new(b.rng, pattern, far * b.rng.log_range(0.02, 0.2)));
             let tall = far * b.rng.range(0.06, 0.5);
             let turn: f64 = b.rng.range(-0.5, 0.5);
-            b.w.card(g, v3(0.0, -tall, far), v3(turn.cos(), 0.0, turn.sin()), DOWN, (far * 6.0, tall), Outline::Full, t);
+            b.w.card(g, v3(0.0, -tall, far), v3(turn.cos(), 0.0, turn.sin()), DOWN, (far * 6.0, tall), CutoutShape::Full, t);
         }
         _ => {
             for _ in 0..b.rng.int(1, 8) {
@@ -179,7 +179,7 @@ pub(super) fn field(b: &mut Build) {
     let pitch = if h > 3.0 { b.rng.range(-35.0, -5.0) } else { b.rng.range(-16.0, 8.0) };
     look(b, v3(0.0, -h, 0.0), 0.0, pitch, b.rng.range(-4.0, 4.0));
     let crowd = b.rng.chance(0.15);
-    let herd = b.rng.chance(0.25).then(|| Outline::animal(b.rng));
+    let herd = b.rng.chance(0.25).then(|| CutoutShape::animal(b.rng));
     let middle = b.rng.log_range(1.6, (0.5 * far).min(12.0));
     for _ in 0..if crowd { b.rng.int(15, 45) } else { b.rng.int(2, 11) } {
         let z = if crowd || b.rng.chance(0.5) { middle * b.rng.log_range(0.6, 2.5) } else { b.rng.log_range(1.3, (far * 0.5).min(14.0)) }
@@ -193,7 +193,7 @@ pub(super) fn field(b: &mut Build) {
         match if crowd { 0 } else { b.rng.int(0, 9) } {
             0..=2 => b.person(at, b.rng.range(1.2, 1.9), b.rng.range(-3.1, 3.1)),
             3 | 4 => {
-                let (o, s) = (Outline::subject(b.rng), b.rng.log_range(0.4, 2.2));
+                let (o, s) = (CutoutShape::subject(b.rng), b.rng.log_range(0.4, 2.2));
                 // kites and balls fly
                 let lift = if b.rng.chance(0.25) { b.rng.range(0.0, 0.4) * z } else { 0.0 };
                 b.cutout(at - DOWN * lift, s, -AHEAD, o, 0.8);
@@ -231,7 +231,7 @@ pub(super) fn thin(b: &mut Build) {
     if b.rng.chance(0.7) {
         let (g, t) = (b.w.group(), Texture::any(b.rng, far * b.rng.log_range(0.05, 0.5)));
         let turn: f64 = b.rng.range(-0.8, 0.8);
-        b.w.card(g, v3(0.0, 0.0, far), v3(turn.cos(), 0.0, turn.sin()), DOWN, (far * 4.0, far * 3.0), Outline::Full, t);
+        b.w.card(g, v3(0.0, 0.0, far), v3(turn.cos(), 0.0, turn.sin()), DOWN, (far * 4.0, far * 3.0), CutoutShape::Full, t);
     }
     look(b, V3::default(), b.rng.range(-20.0, 20.0), b.rng.range(-12.0, 30.0), b.rng.range(-6.0, 6.0));
     for _ in 0..b.rng.int(0, 4) {

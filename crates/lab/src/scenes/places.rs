@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
+use super::cutout::CutoutShape;
 use super::families::look;
 use super::indoor::indoor_light;
 use super::math::{AHEAD, DOWN, Frame, RIGHT, V3, v3};
 use super::objects::Build;
 use super::outdoor::daylight;
-use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour};
 use super::world::Light;
@@ -17,8 +17,8 @@ fn shell(b: &mut Build, hx: f64, hz: f64, h: f64) {
     let g = b.w.group();
     let (floor, pale) = (Texture::any(b.rng, b.rng.log_range(0.1, 0.8)), v3(0.75, 0.75, 0.72) * b.rng.range(0.3, 1.1));
     let ceiling = Texture::plain(b.rng, pale);
-    b.w.card(g, V3::default(), RIGHT, AHEAD, (hx, hz), Outline::Full, floor);
-    b.w.card(g, v3(0.0, -h, 0.0), RIGHT, AHEAD, (hx, hz), Outline::Full, ceiling);
+    b.w.card(g, V3::default(), RIGHT, AHEAD, (hx, hz), CutoutShape::Full, floor);
+    b.w.card(g, v3(0.0, -h, 0.0), RIGHT, AHEAD, (hx, hz), CutoutShape::Full, ceiling);
     let plain = b.rng.chance(0.6).then(|| colour(b.rng).lerp(pale, b.rng.unit()));
     for (mid, right, half) in
         [(v3(0.0, 0.0, hz), RIGHT, hx), (v3(0.0, 0.0, -hz), -RIGHT, hx), (v3(hx, 0.0, 0.0), -AHEAD, hz), (v3(-hx, 0.0, 0.0), AHEAD, hz)]
@@ -27,7 +27,7 @@ fn shell(b: &mut Build, hx: f64, hz: f64, h: f64) {
             Some(c) => Texture::plain(b.rng, c),
             None => Texture::any(b.rng, b.rng.log_range(0.2, 3.0)),
         };
-        b.w.card(g, mid - DOWN * (h * 0.5), right, DOWN, (half, h * 0.5), Outline::Full, wall);
+        b.w.card(g, mid - DOWN * (h * 0.5), right, DOWN, (half, h * 0.5), CutoutShape::Full, wall);
     }
 }
 
@@ -43,8 +43,8 @@ pub(super) fn corridor(b: &mut Build) {
         for side in [-1.0, 1.0] {
             if b.rng.chance(0.6) {
                 let (g, x) = (b.w.group(), side * (hx - 0.02));
-                b.w.card(g, v3(x, -1.0, z), AHEAD, DOWN, (0.45, 1.0), Outline::Full, door.clone());
-                b.w.card(g, v3(x * 0.995, -1.03, z), AHEAD, DOWN, (0.52, 1.03), Outline::Window(0.1), frame.clone());
+                b.w.card(g, v3(x, -1.0, z), AHEAD, DOWN, (0.45, 1.0), CutoutShape::Full, door.clone());
+                b.w.card(g, v3(x * 0.995, -1.03, z), AHEAD, DOWN, (0.52, 1.03), CutoutShape::Window(0.1), frame.clone());
             } else if b.rng.chance(0.5) {
                 let t = Texture::any(b.rng, 0.3);
                 let half = v3(b.rng.range(0.1, 0.4) * hx, b.rng.range(0.2, 1.0), b.rng.range(0.15, 0.6));
@@ -105,9 +105,9 @@ pub(super) fn lounge(b: &mut Build) {
                 if b.rng.chance(0.5) { Texture::plain(b.rng, tone).glowing(b.rng.range(0.0, 0.8)) } else { Texture::any(b.rng, 0.6) };
             let at = out * (reach - b.rng.range(0.02, 0.3)) + along * (b.rng.range(-0.4, 0.4) * span) - DOWN * b.rng.range(0.8, 1.6);
             let g = b.w.group();
-            b.w.card(g, at, along, DOWN, (w, t), Outline::Full, face);
+            b.w.card(g, at, along, DOWN, (w, t), CutoutShape::Full, face);
             let rim = Texture::plain(b.rng, v3(0.3, 0.3, 0.3));
-            b.w.card(g, at - out * 0.01, along, DOWN, (w + 0.03, t + 0.03), Outline::Window(0.06), rim);
+            b.w.card(g, at - out * 0.01, along, DOWN, (w + 0.03, t + 0.03), CutoutShape::Window(0.06), rim);
         }
     }
     let yaw = b.rng.range(-180.0, 180.0);
@@ -238,7 +238,7 @@ pub(super) fn water(b: &mut Build) {
         match b.rng.int(0, 4) {
             0 | 1 => b.person(p, b.rng.range(1.4, 1.9), b.rng.range(-3.1, 3.1)),
             2 => {
-                let o = if b.rng.chance(0.5) { Outline::animal(b.rng) } else { Outline::subject(b.rng) };
+                let o = if b.rng.chance(0.5) { CutoutShape::animal(b.rng) } else { CutoutShape::subject(b.rng) };
                 let lift = if b.rng.chance(0.4) { b.rng.range(0.1, 0.5) * z } else { 0.0 };
                 b.cutout(p - DOWN * lift, b.rng.range(0.5, 1.7), -AHEAD, o, 1.1);
             }
@@ -264,7 +264,7 @@ fn boat(b: &mut Build, at: V3, s: f64) {
     if b.rng.chance(0.5) {
         b.w.bar(g, at, at - DOWN * (2.2 * s), (0.03 * s, 0.02 * s), t);
         let sail = Texture::plain(b.rng, v3(0.85, 0.83, 0.8));
-        b.w.card(g, f.point_out(v3(0.4 * s, -1.2 * s, 0.0)), f.axes[0], DOWN, (0.4 * s, 0.9 * s), Outline::Full, sail);
+        b.w.card(g, f.point_out(v3(0.4 * s, -1.2 * s, 0.0)), f.axes[0], DOWN, (0.4 * s, 0.9 * s), CutoutShape::Full, sail);
     } else {
         let half = v3(0.4, 0.2, 0.25) * s;
         b.w.add(g, Frame { origin: f.point_out(v3(0.0, -0.4 * s, 0.0)), ..f }, Shape::Cuboid(half), t);

@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
+use super::cutout::CutoutShape;
 use super::math::{V3, v3};
 use super::model::Mesh;
-use super::outline::Outline;
 
 #[derive(Clone, Debug)]
 pub(super) enum Shape {
     /// The plane y = 0; solid below (y > 0).
     Plane,
-    /// A flat piece of z = 0 with these half extents, cut by an outline.
-    Card(f64, f64, Outline),
+    /// A flat piece of z = 0 with these half extents, of this cut-out shape.
+    Card(f64, f64, CutoutShape),
     /// Box with these half extents; from inside, a room.
     Cuboid(V3),
     /// Ellipsoid with these semi-axes.
@@ -152,14 +152,14 @@ impl Shape {
                 let t = -o.y / d.y;
                 (t > near && t < far).then_some((t, v3(0.0, -1.0, 0.0)))
             }
-            Self::Card(hx, hy, outline) => {
+            Self::Card(hx, hy, cutout) => {
                 let t = -o.z / d.z;
                 if !(t > near && t < far) {
                     return None;
                 }
                 let p = o + d * t;
                 let (x, y) = (p.x / hx, p.y / hy);
-                (x.abs() <= 1.0 && y.abs() <= 1.0 && outline.contains(x, y)).then_some((t, v3(0.0, 0.0, -1.0)))
+                (x.abs() <= 1.0 && y.abs() <= 1.0 && cutout.contains(x, y)).then_some((t, v3(0.0, 0.0, -1.0)))
             }
             Self::Cuboid(h) => {
                 let (t0, t1) = slab(o, d, *h)?;

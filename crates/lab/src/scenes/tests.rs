@@ -60,7 +60,7 @@ fn disparity_of_a_sphere_and_a_card_is_exact() {
         assert!((f64::from(have) - want).abs() < 1e-6);
     }
     let m = Pose { yaw: 30.0, ..Pose::default() }.orientation();
-    let card = single(Shape::Card(1e3, 1e3, outline::Outline::Full), Frame::turned(v3(0.0, 0.0, 2.0), &m));
+    let card = single(Shape::Card(1e3, 1e3, cutout::CutoutShape::Full), Frame::turned(v3(0.0, 0.0, 2.0), &m));
     let map = card.render(&cam, 1).disparity;
     // the plane (sin 30°, 0, cos 30°) · (X − (0, 0, 2)) = 0: δ is affine in the picture
     let (sin, cos) = 30f64.to_radians().sin_cos();
@@ -88,7 +88,7 @@ fn hits_satisfy_the_primitives_equations() {
     let field = shape::Field::new(3.0, 33, |x, z| 0.3 * (x * 2.0).sin() * (z * 1.5).cos());
     let shapes = [
         Shape::Plane,
-        Shape::Card(2.0, 1.0, outline::Outline::Disc),
+        Shape::Card(2.0, 1.0, cutout::CutoutShape::Disc),
         Shape::Cuboid(v3(1.0, 2.0, 0.5)),
         Shape::Ellipsoid(v3(1.0, 2.0, 0.5)),
         Shape::Cylinder(1.0, 0.3, 0.8),

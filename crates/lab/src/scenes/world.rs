@@ -1,8 +1,8 @@
 //! Objects, light and sky of a scene; traces and shades single rays.
 
 use super::bvh::{Aabb, Bvh};
+use super::cutout::CutoutShape;
 use super::math::{Frame, Rng, V3, fbm, smoothstep, v3};
-use super::outline::Outline;
 use super::shape::Shape;
 use super::texture::Texture;
 
@@ -94,9 +94,9 @@ impl World {
 
     /// Adds a flat piece around `centre`, spanned by two perpendicular unit vectors.
     #[allow(clippy::too_many_arguments, reason = "each names one geometric quantity; a struct would only repeat them")]
-    pub fn card(&mut self, group: u32, centre: V3, right: V3, down: V3, half: (f64, f64), outline: Outline, texture: Texture) {
+    pub fn card(&mut self, group: u32, centre: V3, right: V3, down: V3, half: (f64, f64), cutout: CutoutShape, texture: Texture) {
         let frame = Frame { origin: centre, axes: [right, down, right.cross(down)] };
-        self.add(group, frame, Shape::Card(half.0, half.1, outline), texture);
+        self.add(group, frame, Shape::Card(half.0, half.1, cutout), texture);
     }
 
     /// Adds a round bar from `a` to `b`.

@@ -98,10 +98,10 @@ pub(crate) struct Listed {
 
 /// The blob store.
 #[derive(Clone, Debug)]
-pub struct BlobStore(Place);
+pub struct BlobStore(Backend);
 
 #[derive(Clone, Debug)]
-enum Place {
+enum Backend {
     Folder(Folder),
     Objects(Objects),
 }
@@ -110,8 +110,8 @@ enum Place {
 macro_rules! on_either {
     ($blobs:ident, $store:ident => $call:expr) => {
         match &$blobs.0 {
-            Place::Folder($store) => $call,
-            Place::Objects($store) => $call,
+            Backend::Folder($store) => $call,
+            Backend::Objects($store) => $call,
         }
     };
 }
@@ -119,25 +119,25 @@ macro_rules! on_either {
 impl BlobStore {
     /// A local folder, created if missing.
     pub(crate) fn folder(path: &Path, reserve: Reserve) -> Result<Self> {
-        Folder::open(path, reserve).map(|folder| Self(Place::Folder(folder)))
+        Folder::open(path, reserve).map(|folder| Self(Backend::Folder(folder)))
     }
 
     /// The same with other file operations.
     #[cfg(test)]
     pub(crate) fn folder_of(files: std::sync::Arc<dyn Files>, path: &Path) -> Result<Self> {
-        Folder::open_in(files, path, Reserve::default()).map(|folder| Self(Place::Folder(folder)))
+        Folder::open_in(files, path, Reserve::default()).map(|folder| Self(Backend::Folder(folder)))
     }
 
     /// An S3 server with a bucket `photos`.
     #[cfg(test)]
     pub(crate) fn s3_at(addr: std::net::SocketAddr) -> Self {
-        Self(Place::Objects(Objects::s3_at(addr)))
+        Self(Backend::Objects(Objects::s3_at(addr)))
     }
 
     /// A bucket and a prefix: `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX` or `az://CONTAINER/PREFIX`. Endpoint, region and credentials come
     /// from the usual environment variables.
     pub(crate) fn objects(url: &str) -> Result<Self> {
-        Objects::open(url).map(|objects| Self(Place::Objects(objects)))
+        Objects::open(url).map(|objects| Self(Backend::Objects(objects)))
     }
 
     /// Writes, reads and deletes a blob.
@@ -155,14 +155,14 @@ impl BlobStore {
     /// # Errors
     /// [`LibraryError::StorageFull`].
     pub fn check_space(&self, bytes: u64) -> Result<()> {
-        let Place::Folder(folder) = &self.0 else { return Ok(()) };
+        let Backend::Folder(folder) = &self.0 else { return Ok(()) };
         folder.check_space(bytes)
     }
 
     /// Free space of the disk; `None` for an object store.
     #[must_use]
     pub fn disk_space(&self) -> Option<DiskSpace> {
-        let Place::Folder(folder) = &self.0 else { return None };
+        let Backend::Folder(folder) = &self.0 else { return None };
         folder.disk_space()
     }
 
@@ -194,8 +194,8 @@ impl BlobStore {
             // some may have been written; an object store may not answer now, so the caller does not wait for it
             let (store, names) = (self.clone(), blobs.into_values().map(|blob| blob.name).collect::<Vec<_>>());
             match &self.0 {
-                Place::Folder(_) => store.discard(names).await,
-                Place::Objects(_) => drop(tokio::spawn(async move { store.discard(names).await })),
+                Backend::Folder(_) => store.discard(names).await,
+                Backend::Objects(_) => drop(tokio::spawn(async move { store.discard(names).await })),
             }
             return Err(error);
         }
@@ -253,7 +253,7 @@ impl BlobStore {
     /// The file of a blob, if the store is a local folder.
     #[must_use]
     pub fn path(&self, blob: &Blob) -> Option<PathBuf> {
-        let Place::Folder(folder) = &self.0 else { return None };
+        let Backend::Folder(folder) = &self.0 else { return None };
         Some(folder.path(&blob.name))
     }
 
@@ -273,8 +273,8 @@ impl BlobStore {
     /// [`Self::discard`], in an object store after [`READERS`]: readers fetch objects piece by piece, while they keep files open.
     pub(crate) async fn discard_later(&self, names: Vec<String>) {
         match &self.0 {
-            Place::Folder(_) => self.discard(names).await,
-            Place::Objects(_) => {
+            Backend::Folder(_) => self.discard(names).await,
+            Backend::Objects(_) => {
                 let store = self.clone();
                 tokio::spawn(async move {
                     tokio::time::sleep(READERS).await;

@@ -1,6 +1,6 @@
 //! Crashes at any point: accepted photos are finished, nothing is lost, and nothing is made twice.
 
-use super::forgetful_disk::Forgetful;
+use super::lossy_disk::LossyDisk;
 use super::*;
 
 on_both! {
@@ -189,8 +189,8 @@ async fn workers_and_uploads_that_die_at_random_lose_and_duplicate_nothing(bed: 
 }
 
 /// A node whose blob folder loses unsynced data.
-async fn forgetful(bed: &Bed) -> (Library, Arc<Forgetful>) {
-    let files = Arc::new(Forgetful::default());
+async fn on_lossy_disk(bed: &Bed) -> (Library, Arc<LossyDisk>) {
+    let files = Arc::new(LossyDisk::default());
     let blobs = BlobStore::folder_of(files.clone(), Path::new("/blobs")).unwrap();
     (bed.node_of(blobs, Limits::default()).await, files)
 }
@@ -199,7 +199,7 @@ async fn forgetful(bed: &Bed) -> (Library, Arc<Forgetful>) {
 async fn accepted_uploads_survive_a_power_failure() {
     for steps in 0.. {
         let bed = Bed::sqlite();
-        let (library, files) = forgetful(&bed).await;
+        let (library, files) = on_lossy_disk(&bed).await;
         files.end_after(steps);
         let accepted = library.accept(photo(1)).await;
         files.crash();
@@ -220,7 +220,7 @@ async fn accepted_uploads_survive_a_power_failure() {
 #[tokio::test]
 async fn a_full_disk_refuses_uploads_and_delays_makings() {
     let bed = Bed::sqlite();
-    let (library, files) = forgetful(&bed).await;
+    let (library, files) = on_lossy_disk(&bed).await;
     library.accept(photo(1)).await.unwrap();
     let lease = library.take(&[JobKind::Make], LEASE).await.unwrap().unwrap();
     files.fill(true);

@@ -6,7 +6,7 @@ mod change_notifications;
 mod crash;
 mod credentials;
 mod exports;
-mod forgetful_disk;
+mod lossy_disk;
 mod opening;
 mod photos;
 mod queue;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::onnx_io::{Ports, Values};
+use super::onnx_io::{OnnxIo, Values};
 use super::smooth::smooth;
 use super::{Adapter, DepthError, Estimate, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
 use crate::networks::{Config, ExternalData, Network, OnnxError, Session};
@@ -23,14 +23,14 @@ pub struct Monocular {
     /// Size rule before a file's fixed dimensions overrode it.
     rule: SizeRule,
     network: Arc<dyn Network>,
-    ports: Ports,
+    io: OnnxIo,
 }
 
 impl Monocular {
     /// Depth by `network`, which takes one picture and returns, as its first output, what `adapter` describes.
     #[must_use]
     pub fn new(adapter: &Adapter, network: Arc<dyn Network>) -> Self {
-        Self { adapter: *adapter, rule: adapter.size, network, ports: Ports::PLAIN }
+        Self { adapter: *adapter, rule: adapter.size, network, io: OnnxIo::PLAIN }
     }
 
     /// Loads the network from the bytes of an ONNX file and of the files of weights that it names. Fixed dimensions in the file override
@@ -41,12 +41,12 @@ impl Monocular {
     pub fn load(adapter: &Adapter, model: &[u8], external_data: &[ExternalData], config: &Config) -> Result<Self, OnnxError> {
         let session = Session::load_with(adapter.name, model, external_data, config)?;
         let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
-        let (ports, rows, columns) = Ports::of(adapter, session.inputs(), session.outputs()).map_err(bad)?;
+        let (io, rows, columns) = OnnxIo::of(adapter, session.inputs(), session.outputs()).map_err(bad)?;
         let (rule, mut adapter) = (adapter.size, *adapter);
         if let (Ok(w @ 1..), Ok(h @ 1..)) = (u32::try_from(columns), u32::try_from(rows)) {
             adapter.size = SizeRule::Fixed(w, h);
         }
-        Ok(Self { adapter, rule, network: Arc::new(session), ports })
+        Ok(Self { adapter, rule, network: Arc::new(session), io })
     }
 
     /// Runs the network once. Returns disparity at the network's size, without the margins that the photo was given; every value is
@@ -54,9 +54,9 @@ impl Monocular {
     fn run(&self, photo: &Photo, (w, h): (u32, u32), mirrored: bool) -> Result<DisparityMap, DepthError> {
         let planar = self.input(photo, (w, h), mirrored);
         let (w, h) = (w as usize, h as usize);
-        let out = self.network.run(self.ports.inputs(&self.adapter, planar, w, h))?;
+        let out = self.network.run(self.io.inputs(&self.adapter, planar, w, h))?;
         let fail = |reason: String| OnnxError::Run { name: self.adapter.name.to_owned(), reason };
-        let Values { data, sky } = self.ports.values(&self.adapter, out, w, h).map_err(fail)?;
+        let Values { data, sky } = self.io.values(&self.adapter, out, w, h).map_err(fail)?;
         if !data.iter().any(|v| v.is_finite()) {
             return Err(fail("it returned no finite value".into()).into());
         }

@@ -6,7 +6,7 @@ use crate::networks::{Tensor, TensorInfo};
 
 /// Indices of a graph's inputs and outputs.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Ports {
+pub(super) struct OnnxIo {
     /// Number of inputs, and index of the picture among them.
     inputs: usize,
     picture: usize,
@@ -27,11 +27,11 @@ pub(super) struct Values {
     pub sky: Vec<bool>,
 }
 
-impl Ports {
+impl OnnxIo {
     /// One picture in, the map as the first output.
     pub(super) const PLAIN: Self = Self { inputs: 1, picture: 0, views: false, tokens: None, map: 0, sky: None, scale: None };
 
-    /// The ports that `adapter` describes, and the rows and columns that the picture is fixed to, −1 if any size will do.
+    /// The inputs and outputs that `adapter` describes, and the rows and columns that the picture is fixed to, −1 if any size will do.
     ///
     /// # Errors
     /// A text that says what does not fit.
@@ -74,7 +74,7 @@ impl Ports {
                 return Err(format!("it returns {}, but none is called {}", given.join(", "), map.join(" or ")));
             }
         };
-        let ports = Self {
+        let io = Self {
             inputs: inputs.len(),
             picture,
             views: shape.len() == 5,
@@ -83,7 +83,7 @@ impl Ports {
             sky: sky.and_then(|s| index(&[s.name])),
             scale: index(scale),
         };
-        Ok((ports, rows, columns))
+        Ok((io, rows, columns))
     }
 
     /// All inputs for a picture of `w × h` pixels, in the adapter's layout.
@@ -146,46 +146,46 @@ mod tests {
     use super::super::adapter;
     use super::*;
 
-    fn port(name: &str, shape: &[i64]) -> TensorInfo {
+    fn info(name: &str, shape: &[i64]) -> TensorInfo {
         TensorInfo { name: name.into(), shape: shape.to_vec() }
     }
 
-    fn of(name: &str, inputs: &[TensorInfo], outputs: &[&str]) -> Result<(Ports, i64, i64), String> {
-        let outputs: Vec<_> = outputs.iter().map(|o| port(o, &[1, -1, -1])).collect();
-        Ports::of(adapter(name).unwrap(), inputs, &outputs)
+    fn of(name: &str, inputs: &[TensorInfo], outputs: &[&str]) -> Result<(OnnxIo, i64, i64), String> {
+        let outputs: Vec<_> = outputs.iter().map(|o| info(o, &[1, -1, -1])).collect();
+        OnnxIo::of(adapter(name).unwrap(), inputs, &outputs)
     }
 
     #[test]
     fn published_interfaces_are_matched() {
-        let image = port("image", &[-1, 3, -1, -1]);
-        for (tokens, dimensions) in [(port("num_tokens", &[]), 0), (port("num_tokens", &[1]), 1)] {
-            let (ports, rows, columns) = of("moge-2", &[image.clone(), tokens], &["points", "normal", "mask", "metric_scale"]).unwrap();
-            let want = Ports { inputs: 2, tokens: Some((1, dimensions)), sky: Some(2), scale: Some(3), ..Ports::PLAIN };
-            assert_eq!((ports, rows, columns), (want, -1, -1));
+        let image = info("image", &[-1, 3, -1, -1]);
+        for (tokens, dimensions) in [(info("num_tokens", &[]), 0), (info("num_tokens", &[1]), 1)] {
+            let (io, rows, columns) = of("moge-2", &[image.clone(), tokens], &["points", "normal", "mask", "metric_scale"]).unwrap();
+            let want = OnnxIo { inputs: 2, tokens: Some((1, dimensions)), sky: Some(2), scale: Some(3), ..OnnxIo::PLAIN };
+            assert_eq!((io, rows, columns), (want, -1, -1));
         }
-        let (ports, rows, columns) = of("moge-2", &[port("image", &[1, 3, 392, 518])], &["points", "mask", "scale"]).unwrap();
-        assert_eq!((ports, rows, columns), (Ports { sky: Some(1), scale: Some(2), ..Ports::PLAIN }, 392, 518));
-        let five = [port("pixel_values", &[-1, -1, 3, -1, -1])];
-        let (ports, ..) = of("depth-anything-3", &five, &["predicted_depth", "confidence", "extrinsics", "intrinsics"]).unwrap();
-        assert_eq!(ports, Ports { views: true, ..Ports::PLAIN });
-        let (ports, rows, columns) = of("depth-anything-3", &[port("image", &[1, 3, 378, 504])], &["sky", "depth"]).unwrap();
-        assert_eq!((ports, rows, columns), (Ports { map: 1, sky: Some(0), ..Ports::PLAIN }, 378, 504));
-        assert_eq!(of("dpt-large", &[port("pixel_values", &[1, 3, 384, 384])], &["what", "ever"]).unwrap().0, Ports::PLAIN);
+        let (io, rows, columns) = of("moge-2", &[info("image", &[1, 3, 392, 518])], &["points", "mask", "scale"]).unwrap();
+        assert_eq!((io, rows, columns), (OnnxIo { sky: Some(1), scale: Some(2), ..OnnxIo::PLAIN }, 392, 518));
+        let five = [info("pixel_values", &[-1, -1, 3, -1, -1])];
+        let (io, ..) = of("depth-anything-3", &five, &["predicted_depth", "confidence", "extrinsics", "intrinsics"]).unwrap();
+        assert_eq!(io, OnnxIo { views: true, ..OnnxIo::PLAIN });
+        let (io, rows, columns) = of("depth-anything-3", &[info("image", &[1, 3, 378, 504])], &["sky", "depth"]).unwrap();
+        assert_eq!((io, rows, columns), (OnnxIo { map: 1, sky: Some(0), ..OnnxIo::PLAIN }, 378, 504));
+        assert_eq!(of("dpt-large", &[info("pixel_values", &[1, 3, 384, 384])], &["what", "ever"]).unwrap().0, OnnxIo::PLAIN);
     }
 
     #[test]
     fn errors_name_what_does_not_fit() {
-        let image = || port("image", &[1, 3, -1, -1]);
+        let image = || info("image", &[1, 3, -1, -1]);
         let says = |name, inputs: &[TensorInfo], outputs: &[&str], text: &str| {
             let error = of(name, inputs, outputs).unwrap_err();
             assert!(error.contains(text), "{error}");
         };
-        says("depth-anything-3", &[port("image", &[1, 1, 3, 504, 504]), port("intrinsics", &[1, 1, 3, 3])], &["depth"], "needs intrinsics");
-        says("depth-anything-3", &[port("image", &[1, 32, 3, 504, 504])], &["depth"], "32 pictures at once");
-        says("depth-anything-v2", &[port("image", &[1, 1, 3, 504, 504])], &["depth"], "[1, 1, 3, 504, 504]");
+        says("depth-anything-3", &[info("image", &[1, 1, 3, 504, 504]), info("intrinsics", &[1, 1, 3, 3])], &["depth"], "needs intrinsics");
+        says("depth-anything-3", &[info("image", &[1, 32, 3, 504, 504])], &["depth"], "32 pictures at once");
+        says("depth-anything-v2", &[info("image", &[1, 1, 3, 504, 504])], &["depth"], "[1, 1, 3, 504, 504]");
         says("moge-2", &[image()], &["depth", "normal"], "returns depth, normal, but none is called points");
-        says("moge-2", &[port("num_tokens", &[])], &["points"], "none of its inputs is a picture");
-        says("zipdepth", &[port("image", &[1, 1, 32, 32])], &["depth"], "three channels");
+        says("moge-2", &[info("num_tokens", &[])], &["points"], "none of its inputs is a picture");
+        says("zipdepth", &[info("image", &[1, 1, 32, 32])], &["depth"], "three channels");
         says("zipdepth", &[], &[], "none of its inputs");
     }
 
@@ -196,40 +196,40 @@ mod tests {
     #[test]
     fn inputs_follow_the_graphs_order() {
         let moge = adapter("moge-2").unwrap();
-        let ports = Ports { inputs: 2, picture: 1, tokens: Some((0, 0)), ..Ports::PLAIN };
-        let inputs = ports.inputs(moge, vec![0.5; 3 * 28 * 42], 42, 28);
+        let io = OnnxIo { inputs: 2, picture: 1, tokens: Some((0, 0)), ..OnnxIo::PLAIN };
+        let inputs = io.inputs(moge, vec![0.5; 3 * 28 * 42], 42, 28);
         assert_eq!((inputs[0].shape.len(), inputs[0].data.as_slice()), (0, [6.0].as_slice()));
         assert_eq!(inputs[1].shape, [1, 3, 28, 42]);
-        let five = Ports { views: true, ..Ports::PLAIN }.inputs(moge, vec![0.5; 3 * 28 * 42], 42, 28);
+        let five = OnnxIo { views: true, ..OnnxIo::PLAIN }.inputs(moge, vec![0.5; 3 * 28 * 42], 42, 28);
         assert_eq!(five[0].shape, [1, 1, 3, 28, 42]);
     }
 
     #[test]
     fn sky_and_scale_follow_their_rules() {
         let three = adapter("depth-anything-3").unwrap();
-        let ports = Ports { map: 1, sky: Some(0), ..Ports::PLAIN };
+        let io = OnnxIo { map: 1, sky: Some(0), ..OnnxIo::PLAIN };
         let sky = tensor(&[1, 4], vec![0.1, 0.299, 0.3, f32::NAN]);
-        let got = ports.values(three, vec![sky, tensor(&[1, 4], vec![1.0; 4])], 4, 1).unwrap();
+        let got = io.values(three, vec![sky, tensor(&[1, 4], vec![1.0; 4])], 4, 1).unwrap();
         assert_eq!(got.sky, [false, false, true, true]);
         let moge = adapter("moge-2").unwrap();
-        let ports = Ports { sky: Some(1), scale: Some(2), ..Ports::PLAIN };
+        let io = OnnxIo { sky: Some(1), scale: Some(2), ..OnnxIo::PLAIN };
         let points = || tensor(&[1, 1, 2, 3], vec![-1.0, 0.0, 2.0, 1.0, 0.0, 2.0]);
         for (scale, factor) in [(3.0, 3.0), (f32::NAN, 1.0), (0.0, 1.0), (-2.0, 1.0), (f32::INFINITY, 1.0)] {
             let outputs = vec![points(), tensor(&[1, 1, 2], vec![0.5, 0.500_1]), tensor(&[1], vec![scale])];
-            let got = ports.values(moge, outputs, 2, 1).unwrap();
+            let got = io.values(moge, outputs, 2, 1).unwrap();
             // a single point determines no shift
             assert_eq!((got.sky.as_slice(), got.data.as_slice()), ([true, false].as_slice(), [2.0 * factor; 2].as_slice()));
         }
-        let none = ports.values(moge, vec![points(), tensor(&[1, 1, 2], vec![1.0; 2]), tensor(&[0], vec![])], 2, 1);
+        let none = io.values(moge, vec![points(), tensor(&[1, 1, 2], vec![1.0; 2]), tensor(&[0], vec![])], 2, 1);
         assert!(none.is_ok(), "no scale");
     }
 
     #[test]
     fn outputs_of_another_size_are_errors() {
         let moge = adapter("moge-2").unwrap();
-        let ports = Ports { sky: Some(1), ..Ports::PLAIN };
+        let io = OnnxIo { sky: Some(1), ..OnnxIo::PLAIN };
         let says = |outputs: Vec<Tensor>, text: &str| {
-            let error = ports.values(moge, outputs, 2, 1).err().unwrap();
+            let error = io.values(moge, outputs, 2, 1).err().unwrap();
             assert!(error.contains(text), "{error}");
         };
         let points = || tensor(&[1, 1, 2, 3], vec![1.0; 6]);

@@ -8,7 +8,7 @@ const REACH: f64 = 1e6;
 
 /// A point and the position of its pixel, in units of half the picture's diagonal from its middle.
 #[derive(Clone, Copy)]
-struct Seen {
+struct Sample {
     point: [f64; 3],
     pixel: [f64; 2],
 }
@@ -19,22 +19,22 @@ struct Seen {
 /// `points` has `3 · width · height` values, `valid` a third of them.
 #[must_use]
 pub fn shift(points: &[f32], valid: &[bool], width: usize, height: usize) -> f64 {
-    let seen = sample(points, valid, width, height);
-    let nearest = seen.iter().map(|s| s.point[2]).fold(f64::INFINITY, f64::min);
-    if seen.len() < 2 || !nearest.is_finite() {
+    let samples = sample(points, valid, width, height);
+    let nearest = samples.iter().map(|s| s.point[2]).fold(f64::INFINITY, f64::min);
+    if samples.len() < 2 || !nearest.is_finite() {
         return 0.0;
     }
     // each point projects to its pixel, to the precision of its numbers
-    let pixels: f64 = seen.iter().map(|s| s.pixel[0].powi(2) + s.pixel[1].powi(2)).sum();
-    if error(&seen, 0.0) <= 1e-12 * pixels {
+    let pixels: f64 = samples.iter().map(|s| s.pixel[0].powi(2) + s.pixel[1].powi(2)).sum();
+    if error(&samples, 0.0) <= 1e-12 * pixels {
         return 0.0;
     }
     // search over the logarithm of what is left of the nearest distance, so that every point stays in front of the camera
-    let shift = nearest * valley(|t| error(&seen, nearest * t.exp() - nearest), REACH.ln()).exp() - nearest;
+    let shift = nearest * valley(|t| error(&samples, nearest * t.exp() - nearest), REACH.ln()).exp() - nearest;
     if shift.is_finite() { shift } else { 0.0 }
 }
 
-fn sample(points: &[f32], valid: &[bool], width: usize, height: usize) -> Vec<Seen> {
+fn sample(points: &[f32], valid: &[bool], width: usize, height: usize) -> Vec<Sample> {
     if valid.is_empty() {
         return Vec::new();
     }
@@ -46,7 +46,7 @@ fn sample(points: &[f32], valid: &[bool], width: usize, height: usize) -> Vec<Se
     grid.filter(|&(x, y)| valid[y * width + x])
         .map(|(x, y)| {
             let at = 3 * (y * width + x);
-            Seen { point: std::array::from_fn(|c| f64::from(points[at + c])), pixel: [middle(x, width), middle(y, height)] }
+            Sample { point: std::array::from_fn(|c| f64::from(points[at + c])), pixel: [middle(x, width), middle(y, height)] }
         })
         // no point should lie behind the camera; one that does has no pixel
         .filter(|s| s.point[2] > 0.0 && s.point.iter().all(|v| v.is_finite()))
@@ -54,9 +54,9 @@ fn sample(points: &[f32], valid: &[bool], width: usize, height: usize) -> Vec<Se
 }
 
 /// Sum of the squared distances between the pixels and the projected points, for the focal length that fits best.
-fn error(seen: &[Seen], shift: f64) -> f64 {
+fn error(samples: &[Sample], shift: f64) -> f64 {
     let (mut across, mut square, mut pixels) = (0.0, 0.0, 0.0);
-    for Seen { point: [x, y, z], pixel: [u, v] } in seen {
+    for Sample { point: [x, y, z], pixel: [u, v] } in samples {
         let [x, y] = [x / (z + shift), y / (z + shift)];
         across += x * u + y * v;
         square += x * x + y * y;
@@ -142,9 +142,9 @@ mod tests {
             }
             let valid = vec![true; w * h];
             let got = shift(&scene, &valid, w, h);
-            let seen = sample(&scene, &valid, w, h);
+            let samples = sample(&scene, &valid, w, h);
             for beside in [-0.01, -1e-4, 1e-4, 0.01] {
-                prop_assert!(error(&seen, got + beside) >= error(&seen, got) - 1e-12);
+                prop_assert!(error(&samples, got + beside) >= error(&samples, got) - 1e-12);
             }
         }
     }

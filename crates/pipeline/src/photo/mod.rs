@@ -32,9 +32,9 @@ mod colour_tests;
 #[cfg(test)]
 mod corpus_tests;
 #[cfg(test)]
-mod hostile;
-#[cfg(test)]
 mod jpeg_tests;
+#[cfg(test)]
+mod malformed_files;
 #[cfg(test)]
 mod tests;
 

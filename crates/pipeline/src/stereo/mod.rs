@@ -7,7 +7,7 @@ pub mod census;
 pub mod fuse;
 mod halves;
 #[cfg(test)]
-mod hostile;
+mod malformed_files;
 pub mod rectify;
 pub mod sgm;
 #[cfg(test)]

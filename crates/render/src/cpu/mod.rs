@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use self::band::Band;
 pub(super) use self::reference_view::ReferenceView;
 use self::span::Draw;
-use super::scene_cache::{Prepared, SceneCache};
+use super::scene_cache::{ExpandedScene, SceneCache};
 use super::{RenderError, Renderer, View, check};
 use tmpi_core::{Camera, Scene, SceneError};
 
@@ -29,7 +29,7 @@ thread_local! {
     static BAND: RefCell<Band> = RefCell::default();
 }
 
-type Slot = Arc<OnceLock<Result<Arc<Prepared>, SceneError>>>;
+type Slot = Arc<OnceLock<Result<Arc<ExpandedScene>, SceneError>>>;
 
 /// Draws on the processor in `f32`.
 ///
@@ -58,14 +58,14 @@ impl Cpu {
         Self { blurred: false, ..self }
     }
 
-    fn prepared(&self, scene: &Arc<Scene>) -> Result<Arc<Prepared>, SceneError> {
+    fn expanded(&self, scene: &Arc<Scene>) -> Result<Arc<ExpandedScene>, SceneError> {
         let slot = {
             let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
             let slot = scenes.get(scene).map(|slot| Arc::clone(slot));
-            slot.unwrap_or_else(|| Arc::clone(scenes.insert(scene, Prepared::bytes(scene), Slot::default)))
+            slot.unwrap_or_else(|| Arc::clone(scenes.insert(scene, ExpandedScene::bytes(scene), Slot::default)))
         };
         // outside the lock: other scenes can proceed, and several views of a new scene expand it once
-        slot.get_or_init(|| Prepared::new(scene, self.blurred).map(Arc::new)).clone()
+        slot.get_or_init(|| ExpandedScene::new(scene, self.blurred).map(Arc::new)).clone()
     }
 }
 
@@ -74,7 +74,7 @@ impl Cpu {
 /// # Errors
 /// [`RenderError::Scene`].
 pub fn draw_reference_view(scene: &Scene) -> Result<View, RenderError> {
-    Ok(draw(scene, &Prepared::for_reference_view(scene)?, &reference_view::reference_camera(scene)))
+    Ok(draw(scene, &ExpandedScene::for_reference_view(scene)?, &reference_view::reference_camera(scene)))
 }
 
 impl Default for Cpu {
@@ -90,24 +90,24 @@ impl Renderer for Cpu {
 
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         check(camera)?;
-        let prepared = self.prepared(scene)?;
-        let reference = prepared.reference.view(scene, camera, |own| draw(scene, &prepared, own));
-        Ok(reference.unwrap_or_else(|| draw(scene, &prepared, camera)))
+        let expanded = self.expanded(scene)?;
+        let reference = expanded.reference.view(scene, camera, |own| draw(scene, &expanded, own));
+        Ok(reference.unwrap_or_else(|| draw(scene, &expanded, camera)))
     }
 
-    fn settle(&self) {
-        self.scenes.lock().unwrap_or_else(PoisonError::into_inner).settle();
+    fn free_dropped_scenes(&self) {
+        self.scenes.lock().unwrap_or_else(PoisonError::into_inner).remove_dropped_scenes();
     }
 }
 
-fn draw(scene: &Scene, prepared: &Prepared, camera: &Camera) -> View {
+fn draw(scene: &Scene, expanded: &ExpandedScene, camera: &Camera) -> View {
     let draws: Vec<Draw> =
-        prepared.order.iter().filter_map(|&i| Draw::new(scene, &prepared.pieces[i], prepared.first[i], camera)).collect();
+        expanded.order.iter().filter_map(|&i| Draw::new(scene, &expanded.pieces[i], expanded.first[i], camera)).collect();
     let mut view = View::transparent(camera);
     let width = camera.width as usize;
     let rows = (BAND_PIXELS / width).clamp(1, BAND_ROWS);
     view.rgba.par_chunks_mut(width * rows).enumerate().for_each(|(i, out)| {
-        BAND.with_borrow_mut(|band| band.draw(&draws, &prepared.texels, (i * rows) as u32, width, out));
+        BAND.with_borrow_mut(|band| band.draw(&draws, &expanded.texels, (i * rows) as u32, width, out));
     });
     view
 }

@@ -16,7 +16,7 @@ struct Edge {
 pub(super) struct Draw {
     pub footprint: Footprint,
     edges: [Edge; 6],
-    /// Index of its first texel in the prepared texels.
+    /// Index of its first texel in the expanded texels.
     pub first_texel: usize,
     /// Width in texels.
     pub w: usize,
@@ -37,7 +37,7 @@ pub(super) struct Span {
 }
 
 impl Draw {
-    /// Prepares `piece`, whose prepared texels start at `first_texel`.
+    /// Prepares `piece`, whose expanded texels start at `first_texel`.
     pub fn new(scene: &Scene, piece: &Piece, first_texel: usize, camera: &Camera) -> Option<Self> {
         let footprint = Footprint::new(scene, piece, camera)?;
         let edges = footprint.conditions().map(|form| Edge { form, reciprocal: 1.0 / form[0] });

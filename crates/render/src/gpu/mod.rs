@@ -100,7 +100,7 @@ impl Renderer for Gpu {
         self.ask(|reply| Job::Render(Arc::clone(scene), *camera, reply))
     }
 
-    fn settle(&self) {
+    fn free_dropped_scenes(&self) {
         // if the thread has ended, nothing is kept
         let _ = self.ask(Job::Settle);
     }
@@ -125,7 +125,7 @@ impl Worker {
                 Job::Open(reply) => drop(reply.send(self.guarded(|_| Ok(())))),
                 Job::Settle(reply) => {
                     if let Some(State { scenes, device, .. }) = &mut self.state {
-                        scenes.settle();
+                        scenes.remove_dropped_scenes();
                         // wgpu frees dropped resources when the device is polled
                         let _ = device.handle.poll(wgpu::PollType::Poll);
                     }

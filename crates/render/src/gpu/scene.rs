@@ -117,16 +117,16 @@ impl Plan {
     }
 
     fn instance(&self, n: usize) -> Instance {
-        let (piece, place) = (&self.pieces[n], self.packing.places[n]);
+        let (piece, position) = (&self.pieces[n], self.packing.positions[n]);
         let (p, centre) = (&piece.plane, piece.centre);
         let [[left, right], [upper, lower]] = piece.drawn;
         let corner = piece.corner.map(|v| v as f64);
         Instance {
             plane: [p.a as f32, p.b as f32, p.c as f32],
-            page: place.page as f32,
+            page: position.page as f32,
             centre: [centre.0 as f32, centre.1 as f32],
             rect: [corner[0] + left, corner[1] + upper, right - left, lower - upper].map(|v| v as f32),
-            atlas: [f64::from(place.x) + left, f64::from(place.y) + upper].map(|v| v as f32),
+            atlas: [f64::from(position.x) + left, f64::from(position.y) + upper].map(|v| v as f32),
         }
     }
 
@@ -150,12 +150,12 @@ impl Plan {
         let (blur, mut texels) = (mirror_blur(scene, &self.pieces), Vec::new());
         let mut expander = Expander::new(scene, blur.as_ref());
         for number in 0..p.pages {
-            for (piece, place) in self.pieces.iter().zip(&p.places).filter(|(_, place)| place.page == number) {
+            for (piece, position) in self.pieces.iter().zip(&p.positions).filter(|(_, position)| position.page == number) {
                 texels.clear();
                 expander.append(piece, &mut texels);
                 let width = piece.size[0] as usize;
                 for (y, row) in texels.chunks(width).enumerate() {
-                    let start = (place.y as usize + y) * p.width as usize + place.x as usize;
+                    let start = (position.y as usize + y) * p.width as usize + position.x as usize;
                     for (to, from) in page[start..start + width].iter_mut().zip(row) {
                         *to = texel(*from);
                     }

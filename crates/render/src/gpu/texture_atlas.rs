@@ -7,7 +7,7 @@ const PAGE_SIDE: u32 = 4096;
 
 /// Position of a rectangle's upper left texel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct AtlasPosition {
     pub page: u32,
     pub x: u32,
     pub y: u32,
@@ -20,7 +20,7 @@ pub(super) struct Packing {
     pub height: u32,
     pub pages: u32,
     /// In the order of the given sizes.
-    pub places: Vec<Place>,
+    pub positions: Vec<AtlasPosition>,
 }
 
 /// Packs rectangles of `sizes` (width, height) on shelves, tallest first. Uses at most `pages` pages with sides of at most `side` texels.
@@ -34,19 +34,19 @@ pub(super) fn pack(sizes: &[(u32, u32)], side: u32, pages: u32) -> Result<Packin
     }
     let mut order: Vec<usize> = (0..sizes.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i].1), i));
-    let mut places = vec![Place::default(); sizes.len()];
+    let mut positions = vec![AtlasPosition::default(); sizes.len()];
     // the next free position on the shelf, and the shelf's lower border
-    let (mut at, mut lower) = (Place::default(), 0);
+    let (mut at, mut lower) = (AtlasPosition::default(), 0);
     for i in order {
         let (w, h) = sizes[i];
         if at.x + w > width {
             (at.x, at.y) = (0, lower);
         }
         if at.y + h > height {
-            at = Place { page: at.page + 1, x: 0, y: 0 };
+            at = AtlasPosition { page: at.page + 1, x: 0, y: 0 };
             lower = 0;
         }
-        places[i] = at;
+        positions[i] = at;
         at.x += w;
         lower = lower.max(at.y + h);
     }
@@ -54,7 +54,7 @@ pub(super) fn pack(sizes: &[(u32, u32)], side: u32, pages: u32) -> Result<Packin
     if used > pages {
         return Err(RenderError::TooLarge(format!("{used} atlas pages of {width}×{height} texels; the adapter has at most {pages}")));
     }
-    Ok(Packing { width, height: if used == 1 { lower.max(1) } else { height }, pages: used, places })
+    Ok(Packing { width, height: if used == 1 { lower.max(1) } else { height }, pages: used, positions })
 }
 
 #[cfg(test)]
@@ -68,9 +68,9 @@ mod tests {
             let p = pack(&sizes, side, 256).unwrap();
             prop_assert!(p.width <= side && p.height <= side);
             let mut taken = std::collections::HashSet::new();
-            for (place, (w, h)) in p.places.iter().zip(&sizes) {
-                prop_assert!(place.page < p.pages && place.x + w <= p.width && place.y + h <= p.height);
-                for y in place.y..place.y + h { for x in place.x..place.x + w { prop_assert!(taken.insert((place.page, x, y))); } }
+            for (at, (w, h)) in p.positions.iter().zip(&sizes) {
+                prop_assert!(at.page < p.pages && at.x + w <= p.width && at.y + h <= p.height);
+                for y in at.y..at.y + h { for x in at.x..at.x + w { prop_assert!(taken.insert((at.page, x, y))); } }
             }
         }
     }

@@ -19,7 +19,7 @@ const MIN_MOTION: f64 = 1.0;
 
 /// A pixel beside a border.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Place {
+pub(super) struct BorderPixel {
     /// Position in the photo.
     pub x: u32,
     pub y: u32,
@@ -74,7 +74,7 @@ struct Tile<'a> {
 
 /// Pixels beside a border that tile `index` owns in the rows `wanted`, row by row.
 #[inline(never)]
-pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, photo: Rows, s: &mut Scratch) -> Vec<Place> {
+pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, photo: Rows, s: &mut Scratch) -> Vec<BorderPixel> {
     let (grid, tile) = (&geometry.grid, &geometry.tiles[index as usize]);
     let r = grid.rect(index);
     let mut out = Vec::new();
@@ -96,9 +96,9 @@ pub(super) fn of_tile(geometry: &Geometry, index: u32, wanted: &Range<u32>, phot
         }
         for (i, (d, m)) in visible.iter().zip(most).enumerate() {
             if m - d > step
-                && let Some(place) = tile.place(own.x as usize - r.x as usize + i, (y - r.y) as usize, photo, s)
+                && let Some(pixel) = tile.border_pixel(own.x as usize - r.x as usize + i, (y - r.y) as usize, photo, s)
             {
-                out.push(place);
+                out.push(pixel);
             }
         }
     }
@@ -131,7 +131,7 @@ impl Tile<'_> {
 
     /// The matte of pixel `(x, y)` of the tile, which lies beside a nearer surface. `None` if the colours do not determine one, or if tiles
     /// disagree.
-    fn place(&self, x: usize, y: usize, photo: Rows, s: &Scratch) -> Option<Place> {
+    fn border_pixel(&self, x: usize, y: usize, photo: Rows, s: &Scratch) -> Option<BorderPixel> {
         let w = self.r.w as usize;
         let at = y * w + x;
         let (far, most) = (s.visible[at], s.most[at]);
@@ -150,7 +150,7 @@ impl Tile<'_> {
                 return None;
             }
         }
-        Some(Place { x: px, y: py, near, matte })
+        Some(BorderPixel { x: px, y: py, near, matte })
     }
 
     /// The matte of pixel `(x, y)`, which lies behind `middle`.

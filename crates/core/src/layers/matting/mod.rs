@@ -12,7 +12,7 @@ mod tests;
 use std::ops::Range;
 
 pub(crate) use self::borders::Rows;
-use self::borders::{Place, Scratch};
+use self::borders::{BorderPixel, Scratch};
 use super::{Geometry, LayerMask, TexturedLayer};
 use crate::parallel;
 use crate::scene::{Class, Grid, Rect};
@@ -27,9 +27,9 @@ pub(crate) fn matte(geometry: &Geometry, first: u32, tiles: &mut [Vec<TexturedLa
     let rects = [grid.rect(first), grid.rect(first + count - 1)];
     let wanted = rects[0].y..rects[1].y + rects[1].h;
     let around = around(grid, first..first + count);
-    let places =
+    let pixels =
         parallel::map_init(around.len(), Scratch::default, |s, i| borders::of_tile(geometry, around.start + i as u32, &wanted, photo, s));
-    let near = Near { geometry, first: around.start, places: &places };
+    let near = Near { geometry, first: around.start, pixels: &pixels };
     let work: Vec<(u32, &mut Vec<TexturedLayer>)> = (first..).zip(tiles).collect();
     let done = parallel::try_each(work, |(index, layers)| {
         near.apply(index, layers);
@@ -54,9 +54,9 @@ fn reach(grid: &Grid) -> u32 {
 /// Mattes of all pixels beside borders, by tile.
 struct Near<'a> {
     geometry: &'a Geometry,
-    /// Tile of the first entry in `places`.
+    /// Tile of the first entry in `pixels`.
     first: u32,
-    places: &'a [Vec<Place>],
+    pixels: &'a [Vec<BorderPixel>],
 }
 
 /// A pixel beside a border, in one tile.
@@ -64,7 +64,7 @@ struct Near<'a> {
 struct Mixed {
     /// Index among the tile's pixels.
     at: usize,
-    place: Place,
+    pixel: BorderPixel,
     /// True if this tile owns the pixel.
     own: bool,
 }
@@ -90,12 +90,12 @@ impl Near<'_> {
         let labels = &self.geometry.tiles[index as usize].labels;
         for layer in layers {
             let Some(label) = layer.shape.label else { continue };
-            let in_front = |m: &Mixed| m.own && m.place.near == label;
+            let in_front = |m: &Mixed| m.own && m.pixel.near == label;
             widen(&mut layer.shape, r, mixed.iter().filter(|m| in_front(m)).map(|m| m.at));
             let shape = &layer.shape;
             let change = |m: &Mixed| {
-                let at = within(shape.rect, m.place.x, m.place.y)?;
-                let matte = m.place.matte;
+                let at = within(shape.rect, m.pixel.x, m.pixel.y)?;
+                let matte = m.pixel.matte;
                 let (class, alpha, colour) = if labels[m.at] == label {
                     (Class::Hidden, u8::MAX, matte.background)
                 } else if in_front(m) {
@@ -122,8 +122,8 @@ impl Near<'_> {
         let mut out = Vec::new();
         for row in side(index / columns, grid.rows()) {
             for owner in side(index % columns, columns).map(|column| row * columns + column) {
-                let Some(places) = owner.checked_sub(self.first).and_then(|i| self.places.get(i as usize)) else { continue };
-                out.extend(places.iter().filter_map(|&place| Some(Mixed { at: within(r, place.x, place.y)?, place, own: owner == index })));
+                let Some(pixels) = owner.checked_sub(self.first).and_then(|i| self.pixels.get(i as usize)) else { continue };
+                out.extend(pixels.iter().filter_map(|&pixel| Some(Mixed { at: within(r, pixel.x, pixel.y)?, pixel, own: owner == index })));
             }
         }
         out.sort_unstable_by_key(|m| m.at);

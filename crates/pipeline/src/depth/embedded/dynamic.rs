@@ -2,7 +2,7 @@
 
 use roxmltree::Node;
 
-use super::{Found, google, xmp};
+use super::{DepthPicture, google, xmp};
 use crate::photo::segments;
 use tmpi_core::container::PhotoFormat;
 
@@ -37,7 +37,7 @@ impl<'a> Item<'a> {
 }
 
 /// Finds the depth map after a photo that XMP packets describe.
-pub(super) fn find(photo: &[u8], packets: &[String]) -> Option<Found> {
+pub(super) fn find(photo: &[u8], packets: &[String]) -> Option<DepthPicture> {
     let documents: Vec<_> = packets.iter().filter_map(|p| xmp::document(p)).collect();
     let get = |name| documents.iter().find_map(|d| xmp::anywhere(d, DEPTH, name));
     let address = get("DepthURI")?;

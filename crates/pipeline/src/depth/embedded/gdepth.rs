@@ -3,12 +3,12 @@
 use base64::Engine as _;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 
-use super::{Found, google, xmp};
+use super::{DepthPicture, google, xmp};
 
 const SPACE: &str = "http://ns.google.com/photos/1.0/depthmap/";
 
 /// Finds the depth map in XMP packets.
-pub(super) fn find(packets: &[String]) -> Option<Found> {
+pub(super) fn find(packets: &[String]) -> Option<DepthPicture> {
     let documents: Vec<_> = packets.iter().filter_map(|p| xmp::document(p)).collect();
     let get = |name| documents.iter().find_map(|d| xmp::anywhere(d, SPACE, name));
     let format = get("Format")?;

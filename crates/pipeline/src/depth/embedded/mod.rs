@@ -88,7 +88,7 @@ pub fn embedded_depth(photo: &[u8]) -> Result<Option<EmbeddedDepth>, DepthError>
 }
 
 /// Format name, picture and scale of one of the formats, or what is wrong with it.
-type Found = Result<(&'static str, Vec<u8>, Scale), String>;
+type DepthPicture = Result<(&'static str, Vec<u8>, Scale), String>;
 
 /// A finite or infinite number in XMP.
 fn number(text: Option<&str>) -> Option<f64> {

@@ -1,6 +1,6 @@
 //! Pictures after a photo in the Multi-Picture Format (CIPA DC-007-2009), and Apple's XMP in its depth maps.
 
-use super::{Found, SMALL, Scale, number, xmp};
+use super::{DepthPicture, SMALL, Scale, number, xmp};
 use crate::photo::exif::Tiff;
 use crate::photo::segments::applications;
 use crate::photo::{self, Limits};
@@ -16,7 +16,7 @@ const EYE: u32 = 0x0002_0002;
 const MOST: usize = 16;
 
 /// Finds the first picture after the photo that is a depth map.
-pub(super) fn find(photo: &[u8]) -> Option<Found> {
+pub(super) fn find(photo: &[u8]) -> Option<DepthPicture> {
     pictures(photo).find_map(|picture| {
         let packets = xmp::packets(picture);
         let document = packets.iter().find_map(|p| xmp::document(p))?;

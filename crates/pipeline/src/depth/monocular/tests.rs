@@ -123,10 +123,10 @@ fn degenerate_outputs_give_valid_maps_or_errors() {
 
 fn several(name: &str, outputs: &[&str], f: fn(usize, usize) -> Vec<Tensor>) -> Monocular {
     let adapter = super::super::adapter(name).unwrap();
-    let port = |name: &str, shape: &[i64]| crate::networks::TensorInfo { name: name.into(), shape: shape.to_vec() };
-    let outputs: Vec<_> = outputs.iter().map(|o| port(o, &[])).collect();
-    let (ports, ..) = Ports::of(adapter, &[port("image", &[1, 3, -1, -1])], &outputs).unwrap();
-    Monocular { ports, ..Monocular::new(adapter, returning(f)) }
+    let info = |name: &str, shape: &[i64]| crate::networks::TensorInfo { name: name.into(), shape: shape.to_vec() };
+    let outputs: Vec<_> = outputs.iter().map(|o| info(o, &[])).collect();
+    let (io, ..) = OnnxIo::of(adapter, &[info("image", &[1, 3, -1, -1])], &outputs).unwrap();
+    Monocular { io, ..Monocular::new(adapter, returning(f)) }
 }
 
 fn map(w: usize, h: usize, f: impl Fn(usize, usize) -> f32) -> Tensor {

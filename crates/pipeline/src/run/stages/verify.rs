@@ -24,10 +24,10 @@ impl Stage for Verify {
 
     fn run(&mut self, made: &Encoded, context: &mut Context) -> Result<(), MakeError> {
         let all = context.options.verify_prune;
-        let (seen, pruned) = rayon::join(|| seen(made), || pruned(made, all));
-        let (seen, error) = (seen?, &mut context.report.error);
-        (error.codec_psnr, error.identity_psnr, error.identity_tiles) = (seen.codec_psnr, seen.identity_psnr, seen.tiles);
-        error.hidden_psnr = seen.hidden_psnr;
+        let (reader, pruned) = rayon::join(|| reader_errors(made), || pruned(made, all));
+        let (reader, error) = (reader?, &mut context.report.error);
+        (error.codec_psnr, error.identity_psnr, error.identity_tiles) = (reader.codec_psnr, reader.identity_psnr, reader.tiles);
+        error.hidden_psnr = reader.hidden_psnr;
         error.prune = pruned?;
         Ok(())
     }
@@ -42,7 +42,7 @@ fn pruned(made: &Encoded, all: bool) -> Result<Option<PruneError>, MakeError> {
 }
 
 /// Errors of what a reader of the container draws.
-struct Seen {
+struct ReaderErrors {
     codec_psnr: f64,
     identity_psnr: f64,
     /// Number of tiles in the drawn part of the reference view.
@@ -50,7 +50,7 @@ struct Seen {
     hidden_psnr: Option<f64>,
 }
 
-fn seen(made: &Encoded) -> Result<Seen, MakeError> {
+fn reader_errors(made: &Encoded) -> Result<ReaderErrors, MakeError> {
     let photo = &made.scene.photo;
     if made.optional != OptionalSections::default() {
         // refined layers are stored for all tiles together, so no single row can be decoded
@@ -58,7 +58,7 @@ fn seen(made: &Encoded) -> Result<Seen, MakeError> {
         let hidden = || psnr(read.texels.hidden.as_flattened(), made.scene.texels.hidden.as_flattened());
         let mut difference = Difference::default();
         difference.add(photo.rgb.as_flattened(), &read, 0..photo.height)?;
-        return Ok(Seen {
+        return Ok(ReaderErrors {
             codec_psnr: psnr(read.photo.rgb.as_flattened(), photo.rgb.as_flattened()),
             identity_psnr: difference.psnr(),
             tiles: made.geometry.tiles.len(),
@@ -81,7 +81,7 @@ fn seen(made: &Encoded) -> Result<Seen, MakeError> {
         difference.add(want.as_flattened(), &scene, own.start - rect.y..own.end - rect.y)?;
         tiles += grid.columns() as usize;
     }
-    Ok(Seen { codec_psnr, identity_psnr: difference.psnr(), tiles, hidden_psnr: None })
+    Ok(ReaderErrors { codec_psnr, identity_psnr: difference.psnr(), tiles, hidden_psnr: None })
 }
 
 /// A row of tiles as a scene of its own, and its rectangle in the photo.

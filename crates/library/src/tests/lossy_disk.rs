@@ -27,9 +27,9 @@ struct Inner {
 
 /// Files in memory.
 #[derive(Debug, Default)]
-pub struct Forgetful(Mutex<Inner>);
+pub struct LossyDisk(Mutex<Inner>);
 
-impl Forgetful {
+impl LossyDisk {
     /// Ends the process after this many more changes.
     pub fn end_after(&self, changes: usize) {
         self.0.lock().unwrap().left = Some(changes);
@@ -68,7 +68,7 @@ impl Inner {
     }
 }
 
-impl Files for Forgetful {
+impl Files for LossyDisk {
     fn create_dir(&self, _: &Path) -> io::Result<()> {
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Outlines of flat cut-outs: the opaque subset of the square [−1, 1]². y points down.
+//! Shapes of flat cut-outs: the opaque subset of the square [−1, 1]². y points down.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use super::math::{Rng, fbm, v3};
 pub(super) struct Limb(pub f64, pub f64, pub f64, pub f64, pub f64, pub f64);
 
 #[derive(Clone, Debug)]
-pub(super) enum Outline {
+pub(super) enum CutoutShape {
     Full,
     Disc,
     /// The ring between this radius and 1.
@@ -24,7 +24,7 @@ pub(super) enum Outline {
     Window(f64),
 }
 
-impl Outline {
+impl CutoutShape {
     pub fn contains(&self, x: f64, y: f64) -> bool {
         let r = x.hypot(y);
         match self {

@@ -1,4 +1,4 @@
-//! Values of the caches, and their weights.
+//! Entries of the caches, and their weights.
 
 use std::fs::File;
 use std::io::{self, Read as _, Write as _};
